@@ -1,0 +1,37 @@
+# Messages, dynamic parameters and the catkin package. Included from the top level, where catkin wants it.
+find_package(catkin REQUIRED COMPONENTS
+  cv_bridge
+  diagnostic_updater
+  dynamic_reconfigure
+  geometry_msgs
+  image_transport
+  message_generation
+  nav_msgs
+  nodelet
+  pluginlib
+  rosbag
+  roscpp
+  sensor_msgs
+  std_msgs
+  std_srvs
+  tf2
+  tf2_msgs
+  tf2_ros
+  visualization_msgs
+)
+
+add_message_files(DIRECTORY msg FILES
+  BlurField.msg
+  Exposure.msg
+  Keypoint.msg
+  KeypointArray.msg
+)
+generate_messages(DEPENDENCIES std_msgs)
+generate_dynamic_reconfigure_options(cfg/Deblur.cfg)
+
+catkin_package(
+  INCLUDE_DIRS include
+  LIBRARIES gyro_deblur_core
+  CATKIN_DEPENDS message_runtime nodelet roscpp sensor_msgs std_msgs
+  DEPENDS EIGEN3 OpenCV
+)

@@ -1,0 +1,20 @@
+// Comparison of the predicted blur with the image (paper section III-D).
+#pragma once
+
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/blur_field.hpp"
+
+namespace gyro_deblur {
+
+/// Strongest response [grey levels / px] of the Sobel filter rotated to `angle_rad` inside `block`. The Sobel pair is
+/// normalised by 1/8, so a ramp of one grey level a pixel along the angle gives 1.
+/// @param luminance  CV_8UC1; neighbours outside the image are replicated
+/// @param block      non-empty, inside the image
+float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double angle_rad);
+
+/// Returns `field` with those DEBLURRED blocks turned REJECTED whose gradient along the predicted motion exceeds
+/// options.threshold(extent). Throws std::invalid_argument when luminance is not CV_8UC1 of the field's size.
+BlurField validate_blur_field(const BlurField& field, const cv::Mat& luminance, const ValidationOptions& options);
+
+}  // namespace gyro_deblur

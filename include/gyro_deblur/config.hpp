@@ -1,0 +1,43 @@
+// The configuration file: one flat set of keys for the nodelet's private parameters and for deblur_bag --config.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/options.hpp"
+#include "gyro_deblur/pipeline.hpp"
+
+namespace YAML {
+class Node;
+}
+
+namespace gyro_deblur {
+
+/// Every parameter; config/default.yaml documents the keys.
+struct Config {
+  PipelineOptions pipeline;
+  GyroOptions gyro;
+  ShutterTiming shutter;              ///< exposure_ns 0: per-frame message only; readout_ns is the default readout
+  bool rectified_input = false;       ///< the image is undistorted: use camera_info's P and R
+  std::optional<Eigen::Matrix3d> R_cam_imu;  ///< absent: from tf
+  TimeNs gyro_timeout_ns = 500'000'000;      ///< how long a frame waits for gyroscope, exposure and tf; [0, 10 s]
+  int frame_queue_size = 30;                 ///< frames that may wait; [1, 1000]
+  TimeNs bias_window_ns = 1'000'000'000;     ///< of ~estimate_gyro_bias; [0.1 s, 10 s]
+  double bias_max_stddev_rad_s = 0.05;       ///< of single samples at rest; (0, 1]
+  TimeNs time_jump_ns = 500'000'000;         ///< a stamp that goes back by more is a clock reset; [10 ms, 10 s]
+
+  void validate() const;  ///< throws OptionError
+};
+
+/// Reads a map of keys. Keys that are not known are appended to `unknown` (when given) and otherwise ignored.
+/// Throws OptionError that names the key, its value and what is allowed.
+Config parse_config(const YAML::Node& node, std::vector<std::string>* unknown = nullptr);
+
+/// Reads a YAML file. Throws OptionError with the path when it cannot be read or parsed.
+Config load_config(const std::string& path, std::vector<std::string>* unknown = nullptr);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,58 @@
+// Space-variant deconvolution: a 1-D kernel along a line for every block (paper sections IV-A and IV-B).
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/blur_field.hpp"
+#include "gyro_deblur/image_format.hpp"
+#include "gyro_deblur/kernel_bank.hpp"
+
+namespace gyro_deblur {
+
+/// What to do with one block of an image.
+struct BlockFilter {
+  cv::Rect rect;                       ///< inside the image
+  double angle_rad = 0;                ///< direction of the line, x right, y down
+  const LineKernel* kernel = nullptr;  ///< not owned; null: copy the block bit for bit
+};
+
+/// Convolves every block of an image along its own line with its own kernel.
+class LineConvolver {
+ public:
+  virtual ~LineConvolver() = default;
+
+  /// @param src    CV_8U or CV_16U, 1 to 4 channels, at least 1x1; every channel is filtered
+  /// @param blocks disjoint rectangles that cover src
+  /// @param dst    (re)allocated to src's size and type when needed; must not share memory with src
+  /// Neighbours are taken across block borders; outside the image the edge pixel is replicated. Results are rounded and
+  /// clipped to the pixel type. Throws std::invalid_argument for unsupported types.
+  virtual void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) = 0;
+
+  /// Short name for diagnostics, e.g. "reference".
+  virtual std::string name() const = 0;
+};
+
+/// Engine by name: "reference" (non-zero taps of the rotated kernel, float, OpenMP over blocks) or "auto" (the fastest
+/// that works), on `threads` OpenMP threads (0: OpenMP's default). Throws OptionError that lists the names.
+std::unique_ptr<LineConvolver> make_line_convolver(const std::string& backend, int threads = 0);
+
+/// A non-zero element of a rotated kernel.
+struct KernelTap {
+  int dx, dy;
+  float weight;
+};
+
+/// Non-zero elements of `kernel` rotated to `angle_rad` (paper section IV-B); their weights sum to the kernel's sum.
+std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad);
+
+/// Deblurs the DEBLURRED blocks of `field` and copies the rest bit for bit; alpha is copied; Bayer mosaics are filtered
+/// plane by plane with half the extent.
+/// Preconditions: image has the field's size and a type that fits `layout`. `dst` as for LineConvolver::convolve.
+void deconvolve(const cv::Mat& image, PixelLayout layout, const BlurField& field, const KernelBank& bank,
+                LineConvolver& engine, cv::Mat& dst);
+
+}  // namespace gyro_deblur

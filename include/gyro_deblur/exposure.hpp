@@ -1,0 +1,54 @@
+// When each row of a frame was exposed (paper section III-C).
+#pragma once
+
+#include "gyro_deblur/options.hpp"
+#include "gyro_deblur/types.hpp"
+
+namespace gyro_deblur {
+
+/// The image row and the phase of its exposure that a driver's stamp refers to. FIRST is row y = 0 of the image and
+/// LAST row N - 1, whichever way the sensor is read.
+enum class StampRow { FIRST, MIDDLE, LAST };
+enum class StampPhase { START, MIDDLE, END };
+
+/// Timing of one camera.
+struct ShutterTiming {
+  TimeNs exposure_ns = 0;  ///< t_e, (0, 1 s]
+  TimeNs readout_ns = 0;   ///< t_r, |t_r| <= 1 s: from the first to one past the last row; negative: bottom-up; 0: global
+  StampRow stamp_row = StampRow::FIRST;
+  StampPhase stamp_phase = StampPhase::START;
+
+  void validate() const;  ///< throws OptionError
+};
+
+/// Exposure of the rows of one frame, in the camera clock: row y of N is exposed from
+/// t1(y) = t_f + t_r y / N to t2(y) = t1(y) + t_e.
+class RowExposure {
+ public:
+  /// @param stamp_ns  the image's stamp, camera clock
+  /// @param rows      N >= 1
+  /// Throws OptionError for bad timing.
+  RowExposure(TimeNs stamp_ns, int rows, const ShutterTiming& timing);
+
+  /// y in pixels, may be fractional; 0 is the centre of the first row. Rows outside the image follow the same line.
+  TimeNs start(double y) const;
+  TimeNs middle(double y) const;
+  TimeNs end(double y) const;
+
+  /// From the first start to the last end of any row.
+  TimeRange frame() const;
+
+  /// Instant at which rectified coordinates hold: the middle of the exposure of the first, middle ((N - 1) / 2) or last
+  /// row, or the stamp itself.
+  TimeNs reference_time(RectifyTo rectify_to) const;
+
+  const ShutterTiming& timing() const { return timing_; }
+
+ private:
+  TimeNs stamp_ns_;
+  int rows_;
+  ShutterTiming timing_;
+  TimeNs first_row_start_ns_;  // t_f
+};
+
+}  // namespace gyro_deblur

@@ -1,0 +1,61 @@
+// Bounded, ordered store of gyroscope samples in the IMU clock.
+#pragma once
+
+#include <deque>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "gyro_deblur/types.hpp"
+
+namespace gyro_deblur {
+
+/// Keeps the newest samples, strictly increasing in time, no older than `capacity_ns` before the newest.
+/// Not thread-safe: its owner serialises access.
+class GyroBuffer {
+ public:
+  enum class AddResult { ACCEPTED, NOT_FINITE, DUPLICATE, OUT_OF_ORDER };
+
+  /// Precondition: capacity_ns > 0.
+  explicit GyroBuffer(TimeNs capacity_ns);
+
+  /// Adds a sample. Samples that are not finite, or not newer than the newest, are refused and leave the buffer as it
+  /// was.
+  AddResult add(const GyroSample& sample);
+
+  /// Forgets everything.
+  void clear();
+
+  bool empty() const { return samples_.empty(); }
+  std::size_t size() const { return samples_.size(); }
+
+  /// From the oldest to the newest sample (IMU clock); empty() when there is none.
+  TimeRange available() const;
+
+  /// The samples needed to know the rate anywhere in `requested` (IMU clock): all inside, and one neighbour on each
+  /// side where there is one. Never extrapolates: what is missing at the ends is missing in the answer.
+  std::vector<GyroSample> window(const TimeRange& requested) const;
+
+ private:
+  TimeNs capacity_ns_;
+  std::deque<GyroSample> samples_;
+};
+
+const char* to_string(GyroBuffer::AddResult result);
+
+/// Mean rate of a sensor at rest.
+struct BiasEstimate {
+  Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();
+  Eigen::Vector3d stddev_rad_s = Eigen::Vector3d::Zero();  ///< of single samples about the mean
+  std::size_t samples = 0;
+};
+
+/// Averages `samples` and checks that the sensor was at rest.
+/// @param max_stddev_rad_s  each axis must scatter less than this (> 0)
+/// @param min_samples       at least this many are needed (>= 2)
+/// @param error             set to one line with the value and the limit on failure; must not be null
+/// @return nothing when there are too few samples, or they move too much.
+std::optional<BiasEstimate> estimate_stationary_bias(const std::vector<GyroSample>& samples, double max_stddev_rad_s,
+                                                     std::size_t min_samples, std::string* error);
+
+}  // namespace gyro_deblur

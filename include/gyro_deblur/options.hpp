@@ -1,0 +1,76 @@
+// Parameters of the algorithm. Defaults and valid ranges live here and nowhere else.
+#pragma once
+
+#include <stdexcept>
+#include <string>
+
+#include <Eigen/Core>
+
+#include "gyro_deblur/types.hpp"
+
+namespace gyro_deblur {
+
+/// A parameter that cannot be used; what() names it, its value and the allowed range.
+class OptionError : public std::invalid_argument {
+ public:
+  using std::invalid_argument::invalid_argument;
+};
+
+/// Throws OptionError "NAME = VALUE is outside [MIN, MAX] UNIT" unless min <= value <= max (NaN never passes).
+void require_range(const char* name, double value, double min, double max, const char* unit = "");
+
+/// Blur field and its division into blocks (paper section IV).
+struct BlurFieldOptions {
+  int block_size_px = 64;        ///< [8, 1024], a multiple of 2 so that Bayer planes divide alike
+  double min_extent_px = 2.0;    ///< [1, 20]; smaller blur is left alone: the paper's kernels start at r = 2
+  double max_extent_px = 150.0;  ///< [min_extent_px, 500]; larger blur is TOO_LARGE
+
+  void validate() const;  ///< throws OptionError
+};
+
+/// Blur validation (paper section III-D): a block is rejected when the strongest gradient along the motion exceeds
+/// tau(r) = tau + tau_contrast / r. A box of extent r cannot leave more than contrast / r grey levels a pixel, so the
+/// threshold falls with the extent; tau alone (tau_contrast = 0) is the paper's constant threshold.
+/// Grey levels are those of an 8-bit image; 16-bit images are scaled.
+struct ValidationOptions {
+  bool enabled = true;
+  double tau = 8.0;             ///< [0, 255] grey levels / px: what noise and compression may add
+  double tau_contrast = 160.0;  ///< [0, 1000] grey levels: step that the scene may contain
+
+  double threshold(double extent_px) const { return tau + tau_contrast / extent_px; }
+  void validate() const;  ///< throws OptionError
+};
+
+/// Wiener kernels (paper section IV-A).
+struct KernelOptions {
+  double gamma = 0.01;         ///< [1e-5, 1]; noise-to-signal ratio of the Wiener filter
+  double length_factor = 4.0;  ///< [2, 8]; length of the inverse kernel in extents
+
+  void validate() const;  ///< throws OptionError
+};
+
+/// Keypoint detection.
+struct KeypointOptions {
+  std::string detector = "SIFT";    ///< SIFT, ORB, AKAZE, BRISK, GFTT or FAST
+  std::string descriptor = "SIFT";  ///< SIFT, ORB, AKAZE, BRISK or NONE; must accept the detector's keypoints
+  int max_features = 1000;          ///< [1, 100000]; strongest by response
+  int grid_cols = 1;                ///< [1, 64]; with more than one cell the limit is shared evenly among cells
+  int grid_rows = 1;                ///< [1, 64]
+
+  void validate() const;  ///< throws OptionError
+};
+
+/// The instant at which rectified keypoints hold.
+enum class RectifyTo { FIRST_ROW, MIDDLE_ROW, LAST_ROW, STAMP };
+
+/// Gyroscope intake.
+struct GyroOptions {
+  Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< each |.| <= 1; subtracted once, in RotationTrack
+  TimeNs time_offset_ns = 0;       ///< t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu); |.| <= 10 s
+  TimeNs buffer_ns = 5'000'000'000;  ///< (0.1 s, 60 s]: how much is kept
+  TimeNs max_gap_ns = 50'000'000;  ///< [1 ms, 1 s]; a longer hole between samples is not integrated across
+
+  void validate() const;  ///< throws OptionError
+};
+
+}  // namespace gyro_deblur

@@ -1,0 +1,91 @@
+// One frame from pixels and motion to deblurred pixels and rectified keypoints.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/blur_field.hpp"
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/deconvolution.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/image_format.hpp"
+#include "gyro_deblur/kernel_bank.hpp"
+#include "gyro_deblur/keypoints.hpp"
+#include "gyro_deblur/options.hpp"
+#include "gyro_deblur/rectification.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+
+namespace gyro_deblur {
+
+/// Everything about the algorithm that may change while running.
+struct PipelineOptions {
+  BlurFieldOptions blur_field;
+  ValidationOptions validation;
+  KernelOptions kernel;
+  KeypointOptions keypoints;
+  RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
+  std::string backend = "auto";  ///< see make_line_convolver
+  int threads = 0;               ///< of the engine; 0: OpenMP's default; [0, 256]
+
+  void validate() const;  ///< throws OptionError
+};
+
+/// What a caller wants of a frame; nothing else is computed.
+struct PipelineRequest {
+  bool image = true;      ///< the deblurred image
+  bool keypoints = true;  ///< keypoints and rectification (implies the deblurred luminance)
+};
+
+/// Wall time of each stage [ms]; 0 for a stage that did not run.
+struct StageTimes {
+  double blur_field_ms = 0;
+  double validation_ms = 0;
+  double deconvolution_ms = 0;
+  double keypoints_ms = 0;
+};
+
+struct PipelineResult {
+  BlurField field;             ///< validated
+  cv::Mat image;               ///< deblurred; empty when not requested, or when no block was changed (use the input)
+  Features features;           ///< in pixels of the image as it arrived
+  std::vector<RectifiedPoint> points;  ///< one for each of features.keypoints
+  TimeNs reference_ns = 0;     ///< camera clock; at which points[].rectified_px hold
+  StageTimes times;
+};
+
+/// The paper's method for one camera. Calibration and options may change between frames; what depends on them is
+/// rebuilt then. Not thread-safe.
+class Pipeline {
+ public:
+  /// Throws OptionError.
+  explicit Pipeline(const PipelineOptions& options);
+
+  /// Throws OptionError and keeps the former options when the new ones are not valid.
+  void set_options(const PipelineOptions& options);
+  const PipelineOptions& options() const { return options_; }
+
+  /// Throws OptionError and keeps the former calibration when the new one is not valid. Cheap when nothing changed.
+  void set_calibration(const CameraCalibration& calibration);
+
+  /// Name of the engine in use.
+  std::string engine() const;
+
+  /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
+  /// @param motion  of the camera over the frame; blocks it does not cover are NO_GYRO
+  /// Throws std::invalid_argument when the image does not fit, std::logic_error before set_calibration.
+  PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
+                         const RowExposure& exposure, const PipelineRequest& request);
+
+ private:
+  PipelineOptions options_;
+  std::unique_ptr<Camera> camera_;
+  std::unique_ptr<BlurFieldEstimator> estimator_;
+  std::unique_ptr<KernelBank> bank_;
+  std::unique_ptr<LineConvolver> engine_;
+  std::unique_ptr<FeatureExtractor> extractor_;
+};
+
+}  // namespace gyro_deblur

@@ -1,0 +1,32 @@
+// Rolling-shutter rectification of keypoints (paper section III-C).
+#pragma once
+
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core/types.hpp>
+
+#include "gyro_deblur/blur_field.hpp"
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+
+namespace gyro_deblur {
+
+/// Where a keypoint is, and where it would be had every row been exposed at the reference time.
+struct RectifiedPoint {
+  Eigen::Vector2d rectified_px;  ///< distorted pixel; the raw one when `rectified` is false
+  Eigen::Vector2d normalized;    ///< undistorted (x/z, y/z) of rectified_px
+  bool deblurred = false;        ///< lies in a DEBLURRED block
+  bool rectified = false;        ///< was moved to the reference time
+};
+
+/// Takes points from the middle of their row's exposure (where the centred kernel leaves them) to `reference_ns`.
+/// Points in REJECTED blocks are not rectified (paper section III-D), nor those whose time or the reference time the
+/// motion does not cover; SHARP, DEBLURRED and TOO_LARGE ones are.
+/// @param points_px  raw pixels, finite
+std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& points_px, const BlurField& field,
+                                           const Camera& camera, const CameraMotion& motion,
+                                           const RowExposure& exposure, TimeNs reference_ns);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,68 @@
+// How the camera moved: the interface the blur field is computed from, and its gyroscope implementation.
+#pragma once
+
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include "gyro_deblur/options.hpp"
+#include "gyro_deblur/types.hpp"
+
+namespace gyro_deblur {
+
+/// Camera motion over a stretch of the camera clock. The blur field and the rectification know only this, so that
+/// translation over depth (paper eq. 1) can be added without touching them.
+class CameraMotion {
+ public:
+  virtual ~CameraMotion() = default;
+
+  /// True when the motion is known everywhere in `range` (camera clock); false for an empty range.
+  virtual bool covers(const TimeRange& range) const = 0;
+
+  /// The matrix R + t n^T / d of paper eq. 1: takes the direction of a scene point in the camera frame at `from_ns` to
+  /// its direction (up to scale) in the camera frame at `to_ns`. Camera clock; from may be later than to.
+  /// Throws std::out_of_range with the range asked for and the range available.
+  virtual Eigen::Matrix3d direction_map(TimeNs from_ns, TimeNs to_ns) const = 0;
+};
+
+/// Orientation of the camera by integration of the gyroscope (paper section III-A): rates linear between samples,
+/// integrated on SO(3); SLERP between the resulting orientations (paper section III-B). Never extrapolates.
+class RotationTrack : public CameraMotion {
+ public:
+  /// @param samples    strictly increasing in time (IMU clock), finite; may be empty
+  /// @param options    bias, time offset and longest hole; validated
+  /// @param R_cam_imu  takes IMU coordinates to camera coordinates; a rotation (see require_rotation)
+  /// Throws OptionError for bad options or rotation, std::invalid_argument for unordered samples.
+  RotationTrack(const std::vector<GyroSample>& samples, const GyroOptions& options, const Eigen::Matrix3d& R_cam_imu);
+
+  bool covers(const TimeRange& range) const override;
+  Eigen::Matrix3d direction_map(TimeNs from_ns, TimeNs to_ns) const override;
+
+  /// From the first to the last sample (camera clock), holes included.
+  TimeRange available() const;
+
+  /// Orientation of the camera at t (camera clock) relative to the first sample: camera(t) -> camera(first).
+  /// Throws std::out_of_range outside available().
+  Eigen::Quaterniond orientation(TimeNs t_ns) const;
+
+ private:
+  struct Knot {
+    TimeNs t_ns;                  // camera clock
+    Eigen::Quaterniond R_0_cam;   // camera(t) -> camera(first knot)
+  };
+  std::vector<Knot> knots_;
+  std::vector<TimeRange> holes_;  // intervals longer than max_gap_ns, camera clock
+};
+
+/// Exp: rotation vector [rad] to quaternion; exact for small angles.
+Eigen::Quaterniond so3_exp(const Eigen::Vector3d& rotation_rad);
+
+/// Increment Exp(integral of w) of the body orientation over dt_s for a body rate that goes linearly from w0 to w1
+/// (Magnus expansion, local error O(dt^5)).
+Eigen::Quaterniond integrate_linear_rate(const Eigen::Vector3d& w0_rad_s, const Eigen::Vector3d& w1_rad_s, double dt_s);
+
+/// Returns R projected to the nearest rotation when it is one to within 1e-3 (calibrations are printed with few digits).
+/// Throws OptionError that names `name`, the determinant and what is expected otherwise; det = -1 is told apart.
+Eigen::Matrix3d require_rotation(const char* name, const Eigen::Matrix3d& R);
+
+}  // namespace gyro_deblur
