@@ -1,0 +1,39 @@
+#!/usr/bin/env bash
+# Configures and builds into build/, with catkin's devel space in build/devel. Arguments go to cmake.
+# The same whether the clone stands alone or inside a catkin workspace.
+set -euo pipefail
+# shellcheck source=scripts/common.sh
+source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
+
+mkdir -p "${GYRO_DEBLUR_BUILD}"
+# One build at a time in this folder: the demo and the tests may be started together.
+exec 9> "${GYRO_DEBLUR_BUILD}/.lock"
+flock 9
+
+source_system_ros
+
+# ROS's Python packages belong to the system's interpreter, which need not be the first python3 in PATH.
+arguments=(
+  -DPYTHON_EXECUTABLE=/usr/bin/python3
+  -DPython3_EXECUTABLE=/usr/bin/python3
+)
+if command -v ccache > /dev/null; then
+  arguments+=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
+fi
+if [[ "${CI:-}" == true ]]; then
+  arguments+=(-DGYRO_DEBLUR_WERROR=ON)
+fi
+
+say "cmake -S ${GYRO_DEBLUR_ROOT} -B ${GYRO_DEBLUR_BUILD} ${arguments[*]} $*"
+cmake -S "${GYRO_DEBLUR_ROOT}" -B "${GYRO_DEBLUR_BUILD}" "${arguments[@]}" "$@" > "${GYRO_DEBLUR_BUILD}/configure.log" 2>&1 ||
+  { cat "${GYRO_DEBLUR_BUILD}/configure.log" >&2; fail "cmake failed; the output is above"; }
+
+# Templates of Eigen and OpenCV take about 1 GiB a compiler.
+jobs="$(nproc)"
+memory_jobs="$(awk '/MemAvailable/ {print int($2 / 1048576)}' /proc/meminfo)"
+((memory_jobs >= 1)) || memory_jobs=1
+((jobs <= memory_jobs)) || jobs="${memory_jobs}"
+
+say "building with ${jobs} jobs"
+cmake --build "${GYRO_DEBLUR_BUILD}" --parallel "${jobs}"
+say "built; to use it: source ${GYRO_DEBLUR_BUILD}/devel/setup.bash"

@@ -1,0 +1,42 @@
+# Shared by the scripts beside this file: paths, messages, the ROS environment. Sourced, not run.
+
+GYRO_DEBLUR_ROOT="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
+GYRO_DEBLUR_BUILD="${GYRO_DEBLUR_ROOT}/build"
+readonly GYRO_DEBLUR_ROOT GYRO_DEBLUR_BUILD
+gyro_deblur_step=0
+
+# step TOTAL TEXT: numbered headline.
+step() {
+  gyro_deblur_step=$((gyro_deblur_step + 1))
+  printf '\n[%d/%d] %s\n' "${gyro_deblur_step}" "$1" "$2"
+}
+
+# say TEXT...: one line about what is being done.
+say() { printf '  %s\n' "$*"; }
+
+# fail TEXT...: one line on stderr, and the end.
+fail() {
+  printf 'error: %s\n' "$*" >&2
+  exit 1
+}
+
+# Debian has ROS in /usr, where it needs no set-up; ROS's own packages live in /opt/ros.
+source_system_ros() {
+  local setup=/opt/ros/noetic/setup.bash
+  if [[ -f "${setup}" ]]; then
+    set +u
+    # shellcheck disable=SC1090
+    source "${setup}"
+    set -u
+  fi
+}
+
+# The devel space of this clone, for rosrun, roslaunch and rostest.
+source_devel_space() {
+  local setup="${GYRO_DEBLUR_BUILD}/devel/setup.bash"
+  [[ -f "${setup}" ]] || fail "${setup} is missing: run scripts/build.sh first"
+  set +u
+  # shellcheck disable=SC1090
+  source "${setup}"
+  set -u
+}

@@ -1,0 +1,72 @@
+#!/usr/bin/env bash
+# Installs what is missing, builds, checks format and package, and runs every test. Arguments go to ctest.
+# Ends with the line 'N passed, N failed, N skipped'.
+set -euo pipefail
+# shellcheck source=scripts/common.sh
+source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
+cd "${GYRO_DEBLUR_ROOT}"
+readonly STEPS=5
+
+step ${STEPS} "Packages"
+scripts/install_dependencies.sh
+
+step ${STEPS} "Build"
+scripts/build.sh
+
+failed_checks=0
+
+step ${STEPS} "Format"
+# Releases of clang-format differ in detail; 14 is Debian 12's.
+if clang-format --version 2> /dev/null | grep -q 'version 14\.'; then
+  mapfile -t sources < <(git ls-files -- '*.cpp' '*.hpp')
+  if clang-format --dry-run --Werror "${sources[@]}"; then
+    say "${#sources[@]} files follow .clang-format"
+  else
+    say "FAILED: run clang-format -i on the files above"
+    failed_checks=$((failed_checks + 1))
+  fi
+else
+  say "SKIPPED: there is no clang-format 14"
+fi
+
+step ${STEPS} "catkin_lint"
+if command -v catkin_lint > /dev/null; then
+  if catkin_lint --strict -W1 --skip-path build "${GYRO_DEBLUR_ROOT}"; then
+    say "no complaints"
+  else
+    failed_checks=$((failed_checks + 1))
+  fi
+else
+  say "SKIPPED: there is no catkin_lint"
+fi
+
+step ${STEPS} "Tests"
+source_devel_space
+# One run at a time: ctest keeps its record in the build folder.
+exec 8> "${GYRO_DEBLUR_BUILD}/.test_lock"
+flock 8
+log="${GYRO_DEBLUR_BUILD}/ctest.log"
+ctest_status=0
+(cd "${GYRO_DEBLUR_BUILD}" && ctest --output-on-failure --no-tests=error --parallel "$(nproc)" "$@") 2>&1 |
+  tee "${log}" || ctest_status=$?
+
+# ctest counts a skipped test among the passed ones.
+total="$(sed -n 's/^.* tests passed, .* out of \([0-9]*\)$/\1/p' "${log}" | tail -n 1)"
+failed="$(sed -n 's/^.* tests passed, \([0-9]*\) tests\? failed out of [0-9]*$/\1/p' "${log}" | tail -n 1)"
+skipped="$(grep -c -E '^ *[0-9]+/[0-9]+ Test +#[0-9]+: .*\*\*\*Skipped' "${log}" || true)"
+if [[ -z "${total}" || -z "${failed}" ]]; then
+  fail "ctest ran no test (status ${ctest_status}); see ${log}"
+fi
+
+if ((skipped > 0)); then
+  printf '\nSkipped tests and why:\n'
+  # The reason stands below the line 'FILE:LINE: Skipped' in the tests' own output.
+  sed -n 's/^ *[0-9]*\/[0-9]* Test *#[0-9]*: \(.*[^ .]\) *\.*\*\*\*Skipped.*$/  \1/p' "${log}"
+  grep -h -A 1 -E '(: Skipped$|^SKIPPED:)' "${GYRO_DEBLUR_BUILD}/Testing/Temporary/LastTest.log" |
+    grep -v -E '(: Skipped$|^--$)' | sort | uniq -c | sort -rn | sed 's/^/  /' || true
+fi
+if ((failed_checks > 0)); then
+  printf '\n%d of the checks before the tests failed: see above\n' "${failed_checks}"
+fi
+printf '\n%d passed, %d failed, %d skipped\n' $((total - failed - skipped)) $((failed + failed_checks)) "${skipped}"
+((failed == 0 && failed_checks == 0 && ctest_status == 0))
