@@ -75,9 +75,10 @@ class BlurFieldEstimator {
   BlurFieldEstimator(const Camera& camera, const BlurFieldOptions& options);
 
   /// Paper eq. 2-5 for every block centre, with the exposure of the centre's row. The path is that of the scene point
-  /// which the centre sees at the middle of the exposure (the paper starts the path at the centre; with a centred kernel
-  /// that turns the angle by half the camera's roll during the exposure).
-  /// Blocks whose exposure `motion` does not cover are NO_GYRO with extent 0.
+  /// which the centre sees at the middle of the exposure (the paper starts the path at the centre; with a centred
+  /// kernel that turns the angle by half the camera's roll during the exposure). Blocks whose exposure `motion` does
+  /// not cover are NO_GYRO with extent 0; so are those whose centre, or whose path, lies beyond the range of the lens
+  /// model.
   BlurField estimate(const CameraMotion& motion, const RowExposure& exposure) const;
 
   const BlockGrid& grid() const { return grid_; }

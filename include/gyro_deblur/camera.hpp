@@ -1,6 +1,7 @@
 // Pinhole camera with lens distortion: pixels to rays and back.
 #pragma once
 
+#include <array>
 #include <string>
 #include <vector>
 
@@ -13,7 +14,7 @@ namespace gyro_deblur {
 
 enum class DistortionModel { NONE, PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT };
 
-/// Parses sensor_msgs/CameraInfo's name of a model ("" counts as plumb_bob when there are no coefficients).
+/// Parses sensor_msgs/CameraInfo's name of a model; "" and "none" are NONE, which takes no coefficients.
 /// Throws OptionError that lists the supported names.
 DistortionModel parse_distortion_model(const std::string& name);
 
@@ -24,6 +25,7 @@ struct CameraCalibration {
   double fx_px = 0, fy_px = 0, cx_px = 0, cy_px = 0;  ///< pixel centres at integers
   DistortionModel model = DistortionModel::NONE;
   /// OpenCV's order: plumb_bob k1 k2 p1 p2 [k3]; rational_polynomial k1 k2 p1 p2 k3 k4 k5 k6; equidistant k1 k2 k3 k4.
+  /// plumb_bob without any is an ideal lens (drivers of uncalibrated and simulated cameras send that).
   std::vector<double> coefficients;
   /// Camera frame of the calibration to the frame of the image: identity for raw images, camera_info's R for rectified
   /// ones (whose intrinsics are those of P).
@@ -47,11 +49,22 @@ class Camera {
   std::vector<Eigen::Vector3d> rays(const std::vector<Eigen::Vector2d>& pixels_px) const;
   Eigen::Vector3d ray(const Eigen::Vector2d& pixel_px) const;
 
-  /// Direction (any positive length) to pixel [px]; NaN for z <= 0 (every supported model maps the front half space).
+  /// Direction (any positive length) to pixel [px]. NaN for z <= 0 in the image's frame, and beyond the radius where
+  /// the distortion model folds back (a polynomial does so somewhere outside the field of view it was fitted to).
   Eigen::Vector2d project(const Eigen::Vector3d& direction) const;
 
  private:
+  // Undistorted to distorted (x/z, y/z) in the image's frame, and back; NaN beyond the model's range.
+  Eigen::Vector2d distort(const Eigen::Vector2d& normalized, Eigen::Matrix2d* jacobian) const;
+  Eigen::Vector2d undistort(const Eigen::Vector2d& distorted) const;
+
   CameraCalibration calibration_;
+  Eigen::Matrix3d R_image_cam_;
+  // Radial factor as numerator / denominator: polynomials in r^2 (equidistant: in the squared angle from the axis).
+  std::array<double, 5> numerator_{1, 0, 0, 0, 0};
+  std::array<double, 5> denominator_{1, 0, 0, 0, 0};
+  double p1_ = 0, p2_ = 0;  // tangential
+  double limit_ = 0;        // undistorted radius (equidistant: angle [rad]) up to which the radial part increases
 };
 
 }  // namespace gyro_deblur

@@ -21,8 +21,8 @@ namespace gyro_deblur {
 struct Config {
   PipelineOptions pipeline;
   GyroOptions gyro;
-  ShutterTiming shutter;              ///< exposure_ns 0: per-frame message only; readout_ns is the default readout
-  bool rectified_input = false;       ///< the image is undistorted: use camera_info's P and R
+  ShutterTiming shutter;         ///< exposure_ns 0: per-frame message only; readout_ns is the default readout
+  bool rectified_input = false;  ///< the image is undistorted: use camera_info's P and R
   std::optional<Eigen::Matrix3d> R_cam_imu;  ///< absent: from tf
   TimeNs gyro_timeout_ns = 500'000'000;      ///< how long a frame waits for gyroscope, exposure and tf; [0, 10 s]
   int frame_queue_size = 30;                 ///< frames that may wait; [1, 1000]
@@ -33,7 +33,8 @@ struct Config {
   void validate() const;  ///< throws OptionError
 };
 
-/// Reads a map of keys. Keys that are not known are appended to `unknown` (when given) and otherwise ignored.
+/// Reads a map of keys (nothing: all defaults) and validates the result. Keys that are not known are appended to
+/// `unknown` (when given) and otherwise ignored.
 /// Throws OptionError that names the key, its value and what is allowed.
 Config parse_config(const YAML::Node& node, std::vector<std::string>* unknown = nullptr);
 

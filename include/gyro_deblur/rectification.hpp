@@ -16,15 +16,17 @@ namespace gyro_deblur {
 /// Where a keypoint is, and where it would be had every row been exposed at the reference time.
 struct RectifiedPoint {
   Eigen::Vector2d rectified_px;  ///< distorted pixel; the raw one when `rectified` is false
-  Eigen::Vector2d normalized;    ///< undistorted (x/z, y/z) of rectified_px
+  Eigen::Vector2d normalized;    ///< undistorted (x/z, y/z) of rectified_px in the image's frame; NaN beyond the model
   bool deblurred = false;        ///< lies in a DEBLURRED block
   bool rectified = false;        ///< was moved to the reference time
 };
 
 /// Takes points from the middle of their row's exposure (where the centred kernel leaves them) to `reference_ns`.
-/// Points in REJECTED blocks are not rectified (paper section III-D), nor those whose time or the reference time the
-/// motion does not cover; SHARP, DEBLURRED and TOO_LARGE ones are.
+/// Points in REJECTED blocks are not rectified (paper section III-D), nor those in NO_GYRO blocks, those between whose
+/// time and the reference time the motion is not known, and those that leave the range of the lens model; other points
+/// in SHARP, DEBLURRED and TOO_LARGE blocks are.
 /// @param points_px  raw pixels, finite
+/// @param field      of the whole image (at least one block)
 std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& points_px, const BlurField& field,
                                            const Camera& camera, const CameraMotion& motion,
                                            const RowExposure& exposure, TimeNs reference_ns);

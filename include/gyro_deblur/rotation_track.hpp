@@ -42,13 +42,16 @@ class RotationTrack : public CameraMotion {
   TimeRange available() const;
 
   /// Orientation of the camera at t (camera clock) relative to the first sample: camera(t) -> camera(first).
-  /// Throws std::out_of_range outside available().
+  /// Throws std::out_of_range outside available() and beyond the first hole.
   Eigen::Quaterniond orientation(TimeNs t_ns) const;
 
  private:
+  void require_covered(const TimeRange& range) const;  // throws std::out_of_range
+  Eigen::Quaterniond interpolate(TimeNs t_ns) const;   // precondition: available().contains(t_ns)
+
   struct Knot {
-    TimeNs t_ns;                  // camera clock
-    Eigen::Quaterniond R_0_cam;   // camera(t) -> camera(first knot)
+    TimeNs t_ns;                 // camera clock
+    Eigen::Quaterniond R_0_cam;  // camera(t) -> camera(first knot)
   };
   std::vector<Knot> knots_;
   std::vector<TimeRange> holes_;  // intervals longer than max_gap_ns, camera clock
@@ -61,8 +64,9 @@ Eigen::Quaterniond so3_exp(const Eigen::Vector3d& rotation_rad);
 /// (Magnus expansion, local error O(dt^5)).
 Eigen::Quaterniond integrate_linear_rate(const Eigen::Vector3d& w0_rad_s, const Eigen::Vector3d& w1_rad_s, double dt_s);
 
-/// Returns R projected to the nearest rotation when it is one to within 1e-3 (calibrations are printed with few digits).
-/// Throws OptionError that names `name`, the determinant and what is expected otherwise; det = -1 is told apart.
+/// Returns R projected to the nearest rotation when it is one to within 1e-3 (calibrations are printed with few
+/// digits). Throws OptionError that names `name`, the determinant and what is expected otherwise; det = -1 is told
+/// apart.
 Eigen::Matrix3d require_rotation(const char* name, const Eigen::Matrix3d& R);
 
 }  // namespace gyro_deblur

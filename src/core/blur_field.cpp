@@ -1,0 +1,195 @@
+#include "gyro_deblur/blur_field.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <string>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+
+}  // namespace
+
+BlockGrid::BlockGrid(int width_px, int height_px, int block_size_px)
+    : width_px_(width_px), height_px_(height_px), block_size_px_(block_size_px) {
+  if (width_px < 1 || height_px < 1 || block_size_px < 1) {
+    throw std::invalid_argument("BlockGrid: " + std::to_string(width_px) + " x " + std::to_string(height_px) +
+                                " px in blocks of " + std::to_string(block_size_px) + " px: sizes must be at least 1");
+  }
+  cols_ = (width_px - 1) / block_size_px + 1;
+  rows_ = (height_px - 1) / block_size_px + 1;
+}
+
+cv::Rect BlockGrid::rect(int index) const {
+  const int x = index % cols_ * block_size_px_;
+  const int y = index / cols_ * block_size_px_;
+  return {x, y, std::min(block_size_px_, width_px_ - x), std::min(block_size_px_, height_px_ - y)};
+}
+
+Eigen::Vector2d BlockGrid::center(int index) const {
+  const cv::Rect block = rect(index);
+  return {block.x + 0.5 * (block.width - 1), block.y + 0.5 * (block.height - 1)};
+}
+
+int BlockGrid::index_at(double x_px, double y_px) const {
+  // Pixel i covers [i - 0.5, i + 0.5). Clamped before the conversion: a large double has no int.
+  const int x = static_cast<int>(std::clamp(std::floor(x_px + 0.5), 0.0, width_px_ - 1.0));
+  const int y = static_cast<int>(std::clamp(std::floor(y_px + 0.5), 0.0, height_px_ - 1.0));
+  return y / block_size_px_ * cols_ + x / block_size_px_;
+}
+
+bool BlockGrid::operator==(const BlockGrid& other) const {
+  return width_px_ == other.width_px_ && height_px_ == other.height_px_ && block_size_px_ == other.block_size_px_;
+}
+
+std::size_t BlurField::count(BlockStatus status) const {
+  return std::count_if(blocks.begin(), blocks.end(), [status](const BlockBlur& b) { return b.status == status; });
+}
+
+double axial_angle(double dx, double dy) {
+  double angle_rad = std::atan2(dy, dx);
+  if (angle_rad < 0) angle_rad += kPi;
+  return angle_rad < kPi ? angle_rad : 0;
+}
+
+double axial_difference(double a_rad, double b_rad) { return std::abs(std::remainder(a_rad - b_rad, kPi)); }
+
+BlockBlur classify_blur(double dx_px, double dy_px, const BlurFieldOptions& options) {
+  BlockBlur blur;
+  const double extent_px = std::hypot(dx_px, dy_px);
+  blur.extent_px = static_cast<float>(extent_px);
+  blur.angle_rad = static_cast<float>(axial_angle(dx_px, dy_px));
+  if (blur.angle_rad >= static_cast<float>(kPi)) blur.angle_rad = 0;  // float(pi) is above pi
+  if (extent_px < options.min_extent_px) {
+    blur.status = BlockStatus::SHARP;
+  } else if (extent_px > options.max_extent_px) {
+    blur.status = BlockStatus::TOO_LARGE;
+  } else {
+    blur.status = BlockStatus::DEBLURRED;
+  }
+  return blur;
+}
+
+BlurFieldEstimator::BlurFieldEstimator(const Camera& camera, const BlurFieldOptions& options)
+    : camera_(camera), options_(options) {
+  options.validate();
+  grid_ = BlockGrid(camera.calibration().width_px, camera.calibration().height_px, options.block_size_px);
+  std::vector<Eigen::Vector2d> centers;
+  centers.reserve(grid_.size());
+  for (int i = 0; i < grid_.size(); ++i) centers.push_back(grid_.center(i));
+  rays_ = camera_.rays(centers);
+}
+
+BlurField BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExposure& exposure) const {
+  constexpr BlockBlur kUnknown{0, 0, BlockStatus::NO_GYRO};
+  BlurField field;
+  field.grid = grid_;
+  field.exposure_ns = exposure.timing().exposure_ns;
+  field.readout_ns = exposure.timing().readout_ns;
+  field.blocks.assign(grid_.size(), kUnknown);
+  for (int row = 0; row < grid_.rows(); ++row) {
+    const int first = row * grid_.cols();
+    const double y_px = grid_.center(first).y();
+    const TimeNs start_ns = exposure.start(y_px), middle_ns = exposure.middle(y_px), end_ns = exposure.end(y_px);
+    if (!motion.covers({start_ns, end_ns})) continue;
+    const Eigen::Matrix3d to_start = motion.direction_map(middle_ns, start_ns);
+    const Eigen::Matrix3d to_end = motion.direction_map(middle_ns, end_ns);
+    for (int i = first; i < first + grid_.cols(); ++i) {
+      const Eigen::Vector2d path_px = camera_.project(to_end * rays_[i]) - camera_.project(to_start * rays_[i]);
+      if (path_px.allFinite()) field.blocks[i] = classify_blur(path_px.x(), path_px.y(), options_);
+    }
+  }
+  return field;
+}
+
+BlurField uniform_blur_field(int width_px, int height_px, double angle_rad, double extent_px,
+                             const BlurFieldOptions& options) {
+  options.validate();
+  BlurField field;
+  field.grid = BlockGrid(width_px, height_px, options.block_size_px);
+  field.blocks.assign(field.grid.size(),
+                      classify_blur(extent_px * std::cos(angle_rad), extent_px * std::sin(angle_rad), options));
+  return field;
+}
+
+namespace {
+
+/// Cells of a row (or column) of `cells` cells that evenly cover `size_px` pixels.
+struct CellRange {
+  int first, last;         // that overlap a block or take part in the interpolation at its centre
+  int before, after;       // whose centres enclose the block's centre
+  double weight_of_after;  // [0, 1]
+};
+
+CellRange cells_of(int begin_px, int length_px, int size_px, int cells) {
+  const double cells_per_px = static_cast<double>(cells) / size_px;
+  const double last_cell = cells - 1;
+  // Pixel i covers [i, i + 1) here, so that the image covers [0, size).
+  const double at_center = std::clamp((begin_px + 0.5 * length_px) * cells_per_px - 0.5, 0.0, last_cell);
+  CellRange range;
+  range.before = static_cast<int>(at_center);
+  range.after = std::min(range.before + 1, cells - 1);
+  range.weight_of_after = at_center - range.before;
+  // The margin keeps rounding from adding a cell that only shares a border with the block.
+  constexpr double kMargin = 1e-9;
+  range.first = std::min(range.before, static_cast<int>(begin_px * cells_per_px + kMargin));
+  range.last = std::min(cells - 1, static_cast<int>(std::ceil((begin_px + length_px) * cells_per_px - kMargin)) - 1);
+  if (range.weight_of_after > 0) range.last = std::max(range.last, range.after);
+  return range;
+}
+
+}  // namespace
+
+BlurField blur_field_from_displacement(int width_px, int height_px, const cv::Mat& dx_px, const cv::Mat& dy_px,
+                                       const BlurFieldOptions& options) {
+  options.validate();
+  const auto usable = [](const cv::Mat& m) { return m.dims == 2 && (m.type() == CV_32FC1 || m.type() == CV_64FC1); };
+  if (dx_px.empty() || dx_px.size() != dy_px.size() || !usable(dx_px) || !usable(dy_px)) {
+    throw std::invalid_argument("displacement matrices must be of one size and of floating point, but are " +
+                                std::to_string(dx_px.cols) + " x " + std::to_string(dx_px.rows) + " and " +
+                                std::to_string(dy_px.cols) + " x " + std::to_string(dy_px.rows));
+  }
+  cv::Mat dx, dy;
+  dx_px.convertTo(dx, CV_64F);
+  dy_px.convertTo(dy, CV_64F);
+
+  // Double angles make a displacement and its opposite equal.
+  const auto axial_at = [&](int row, int col) {
+    const double x = dx.at<double>(row, col), y = dy.at<double>(row, col);
+    const double extent = std::hypot(x, y), angle = std::atan2(y, x);
+    return Eigen::Vector3d(extent * std::cos(2 * angle), extent * std::sin(2 * angle), extent);
+  };
+  const auto all_finite = [&](const CellRange& cols, const CellRange& rows) {
+    for (int row = rows.first; row <= rows.last; ++row) {
+      for (int col = cols.first; col <= cols.last; ++col) {
+        if (!std::isfinite(dx.at<double>(row, col)) || !std::isfinite(dy.at<double>(row, col))) return false;
+      }
+    }
+    return true;
+  };
+
+  BlurField field;
+  field.grid = BlockGrid(width_px, height_px, options.block_size_px);
+  field.blocks.reserve(field.grid.size());
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const cv::Rect block = field.grid.rect(i);
+    const CellRange cols = cells_of(block.x, block.width, width_px, dx.cols);
+    const CellRange rows = cells_of(block.y, block.height, height_px, dx.rows);
+    if (!all_finite(cols, rows)) {
+      field.blocks.push_back({0, 0, BlockStatus::NO_GYRO});
+      continue;
+    }
+    const auto along_row = [&](int row) -> Eigen::Vector3d {
+      return (1 - cols.weight_of_after) * axial_at(row, cols.before) + cols.weight_of_after * axial_at(row, cols.after);
+    };
+    const Eigen::Vector3d axial =
+        (1 - rows.weight_of_after) * along_row(rows.before) + rows.weight_of_after * along_row(rows.after);
+    const double angle_rad = 0.5 * std::atan2(axial.y(), axial.x());
+    field.blocks.push_back(classify_blur(axial.z() * std::cos(angle_rad), axial.z() * std::sin(angle_rad), options));
+  }
+  return field;
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,69 @@
+#include "gyro_deblur/options.hpp"
+
+#include <algorithm>
+#include <array>
+#include <sstream>
+
+namespace gyro_deblur {
+namespace {
+
+template <std::size_t N>
+void require_one_of(const char* name, const std::string& value, const std::array<const char*, N>& allowed) {
+  if (std::find(allowed.begin(), allowed.end(), value) != allowed.end()) return;
+  std::ostringstream message;
+  message << name << " = \"" << value << "\" is not one of";
+  for (const char* word : allowed) message << ' ' << word;
+  throw OptionError(message.str());
+}
+
+}  // namespace
+
+void require_range(const char* name, double value, double min, double max, const char* unit) {
+  if (value >= min && value <= max) return;
+  std::ostringstream message;
+  message.precision(10);  // tells an open end one nanosecond from its bound
+  message << name << " = " << value << " is outside [" << min << ", " << max << "]";
+  if (*unit != '\0') message << ' ' << unit;
+  throw OptionError(message.str());
+}
+
+void BlurFieldOptions::validate() const {
+  require_range("block_size", block_size_px, 8, 1024, "px");
+  if (block_size_px % 2 != 0) {
+    throw OptionError("block_size = " + std::to_string(block_size_px) +
+                      " is odd; allowed are even sizes in [8, 1024] px");
+  }
+  require_range("min_extent", min_extent_px, 1, 20, "px");
+  require_range("max_extent", max_extent_px, min_extent_px, 500, "px");
+}
+
+void ValidationOptions::validate() const {
+  require_range("tau", tau, 0, 255, "grey levels / px");
+  require_range("tau_contrast", tau_contrast, 0, 1000, "grey levels");
+}
+
+void KernelOptions::validate() const {
+  require_range("gamma", gamma, 1e-5, 1);
+  require_range("kernel_length_factor", length_factor, 2, 8);
+}
+
+void KeypointOptions::validate() const {
+  require_one_of("detector", detector, std::array<const char*, 6>{"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"});
+  require_one_of("descriptor", descriptor, std::array<const char*, 5>{"SIFT", "ORB", "AKAZE", "BRISK", "NONE"});
+  // AKAZE describes in its own scale space and refuses keypoints that do not come from it.
+  if (descriptor == "AKAZE" && detector != "AKAZE") {
+    throw OptionError("descriptor = \"AKAZE\" needs detector \"AKAZE\", not \"" + detector + "\"");
+  }
+  require_range("max_features", max_features, 1, 100000);
+  require_range("grid_cols", grid_cols, 1, 64);
+  require_range("grid_rows", grid_rows, 1, 64);
+}
+
+void GyroOptions::validate() const {
+  for (int axis = 0; axis < 3; ++axis) require_range("gyro_bias", bias_rad_s[axis], -1, 1, "rad/s");
+  require_range("time_offset", to_seconds(time_offset_ns), -10, 10, "s");
+  require_range("gyro_buffer_duration", to_seconds(buffer_ns), to_seconds(100'000'001), 60, "s");
+  require_range("max_gyro_gap", to_seconds(max_gap_ns), 1e-3, 1, "s");
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,136 @@
+#include "gyro_deblur/overlay.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include <opencv2/imgproc.hpp>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr std::array<BlockStatus, 5> kStatuses{BlockStatus::DEBLURRED, BlockStatus::SHARP, BlockStatus::REJECTED,
+                                               BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO};
+
+cv::Scalar color_bgr(BlockStatus status) {
+  const cv::Vec3b rgb = status_color_rgb(status);
+  return {static_cast<double>(rgb[2]), static_cast<double>(rgb[1]), static_cast<double>(rgb[0])};
+}
+
+/// Fractional bits of the coordinates that the drawing functions take.
+constexpr int kShift = 4;
+
+cv::Point fixed_point(const Eigen::Vector2d& p) {
+  // Far beyond any image, yet small enough for the drawing functions' integers.
+  const Eigen::Vector2d scaled = (p * (1 << kShift)).cwiseMax(-1e6).cwiseMin(1e6);
+  return {static_cast<int>(std::lround(scaled.x())), static_cast<int>(std::lround(scaled.y()))};
+}
+
+/// Median extent of the DEBLURRED blocks; 0 when there are none.
+double median_extent_px(const BlurField& field) {
+  std::vector<float> extents;
+  for (const BlockBlur& blur : field.blocks) {
+    if (blur.status == BlockStatus::DEBLURRED) extents.push_back(blur.extent_px);
+  }
+  if (extents.empty()) return 0;
+  const auto middle = extents.begin() + static_cast<std::ptrdiff_t>(extents.size() / 2);
+  std::nth_element(extents.begin(), middle, extents.end());
+  return *middle;
+}
+
+struct LegendLine {
+  std::string text;
+  cv::Scalar color;
+};
+
+void draw_legend(cv::Mat& image, const BlurField& field, double scale) {
+  std::vector<LegendLine> lines;
+  for (const BlockStatus status : kStatuses) {
+    const std::size_t count = field.count(status);
+    if (count > 0) lines.push_back({std::to_string(count) + " " + to_string(status), color_bgr(status)});
+  }
+  char median[64];
+  std::snprintf(median, sizeof(median), "median %.1f px", median_extent_px(field));
+  lines.push_back({median, color_bgr(BlockStatus::DEBLURRED)});
+
+  const int font = cv::FONT_HERSHEY_SIMPLEX;
+  const double font_scale = 0.42 * scale;
+  const int thickness = std::max(1, static_cast<int>(std::lround(scale)));
+  const int margin_px = std::max(2, static_cast<int>(std::lround(6 * scale)));
+  int width_px = 0, line_px = 0;
+  for (const LegendLine& line : lines) {
+    int baseline_px = 0;
+    const cv::Size size = cv::getTextSize(line.text, font, font_scale, thickness, &baseline_px);
+    width_px = std::max(width_px, size.width);
+    line_px = std::max(line_px, size.height + baseline_px + 1);
+  }
+  const cv::Rect box(0, 0, width_px + 2 * margin_px, line_px * static_cast<int>(lines.size()) + margin_px);
+  if (box.width > image.cols || box.height > image.rows) return;  // would hide the image
+  image(box) *= 0.3;
+  int baseline_y_px = 0;
+  for (const LegendLine& line : lines) {
+    baseline_y_px += line_px;
+    cv::putText(image, line.text, {margin_px, baseline_y_px}, font, font_scale, line.color, thickness, cv::LINE_AA);
+  }
+}
+
+}  // namespace
+
+cv::Vec3b status_color_rgb(BlockStatus status) {
+  switch (status) {
+    case BlockStatus::DEBLURRED:
+      return {60, 230, 60};
+    case BlockStatus::SHARP:
+      return {200, 200, 200};
+    case BlockStatus::REJECTED:
+      return {255, 60, 60};
+    case BlockStatus::TOO_LARGE:
+      return {255, 80, 255};
+    case BlockStatus::NO_GYRO:
+      return {255, 230, 0};
+  }
+  return {255, 255, 255};
+}
+
+BlurSegment blur_segment(const BlurField& field, int index) {
+  const BlockBlur& blur = field.blocks.at(index);
+  const Eigen::Vector2d center_px = field.grid.center(index);
+  const Eigen::Vector2d half_px =
+      0.5 * blur.extent_px * Eigen::Vector2d(std::cos(blur.angle_rad), std::sin(blur.angle_rad));
+  return {center_px - half_px, center_px + half_px};
+}
+
+cv::Mat draw_overlay(const cv::Mat& luminance, const BlurField& field) {
+  if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
+      luminance.rows != field.grid.height_px()) {
+    throw std::invalid_argument("draw_overlay: the image must be 8-bit grey of " +
+                                std::to_string(field.grid.width_px()) + " x " + std::to_string(field.grid.height_px()) +
+                                " px, but is " + std::to_string(luminance.cols) + " x " +
+                                std::to_string(luminance.rows));
+  }
+  cv::Mat image;
+  cv::cvtColor(luminance, image, cv::COLOR_GRAY2BGR);
+  // 1 at VGA height, so that lines and text keep their share of the picture.
+  const double scale = std::max(1.0, std::min(luminance.cols, luminance.rows) / 480.0);
+  const int thickness = std::max(1, static_cast<int>(std::lround(scale)));
+  const auto draw = [&](int index, const cv::Scalar& color, int extra_px) {
+    const BlurSegment segment = blur_segment(field, index);
+    cv::line(image, fixed_point(segment.from_px), fixed_point(segment.to_px), color, thickness + extra_px, cv::LINE_AA,
+             kShift);
+    // The dot shows blocks whose path is too short to see.
+    cv::circle(image, fixed_point(field.grid.center(index)),
+               static_cast<int>(std::lround((1.5 * thickness + 0.5 * extra_px) * (1 << kShift))), color, cv::FILLED,
+               cv::LINE_AA, kShift);
+  };
+  // A dark rim first keeps the colours legible on bright ground; later blocks must not be rimmed over earlier ones.
+  for (int i = 0; i < field.grid.size(); ++i) draw(i, cv::Scalar::all(0), 2);
+  for (int i = 0; i < field.grid.size(); ++i) draw(i, color_bgr(field.blocks[i].status), 0);
+  draw_legend(image, field, scale);
+  return image;
+}
+
+}  // namespace gyro_deblur
