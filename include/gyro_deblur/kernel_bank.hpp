@@ -22,9 +22,13 @@ struct LineKernel {
 /// extent_px > 0, length odd and >= extent_px.
 std::vector<double> box_blur_kernel(double extent_px, int length);
 
+/// Extents [px] for which there are Wiener kernels: a box below one pixel is no blur.
+constexpr double kMinKernelExtentPx = 1.0;
+constexpr double kMaxKernelExtentPx = 500.0;
+
 /// Spatial Wiener inverse w = F^-1{H* / (|H|^2 + gamma)} of the box blur, on length_factor * extent_px taps (next odd),
 /// scaled to unit sum because W alone has a gain of 1 / (1 + gamma). Throws OptionError for bad options or
-/// extent_px outside [1, 500].
+/// extent_px outside [kMinKernelExtentPx, kMaxKernelExtentPx].
 LineKernel wiener_kernel(double extent_px, const KernelOptions& options);
 
 /// Kernels by extent in steps of kExtentStepPx, computed on first use and kept. Thread-safe.

@@ -1,0 +1,173 @@
+#include "gyro_deblur/deconvolution.hpp"
+
+#include <cmath>
+#include <stdexcept>
+
+#include "cpu/reference_convolver.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+// Closer to a pixel than this counts as on it: cos(pi / 2) is not quite 0.
+constexpr double kOnPixel = 1e-6;
+
+/// Weights of the two grid points on either side of a position; they sum to one.
+struct LinearSplat {
+  int index;            // of the lower point
+  double lower, upper;  // weights of index and index + 1
+
+  explicit LinearSplat(double position) : index(static_cast<int>(std::floor(position))) {
+    upper = position - index;
+    if (upper < kOnPixel) upper = 0;
+    if (upper > 1 - kOnPixel) {
+      ++index;
+      upper = 0;
+    }
+    lower = 1 - upper;
+  }
+};
+
+/// What becomes of a block before any pixel is touched.
+const LineKernel* kernel_of(const BlockBlur& blur, double extent_px, const KernelBank& bank) {
+  if (blur.status != BlockStatus::DEBLURRED || extent_px < kMinKernelExtentPx) return nullptr;
+  return &bank.kernel(extent_px);
+}
+
+bool filters_anything(const std::vector<BlockFilter>& blocks) {
+  for (const BlockFilter& block : blocks) {
+    if (block.kernel != nullptr) return true;
+  }
+  return false;
+}
+
+/// Filters the four planes of a Bayer mosaic. Each samples the image at every second pixel from (px, py), so direction
+/// stays, extent halves, and block borders (even, because block sizes are) fall between samples.
+void deconvolve_bayer(const cv::Mat& mosaic, const BlurField& field, const KernelBank& bank, LineConvolver& engine,
+                      cv::Mat& dst) {
+  mosaic.copyTo(dst);
+  const std::size_t pixel_bytes = mosaic.elemSize();
+  cv::Mat plane, filtered;
+  for (int py = 0; py < 2; ++py) {
+    for (int px = 0; px < 2; ++px) {
+      // Number of samples of this plane before image coordinate x.
+      const auto samples_before = [](int x, int phase) { return (x - phase + 1) / 2; };
+      const cv::Size size(samples_before(mosaic.cols, px), samples_before(mosaic.rows, py));
+      if (size.empty()) continue;
+
+      std::vector<BlockFilter> blocks;
+      blocks.reserve(field.blocks.size());
+      for (int i = 0; i < field.grid.size(); ++i) {
+        const cv::Rect rect = field.grid.rect(i);
+        const cv::Point from(samples_before(rect.x, px), samples_before(rect.y, py));
+        const cv::Point to(samples_before(rect.br().x, px), samples_before(rect.br().y, py));
+        if (to.x == from.x || to.y == from.y) continue;
+        const BlockBlur& blur = field.blocks[i];
+        blocks.push_back({cv::Rect(from, to), blur.angle_rad, kernel_of(blur, blur.extent_px / 2, bank)});
+      }
+      if (!filters_anything(blocks)) continue;
+
+      plane.create(size, mosaic.type());
+      for (int y = 0; y < size.height; ++y) {
+        const uchar* from = mosaic.ptr(2 * y + py) + px * pixel_bytes;
+        uchar* to = plane.ptr(y);
+        for (int x = 0; x < size.width; ++x) std::copy_n(from + 2 * x * pixel_bytes, pixel_bytes, to + x * pixel_bytes);
+      }
+      engine.convolve(plane, blocks, filtered);
+      for (int y = 0; y < size.height; ++y) {
+        const uchar* from = filtered.ptr(y);
+        uchar* to = dst.ptr(2 * y + py) + px * pixel_bytes;
+        for (int x = 0; x < size.width; ++x) std::copy_n(from + x * pixel_bytes, pixel_bytes, to + 2 * x * pixel_bytes);
+      }
+    }
+  }
+}
+
+}  // namespace
+
+// The rotation was chosen among five by the PSNR it restores, on three Oxford images (graf, boat, leuven) with exact
+// line blur, noise of 1 and 2 grey levels and 8-bit rounding, angles 0..175 degrees. Gain over the blurred image [dB],
+// mean over angles at extents 5 / 13 / 30 / 90 px, noise 1, and worst angle at 13 px:
+//   major axis, splat on unit steps (this one)     3.06 / 4.25 / 3.82 / 3.05, worst 4.01
+//   the same on half steps                         3.13 / 4.27 / 3.84 / 3.05, worst 4.01
+//   bilinear splat of each tap on 4 pixels         3.00 / 4.26 / 3.85 / 3.05, worst 4.01
+//   nearest pixel across                           0.52 / 3.26 / 3.70 / 3.03, worst 2.06
+//   cubic weights across (4 pixels)                3.17 / 4.29 / 3.85 / 3.06, worst 4.01
+// The last has twice the taps, half steps and bilinear a quarter more, and nothing but the nearest pixel differs by
+// more than 0.11 dB. A kernel sampled four times finer gains 0.5 dB at 5 px and loses 0.3 dB at 8 px.
+std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad) {
+  const double dx = std::cos(angle_rad), dy = std::sin(angle_rad);
+  const bool major_is_y = std::abs(dy) > std::abs(dx);
+  const double major = major_is_y ? dy : dx;
+  const double slope = (major_is_y ? dx : dy) / major;
+
+  const int radius = kernel.radius();
+  const int steps = static_cast<int>(std::ceil(radius * std::abs(major)));
+  std::vector<double> line(2 * steps + 1, 0.0);  // by position along the major axis, centre at [steps]
+  for (int i = -radius; i <= radius; ++i) {
+    const LinearSplat splat(i * major);
+    const double tap = kernel.taps[i + radius];
+    line[steps + splat.index] += tap * splat.lower;
+    if (splat.upper > 0) line[steps + splat.index + 1] += tap * splat.upper;
+  }
+
+  std::vector<KernelTap> taps;
+  taps.reserve(2 * line.size());
+  for (int m = -steps; m <= steps; ++m) {
+    const LinearSplat splat(m * slope);
+    const auto add = [&](int n, double weight) {
+      const float w = static_cast<float>(line[steps + m] * weight);
+      if (w == 0) return;
+      taps.push_back(major_is_y ? KernelTap{n, m, w} : KernelTap{m, n, w});
+    };
+    add(splat.index, splat.lower);
+    add(splat.index + 1, splat.upper);
+  }
+  return taps;
+}
+
+std::unique_ptr<LineConvolver> make_line_convolver(const std::string& backend, int threads) {
+  require_range("threads", threads, 0, 256);
+  if (backend == "reference" || backend == "auto") return std::make_unique<ReferenceConvolver>(threads);
+  throw OptionError("backend = \"" + backend + "\" is unknown; available: auto, reference");
+}
+
+void deconvolve(const cv::Mat& image, PixelLayout layout, const BlurField& field, const KernelBank& bank,
+                LineConvolver& engine, cv::Mat& dst) {
+  if (image.cols != field.grid.width_px() || image.rows != field.grid.height_px()) {
+    throw std::invalid_argument("image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
+                                " px does not fit a blur field of " + std::to_string(field.grid.width_px()) + "x" +
+                                std::to_string(field.grid.height_px()) + " px");
+  }
+  if (image.channels() != channels_of(layout)) {
+    throw std::invalid_argument("image has " + std::to_string(image.channels()) + " channels where its layout has " +
+                                std::to_string(channels_of(layout)));
+  }
+  if (field.count(BlockStatus::DEBLURRED) == 0) {
+    image.copyTo(dst);
+    return;
+  }
+  if (is_bayer(layout)) {
+    deconvolve_bayer(image, field, bank, engine, dst);
+    return;
+  }
+
+  std::vector<BlockFilter> blocks(field.blocks.size());
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const BlockBlur& blur = field.blocks[i];
+    blocks[i] = {field.grid.rect(i), blur.angle_rad, kernel_of(blur, blur.extent_px, bank)};
+  }
+  if (image.channels() < 4) {
+    engine.convolve(image, blocks, dst);
+    return;
+  }
+  // Alpha is no light: filter the three colours and put the input's alpha beside them.
+  cv::Mat color(image.size(), CV_MAKETYPE(image.depth(), 3)), filtered;
+  const int colors[] = {0, 0, 1, 1, 2, 2}, alpha[] = {3, 3};
+  cv::mixChannels({image}, {color}, colors, 3);
+  engine.convolve(color, blocks, filtered);
+  dst.create(image.size(), image.type());
+  cv::mixChannels({filtered}, {dst}, colors, 3);
+  cv::mixChannels({image}, {dst}, alpha, 1);
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,121 @@
+#include "gyro_deblur/kernel_bank.hpp"
+
+#include <cmath>
+#include <complex>
+#include <limits>
+#include <numeric>
+#include <thread>
+
+#include <gtest/gtest.h>
+#include <opencv2/core.hpp>
+
+namespace gyro_deblur {
+namespace {
+
+double sum(const std::vector<double>& v) { return std::accumulate(v.begin(), v.end(), 0.0); }
+double sum(const std::vector<float>& v) { return std::accumulate(v.begin(), v.end(), 0.0); }
+
+/// Real part of the transform of a centred symmetric kernel at k cycles over n samples, term by term.
+template <typename T>
+double transform(const std::vector<T>& taps, int k) {
+  const int n = static_cast<int>(taps.size());
+  double value = 0;
+  for (int i = 0; i < n; ++i) value += taps[i] * std::cos(2 * CV_PI * k * (i - n / 2) / n);
+  return value;
+}
+
+TEST(BoxBlurKernel, IsTheBoxOfTheExactExtent) {
+  for (const double extent : {0.7, 1.0, 2.0, 3.0, 4.5, 10.25, 27.0, 130.75}) {
+    const int length = 2 * static_cast<int>(std::ceil(extent)) + 1;
+    const std::vector<double> box = box_blur_kernel(extent, length);
+    EXPECT_NEAR(sum(box), 1.0, 1e-12) << extent;
+    for (int i = 0; i < length; ++i) EXPECT_EQ(box[i], box[length - 1 - i]) << "centred, extent " << extent;
+    // Full pixels weigh 1 / extent.
+    if (extent > 1) {
+      EXPECT_NEAR(box[length / 2], 1 / extent, 1e-12);
+    }
+  }
+}
+
+TEST(BoxBlurKernel, WeighsEdgesByCoverage) {
+  const std::vector<double> even = box_blur_kernel(4.0, 7);  // covers [-2, 2]: two half pixels, three full ones
+  const std::vector<double> expected = {0, 0.125, 0.25, 0.25, 0.25, 0.125, 0};
+  for (std::size_t i = 0; i < expected.size(); ++i) EXPECT_NEAR(even[i], expected[i], 1e-15);
+}
+
+TEST(WienerKernel, HasTheLengthAndUnitGain) {
+  KernelOptions options;
+  for (const double extent : {1.0, 2.0, 7.3, 27.0, 90.0, 500.0}) {
+    for (const double factor : {2.0, 4.0, 6.0}) {
+      options.length_factor = factor;
+      const LineKernel kernel = wiener_kernel(extent, options);
+      EXPECT_EQ(kernel.taps.size() % 2, 1u);
+      EXPECT_GE(kernel.taps.size(), factor * extent);
+      EXPECT_LE(kernel.taps.size(), factor * extent + 2);
+      EXPECT_NEAR(sum(kernel.taps), 1.0, 1e-4);
+    }
+  }
+}
+
+TEST(WienerKernel, IsSymmetric) {
+  const LineKernel kernel = wiener_kernel(13.6, {});
+  const std::size_t n = kernel.taps.size();
+  for (std::size_t i = 0; i < n; ++i) EXPECT_FLOAT_EQ(kernel.taps[i], kernel.taps[n - 1 - i]);
+}
+
+TEST(WienerKernel, ObeysTheDefinitionAtEveryFrequency) {
+  for (const double gamma : {0.001, 0.01, 0.2}) {
+    KernelOptions options;
+    options.gamma = gamma;
+    for (const double extent : {2.0, 5.4, 27.0}) {
+      const LineKernel kernel = wiener_kernel(extent, options);
+      const int n = static_cast<int>(kernel.taps.size());
+      const std::vector<double> box = box_blur_kernel(extent, n);
+      for (int k = 0; k <= n / 2; ++k) {
+        const double H = transform(box, k);
+        // Times 1 + gamma: unit gain at k = 0, where H = 1.
+        EXPECT_NEAR(transform(kernel.taps, k), (1 + gamma) * H / (H * H + gamma), 2e-5) << extent << " " << k;
+      }
+    }
+  }
+}
+
+TEST(WienerKernel, RefusesWhatIsOutOfRange) {
+  EXPECT_THROW(wiener_kernel(0.99, {}), OptionError);
+  EXPECT_THROW(wiener_kernel(500.5, {}), OptionError);
+  EXPECT_THROW(wiener_kernel(std::numeric_limits<double>::quiet_NaN(), {}), OptionError);
+  KernelOptions bad;
+  bad.gamma = 0;
+  EXPECT_THROW(wiener_kernel(10, bad), OptionError);
+  EXPECT_THROW(KernelBank{bad}, OptionError);
+  bad = {};
+  bad.length_factor = 1;
+  EXPECT_THROW(KernelBank{bad}, OptionError);
+  EXPECT_THROW(KernelBank({}).kernel(0.5), OptionError);
+}
+
+TEST(KernelBank, GivesTheNearestQuarterPixel) {
+  const KernelBank bank({});
+  EXPECT_EQ(bank.kernel(10.1).taps, wiener_kernel(10.0, {}).taps);
+  EXPECT_EQ(bank.kernel(10.13).taps, wiener_kernel(10.25, {}).taps);
+  EXPECT_EQ(&bank.kernel(10.13), &bank.kernel(10.3)) << "computed once";
+  EXPECT_EQ(bank.kernel(kMaxKernelExtentPx).taps, wiener_kernel(kMaxKernelExtentPx, {}).taps);
+}
+
+TEST(KernelBank, SharesKernelsAmongThreads) {
+  const KernelBank bank({});
+  std::vector<const LineKernel*> seen(8 * 40);
+  std::vector<std::thread> threads;
+  for (int t = 0; t < 8; ++t) {
+    threads.emplace_back([&, t] {
+      for (int i = 0; i < 40; ++i) seen[t * 40 + i] = &bank.kernel(2 + i * 0.5);
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  for (int t = 1; t < 8; ++t) {
+    for (int i = 0; i < 40; ++i) EXPECT_EQ(seen[t * 40 + i], seen[i]);
+  }
+}
+
+}  // namespace
+}  // namespace gyro_deblur

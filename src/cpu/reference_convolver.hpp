@@ -1,0 +1,34 @@
+// The straightforward engine, which others are tested against.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "gyro_deblur/deconvolution.hpp"
+
+namespace gyro_deblur {
+
+/// Sums the non-zero taps of each block's rotated kernel in float, OpenMP over blocks.
+class ReferenceConvolver : public LineConvolver {
+ public:
+  /// @param threads OpenMP threads, >= 0; 0: OpenMP's default
+  explicit ReferenceConvolver(int threads);
+
+  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override;
+  std::string name() const override { return "reference"; }
+
+ private:
+  template <typename Pixel>
+  void convolve_as(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst);
+  template <typename Pixel>
+  void load_channel(const cv::Mat& src, int channel);
+
+  int threads_;
+  // Kept between frames: their allocation would cost more than their use.
+  std::vector<std::vector<KernelTap>> taps_;  // by block
+  std::vector<float> padded_;                 // one channel with its replicated border
+  std::ptrdiff_t stride_ = 0;                 // of padded_, in floats
+  int pad_x_ = 0, pad_y_ = 0;                 // border of padded_
+};
+
+}  // namespace gyro_deblur
