@@ -1,0 +1,74 @@
+#include "gyro_deblur/blur_validation.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <stdexcept>
+#include <vector>
+
+namespace gyro_deblur {
+namespace {
+
+// The Sobel pair sums to 8 on a ramp of one grey level a pixel.
+constexpr float kSobelScale = 1.0f / 8;
+
+/// `block` and one replicated pixel around it.
+void load_with_border(const cv::Mat& luminance, const cv::Rect& block, std::vector<std::int16_t>& padded) {
+  const int stride = block.width + 2;
+  padded.resize(static_cast<std::size_t>(stride) * (block.height + 2));
+  for (int y = -1; y <= block.height; ++y) {
+    const std::uint8_t* from = luminance.ptr<std::uint8_t>(std::clamp(block.y + y, 0, luminance.rows - 1));
+    std::int16_t* to = padded.data() + (y + 1) * stride;
+    to[0] = from[std::max(block.x - 1, 0)];
+    std::copy_n(from + block.x, block.width, to + 1);
+    to[stride - 1] = from[std::min(block.br().x, luminance.cols - 1)];
+  }
+}
+
+}  // namespace
+
+float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double angle_rad) {
+  const float dx = static_cast<float>(std::cos(angle_rad)), dy = static_cast<float>(std::sin(angle_rad));
+  thread_local std::vector<std::int16_t> padded;
+  load_with_border(luminance, block, padded);
+  const int stride = block.width + 2;
+  float strongest = 0;
+  for (int y = 0; y < block.height; ++y) {
+    const std::int16_t* above = padded.data() + y * stride;
+    const std::int16_t* here = above + stride;
+    const std::int16_t* below = here + stride;
+    float row_strongest = 0;
+#pragma omp simd reduction(max : row_strongest)
+    for (int x = 0; x < block.width; ++x) {
+      const int diagonal_down = below[x + 2] - above[x], diagonal_up = above[x + 2] - below[x];
+      const int gx = 2 * (here[x + 2] - here[x]) + diagonal_down + diagonal_up;
+      const int gy = 2 * (below[x + 1] - above[x + 1]) + diagonal_down - diagonal_up;
+      row_strongest = std::max(row_strongest, std::abs(dx * gx + dy * gy));
+    }
+    strongest = std::max(strongest, row_strongest);
+  }
+  return strongest * kSobelScale;
+}
+
+BlurField validate_blur_field(const BlurField& field, const cv::Mat& luminance, const ValidationOptions& options) {
+  options.validate();
+  if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
+      luminance.rows != field.grid.height_px()) {
+    throw std::invalid_argument("validation needs 8-bit luminance of the blur field's size, " +
+                                std::to_string(field.grid.width_px()) + "x" + std::to_string(field.grid.height_px()));
+  }
+  BlurField validated = field;
+  if (!options.enabled) return validated;
+  const int count = field.grid.size();
+#pragma omp parallel for schedule(dynamic, 8)
+  for (int i = 0; i < count; ++i) {
+    BlockBlur& block = validated.blocks[i];
+    if (block.status != BlockStatus::DEBLURRED) continue;
+    if (max_gradient_along(luminance, field.grid.rect(i), block.angle_rad) > options.threshold(block.extent_px)) {
+      block.status = BlockStatus::REJECTED;
+    }
+  }
+  return validated;
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,159 @@
+#include "gyro_deblur/keypoints.hpp"
+
+#include <algorithm>
+#include <map>
+#include <stdexcept>
+#include <string>
+#include <tuple>
+#include <vector>
+
+#include <opencv2/core/version.hpp>
+
+namespace gyro_deblur {
+namespace {
+
+// SIFT's patent ran out in 2020; OpenCV took it into the main modules with 4.4.
+#define GYRO_DEBLUR_HAS_SIFT (CV_VERSION_MAJOR > 4 || (CV_VERSION_MAJOR == 4 && CV_VERSION_MINOR >= 4))
+
+// Blurred frames have little contrast, and deblurring returns only part of it. The limit is max_features, chosen by
+// response; thresholds only keep the detectors from drowning in noise, and are therefore below OpenCV's defaults.
+constexpr double kSiftContrastThreshold = 0.01;  // OpenCV 0.04, as Lowe 2004 (0.03); VLFeat 0
+constexpr double kSiftEdgeThreshold = 10;        // Lowe 2004
+constexpr double kSiftSigma = 1.6;               // Lowe 2004
+constexpr int kSiftOctaveLayers = 3;             // Lowe 2004
+constexpr int kFastThreshold = 5;                // grey levels; OpenCV 10 (FAST) and 20 (ORB)
+constexpr float kAkazeThreshold = 1e-4f;         // OpenCV 1e-3
+constexpr int kBriskThreshold = 10;              // grey levels; OpenCV 30
+constexpr double kGfttQuality = 1e-3;            // of the strongest corner; OpenCV 1e-2
+constexpr double kGfttMinDistancePx = 3;         // corners closer than their own 3x3 window are one corner
+// With a grid the strongest of the whole image may all lie in one cell, so detectors that choose by themselves must
+// return more than is kept.
+constexpr int kGridSurplus = 4;
+
+// Below this no detector has room for its patch.
+constexpr int kMinSidePx = 16;
+
+/// Detectors whose keypoints each descriptor takes. AKAZE describes in its own scale space only. ORB reads `octave` as
+/// a pyramid level, where SIFT packs octave, layer and offset into it and so asks for a pyramid of millions of levels.
+const std::map<std::string, std::vector<std::string>>& accepted_detectors() {
+  static const std::map<std::string, std::vector<std::string>> table = {
+      {"SIFT", {"AKAZE", "BRISK", "FAST", "GFTT", "ORB", "SIFT"}},
+      {"ORB", {"AKAZE", "BRISK", "FAST", "GFTT", "ORB"}},
+      {"AKAZE", {"AKAZE"}},
+      {"BRISK", {"AKAZE", "BRISK", "FAST", "GFTT", "ORB", "SIFT"}},
+      {"NONE", {"AKAZE", "BRISK", "FAST", "GFTT", "ORB", "SIFT"}},
+  };
+  return table;
+}
+
+cv::Ptr<cv::Feature2D> make_sift(const char* option) {
+#if GYRO_DEBLUR_HAS_SIFT
+  static_cast<void>(option);
+  return cv::SIFT::create(0, kSiftOctaveLayers, kSiftContrastThreshold, kSiftEdgeThreshold, kSiftSigma);
+#else
+  throw OptionError(std::string(option) + " = SIFT needs OpenCV 4.4 or newer; this is " CV_VERSION
+                                          ". Available: ORB, AKAZE, BRISK, GFTT, FAST");
+#endif
+}
+
+cv::Ptr<cv::Feature2D> make_feature(const char* option, const std::string& name, int wanted) {
+  if (name == "SIFT") return make_sift(option);
+  if (name == "ORB") {
+    // Harris score, 8 levels 1.2 apart and 31 px patches are OpenCV's defaults, after Rublee et al. 2011.
+    return cv::ORB::create(wanted, 1.2f, 8, 31, 0, 2, cv::ORB::HARRIS_SCORE, 31, kFastThreshold);
+  }
+  if (name == "AKAZE") return cv::AKAZE::create(cv::AKAZE::DESCRIPTOR_MLDB, 0, 3, kAkazeThreshold);
+  if (name == "BRISK") return cv::BRISK::create(kBriskThreshold);
+  if (name == "GFTT") return cv::GFTTDetector::create(wanted, kGfttQuality, kGfttMinDistancePx);
+  if (name == "FAST") return cv::FastFeatureDetector::create(kFastThreshold);
+  throw OptionError(std::string(option) + " = \"" + name +
+                    "\" is unknown; available: SIFT, ORB, AKAZE, BRISK, GFTT, FAST");
+}
+
+bool stronger(const cv::KeyPoint& a, const cv::KeyPoint& b) {
+  // The rest of the key makes the order total: several threads may deliver equal responses in any order.
+  return std::make_tuple(-a.response, a.pt.y, a.pt.x, a.size, a.angle, a.octave) <
+         std::make_tuple(-b.response, b.pt.y, b.pt.x, b.size, b.angle, b.octave);
+}
+
+/// Keeps at most max_features of keypoints sorted by `stronger`, and their order. Every cell first gets an even share
+/// of its own strongest; what cells leave goes to the strongest left anywhere.
+std::vector<cv::KeyPoint> select(const std::vector<cv::KeyPoint>& sorted, const cv::Size& size,
+                                 const KeypointOptions& options) {
+  const std::size_t limit = static_cast<std::size_t>(options.max_features);
+  if (sorted.size() <= limit) return sorted;
+  const int cells = options.grid_cols * options.grid_rows;
+  const int share = options.max_features / cells;
+  std::vector<int> taken(cells, 0);
+  std::vector<bool> keep(sorted.size(), false);
+  std::size_t kept = 0;
+  for (std::size_t i = 0; i < sorted.size(); ++i) {
+    const cv::Point2f& at = sorted[i].pt;
+    const int col = std::clamp(static_cast<int>(at.x * options.grid_cols / size.width), 0, options.grid_cols - 1);
+    const int row = std::clamp(static_cast<int>(at.y * options.grid_rows / size.height), 0, options.grid_rows - 1);
+    int& in_cell = taken[row * options.grid_cols + col];
+    if (in_cell >= share) continue;
+    ++in_cell;
+    keep[i] = true;
+    ++kept;
+  }
+  for (std::size_t i = 0; i < sorted.size() && kept < limit; ++i) {
+    if (keep[i]) continue;
+    keep[i] = true;
+    ++kept;
+  }
+  std::vector<cv::KeyPoint> selected;
+  selected.reserve(kept);
+  for (std::size_t i = 0; i < sorted.size(); ++i) {
+    if (keep[i]) selected.push_back(sorted[i]);
+  }
+  return selected;
+}
+
+}  // namespace
+
+FeatureExtractor::FeatureExtractor(const KeypointOptions& options) : options_(options) {
+  options_.validate();
+  const int surplus = options_.grid_cols * options_.grid_rows > 1 ? kGridSurplus : 1;
+  detector_ = make_feature("detector", options_.detector, options_.max_features * surplus);
+  const auto accepted = accepted_detectors().find(options_.descriptor);
+  if (accepted == accepted_detectors().end()) {
+    throw OptionError("descriptor = \"" + options_.descriptor +
+                      "\" is unknown; available: SIFT, ORB, AKAZE, BRISK, NONE");
+  }
+  const std::vector<std::string>& detectors = accepted->second;
+  if (std::find(detectors.begin(), detectors.end(), options_.detector) == detectors.end()) {
+    std::string list;
+    for (const std::string& name : detectors) list += (list.empty() ? "" : ", ") + name;
+    throw OptionError("descriptor = " + options_.descriptor +
+                      " does not accept the keypoints of detector = " + options_.detector + ", only those of " + list);
+  }
+  if (options_.descriptor == options_.detector) {
+    descriptor_ = detector_;
+  } else if (options_.descriptor != "NONE") {
+    descriptor_ = make_feature("descriptor", options_.descriptor, options_.max_features);
+  }
+}
+
+Features FeatureExtractor::extract(const cv::Mat& luminance) {
+  if (luminance.type() != CV_8UC1) throw std::invalid_argument("keypoints are detected on CV_8UC1 luminance");
+  Features features;
+  if (luminance.cols < kMinSidePx || luminance.rows < kMinSidePx) return features;
+
+  std::vector<cv::KeyPoint> found;
+  detector_->detect(luminance, found);
+  // GFTT of OpenCV before 4.5.5 gives no response but falls in strength: let the rank stand for it.
+  const bool no_response = std::all_of(found.begin(), found.end(), [](const auto& k) { return k.response == 0; });
+  if (no_response) {
+    for (std::size_t i = 0; i < found.size(); ++i) found[i].response = static_cast<float>(found.size() - i);
+  }
+  std::sort(found.begin(), found.end(), stronger);
+  features.keypoints = select(found, luminance.size(), options_);
+  // Drops keypoints whose patch leaves the image, in step with the rows of the descriptors.
+  if (descriptor_ && !features.keypoints.empty()) {
+    descriptor_->compute(luminance, features.keypoints, features.descriptors);
+  }
+  return features;
+}
+
+}  // namespace gyro_deblur
