@@ -1,0 +1,114 @@
+#include "tools/bag_messages.hpp"
+
+#include <stdexcept>
+
+#include <geometry_msgs/TransformStamped.h>
+#include <sensor_msgs/distortion_models.h>
+#include <Eigen/Geometry>
+
+namespace gyro_deblur {
+
+ros::Time bag_time(TimeNs t_ns, const std::string& what) {
+  // ros::Time counts unsigned 32-bit seconds, and rosbag refuses 0.
+  constexpr TimeNs kLatest = 4'294'967'295'000'000'000;
+  if (t_ns <= 0 || t_ns > kLatest) {
+    throw std::runtime_error(what + " at " + std::to_string(t_ns) + " ns: a bag holds times in (0, 4294967295] s");
+  }
+  ros::Time time;
+  time.fromNSec(static_cast<std::uint64_t>(t_ns));
+  return time;
+}
+
+ros::Duration bag_duration(TimeNs t_ns) {
+  ros::Duration duration;
+  duration.fromNSec(t_ns);
+  return duration;
+}
+
+sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera) {
+  sensor_msgs::CameraInfo info;
+  info.width = static_cast<std::uint32_t>(camera.width_px);
+  info.height = static_cast<std::uint32_t>(camera.height_px);
+  info.D = camera.coefficients;
+  switch (camera.model) {
+    case DistortionModel::NONE:
+    case DistortionModel::PLUMB_BOB:
+      info.distortion_model = sensor_msgs::distortion_models::PLUMB_BOB;
+      info.D.resize(5, 0.0);  // image_geometry wants all five
+      break;
+    case DistortionModel::RATIONAL_POLYNOMIAL:
+      info.distortion_model = sensor_msgs::distortion_models::RATIONAL_POLYNOMIAL;
+      break;
+    case DistortionModel::EQUIDISTANT:
+      info.distortion_model = "equidistant";  // older sensor_msgs have no constant for it
+      break;
+  }
+  info.K = {camera.fx_px, 0, camera.cx_px, 0, camera.fy_px, camera.cy_px, 0, 0, 1};
+  info.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  info.P = {camera.fx_px, 0, camera.cx_px, 0, 0, camera.fy_px, camera.cy_px, 0, 0, 0, 1, 0};
+  return info;
+}
+
+sensor_msgs::Image image_message(const std_msgs::Header& header, const cv::Mat& image, const std::string& encoding) {
+  sensor_msgs::Image message;
+  message.header = header;
+  message.height = static_cast<std::uint32_t>(image.rows);
+  message.width = static_cast<std::uint32_t>(image.cols);
+  message.encoding = encoding;
+  message.is_bigendian = 0;
+  message.step = static_cast<std::uint32_t>(image.cols * image.elemSize());
+  message.data.reserve(static_cast<std::size_t>(message.step) * message.height);
+  for (int y = 0; y < image.rows; ++y) {
+    message.data.insert(message.data.end(), image.ptr(y), image.ptr(y) + message.step);
+  }
+  return message;
+}
+
+sensor_msgs::Imu imu_message(const std_msgs::Header& header, const Eigen::Vector3d& rate_rad_s,
+                             const std::optional<Eigen::Vector3d>& specific_force_m_s2) {
+  sensor_msgs::Imu message;
+  message.header = header;
+  message.orientation_covariance[0] = -1;
+  message.angular_velocity.x = rate_rad_s.x();
+  message.angular_velocity.y = rate_rad_s.y();
+  message.angular_velocity.z = rate_rad_s.z();
+  if (specific_force_m_s2) {
+    message.linear_acceleration.x = specific_force_m_s2->x();
+    message.linear_acceleration.y = specific_force_m_s2->y();
+    message.linear_acceleration.z = specific_force_m_s2->z();
+  } else {
+    message.linear_acceleration_covariance[0] = -1;
+  }
+  return message;
+}
+
+tf2_msgs::TFMessage extrinsic_message(const Eigen::Matrix3d& R_cam_imu, const Eigen::Vector3d& p_imu_cam_m,
+                                      const std::string& imu_frame, const std::string& camera_frame, ros::Time stamp) {
+  geometry_msgs::TransformStamped transform;
+  transform.header.stamp = stamp;
+  transform.header.frame_id = imu_frame;
+  transform.child_frame_id = camera_frame;
+  // tf takes child coordinates to parent coordinates.
+  const Eigen::Quaterniond R_imu_cam(Eigen::Matrix3d(R_cam_imu.transpose()));
+  transform.transform.rotation.w = R_imu_cam.w();
+  transform.transform.rotation.x = R_imu_cam.x();
+  transform.transform.rotation.y = R_imu_cam.y();
+  transform.transform.rotation.z = R_imu_cam.z();
+  transform.transform.translation.x = p_imu_cam_m.x();
+  transform.transform.translation.y = p_imu_cam_m.y();
+  transform.transform.translation.z = p_imu_cam_m.z();
+  tf2_msgs::TFMessage message;
+  message.transforms.push_back(transform);
+  return message;
+}
+
+void write_tf_static(rosbag::Bag& bag, ros::Time time, const tf2_msgs::TFMessage& message) {
+  auto latched = boost::make_shared<ros::M_string>();
+  (*latched)["latching"] = "1";
+  (*latched)["type"] = ros::message_traits::datatype<tf2_msgs::TFMessage>();
+  (*latched)["md5sum"] = ros::message_traits::md5sum<tf2_msgs::TFMessage>();
+  (*latched)["message_definition"] = ros::message_traits::definition<tf2_msgs::TFMessage>();
+  bag.write("/tf_static", time, message, latched);
+}
+
+}  // namespace gyro_deblur
