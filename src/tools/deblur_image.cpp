@@ -1,0 +1,264 @@
+// Deblurs one image with a known blur.
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <iostream>
+#include <limits>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+#include <opencv2/core.hpp>
+#include <opencv2/core/utils/logger.hpp>
+#include <opencv2/imgcodecs.hpp>
+
+#include "gyro_deblur/blur_field.hpp"
+#include "gyro_deblur/blur_validation.hpp"
+#include "gyro_deblur/deconvolution.hpp"
+#include "gyro_deblur/overlay.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+// Exit codes: bad input and bad usage can be told apart in scripts.
+constexpr int kBadInput = 1;
+constexpr int kBadUsage = 2;
+
+struct Arguments {
+  std::string input, output, overlay, json;
+  double angle_deg = 0;
+  double extent_px = 0;
+  std::vector<std::string> field;  // empty: uniform blur
+  double field_offset = 0;
+  BlurFieldOptions blur_field;
+  ValidationOptions validation;
+  KernelOptions kernel;
+  std::string backend = "auto";
+  int threads = 0;
+};
+
+std::string lower_extension(const std::string& path) {
+  std::string extension = std::filesystem::path(path).extension().string();
+  std::transform(extension.begin(), extension.end(), extension.begin(),
+                 [](unsigned char c) { return std::tolower(c); });
+  return extension;
+}
+
+void require_readable(const std::string& path) {
+  if (!std::filesystem::is_regular_file(path)) throw std::runtime_error(path + ": no such file");
+  if (!std::ifstream(path)) throw std::runtime_error(path + ": cannot be read");
+}
+
+cv::Mat read_image(const std::string& path) {
+  require_readable(path);
+  cv::Mat image = cv::imread(path, cv::IMREAD_UNCHANGED);
+  if (image.empty()) throw std::runtime_error(path + ": not an image that can be read");
+  return image;
+}
+
+void write_image(const std::string& path, const cv::Mat& image) {
+  if (!cv::haveImageWriter(path)) throw std::runtime_error(path + ": no image format of this name can be written");
+  const std::string extension = lower_extension(path);
+  const bool is_jpeg = extension == ".jpg" || extension == ".jpeg";
+  if (is_jpeg && (image.depth() != CV_8U || image.channels() == 4)) {
+    throw std::runtime_error(path + ": JPEG holds neither 16 bit nor alpha; choose PNG or TIFF");
+  }
+  if (!cv::imwrite(path, image)) throw std::runtime_error(path + ": cannot be written");
+}
+
+PixelLayout layout_of(const cv::Mat& image, const std::string& path) {
+  if (image.depth() != CV_8U && image.depth() != CV_16U) {
+    throw std::runtime_error(path + ": has neither 8 nor 16 bit a channel");
+  }
+  switch (image.channels()) {
+    case 1:
+      return PixelLayout::GRAY;
+    case 3:
+      return PixelLayout::BGR;
+    case 4:
+      return PixelLayout::BGRA;
+    default:
+      throw std::runtime_error(path + ": has " + std::to_string(image.channels()) +
+                               " channels; 1, 3 or 4 are possible");
+  }
+}
+
+/// Rows of numbers with commas, semicolons or white space between them; "nan" marks an unknown cell.
+cv::Mat read_csv(const std::string& path) {
+  require_readable(path);
+  std::ifstream file(path);
+  cv::Mat matrix;
+  std::string line;
+  for (int number = 1; std::getline(file, line); ++number) {
+    std::replace_if(
+        line.begin(), line.end(), [](char c) { return c == ',' || c == ';' || c == '\t' || c == '\r'; }, ' ');
+    std::vector<double> row;
+    for (std::size_t at = line.find_first_not_of(' '); at != std::string::npos; at = line.find_first_not_of(' ', at)) {
+      const std::size_t end = std::min(line.find(' ', at), line.size());
+      const std::string cell = line.substr(at, end - at);
+      std::size_t parsed = 0;
+      try {
+        row.push_back(std::stod(cell, &parsed));
+      } catch (const std::logic_error&) {
+      }
+      if (parsed != cell.size()) {
+        throw std::runtime_error(path + ", line " + std::to_string(number) + ": \"" + cell + "\" is not a number");
+      }
+      at = end;
+    }
+    if (row.empty()) continue;
+    if (!matrix.empty() && static_cast<int>(row.size()) != matrix.cols) {
+      throw std::runtime_error(path + ", line " + std::to_string(number) + ": has " + std::to_string(row.size()) +
+                               " values where the lines before have " + std::to_string(matrix.cols));
+    }
+    matrix.push_back(cv::Mat(row, true).reshape(1, 1));
+  }
+  if (matrix.empty()) throw std::runtime_error(path + ": holds no numbers");
+  return matrix;
+}
+
+/// A matrix of displacements [px] from text, or from a one-channel image.
+cv::Mat read_displacement(const std::string& path, double offset) {
+  const std::string extension = lower_extension(path);
+  cv::Mat matrix;
+  if (extension == ".csv" || extension == ".txt") {
+    matrix = read_csv(path);
+  } else {
+    const cv::Mat image = read_image(path);
+    if (image.channels() != 1) throw std::runtime_error(path + ": a displacement map must have one channel");
+    image.convertTo(matrix, CV_64F);
+  }
+  return matrix - offset;
+}
+
+double median_extent(const BlurField& field) {
+  std::vector<float> extents;
+  for (const BlockBlur& block : field.blocks) {
+    if (block.status != BlockStatus::NO_GYRO) extents.push_back(block.extent_px);
+  }
+  if (extents.empty()) return 0;
+  const auto middle = extents.begin() + static_cast<std::ptrdiff_t>(extents.size() / 2);
+  std::nth_element(extents.begin(), middle, extents.end());
+  return *middle;
+}
+
+void run(const Arguments& arguments) {
+  const cv::Mat image = read_image(arguments.input);
+  const PixelLayout layout = layout_of(image, arguments.input);
+
+  BlurField field;
+  if (arguments.field.empty()) {
+    if (!std::isfinite(arguments.angle_deg)) throw OptionError("--angle-deg must be finite");
+    require_range("--extent-px", arguments.extent_px, 0, kMaxKernelExtentPx, "px");
+    field = uniform_blur_field(image.cols, image.rows, arguments.angle_deg * CV_PI / 180, arguments.extent_px,
+                               arguments.blur_field);
+  } else {
+    field = blur_field_from_displacement(
+        image.cols, image.rows, read_displacement(arguments.field[0], arguments.field_offset),
+        read_displacement(arguments.field[1], arguments.field_offset), arguments.blur_field);
+  }
+  const cv::Mat luminance = luminance8(image, layout);
+  field = validate_blur_field(field, luminance, arguments.validation);
+
+  const KernelBank bank(arguments.kernel);
+  const auto engine = make_line_convolver(arguments.backend, arguments.threads);
+  cv::Mat deblurred;
+  const auto start = std::chrono::steady_clock::now();
+  deconvolve(image, layout, field, bank, *engine, deblurred);
+  const double deconvolution_ms =
+      std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+
+  write_image(arguments.output, deblurred);
+  if (!arguments.overlay.empty()) write_image(arguments.overlay, draw_overlay(luminance, field));
+
+  nlohmann::json counts;
+  for (const BlockStatus status : {BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED,
+                                   BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO}) {
+    counts[to_string(status)] = field.count(status);
+  }
+  if (!arguments.json.empty()) {
+    std::ofstream file(arguments.json);
+    file << nlohmann::json{{"input", arguments.input},
+                           {"output", arguments.output},
+                           {"width", image.cols},
+                           {"height", image.rows},
+                           {"engine", engine->name()},
+                           {"gamma", arguments.kernel.gamma},
+                           {"blocks", counts},
+                           {"median_extent_px", median_extent(field)},
+                           {"deconvolution_ms", deconvolution_ms}}
+                .dump(2)
+         << "\n";
+    if (!file.flush()) throw std::runtime_error(arguments.json + ": cannot be written");
+  }
+
+  std::cout << arguments.output << ": " << field.count(BlockStatus::DEBLURRED) << " of " << field.blocks.size()
+            << " blocks deblurred";
+  for (const auto& [status, count] : counts.items()) {
+    if (status != to_string(BlockStatus::DEBLURRED) && count > 0) std::cout << ", " << count << " " << status;
+  }
+  std::cout << "\n";
+}
+
+int main_of(int argc, char** argv) {
+  // One clear line on bad input is this tool's promise; OpenCV would add its own.
+  cv::utils::logging::setLogLevel(cv::utils::logging::LOG_LEVEL_SILENT);
+
+  Arguments arguments;
+  CLI::App app{
+      "Deblurs an image whose motion blur is known. Give one blur for the whole image (--angle-deg, --extent-px) or a "
+      "field of displacements (--field). 8 and 16 bit, grey, colour and alpha; pixels are taken as stored (EXIF "
+      "orientation is not applied).",
+      "deblur_image"};
+  app.add_option("input", arguments.input, "image to deblur")->required();
+  app.add_option("output", arguments.output, "where to write the deblurred image")->required();
+  auto* angle = app.add_option("--angle-deg", arguments.angle_deg, "direction of the motion [deg], x right, y down");
+  auto* extent = app.add_option("--extent-px", arguments.extent_px, "length of the motion [px]");
+  auto* field = app.add_option("--field", arguments.field,
+                               "matrices of the displacement from start to end of exposure [px], x right, y down: "
+                               "DX.csv DY.csv, or one-channel images; any number of rows and columns that cover the "
+                               "image evenly; nan: unknown")
+                    ->expected(2);
+  app.add_option("--field-offset", arguments.field_offset, "value that stands for no displacement in --field")
+      ->needs(field)
+      ->capture_default_str();
+  angle->needs(extent)->excludes(field);
+  extent->needs(angle)->excludes(field);
+  app.add_option("--gamma", arguments.kernel.gamma, "noise-to-signal ratio of the Wiener filter")
+      ->capture_default_str();
+  app.add_option("--backend", arguments.backend, "engine: auto, reference")->capture_default_str();
+  app.add_option("--threads", arguments.threads, "of the engine; 0: as many as there are cores")->capture_default_str();
+  app.add_option("--block-size", arguments.blur_field.block_size_px, "side of a block [px], even")
+      ->capture_default_str();
+  app.add_option("--max-extent-px", arguments.blur_field.max_extent_px, "blocks with more blur are left alone")
+      ->capture_default_str();
+  app.add_flag_callback(
+      "--no-validation", [&] { arguments.validation.enabled = false; },
+      "deblur blocks even where the image contradicts the blur");
+  app.add_option("--overlay", arguments.overlay, "also write a picture of the blur field");
+  app.add_option("--json", arguments.json, "also write what was done as JSON");
+
+  try {
+    app.parse(argc, argv);
+    if (field->count() + extent->count() == 0) throw CLI::RequiredError("--angle-deg and --extent-px, or --field");
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : kBadUsage;
+  }
+  try {
+    run(arguments);
+  } catch (const std::exception& error) {
+    std::cerr << "deblur_image: " << error.what() << "\n";
+    return kBadInput;
+  }
+  return 0;
+}
+
+}  // namespace
+}  // namespace gyro_deblur
+
+int main(int argc, char** argv) { return gyro_deblur::main_of(argc, argv); }
