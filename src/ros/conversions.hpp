@@ -1,0 +1,97 @@
+// Between ROS messages and the core's types.
+#pragma once
+
+#include <optional>
+#include <stdexcept>
+#include <string>
+
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/Imu.h>
+#include <tf2/buffer_core.h>
+#include <visualization_msgs/MarkerArray.h>
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/image_format.hpp"
+#include "gyro_deblur/pipeline.hpp"
+#include "gyro_deblur/types.hpp"
+#include "ros/messages.hpp"
+
+namespace gyro_deblur {
+
+/// A frame that has to be passed through, with the reason and one line that has the values involved.
+class FrameError : public std::runtime_error {
+ public:
+  FrameError(PassThroughReason reason, const std::string& text) : std::runtime_error(text), reason_(reason) {}
+  PassThroughReason reason() const { return reason_; }
+
+ private:
+  PassThroughReason reason_;
+};
+
+/// Nanoseconds of a stamp; to_ros_time clamps to what ros::Time can hold (0 to 2^32 - 1 s).
+TimeNs to_time_ns(const ros::Time& time);
+ros::Time to_ros_time(TimeNs time_ns);
+
+/// Body rate and stamp of an IMU message; nothing when its covariance says that it has no gyroscope
+/// (sensor_msgs/Imu: first element -1).
+std::optional<GyroSample> to_gyro_sample(const sensor_msgs::Imu& imu);
+
+/// Calibration of an image with the given size, with the habits of image_geometry: a region of interest of 0x0 is the
+/// whole sensor, binning of 0 is 1; the region's offset is subtracted from the principal point, then everything is
+/// divided by the binning.
+/// @param rectified_input  take P and R instead of K and D
+/// Throws OptionError with the values for a camera that is not calibrated, a distortion model that is not supported, or
+/// a size other than the image's.
+CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_width_px, int image_height_px,
+                                 bool rectified_input);
+
+/// Readout time of the image's region of interest when the whole sensor takes `full_readout_ns`: rows outside the
+/// region are not read. Binning does not change it: binned rows stand for the same stretch of the sensor.
+TimeNs region_readout_ns(TimeNs full_readout_ns, const sensor_msgs::CameraInfo& info);
+
+/// Pixels of an image message without a copy (big-endian 16-bit data is swapped into one).
+struct ImageView {
+  cv::Mat image;  ///< shares the message's memory: it must outlive this, and must not be written to
+  PixelLayout layout = PixelLayout::GRAY;
+};
+
+/// Throws FrameError: BAD_IMAGE when empty or its buffer does not fit its header, UNSUPPORTED_ENCODING.
+ImageView view_image(const sensor_msgs::Image& message);
+
+/// The checks of view_image alone.
+void check_image(const sensor_msgs::Image& message);
+
+/// An image message with the header and encoding of `input` and other pixels of the same type.
+sensor_msgs::ImagePtr to_image(const cv::Mat& pixels, const sensor_msgs::Image& input);
+
+/// A bgr8 message with the header of `input`.
+sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& header);
+
+/// What is known of a camera without camera_info: header and size, K of zeros (not calibrated).
+sensor_msgs::CameraInfoPtr uncalibrated_camera_info(const sensor_msgs::Image& input);
+
+BlurFieldMessagePtr to_message(const BlurField& field, const std_msgs::Header& header);
+
+/// Message of an image that was passed through unchanged.
+BlurFieldMessagePtr pass_through_message(PassThroughReason reason, const std::string& text,
+                                         const sensor_msgs::Image& input);
+
+KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions& options,
+                            const std_msgs::Header& header);
+
+/// The blur paths as lines at a depth of 1 m in the camera's frame, in the colours of the overlay. One marker with a
+/// fixed namespace and id, so that each image's replaces the one before.
+visualization_msgs::MarkerArrayPtr to_markers(const BlurField& field, const Camera& camera,
+                                              const std_msgs::Header& header);
+
+/// Takes the markers of the image before away.
+visualization_msgs::MarkerArrayPtr no_markers(const std_msgs::Header& header);
+
+/// Rotation that takes IMU coordinates to camera coordinates, the newest that tf has; nothing when it has none.
+std::optional<Eigen::Matrix3d> lookup_R_cam_imu(const tf2::BufferCore& buffer, const std::string& camera_frame,
+                                                const std::string& imu_frame);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,433 @@
+#include "ros/deblur_nodelet.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include <image_transport/camera_common.h>
+#include <pluginlib/class_list_macros.hpp>
+
+#include "gyro_deblur/config.hpp"
+#include "ros/conversions.hpp"
+#include "ros/param_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// Images are large, and those that cannot be taken in are better dropped late, by the frame queue, which counts them.
+constexpr std::uint32_t kImageQueue = 10;
+/// A second of a 1 kHz IMU.
+constexpr std::uint32_t kImuQueue = 1000;
+constexpr std::uint32_t kOutputQueue = 10;
+
+/// How often waiting frames are looked at when no message comes: timeouts are late by at most this.
+constexpr std::chrono::milliseconds kPollPeriod{20};
+
+/// How long an image may fail to come before somebody is told.
+constexpr double kImageSilenceS = 5;
+
+/// Private parameters that are not keys of the configuration.
+const char* const kOtherParameters[] = {"image_transport", "diagnostic_period"};
+
+TimeNs steady_now_ns() {
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
+      .count();
+}
+
+/// Calls apply(key, member...) for every key that dynamic_reconfigure serves, all of which are keys of the
+/// configuration, with that member of each of `configs`.
+template <typename Function, typename... Configs>
+void for_each_dynamic(Function apply, Configs&... configs) {
+  apply("block_size", configs.block_size...);
+  apply("min_extent", configs.min_extent...);
+  apply("max_extent", configs.max_extent...);
+  apply("gamma", configs.gamma...);
+  apply("validate", configs.validate...);
+  apply("tau", configs.tau...);
+  apply("tau_contrast", configs.tau_contrast...);
+  apply("detector", configs.detector...);
+  apply("descriptor", configs.descriptor...);
+  apply("max_features", configs.max_features...);
+  apply("grid_cols", configs.grid_cols...);
+  apply("grid_rows", configs.grid_rows...);
+}
+
+}  // namespace
+
+void DeblurNodelet::Latency::add(double ms) {
+  sum_ms += ms;
+  max_ms = std::max(max_ms, ms);
+  ++count;
+}
+
+DeblurNodelet::~DeblurNodelet() {
+  // Shutting a subscription down waits for its callback in progress; after this no callback runs any more.
+  imu_subscriber_.shutdown();
+  exposure_subscriber_.shutdown();
+  diagnostics_timer_.stop();
+  reset_service_.shutdown();
+  bias_service_.shutdown();
+  reconfigure_.reset();
+  tf_listener_.reset();
+  image_transport::Subscriber image_subscriber;
+  ros::Subscriber camera_info_subscriber;
+  {
+    const std::lock_guard<std::mutex> lock(connection_mutex_);
+    shutting_down_ = true;
+    std::swap(image_subscriber, image_subscriber_);
+    std::swap(camera_info_subscriber, camera_info_subscriber_);
+  }
+  image_subscriber.shutdown();
+  camera_info_subscriber.shutdown();
+  {
+    const std::lock_guard<std::mutex> lock(worker_mutex_);
+    worker_stops_ = true;
+  }
+  worker_wakes_.notify_all();
+  if (worker_.joinable()) worker_.join();
+  image_publisher_.shutdown();
+  overlay_publisher_.shutdown();
+  keypoint_publisher_.shutdown();
+  blur_field_publisher_.shutdown();
+  marker_publisher_.shutdown();
+}
+
+void DeblurNodelet::log(LogLevel level, const std::string& text) const {
+  switch (level) {
+    case LogLevel::INFO:
+      NODELET_INFO_STREAM(text);
+      break;
+    case LogLevel::WARNING:
+      NODELET_WARN_STREAM(text);
+      break;
+    case LogLevel::ERROR:
+      NODELET_ERROR_STREAM(text);
+      break;
+  }
+}
+
+void DeblurNodelet::onInit() {
+  Processor::Environment environment;
+  environment.clock = [] { return to_time_ns(ros::Time::now()); };
+  environment.steady_clock = steady_now_ns;
+  environment.log = [this](LogLevel level, const std::string& text) { log(level, text); };
+  environment.extrinsic = [this](const std::string& camera_frame, const std::string& imu_frame) {
+    return lookup_R_cam_imu(tf_buffer_, camera_frame, imu_frame);
+  };
+  environment.exposure_expected = [this] { return exposure_expected_.load(); };
+  environment.request = [this] { return request(); };
+  processor_ = std::make_unique<Processor>(std::move(environment));
+
+  load_parameters();
+  start_reconfigure();
+
+  ros::NodeHandle& nh = getNodeHandle();
+  ros::NodeHandle& private_nh = getPrivateNodeHandle();
+  transport_ = std::make_unique<image_transport::ImageTransport>(nh);
+  constexpr bool kOwnThread = false;  // the nodelet manager's threads serve tf as well
+  tf_listener_ = std::make_unique<tf2_ros::TransformListener>(tf_buffer_, nh, kOwnThread);
+  exposure_subscriber_ = nh.subscribe("exposure", kImuQueue, &DeblurNodelet::on_exposure, this);
+  imu_subscriber_ = nh.subscribe("imu", kImuQueue, &DeblurNodelet::on_imu, this, ros::TransportHints().tcpNoDelay());
+  advertise();
+  worker_ = std::thread(&DeblurNodelet::work, this);
+  reset_service_ = private_nh.advertiseService("reset", &DeblurNodelet::on_reset, this);
+  bias_service_ = private_nh.advertiseService("estimate_gyro_bias", &DeblurNodelet::on_estimate_bias, this);
+
+  diagnostics_ = std::make_unique<diagnostic_updater::Updater>(nh, private_nh, getName());
+  diagnostics_->setHardwareID("none");
+  diagnostics_->add("deblurring", this, &DeblurNodelet::fill_diagnostics);
+  diagnostics_timer_ = nh.createWallTimer(ros::WallDuration(1.0), &DeblurNodelet::on_diagnostics_timer, this);
+}
+
+void DeblurNodelet::load_parameters() {
+  XmlRpc::XmlRpcValue values;
+  parameters_ = YAML::Node(YAML::NodeType::Map);
+  if (getPrivateNodeHandle().getParam("", values) && values.getType() == XmlRpc::XmlRpcValue::TypeStruct) {
+    parameters_ = to_yaml(values);
+  }
+  for (const char* other : kOtherParameters) parameters_.remove(other);
+
+  std::vector<std::string> unknown;
+  try {
+    const Config config = parse_config(parameters_, &unknown);
+    processor_->set_config(config);
+    NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu)",
+                 to_seconds(config.gyro.time_offset_ns));
+    if (config.shutter.exposure_ns == 0) {
+      NODELET_WARN("no parameter exposure_time (0, 1] s: only frames with an exposure message can be deblurred");
+    }
+  } catch (const std::exception& error) {
+    NODELET_ERROR_STREAM("parameters cannot be used, frames pass through unchanged: " << error.what());
+    processor_->set_config_error(error.what());
+  }
+  for (const std::string& key : unknown) {
+    // Namespaces below the node belong to others, to plugins of image_transport for example.
+    const YAML::Node& parameters = parameters_;
+    if (!parameters[key].IsMap()) NODELET_WARN_STREAM("parameter ~" << key << " is not known, ignored");
+  }
+}
+
+void DeblurNodelet::start_reconfigure() {
+  const boost::recursive_mutex::scoped_lock lock(reconfigure_mutex_);
+  reconfigure_ =
+      std::make_unique<dynamic_reconfigure::Server<DeblurConfig>>(reconfigure_mutex_, getPrivateNodeHandle());
+  // The server has read the parameters, but moved what was out of range to the nearest end without a word. That would
+  // be nobody's choice: it offers the default instead, and the error that load_parameters has reported stays in force.
+  const YAML::Node& parameters = parameters_;
+  dynamic_ = DeblurConfig::__getDefault__();
+  for_each_dynamic(
+      [&parameters](const char* key, auto& value) {
+        std::decay_t<decltype(value)> given;
+        if (parameters[key] && YAML::convert<decltype(given)>::decode(parameters[key], given)) value = given;
+      },
+      dynamic_);
+  DeblurConfig clamped = dynamic_;
+  clamped.__clamp__();
+  for_each_dynamic(
+      [](const char*, auto& value, const auto& in_range, const auto& standard) {
+        if (value != in_range) value = standard;
+      },
+      dynamic_, clamped, DeblurConfig::__getDefault__());
+  reconfigure_->updateConfig(dynamic_);
+  reconfigure_->setCallback([this](DeblurConfig& dynamic, std::uint32_t) { on_reconfigure(dynamic); });
+  reconfigure_ready_ = true;
+}
+
+void DeblurNodelet::on_reconfigure(DeblurConfig& dynamic) {
+  if (!reconfigure_ready_) return;  // the server's first call only repeats what load_parameters has applied
+  try {
+    YAML::Node merged = YAML::Clone(parameters_);
+    for_each_dynamic([&merged](const char* key, const auto& value) { merged[key] = value; }, dynamic);
+    processor_->set_config(parse_config(merged));
+    dynamic_ = dynamic;
+    NODELET_INFO("parameters changed");
+  } catch (const std::exception& error) {
+    NODELET_ERROR_STREAM("parameters not changed: " << error.what());
+    dynamic = dynamic_;
+  }
+}
+
+void DeblurNodelet::advertise() {
+  ros::NodeHandle& nh = getNodeHandle();
+  const auto on_change = [this](const auto&) { on_connection_change(); };
+  const image_transport::SubscriberStatusCallback on_image_change = on_change;
+  const ros::SubscriberStatusCallback on_topic_change = on_change;
+  // Callbacks that come before all publishers are there wait for the lock.
+  const std::lock_guard<std::mutex> lock(connection_mutex_);
+  image_publisher_ = transport_->advertiseCamera("deblurred/image_raw", kOutputQueue, on_image_change, on_image_change,
+                                                 on_topic_change, on_topic_change);
+  overlay_publisher_ = transport_->advertise("blur_overlay", kOutputQueue, on_image_change, on_image_change);
+  keypoint_publisher_ = nh.advertise<KeypointArray>("keypoints", kOutputQueue, on_topic_change, on_topic_change);
+  blur_field_publisher_ = nh.advertise<BlurFieldMessage>("blur_field", kOutputQueue, on_topic_change, on_topic_change);
+  marker_publisher_ =
+      nh.advertise<visualization_msgs::MarkerArray>("blur_markers", kOutputQueue, on_topic_change, on_topic_change);
+}
+
+bool DeblurNodelet::has_listener() const {
+  return image_publisher_.getNumSubscribers() > 0 || overlay_publisher_.getNumSubscribers() > 0 ||
+         keypoint_publisher_.getNumSubscribers() > 0 || blur_field_publisher_.getNumSubscribers() > 0 ||
+         marker_publisher_.getNumSubscribers() > 0;
+}
+
+FrameRequest DeblurNodelet::request() const {
+  FrameRequest request;
+  request.image = image_publisher_.getNumSubscribers() > 0;
+  request.keypoints = keypoint_publisher_.getNumSubscribers() > 0;
+  request.overlay = overlay_publisher_.getNumSubscribers() > 0;
+  request.markers = marker_publisher_.getNumSubscribers() > 0;
+  return request;
+}
+
+void DeblurNodelet::on_connection_change() {
+  const std::lock_guard<std::mutex> lock(connection_mutex_);
+  if (shutting_down_) return;
+  if (!has_listener()) {
+    image_subscriber_.shutdown();
+    camera_info_subscriber_.shutdown();
+    return;
+  }
+  if (image_subscriber_) return;
+  ros::NodeHandle& nh = getNodeHandle();
+  const std::string image_topic = nh.resolveName("image_raw");
+  // The sibling of the image, as for every camera subscriber, unless camera_info has been remapped on its own.
+  const bool remapped = nh.resolveName("camera_info", true) != nh.resolveName("camera_info", false);
+  const std::string info_topic =
+      remapped ? nh.resolveName("camera_info") : image_transport::getCameraInfoTopic(image_topic);
+  camera_info_subscriber_ = nh.subscribe(info_topic, kImageQueue, &DeblurNodelet::on_camera_info, this);
+  const image_transport::TransportHints hints("raw", ros::TransportHints(), getPrivateNodeHandle());
+  image_subscriber_ = transport_->subscribe("image_raw", kImageQueue, &DeblurNodelet::on_image, this, hints);
+  last_image_ns_ = steady_now_ns();
+}
+
+template <typename Function>
+void DeblurNodelet::guarded(const char* what, Function function) {
+  try {
+    function();
+  } catch (const std::exception& error) {
+    NODELET_ERROR_STREAM_THROTTLE(5.0, what << " failed: " << error.what());
+  }
+}
+
+void DeblurNodelet::on_image(const sensor_msgs::ImageConstPtr& image) {
+  last_image_ns_ = steady_now_ns();
+  guarded("taking an image in", [&] { processor_->add_image(image); });
+  wake_worker();
+}
+
+void DeblurNodelet::on_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
+  guarded("taking a camera_info in", [&] { processor_->add_camera_info(info); });
+  wake_worker();
+}
+
+void DeblurNodelet::on_imu(const sensor_msgs::ImuConstPtr& imu) {
+  guarded("taking an IMU sample in", [&] { processor_->add_imu(*imu); });
+  wake_worker();
+}
+
+void DeblurNodelet::on_exposure(const ExposureConstPtr& exposure) {
+  guarded("taking an exposure time in", [&] { processor_->add_exposure(*exposure); });
+  wake_worker();
+}
+
+bool DeblurNodelet::on_reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+  processor_->reset();
+  wake_worker();
+  response.success = true;
+  response.message = "gyroscope samples, waiting frames and an estimated bias are forgotten";
+  NODELET_INFO_STREAM("reset: " << response.message);
+  return true;
+}
+
+bool DeblurNodelet::on_estimate_bias(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+  guarded("estimating the gyroscope's bias", [&] { response.success = processor_->estimate_bias(&response.message); });
+  log(response.success ? LogLevel::INFO : LogLevel::WARNING, response.message);
+  return true;
+}
+
+void DeblurNodelet::wake_worker() {
+  if (processor_->waiting() == 0) return;
+  {
+    const std::lock_guard<std::mutex> lock(worker_mutex_);
+    worker_has_news_ = true;
+  }
+  worker_wakes_.notify_one();
+}
+
+void DeblurNodelet::work() {
+  const auto sink = [this](FrameOutput&& output) {
+    publish(output);
+    const std::lock_guard<std::mutex> lock(worker_mutex_);
+    return !worker_stops_;
+  };
+  std::unique_lock<std::mutex> lock(worker_mutex_);
+  while (!worker_stops_) {
+    const auto has_work = [this] { return worker_has_news_ || worker_stops_; };
+    if (processor_->waiting() > 0) {
+      worker_wakes_.wait_for(lock, kPollPeriod, has_work);  // timeouts come without a message
+    } else {
+      worker_wakes_.wait(lock, has_work);
+    }
+    worker_has_news_ = false;
+    if (worker_stops_) break;
+    lock.unlock();
+    guarded("processing", [&] {
+      exposure_expected_ = exposure_subscriber_.getNumPublishers() > 0;
+      processor_->advance(sink);
+    });
+    lock.lock();
+  }
+}
+
+void DeblurNodelet::publish(const FrameOutput& output) {
+  {
+    const std::lock_guard<std::mutex> lock(period_mutex_);
+    latencies_["waiting"].add(output.waiting_ms);
+    latencies_["processing"].add(output.total_ms);
+    if (output.field) {
+      latencies_["blur field"].add(output.stages.blur_field_ms);
+      latencies_["validation"].add(output.stages.validation_ms);
+      latencies_["deconvolution"].add(output.stages.deconvolution_ms);
+      latencies_["keypoints"].add(output.stages.keypoints_ms);
+      latencies_["messages"].add(output.messages_ms);
+    }
+  }
+  image_publisher_.publish(output.image, output.camera_info);
+  blur_field_publisher_.publish(output.blur_field);
+  if (output.keypoints) keypoint_publisher_.publish(output.keypoints);
+  if (output.overlay) overlay_publisher_.publish(output.overlay);
+  if (output.markers) marker_publisher_.publish(output.markers);
+}
+
+void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {
+  guarded("reporting diagnostics", [&] {
+    // The updater's own clock stands still with simulated time.
+    diagnostics_->force_update();
+    bool subscribed = false;
+    {
+      const std::lock_guard<std::mutex> lock(connection_mutex_);
+      subscribed = static_cast<bool>(image_subscriber_);
+    }
+    const double silence_s = to_seconds(steady_now_ns() - last_image_ns_);
+    if (subscribed && silence_s > kImageSilenceS) {
+      NODELET_WARN_STREAM_THROTTLE(
+          30.0, "no image on " << getNodeHandle().resolveName("image_raw") << " for " << std::round(silence_s) << " s");
+    }
+  });
+}
+
+void DeblurNodelet::fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) {
+  const ProcessorStatistics now = processor_->statistics();
+  const std::lock_guard<std::mutex> lock(period_mutex_);
+  const auto time = std::chrono::steady_clock::now();
+  const double period_s = std::chrono::duration<double>(time - last_report_).count();
+  const auto rate = [period_s](std::size_t newer, std::size_t older) {
+    return static_cast<double>(newer - older) / period_s;
+  };
+  using diagnostic_msgs::DiagnosticStatus;
+  if (!now.configuration_error.empty()) {
+    status.summary(DiagnosticStatus::ERROR, now.configuration_error);
+  } else {
+    status.summary(DiagnosticStatus::OK, "running");
+  }
+
+  status.addf("input rate [Hz]", "%.1f", rate(now.frames_in, last_statistics_.frames_in));
+  status.addf("output rate [Hz]", "%.1f", rate(now.frames_out, last_statistics_.frames_out));
+  status.addf("gyroscope rate [Hz]", "%.1f", rate(now.imu_accepted, last_statistics_.imu_accepted));
+  status.add("frames in", now.frames_in);
+  status.add("frames out", now.frames_out);
+  status.add("frames waiting", now.waiting);
+  for (const auto& [reason, count] : now.passed_through) {
+    status.add(std::string("passed through, ") + to_string(reason), count);
+    const auto before = last_statistics_.passed_through.find(reason);
+    const std::size_t fresh = count - (before == last_statistics_.passed_through.end() ? 0 : before->second);
+    if (fresh > 0) {
+      status.mergeSummaryf(DiagnosticStatus::WARN, "%zu frames passed through: %s", fresh, to_string(reason));
+    }
+  }
+  status.add("imu dropped, not finite", now.imu_not_finite);
+  status.add("imu dropped, duplicate", now.imu_duplicate);
+  status.add("imu dropped, out of order", now.imu_out_of_order);
+  status.add("imu dropped, without gyroscope", now.imu_without_gyroscope);
+  status.add("time jumps", now.time_jumps);
+  if (now.newest_imu_ns) {
+    status.addf("gyroscope buffer [s]", "%.3f", to_seconds(now.gyro_available.end_ns - now.gyro_available.begin_ns));
+    status.addf("gyroscope age [s]", "%.3f", to_seconds(to_time_ns(ros::Time::now()) - *now.newest_imu_ns));
+  } else {
+    status.add("gyroscope buffer [s]", "empty");
+  }
+  for (const auto& [stage, latency] : latencies_) {
+    status.addf(stage + " mean [ms]", "%.2f", latency.sum_ms / static_cast<double>(latency.count));
+    status.addf(stage + " max [ms]", "%.2f", latency.max_ms);
+  }
+  status.add("engine", now.engine.empty() ? "none" : now.engine);
+  latencies_.clear();
+  last_statistics_ = now;
+  last_report_ = time;
+}
+
+}  // namespace gyro_deblur
+
+PLUGINLIB_EXPORT_CLASS(gyro_deblur::DeblurNodelet, nodelet::Nodelet)

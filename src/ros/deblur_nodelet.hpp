@@ -1,0 +1,117 @@
+// The nodelet: topics, services, parameters and diagnostics around a Processor.
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+
+#include <diagnostic_updater/diagnostic_updater.h>
+#include <dynamic_reconfigure/server.h>
+#include <image_transport/image_transport.h>
+#include <nodelet/nodelet.h>
+#include <ros/ros.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_ros/transform_listener.h>
+#include <yaml-cpp/yaml.h>
+
+#include "gyro_deblur/DeblurConfig.h"
+#include "ros/processor.hpp"
+
+namespace gyro_deblur {
+
+/// Deblurs the images of one camera. Callbacks only store messages; frames are processed and published, in order, by
+/// one worker thread, so that a slow frame never delays an IMU sample.
+///
+/// image_raw and camera_info are matched by stamp here rather than by an image_transport::CameraSubscriber, because
+/// that one keeps back images without camera_info, and every frame has to come out.
+class DeblurNodelet : public nodelet::Nodelet {
+ public:
+  DeblurNodelet() = default;
+  ~DeblurNodelet() override;
+
+ private:
+  /// Mean and maximum over a period of diagnostics.
+  struct Latency {
+    double sum_ms = 0, max_ms = 0;
+    std::size_t count = 0;
+    void add(double ms);
+  };
+
+  void onInit() override;
+  void load_parameters();
+  void start_reconfigure();
+  void on_reconfigure(DeblurConfig& dynamic);
+  void advertise();
+
+  /// Subscribes to the camera while somebody listens to an output, as image_proc does.
+  void on_connection_change();
+  bool has_listener() const;
+  FrameRequest request() const;
+
+  void on_image(const sensor_msgs::ImageConstPtr& image);
+  void on_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
+  void on_imu(const sensor_msgs::ImuConstPtr& imu);
+  void on_exposure(const ExposureConstPtr& exposure);
+  bool on_reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
+  bool on_estimate_bias(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
+  void on_diagnostics_timer(const ros::WallTimerEvent& event);
+  void fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status);
+
+  /// Runs `function`; an exception is logged, because it must not reach the nodelet manager.
+  template <typename Function>
+  void guarded(const char* what, Function function);
+  void wake_worker();
+  void work();
+  void publish(const FrameOutput& output);
+  void log(LogLevel level, const std::string& text) const;
+
+  std::unique_ptr<Processor> processor_;
+
+  YAML::Node parameters_;  // as they were at the start
+  boost::recursive_mutex reconfigure_mutex_;
+  std::unique_ptr<dynamic_reconfigure::Server<DeblurConfig>> reconfigure_;
+  DeblurConfig dynamic_;  // last accepted values
+  bool reconfigure_ready_ = false;
+
+  tf2::BufferCore tf_buffer_;
+  std::unique_ptr<tf2_ros::TransformListener> tf_listener_;
+
+  std::unique_ptr<image_transport::ImageTransport> transport_;
+  ros::Subscriber imu_subscriber_;
+  ros::Subscriber exposure_subscriber_;
+  std::atomic<bool> exposure_expected_{false};
+  std::atomic<TimeNs> last_image_ns_{0};  // steady clock
+
+  mutable std::mutex connection_mutex_;  // subscribers of the camera and the set of publishers
+  image_transport::Subscriber image_subscriber_;
+  ros::Subscriber camera_info_subscriber_;
+  image_transport::CameraPublisher image_publisher_;
+  ros::Publisher keypoint_publisher_;
+  ros::Publisher blur_field_publisher_;
+  image_transport::Publisher overlay_publisher_;
+  ros::Publisher marker_publisher_;
+  bool shutting_down_ = false;
+
+  ros::ServiceServer reset_service_;
+  ros::ServiceServer bias_service_;
+  ros::WallTimer diagnostics_timer_;
+  std::unique_ptr<diagnostic_updater::Updater> diagnostics_;
+
+  std::mutex period_mutex_;  // what diagnostics report of the last period
+  std::map<std::string, Latency> latencies_;
+  ProcessorStatistics last_statistics_;
+  std::chrono::steady_clock::time_point last_report_ = std::chrono::steady_clock::now();
+
+  std::mutex worker_mutex_;
+  std::condition_variable worker_wakes_;
+  bool worker_has_news_ = false;
+  bool worker_stops_ = false;
+  std::thread worker_;
+};
+
+}  // namespace gyro_deblur

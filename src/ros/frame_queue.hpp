@@ -1,0 +1,64 @@
+// Frames that wait for their gyroscope samples, in order.
+#pragma once
+
+#include <deque>
+#include <optional>
+#include <string>
+
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/types.hpp"
+
+namespace gyro_deblur {
+
+/// An image on its way through the node.
+struct PendingFrame {
+  sensor_msgs::ImageConstPtr image;              ///< never null
+  sensor_msgs::CameraInfoConstPtr info;          ///< null until known
+  std::optional<CameraCalibration> calibration;  ///< of info
+  TimeNs stamp_ns = 0;                           ///< camera clock
+  TimeNs arrival_ns = 0;                         ///< node clock (may be simulated time)
+  TimeNs arrival_steady_ns = 0;                  ///< steady clock
+  /// Not NONE: it is settled that the frame passes through unchanged, and why.
+  PassThroughReason verdict = PassThroughReason::NONE;
+  std::string verdict_text;
+
+  void settle(PassThroughReason reason, const std::string& text) {
+    verdict = reason;
+    verdict_text = text;
+  }
+};
+
+/// First in, first out; nothing is ever lost: a frame that cannot wait any longer is settled and leaves in its turn.
+/// Not thread-safe.
+class FrameQueue {
+ public:
+  /// Precondition: capacity >= 1, the frames that may wait unsettled.
+  explicit FrameQueue(std::size_t capacity) : capacity_(capacity) {}
+
+  void set_capacity(std::size_t capacity) { capacity_ = capacity; }
+
+  /// Appends a frame; the oldest unsettled ones beyond the capacity are settled as OVERLOAD.
+  /// @return how many were
+  std::size_t push(PendingFrame frame);
+
+  /// Settles every unsettled frame.
+  void settle_all(PassThroughReason reason, const std::string& text);
+
+  bool empty() const { return frames_.empty(); }
+  std::size_t size() const { return frames_.size(); }
+  std::deque<PendingFrame>& frames() { return frames_; }
+  PendingFrame& front() { return frames_.front(); }
+
+  /// Precondition: not empty.
+  PendingFrame pop();
+
+ private:
+  std::size_t capacity_;
+  std::size_t unsettled() const;
+  std::deque<PendingFrame> frames_;
+};
+
+}  // namespace gyro_deblur

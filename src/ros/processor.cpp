@@ -1,0 +1,524 @@
+#include "ros/processor.hpp"
+
+#include <algorithm>
+#include <cinttypes>
+#include <cstdio>
+#include <utility>
+
+#include <boost/make_shared.hpp>
+
+#include "gyro_deblur/image_format.hpp"
+#include "gyro_deblur/overlay.hpp"
+#include "ros/conversions.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// Late samples in a row, in order among themselves, that show a clock that was set back by less than the threshold:
+/// a bag shorter than it that loops. Jitter of a driver does not deliver that many.
+constexpr std::size_t kLateSamplesOfReset = 10;
+
+/// A mean of fewer samples says little about a bias.
+constexpr std::size_t kMinBiasSamples = 20;
+/// The samples have to span this part of the window.
+constexpr double kMinBiasCoverage = 0.8;
+
+/// Simulated time can stop, at the end of a bag for example: after this many timeouts of real time frames leave anyway.
+constexpr TimeNs kSteadyTimeoutFactor = 10;
+
+constexpr std::chrono::seconds kLogPeriod{5};
+
+/// Seconds with all nine digits: doubles have too few for stamps.
+std::string seconds_text(TimeNs time_ns) {
+  constexpr TimeNs kNsPerSecond = 1'000'000'000;
+  char text[40];
+  const std::uint64_t magnitude =
+      time_ns < 0 ? std::uint64_t{0} - static_cast<std::uint64_t>(time_ns) : static_cast<std::uint64_t>(time_ns);
+  std::snprintf(text, sizeof(text), "%s%" PRIu64 ".%09" PRIu64, time_ns < 0 ? "-" : "", magnitude / kNsPerSecond,
+                magnitude % kNsPerSecond);
+  return text;
+}
+
+std::string vector_text(const Eigen::Vector3d& v) {
+  char text[80];
+  std::snprintf(text, sizeof(text), "[%.6f, %.6f, %.6f]", v.x(), v.y(), v.z());
+  return text;
+}
+
+double elapsed_ms(std::chrono::steady_clock::time_point since) {
+  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - since).count();
+}
+
+LogLevel level_of(PassThroughReason reason) {
+  // The rest comes and goes by itself; these need somebody to act.
+  switch (reason) {
+    case PassThroughReason::NO_GYRO:
+    case PassThroughReason::OVERLOAD:
+      return LogLevel::WARNING;
+    default:
+      return LogLevel::ERROR;
+  }
+}
+
+}  // namespace
+
+Processor::Processor(Environment environment)
+    : environment_(std::move(environment)),
+      jumps_(Config().time_jump_ns),
+      gyro_(Config().gyro.buffer_ns),
+      queue_(static_cast<std::size_t>(Config().frame_queue_size)) {}
+
+void Processor::set_config(const Config& config) {
+  config.validate();
+  auto pipeline = std::make_shared<Pipeline>(config.pipeline);
+  const TimeNs capacity_ns = std::max(config.gyro.buffer_ns, config.bias_window_ns);
+
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!config_ || std::max(config_->gyro.buffer_ns, config_->bias_window_ns) != capacity_ns) {
+    GyroBuffer resized(capacity_ns);
+    if (!gyro_.empty()) {
+      for (const GyroSample& sample : gyro_.window(gyro_.available())) resized.add(sample);
+    }
+    gyro_ = std::move(resized);
+  }
+  config_ = config;
+  config_error_.clear();
+  pipeline_ = std::move(pipeline);
+  jumps_.set_threshold(config.time_jump_ns);
+  queue_.set_capacity(static_cast<std::size_t>(config.frame_queue_size));
+}
+
+void Processor::set_config_error(const std::string& text) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  config_.reset();
+  pipeline_.reset();
+  config_error_ = text;
+}
+
+std::size_t Processor::store_size() const {
+  // What belongs to the waiting frames, and a second or so of what comes before its image.
+  constexpr std::size_t kMargin = 100;
+  return kMargin + 2 * static_cast<std::size_t>(config_ ? config_->frame_queue_size : Config().frame_queue_size);
+}
+
+void Processor::log_throttled(LogLevel level, const std::string& key, const std::string& text) {
+  const auto now = std::chrono::steady_clock::now();
+  const auto found = throttles_.find(key);
+  if (found != throttles_.end() && now - found->second.last < kLogPeriod) {
+    ++found->second.suppressed;
+    return;
+  }
+  Throttle& throttle = throttles_[key];
+  const std::string more =
+      throttle.suppressed == 0 ? "" : " (and " + std::to_string(throttle.suppressed) + " more of the kind)";
+  throttle = {now, 0};
+  environment_.log(level, text + more);
+}
+
+void Processor::forget(Stream stream) {
+  switch (stream) {
+    case Stream::IMU:
+      gyro_.clear();
+      late_samples_.clear();
+      break;
+    case Stream::IMAGE:
+      queue_.settle_all(PassThroughReason::TIME_JUMP, "time went backwards while the frame waited");
+      break;
+    case Stream::CAMERA_INFO:
+      infos_.clear();
+      break;
+    case Stream::EXPOSURE:
+      exposures_.clear();
+      break;
+    case Stream::CLOCK:
+      break;
+  }
+}
+
+void Processor::handle(TimeJumpDetector::Verdict verdict, Stream stream, TimeNs from_ns, TimeNs to_ns) {
+  switch (verdict) {
+    case TimeJumpDetector::Verdict::FORWARD:
+      return;
+    case TimeJumpDetector::Verdict::FOLLOWS:
+      forget(stream);
+      return;
+    case TimeJumpDetector::Verdict::JUMP:
+      break;
+  }
+  ++statistics_.time_jumps;
+  const std::size_t waiting = queue_.size();
+  for (const Stream every : {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE}) forget(every);
+  environment_.log(LogLevel::WARNING, std::string("time went backwards (") + to_string(stream) + " from " +
+                                          seconds_text(from_ns) + " to " + seconds_text(to_ns) +
+                                          " s): starting anew, " + std::to_string(waiting) +
+                                          " waiting frames pass through unchanged");
+}
+
+void Processor::note_time(Stream stream, TimeNs stamp_ns) {
+  const TimeNs from_ns = jumps_.newest_ns(stream).value_or(stamp_ns);
+  handle(jumps_.update(stream, stamp_ns), stream, from_ns, stamp_ns);
+}
+
+TimeNs Processor::now() {
+  const TimeNs now_ns = environment_.clock();
+  note_time(Stream::CLOCK, now_ns);
+  for (PendingFrame& frame : queue_.frames()) {
+    // Simulated time is 0 until its first message, and it can be set back: waiting starts anew then.
+    if (frame.arrival_ns == 0 || frame.arrival_ns > now_ns) frame.arrival_ns = now_ns;
+  }
+  return now_ns;
+}
+
+void Processor::add_gyro_sample(const GyroSample& sample) {
+  switch (gyro_.add(sample)) {
+    case GyroBuffer::AddResult::ACCEPTED:
+      ++statistics_.imu_accepted;
+      late_samples_.clear();
+      return;
+    case GyroBuffer::AddResult::NOT_FINITE:
+      ++statistics_.imu_not_finite;
+      log_throttled(LogLevel::WARNING, "imu not finite",
+                    "imu sample at " + seconds_text(sample.t_ns) + " s dropped: its angular velocity " +
+                        vector_text(sample.rate_rad_s) + " rad/s is not finite");
+      return;
+    case GyroBuffer::AddResult::DUPLICATE:
+      ++statistics_.imu_duplicate;
+      log_throttled(LogLevel::WARNING, "imu duplicate",
+                    "imu sample dropped: a second one with the stamp " + seconds_text(sample.t_ns) + " s");
+      return;
+    case GyroBuffer::AddResult::OUT_OF_ORDER:
+      break;
+  }
+  ++statistics_.imu_out_of_order;
+  const TimeNs newest_ns = gyro_.available().end_ns;
+  log_throttled(LogLevel::WARNING, "imu out of order",
+                "imu sample dropped: its stamp " + seconds_text(sample.t_ns) + " s is before the newest, " +
+                    seconds_text(newest_ns) + " s");
+  if (!late_samples_.empty() && late_samples_.back().t_ns >= sample.t_ns) late_samples_.clear();
+  late_samples_.push_back(sample);
+  if (late_samples_.size() < kLateSamplesOfReset) return;
+  const std::vector<GyroSample> restart = std::move(late_samples_);
+  late_samples_.clear();
+  handle(jumps_.went_back(Stream::IMU, sample.t_ns), Stream::IMU, newest_ns, restart.front().t_ns);
+  for (const GyroSample& late : restart) add_gyro_sample(late);
+}
+
+void Processor::add_imu(const sensor_msgs::Imu& imu) {
+  const std::optional<GyroSample> sample = to_gyro_sample(imu);
+  const std::lock_guard<std::mutex> lock(mutex_);
+  now();
+  if (!sample) {
+    ++statistics_.imu_without_gyroscope;
+    log_throttled(LogLevel::ERROR, "imu without gyroscope",
+                  "imu message dropped: angular_velocity_covariance[0] = -1 says that it has no angular velocity");
+    return;
+  }
+  imu_frame_ = imu.header.frame_id;
+  note_time(Stream::IMU, sample->t_ns);
+  add_gyro_sample(*sample);
+}
+
+void Processor::add_exposure(const Exposure& exposure) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  now();
+  const TimeNs stamp_ns = to_time_ns(exposure.header.stamp);
+  note_time(Stream::EXPOSURE, stamp_ns);
+  exposure_seen_ = true;
+  exposures_.add(stamp_ns, exposure, store_size());
+}
+
+void Processor::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  now();
+  const TimeNs stamp_ns = to_time_ns(info->header.stamp);
+  note_time(Stream::CAMERA_INFO, stamp_ns);
+  infos_.add(stamp_ns, info, store_size());
+}
+
+void Processor::add_image(const sensor_msgs::ImageConstPtr& image) {
+  PendingFrame frame;
+  frame.image = image;
+  frame.stamp_ns = to_time_ns(image->header.stamp);
+  try {
+    check_image(*image);
+  } catch (const FrameError& error) {
+    frame.settle(error.reason(), error.what());
+  }
+  const std::lock_guard<std::mutex> lock(mutex_);
+  frame.arrival_ns = now();
+  frame.arrival_steady_ns = steady_now();
+  note_time(Stream::IMAGE, frame.stamp_ns);
+  ++statistics_.frames_in;
+  queue_.push(std::move(frame));
+}
+
+bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
+  if (frame.verdict != PassThroughReason::NONE) return true;
+  if (!config_) {
+    frame.settle(PassThroughReason::BAD_CONFIGURATION, config_error_);
+    return true;
+  }
+
+  if (!frame.info) {
+    const sensor_msgs::CameraInfoConstPtr* info = infos_.find(frame.stamp_ns);
+    if (info) {
+      frame.info = *info;
+    } else if (timed_out) {
+      frame.settle(PassThroughReason::NO_CALIBRATION,
+                   "no camera_info with the image's stamp " + seconds_text(frame.stamp_ns) + " s");
+      return true;
+    } else {
+      return false;
+    }
+  }
+  if (!frame.calibration) {
+    try {
+      frame.calibration = to_calibration(*frame.info, static_cast<int>(frame.image->width),
+                                         static_cast<int>(frame.image->height), config_->rectified_input);
+    } catch (const OptionError& error) {
+      frame.settle(PassThroughReason::NO_CALIBRATION, error.what());
+      return true;
+    }
+  }
+
+  ShutterTiming timing = config_->shutter;
+  timing.readout_ns = region_readout_ns(timing.readout_ns, *frame.info);
+  if (const Exposure* message = exposures_.find(frame.stamp_ns)) {
+    timing.exposure_ns = message->exposure_time.toNSec();
+    if (!message->readout_time.isZero()) timing.readout_ns = message->readout_time.toNSec();
+  } else {
+    const bool expected = exposure_seen_ || (environment_.exposure_expected && environment_.exposure_expected());
+    if ((expected || timing.exposure_ns == 0) && !timed_out) return false;
+    if (timing.exposure_ns == 0) {
+      frame.settle(PassThroughReason::NO_EXPOSURE_TIME, "no exposure message with the image's stamp " +
+                                                            seconds_text(frame.stamp_ns) +
+                                                            " s, and parameter exposure_time = 0 is outside (0, 1] s");
+      return true;
+    }
+    if (expected) {
+      log_throttled(LogLevel::WARNING, "exposure message missing",
+                    "no exposure message with the image's stamp " + seconds_text(frame.stamp_ns) +
+                        " s: using parameter exposure_time = " + seconds_text(timing.exposure_ns) + " s");
+    }
+  }
+  try {
+    job->exposure.emplace(frame.stamp_ns, static_cast<int>(frame.image->height), timing);
+  } catch (const OptionError& error) {
+    frame.settle(PassThroughReason::NO_EXPOSURE_TIME, error.what());
+    return true;
+  }
+
+  job->gyro = config_->gyro;
+  if (estimated_bias_rad_s_) job->gyro.bias_rad_s = *estimated_bias_rad_s_;
+  const TimeNs reference_ns = job->exposure->reference_time(config_->pipeline.rectify_to);
+  const TimeRange frame_cam = job->exposure->frame();
+  const TimeRange needed_imu{std::min(frame_cam.begin_ns, reference_ns) + job->gyro.time_offset_ns,
+                             std::max(frame_cam.end_ns, reference_ns) + job->gyro.time_offset_ns};
+  const TimeRange available = gyro_.available();
+  if (!timed_out) {
+    if (gyro_.empty() || available.end_ns < needed_imu.end_ns) return false;
+    // After a jump late samples of the old epoch say nothing about frames of the new one.
+    if (jumps_.is_stale(Stream::IMU) && needed_imu.end_ns < available.begin_ns) return false;
+  }
+  job->coverage_text = "frame needs gyroscope samples from " + seconds_text(needed_imu.begin_ns) + " to " +
+                       seconds_text(needed_imu.end_ns) + " s of the IMU clock, " +
+                       (gyro_.empty() ? std::string("there are none")
+                                      : "available are " + seconds_text(available.begin_ns) + " to " +
+                                            seconds_text(available.end_ns) + " s");
+  if (gyro_.empty()) {  // nor is the IMU's frame known then
+    frame.settle(PassThroughReason::NO_GYRO, job->coverage_text);
+    return true;
+  }
+
+  const std::string& camera_frame = frame.image->header.frame_id;
+  std::optional<Eigen::Matrix3d> R_cam_imu = config_->R_cam_imu;
+  if (!R_cam_imu && environment_.extrinsic) R_cam_imu = environment_.extrinsic(camera_frame, imu_frame_);
+  if (!R_cam_imu) {
+    if (!timed_out) return false;
+    frame.settle(PassThroughReason::NO_EXTRINSIC, "no transform from IMU frame \"" + imu_frame_ +
+                                                      "\" to camera frame \"" + camera_frame +
+                                                      "\", and no parameter R_cam_imu");
+    return true;
+  }
+  job->R_cam_imu = *R_cam_imu;
+  job->samples = gyro_.window(needed_imu);
+  return true;
+}
+
+std::optional<Processor::Job> Processor::next_job(bool finishing) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const TimeNs now_ns = now();
+  if (queue_.empty()) return std::nullopt;
+  PendingFrame& frame = queue_.front();
+  bool timed_out = finishing;
+  if (config_) {
+    const TimeNs timeout_ns = config_->gyro_timeout_ns;
+    timed_out =
+        timed_out || now_ns - frame.arrival_ns >= timeout_ns ||
+        (environment_.steady_clock && steady_now() - frame.arrival_steady_ns >= kSteadyTimeoutFactor * timeout_ns);
+  }
+  Job job;
+  if (!prepare(frame, timed_out, &job)) return std::nullopt;
+  if (!frame.info) {
+    if (const sensor_msgs::CameraInfoConstPtr* info = infos_.find(frame.stamp_ns)) frame.info = *info;
+  }
+  job.pipeline = pipeline_;
+  job.frame = queue_.pop();
+  ++in_progress_;
+  return job;
+}
+
+void Processor::run_pipeline(const Job& job, FrameOutput* output) const {
+  auto start = std::chrono::steady_clock::now();
+  const ImageView view = view_image(*job.frame.image);
+  output->messages_ms += elapsed_ms(start);
+
+  job.pipeline->set_calibration(*job.frame.calibration);
+  const RotationTrack motion(job.samples, job.gyro, job.R_cam_imu);
+  PipelineResult result = job.pipeline->process(view.image, view.layout, motion, *job.exposure,
+                                                PipelineRequest{job.request.image, job.request.keypoints});
+  output->stages = result.times;
+
+  start = std::chrono::steady_clock::now();
+  const std_msgs::Header& header = job.frame.image->header;
+  if (!result.image.empty()) output->image = to_image(result.image, *job.frame.image);
+  if (job.request.keypoints) {
+    output->keypoints = to_message(result, job.pipeline->options().keypoints, header);
+  }
+  if (job.request.overlay) {
+    output->overlay = to_bgr_image(draw_overlay(luminance8(view.image, view.layout), result.field), header);
+  }
+  if (job.request.markers) output->markers = to_markers(result.field, Camera(*job.frame.calibration), header);
+  output->blur_field = to_message(result.field, header);
+  if (result.field.count(BlockStatus::NO_GYRO) == result.field.blocks.size()) {
+    output->reason = PassThroughReason::NO_GYRO;
+    output->reason_text = job.coverage_text;
+    output->blur_field = pass_through_message(output->reason, output->reason_text, *job.frame.image);
+  }
+  output->field = std::move(result.field);
+  output->messages_ms += elapsed_ms(start);
+}
+
+FrameOutput Processor::process(const Job& job) const {
+  const auto start = std::chrono::steady_clock::now();
+  const sensor_msgs::ImageConstPtr& image = job.frame.image;
+  FrameOutput output;
+  output.input = image;
+  output.image = image;
+  output.waiting_ms = static_cast<double>(steady_now() - job.frame.arrival_steady_ns) * 1e-6;
+  output.reason = job.frame.verdict;
+  output.reason_text = job.frame.verdict_text;
+  if (output.reason == PassThroughReason::NONE) {
+    try {
+      run_pipeline(job, &output);
+    } catch (const std::exception& error) {
+      output.reason = PassThroughReason::INTERNAL_ERROR;
+      output.reason_text = error.what();
+      output.image = image;
+      output.field.reset();
+      output.blur_field.reset();
+      output.keypoints.reset();
+      output.overlay.reset();
+      output.markers.reset();
+    }
+  }
+  output.camera_info =
+      job.frame.info ? job.frame.info : sensor_msgs::CameraInfoConstPtr(uncalibrated_camera_info(*image));
+  if (!output.blur_field) output.blur_field = pass_through_message(output.reason, output.reason_text, *image);
+  if (job.request.keypoints && !output.keypoints) {
+    output.keypoints = boost::make_shared<KeypointArray>();
+    output.keypoints->header = image->header;
+    output.keypoints->reference_time = image->header.stamp;
+  }
+  if (job.request.markers && !output.markers) output.markers = no_markers(image->header);
+  output.total_ms = elapsed_ms(start);
+  return output;
+}
+
+void Processor::advance(const Sink& sink, bool finishing) {
+  const std::lock_guard<std::mutex> one_at_a_time(advance_mutex_);
+  while (std::optional<Job> job = next_job(finishing)) {
+    if (environment_.request) job->request = environment_.request();
+    FrameOutput output = process(*job);
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      --in_progress_;
+      ++statistics_.frames_out;
+      if (output.reason != PassThroughReason::NONE) ++statistics_.passed_through[output.reason];
+      // A jump has told its one message already.
+      if (output.reason != PassThroughReason::NONE && output.reason != PassThroughReason::TIME_JUMP) {
+        log_throttled(level_of(output.reason), to_string(output.reason),
+                      "frame " + seconds_text(job->frame.stamp_ns) +
+                          " passes through unchanged: " + to_string(output.reason) + ": " + output.reason_text);
+      }
+    }
+    if (!sink(std::move(output))) return;
+  }
+}
+
+void Processor::advance(const Sink& sink) { advance(sink, false); }
+
+void Processor::finish(const Sink& sink) { advance(sink, true); }
+
+std::size_t Processor::waiting() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return queue_.size() + in_progress_;
+}
+
+void Processor::reset() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  queue_.settle_all(PassThroughReason::TIME_JUMP, "reset was asked for while the frame waited");
+  gyro_.clear();
+  late_samples_.clear();
+  infos_.clear();
+  exposures_.clear();
+  exposure_seen_ = false;
+  estimated_bias_rad_s_.reset();
+  jumps_.clear();
+  throttles_.clear();
+}
+
+bool Processor::estimate_bias(std::string* text) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!config_) {
+    *text = "the configuration cannot be used: " + config_error_;
+    return false;
+  }
+  const TimeRange available = gyro_.available();
+  const TimeRange wanted{available.end_ns - config_->bias_window_ns, available.end_ns};
+  std::vector<GyroSample> samples;
+  if (!gyro_.empty()) samples = gyro_.window(wanted);
+  const double span_s = samples.empty() ? 0 : to_seconds(samples.back().t_ns - samples.front().t_ns);
+  if (span_s < kMinBiasCoverage * to_seconds(config_->bias_window_ns)) {
+    *text = "gyroscope samples span " + std::to_string(span_s) +
+            " s, bias_window = " + std::to_string(to_seconds(config_->bias_window_ns)) + " s is needed";
+    return false;
+  }
+  const std::optional<BiasEstimate> estimate =
+      estimate_stationary_bias(samples, config_->bias_max_stddev_rad_s, kMinBiasSamples, text);
+  if (!estimate) return false;
+  estimated_bias_rad_s_ = estimate->bias_rad_s;
+  *text = "gyro_bias = " + vector_text(estimate->bias_rad_s) + " rad/s in use, from " +
+          std::to_string(estimate->samples) + " samples with a standard deviation of " +
+          vector_text(estimate->stddev_rad_s) + " rad/s";
+  return true;
+}
+
+Eigen::Vector3d Processor::bias_rad_s() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (estimated_bias_rad_s_) return *estimated_bias_rad_s_;
+  return config_ ? config_->gyro.bias_rad_s : Config().gyro.bias_rad_s;
+}
+
+ProcessorStatistics Processor::statistics() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  ProcessorStatistics statistics = statistics_;
+  statistics.waiting = queue_.size() + in_progress_;
+  statistics.gyro_available = gyro_.available();
+  if (!gyro_.empty()) statistics.newest_imu_ns = gyro_.available().end_ns;
+  if (pipeline_) statistics.engine = pipeline_->engine();
+  statistics.configuration_error = config_error_;
+  return statistics;
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,204 @@
+// From messages to messages: what the nodelet and deblur_bag have in common. Knows no node handle, topic or publisher.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <chrono>
+#include <deque>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/Imu.h>
+#include <visualization_msgs/MarkerArray.h>
+
+#include "gyro_deblur/config.hpp"
+#include "gyro_deblur/gyro_buffer.hpp"
+#include "gyro_deblur/pipeline.hpp"
+#include "ros/frame_queue.hpp"
+#include "ros/messages.hpp"
+#include "ros/time_jump.hpp"
+
+namespace gyro_deblur {
+
+enum class LogLevel { INFO, WARNING, ERROR };
+
+/// What somebody wants of a frame; nothing else is computed.
+struct FrameRequest {
+  bool image = true;
+  bool keypoints = true;
+  bool overlay = false;
+  bool markers = false;
+};
+
+/// A frame on its way out: one for every frame that came in, in the same order.
+struct FrameOutput {
+  sensor_msgs::ImageConstPtr input;
+  sensor_msgs::ImageConstPtr image;             ///< the very input message when no pixel was changed
+  sensor_msgs::CameraInfoConstPtr camera_info;  ///< the input's; one that is not calibrated when there was none
+  BlurFieldMessagePtr blur_field;
+  KeypointArrayPtr keypoints;                  ///< null when not requested
+  sensor_msgs::ImagePtr overlay;               ///< null when not requested, or without a blur field
+  visualization_msgs::MarkerArrayPtr markers;  ///< null when not requested
+  PassThroughReason reason = PassThroughReason::NONE;
+  std::string reason_text;
+  std::optional<BlurField> field;  ///< of the core; absent when the pipeline did not run
+  StageTimes stages;               ///< [ms]
+  double waiting_ms = 0;           ///< steady time in the queue
+  double messages_ms = 0;          ///< conversion from and to messages, overlay and markers
+  double total_ms = 0;             ///< of processing, without waiting
+};
+
+/// Counters since the start.
+struct ProcessorStatistics {
+  std::size_t frames_in = 0;
+  std::size_t frames_out = 0;
+  std::map<PassThroughReason, std::size_t> passed_through;
+  std::size_t imu_accepted = 0;
+  std::size_t imu_not_finite = 0;
+  std::size_t imu_duplicate = 0;
+  std::size_t imu_out_of_order = 0;
+  std::size_t imu_without_gyroscope = 0;
+  std::size_t time_jumps = 0;
+  std::size_t waiting = 0;              ///< frames in the queue now
+  std::optional<TimeNs> newest_imu_ns;  ///< IMU clock
+  TimeRange gyro_available;             ///< IMU clock
+  std::string engine;                   ///< empty while the configuration cannot be used
+  std::string configuration_error;      ///< empty when it can
+};
+
+/// Takes messages in (from any thread), and gives frames out in order (to the one thread at a time that calls advance).
+class Processor {
+ public:
+  /// Where the outside world comes in. None may call back into the processor: most are called with a lock held.
+  struct Environment {
+    std::function<TimeNs()> clock;                          ///< node clock (ros::Time, or the time of a bag), required
+    std::function<void(LogLevel, const std::string&)> log;  ///< required
+    /// A clock that keeps going when a simulated one stops; absent: frames wait for `clock` alone.
+    std::function<TimeNs()> steady_clock;
+    /// R_cam_imu for (camera frame, IMU frame); absent: from the configuration only.
+    std::function<std::optional<Eigen::Matrix3d>(const std::string&, const std::string&)> extrinsic;
+    /// True when somebody will send exposure messages. Once one has come they are expected anyway.
+    std::function<bool()> exposure_expected;
+    /// What is wanted of the frame that is about to be processed; absent: image and keypoints.
+    std::function<FrameRequest()> request;
+  };
+  /// Takes a frame; false: enough for now, the rest stays.
+  using Sink = std::function<bool(FrameOutput&&)>;
+
+  /// Frames are passed through with BAD_CONFIGURATION until set_config succeeds.
+  explicit Processor(Environment environment);
+
+  /// Throws OptionError and keeps the former configuration when the new one cannot be used. A bias that was estimated
+  /// stays in use.
+  void set_config(const Config& config);
+  /// From now on frames pass through with BAD_CONFIGURATION and this text.
+  void set_config_error(const std::string& text);
+
+  void add_imu(const sensor_msgs::Imu& imu);
+  void add_exposure(const Exposure& exposure);
+  void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
+  void add_image(const sensor_msgs::ImageConstPtr& image);
+
+  /// Hands every frame that can leave to `sink`. Exceptions of processing become INTERNAL_ERROR; those of `sink` pass.
+  void advance(const Sink& sink);
+  /// The same for all frames, with what is there: nothing more will come.
+  void finish(const Sink& sink);
+
+  /// Frames that have not left.
+  std::size_t waiting() const;
+
+  /// As after the start: waiting frames leave as TIME_JUMP, samples and an estimated bias are forgotten.
+  void reset();
+
+  /// Averages the newest samples over the configured window and uses the result as bias.
+  /// @return true, and the bias in `text`; false with the cause in `text` when the sensor moved or samples are missing
+  bool estimate_bias(std::string* text);
+
+  /// Bias in use [rad/s].
+  Eigen::Vector3d bias_rad_s() const;
+
+  ProcessorStatistics statistics() const;
+
+ private:
+  /// The newest messages of a kind by their stamp.
+  template <typename T>
+  class StampedStore {
+   public:
+    void add(TimeNs stamp_ns, T value, std::size_t capacity) {
+      entries_.emplace_back(stamp_ns, std::move(value));
+      while (entries_.size() > capacity) entries_.pop_front();
+    }
+    const T* find(TimeNs stamp_ns) const {
+      for (auto entry = entries_.rbegin(); entry != entries_.rend(); ++entry) {
+        if (entry->first == stamp_ns) return &entry->second;
+      }
+      return nullptr;
+    }
+    void clear() { entries_.clear(); }
+
+   private:
+    std::deque<std::pair<TimeNs, T>> entries_;
+  };
+
+  /// What processing a frame takes; a copy, so that it needs no lock.
+  struct Job {
+    PendingFrame frame;
+    FrameRequest request;
+    std::shared_ptr<Pipeline> pipeline;
+    std::optional<RowExposure> exposure;
+    std::vector<GyroSample> samples;
+    GyroOptions gyro;
+    Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
+    std::string coverage_text;
+  };
+
+  void advance(const Sink& sink, bool finishing);
+  /// The job of the foremost frame, or nothing while it has to wait.
+  std::optional<Job> next_job(bool finishing);
+  /// True when the frame needs not wait any longer; settles it when it cannot be processed.
+  bool prepare(PendingFrame& frame, bool timed_out, Job* job);
+  FrameOutput process(const Job& job) const;
+  void run_pipeline(const Job& job, FrameOutput* output) const;
+
+  void add_gyro_sample(const GyroSample& sample);
+  void handle(TimeJumpDetector::Verdict verdict, Stream stream, TimeNs from_ns, TimeNs to_ns);
+  void note_time(Stream stream, TimeNs stamp_ns);
+  void forget(Stream stream);
+  TimeNs now();
+  TimeNs steady_now() const { return environment_.steady_clock ? environment_.steady_clock() : 0; }
+  std::size_t store_size() const;
+  void log_throttled(LogLevel level, const std::string& key, const std::string& text);
+
+  const Environment environment_;
+  std::mutex advance_mutex_;  // one thread at a time takes frames out; taken before mutex_
+
+  mutable std::mutex mutex_;  // everything below
+  std::optional<Config> config_;
+  std::string config_error_ = "not configured yet";
+  std::shared_ptr<Pipeline> pipeline_;
+  std::optional<Eigen::Vector3d> estimated_bias_rad_s_;
+  TimeJumpDetector jumps_;
+  GyroBuffer gyro_;
+  std::vector<GyroSample> late_samples_;  // consecutive ones, ordered among themselves
+  std::string imu_frame_;
+  StampedStore<Exposure> exposures_;
+  StampedStore<sensor_msgs::CameraInfoConstPtr> infos_;
+  bool exposure_seen_ = false;
+  FrameQueue queue_;
+  std::size_t in_progress_ = 0;
+  ProcessorStatistics statistics_;
+  struct Throttle {
+    std::chrono::steady_clock::time_point last;
+    std::size_t suppressed = 0;
+  };
+  std::map<std::string, Throttle> throttles_;
+};
+
+}  // namespace gyro_deblur

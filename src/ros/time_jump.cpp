@@ -1,0 +1,64 @@
+#include "ros/time_jump.hpp"
+
+#include <algorithm>
+
+namespace gyro_deblur {
+namespace {
+
+/// Messages that may be in flight in subscription queues when time is reset, with a margin: images and what comes with
+/// them by tens, IMU samples and readings of the clock by hundreds or thousands.
+int straggler_limit(Stream stream) {
+  switch (stream) {
+    case Stream::IMU:
+      return 1000;
+    case Stream::CLOCK:
+      return 5000;
+    case Stream::IMAGE:
+    case Stream::CAMERA_INFO:
+    case Stream::EXPOSURE:
+      break;
+  }
+  return 30;
+}
+
+}  // namespace
+
+const char* to_string(Stream stream) {
+  switch (stream) {
+    case Stream::IMU:
+      return "imu";
+    case Stream::IMAGE:
+      return "image";
+    case Stream::CAMERA_INFO:
+      return "camera_info";
+    case Stream::EXPOSURE:
+      return "exposure";
+    case Stream::CLOCK:
+      return "clock";
+  }
+  return "unknown";
+}
+
+TimeJumpDetector::Verdict TimeJumpDetector::update(Stream stream, TimeNs stamp_ns) {
+  State& own = state(stream);
+  if (own.newest_ns && stamp_ns < *own.newest_ns - threshold_ns_) return went_back(stream, stamp_ns);
+  own.newest_ns = own.newest_ns ? std::max(*own.newest_ns, stamp_ns) : stamp_ns;
+  if (own.stragglers_left > 0) --own.stragglers_left;
+  return Verdict::FORWARD;
+}
+
+TimeJumpDetector::Verdict TimeJumpDetector::went_back(Stream stream, TimeNs stamp_ns) {
+  State& own = state(stream);
+  const bool known = own.stragglers_left > 0;
+  own.newest_ns = stamp_ns;
+  own.stragglers_left = 0;
+  if (known) return Verdict::FOLLOWS;
+  for (std::size_t i = 0; i < kStreams; ++i) {
+    const auto other = static_cast<Stream>(i);
+    // A stream that has not started yet has nothing old to bring.
+    if (other != stream && state(other).newest_ns) state(other).stragglers_left = straggler_limit(other);
+  }
+  return Verdict::JUMP;
+}
+
+}  // namespace gyro_deblur

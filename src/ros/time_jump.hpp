@@ -1,0 +1,59 @@
+// Notices that time went backwards: a bag that loops, a simulation or a driver that was restarted.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <optional>
+
+#include "gyro_deblur/types.hpp"
+
+namespace gyro_deblur {
+
+/// What carries time into the node. Each goes back at its own moment when time is reset.
+enum class Stream { IMU, IMAGE, CAMERA_INFO, EXPOSURE, CLOCK };
+constexpr std::size_t kStreams = 5;
+
+const char* to_string(Stream stream);
+
+/// Watches the newest time of every stream. The first stream to go back tells of a jump; the others, whose last old
+/// messages may still be on their way, then follow it without telling again. A stream that goes on for long without
+/// going back has not been reset.
+class TimeJumpDetector {
+ public:
+  enum class Verdict {
+    FORWARD,  ///< nothing special
+    JUMP,     ///< time was reset: everything from before is of another epoch
+    FOLLOWS,  ///< this stream now follows a jump that is known already: what it brought before is of another epoch
+  };
+
+  /// @param threshold_ns  going back by up to this is not a reset; > 0
+  explicit TimeJumpDetector(TimeNs threshold_ns) : threshold_ns_(threshold_ns) {}
+
+  void set_threshold(TimeNs threshold_ns) { threshold_ns_ = threshold_ns; }
+
+  Verdict update(Stream stream, TimeNs stamp_ns);
+
+  /// The stream went back to `stamp_ns`, as its owner knows by other means.
+  Verdict went_back(Stream stream, TimeNs stamp_ns);
+
+  /// Newest time of the stream since it went back last; nothing before its first message.
+  std::optional<TimeNs> newest_ns(Stream stream) const { return state(stream).newest_ns; }
+
+  /// True while the stream is expected to follow a jump: what it brings is still of the old epoch.
+  bool is_stale(Stream stream) const { return state(stream).stragglers_left > 0; }
+
+  void clear() { states_ = {}; }
+
+ private:
+  struct State {
+    std::optional<TimeNs> newest_ns;
+    int stragglers_left = 0;  // messages of the old epoch that may still come after a jump
+  };
+  State& state(Stream stream) { return states_[static_cast<std::size_t>(stream)]; }
+  const State& state(Stream stream) const { return states_[static_cast<std::size_t>(stream)]; }
+
+  TimeNs threshold_ns_;
+  std::array<State, kStreams> states_;
+};
+
+}  // namespace gyro_deblur
