@@ -1,0 +1,125 @@
+#include "gyro_deblur/exposure.hpp"
+
+#include <string>
+
+#include <gtest/gtest.h>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr TimeNs kMs = 1'000'000;
+constexpr TimeNs kStamp = 1'403'715'273'262'142'976;
+
+ShutterTiming timing(TimeNs exposure_ns, TimeNs readout_ns) {
+  ShutterTiming result;
+  result.exposure_ns = exposure_ns;
+  result.readout_ns = readout_ns;
+  return result;
+}
+
+TEST(RowExposure, FollowsThePaper) {
+  const RowExposure rows(kStamp, 480, timing(10 * kMs, 24 * kMs));
+  EXPECT_EQ(rows.start(0), kStamp);
+  EXPECT_EQ(rows.start(240), kStamp + 12 * kMs);
+  EXPECT_EQ(rows.start(0.5), kStamp + 25'000);
+  EXPECT_EQ(rows.middle(240), kStamp + 17 * kMs);
+  EXPECT_EQ(rows.end(240), kStamp + 22 * kMs);
+  EXPECT_EQ(rows.frame().begin_ns, kStamp);
+  EXPECT_EQ(rows.frame().end_ns, rows.end(479));
+  EXPECT_EQ(rows.end(479), kStamp + 24 * kMs * 479 / 480 + 10 * kMs);
+}
+
+TEST(RowExposure, BottomUpReadoutReversesTheRows) {
+  const RowExposure rows(kStamp, 480, timing(10 * kMs, -24 * kMs));
+  EXPECT_EQ(rows.start(0), kStamp);
+  EXPECT_EQ(rows.start(240), kStamp - 12 * kMs);
+  EXPECT_EQ(rows.frame().begin_ns, rows.start(479));
+  EXPECT_EQ(rows.frame().end_ns, kStamp + 10 * kMs);
+}
+
+TEST(RowExposure, GlobalShutterExposesAllRowsAtOnce) {
+  const RowExposure rows(kStamp, 480, timing(10 * kMs, 0));
+  EXPECT_EQ(rows.start(0), rows.start(479));
+  EXPECT_EQ(rows.frame().begin_ns, kStamp);
+  EXPECT_EQ(rows.frame().end_ns, kStamp + 10 * kMs);
+}
+
+TEST(RowExposure, RoundsToNearest) {
+  const RowExposure rows(0, 3, timing(5, 10));
+  EXPECT_EQ(rows.start(1), 3);   // 3.33
+  EXPECT_EQ(rows.start(2), 7);   // 6.67
+  EXPECT_EQ(rows.middle(0), 3);  // 2.5, away from zero
+  const RowExposure reversed(0, 3, timing(5, -10));
+  EXPECT_EQ(reversed.start(1), -3);
+  EXPECT_EQ(reversed.start(2), -7);
+}
+
+struct StampCase {
+  StampRow row;
+  StampPhase phase;
+};
+
+class StampConvention : public testing::TestWithParam<std::tuple<StampCase, TimeNs>> {};
+
+// Whatever the convention, the exposure of the row it names is at the stamp in the phase it names.
+TEST_P(StampConvention, HoldsAtTheStamp) {
+  const auto& [stamp, readout_ns] = GetParam();
+  ShutterTiming t = timing(10 * kMs, readout_ns);
+  t.stamp_row = stamp.row;
+  t.stamp_phase = stamp.phase;
+  const int n = 480;
+  const RowExposure rows(kStamp, n, t);
+  const double y = stamp.row == StampRow::FIRST ? 0 : stamp.row == StampRow::MIDDLE ? 239.5 : 479;
+  const TimeNs at_stamp = stamp.phase == StampPhase::START    ? rows.start(y)
+                          : stamp.phase == StampPhase::MIDDLE ? rows.middle(y)
+                                                              : rows.end(y);
+  EXPECT_LE(std::abs(at_stamp - kStamp), 1);
+  EXPECT_EQ(rows.reference_time(RectifyTo::STAMP), kStamp);
+  EXPECT_EQ(rows.reference_time(RectifyTo::FIRST_ROW), rows.middle(0));
+  EXPECT_EQ(rows.reference_time(RectifyTo::MIDDLE_ROW), rows.middle(239.5));
+  EXPECT_EQ(rows.reference_time(RectifyTo::LAST_ROW), rows.middle(479));
+  EXPECT_EQ(rows.start(479) - rows.start(0), readout_ns * 479 / 480);
+}
+
+INSTANTIATE_TEST_SUITE_P(All, StampConvention,
+                         testing::Combine(testing::Values(StampCase{StampRow::FIRST, StampPhase::START},
+                                                          StampCase{StampRow::FIRST, StampPhase::MIDDLE},
+                                                          StampCase{StampRow::FIRST, StampPhase::END},
+                                                          StampCase{StampRow::MIDDLE, StampPhase::START},
+                                                          StampCase{StampRow::MIDDLE, StampPhase::MIDDLE},
+                                                          StampCase{StampRow::MIDDLE, StampPhase::END},
+                                                          StampCase{StampRow::LAST, StampPhase::START},
+                                                          StampCase{StampRow::LAST, StampPhase::MIDDLE},
+                                                          StampCase{StampRow::LAST, StampPhase::END}),
+                                          testing::Values(TimeNs{24 * kMs}, TimeNs{0}, TimeNs{-24 * kMs})));
+
+TEST(RowExposure, OneRowIsFirstMiddleAndLast) {
+  const RowExposure rows(kStamp, 1, timing(10 * kMs, 24 * kMs));
+  EXPECT_EQ(rows.reference_time(RectifyTo::FIRST_ROW), kStamp + 5 * kMs);
+  EXPECT_EQ(rows.reference_time(RectifyTo::LAST_ROW), kStamp + 5 * kMs);
+  EXPECT_EQ(rows.frame().end_ns, kStamp + 10 * kMs);
+}
+
+TEST(RowExposure, RefusesBadTimingByName) {
+  const auto message = [](TimeNs exposure_ns, TimeNs readout_ns, int rows) -> std::string {
+    try {
+      RowExposure(0, rows, timing(exposure_ns, readout_ns));
+    } catch (const OptionError& error) {
+      return error.what();
+    }
+    return {};
+  };
+  const TimeNs s = 1000 * kMs;
+  EXPECT_EQ(message(1, 0, 480), "");
+  EXPECT_EQ(message(s, s, 480), "");
+  EXPECT_EQ(message(s, -s, 480), "");
+  EXPECT_EQ(message(0, 0, 480).rfind("exposure_time = 0", 0), 0u);
+  EXPECT_EQ(message(-1, 0, 480).rfind("exposure_time", 0), 0u);
+  EXPECT_EQ(message(s + 1, 0, 480).rfind("exposure_time = 1.000000001", 0), 0u);
+  EXPECT_EQ(message(kMs, s + 1, 480).rfind("readout_time", 0), 0u);
+  EXPECT_EQ(message(kMs, -s - 1, 480).rfind("readout_time", 0), 0u);
+  EXPECT_EQ(message(kMs, 0, 0).rfind("rows = 0", 0), 0u);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
