@@ -13,8 +13,12 @@
 namespace gyro_deblur {
 namespace {
 
+/// A quoted scalar has the tag "!": it is a string, even where its text is a number.
+bool is_quoted(const YAML::Node& node) { return node.IsScalar() && node.Tag() == "!"; }
+
 /// The value on one line, shortened for messages.
 std::string describe(const YAML::Node& node) {
+  if (is_quoted(node)) return '"' + node.Scalar() + '"';
   YAML::Emitter emitter;
   emitter.SetSeqFormat(YAML::Flow);
   emitter.SetMapFormat(YAML::Flow);
@@ -31,9 +35,8 @@ std::string describe(const YAML::Node& node) {
 
 template <typename T>
 T read_scalar(const std::string& key, const YAML::Node& node, const std::string& allowed) {
-  // A quoted scalar has the tag "!": it is a string, even where its text is a number.
   T value;
-  if (!node.IsScalar() || node.Tag() == "!" || !YAML::convert<T>::decode(node, value)) refuse(key, node, allowed);
+  if (!node.IsScalar() || is_quoted(node) || !YAML::convert<T>::decode(node, value)) refuse(key, node, allowed);
   return value;
 }
 

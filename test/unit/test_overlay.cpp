@@ -1,0 +1,105 @@
+#include "gyro_deblur/overlay.hpp"
+
+#include <cmath>
+#include <set>
+#include <stdexcept>
+#include <tuple>
+
+#include <gtest/gtest.h>
+#include <opencv2/imgproc.hpp>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr BlockStatus kAll[] = {BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED,
+                                BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO};
+
+cv::Vec3b bgr(BlockStatus status) {
+  const cv::Vec3b rgb = status_color_rgb(status);
+  return {rgb[2], rgb[1], rgb[0]};
+}
+
+BlurField field_of(int width_px, int height_px, double angle_rad, double extent_px) {
+  return uniform_blur_field(width_px, height_px, angle_rad, extent_px, {});
+}
+
+TEST(StatusColor, IsDifferentForEveryStatusAndNamedRight) {
+  std::set<std::tuple<int, int, int>> colors;
+  for (const BlockStatus status : kAll) {
+    const cv::Vec3b c = status_color_rgb(status);
+    colors.insert({c[0], c[1], c[2]});
+  }
+  EXPECT_EQ(colors.size(), 5u);
+  const auto is = [](BlockStatus status, bool r, bool g, bool b) {
+    const cv::Vec3b c = status_color_rgb(status);
+    return (c[0] > 150) == r && (c[1] > 150) == g && (c[2] > 150) == b;
+  };
+  EXPECT_TRUE(is(BlockStatus::DEBLURRED, false, true, false));
+  EXPECT_TRUE(is(BlockStatus::SHARP, true, true, true));
+  EXPECT_TRUE(is(BlockStatus::REJECTED, true, false, false));
+  EXPECT_TRUE(is(BlockStatus::TOO_LARGE, true, false, true));
+  EXPECT_TRUE(is(BlockStatus::NO_GYRO, true, true, false));
+}
+
+TEST(BlurSegment, IsThePathCentredOnTheBlock) {
+  const BlurField field = field_of(640, 480, std::atan2(4, 3), 50);
+  const BlurSegment segment = blur_segment(field, 11);  // second row, second column
+  EXPECT_LT((segment.from_px - Eigen::Vector2d(95.5 - 15, 95.5 - 20)).norm(), 1e-4);
+  EXPECT_LT((segment.to_px - Eigen::Vector2d(95.5 + 15, 95.5 + 20)).norm(), 1e-4);
+}
+
+TEST(DrawOverlay, DrawsEachBlockInTheColourOfItsStatus) {
+  const cv::Mat grey(960, 1280, CV_8UC1, cv::Scalar(120));
+  BlurField field = field_of(1280, 960, 0, 40);
+  for (int i = 0; i < field.grid.size(); ++i) field.blocks[i].status = kAll[i % 5];
+  const cv::Mat image = draw_overlay(grey, field);
+  ASSERT_EQ(image.type(), CV_8UC3);
+  ASSERT_EQ(image.size(), grey.size());
+  EXPECT_EQ(grey.at<uchar>(500, 500), 120);  // the input is left alone
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const Eigen::Vector2d center = field.grid.center(i);
+    if (center.x() < 400 && center.y() < 320) continue;  // the legend may be there
+    const int x = static_cast<int>(center.x()), y = static_cast<int>(center.y());
+    // The line is 2 px wide, so that the pixel beside the centre is full.
+    EXPECT_LT(cv::norm(image.at<cv::Vec3b>(y, x) - bgr(field.blocks[i].status)), 40) << i;
+    EXPECT_LT(cv::norm(image.at<cv::Vec3b>(y, x + 18) - bgr(field.blocks[i].status)), 40) << i;
+    EXPECT_EQ(image.at<cv::Vec3b>(y, x + 28), cv::Vec3b(120, 120, 120)) << i;  // beyond the end
+    EXPECT_EQ(image.at<cv::Vec3b>(y + 10, x + 15), cv::Vec3b(120, 120, 120)) << i;
+  }
+}
+
+TEST(DrawOverlay, LegendTellsFieldsApart) {
+  const cv::Mat grey(480, 752, CV_8UC1, cv::Scalar(120));
+  BlurField a = field_of(752, 480, M_PI / 2, 40);
+  BlurField b = a;
+  b.blocks.back().status = BlockStatus::REJECTED;  // far from the legend
+  BlurField c = a;
+  for (BlockBlur& blur : c.blocks) blur.extent_px = 30;
+  const cv::Rect legend(64, 16, 24, 32);  // of the text; between the blocks' vertical lines at x = 31 and 95
+  const auto differs = [&](const BlurField& f, const BlurField& g) {
+    return cv::norm(draw_overlay(grey, f)(legend), draw_overlay(grey, g)(legend), cv::NORM_INF) > 50;
+  };
+  EXPECT_FALSE(differs(a, a));
+  EXPECT_TRUE(differs(a, b));
+  EXPECT_TRUE(differs(a, c));
+}
+
+TEST(DrawOverlay, CopesWithSmallImagesAndLongPaths) {
+  for (const cv::Size size : {cv::Size(1, 1), cv::Size(9, 3), cv::Size(64, 64), cv::Size(3, 700)}) {
+    BlurField field = field_of(size.width, size.height, 1, 1e5);
+    EXPECT_EQ(draw_overlay(cv::Mat(size, CV_8UC1, cv::Scalar(0)), field).size(), size);
+    for (BlockBlur& blur : field.blocks) blur = {0, 0, BlockStatus::NO_GYRO};
+    EXPECT_EQ(draw_overlay(cv::Mat(size, CV_8UC1, cv::Scalar(0)), field).size(), size);
+  }
+}
+
+TEST(DrawOverlay, RefusesImagesThatDoNotFit) {
+  const BlurField field = field_of(640, 480, 0, 10);
+  EXPECT_THROW(draw_overlay(cv::Mat(480, 641, CV_8UC1), field), std::invalid_argument);
+  EXPECT_THROW(draw_overlay(cv::Mat(481, 640, CV_8UC1), field), std::invalid_argument);
+  EXPECT_THROW(draw_overlay(cv::Mat(480, 640, CV_8UC3), field), std::invalid_argument);
+  EXPECT_THROW(draw_overlay(cv::Mat(), field), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
