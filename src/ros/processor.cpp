@@ -18,8 +18,6 @@ namespace {
 /// a bag shorter than it that loops. Jitter of a driver does not deliver that many.
 constexpr std::size_t kLateSamplesOfReset = 10;
 
-/// A mean of fewer samples says little about a bias.
-constexpr std::size_t kMinBiasSamples = 20;
 /// The samples have to span this part of the window.
 constexpr double kMinBiasCoverage = 0.8;
 

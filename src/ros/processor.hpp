@@ -27,6 +27,9 @@
 
 namespace gyro_deblur {
 
+/// A mean of fewer samples says little about a bias.
+constexpr std::size_t kMinBiasSamples = 20;
+
 enum class LogLevel { INFO, WARNING, ERROR };
 
 /// What somebody wants of a frame; nothing else is computed.
