@@ -1,0 +1,240 @@
+// make_bag: a ROS bag from a recorded folder of images and IMU samples.
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <iostream>
+#include <string>
+#include <vector>
+
+#include <rosbag/bag.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/image_encodings.h>
+#include <std_msgs/Header.h>
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+
+#include "gyro_deblur/Exposure.h"
+#include "gyro_deblur/types.hpp"
+#include "tools/bag_messages.hpp"
+#include "tools/progress.hpp"
+#include "tools/recording.hpp"
+
+namespace {
+
+using gyro_deblur::bag_duration;
+using gyro_deblur::bag_time;
+using gyro_deblur::RecordedFrame;
+using gyro_deblur::RecordedImu;
+using gyro_deblur::Recording;
+using gyro_deblur::TimeNs;
+
+struct Arguments {
+  std::string output;
+  std::string format;
+  std::string input;
+  std::string description;
+  std::string euroc_camera = "cam0";
+  double exposure_s = 0;
+  std::string encoding = "as_recorded";
+  std::string camera_namespace = "/camera";
+  std::string imu_topic = "/imu";
+  std::string camera_frame = "camera";
+  std::string imu_frame = "imu";
+  std::string json;
+  bool quiet = false;
+};
+
+/// Reads an image file as it is stored, or converted. Returns the pixels and sets the encoding.
+cv::Mat read_image(const RecordedFrame& frame, const Recording& recording, const std::string& wanted,
+                   std::string& encoding) {
+  cv::Mat image = cv::imread(frame.path, cv::IMREAD_UNCHANGED);
+  if (image.empty()) {
+    throw std::runtime_error(frame.path + ": cannot be read as an image");
+  }
+  if (image.cols != recording.camera.width_px || image.rows != recording.camera.height_px) {
+    throw std::runtime_error(frame.path + ": is " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
+                             " px, the calibration is for " + std::to_string(recording.camera.width_px) + "x" +
+                             std::to_string(recording.camera.height_px));
+  }
+  const bool deep = image.depth() == CV_16U;
+  if (image.depth() != CV_8U && !deep) {
+    throw std::runtime_error(frame.path + ": neither 8 nor 16 bits a channel");
+  }
+  if (wanted == "mono8" || wanted == "bgr8") {
+    if (deep) {
+      image.convertTo(image, CV_8U, 1.0 / 257.0);
+    }
+    const bool mono = wanted == "mono8";
+    if (image.channels() != (mono ? 1 : 3)) {
+      const int code = mono ? (image.channels() == 4 ? cv::COLOR_BGRA2GRAY : cv::COLOR_BGR2GRAY)
+                            : (image.channels() == 4 ? cv::COLOR_BGRA2BGR : cv::COLOR_GRAY2BGR);
+      cv::cvtColor(image, image, code);
+    }
+    encoding = wanted;
+    return image;
+  }
+  namespace enc = sensor_msgs::image_encodings;
+  switch (image.channels()) {
+    case 1:
+      encoding = deep ? enc::MONO16 : enc::MONO8;
+      break;
+    case 3:
+      encoding = deep ? enc::BGR16 : enc::BGR8;
+      break;
+    case 4:
+      encoding = deep ? enc::BGRA16 : enc::BGRA8;
+      break;
+    default:
+      throw std::runtime_error(frame.path + ": " + std::to_string(image.channels()) + " channels");
+  }
+  return image;
+}
+
+/// When a camera driver would have delivered the frame, in the IMU clock, so that playback has a sensible order.
+TimeNs delivery_time(const RecordedFrame& frame, const Recording& recording) {
+  return frame.stamp_ns + frame.exposure_ns + std::max<TimeNs>(recording.readout_ns, 0) + recording.time_offset_ns;
+}
+
+nlohmann::json write_bag(const Recording& recording, const Arguments& arguments, const std::string& path) {
+  rosbag::Bag bag(path, rosbag::bagmode::Write);
+
+  TimeNs first_ns = delivery_time(recording.frames.front(), recording);
+  for (const RecordedImu& sample : recording.imu) {
+    first_ns = std::min(first_ns, sample.t_ns);
+    const ros::Time stamp = bag_time(sample.t_ns, "IMU sample");
+    std_msgs::Header header;
+    header.stamp = stamp;
+    header.frame_id = arguments.imu_frame;
+    bag.write(arguments.imu_topic, stamp,
+              gyro_deblur::imu_message(header, sample.rate_rad_s, sample.acceleration_m_s2));
+  }
+  const ros::Time begin = bag_time(first_ns, "the recording's start");
+  gyro_deblur::write_tf_static(bag, begin,
+                               gyro_deblur::extrinsic_message(recording.R_cam_imu, recording.p_imu_cam_m,
+                                                              arguments.imu_frame, arguments.camera_frame, begin));
+
+  const std::string image_topic = arguments.camera_namespace + "/image_raw";
+  const std::string info_topic = arguments.camera_namespace + "/camera_info";
+  const std::string exposure_topic = arguments.camera_namespace + "/exposure";
+  sensor_msgs::CameraInfo info = gyro_deblur::camera_info_message(recording.camera);
+  std::size_t exposures = 0;
+  gyro_deblur::Progress progress(recording.frames.size(), "images", arguments.quiet);
+  std::string encoding;
+  for (std::size_t i = 0; i < recording.frames.size(); ++i) {
+    const RecordedFrame& frame = recording.frames[i];
+    const ros::Time delivered = bag_time(delivery_time(frame, recording), frame.path);
+    info.header.stamp = bag_time(frame.stamp_ns, frame.path);
+    info.header.frame_id = arguments.camera_frame;
+    const cv::Mat image = read_image(frame, recording, arguments.encoding, encoding);
+    if (frame.exposure_ns > 0) {
+      gyro_deblur::Exposure exposure;
+      exposure.header = info.header;
+      exposure.exposure_time = bag_duration(frame.exposure_ns);
+      exposure.readout_time = bag_duration(recording.readout_ns);
+      bag.write(exposure_topic, delivered, exposure);
+      ++exposures;
+    }
+    bag.write(info_topic, delivered, info);
+    bag.write(image_topic, delivered, gyro_deblur::image_message(info.header, image, encoding));
+    progress.done(i + 1);
+  }
+  bag.close();
+
+  const auto imu_range =
+      std::minmax_element(recording.imu.begin(), recording.imu.end(),
+                          [](const RecordedImu& a, const RecordedImu& b) { return a.t_ns < b.t_ns; });
+  return {{"bag", arguments.output},
+          {"format", arguments.format},
+          {"images", recording.frames.size()},
+          {"imu_samples", recording.imu.size()},
+          {"exposures", exposures},
+          {"encoding", encoding},
+          {"width_px", recording.camera.width_px},
+          {"height_px", recording.camera.height_px},
+          {"first_image_stamp_ns", recording.frames.front().stamp_ns},
+          {"last_image_stamp_ns", recording.frames.back().stamp_ns},
+          {"first_imu_stamp_ns", imu_range.first->t_ns},
+          {"last_imu_stamp_ns", imu_range.second->t_ns},
+          {"time_offset_ns", recording.time_offset_ns},
+          {"readout_ns", recording.readout_ns},
+          {"image_topic", image_topic},
+          {"camera_info_topic", info_topic},
+          {"exposure_topic", exposures > 0 ? exposure_topic : ""},
+          {"imu_topic", arguments.imu_topic}};
+}
+
+Recording read_recording(const Arguments& arguments) {
+  if (!std::filesystem::is_directory(arguments.input)) {
+    throw std::runtime_error(arguments.input + ": no such folder");
+  }
+  if (arguments.format == "euroc") {
+    return gyro_deblur::read_euroc(arguments.input, arguments.euroc_camera, gyro_deblur::to_ns(arguments.exposure_s));
+  }
+  if (arguments.description.empty()) {
+    throw std::runtime_error("--format " + arguments.format + " needs --description FILE with the calibration");
+  }
+  return arguments.format == "shield" ? gyro_deblur::read_shield(arguments.input, arguments.description)
+                                      : gyro_deblur::read_frames(arguments.input, arguments.description);
+}
+
+int run(const Arguments& arguments) {
+  const Recording recording = read_recording(arguments);
+  // Written beside the target, so that a failure leaves no half bag under the name asked for.
+  const std::string partial = arguments.output + ".part";
+  nlohmann::json report;
+  try {
+    report = write_bag(recording, arguments, partial);
+    std::filesystem::rename(partial, arguments.output);
+  } catch (...) {
+    std::error_code ignored;
+    std::filesystem::remove(partial, ignored);
+    throw;
+  }
+  std::cout << arguments.output << ": " << report["images"] << " images, " << report["imu_samples"] << " IMU samples, "
+            << report["exposures"] << " exposure times\n";
+  if (!arguments.json.empty()) {
+    std::ofstream file(arguments.json);
+    file << report.dump(2) << '\n';
+    if (!file) {
+      throw std::runtime_error(arguments.json + ": cannot be written");
+    }
+  }
+  return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Makes a ROS bag from a recorded folder of images and IMU samples.", "make_bag"};
+  Arguments arguments;
+  app.add_option("OUT", arguments.output, "bag to write")->required();
+  app.add_option("INPUT_DIR", arguments.input, "recorded folder")->required();
+  app.add_option("--format", arguments.format,
+                 "euroc: EuRoC's ASL layout; shield: images/images.txt and imu/imu.txt; "
+                 "frames: numbered images, a file of stamps and a file of gyroscope rates")
+      ->required()
+      ->check(CLI::IsMember({"euroc", "shield", "frames"}));
+  app.add_option("--description", arguments.description,
+                 "YAML with the calibration and, for frames, the files' formats: see config/recordings/");
+  app.add_option("--camera", arguments.euroc_camera, "euroc: the camera's folder [cam0]");
+  app.add_option("--exposure-time", arguments.exposure_s, "euroc: exposure time of every image [s]; none is recorded")
+      ->check(CLI::Range(0.0, 1.0));
+  app.add_option("--encoding", arguments.encoding, "pixels in the bag: as_recorded, mono8 or bgr8 [as_recorded]")
+      ->check(CLI::IsMember({"as_recorded", "mono8", "bgr8"}));
+  app.add_option("--camera-namespace", arguments.camera_namespace,
+                 "image_raw, camera_info and exposure go here [/camera]");
+  app.add_option("--imu-topic", arguments.imu_topic, "[/imu]");
+  app.add_option("--camera-frame", arguments.camera_frame, "tf frame of the camera (optical) [camera]");
+  app.add_option("--imu-frame", arguments.imu_frame, "tf frame of the IMU [imu]");
+  app.add_option("--json", arguments.json, "write what was done to this file as JSON");
+  app.add_flag("--quiet", arguments.quiet, "no progress on stderr");
+  CLI11_PARSE(app, argc, argv);
+  try {
+    return run(arguments);
+  } catch (const std::exception& error) {
+    std::cerr << "make_bag: " << error.what() << '\n';
+    return 1;
+  }
+}

@@ -1,0 +1,373 @@
+#include "tools/recording.hpp"
+
+#include <zlib.h>
+
+#include <algorithm>
+#include <array>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <map>
+#include <memory>
+#include <regex>
+#include <sstream>
+#include <stdexcept>
+
+#include <yaml-cpp/yaml.h>
+#include <Eigen/LU>
+
+#include "gyro_deblur/options.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Calls `on_line` with every line that is neither empty nor a comment ('#'), and adds the place to what it throws.
+/// Reads plain and gzipped files alike.
+void for_each_line(const std::string& path, const std::function<void(const std::string&)>& on_line) {
+  const std::unique_ptr<gzFile_s, int (*)(gzFile)> file(gzopen(path.c_str(), "rb"), gzclose);
+  if (file == nullptr) {
+    throw std::runtime_error(path + ": cannot be opened");
+  }
+  constexpr int kMaxLine = 4096;
+  std::array<char, kMaxLine> buffer{};
+  for (int number = 1; gzgets(file.get(), buffer.data(), kMaxLine) != nullptr; ++number) {
+    std::string line(buffer.data());
+    while (!line.empty() && (line.back() == '\n' || line.back() == '\r')) {
+      line.pop_back();
+    }
+    if (line.empty() || line.front() == '#') {
+      continue;
+    }
+    try {
+      on_line(line);
+    } catch (const std::exception& error) {
+      throw std::runtime_error(path + ":" + std::to_string(number) + ": " + error.what());
+    }
+  }
+  int status = Z_OK;
+  const char* message = gzerror(file.get(), &status);
+  if (status != Z_OK && status != Z_STREAM_END) {
+    throw std::runtime_error(path + ": " + message);
+  }
+}
+
+/// Fields of a line, separated by commas or blanks.
+std::vector<std::string> split(const std::string& line) {
+  std::string blanks = line;
+  std::replace(blanks.begin(), blanks.end(), ',', ' ');
+  std::istringstream stream(blanks);
+  std::vector<std::string> fields;
+  for (std::string field; stream >> field;) {
+    fields.push_back(field);
+  }
+  return fields;
+}
+
+const std::string& field_at(const std::vector<std::string>& fields, std::size_t index) {
+  if (index >= fields.size()) {
+    throw std::runtime_error("has " + std::to_string(fields.size()) + " columns, column " + std::to_string(index + 1) +
+                             " is needed");
+  }
+  return fields[index];
+}
+
+double parse_number(const std::string& text) {
+  char* end = nullptr;
+  const double value = std::strtod(text.c_str(), &end);
+  if (text.empty() || *end != '\0') {
+    throw std::runtime_error("'" + text + "' is no number");
+  }
+  return value;
+}
+
+/// Integer nanoseconds are read as such: 19 digits do not fit a double.
+TimeNs parse_ns(const std::string& text) {
+  char* end = nullptr;
+  const long long value = std::strtoll(text.c_str(), &end, 10);
+  if (text.empty() || *end != '\0') {
+    throw std::runtime_error("'" + text + "' is no time in integer nanoseconds");
+  }
+  return value;
+}
+
+Eigen::Vector3d parse_vector(const std::vector<std::string>& fields, std::size_t first) {
+  return {parse_number(field_at(fields, first)), parse_number(field_at(fields, first + 1)),
+          parse_number(field_at(fields, first + 2))};
+}
+
+YAML::Node load_yaml(const std::string& path) {
+  std::ifstream file(path);
+  std::stringstream text;
+  text << file.rdbuf();
+  if (!file) {
+    throw std::runtime_error(path + ": cannot be opened");
+  }
+  std::string content = text.str();
+  // OpenCV's writer starts its files with "%YAML:1.0", which YAML itself does not know.
+  if (content.rfind("%YAML:", 0) == 0) {
+    content.front() = '#';
+  }
+  try {
+    return YAML::Load(content);
+  } catch (const YAML::Exception& error) {
+    throw std::runtime_error(path + ": " + error.what());
+  }
+}
+
+/// A file of keys; errors name file and key.
+class Description {
+ public:
+  explicit Description(const std::string& path) : path_(path), node_(load_yaml(path)) {}
+  Description(const std::string& path, const YAML::Node& node) : path_(path), node_(node) {}
+
+  bool has(const std::string& key) const { return node_.IsMap() && node_[key]; }
+
+  template <typename T>
+  T get(const std::string& key) const {
+    if (!has(key)) {
+      throw std::runtime_error(path_ + ": '" + key + "' is missing");
+    }
+    try {
+      return node_[key].template as<T>();
+    } catch (const YAML::Exception&) {
+      throw std::runtime_error(path_ + ": '" + key + "' is not of the expected type");
+    }
+  }
+
+  template <typename T>
+  T get(const std::string& key, const T& fallback) const {
+    return has(key) ? get<T>(key) : fallback;
+  }
+
+  Description child(const std::string& key) const { return {path_, get<YAML::Node>(key)}; }
+
+  std::vector<double> numbers(const std::string& key, std::size_t count) const {
+    const auto values = get<std::vector<double>>(key);
+    if (values.size() != count) {
+      throw std::runtime_error(path_ + ": '" + key + "' has " + std::to_string(values.size()) + " numbers, " +
+                               std::to_string(count) + " are expected");
+    }
+    return values;
+  }
+
+  const std::string& path() const { return path_; }
+
+ private:
+  std::string path_;
+  YAML::Node node_;
+};
+
+/// What every description holds: camera, extrinsic and clock.
+Recording read_calibration(const Description& description) {
+  Recording recording;
+  const Description camera = description.child("camera");
+  CameraCalibration& calibration = recording.camera;
+  calibration.width_px = camera.get<int>("width");
+  calibration.height_px = camera.get<int>("height");
+  calibration.fx_px = camera.get<double>("fx");
+  calibration.fy_px = camera.get<double>("fy");
+  calibration.cx_px = camera.get<double>("cx");
+  calibration.cy_px = camera.get<double>("cy");
+  calibration.coefficients = camera.get<std::vector<double>>("distortion", {});
+  calibration.model = calibration.coefficients.empty()
+                          ? DistortionModel::NONE
+                          : parse_distortion_model(camera.get<std::string>("distortion_model"));
+  calibration.validate();
+
+  const std::vector<double> rotation = description.numbers("R_cam_imu", 9);
+  recording.R_cam_imu =
+      require_rotation("R_cam_imu", Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(rotation.data()));
+  recording.time_offset_ns = to_ns(description.get<double>("time_offset"));
+  recording.readout_ns = to_ns(description.get<double>("readout_time"));
+  return recording;
+}
+
+void require_content(const Recording& recording, const std::string& folder) {
+  if (recording.frames.empty()) {
+    throw std::runtime_error(folder + ": no image found");
+  }
+  if (recording.imu.empty()) {
+    throw std::runtime_error(folder + ": no gyroscope sample found");
+  }
+}
+
+}  // namespace
+
+Recording read_euroc(const std::string& folder, const std::string& camera, TimeNs exposure_ns) {
+  const fs::path root = fs::is_directory(fs::path(folder) / "mav0") ? fs::path(folder) / "mav0" : fs::path(folder);
+  const fs::path camera_folder = root / camera;
+
+  const Description sensor((camera_folder / "sensor.yaml").string());
+  Recording recording;
+  CameraCalibration& calibration = recording.camera;
+  const std::vector<double> resolution = sensor.numbers("resolution", 2);
+  const std::vector<double> intrinsics = sensor.numbers("intrinsics", 4);
+  calibration.width_px = static_cast<int>(resolution[0]);
+  calibration.height_px = static_cast<int>(resolution[1]);
+  calibration.fx_px = intrinsics[0];
+  calibration.fy_px = intrinsics[1];
+  calibration.cx_px = intrinsics[2];
+  calibration.cy_px = intrinsics[3];
+  const auto model = sensor.get<std::string>("distortion_model");
+  if (model == "radial-tangential") {
+    calibration.model = DistortionModel::PLUMB_BOB;
+  } else if (model == "equidistant") {
+    calibration.model = DistortionModel::EQUIDISTANT;
+  } else {
+    throw std::runtime_error(sensor.path() + ": distortion_model '" + model +
+                             "' is neither radial-tangential nor equidistant");
+  }
+  calibration.coefficients = sensor.numbers("distortion_coefficients", 4);
+  calibration.validate();
+
+  // T_BS takes sensor coordinates to body coordinates; the body is the IMU in every EuRoC set.
+  const std::vector<double> transform = sensor.child("T_BS").numbers("data", 16);
+  const Eigen::Matrix4d T_imu_cam = Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(transform.data());
+  recording.R_cam_imu = require_rotation("T_BS", T_imu_cam.topLeftCorner<3, 3>()).transpose();
+  recording.p_imu_cam_m = T_imu_cam.topRightCorner<3, 1>();
+
+  for_each_line((camera_folder / "data.csv").string(), [&](const std::string& line) {
+    const std::vector<std::string> fields = split(line);
+    recording.frames.push_back(
+        {parse_ns(field_at(fields, 0)), exposure_ns, (camera_folder / "data" / field_at(fields, 1)).string()});
+  });
+  for_each_line((root / "imu0" / "data.csv").string(), [&](const std::string& line) {
+    const std::vector<std::string> fields = split(line);
+    recording.imu.push_back({parse_ns(field_at(fields, 0)), parse_vector(fields, 1), parse_vector(fields, 4)});
+  });
+  require_content(recording, folder);
+  std::stable_sort(recording.frames.begin(), recording.frames.end(),
+                   [](const RecordedFrame& a, const RecordedFrame& b) { return a.stamp_ns < b.stamp_ns; });
+  return recording;
+}
+
+Recording read_shield(const std::string& folder, const std::string& description_path) {
+  Recording recording = read_calibration(Description(description_path));
+  const fs::path images = fs::path(folder) / "images";
+  if (!fs::is_directory(images)) {
+    throw std::runtime_error(images.string() + ": no such folder");
+  }
+  std::vector<std::string> paths;
+  for (const fs::directory_entry& entry : fs::directory_iterator(images)) {
+    if (entry.path().extension() == ".jpg" || entry.path().extension() == ".png") {
+      paths.push_back(entry.path().string());
+    }
+  }
+  std::sort(paths.begin(), paths.end());
+
+  const std::string list = (images / "images.txt").string();
+  for_each_line(list, [&](const std::string& line) {
+    const std::vector<std::string> fields = split(line);
+    if (recording.frames.size() == paths.size()) {
+      throw std::runtime_error("there are only " + std::to_string(paths.size()) + " images");
+    }
+    recording.frames.push_back(
+        {parse_ns(field_at(fields, 0)), parse_ns(field_at(fields, 1)), paths[recording.frames.size()]});
+  });
+  if (recording.frames.size() != paths.size()) {
+    throw std::runtime_error(list + ": " + std::to_string(recording.frames.size()) + " lines for " +
+                             std::to_string(paths.size()) + " images");
+  }
+
+  constexpr int kAccelerometer = 1;
+  constexpr int kGyroscope = 4;
+  std::map<TimeNs, Eigen::Vector3d> accelerations;
+  for_each_line((fs::path(folder) / "imu" / "imu.txt").string(), [&](const std::string& line) {
+    const std::vector<std::string> fields = split(line);
+    const TimeNs t_ns = parse_ns(field_at(fields, 1));
+    const int type = static_cast<int>(parse_number(field_at(fields, 0)));
+    if (type == kAccelerometer) {
+      accelerations[t_ns] = parse_vector(fields, 2);
+    } else if (type == kGyroscope) {
+      recording.imu.push_back({t_ns, parse_vector(fields, 2), std::nullopt});
+    }
+  });
+  for (RecordedImu& sample : recording.imu) {
+    const auto found = accelerations.find(sample.t_ns);
+    if (found != accelerations.end()) {
+      sample.acceleration_m_s2 = found->second;
+    }
+  }
+  require_content(recording, folder);
+  return recording;
+}
+
+Recording read_frames(const std::string& folder, const std::string& description_path) {
+  const Description description(description_path);
+  Recording recording = read_calibration(description);
+
+  // Line i (from 1) of the stamps belongs to image number i.
+  const Description stamps = description.child("frame_stamps");
+  const double stamp_unit_s = stamps.get<double>("unit");
+  std::vector<TimeNs> stamps_ns;
+  for_each_line((fs::path(folder) / stamps.get<std::string>("file")).string(), [&](const std::string& line) {
+    stamps_ns.push_back(to_ns(parse_number(field_at(split(line), 0)) * stamp_unit_s));
+  });
+
+  std::map<int, TimeNs> exposures_ns;
+  if (description.has("exposures")) {
+    const Description exposures = description.child("exposures");
+    const std::regex pattern(exposures.get<std::string>("pattern"));
+    const double unit_s = exposures.get<double>("unit");
+    for_each_line((fs::path(folder) / exposures.get<std::string>("file")).string(), [&](const std::string& line) {
+      std::smatch match;
+      if (std::regex_search(line, match, pattern) && match.size() == 3) {
+        exposures_ns[std::stoi(match[1])] = to_ns(parse_number(match[2]) * unit_s);
+      }
+    });
+  }
+  const TimeNs common_exposure_ns = to_ns(description.get<double>("exposure_time", 0.0));
+
+  const Description images = description.child("images");
+  const fs::path image_folder = fs::path(folder) / images.get<std::string>("folder");
+  const std::regex name_pattern(images.get<std::string>("pattern"));
+  if (!fs::is_directory(image_folder)) {
+    throw std::runtime_error(image_folder.string() + ": no such folder");
+  }
+  for (const fs::directory_entry& entry : fs::directory_iterator(image_folder)) {
+    std::smatch match;
+    const std::string name = entry.path().filename().string();
+    if (!std::regex_match(name, match, name_pattern) || match.size() != 2) {
+      continue;
+    }
+    const int number = std::stoi(match[1]);
+    if (number < 1 || static_cast<std::size_t>(number) > stamps_ns.size()) {
+      throw std::runtime_error(entry.path().string() + ": there are stamps for images 1 to " +
+                               std::to_string(stamps_ns.size()));
+    }
+    const auto exposure = exposures_ns.find(number);
+    recording.frames.push_back({stamps_ns[static_cast<std::size_t>(number) - 1],
+                                exposure == exposures_ns.end() ? common_exposure_ns : exposure->second,
+                                entry.path().string()});
+  }
+  std::sort(recording.frames.begin(), recording.frames.end(),
+            [](const RecordedFrame& a, const RecordedFrame& b) { return a.stamp_ns < b.stamp_ns; });
+
+  const Description gyro = description.child("gyro");
+  const auto column = [&gyro](const char* key) {
+    const int number = gyro.get<int>(key);
+    require_range(key, number, 1, 100);
+    return static_cast<std::size_t>(number) - 1;
+  };
+  const std::size_t columns_xyz[] = {column("x_column"), column("y_column"), column("z_column")};
+  const std::size_t column_t = column("time_column");
+  const double unit_s = gyro.get<double>("time_unit");
+  const double unit_rad_s = gyro.get<double>("rate_unit");
+  for_each_line((fs::path(folder) / gyro.get<std::string>("file")).string(), [&](const std::string& line) {
+    const std::vector<std::string> fields = split(line);
+    RecordedImu sample;
+    sample.t_ns = to_ns(parse_number(field_at(fields, column_t)) * unit_s);
+    for (int axis = 0; axis < 3; ++axis) {
+      sample.rate_rad_s[axis] = parse_number(field_at(fields, columns_xyz[axis])) * unit_rad_s;
+    }
+    recording.imu.push_back(sample);
+  });
+  require_content(recording, folder);
+  return recording;
+}
+
+}  // namespace gyro_deblur
