@@ -11,29 +11,34 @@ namespace {
 // 65535 / 255: takes full scale to full scale.
 constexpr double kScale16To8 = 1.0 / 257.0;
 
+/// Colour of a mosaic. OpenCV names a pattern by the second row's second and third pixel, ROS by the first row's first
+/// two.
+int demosaicing(PixelLayout layout) {
+  switch (layout) {
+    case PixelLayout::BAYER_RGGB:
+      return cv::COLOR_BayerBG2BGR;
+    case PixelLayout::BAYER_BGGR:
+      return cv::COLOR_BayerRG2BGR;
+    case PixelLayout::BAYER_GBRG:
+      return cv::COLOR_BayerGR2BGR;
+    case PixelLayout::BAYER_GRBG:
+      return cv::COLOR_BayerGB2BGR;
+    default:
+      throw std::logic_error("not a mosaic");
+  }
+}
+
 int luminance_conversion(PixelLayout layout) {
   switch (layout) {
-    case PixelLayout::BGR:
-      return cv::COLOR_BGR2GRAY;
     case PixelLayout::RGB:
       return cv::COLOR_RGB2GRAY;
     case PixelLayout::BGRA:
       return cv::COLOR_BGRA2GRAY;
     case PixelLayout::RGBA:
       return cv::COLOR_RGBA2GRAY;
-    // OpenCV names a Bayer pattern by the second row's second and third pixel, ROS by the first row's first two.
-    case PixelLayout::BAYER_RGGB:
-      return cv::COLOR_BayerBG2GRAY;
-    case PixelLayout::BAYER_BGGR:
-      return cv::COLOR_BayerRG2GRAY;
-    case PixelLayout::BAYER_GBRG:
-      return cv::COLOR_BayerGR2GRAY;
-    case PixelLayout::BAYER_GRBG:
-      return cv::COLOR_BayerGB2GRAY;
-    case PixelLayout::GRAY:
-      break;
+    default:
+      return cv::COLOR_BGR2GRAY;  // BGR, and what demosaicing gives
   }
-  throw std::logic_error("GRAY needs no conversion");
 }
 
 // Demosaicing needs a full 2x2 cell with a neighbour on each side; smaller mosaics are taken as grey.
@@ -99,8 +104,17 @@ cv::Mat luminance8(const cv::Mat& image, PixelLayout layout) {
   if (image.empty()) return cv::Mat(image.size(), CV_8UC1);
 
   cv::Mat gray = image;
-  const bool too_small = is_bayer(layout) && (image.cols < kMinBayerSidePx || image.rows < kMinBayerSidePx);
-  if (layout != PixelLayout::GRAY && !too_small) cv::cvtColor(image, gray, luminance_conversion(layout));
+  if (is_bayer(layout)) {
+    if (image.cols >= kMinBayerSidePx && image.rows >= kMinBayerSidePx) {
+      // OpenCV's direct conversion (COLOR_Bayer*2GRAY) leaves a checkerboard of up to 8 % on a uniform colour, which
+      // validation would take for sharp edges.
+      cv::Mat color;
+      cv::cvtColor(image, color, demosaicing(layout));
+      cv::cvtColor(color, gray, luminance_conversion(layout));
+    }
+  } else if (layout != PixelLayout::GRAY) {
+    cv::cvtColor(image, gray, luminance_conversion(layout));
+  }
   if (gray.depth() == CV_16U) {
     cv::Mat gray8;
     gray.convertTo(gray8, CV_8U, kScale16To8);

@@ -1,7 +1,9 @@
 #include "gyro_deblur/keypoints.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <map>
+#include <numeric>
 #include <stdexcept>
 #include <string>
 #include <tuple>
@@ -26,9 +28,9 @@ constexpr float kAkazeThreshold = 1e-4f;         // OpenCV 1e-3
 constexpr int kBriskThreshold = 10;              // grey levels; OpenCV 30
 constexpr double kGfttQuality = 1e-3;            // of the strongest corner; OpenCV 1e-2
 constexpr double kGfttMinDistancePx = 3;         // corners closer than their own 3x3 window are one corner
-// With a grid the strongest of the whole image may all lie in one cell, so detectors that choose by themselves must
-// return more than is kept.
-constexpr int kGridSurplus = 4;
+// ORB and GFTT choose the strongest of the whole image themselves, which may all lie in one cell of a grid; then they
+// have to return everything.
+constexpr int kEverything = 1000000;
 
 // Below this no detector has room for its patch.
 constexpr int kMinSidePx = 16;
@@ -110,12 +112,44 @@ std::vector<cv::KeyPoint> select(const std::vector<cv::KeyPoint>& sorted, const 
   return selected;
 }
 
+/// Sorts keypoints and the rows of their descriptors by `stronger`: ORB describes level by level and reorders.
+void sort_by_strength(Features& features) {
+  const auto& keypoints = features.keypoints;
+  if (std::is_sorted(keypoints.begin(), keypoints.end(), stronger)) return;
+  std::vector<int> order(keypoints.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::sort(order.begin(), order.end(), [&](int a, int b) { return stronger(keypoints[a], keypoints[b]); });
+  Features sorted;
+  sorted.keypoints.reserve(order.size());
+  sorted.descriptors.create(features.descriptors.size(), features.descriptors.type());
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    sorted.keypoints.push_back(keypoints[order[i]]);
+    features.descriptors.row(order[i]).copyTo(sorted.descriptors.row(static_cast<int>(i)));
+  }
+  features = sorted;
+}
+
+/// Gives the keypoints of another detector the octave that SIFT reads: which image of its pyramid to describe in. By
+/// SIFT's own rule, size = 2 sigma 2^octave; what others store there may name an octave the pyramid does not have, and
+/// OpenCV does not check. Returns the former values.
+std::vector<int> assign_sift_octaves(const cv::Size& size, std::vector<cv::KeyPoint>& keypoints) {
+  // The last octave that OpenCV builds: a quarter of the side left, as in its own detector.
+  const int last = std::max(cvRound(std::log2(std::min(size.width, size.height)) - 2), 0);
+  std::vector<int> former;
+  former.reserve(keypoints.size());
+  for (cv::KeyPoint& keypoint : keypoints) {
+    former.push_back(keypoint.octave);
+    keypoint.octave = std::clamp(static_cast<int>(std::log2(keypoint.size / (2 * kSiftSigma))), 0, last);
+  }
+  return former;
+}
+
 }  // namespace
 
 FeatureExtractor::FeatureExtractor(const KeypointOptions& options) : options_(options) {
   options_.validate();
-  const int surplus = options_.grid_cols * options_.grid_rows > 1 ? kGridSurplus : 1;
-  detector_ = make_feature("detector", options_.detector, options_.max_features * surplus);
+  const bool has_grid = options_.grid_cols * options_.grid_rows > 1;
+  detector_ = make_feature("detector", options_.detector, has_grid ? kEverything : options_.max_features);
   const auto accepted = accepted_detectors().find(options_.descriptor);
   if (accepted == accepted_detectors().end()) {
     throw OptionError("descriptor = \"" + options_.descriptor +
@@ -149,10 +183,17 @@ Features FeatureExtractor::extract(const cv::Mat& luminance) {
   }
   std::sort(found.begin(), found.end(), stronger);
   features.keypoints = select(found, luminance.size(), options_);
-  // Drops keypoints whose patch leaves the image, in step with the rows of the descriptors.
-  if (descriptor_ && !features.keypoints.empty()) {
+  if (!descriptor_ || features.keypoints.empty()) return features;
+  if (options_.descriptor == "SIFT" && options_.detector != "SIFT") {
+    const std::vector<int> octaves = assign_sift_octaves(luminance.size(), features.keypoints);
+    descriptor_->compute(luminance, features.keypoints, features.descriptors);
+    if (features.keypoints.size() != octaves.size()) throw std::logic_error("SIFT dropped keypoints it was given");
+    for (std::size_t i = 0; i < octaves.size(); ++i) features.keypoints[i].octave = octaves[i];
+  } else {
+    // Drops keypoints whose patch leaves the image, in step with the rows of the descriptors.
     descriptor_->compute(luminance, features.keypoints, features.descriptors);
   }
+  sort_by_strength(features);
   return features;
 }
 
