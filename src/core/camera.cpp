@@ -196,7 +196,7 @@ Eigen::Vector2d Camera::distort(const Eigen::Vector2d& normalized, Eigen::Matrix
 }
 
 Eigen::Vector2d Camera::undistort(const Eigen::Vector2d& distorted) const {
-  const Eigen::Vector2d invalid(kNan, kNan);
+  Eigen::Vector2d invalid(kNan, kNan);
   if (!distorted.allFinite()) return invalid;
   const double distorted_radius = distorted.norm();
   if (distorted_radius == 0 && p1_ == 0 && p2_ == 0) return distorted;

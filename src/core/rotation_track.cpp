@@ -44,7 +44,7 @@ Eigen::Matrix3d require_rotation(const char* name, const Eigen::Matrix3d& R) {
   message << name << " has determinant " << determinant;
   if (R.allFinite()) {
     const Eigen::JacobiSVD<Eigen::Matrix3d> svd(R, Eigen::ComputeFullU | Eigen::ComputeFullV);
-    const Eigen::Matrix3d nearest = svd.matrixU() * svd.matrixV().transpose();
+    Eigen::Matrix3d nearest = svd.matrixU() * svd.matrixV().transpose();
     if ((R - nearest).cwiseAbs().maxCoeff() <= 1e-3) {
       if (determinant > 0) return nearest;
       message
