@@ -333,7 +333,7 @@ std::unique_ptr<Motion> parse_motion(Section s, const std::string& directory, co
     Orbit orbit;
     orbit.center_m = s.vector_or("center", orbit.center_m, kMaxLengthM, "m");
     orbit.radius_m = s.number("radius", 1e-3, kMaxLengthM, "m");
-    const Eigen::Vector3d axis = s.vector_or("axis", orbit.axis, 1);
+    const Eigen::Vector3d axis = s.vector_or("axis", orbit.axis, kMaxLengthM);
     if (axis.norm() < 1e-6) throw OptionError(s.name("axis") + " has length 0");
     orbit.axis = axis.normalized();
     orbit.rate_rad_s = kRadPerDeg * s.number_or("rate", 0, -kMaxAngleDeg, kMaxAngleDeg, "deg/s");
