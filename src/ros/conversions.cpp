@@ -57,6 +57,11 @@ bool is_binned_size(int image_px, double region_px, double binning) {
   return std::abs(image_px - region_px / binning) < 1.0;
 }
 
+/// Old drivers write a leading slash, which tf2 does not take.
+std::string tf2_name(const std::string& frame_id) {
+  return !frame_id.empty() && frame_id.front() == '/' ? frame_id.substr(1) : frame_id;
+}
+
 struct PixelType {
   PixelLayout layout;
   int cv_type;
@@ -345,8 +350,10 @@ visualization_msgs::MarkerArrayPtr no_markers(const std_msgs::Header& header) {
   return array;
 }
 
-std::optional<Eigen::Matrix3d> lookup_R_cam_imu(const tf2::BufferCore& buffer, const std::string& camera_frame,
-                                                const std::string& imu_frame) {
+std::optional<Eigen::Matrix3d> lookup_R_cam_imu(const tf2::BufferCore& buffer, const std::string& camera_frame_id,
+                                                const std::string& imu_frame_id) {
+  const std::string camera_frame = tf2_name(camera_frame_id);
+  const std::string imu_frame = tf2_name(imu_frame_id);
   if (camera_frame.empty() || imu_frame.empty()) return std::nullopt;
   try {
     if (!buffer.canTransform(camera_frame, imu_frame, ros::Time(0))) return std::nullopt;

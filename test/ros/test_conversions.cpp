@@ -1,0 +1,331 @@
+#include "ros/conversions.hpp"
+
+#include <cstring>
+#include <limits>
+
+#include <gtest/gtest.h>
+#include <yaml-cpp/yaml.h>
+
+#include "gyro_deblur/overlay.hpp"
+#include "message_builders.hpp"
+#include "ros/param_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using namespace test;
+
+template <typename Function>
+std::string error_of(Function function) {
+  try {
+    function();
+  } catch (const std::exception& error) {
+    return error.what();
+  }
+  return "";
+}
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+TEST(Time, NanosecondsSurviveAndAreClamped) {
+  const TimeNs time_ns = 1'700'000'000'123'456'789;
+  EXPECT_EQ(to_time_ns(to_ros_time(time_ns)), time_ns);
+  EXPECT_EQ(to_time_ns(to_ros_time(-1)), 0);
+  EXPECT_EQ(to_ros_time(std::numeric_limits<TimeNs>::max()).sec, std::numeric_limits<std::uint32_t>::max());
+}
+
+TEST(GyroSample, CovarianceCanSayThatThereIsNone) {
+  sensor_msgs::Imu imu = imu_message(5 * kSecond, 0.5);
+  imu.angular_velocity.x = -0.25;
+  imu.angular_velocity.z = 0.125;
+  const auto sample = to_gyro_sample(imu);
+  ASSERT_TRUE(sample);
+  EXPECT_EQ(sample->t_ns, 5 * kSecond);
+  EXPECT_EQ(sample->rate_rad_s, Eigen::Vector3d(-0.25, 0.5, 0.125));
+  imu.angular_velocity_covariance[0] = -1;
+  EXPECT_FALSE(to_gyro_sample(imu));
+}
+
+TEST(Calibration, RawImageTakesKAndD) {
+  auto info = camera_info(0);
+  info->D = {0.1, -0.2, 0.001, 0.002, 0.05};
+  const CameraCalibration calibration = to_calibration(*info, kWidth, kHeight, false);
+  EXPECT_EQ(calibration.width_px, kWidth);
+  EXPECT_EQ(calibration.height_px, kHeight);
+  EXPECT_EQ(calibration.fx_px, kFocalPx);
+  EXPECT_EQ(calibration.cy_px, (kHeight - 1) / 2.0);
+  EXPECT_EQ(calibration.model, DistortionModel::PLUMB_BOB);
+  EXPECT_EQ(calibration.coefficients, info->D);
+  EXPECT_TRUE(calibration.R_image_cam.isIdentity());
+}
+
+TEST(Calibration, RegionAndBinningMoveAndScale) {
+  auto info = camera_info(0, 640, 480);
+  info->K = {400, 0, 320, 0, 410, 240, 0, 0, 1};
+  info->roi.x_offset = 100;
+  info->roi.y_offset = 60;
+  info->roi.width = 320;
+  info->roi.height = 240;
+  info->binning_x = 2;
+  info->binning_y = 4;
+  const CameraCalibration calibration = to_calibration(*info, 160, 60, false);
+  EXPECT_DOUBLE_EQ(calibration.fx_px, 200);
+  EXPECT_DOUBLE_EQ(calibration.fy_px, 102.5);
+  EXPECT_DOUBLE_EQ(calibration.cx_px, 110);
+  EXPECT_DOUBLE_EQ(calibration.cy_px, 45);
+  EXPECT_EQ(region_readout_ns(20 * kMs, *info), 10 * kMs) << "half of the sensor's rows are read";
+  EXPECT_EQ(region_readout_ns(-20 * kMs, *info), -10 * kMs);
+  info->roi.height = 0;
+  info->roi.width = 0;
+  EXPECT_EQ(region_readout_ns(20 * kMs, *info), 20 * kMs);
+}
+
+TEST(Calibration, RectifiedInputTakesPAndR) {
+  auto info = camera_info(0);
+  info->D = {0.1, -0.2, 0.001, 0.002, 0.05};
+  info->P = {150, 0, 90, 0, 0, 160, 60, 0, 0, 0, 1, 0};
+  info->R = {0, -1, 0, 1, 0, 0, 0, 0, 1};
+  const CameraCalibration calibration = to_calibration(*info, kWidth, kHeight, true);
+  EXPECT_EQ(calibration.fx_px, 150);
+  EXPECT_EQ(calibration.fy_px, 160);
+  EXPECT_EQ(calibration.cx_px, 90);
+  EXPECT_EQ(calibration.model, DistortionModel::NONE);
+  EXPECT_TRUE((calibration.R_image_cam * Eigen::Vector3d::UnitX()).isApprox(Eigen::Vector3d::UnitY()));
+  info->R.fill(0);
+  EXPECT_TRUE(has(error_of([&] { to_calibration(*info, kWidth, kHeight, true); }), "camera_info.R"));
+}
+
+TEST(Calibration, ErrorsNameTheValues) {
+  auto info = camera_info(0);
+  info->K.fill(0);
+  EXPECT_TRUE(has(error_of([&] { to_calibration(*info, kWidth, kHeight, false); }), "not calibrated"));
+  info = camera_info(0);
+  info->K[0] = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_TRUE(has(error_of([&] { to_calibration(*info, kWidth, kHeight, false); }), "nan"));
+  info = camera_info(0);
+  info->distortion_model = "fov";
+  const std::string model_error = error_of([&] { to_calibration(*info, kWidth, kHeight, false); });
+  EXPECT_TRUE(has(model_error, "fov") && has(model_error, "equidistant")) << model_error;
+  info = camera_info(0, 640, 480);
+  const std::string size_error = error_of([&] { to_calibration(*info, kWidth, kHeight, false); });
+  EXPECT_TRUE(has(size_error, "640x480") && has(size_error, "192x128")) << size_error;
+  info = camera_info(0);
+  info->distortion_model = "";
+  EXPECT_TRUE(has(error_of([&] { to_calibration(*info, kWidth, kHeight, false); }), "distortion_model is empty"));
+  info = camera_info(0);
+  info->K[1] = 3;
+  EXPECT_TRUE(has(error_of([&] { to_calibration(*info, kWidth, kHeight, false); }), "skew"));
+}
+
+TEST(ImageView, SharesThePixels) {
+  const auto message = image_message(0, "bgr8");
+  const ImageView view = view_image(*message);
+  EXPECT_EQ(view.image.data, message->data.data());
+  EXPECT_EQ(view.image.type(), CV_8UC3);
+  EXPECT_EQ(view.layout, PixelLayout::BGR);
+}
+
+TEST(ImageView, SwapsBigEndianIntoACopy) {
+  auto message = image_message(0, "mono16");
+  const cv::Mat expected = view_image(*message).image.clone();
+  for (std::size_t i = 0; i + 1 < message->data.size(); i += 2) std::swap(message->data[i], message->data[i + 1]);
+  message->is_bigendian = !message->is_bigendian;
+  const ImageView view = view_image(*message);
+  EXPECT_NE(view.image.data, message->data.data());
+  EXPECT_EQ(cv::norm(view.image, expected, cv::NORM_INF), 0);
+}
+
+TEST(ImageView, PaddedRowsAreRead) {
+  const auto plain = image_message(0);
+  auto padded = boost::make_shared<sensor_msgs::Image>(*plain);
+  padded->step = kWidth + 7;
+  padded->data.assign(padded->step * kHeight, 0xAB);
+  for (int y = 0; y < kHeight; ++y) {
+    std::memcpy(&padded->data[static_cast<std::size_t>(y) * padded->step],
+                &plain->data[static_cast<std::size_t>(y) * kWidth], kWidth);
+  }
+  EXPECT_EQ(cv::norm(view_image(*padded).image, view_image(*plain).image, cv::NORM_INF), 0);
+}
+
+TEST(ImageView, ReasonsOfRefusal) {
+  const auto reason_of = [](const sensor_msgs::Image& image) {
+    try {
+      check_image(image);
+    } catch (const FrameError& error) {
+      EXPECT_STRNE(error.what(), "");
+      return error.reason();
+    }
+    return PassThroughReason::NONE;
+  };
+  EXPECT_EQ(reason_of(sensor_msgs::Image()), PassThroughReason::BAD_IMAGE);
+  auto image = *image_message(0);
+  EXPECT_EQ(reason_of(image), PassThroughReason::NONE);
+  image.data.resize(image.data.size() - 1);
+  EXPECT_EQ(reason_of(image), PassThroughReason::BAD_IMAGE);
+  image = *image_message(0);
+  image.step = kWidth - 1;
+  EXPECT_EQ(reason_of(image), PassThroughReason::BAD_IMAGE);
+  image = *image_message(0);
+  image.width = 0;
+  EXPECT_EQ(reason_of(image), PassThroughReason::BAD_IMAGE);
+  image.width = std::numeric_limits<std::uint32_t>::max();
+  image.height = std::numeric_limits<std::uint32_t>::max();
+  EXPECT_EQ(reason_of(image), PassThroughReason::BAD_IMAGE);
+  for (const char* encoding : {"32FC1", "yuv422", "", "nonsense"}) {
+    image = *image_message(0);
+    image.encoding = encoding;
+    EXPECT_EQ(reason_of(image), PassThroughReason::UNSUPPORTED_ENCODING) << encoding;
+  }
+}
+
+BlurField example_field() {
+  BlurField field = uniform_blur_field(100, 70, 0.5, 12, BlurFieldOptions());
+  field.blocks[1].status = BlockStatus::REJECTED;
+  field.exposure_ns = kExposure;
+  field.readout_ns = -kReadout;
+  return field;
+}
+
+TEST(BlurFieldMessage, CarriesEverything) {
+  std_msgs::Header header;
+  header.frame_id = "camera";
+  header.stamp = ros::Time(12, 34);
+  const auto message = to_message(example_field(), header);
+  EXPECT_EQ(message->header.stamp, header.stamp);
+  EXPECT_EQ(message->header.frame_id, "camera");
+  EXPECT_EQ(message->reason, 0);
+  EXPECT_EQ(message->image_width, 100u);
+  EXPECT_EQ(message->image_height, 70u);
+  EXPECT_EQ(message->block_width, 64u);
+  EXPECT_EQ(message->cols, 2u);
+  EXPECT_EQ(message->rows, 2u);
+  ASSERT_EQ(message->status.size(), 4u);
+  EXPECT_EQ(message->status[0], BlurFieldMessage::DEBLURRED);
+  EXPECT_EQ(message->status[1], BlurFieldMessage::REJECTED);
+  EXPECT_FLOAT_EQ(message->angle[0], 0.5f);
+  EXPECT_FLOAT_EQ(message->extent[3], 12);
+  EXPECT_EQ(message->exposure_time.toNSec(), kExposure);
+  EXPECT_EQ(message->readout_time.toNSec(), -kReadout);
+}
+
+TEST(BlurFieldMessage, ConstantsEqualTheCores) {
+  EXPECT_EQ(BlurFieldMessage::SHARP, static_cast<int>(BlockStatus::SHARP));
+  EXPECT_EQ(BlurFieldMessage::DEBLURRED, static_cast<int>(BlockStatus::DEBLURRED));
+  EXPECT_EQ(BlurFieldMessage::REJECTED, static_cast<int>(BlockStatus::REJECTED));
+  EXPECT_EQ(BlurFieldMessage::TOO_LARGE, static_cast<int>(BlockStatus::TOO_LARGE));
+  EXPECT_EQ(BlurFieldMessage::NO_GYRO, static_cast<int>(BlockStatus::NO_GYRO));
+  const std::pair<int, PassThroughReason> reasons[] = {
+      {BlurFieldMessage::REASON_NONE, PassThroughReason::NONE},
+      {BlurFieldMessage::REASON_NO_GYRO, PassThroughReason::NO_GYRO},
+      {BlurFieldMessage::REASON_NO_EXPOSURE_TIME, PassThroughReason::NO_EXPOSURE_TIME},
+      {BlurFieldMessage::REASON_NO_CALIBRATION, PassThroughReason::NO_CALIBRATION},
+      {BlurFieldMessage::REASON_NO_EXTRINSIC, PassThroughReason::NO_EXTRINSIC},
+      {BlurFieldMessage::REASON_UNSUPPORTED_ENCODING, PassThroughReason::UNSUPPORTED_ENCODING},
+      {BlurFieldMessage::REASON_BAD_IMAGE, PassThroughReason::BAD_IMAGE},
+      {BlurFieldMessage::REASON_BAD_CONFIGURATION, PassThroughReason::BAD_CONFIGURATION},
+      {BlurFieldMessage::REASON_OVERLOAD, PassThroughReason::OVERLOAD},
+      {BlurFieldMessage::REASON_TIME_JUMP, PassThroughReason::TIME_JUMP},
+      {BlurFieldMessage::REASON_INTERNAL_ERROR, PassThroughReason::INTERNAL_ERROR}};
+  for (const auto& [constant, reason] : reasons) EXPECT_EQ(constant, static_cast<int>(reason)) << to_string(reason);
+}
+
+TEST(KeypointMessage, DescriptorsKeepTheirBytes) {
+  PipelineResult result;
+  result.reference_ns = 3 * kSecond;
+  result.features.keypoints = {cv::KeyPoint(10.5f, 20.25f, 7, 45, 0.5f, 2), cv::KeyPoint(1, 2, 3)};
+  result.features.descriptors = (cv::Mat_<float>(2, 3) << 1, 2, 3, 4, 5, 6);
+  result.points.resize(2);
+  result.points[0].rectified_px = {11, 21};
+  result.points[0].normalized = {0.5, -0.25};
+  result.points[0].deblurred = result.points[0].rectified = true;
+  result.points[1].rectified_px = {1, 2};
+  result.points[1].normalized = {0, 0};
+  KeypointOptions options;
+  const auto message = to_message(result, options, std_msgs::Header());
+  EXPECT_EQ(to_time_ns(message->reference_time), 3 * kSecond);
+  ASSERT_EQ(message->keypoints.size(), 2u);
+  const Keypoint& first = message->keypoints[0];
+  EXPECT_EQ(first.x, 10.5f);
+  EXPECT_EQ(first.y, 20.25f);
+  EXPECT_EQ(first.rectified_x, 11);
+  EXPECT_EQ(first.normalized_y, -0.25f);
+  EXPECT_EQ(first.octave, 2);
+  EXPECT_TRUE(first.rectified);
+  EXPECT_FALSE(message->keypoints[1].rectified);
+  EXPECT_EQ(message->descriptor_type, KeypointArray::DESCRIPTOR_FLOAT32);
+  EXPECT_EQ(message->descriptor_length, 12u);
+  ASSERT_EQ(message->descriptors.size(), 24u);
+  float last = 0;
+  std::memcpy(&last, &message->descriptors[20], 4);
+  EXPECT_EQ(last, 6);
+
+  result.features.descriptors = cv::Mat();
+  const auto without = to_message(result, options, std_msgs::Header());
+  EXPECT_EQ(without->descriptor_type, KeypointArray::DESCRIPTOR_NONE);
+  EXPECT_EQ(without->descriptor, "");
+}
+
+TEST(Markers, LieOnTheRaysOfTheSegmentsInTheOverlaysColours) {
+  const BlurField field = example_field();
+  CameraCalibration calibration = to_calibration(*camera_info(0, 100, 70), 100, 70, false);
+  const Camera camera(calibration);
+  const auto array = to_markers(field, camera, std_msgs::Header());
+  ASSERT_EQ(array->markers.size(), 1u);
+  const visualization_msgs::Marker& marker = array->markers[0];
+  EXPECT_EQ(marker.type, visualization_msgs::Marker::LINE_LIST);
+  ASSERT_EQ(marker.points.size(), 8u);
+  ASSERT_EQ(marker.colors.size(), 8u);
+  const BlurSegment segment = blur_segment(field, 2);
+  EXPECT_NEAR(marker.points[4].x, (segment.from_px.x() - calibration.cx_px) / kFocalPx, 1e-9);
+  EXPECT_NEAR(marker.points[5].y, (segment.to_px.y() - calibration.cy_px) / kFocalPx, 1e-9);
+  EXPECT_EQ(marker.points[4].z, 1);
+  const cv::Vec3b rejected = status_color_rgb(BlockStatus::REJECTED);
+  EXPECT_NEAR(marker.colors[2].r, rejected[0] / 255.0, 1e-6);
+  EXPECT_NEAR(marker.colors[3].b, rejected[2] / 255.0, 1e-6);
+  const auto none = no_markers(std_msgs::Header());
+  EXPECT_EQ(none->markers[0].ns, marker.ns);
+  EXPECT_EQ(none->markers[0].id, marker.id);
+  EXPECT_EQ(none->markers[0].action, visualization_msgs::Marker::DELETE);
+}
+
+TEST(Extrinsic, TakesImuToCameraCoordinates) {
+  tf2::BufferCore buffer;
+  EXPECT_FALSE(lookup_R_cam_imu(buffer, "camera", "imu"));
+  geometry_msgs::TransformStamped transform;  // pose of the camera in the IMU's frame: a quarter turn about z
+  transform.header.frame_id = "imu";
+  transform.child_frame_id = "camera";
+  transform.transform.rotation.z = transform.transform.rotation.w = std::sqrt(0.5);
+  transform.transform.translation.x = 3;
+  buffer.setTransform(transform, "test", true);
+  const auto R_cam_imu = lookup_R_cam_imu(buffer, "camera", "imu");
+  ASSERT_TRUE(R_cam_imu);
+  EXPECT_TRUE((*R_cam_imu * Eigen::Vector3d::UnitY()).isApprox(Eigen::Vector3d::UnitX(), 1e-9));
+  EXPECT_FALSE(lookup_R_cam_imu(buffer, "camera", ""));
+  EXPECT_FALSE(lookup_R_cam_imu(buffer, "camera", "other"));
+  EXPECT_TRUE(lookup_R_cam_imu(buffer, "/camera", "/imu")) << "names of old drivers";
+}
+
+TEST(Parameters, KeepTheirTypes) {
+  XmlRpc::XmlRpcValue values;
+  values["gamma"] = 0.05;
+  values["block_size"] = 32;
+  values["validate"] = false;
+  values["detector"] = std::string("ORB");
+  values["descriptor"] = std::string("ORB");
+  values["gyro_bias"][0] = 0.5;
+  values["gyro_bias"][1] = 0;
+  values["gyro_bias"][2] = -0.5;
+  Config config = parse_config(to_yaml(values));
+  EXPECT_EQ(config.pipeline.kernel.gamma, 0.05);
+  EXPECT_EQ(config.pipeline.blur_field.block_size_px, 32);
+  EXPECT_FALSE(config.pipeline.validation.enabled);
+  EXPECT_EQ(config.pipeline.keypoints.detector, "ORB");
+  EXPECT_EQ(config.gyro.bias_rad_s, Eigen::Vector3d(0.5, 0, -0.5));
+  values["gamma"] = std::string("0.05");
+  EXPECT_TRUE(has(error_of([&] { parse_config(to_yaml(values)); }), "gamma"));
+  values["gamma"] = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_TRUE(has(error_of([&] { parse_config(to_yaml(values)); }), "gamma"));
+}
+
+}  // namespace
+}  // namespace gyro_deblur

@@ -1,0 +1,62 @@
+#include "ros/frame_queue.hpp"
+
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace gyro_deblur {
+namespace {
+
+PendingFrame frame(TimeNs stamp_ns) {
+  PendingFrame frame;
+  frame.stamp_ns = stamp_ns;
+  return frame;
+}
+
+TEST(FrameQueue, FirstInFirstOut) {
+  FrameQueue queue(3);
+  for (const TimeNs stamp_ns : {5, 3, 9}) EXPECT_EQ(queue.push(frame(stamp_ns)), 0u);
+  for (const TimeNs stamp_ns : {5, 3, 9}) {
+    const PendingFrame out = queue.pop();
+    EXPECT_EQ(out.stamp_ns, stamp_ns);
+    EXPECT_EQ(out.verdict, PassThroughReason::NONE);
+  }
+  EXPECT_TRUE(queue.empty());
+}
+
+TEST(FrameQueue, OldestBeyondTheCapacityAreSettledAndStillLeave) {
+  FrameQueue queue(2);
+  EXPECT_EQ(queue.push(frame(1)), 0u);
+  EXPECT_EQ(queue.push(frame(2)), 0u);
+  EXPECT_EQ(queue.push(frame(3)), 1u);
+  EXPECT_EQ(queue.push(frame(4)), 1u);
+  ASSERT_EQ(queue.size(), 4u);
+  for (TimeNs stamp_ns = 1; stamp_ns <= 4; ++stamp_ns) {
+    const PendingFrame out = queue.pop();
+    EXPECT_EQ(out.stamp_ns, stamp_ns);
+    EXPECT_EQ(out.verdict, stamp_ns <= 2 ? PassThroughReason::OVERLOAD : PassThroughReason::NONE);
+    EXPECT_EQ(out.verdict_text.find("frame_queue_size = 2") != std::string::npos, stamp_ns <= 2);
+  }
+}
+
+TEST(FrameQueue, SettlingKeepsEarlierVerdicts) {
+  FrameQueue queue(2);
+  PendingFrame bad = frame(1);
+  bad.settle(PassThroughReason::BAD_IMAGE, "empty");
+  queue.push(bad);
+  queue.push(frame(2));
+  queue.settle_all(PassThroughReason::TIME_JUMP, "back");
+  EXPECT_EQ(queue.pop().verdict, PassThroughReason::BAD_IMAGE);
+  EXPECT_EQ(queue.pop().verdict, PassThroughReason::TIME_JUMP);
+}
+
+TEST(FrameQueue, SettledFramesNeedNoRoom) {
+  FrameQueue queue(1);
+  PendingFrame bad = frame(1);
+  bad.settle(PassThroughReason::BAD_IMAGE, "empty");
+  queue.push(bad);
+  EXPECT_EQ(queue.push(frame(2)), 0u);
+}
+
+}  // namespace
+}  // namespace gyro_deblur

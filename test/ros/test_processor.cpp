@@ -1,0 +1,727 @@
+#include "ros/processor.hpp"
+
+#include <cmath>
+#include <limits>
+#include <string>
+#include <tuple>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "message_builders.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using namespace test;
+
+constexpr TimeNs kStart = 100 * kSecond;
+constexpr TimeNs kImuPeriod = 5 * kMs;
+/// From the stamp to the end of the last row's exposure; row 127 of 128 starts one row before the readout's end.
+constexpr TimeNs kFrameDuration = kExposure + kReadout;
+
+class ProcessorTest : public testing::Test {
+ protected:
+  ProcessorTest() : processor_(environment()) {
+    processor_.set_config(config_);
+    now_ns_ = kStart;
+  }
+
+  Processor::Environment environment() {
+    Processor::Environment environment;
+    environment.clock = [this] { return now_ns_; };
+    environment.steady_clock = [this] { return steady_ns_; };
+    environment.log = [this](LogLevel, const std::string& text) { log_.push_back(text); };
+    environment.extrinsic = [this](const std::string& camera_frame, const std::string& imu_frame) {
+      EXPECT_EQ(camera_frame, kCameraFrame);
+      EXPECT_EQ(imu_frame, kImuFrame);
+      return extrinsic_;
+    };
+    environment.exposure_expected = [this] { return exposure_expected_; };
+    environment.request = [this] { return request_; };
+    return environment;
+  }
+
+  void configure() { processor_.set_config(config_); }
+
+  void add_imu(TimeNs from_ns, TimeNs to_ns, double rate_rad_s = kFastRadS) {
+    for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod) processor_.add_imu(imu_message(t_ns, rate_rad_s));
+  }
+  sensor_msgs::ImageConstPtr add_frame(TimeNs stamp_ns) {
+    const sensor_msgs::ImageConstPtr image = image_message(stamp_ns);
+    processor_.add_image(image);
+    processor_.add_camera_info(camera_info(stamp_ns));
+    return image;
+  }
+  void advance() {
+    processor_.advance([this](FrameOutput&& output) {
+      outputs_.push_back(std::move(output));
+      return true;
+    });
+  }
+  void time_out() {
+    now_ns_ += config_.gyro_timeout_ns;
+    advance();
+  }
+  std::size_t logged(const std::string& part) const {
+    std::size_t count = 0;
+    for (const std::string& line : log_) count += line.find(part) != std::string::npos;
+    return count;
+  }
+  void expect_passed_through(std::size_t index, PassThroughReason reason, const std::string& text_part) const {
+    ASSERT_GT(outputs_.size(), index);
+    const FrameOutput& output = outputs_[index];
+    EXPECT_STREQ(to_string(output.reason), to_string(reason));
+    EXPECT_EQ(output.image, output.input) << "the very message that came in";
+    EXPECT_EQ(output.blur_field->reason, static_cast<int>(reason));
+    EXPECT_EQ(output.blur_field->header.stamp, output.input->header.stamp);
+    EXPECT_NE(output.reason_text.find(text_part), std::string::npos) << output.reason_text;
+    EXPECT_EQ(output.blur_field->reason_text, output.reason_text);
+    EXPECT_TRUE(output.blur_field->status.empty());
+    ASSERT_NE(output.camera_info, nullptr);
+    EXPECT_EQ(output.camera_info->header.stamp, output.input->header.stamp);
+    ASSERT_NE(output.keypoints, nullptr);
+    EXPECT_EQ(output.keypoints->header.stamp, output.input->header.stamp);
+  }
+  void expect_deblurred(std::size_t index) const {
+    ASSERT_GT(outputs_.size(), index);
+    const FrameOutput& output = outputs_[index];
+    EXPECT_STREQ(to_string(output.reason), "NONE") << output.reason_text;
+    EXPECT_NE(output.image, output.input);
+    EXPECT_NE(output.image->data, output.input->data);
+    EXPECT_EQ(output.image->header.stamp, output.input->header.stamp);
+    EXPECT_EQ(output.image->header.frame_id, output.input->header.frame_id);
+    EXPECT_EQ(output.image->encoding, output.input->encoding);
+    EXPECT_EQ(output.image->width, output.input->width);
+    EXPECT_EQ(output.image->height, output.input->height);
+    ASSERT_TRUE(output.field);
+    EXPECT_EQ(output.field->count(BlockStatus::DEBLURRED), output.field->blocks.size());
+  }
+
+  TimeNs now_ns_ = 0, steady_ns_ = 0;
+  bool exposure_expected_ = false;
+  std::optional<Eigen::Matrix3d> extrinsic_;
+  FrameRequest request_;
+  Config config_ = test_config();
+  std::vector<std::string> log_;
+  std::vector<FrameOutput> outputs_;
+  Processor processor_;
+};
+
+TEST_F(ProcessorTest, SharpFrameLeavesAsTheVeryMessage) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs, 0.0);
+  const auto image = add_frame(kStart);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].image, image);
+  EXPECT_EQ(outputs_[0].reason, PassThroughReason::NONE);
+  EXPECT_EQ(outputs_[0].field->count(BlockStatus::SHARP), outputs_[0].field->blocks.size());
+  EXPECT_FALSE(outputs_[0].keypoints->keypoints.empty());
+  EXPECT_TRUE(log_.empty());
+}
+
+TEST_F(ProcessorTest, FrameWaitsUntilTheGyroscopeCoversItsLastRow) {
+  add_imu(kStart - 50 * kMs, kStart + kFrameDuration - kImuPeriod);
+  add_frame(kStart);
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  EXPECT_EQ(processor_.waiting(), 1u);
+  add_imu(kStart + kFrameDuration, kStart + kFrameDuration);
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(processor_.waiting(), 0u);
+}
+
+TEST_F(ProcessorTest, ExtentIsThatOfTheRotation) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  const BlurField& field = *outputs_[0].field;
+  const BlockBlur& center = field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))];
+  // A turn of w t about y moves the centre by about f w t along x.
+  EXPECT_NEAR(center.extent_px, kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
+  EXPECT_LT(axial_difference(center.angle_rad, 0), 0.02);
+}
+
+TEST_F(ProcessorTest, TimeOffsetMovesTheRangeThatIsNeeded) {
+  for (const TimeNs offset_ns : {100 * kMs, -100 * kMs}) {
+    outputs_.clear();
+    processor_.reset();
+    config_.gyro.time_offset_ns = offset_ns;
+    configure();
+    add_imu(kStart - 200 * kMs, kStart + kFrameDuration + offset_ns - kImuPeriod);
+    add_frame(kStart);
+    advance();
+    EXPECT_TRUE(outputs_.empty());
+    add_imu(kStart + kFrameDuration + offset_ns, kStart + kFrameDuration + offset_ns);
+    advance();
+    expect_deblurred(0);
+  }
+}
+
+TEST_F(ProcessorTest, WithoutGyroscopeFramesPassThroughAfterTheTimeoutInOrder) {
+  add_frame(kStart);
+  now_ns_ += 33 * kMs;
+  add_frame(kStart + 33 * kMs);
+  now_ns_ = kStart + config_.gyro_timeout_ns - 1;
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  now_ns_ += 1;
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  now_ns_ += 33 * kMs;
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "there are none");
+  expect_passed_through(1, PassThroughReason::NO_GYRO, "there are none");
+  EXPECT_LT(outputs_[0].input->header.stamp, outputs_[1].input->header.stamp);
+  EXPECT_EQ(logged("NO_GYRO"), 1u) << "throttled";
+}
+
+TEST_F(ProcessorTest, BufferThatLostTheFrameIsSaidAtOnceWithBothRanges) {
+  add_imu(kStart + 200 * kMs, kStart + 300 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "100.200000000");
+  EXPECT_FALSE(outputs_[0].keypoints->keypoints.empty()) << "the image is as good as ever for raw keypoints";
+  for (const Keypoint& keypoint : outputs_[0].keypoints->keypoints) EXPECT_FALSE(keypoint.rectified);
+}
+
+TEST_F(ProcessorTest, PartlyCoveredFrameIsProcessedWhereCovered) {
+  add_imu(kStart - 50 * kMs, kStart + 40 * kMs);  // the last rows end at 50 ms
+  add_frame(kStart);
+  time_out();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].reason, PassThroughReason::NONE);
+  EXPECT_GT(outputs_[0].field->count(BlockStatus::DEBLURRED), 0u);
+  EXPECT_GT(outputs_[0].field->count(BlockStatus::NO_GYRO), 0u);
+  EXPECT_EQ(outputs_[0].field->blocks.front().status, BlockStatus::DEBLURRED);
+  EXPECT_EQ(outputs_[0].field->blocks.back().status, BlockStatus::NO_GYRO);
+  const std::size_t bottom = static_cast<std::size_t>(kHeight - 32) * kWidth;
+  EXPECT_TRUE(std::equal(outputs_[0].image->data.begin() + static_cast<std::ptrdiff_t>(bottom),
+                         outputs_[0].image->data.end(),
+                         outputs_[0].input->data.begin() + static_cast<std::ptrdiff_t>(bottom)));
+}
+
+TEST_F(ProcessorTest, SimulatedTimeThatStopsDoesNotKeepFrames) {
+  add_frame(kStart);
+  steady_ns_ = 10 * config_.gyro_timeout_ns - 1;
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  steady_ns_ += 1;
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "");
+}
+
+TEST_F(ProcessorTest, WaitingStartsWithTheFirstSimulatedTime) {
+  now_ns_ = 0;
+  add_frame(kStart);
+  advance();
+  now_ns_ = kStart;
+  advance();
+  EXPECT_TRUE(outputs_.empty()) << "the clock started, no time passed";
+  time_out();
+  EXPECT_EQ(outputs_.size(), 1u);
+}
+
+TEST_F(ProcessorTest, FinishLetsEverythingOut) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  add_frame(kStart + 200 * kMs);
+  processor_.finish([this](FrameOutput&& output) {
+    outputs_.push_back(std::move(output));
+    return true;
+  });
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_deblurred(0);
+  expect_passed_through(1, PassThroughReason::NO_GYRO, "");
+}
+
+TEST_F(ProcessorTest, SinkCanStop) {
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  add_frame(kStart);
+  add_frame(kStart + 33 * kMs);
+  std::size_t taken = 0;
+  processor_.advance([&taken](FrameOutput&&) {
+    ++taken;
+    return false;
+  });
+  EXPECT_EQ(taken, 1u);
+  EXPECT_EQ(processor_.waiting(), 1u);
+}
+
+TEST_F(ProcessorTest, FullQueuePassesTheOldestThroughAndLosesNothing) {
+  config_.frame_queue_size = 3;
+  configure();
+  for (int i = 0; i < 5; ++i) add_frame(kStart + i * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_passed_through(0, PassThroughReason::OVERLOAD, "frame_queue_size = 3");
+  expect_passed_through(1, PassThroughReason::OVERLOAD, "frame_queue_size = 3");
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 5u);
+  for (std::size_t i = 0; i < 5; ++i) {
+    EXPECT_EQ(to_time_ns(outputs_[i].input->header.stamp), kStart + static_cast<TimeNs>(i) * kMs);
+  }
+  expect_deblurred(4);
+  EXPECT_EQ(processor_.statistics().passed_through.at(PassThroughReason::OVERLOAD), 2u);
+}
+
+Exposure exposure_message(TimeNs stamp_ns, TimeNs exposure_ns, TimeNs readout_ns = 0) {
+  Exposure exposure;
+  exposure.header.stamp = to_ros_time(stamp_ns);
+  exposure.exposure_time.fromNSec(exposure_ns);
+  exposure.readout_time.fromNSec(readout_ns);
+  return exposure;
+}
+
+TEST_F(ProcessorTest, ExposureOfTheMessageGoesBeforeTheParameter) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_exposure(exposure_message(kStart, 20 * kMs));
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].field->exposure_ns, 20 * kMs);
+  EXPECT_EQ(outputs_[0].field->readout_ns, kReadout) << "0 in the message: as configured";
+  processor_.add_exposure(exposure_message(kStart + kMs, 20 * kMs, -10 * kMs));
+  add_frame(kStart + kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  EXPECT_EQ(outputs_[1].field->readout_ns, -10 * kMs);
+}
+
+TEST_F(ProcessorTest, ExpectedExposureIsWaitedFor) {
+  exposure_expected_ = true;
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  processor_.add_exposure(exposure_message(kStart, 25 * kMs));
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].field->exposure_ns, 25 * kMs);
+
+  add_frame(kStart + kMs);
+  processor_.add_exposure(exposure_message(kStart + 2 * kMs, 25 * kMs));  // another image's
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u);
+  time_out();
+  ASSERT_EQ(outputs_.size(), 2u);
+  EXPECT_EQ(outputs_[1].field->exposure_ns, kExposure) << "the parameter, after the timeout";
+  EXPECT_EQ(logged("no exposure message"), 1u);
+}
+
+TEST_F(ProcessorTest, NoExposureTimeAtAll) {
+  config_.shutter.exposure_ns = 0;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  EXPECT_TRUE(outputs_.empty()) << "a message may still come";
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_EXPOSURE_TIME, "exposure_time = 0 is outside (0, 1] s");
+}
+
+TEST_F(ProcessorTest, ExposureMessageOutOfRangeIsNamed) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_exposure(exposure_message(kStart, -5 * kMs));
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_EXPOSURE_TIME, "-0.005");
+}
+
+TEST_F(ProcessorTest, ExtrinsicMayComeLater) {
+  config_.R_cam_imu.reset();
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  extrinsic_ = Eigen::Matrix3d::Identity();
+  advance();
+  expect_deblurred(0);
+  extrinsic_.reset();
+  add_frame(kStart + kMs);
+  time_out();
+  expect_passed_through(1, PassThroughReason::NO_EXTRINSIC, "\"imu\"");
+}
+
+TEST_F(ProcessorTest, CameraInfoIsMatchedByStampInAnyOrder) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_camera_info(camera_info(kStart));
+  processor_.add_image(image_message(kStart));
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u);
+  processor_.add_image(image_message(kStart + kMs));
+  processor_.add_camera_info(camera_info(kStart + 2 * kMs));
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u);
+  const auto info = camera_info(kStart + kMs);
+  processor_.add_camera_info(info);
+  advance();
+  expect_deblurred(1);
+  EXPECT_EQ(outputs_[1].camera_info, info);
+}
+
+TEST_F(ProcessorTest, WithoutCameraInfoImagesStillPass) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_image(image_message(kStart));
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "100.000000000");
+  EXPECT_EQ(outputs_[0].camera_info->width, static_cast<unsigned>(kWidth));
+  EXPECT_EQ(outputs_[0].camera_info->K[0], 0) << "not calibrated";
+  EXPECT_EQ(outputs_[0].camera_info->header.frame_id, kCameraFrame);
+}
+
+TEST_F(ProcessorTest, UnusableCameraInfoIsNamedAtOnce) {
+  const auto pass = [this](TimeNs stamp_ns, const sensor_msgs::CameraInfoPtr& info) {
+    processor_.add_image(image_message(stamp_ns));
+    processor_.add_camera_info(info);
+    advance();
+    ASSERT_FALSE(outputs_.empty());
+    EXPECT_EQ(outputs_.back().camera_info, info);
+  };
+  auto info = camera_info(kStart);
+  info->K.fill(0);
+  pass(kStart, info);
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "not calibrated");
+  info = camera_info(kStart + kMs);
+  info->distortion_model = "fisheye62";
+  pass(kStart + kMs, info);
+  expect_passed_through(1, PassThroughReason::NO_CALIBRATION, "fisheye62");
+  pass(kStart + 2 * kMs, camera_info(kStart + 2 * kMs, 640, 480));
+  expect_passed_through(2, PassThroughReason::NO_CALIBRATION, "640x480");
+  EXPECT_EQ(logged("NO_CALIBRATION"), 1u) << "throttled";
+}
+
+TEST_F(ProcessorTest, UnusableImagesPassAtOnceInTheirTurn) {
+  add_imu(kStart - 50 * kMs, kStart + 10 * kMs);
+  add_frame(kStart);
+  auto empty = boost::make_shared<sensor_msgs::Image>();
+  empty->header.stamp = to_ros_time(kStart + kMs);
+  empty->encoding = "mono8";
+  processor_.add_image(empty);
+  auto floats = image_message(kStart + 2 * kMs);
+  floats->encoding = "32FC1";
+  processor_.add_image(floats);
+  auto cut = image_message(kStart + 3 * kMs);
+  cut->data.resize(10);
+  processor_.add_image(cut);
+  advance();
+  EXPECT_TRUE(outputs_.empty()) << "the first frame waits, and the others behind it";
+  add_imu(kStart + 15 * kMs, kStart + 100 * kMs);
+  advance();
+  expect_deblurred(0);
+  expect_passed_through(1, PassThroughReason::BAD_IMAGE, "0x0");
+  expect_passed_through(2, PassThroughReason::UNSUPPORTED_ENCODING, "32FC1");
+  expect_passed_through(3, PassThroughReason::BAD_IMAGE, "10 bytes");
+  EXPECT_EQ(outputs_[3].image, cut);
+}
+
+TEST_F(ProcessorTest, OnePixelIsAnImage) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_image(image_message(kStart, "mono8", 1, 1));
+  processor_.add_camera_info(camera_info(kStart, 1, 1));
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].reason, PassThroughReason::NONE) << outputs_[0].reason_text;
+  EXPECT_EQ(outputs_[0].image->data.size(), 1u);
+}
+
+TEST_F(ProcessorTest, RegionOfInterestShortensTheReadout) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  auto info = camera_info(kStart, kWidth, 2 * kHeight);
+  info->roi.width = kWidth;
+  info->roi.height = kHeight;
+  info->roi.y_offset = 10;
+  processor_.add_image(image_message(kStart));
+  processor_.add_camera_info(info);
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].field->readout_ns, kReadout / 2);
+}
+
+TEST_F(ProcessorTest, BadConfigurationPassesFramesThroughUntilItIsMended) {
+  processor_.set_config_error("gamma = -1 is outside [1e-05, 1]");
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::BAD_CONFIGURATION, "gamma = -1");
+  EXPECT_EQ(logged("gamma = -1"), 1u);
+  EXPECT_EQ(processor_.statistics().configuration_error, "gamma = -1 is outside [1e-05, 1]");
+  configure();
+  add_frame(kStart + kMs);
+  advance();
+  expect_deblurred(1);
+}
+
+TEST_F(ProcessorTest, ConfigurationThatCannotBeUsedChangesNothing) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  Config bad = config_;
+  bad.pipeline.kernel.gamma = 2;
+  EXPECT_THROW(processor_.set_config(bad), OptionError);
+  bad = config_;
+  bad.pipeline.keypoints.detector = "nonsense";
+  EXPECT_THROW(processor_.set_config(bad), OptionError);
+  bad = config_;
+  bad.R_cam_imu = -Eigen::Matrix3d::Identity();
+  EXPECT_THROW(processor_.set_config(bad), OptionError);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+}
+
+TEST_F(ProcessorTest, ImuSamplesThatCannotBeUsedAreCountedAndDropped) {
+  add_imu(kStart - 50 * kMs, kStart + 20 * kMs);
+  for (int i = 0; i < 3; ++i) {
+    processor_.add_imu(imu_message(kStart + 21 * kMs, std::numeric_limits<double>::quiet_NaN()));
+    processor_.add_imu(imu_message(kStart + 21 * kMs, std::numeric_limits<double>::infinity()));
+  }
+  for (int i = 0; i < 4; ++i) processor_.add_imu(imu_message(kStart + 20 * kMs, 100));
+  for (int i = 0; i < 5; ++i) processor_.add_imu(imu_message(kStart + 10 * kMs, 100));
+  sensor_msgs::Imu without = imu_message(kStart + 22 * kMs, 100);
+  without.angular_velocity_covariance[0] = -1;
+  processor_.add_imu(without);
+  add_imu(kStart + 25 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  const BlurField& field = *outputs_[0].field;
+  EXPECT_NEAR(field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))].extent_px,
+              kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
+  const ProcessorStatistics statistics = processor_.statistics();
+  EXPECT_EQ(statistics.imu_not_finite, 6u);
+  EXPECT_EQ(statistics.imu_duplicate, 4u);
+  EXPECT_EQ(statistics.imu_out_of_order, 5u);
+  EXPECT_EQ(statistics.imu_without_gyroscope, 1u);
+  EXPECT_EQ(statistics.time_jumps, 0u);
+  EXPECT_EQ(log_.size(), 4u) << "one line of each kind";
+}
+
+// --- time going backwards ---
+
+/// One pass of a bag: IMU from 0 to length, a frame every 100 ms, interleaved by time.
+void play(Processor* processor, TimeNs begin_ns, TimeNs length_ns, const std::function<void()>& after_each) {
+  for (TimeNs t_ns = begin_ns; t_ns <= begin_ns + length_ns; t_ns += kImuPeriod) {
+    if ((t_ns - begin_ns) % (100 * kMs) == 0) {
+      processor->add_camera_info(camera_info(t_ns));
+      processor->add_image(image_message(t_ns));
+    }
+    processor->add_imu(imu_message(t_ns, kFastRadS));
+    after_each();
+  }
+}
+
+TEST_F(ProcessorTest, LoopingBagResetsWithOneMessageALoop) {
+  for (int loop = 0; loop < 3; ++loop) {
+    play(&processor_, kStart, kSecond, [this] { advance(); });
+  }
+  EXPECT_EQ(processor_.statistics().time_jumps, 2u);
+  EXPECT_EQ(logged("time went backwards"), 2u);
+  EXPECT_EQ(log_.size(), 2u) << log_.back();
+  // Eleven frames a loop; the last of a loop waits for samples that never come.
+  ASSERT_EQ(outputs_.size() + processor_.waiting(), 33u);
+  for (std::size_t i = 0; i < outputs_.size(); ++i) {
+    const bool last_of_loop = i % 11 == 10;
+    EXPECT_STREQ(to_string(outputs_[i].reason), last_of_loop ? "TIME_JUMP" : "NONE") << i;
+  }
+}
+
+TEST_F(ProcessorTest, LoopWithSimulatedTimeIsOneJumpToo) {
+  for (int loop = 0; loop < 3; ++loop) {
+    now_ns_ = kStart;
+    play(&processor_, kStart, kSecond, [this] {
+      now_ns_ += kImuPeriod;
+      advance();
+    });
+  }
+  EXPECT_EQ(processor_.statistics().time_jumps, 2u);
+  EXPECT_EQ(logged("time went backwards"), 2u);
+  EXPECT_EQ(outputs_.size() + processor_.waiting(), 33u);
+}
+
+TEST_F(ProcessorTest, BagShorterThanTheThresholdLoopsToo) {
+  for (int loop = 0; loop < 3; ++loop) {
+    play(&processor_, kStart, 300 * kMs, [this] { advance(); });
+  }
+  time_out();
+  EXPECT_EQ(processor_.statistics().time_jumps, 2u);
+  EXPECT_EQ(logged("time went backwards"), 2u);
+  ASSERT_EQ(outputs_.size(), 12u);
+  std::size_t processed = 0;
+  for (const FrameOutput& output : outputs_) processed += output.reason == PassThroughReason::NONE;
+  // Of four frames a loop the last lacks samples, and from the second loop on the first comes before the reset is sure.
+  EXPECT_EQ(processed, 7u);
+}
+
+TEST_F(ProcessorTest, StragglersOfTheOldEpochDoNotDisturb) {
+  add_imu(kStart + 900 * kMs, kStart + kSecond);
+  add_frame(kStart + 900 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  add_imu(kStart, kStart + 20 * kMs);  // the IMU is back first
+  add_frame(kStart + 990 * kMs);       // an old image is late
+  EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+  add_frame(kStart + 5 * kMs);  // then the camera is back too
+  add_imu(kStart + 25 * kMs, kStart + 100 * kMs);
+  advance();
+  EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+  ASSERT_EQ(outputs_.size(), 3u);
+  expect_passed_through(1, PassThroughReason::TIME_JUMP, "backwards");
+  expect_deblurred(2);
+}
+
+TEST_F(ProcessorTest, LateSamplesOfTheOldEpochDoNotStandForTheNewOne) {
+  add_imu(kStart + 900 * kMs, kStart + kSecond);
+  add_frame(kStart + 900 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  add_frame(kStart);                                            // the camera is back first
+  add_imu(kStart + kSecond + kImuPeriod, kStart + 1050 * kMs);  // old samples are late
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u);
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  advance();
+  expect_deblurred(1);
+  EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+}
+
+TEST_F(ProcessorTest, ClockAloneGoingBackIsAJump) {
+  add_frame(kStart);
+  now_ns_ -= 10 * kSecond;
+  advance();
+  expect_passed_through(0, PassThroughReason::TIME_JUMP, "");
+  EXPECT_EQ(logged("clock"), 1u);
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  add_frame(kStart + kMs);
+  advance();
+  expect_deblurred(1);
+  EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+}
+
+// --- services ---
+
+TEST_F(ProcessorTest, BiasAtRestIsAveragedAndUsed) {
+  add_imu(kStart - 1200 * kMs, kStart + 100 * kMs, 0.4);
+  std::string text;
+  ASSERT_TRUE(processor_.estimate_bias(&text)) << text;
+  EXPECT_NEAR(processor_.bias_rad_s().y(), 0.4, 1e-12);
+  EXPECT_NE(text.find("0.400000"), std::string::npos);
+  add_frame(kStart);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].image, outputs_[0].input) << "without its bias the camera stands still";
+  configure();
+  EXPECT_NEAR(processor_.bias_rad_s().y(), 0.4, 1e-12) << "other parameters leave it";
+  processor_.reset();
+  EXPECT_EQ(processor_.bias_rad_s().y(), 0);
+}
+
+TEST_F(ProcessorTest, BiasOfAMovingSensorIsRefused) {
+  for (TimeNs t_ns = 0; t_ns <= 1100 * kMs; t_ns += kImuPeriod) {
+    processor_.add_imu(imu_message(kStart + t_ns, std::sin(to_seconds(t_ns) * 10)));
+  }
+  std::string text;
+  EXPECT_FALSE(processor_.estimate_bias(&text));
+  EXPECT_FALSE(text.empty());
+  EXPECT_EQ(processor_.bias_rad_s().y(), 0);
+}
+
+TEST_F(ProcessorTest, BiasOfTooFewSamplesIsRefused) {
+  std::string text;
+  EXPECT_FALSE(processor_.estimate_bias(&text));
+  EXPECT_NE(text.find("bias_window"), std::string::npos);
+  add_imu(kStart, kStart + 500 * kMs, 0.1);
+  EXPECT_FALSE(processor_.estimate_bias(&text));
+  EXPECT_NE(text.find("0.5"), std::string::npos) << text;
+}
+
+TEST_F(ProcessorTest, ResetLetsWaitingFramesOutAndForgets) {
+  add_imu(kStart - 50 * kMs, kStart);
+  add_frame(kStart);
+  processor_.reset();
+  advance();
+  expect_passed_through(0, PassThroughReason::TIME_JUMP, "reset");
+  EXPECT_FALSE(processor_.statistics().newest_imu_ns);
+  add_imu(kStart - 60 * kSecond, kStart - 60 * kSecond);
+  EXPECT_EQ(processor_.statistics().time_jumps, 0u) << "any time may follow a reset";
+}
+
+// --- what is asked for ---
+
+TEST_F(ProcessorTest, OnlyWhatIsAskedForIsMade) {
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  request_ = {false, false, false, false};
+  add_frame(kStart);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].image, outputs_[0].input);
+  EXPECT_EQ(outputs_[0].stages.deconvolution_ms, 0);
+  EXPECT_EQ(outputs_[0].keypoints, nullptr);
+  EXPECT_EQ(outputs_[0].overlay, nullptr);
+  EXPECT_EQ(outputs_[0].markers, nullptr);
+  EXPECT_FALSE(outputs_[0].blur_field->status.empty());
+  request_ = {true, true, true, true};
+  add_frame(kStart + kMs);
+  advance();
+  expect_deblurred(1);
+  ASSERT_NE(outputs_[1].overlay, nullptr);
+  EXPECT_EQ(outputs_[1].overlay->encoding, "bgr8");
+  EXPECT_EQ(outputs_[1].overlay->width, static_cast<unsigned>(kWidth));
+  ASSERT_NE(outputs_[1].markers, nullptr);
+  EXPECT_EQ(outputs_[1].markers->markers[0].points.size(), 2 * outputs_[1].field->blocks.size());
+  ASSERT_NE(outputs_[1].keypoints, nullptr);
+  EXPECT_EQ(outputs_[1].keypoints->descriptor, "ORB");
+}
+
+TEST_F(ProcessorTest, MarkersOfTheFrameBeforeAreTakenAway) {
+  request_.markers = true;
+  auto floats = image_message(kStart);
+  floats->encoding = "32FC1";
+  processor_.add_image(floats);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  ASSERT_NE(outputs_[0].markers, nullptr);
+  EXPECT_EQ(outputs_[0].markers->markers[0].action, visualization_msgs::Marker::DELETE);
+}
+
+class ProcessorEncodingTest : public ProcessorTest, public testing::WithParamInterface<const char*> {};
+
+TEST_P(ProcessorEncodingTest, IsDeblurredAndKept) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_image(image_message(kStart, GetParam()));
+  processor_.add_camera_info(camera_info(kStart));
+  advance();
+  expect_deblurred(0);
+  EXPECT_FALSE(outputs_[0].keypoints->keypoints.empty());
+  if (sensor_msgs::image_encodings::hasAlpha(GetParam())) {
+    for (std::size_t i = 3; i < outputs_[0].image->data.size(); i += 4) {
+      ASSERT_EQ(outputs_[0].image->data[i], outputs_[0].input->data[i]) << "alpha";
+    }
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Encodings, ProcessorEncodingTest,
+                         testing::Values("mono8", "mono16", "8UC1", "16UC1", "bgr8", "rgb8", "bgra8", "rgba8", "bgr16",
+                                         "bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8", "bayer_rggb16"));
+
+TEST_F(ProcessorTest, ByteOrderMakesNoDifference) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  const auto little = image_message(kStart, "mono16");
+  auto big = boost::make_shared<sensor_msgs::Image>(*little);
+  for (std::size_t i = 0; i + 1 < big->data.size(); i += 2) std::swap(big->data[i], big->data[i + 1]);
+  big->is_bigendian = !little->is_bigendian;
+  processor_.add_camera_info(camera_info(kStart));
+  processor_.add_image(little);
+  processor_.add_image(big);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_deblurred(1);
+  EXPECT_EQ(outputs_[0].image->data, outputs_[1].image->data);
+  EXPECT_EQ(outputs_[0].image->is_bigendian, outputs_[1].image->is_bigendian);
+}
+
+}  // namespace
+}  // namespace gyro_deblur

@@ -1,0 +1,58 @@
+#include "ros/time_jump.hpp"
+
+#include <gtest/gtest.h>
+
+namespace gyro_deblur {
+namespace {
+
+using Verdict = TimeJumpDetector::Verdict;
+constexpr TimeNs kThreshold = 500;
+
+TEST(TimeJumpDetector, SmallStepsBackAreNotAReset) {
+  TimeJumpDetector detector(kThreshold);
+  EXPECT_EQ(detector.update(Stream::IMU, 10'000), Verdict::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMU, 9'500), Verdict::FORWARD);
+  EXPECT_EQ(detector.newest_ns(Stream::IMU), 10'000);
+  EXPECT_EQ(detector.update(Stream::IMU, 9'499), Verdict::JUMP);
+  EXPECT_EQ(detector.newest_ns(Stream::IMU), 9'499);
+}
+
+TEST(TimeJumpDetector, OtherStreamsFollowWithoutTellingAgain) {
+  TimeJumpDetector detector(kThreshold);
+  detector.update(Stream::IMU, 10'000);
+  detector.update(Stream::IMAGE, 10'000);
+  EXPECT_EQ(detector.update(Stream::IMU, 0), Verdict::JUMP);
+  EXPECT_TRUE(detector.is_stale(Stream::IMAGE));
+  EXPECT_EQ(detector.update(Stream::IMAGE, 10'100), Verdict::FORWARD) << "still on its way from before";
+  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Verdict::FOLLOWS);
+  EXPECT_FALSE(detector.is_stale(Stream::IMAGE));
+  EXPECT_EQ(detector.update(Stream::IMAGE, 10'000), Verdict::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Verdict::JUMP) << "the second reset is news again";
+}
+
+TEST(TimeJumpDetector, StreamThatStartsLaterIsNotExpectedToFollow) {
+  TimeJumpDetector detector(kThreshold);
+  detector.update(Stream::IMU, 10'000);
+  EXPECT_EQ(detector.update(Stream::IMU, 0), Verdict::JUMP);
+  EXPECT_FALSE(detector.is_stale(Stream::IMAGE));
+}
+
+TEST(TimeJumpDetector, StreamThatGoesOnIsNotExpectedToFollowForever) {
+  TimeJumpDetector detector(kThreshold);
+  detector.update(Stream::IMAGE, 10'000);
+  detector.update(Stream::IMU, 10'000);
+  EXPECT_EQ(detector.update(Stream::IMU, 0), Verdict::JUMP);
+  for (int i = 0; i < 100; ++i) EXPECT_EQ(detector.update(Stream::IMAGE, 10'000 + i), Verdict::FORWARD);
+  EXPECT_FALSE(detector.is_stale(Stream::IMAGE));
+  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Verdict::JUMP);
+}
+
+TEST(TimeJumpDetector, OwnerCanTellOfAReset) {
+  TimeJumpDetector detector(kThreshold);
+  detector.update(Stream::IMU, 400);
+  EXPECT_EQ(detector.went_back(Stream::IMU, 100), Verdict::JUMP);
+  EXPECT_EQ(detector.newest_ns(Stream::IMU), 100);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
