@@ -72,7 +72,7 @@ cv::Mat procedural_texture(int width_px, int height_px, std::uint64_t seed) {
   constexpr double kCoverage = 2.5;      // mean number of leaves over a pixel
   constexpr double kTextShare = 0.12;    // of the leaves
   constexpr int kShift = 4;              // fractional bits of coordinates
-  const double largest = 0.2 * std::max(width_px, height_px);
+  const double largest = 0.1 * std::max(width_px, height_px);
   // Mean area of a leaf with radius density ~ r^-3 on [smallest, largest].
   const double ratio = largest / kSmallestRadius;
   const double mean_area = 2 * kPi * kSmallestRadius * kSmallestRadius * std::log(ratio) / (1 - 1 / (ratio * ratio));
@@ -86,7 +86,7 @@ cv::Mat procedural_texture(int width_px, int height_px, std::uint64_t seed) {
     const double radius = kSmallestRadius / std::sqrt(q);
     const cv::Point2d center(uniform(rng, -radius, width_px + radius), uniform(rng, -radius, height_px + radius));
     const cv::Scalar color = random_color(rng);
-    if (uniform(rng, 0, 1) < kTextShare && radius < 0.1 * largest) {
+    if (uniform(rng, 0, 1) < kTextShare && radius < 0.2 * largest) {
       std::string text;
       for (int k = rng.uniform(1, 6); k > 0; --k) text += static_cast<char>(rng.uniform('0', 'Z' + 1));
       const cv::Point origin(static_cast<int>(center.x), static_cast<int>(center.y));

@@ -1,10 +1,7 @@
 // simulate_bag: a ROS bag from a simulated camera and IMU whose truth is known.
-#include <unistd.h>
-
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
@@ -22,6 +19,7 @@
 #include "gyro_deblur/options.hpp"
 #include "sim/simulator.hpp"
 #include "tools/bag_messages.hpp"
+#include "tools/progress.hpp"
 
 namespace {
 
@@ -45,30 +43,6 @@ struct Arguments {
   std::string json;
   bool no_truth = false;
   bool quiet = false;
-};
-
-// A bar on a terminal, else a line every tenth.
-class Progress {
- public:
-  Progress(int total, bool quiet) : total_(total), quiet_(quiet), terminal_(isatty(STDERR_FILENO) != 0) {}
-
-  void done(int count) {
-    if (quiet_) return;
-    if (terminal_) {
-      constexpr int kWidth = 40;
-      const int filled = kWidth * count / total_;
-      std::fprintf(stderr, "\r[%s%s] %d of %d images", std::string(static_cast<std::size_t>(filled), '#').c_str(),
-                   std::string(static_cast<std::size_t>(kWidth - filled), ' ').c_str(), count, total_);
-      if (count == total_) std::fputc('\n', stderr);
-      return;
-    }
-    const int tenth = 10 * count / total_;
-    if (tenth > 10 * (count - 1) / total_) std::fprintf(stderr, "%d %%: %d of %d images\n", 10 * tenth, count, total_);
-  }
-
- private:
-  int total_;
-  bool quiet_, terminal_;
 };
 
 std_msgs::Header header(TimeNs stamp_ns, const char* frame_id, const std::string& what) {
@@ -130,7 +104,7 @@ nlohmann::json write_bag(Simulator& simulator, const Arguments& arguments, const
 
   sensor_msgs::CameraInfo info = gyro_deblur::camera_info_message(scene.camera.calibration);
   const std::string& encoding = scene.camera.encoding;
-  Progress progress(simulator.frames(), arguments.quiet);
+  gyro_deblur::Progress progress(static_cast<std::size_t>(simulator.frames()), "images", arguments.quiet);
   nlohmann::json per_frame = nlohmann::json::array();
   const auto started = std::chrono::steady_clock::now();
   for (int i = 0; i < simulator.frames(); ++i) {
@@ -164,7 +138,7 @@ nlohmann::json write_bag(Simulator& simulator, const Arguments& arguments, const
                          {"sub_exposures", frame.sub_exposures},
                          {"median_extent_px", extents.empty() ? 0.0 : extents[extents.size() / 2]},
                          {"max_extent_px", extents.empty() ? 0.0 : extents.back()}});
-    progress.done(i + 1);
+    progress.done(static_cast<std::size_t>(i) + 1);
   }
   write_imu_until(scene.end_ns());
   bag.close();
