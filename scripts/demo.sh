@@ -1,0 +1,106 @@
+#!/usr/bin/env bash
+# The whole package at work, with nothing but packages of the distribution: simulates a shaken rolling-shutter camera,
+# plays the bag through the nodelet, and leaves pictures and numbers in demo_output/.
+set -euo pipefail
+# shellcheck source=scripts/common.sh
+source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
+cd "${GYRO_DEBLUR_ROOT}"
+readonly STEPS=6
+readonly OUT="${GYRO_DEBLUR_ROOT}/demo_output"
+readonly CONFIG="${GYRO_DEBLUR_ROOT}/config/demo.yaml"
+
+master_pid=''
+display_pid=''
+launch_pid=''
+# Ends what this script started, and only that.
+cleanup() {
+  local pid
+  for pid in ${launch_pid} ${display_pid} ${master_pid}; do
+    kill -INT "${pid}" 2> /dev/null || true
+    wait "${pid}" 2> /dev/null || true
+  done
+}
+trap cleanup EXIT
+trap 'exit 130' INT TERM
+
+# launch LOG ARGUMENTS...: runs demo.launch to its end; shows the end of its log when it fails.
+launch() {
+  local log="$1"
+  shift
+  roslaunch --wait gyro_deblur demo.launch "$@" > "${log}" 2>&1 < /dev/null &
+  launch_pid=$!
+  local status=0
+  wait "${launch_pid}" || status=$?
+  launch_pid=''
+  # A required node that ends well ends the launch, whose own status says nothing then.
+  if ((status != 0)) || ! grep -q 'frames came out' "${log}" || grep -q '^play_through.py: ' "${log}"; then
+    tail -n 30 "${log}" >&2
+    fail "the launch failed; the log is ${log}"
+  fi
+  grep -h -E 'frames came out|^screenshot' "${log}" | sed 's/^/  /'
+}
+
+step ${STEPS} "Packages"
+scripts/install_dependencies.sh
+
+step ${STEPS} "Build"
+scripts/build.sh
+source_devel_space
+
+step ${STEPS} "Simulate a hand-held rolling-shutter camera with its gyroscope"
+mkdir -p "${OUT}"
+rm -rf "${OUT:?}"/*
+say "config/scenes/handheld.yaml -> demo_output/input.bag"
+rosrun gyro_deblur simulate_bag "${OUT}/input.bag" --scene config/scenes/handheld.yaml --json "${OUT}/simulation.json"
+
+step ${STEPS} "Play it through the nodelet"
+# A master of its own, on a port that nobody has, leaves others alone.
+port="$(/usr/bin/python3 -c 'import socket; s = socket.socket(); s.bind(("localhost", 0)); print(s.getsockname()[1])')"
+export ROS_MASTER_URI="http://localhost:${port}" ROS_HOSTNAME=localhost ROS_LOG_DIR="${OUT}/ros_log"
+mkdir -p "${ROS_LOG_DIR}"
+roscore -p "${port}" > "${OUT}/roscore.log" 2>&1 < /dev/null &
+master_pid=$!
+say "roscore on port ${port}"
+camera_listeners="--listener /camera/keypoints=/record --listener /camera/blur_overlay=/record"
+launch "${OUT}/nodelet.log" bag:="${OUT}/input.bag" config:="${CONFIG}" record:="${OUT}/output.bag" \
+  conductor_args:="${camera_listeners} --listener /camera/deblurred/image_raw=/record"
+
+step ${STEPS} "Report"
+scripts/report.py "${OUT}/input.bag" "${OUT}/output.bag" "${OUT}" --title "gyro_deblur: demo"
+
+step ${STEPS} "rviz on a virtual display"
+# The bag is played until the most blurred frame, which rviz then keeps showing.
+duration="$(/usr/bin/python3 - "${OUT}/input.bag" "${OUT}/report.json" << 'PYTHON'
+import json, sys
+import rosbag
+with open(sys.argv[2], encoding="utf-8") as file:
+    report = json.load(file)
+frame = report["pictures"][0]["frame"] if report["pictures"] else report["frames_in"] - 1
+with rosbag.Bag(sys.argv[1]) as bag:
+    times = [t.to_sec() for _, _, t in bag.read_messages(topics=["/camera/image_raw"])]
+    # Half a frame more, for the gyroscope samples that the frame waits for.
+    print("%.3f" % (times[frame] + 0.5 * (times[1] - times[0]) - bag.get_start_time()))
+PYTHON
+)"
+exec 7> "${OUT}/.display"
+Xvfb -displayfd 7 -screen 0 1600x1000x24 -nolisten tcp > "${OUT}/xvfb.log" 2>&1 < /dev/null &
+display_pid=$!
+for _ in $(seq 300); do
+  [[ -s "${OUT}/.display" ]] && break
+  kill -0 "${display_pid}" 2> /dev/null || fail "Xvfb did not start: see ${OUT}/xvfb.log"
+  sleep 0.1
+done
+display="$(cat "${OUT}/.display")"
+[[ -n "${display}" ]] || fail "Xvfb gave no display: see ${OUT}/xvfb.log"
+export DISPLAY=":${display}" LIBGL_ALWAYS_SOFTWARE=1 QT_X11_NO_MITSHM=1 XDG_RUNTIME_DIR="${OUT}"
+launch "${OUT}/rviz.log" bag:="${OUT}/input.bag" config:="${CONFIG}" rviz:=true \
+  conductor_args:="--duration ${duration} --screenshot ${OUT}/rviz.png
+    --listener /camera/blur_markers=/rviz --listener /camera/blur_overlay=/rviz --listener /camera/image_raw=/rviz"
+
+printf '\nDone. Look at:\n'
+for file in report.md rviz.png plots.png $(cd "${OUT}" && ls frame_*_comparison.png frame_*_crops.png frame_*_overlay.png 2> /dev/null); do
+  [[ -s "${OUT}/${file}" ]] || fail "demo_output/${file} was not made"
+  say "demo_output/${file}"
+done
+printf '\n'
+sed -n '/^## Frames/,/^## Diagnostics/p' "${OUT}/report.md" | sed '$d'
