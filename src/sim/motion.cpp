@@ -86,10 +86,10 @@ class ConstantRateMotion : public Motion {
   VectorCurve position_;
 };
 
-class GyroTraceMotion : public Motion {
+class GyroTraceMotion final : public Motion {
  public:
-  GyroTraceMotion(std::vector<TraceSample> samples, double start_s, double scale, const Eigen::Matrix3d& R_cam_imu,
-                  const Eigen::Quaterniond& R_world_cam_0, VectorCurve position)
+  GyroTraceMotion(const std::vector<TraceSample>& samples, double start_s, double scale,
+                  const Eigen::Matrix3d& R_cam_imu, const Eigen::Quaterniond& R_world_cam_0, VectorCurve position)
       : position_(std::move(position)) {
     for (const TraceSample& s : samples) {
       times_.push_back(s.t_s - start_s);
@@ -320,13 +320,13 @@ std::unique_ptr<Motion> make_constant_rate_motion(const Eigen::Quaterniond& R_wo
   return std::make_unique<ConstantRateMotion>(R_world_cam_0, rate_rad_s, position_m);
 }
 
-std::unique_ptr<Motion> make_gyro_trace_motion(std::vector<TraceSample> samples, double start_s, double scale,
+std::unique_ptr<Motion> make_gyro_trace_motion(const std::vector<TraceSample>& samples, double start_s, double scale,
                                                const Eigen::Matrix3d& R_cam_imu,
                                                const Eigen::Quaterniond& R_world_cam_0, const VectorCurve& position_m) {
-  return std::make_unique<GyroTraceMotion>(std::move(samples), start_s, scale, R_cam_imu, R_world_cam_0, position_m);
+  return std::make_unique<GyroTraceMotion>(samples, start_s, scale, R_cam_imu, R_world_cam_0, position_m);
 }
 
-std::unique_ptr<Motion> make_trajectory_motion(std::vector<TrajectorySample> samples, double start_s) {
+std::unique_ptr<Motion> make_trajectory_motion(const std::vector<TrajectorySample>& samples, double start_s) {
   return std::make_unique<TrajectoryMotion>(samples, start_s);
 }
 

@@ -94,7 +94,7 @@ struct TraceSample {
 /// @param start_s    time in the trace that becomes scene time 0; inside the trace
 /// @param scale      factor on the rates
 /// @param R_cam_imu  takes the trace's axes to the camera's
-std::unique_ptr<Motion> make_gyro_trace_motion(std::vector<TraceSample> samples, double start_s, double scale,
+std::unique_ptr<Motion> make_gyro_trace_motion(const std::vector<TraceSample>& samples, double start_s, double scale,
                                                const Eigen::Matrix3d& R_cam_imu,
                                                const Eigen::Quaterniond& R_world_cam_0, const VectorCurve& position_m);
 
@@ -108,7 +108,7 @@ struct TrajectorySample {
 /// between neighbours with the mean rate of the two intervals at each sample, so that rates are continuous.
 /// @param samples  at least two, strictly increasing
 /// @param start_s  time in the trajectory that becomes scene time 0
-std::unique_ptr<Motion> make_trajectory_motion(std::vector<TrajectorySample> samples, double start_s);
+std::unique_ptr<Motion> make_trajectory_motion(const std::vector<TrajectorySample>& samples, double start_s);
 
 /// The camera circles a point and looks at it: angle(t) = rate t + amplitude sin(2 pi frequency t) about `axis`.
 struct Orbit {

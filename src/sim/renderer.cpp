@@ -22,62 +22,63 @@ struct RowScratch {
       : inverse_depth(static_cast<std::size_t>(width)),
         fu(inverse_depth),
         fv(inverse_depth),
-        value(static_cast<std::size_t>(width * channels)),
+        value(static_cast<std::size_t>(width) * static_cast<std::size_t>(channels)),
         index(static_cast<std::size_t>(width)) {}
   std::vector<float> inverse_depth, fu, fv, value;
   std::vector<int> index;  // of the upper left texel; -1: nothing nearer was hit
 };
 
 // Finds texels and marks pixels that see this plane nearer than anything before. Returns whether there are any.
-bool locate(const float* ray_x, const float* ray_y, int width, const PlaneMap& map, const cv::Mat& level,
+bool locate(const float* ray_x, const float* ray_y, int width, const PlaneMap map, const cv::Mat& level,
             RowScratch& row) {
   const float u_last = static_cast<float>(level.cols - 1), v_last = static_cast<float>(level.rows - 1);
   // Just below the last texel, so that the right and lower neighbours exist; 1e-3 survives rounding at 8192.
   const float u_max = u_last - 1e-3f, v_max = v_last - 1e-3f;
+  const float u_end = u_last + 0.5f, v_end = v_last + 0.5f;
   const int stride = level.cols;
   float* inverse_depth = row.inverse_depth.data();
   float* fu = row.fu.data();
   float* fv = row.fv.data();
   int* index = row.index.data();
   int hits = 0;
+#pragma omp simd reduction(| : hits)
   for (int i = 0; i < width; ++i) {
     const float x = ray_x[i], y = ray_y[i];
     const float inverse = map.w[0] * x + map.w[1] * y + map.w[2];
     const float depth = 1.0f / inverse;
-    float u = map.cu + (map.a[0] * x + map.a[1] * y + map.a[2]) * depth;
-    float v = map.cv + (map.b[0] * x + map.b[1] * y + map.b[2]) * depth;
-    // Bitwise: no branches. NaN rays compare false.
-    const bool hit =
-        (inverse > inverse_depth[i]) & (u >= -0.5f) & (u <= u_last + 0.5f) & (v >= -0.5f) & (v <= v_last + 0.5f);
-    u = hit ? u : 0.0f;
-    v = hit ? v : 0.0f;
-    u = u < 0.0f ? 0.0f : u;
-    v = v < 0.0f ? 0.0f : v;
-    u = u > u_max ? u_max : u;
-    v = v > v_max ? v_max : v;
-    const int iu = static_cast<int>(u), iv = static_cast<int>(v);
-    fu[i] = u - static_cast<float>(iu);
-    fv[i] = v - static_cast<float>(iv);
-    index[i] = hit ? iv * stride + iu : -1;
-    inverse_depth[i] = hit ? inverse : inverse_depth[i];
-    hits += hit ? 1 : 0;
+    const float u = map.cu + (map.a[0] * x + map.a[1] * y + map.a[2]) * depth;
+    const float v = map.cv + (map.b[0] * x + map.b[1] * y + map.b[2]) * depth;
+    // Bitwise, and clamped whether hit or not: no branches, so that the loop vectorises. NaN rays compare false.
+    const float nearest = inverse_depth[i];
+    const int hit = -static_cast<int>((inverse > nearest) & (u >= -0.5f) & (u <= u_end) & (v >= -0.5f) & (v <= v_end));
+    const float u_floored = u > 0.0f ? u : 0.0f, v_floored = v > 0.0f ? v : 0.0f;
+    const float u_inside = u_floored < u_max ? u_floored : u_max, v_inside = v_floored < v_max ? v_floored : v_max;
+    const int iu = static_cast<int>(u_inside), iv = static_cast<int>(v_inside);
+    fu[i] = u_inside - static_cast<float>(iu);
+    fv[i] = v_inside - static_cast<float>(iv);
+    index[i] = (iv * stride + iu) | ~hit;  // -1 without a hit
+    inverse_depth[i] = hit != 0 ? inverse : nearest;
+    hits |= hit;
   }
-  return hits > 0;
+  return hits != 0;
 }
 
 template <int kChannels>
 void sample(int width, const cv::Mat& level, RowScratch& row) {
   const float* texels = level.ptr<float>();
-  const int below = level.cols * kChannels;
-  for (int i = 0; i < width; ++i) {
-    const int index = row.index[static_cast<std::size_t>(i)];
-    if (index < 0) continue;
-    const float fu = row.fu[static_cast<std::size_t>(i)], fv = row.fv[static_cast<std::size_t>(i)];
-    const float* p = texels + static_cast<std::ptrdiff_t>(index) * kChannels;
+  const std::ptrdiff_t below = static_cast<std::ptrdiff_t>(level.cols) * kChannels;
+  const float* fu = row.fu.data();
+  const float* fv = row.fv.data();
+  const int* index = row.index.data();
+  float* value = row.value.data();
+  for (int i = 0; i < width; ++i, value += kChannels) {
+    if (index[i] < 0) continue;
+    const float u = fu[i], v = fv[i];
+    const float* p = texels + static_cast<std::ptrdiff_t>(index[i]) * kChannels;
     for (int c = 0; c < kChannels; ++c) {
-      const float top = p[c] + fu * (p[c + kChannels] - p[c]);
-      const float bottom = p[c + below] + fu * (p[c + below + kChannels] - p[c + below]);
-      row.value[static_cast<std::size_t>(i * kChannels + c)] = top + fv * (bottom - top);
+      const float top = p[c] + u * (p[c + kChannels] - p[c]);
+      const float bottom = p[c + below] + u * (p[c + below + kChannels] - p[c + below]);
+      value[c] = top + v * (bottom - top);
     }
   }
 }
@@ -215,6 +216,7 @@ std::vector<Eigen::Vector3d> Renderer::intersections(const Pose& pose, const Eig
   }
   std::sort(hits.begin(), hits.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
   std::vector<Eigen::Vector3d> points;
+  points.reserve(hits.size());
   for (const auto& hit : hits) points.push_back(hit.second);
   return points;
 }

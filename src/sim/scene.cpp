@@ -22,8 +22,15 @@ constexpr double kMaxAngleDeg = 36000;  // turns are allowed, typing errors are 
 constexpr double kMaxLengthM = 1e4;
 constexpr double kMaxTimeS = 1e5;
 
-const char* const kEncodings[] = {"mono8",       "mono16",      "bgr8",        "rgb8",
-                                  "bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8"};
+template <typename Words>
+std::string join(const Words& words) {
+  std::string list;
+  for (const auto& word : words) {
+    if (!list.empty()) list += ", ";
+    list += word;
+  }
+  return list;
+}
 
 // A map of the scene file whose keys are read by name and must all be known.
 class Section {
@@ -69,13 +76,11 @@ class Section {
     return has(key) ? text(key) : otherwise;
   }
   std::string choice(const std::string& key, std::initializer_list<const char*> allowed, const char* otherwise) {
-    const std::string value = otherwise == nullptr ? text(key) : text_or(key, otherwise);
-    std::string list;
-    for (const char* a : allowed) {
-      if (value == a) return value;
-      list += (list.empty() ? "" : ", ") + std::string(a);
+    std::string value = otherwise == nullptr ? text(key) : text_or(key, otherwise);
+    if (std::find(allowed.begin(), allowed.end(), value) == allowed.end()) {
+      throw OptionError(name(key) + " = '" + value + "' is not one of " + join(allowed));
     }
-    throw OptionError(name(key) + " = '" + value + "' is not one of " + list);
+    return value;
   }
 
   std::vector<double> numbers(const std::string& key, std::size_t min_count, std::size_t max_count, double min,
@@ -126,10 +131,8 @@ class Section {
     for (const auto& entry : node_) {
       const std::string key = entry.first.Scalar();
       if (known_.count(key) != 0) continue;
-      std::string list;
-      for (const std::string& k : known_) list += (list.empty() ? "" : ", ") + k;
       throw OptionError(at(entry.first) + (path_.empty() ? key : path_ + "." + key) +
-                        " is not a known key; known here: " + list);
+                        " is not a known key; known here: " + join(known_));
     }
   }
 
@@ -188,12 +191,9 @@ CameraModel parse_camera(Section s) {
   camera.stamp_row = row == "first" ? StampRow::FIRST : row == "middle" ? StampRow::MIDDLE : StampRow::LAST;
   const std::string phase = s.choice("stamp_phase", {"start", "middle", "end"}, "start");
   camera.stamp_phase = phase == "start" ? StampPhase::START : phase == "middle" ? StampPhase::MIDDLE : StampPhase::END;
-  camera.encoding = s.text_or("encoding", camera.encoding);
-  if (std::find(std::begin(kEncodings), std::end(kEncodings), camera.encoding) == std::end(kEncodings)) {
-    std::string list;
-    for (const char* e : kEncodings) list += (list.empty() ? "" : ", ") + std::string(e);
-    throw OptionError(s.name("encoding") + " = '" + camera.encoding + "' is not one of " + list);
-  }
+  camera.encoding = s.choice(
+      "encoding", {"mono8", "mono16", "bgr8", "rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8"},
+      "mono8");
   camera.noise = s.number_or("noise", 0, 0, 64, "grey levels");
   s.finish();
   return camera;
@@ -320,15 +320,15 @@ std::unique_ptr<Motion> parse_motion(Section s, const std::string& directory, co
     const Eigen::Vector3d rate = kRadPerDeg * s.vector("rate", kMaxAngleDeg, "deg/s");
     motion = make_constant_rate_motion(rotation_or_identity(s, "orientation"), rate, position_curve(s));
   } else if (type == "gyro_trace") {
-    std::vector<TraceSample> samples = load_gyro_trace(resolve(directory, s.text("file")));
+    const std::vector<TraceSample> samples = load_gyro_trace(resolve(directory, s.text("file")));
     const double start = s.number_or("start", 0, 0, samples.back().t_s, "s");
     const double scale = s.number_or("scale", 1, -1000, 1000);
-    motion = make_gyro_trace_motion(std::move(samples), start, scale, R_cam_imu, rotation_or_identity(s, "orientation"),
+    motion = make_gyro_trace_motion(samples, start, scale, R_cam_imu, rotation_or_identity(s, "orientation"),
                                     position_curve(s));
   } else if (type == "trajectory") {
-    std::vector<TrajectorySample> samples = load_trajectory(resolve(directory, s.text("file")));
+    const std::vector<TrajectorySample> samples = load_trajectory(resolve(directory, s.text("file")));
     const double start = s.number_or("start", 0, 0, samples.back().t_s, "s");
-    motion = make_trajectory_motion(std::move(samples), start);
+    motion = make_trajectory_motion(samples, start);
   } else {
     Orbit orbit;
     orbit.center_m = s.vector_or("center", orbit.center_m, kMaxLengthM, "m");

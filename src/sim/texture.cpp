@@ -62,7 +62,7 @@ const cv::Mat& Texture::level(int index) {
 }
 
 cv::Mat load_texture(const std::string& path) {
-  const cv::Mat image = cv::imread(path, cv::IMREAD_COLOR);
+  cv::Mat image = cv::imread(path, cv::IMREAD_COLOR);
   if (image.empty()) throw OptionError("texture " + path + " cannot be read as an image");
   return image;
 }
