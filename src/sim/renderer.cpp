@@ -32,8 +32,8 @@ struct RowScratch {
 bool locate(const float* ray_x, const float* ray_y, int width, const PlaneMap map, const cv::Mat& level,
             RowScratch& row) {
   const float u_last = static_cast<float>(level.cols - 1), v_last = static_cast<float>(level.rows - 1);
-  // Just below the last texel, so that the right and lower neighbours exist; 1e-3 survives rounding at 8192.
-  const float u_max = u_last - 1e-3f, v_max = v_last - 1e-3f;
+  // Just below the last texel, so that the right and lower neighbours exist.
+  const float u_max = std::nextafter(u_last, 0.0f), v_max = std::nextafter(v_last, 0.0f);
   const float u_end = u_last + 0.5f, v_end = v_last + 0.5f;
   const int stride = level.cols;
   float* inverse_depth = row.inverse_depth.data();
