@@ -130,8 +130,9 @@ CellRange cells_of(int begin_px, int length_px, int size_px, int cells) {
   const double at_center = std::clamp((begin_px + 0.5 * length_px) * cells_per_px - 0.5, 0.0, last_cell);
   CellRange range;
   range.before = static_cast<int>(at_center);
-  range.after = std::min(range.before + 1, cells - 1);
   range.weight_of_after = at_center - range.before;
+  // A cell without weight takes no part, whatever it holds.
+  range.after = range.weight_of_after > 0 ? range.before + 1 : range.before;
   // The margin keeps rounding from adding a cell that only shares a border with the block.
   constexpr double kMargin = 1e-9;
   range.first = std::min(range.before, static_cast<int>(begin_px * cells_per_px + kMargin));

@@ -100,10 +100,10 @@ TEST(AxialDifference, WrapsAtHalfATurn) {
 }
 
 TEST(ClassifyBlur, DecidesByExtent) {
-  const BlurFieldOptions options;  // 2 to 150 px
+  const BlurFieldOptions options;  // 3 to 150 px
   EXPECT_EQ(classify_blur(0, 0, options).status, BlockStatus::SHARP);
-  EXPECT_EQ(classify_blur(1.99, 0, options).status, BlockStatus::SHARP);
-  EXPECT_EQ(classify_blur(0, 2, options).status, BlockStatus::DEBLURRED);
+  EXPECT_EQ(classify_blur(2.99, 0, options).status, BlockStatus::SHARP);
+  EXPECT_EQ(classify_blur(0, 3, options).status, BlockStatus::DEBLURRED);
   EXPECT_EQ(classify_blur(90, -120, options).status, BlockStatus::DEBLURRED);
   EXPECT_EQ(classify_blur(90, -120.1, options).status, BlockStatus::TOO_LARGE);
   const BlockBlur blur = classify_blur(-3, 4, options);

@@ -75,7 +75,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"backend", "reference"},
       {"threads", "2"},
       {"block_size", "32"},
-      {"min_extent", "3"},
+      {"min_extent", "4"},
       {"max_extent", "100.5"},
       {"gamma", "1e-3"},
       {"kernel_length_factor", "6"},
@@ -130,7 +130,7 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.backend, "reference");
   EXPECT_EQ(c.pipeline.threads, 2);
   EXPECT_EQ(c.pipeline.blur_field.block_size_px, 32);
-  EXPECT_EQ(c.pipeline.blur_field.min_extent_px, 3);
+  EXPECT_EQ(c.pipeline.blur_field.min_extent_px, 4);
   EXPECT_EQ(c.pipeline.blur_field.max_extent_px, 100.5);
   EXPECT_EQ(c.pipeline.kernel.gamma, 1e-3);
   EXPECT_EQ(c.pipeline.kernel.length_factor, 6);

@@ -114,7 +114,7 @@ TEST(Options, BlurFieldLimits) {
   using O = BlurFieldOptions;
   expect_limits(&O::block_size_px, "block_size", {8, 10, 1024}, {7, 9, 65, 1026, 0, -64});
   expect_limits(&O::min_extent_px, "min_extent", {1.0, 20.0}, {0.999, 20.001, kNan});
-  expect_limits(&O::max_extent_px, "max_extent", {2.0, 500.0}, {1.999, 500.001, kNan});
+  expect_limits(&O::max_extent_px, "max_extent", {3.0, 500.0}, {2.999, 500.001, kNan});
 }
 
 TEST(Options, ValidationLimitsAndThreshold) {
