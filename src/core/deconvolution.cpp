@@ -3,6 +3,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "cpu/cpu_convolver.hpp"
 #include "cpu/reference_convolver.hpp"
 
 namespace gyro_deblur {
@@ -100,22 +101,14 @@ std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad)
   const double major = major_is_y ? dy : dx;
   const double slope = (major_is_y ? dx : dy) / major;
 
-  const int radius = kernel.radius();
-  const int steps = static_cast<int>(std::ceil(radius * std::abs(major)));
-  std::vector<double> line(2 * steps + 1, 0.0);  // by position along the major axis, centre at [steps]
-  for (int i = -radius; i <= radius; ++i) {
-    const LinearSplat splat(i * major);
-    const double tap = kernel.taps[i + radius];
-    line[steps + splat.index] += tap * splat.lower;
-    if (splat.upper > 0) line[steps + splat.index + 1] += tap * splat.upper;
-  }
-
+  const int steps = static_cast<int>(std::ceil(kernel.radius() * std::abs(major)));
   std::vector<KernelTap> taps;
-  taps.reserve(2 * line.size());
+  taps.reserve(4 * steps + 2);
   for (int m = -steps; m <= steps; ++m) {
+    const double on_axis = tap_on_major_axis(kernel, major, m);
     const LinearSplat splat(m * slope);
     const auto add = [&](int n, double weight) {
-      const float w = static_cast<float>(line[steps + m] * weight);
+      const float w = static_cast<float>(on_axis * weight);
       if (w == 0) return;
       taps.push_back(major_is_y ? KernelTap{n, m, w} : KernelTap{m, n, w});
     };
@@ -125,10 +118,31 @@ std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad)
   return taps;
 }
 
+double tap_on_major_axis(const LineKernel& kernel, double major, int m) {
+  const int radius = kernel.radius();
+  // Taps less than a step away; a position on a step within rounding is on it.
+  const double along = major > 0 ? m : -m;
+  const int first = std::max(-radius, static_cast<int>(std::ceil((along - 1) / std::abs(major))));
+  const int last = std::min(radius, static_cast<int>(std::floor((along + 1) / std::abs(major))));
+  double sum = 0;
+  for (int i = first; i <= last; ++i) {
+    const double weight = 1 - std::abs(i * major - m);
+    if (weight > kOnPixel) sum += kernel.taps[i + radius] * weight;
+  }
+  return sum;
+}
+
+void require_convolvable(const cv::Mat& src) {
+  if ((src.depth() != CV_8U && src.depth() != CV_16U) || src.channels() > 4 || src.empty()) {
+    throw std::invalid_argument("the convolver takes CV_8U or CV_16U with 1 to 4 channels, at least 1x1");
+  }
+}
+
 std::unique_ptr<LineConvolver> make_line_convolver(const std::string& backend, int threads) {
   require_range("threads", threads, 0, 256);
-  if (backend == "reference" || backend == "auto") return std::make_unique<ReferenceConvolver>(threads);
-  throw OptionError("backend = \"" + backend + "\" is unknown; available: auto, reference");
+  if (backend == "reference") return std::make_unique<ReferenceConvolver>(threads);
+  if (backend == "cpu" || backend == "auto") return std::make_unique<CpuConvolver>(threads);
+  throw OptionError("backend = \"" + backend + "\" is unknown; available: auto, cpu, reference");
 }
 
 void deconvolve(const cv::Mat& image, PixelLayout layout, const BlurField& field, const KernelBank& bank,

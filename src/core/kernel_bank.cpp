@@ -53,6 +53,9 @@ LineKernel wiener_kernel(double extent_px, const KernelOptions& options) {
   for (int i = 0; i < length; ++i) {
     kernel.taps[i] = static_cast<float>(w.at<double>((i + length - radius) % length) / sum);
   }
+  // W = H* / gamma - H* |H|^2 / (gamma (|H|^2 + gamma)): the first term is the box again, the second falls as |H|^3.
+  kernel.box_extent_px = extent_px;
+  kernel.box_height = 1 / (options.gamma * extent_px * sum);
   return kernel;
 }
 

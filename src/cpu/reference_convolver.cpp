@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <limits>
-#include <stdexcept>
 
 // One binary for every x86-64: the compiler makes a copy of the inner loop per instruction set and the loader picks
 // one.
@@ -141,9 +140,7 @@ void ReferenceConvolver::convolve_as(const cv::Mat& src, const std::vector<Block
 }
 
 void ReferenceConvolver::convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) {
-  if ((src.depth() != CV_8U && src.depth() != CV_16U) || src.channels() > 4 || src.empty()) {
-    throw std::invalid_argument("the convolver takes CV_8U or CV_16U with 1 to 4 channels, at least 1x1");
-  }
+  require_convolvable(src);
   dst.create(src.size(), src.type());
   if (src.depth() == CV_8U) {
     convolve_as<std::uint8_t>(src, blocks, dst);

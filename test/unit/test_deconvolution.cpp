@@ -91,6 +91,7 @@ TEST(RotateKernel, KeepsTheDirectionOfAnAsymmetricKernel) {
 
 TEST(MakeLineConvolver, KnowsItsNames) {
   EXPECT_EQ(make_line_convolver("reference")->name(), "reference");
+  EXPECT_EQ(make_line_convolver("cpu")->name().rfind("cpu-", 0), 0u);
   EXPECT_NE(make_line_convolver("auto", 1), nullptr);
   EXPECT_THROW(make_line_convolver("gpu"), OptionError);
   EXPECT_THROW(make_line_convolver("reference", -1), OptionError);

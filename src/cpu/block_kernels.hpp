@@ -1,0 +1,88 @@
+// The inner loops of the CPU engine: one interface, compiled once per instruction set (see block_kernels_impl.hpp).
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace gyro_deblur {
+
+/// Work on a tile in line coordinates: m runs along the major axis of the blur (image rows of `source`), n across it
+/// (contiguous in memory). A line through (m0, n0) follows n = n0 + slope (m - m0), |slope| <= 1.
+struct TileGeometry {
+  int m_begin, m_count;  ///< outputs, >= 1
+  int n_begin, n_count;  ///< outputs, >= 1, n_count <= kMaxTileSide
+  double slope;
+};
+
+/// A plane of pixels: rows outside [0, rows) repeat the edge; columns are padded by the caller.
+template <typename Pixel>
+struct SourcePlane {
+  const Pixel* origin;    ///< pixel (m, n) = (0, 0)
+  std::ptrdiff_t stride;  ///< pixels from row to row
+  int rows;
+};
+
+constexpr int kMaxTileSide = 64;
+constexpr int kCoarseGuard = 3;  ///< zeros that the caller puts on either side of TwoScaleFilter::coarse
+
+/// Exact taps: at step `m` along the line the two neighbours across, with weights as a pair of int16.
+struct PairTap {
+  int m, n;              ///< input relative to the output
+  std::int32_t weights;  ///< weight of n in the low half, of n + 1 in the high half
+};
+
+struct ExactFilter {
+  const PairTap* taps;
+  int count;
+  int radius_m;      ///< max |tap.m|
+  int n_min, n_max;  ///< over taps
+  int shift;         ///< weights are scaled by 2^shift
+};
+
+/// Two scales: a box (as running sums), exact corrections at its ends, and a smooth rest on every `decimation`-th
+/// sample. Applies to correlation order: output(m) = sum weight[k] input(m + k).
+struct TwoScaleFilter {
+  const int* edge_offsets;  ///< of running sums
+  const float* edge_weights;
+  int edge_count;
+  int edge_reach;       ///< max |offset|
+  const float* coarse;  ///< 2 coarse_radius + 1 weights of sums over `decimation` samples
+  int coarse_radius;
+  int decimation;   ///< >= 1
+  float max_value;  ///< of the pixel type
+};
+
+/// The functions of one instruction set. `scratch` holds at least *_scratch_floats() floats, 64-byte aligned. `tile`
+/// receives m_count rows of kMaxTileSide pixels.
+struct BlockKernels {
+  const char* name;
+  int lanes;  ///< floats in a vector
+  std::size_t (*exact_scratch_floats)(const TileGeometry&, const ExactFilter&);
+  void (*exact_u8)(const SourcePlane<std::uint8_t>&, const TileGeometry&, const ExactFilter&, float* scratch,
+                   std::uint8_t* tile);
+  std::size_t (*two_scale_scratch_floats)(const TileGeometry&, const TwoScaleFilter&);
+  void (*two_scale_u8)(const SourcePlane<std::uint8_t>&, const TileGeometry&, const TwoScaleFilter&, float* scratch,
+                       std::uint8_t* tile);
+  void (*two_scale_u16)(const SourcePlane<std::uint16_t>&, const TileGeometry&, const TwoScaleFilter&, float* scratch,
+                        std::uint16_t* tile);
+};
+
+namespace baseline {
+extern const BlockKernels kKernels;
+}
+#if defined(__x86_64__)
+namespace avx2 {
+extern const BlockKernels kKernels;
+}
+namespace avx512 {
+extern const BlockKernels kKernels;
+}
+#endif
+
+/// The widest set this processor runs.
+const BlockKernels& best_block_kernels();
+
+/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
+const BlockKernels* find_block_kernels(const char* name);
+
+}  // namespace gyro_deblur

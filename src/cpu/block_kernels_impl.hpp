@@ -1,0 +1,357 @@
+// Body of the inner loops, included by one source file per instruction set, each of which is compiled with its own
+// flags and defines GYRO_DEBLUR_ISA (a namespace) and GYRO_DEBLUR_VECTOR_BYTES. Everything here has internal linkage
+// and nothing comes from the standard library's templates: a shared inline function compiled for AVX-512 could
+// otherwise be the copy that the linker keeps for every processor.
+#include <cstring>
+
+#include "cpu/block_kernels.hpp"
+
+#if defined(__SSE2__)
+#include <immintrin.h>
+#endif
+
+namespace gyro_deblur {
+namespace GYRO_DEBLUR_ISA {
+namespace {
+
+constexpr int kLanes = GYRO_DEBLUR_VECTOR_BYTES / 4;
+
+typedef float Vector __attribute__((vector_size(GYRO_DEBLUR_VECTOR_BYTES)));
+typedef std::int32_t IntVector __attribute__((vector_size(GYRO_DEBLUR_VECTOR_BYTES)));
+
+inline Vector load(const float* from) {
+  Vector v;
+  std::memcpy(&v, from, sizeof v);
+  return v;
+}
+inline void store(float* to, Vector v) { std::memcpy(to, &v, sizeof v); }
+inline IntVector load(const std::int32_t* from) {
+  IntVector v;
+  std::memcpy(&v, from, sizeof v);
+  return v;
+}
+
+inline int round_up(int n, int step) { return (n + step - 1) / step * step; }
+inline int clamp_row(int row, int rows) { return row < 0 ? 0 : (row >= rows ? rows - 1 : row); }
+inline int floor_to_int(double x) {
+  const int i = static_cast<int>(x);
+  return x < i ? i - 1 : i;
+}
+
+/// kLanes pixels as floats.
+inline Vector load_pixels(const std::uint8_t* from) {
+#if defined(__AVX512F__)
+  return (Vector)_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)from)));
+#elif defined(__AVX2__)
+  return (Vector)_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)from)));
+#else
+  Vector v;
+  for (int i = 0; i < kLanes; ++i) v[i] = from[i];
+  return v;
+#endif
+}
+inline Vector load_pixels(const std::uint16_t* from) {
+#if defined(__AVX512F__)
+  return (Vector)_mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i*)from)));
+#elif defined(__AVX2__)
+  return (Vector)_mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i*)from)));
+#else
+  Vector v;
+  for (int i = 0; i < kLanes; ++i) v[i] = from[i];
+  return v;
+#endif
+}
+
+/// Rounds and clips to [0, max_value].
+template <typename Pixel>
+inline void store_pixels(Pixel* to, Vector v, float max_value) {
+  Vector zero = {}, top = zero + max_value;
+  v = v + 0.5f;
+  v = v > zero ? v : zero;
+  v = v < top ? v : top;
+#if defined(__AVX512F__)
+  const __m512i i = _mm512_cvttps_epi32((__m512)v);
+  if (sizeof(Pixel) == 1) {
+    _mm_storeu_si128((__m128i*)to, _mm512_cvtepi32_epi8(i));
+  } else {
+    _mm256_storeu_si256((__m256i*)to, _mm512_cvtepi32_epi16(i));
+  }
+#else
+  const IntVector i = __builtin_convertvector(v, IntVector);
+  for (int k = 0; k < kLanes; ++k) to[k] = static_cast<Pixel>(i[k]);
+#endif
+}
+
+/// Catmull-Rom weights of the four samples around a position `t` past the second.
+struct CubicWeights {
+  float w[4];
+  explicit CubicWeights(double t) {
+    w[0] = static_cast<float>((-t + 2 * t * t - t * t * t) / 2);
+    w[1] = static_cast<float>((2 - 5 * t * t + 3 * t * t * t) / 2);
+    w[2] = static_cast<float>((t + 4 * t * t - 3 * t * t * t) / 2);
+    w[3] = static_cast<float>((-t * t + t * t * t) / 2);
+  }
+};
+
+// ---- Exact taps
+// -----------------------------------------------------------------------------------------------------
+
+/// acc + low * low + high * high of the int16 halves of each lane.
+inline IntVector multiply_pairs(IntVector acc, IntVector pixels, IntVector weights) {
+#if defined(__AVX512VNNI__)
+  return (IntVector)_mm512_dpwssd_epi32((__m512i)acc, (__m512i)pixels, (__m512i)weights);
+#elif defined(__AVX2__)
+  return acc + (IntVector)_mm256_madd_epi16((__m256i)pixels, (__m256i)weights);
+#elif defined(__SSE2__)
+  return acc + (IntVector)_mm_madd_epi16((__m128i)pixels, (__m128i)weights);
+#else
+  const IntVector low = (weights << 16) >> 16, high = weights >> 16;
+  return acc + (pixels & 0xffff) * low + (pixels >> 16) * high;
+#endif
+}
+
+struct ExactLayout {
+  int rows, width, first_m, first_n;
+  ExactLayout(const TileGeometry& tile, const ExactFilter& filter)
+      : rows(tile.m_count + 2 * filter.radius_m + 1),
+        // Whole vectors are read for the last outputs.
+        width(round_up(round_up(tile.n_count, kLanes) + filter.n_max - filter.n_min, kLanes) + kLanes),
+        first_m(tile.m_begin - filter.radius_m),
+        first_n(tile.n_begin + filter.n_min) {}
+};
+
+std::size_t exact_scratch_floats(const TileGeometry& tile, const ExactFilter& filter) {
+  const ExactLayout layout(tile, filter);
+  return static_cast<std::size_t>(layout.rows) * layout.width;
+}
+
+/// Sums `kVectors` vectors of outputs of two neighbouring rows.
+template <int kVectors>
+inline void sum_pairs(const std::int32_t* pairs, int width, const ExactFilter& filter, IntVector sums[2][kVectors]) {
+  IntVector acc[2][kVectors] = {};
+  for (int t = 0; t < filter.count; ++t) {
+    const PairTap& tap = filter.taps[t];
+    const std::int32_t* from = pairs + tap.m * width + tap.n;
+    const IntVector weights = IntVector{} + tap.weights;
+    for (int v = 0; v < kVectors; ++v) {
+      acc[0][v] = multiply_pairs(acc[0][v], load(from + v * kLanes), weights);
+      acc[1][v] = multiply_pairs(acc[1][v], load(from + width + v * kLanes), weights);
+    }
+  }
+  for (int v = 0; v < kVectors; ++v) {
+    sums[0][v] = acc[0][v];
+    sums[1][v] = acc[1][v];
+  }
+}
+
+void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+              float* scratch, std::uint8_t* out) {
+  const ExactLayout layout(tile, filter);
+  std::int32_t* pairs = reinterpret_cast<std::int32_t*>(scratch);
+  for (int r = 0; r < layout.rows; ++r) {
+    const std::uint8_t* from =
+        source.origin + clamp_row(layout.first_m + r, source.rows) * source.stride + layout.first_n;
+    std::int32_t* to = pairs + r * layout.width;
+    for (int i = 0; i < layout.width; ++i) to[i] = from[i] | (from[i + 1] << 16);
+  }
+
+  const std::int32_t half = filter.shift > 0 ? 1 << (filter.shift - 1) : 0;
+  constexpr int kVectors = GYRO_DEBLUR_VECTOR_BYTES == 64 ? 4 : 2;
+  for (int m = 0; m < tile.m_count; m += 2) {
+    for (int n = 0; n < tile.n_count; n += kVectors * kLanes) {
+      IntVector sums[2][kVectors];
+      // Taps are relative to the output; row and column of the output in `pairs`:
+      const std::int32_t* at = pairs + (m + filter.radius_m) * layout.width + n - filter.n_min;
+      const int wanted = (tile.n_count - n + kLanes - 1) / kLanes;
+      if (wanted >= kVectors) {
+        sum_pairs<kVectors>(at, layout.width, filter, sums);
+      } else {
+        for (int v = 0; v < wanted; ++v) {
+          IntVector one[2][1];
+          sum_pairs<1>(at + v * kLanes, layout.width, filter, one);
+          sums[0][v] = one[0][0];
+          sums[1][v] = one[1][0];
+        }
+      }
+      for (int row = 0; row < 2 && m + row < tile.m_count; ++row) {
+        for (int v = 0; v < kVectors && v < wanted; ++v) {
+          IntVector s = (sums[row][v] + half) >> filter.shift;
+          const IntVector zero = {}, top = zero + 255;
+          s = s > zero ? s : zero;
+          s = s < top ? s : top;
+          std::uint8_t* to = out + (m + row) * kMaxTileSide + n + v * kLanes;
+#if defined(__AVX512F__)
+          _mm_storeu_si128((__m128i*)to, _mm512_cvtepi32_epi8((__m512i)s));
+#else
+          for (int k = 0; k < kLanes; ++k) to[k] = static_cast<std::uint8_t>(s[k]);
+#endif
+        }
+      }
+    }
+  }
+}
+
+// ---- Two scales
+// -----------------------------------------------------------------------------------------------------
+
+// Vectors of lanes and coarse outputs that are summed together: 8 independent sums hide the latency of an FMA.
+constexpr int kLaneVectors = 2;
+constexpr int kCoarseOutputs = kCoarseGuard + 1;
+constexpr int kChunk = kLaneVectors * kLanes;
+
+/// Where things are in scratch. Lane v of row m holds the image at n = first_lane + v + slope (m - center).
+struct TwoScaleLayout {
+  double center;          // m at which lanes are at integer n
+  int first_lane, lanes;  // lanes: a multiple of kChunk
+  int coarse_outputs;     // nodes at which the smooth part is evaluated
+  int first_node;         // node j sums m_begin + [j d, (j + 1) d)
+  int nodes;
+  int prefix_first, prefix_rows;  // running sums kept, relative to m_begin
+  std::size_t prefix_at, nodes_at, coarse_at, row_at, total;
+
+  TwoScaleLayout(const TileGeometry& tile, const TwoScaleFilter& filter) {
+    const int d = filter.decimation;
+    center = tile.m_begin + (tile.m_count - 1) / 2.0;
+    const double lean = (tile.slope < 0 ? -tile.slope : tile.slope) * (tile.m_count - 1) / 2.0;
+    first_lane = floor_to_int(tile.n_begin - lean) - 2;  // one for the cubic, one for rounding
+    const int last_lane = floor_to_int(tile.n_begin + tile.n_count - 1 + lean) + 3;
+    lanes = round_up(last_lane - first_lane + 1, kChunk);
+    // Outputs lie between nodes first_output + 1 and first_output + coarse_outputs - 2 for the cubic.
+    first_output = -2;
+    coarse_outputs =
+        round_up(floor_to_int((tile.m_count - 1 - (d - 1) / 2.0) / d) + 2 - first_output + 1, kCoarseOutputs);
+    first_node = first_output - filter.coarse_radius;
+    nodes = coarse_outputs + 2 * filter.coarse_radius;
+    prefix_first = -filter.edge_reach;
+    prefix_rows = tile.m_count + 2 * filter.edge_reach;
+    prefix_at = 0;
+    nodes_at = prefix_at + static_cast<std::size_t>(prefix_rows) * lanes;
+    coarse_at = nodes_at + static_cast<std::size_t>(nodes) * lanes;
+    row_at = coarse_at + static_cast<std::size_t>(coarse_outputs) * lanes;
+    total = row_at + kMaxTileSide + 2 * kChunk;
+  }
+  int first_output;
+};
+
+std::size_t two_scale_scratch_floats(const TileGeometry& tile, const TwoScaleFilter& filter) {
+  return TwoScaleLayout(tile, filter).total;
+}
+
+/// Resamples the neighbourhood into lanes (linear across the line) and accumulates sums over nodes and running sums.
+template <typename Pixel>
+inline void shear(const SourcePlane<Pixel>& source, const TileGeometry& tile, const TwoScaleFilter& filter,
+                  const TwoScaleLayout& layout, float* scratch) {
+  const int d = filter.decimation;
+  for (int lane = 0; lane < layout.lanes; lane += kChunk) {
+    Vector running[kLaneVectors] = {};
+    for (int j = 0; j < layout.nodes; ++j) {
+      Vector sum[kLaneVectors] = {};
+      for (int i = 0; i < d; ++i) {
+        const int offset = (layout.first_node + j) * d + i;  // from m_begin
+        const int m = tile.m_begin + offset;
+        const double across = tile.slope * (m - layout.center);
+        const int whole = floor_to_int(across);
+        const float part = static_cast<float>(across - whole);
+        const Pixel* from =
+            source.origin + clamp_row(m, source.rows) * source.stride + layout.first_lane + whole + lane;
+        const int row = offset - layout.prefix_first;
+        const bool keep = row >= 0 && row < layout.prefix_rows;
+        for (int v = 0; v < kLaneVectors; ++v) {
+          const Vector below = load_pixels(from + v * kLanes);
+          const Vector above = load_pixels(from + v * kLanes + 1);
+          const Vector sample = below + part * (above - below);
+          sum[v] += sample;
+          if (keep) {
+            running[v] += sample;
+            store(scratch + layout.prefix_at + static_cast<std::size_t>(row) * layout.lanes + lane + v * kLanes,
+                  running[v]);
+          }
+        }
+      }
+      for (int v = 0; v < kLaneVectors; ++v) {
+        store(scratch + layout.nodes_at + static_cast<std::size_t>(j) * layout.lanes + lane + v * kLanes, sum[v]);
+      }
+    }
+  }
+}
+
+/// Filters the sums over nodes with the coarse weights.
+inline void filter_coarse(const TwoScaleFilter& filter, const TwoScaleLayout& layout, float* scratch) {
+  const int taps = 2 * filter.coarse_radius + 1;
+  for (int lane = 0; lane < layout.lanes; lane += kChunk) {
+    for (int j = 0; j < layout.coarse_outputs; j += kCoarseOutputs) {
+      Vector acc[kCoarseOutputs][kLaneVectors] = {};
+      const float* from = scratch + layout.nodes_at + static_cast<std::size_t>(j) * layout.lanes + lane;
+      // Weights have kCoarseOutputs - 1 zeros on either side, so that every output sees every node of the span.
+      const float* weights = filter.coarse;
+      for (int k = 0; k < taps + kCoarseOutputs - 1; ++k) {
+        for (int v = 0; v < kLaneVectors; ++v) {
+          const Vector node = load(from + static_cast<std::size_t>(k) * layout.lanes + v * kLanes);
+          for (int o = 0; o < kCoarseOutputs; ++o) acc[o][v] += weights[k - o] * node;
+        }
+      }
+      for (int o = 0; o < kCoarseOutputs; ++o) {
+        for (int v = 0; v < kLaneVectors; ++v) {
+          store(scratch + layout.coarse_at + static_cast<std::size_t>(j + o) * layout.lanes + lane + v * kLanes,
+                acc[o][v]);
+        }
+      }
+    }
+  }
+}
+
+/// Adds the parts up at every output's lane and resamples the lanes to pixels.
+template <typename Pixel>
+inline void unshear(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
+                    float* scratch, Pixel* out) {
+  const int d = filter.decimation;
+  float* row = scratch + layout.row_at;
+  for (int m = 0; m < tile.m_count; ++m) {
+    const double node = (m - (d - 1) / 2.0) / d;
+    const int node_below = floor_to_int(node);
+    const CubicWeights along(node - node_below);
+    const float* coarse =
+        scratch + layout.coarse_at + static_cast<std::size_t>(node_below - 1 - layout.first_output) * layout.lanes;
+
+    const double lane = tile.n_begin - tile.slope * (tile.m_begin + m - layout.center) - layout.first_lane;
+    const int lane_below = floor_to_int(lane);
+    const CubicWeights across(lane - lane_below);
+    const int first = lane_below - 1;
+    const float* prefix =
+        scratch + layout.prefix_at + static_cast<std::size_t>(m - layout.prefix_first) * layout.lanes + first;
+
+    const int needed = tile.n_count + 3;
+    for (int n = 0; n < needed; n += kLanes) {
+      Vector sum = {};
+      for (int q = 0; q < 4; ++q) sum += along.w[q] * load(coarse + q * layout.lanes + first + n);
+      for (int e = 0; e < filter.edge_count; ++e) {
+        sum += filter.edge_weights[e] * load(prefix + filter.edge_offsets[e] * layout.lanes + n);
+      }
+      store(row + n, sum);
+    }
+    for (int n = 0; n < tile.n_count; n += kLanes) {
+      Vector sum = across.w[0] * load(row + n);
+      for (int q = 1; q < 4; ++q) sum += across.w[q] * load(row + n + q);
+      store_pixels(out + m * kMaxTileSide + n, sum, filter.max_value);
+    }
+  }
+}
+
+template <typename Pixel>
+void two_scale(const SourcePlane<Pixel>& source, const TileGeometry& tile, const TwoScaleFilter& filter, float* scratch,
+               Pixel* out) {
+  const TwoScaleLayout layout(tile, filter);
+  shear(source, tile, filter, layout, scratch);
+  filter_coarse(filter, layout, scratch);
+  unshear(tile, filter, layout, scratch, out);
+}
+
+}  // namespace
+
+extern const BlockKernels kKernels;
+const BlockKernels kKernels = {
+    GYRO_DEBLUR_ISA_NAME,    kLanes, exact_scratch_floats, exact_u8, two_scale_scratch_floats, two_scale<std::uint8_t>,
+    two_scale<std::uint16_t>};
+
+}  // namespace GYRO_DEBLUR_ISA
+}  // namespace gyro_deblur

@@ -1,0 +1,76 @@
+// The fast CPU engine.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "cpu/block_kernels.hpp"
+#include "cpu/reference_convolver.hpp"
+#include "gyro_deblur/deconvolution.hpp"
+
+namespace gyro_deblur {
+
+/// Chooses a method for every block: exact taps in int16 for short kernels, two scales along sheared lanes for long
+/// ones whose shape is known, and the reference engine for whatever is left. Keeps its buffers between frames.
+class CpuConvolver : public LineConvolver {
+ public:
+  /// @param threads  OpenMP threads, >= 0; 0: OpenMP's default
+  /// @param kernels  inner loops of one instruction set
+  explicit CpuConvolver(int threads, const BlockKernels& kernels = best_block_kernels());
+
+  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override;
+  std::string name() const override { return std::string("cpu-") + kernels_.name; }
+
+ private:
+  enum class Method { COPY, EXACT, TWO_SCALE, REFERENCE };
+
+  /// One tile (at most kMaxTileSide square) of a block.
+  struct Tile {
+    TileGeometry geometry;
+    cv::Rect rect;
+    int plan;
+  };
+
+  /// What is the same for all tiles of a block.
+  struct Plan {
+    Method method = Method::COPY;
+    bool major_is_y = true;
+    double slope = 0;
+    ExactFilter exact{};
+    std::vector<PairTap> pair_taps;
+    TwoScaleFilter two_scale{};
+    std::vector<int> edge_offsets;
+    std::vector<float> edge_weights, coarse;
+    int reach_m = 0;  ///< rows before and after a tile that are read
+  };
+
+  template <typename Pixel>
+  struct Planes {
+    std::vector<Pixel> upright, transposed;  // with borders left and right
+    SourcePlane<Pixel> view(bool major_is_y) const { return major_is_y ? upright_view : transposed_view; }
+    SourcePlane<Pixel> upright_view{}, transposed_view{};
+  };
+
+  void plan_block(const BlockFilter& block, int depth, Plan& plan) const;
+  void plan_exact(const LineKernel& kernel, double angle_rad, Plan& plan) const;
+  void plan_two_scale(const LineKernel& kernel, double major, int depth, Plan& plan) const;
+  template <typename Pixel>
+  void convolve_as(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst, Planes<Pixel>& planes);
+  template <typename Pixel>
+  void run_tile(const Tile& tile, const Plan& plan, const Planes<Pixel>& planes, float* scratch,
+                Pixel* line_order) const;
+
+  int threads_;
+  const BlockKernels& kernels_;
+  ReferenceConvolver reference_;
+  std::vector<Plan> plans_;
+  std::vector<Tile> tiles_;
+  std::vector<BlockFilter> left_to_reference_;
+  Planes<std::uint8_t> planes8_;
+  Planes<std::uint16_t> planes16_;
+  cv::Mat channel_, transposed_;
+  std::vector<std::vector<float>> scratch_;  // by thread
+};
+
+}  // namespace gyro_deblur
