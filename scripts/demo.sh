@@ -66,7 +66,7 @@ launch "${OUT}/nodelet.log" bag:="${OUT}/input.bag" config:="${CONFIG}" record:=
   conductor_args:="${camera_listeners} --listener /camera/deblurred/image_raw=/record"
 
 step ${STEPS} "Report"
-scripts/report.py "${OUT}/input.bag" "${OUT}/output.bag" "${OUT}" --title "gyro_deblur: demo"
+rosrun gyro_deblur report.py "${OUT}/input.bag" "${OUT}/output.bag" "${OUT}" --title "gyro_deblur: demo"
 
 step ${STEPS} "rviz on a virtual display"
 # The bag is played until the most blurred frame, which rviz then keeps showing.

@@ -1,4 +1,4 @@
-#!/usr/bin/python3
+#!/usr/bin/env python3
 """Plays a bag through a running gyro_deblur and waits until every frame has come out.
 
 Waits for what it needs instead of sleeping: until the nodelet and the other nodes given by --listener have subscribed,

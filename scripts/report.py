@@ -1,4 +1,4 @@
-#!/usr/bin/python3
+#!/usr/bin/env python3
 """Compares a bag of blurred images with the bag that gyro_deblur made of it: pictures, plots and numbers.
 
 Reads image_raw from INPUT, the outputs (deblurred/image_raw, keypoints, blur_field, blur_overlay, /diagnostics) from
