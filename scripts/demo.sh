@@ -61,9 +61,9 @@ mkdir -p "${ROS_LOG_DIR}"
 roscore -p "${port}" > "${OUT}/roscore.log" 2>&1 < /dev/null &
 master_pid=$!
 say "roscore on port ${port}"
-camera_listeners="--listener /camera/keypoints=/record --listener /camera/blur_overlay=/record"
+record_listeners="--listener /camera/keypoints=/record --listener /camera/blur_overlay=/record"
 launch "${OUT}/nodelet.log" bag:="${OUT}/input.bag" config:="${CONFIG}" record:="${OUT}/output.bag" \
-  conductor_args:="${camera_listeners} --listener /camera/deblurred/image_raw=/record"
+  conductor_args:="${record_listeners} --listener /camera/deblurred/image_raw=/record"
 
 step ${STEPS} "Report"
 rosrun gyro_deblur report.py "${OUT}/input.bag" "${OUT}/output.bag" "${OUT}" --title "gyro_deblur: demo"
@@ -93,9 +93,10 @@ done
 display="$(cat "${OUT}/.display")"
 [[ -n "${display}" ]] || fail "Xvfb gave no display: see ${OUT}/xvfb.log"
 export DISPLAY=":${display}" LIBGL_ALWAYS_SOFTWARE=1 QT_X11_NO_MITSHM=1 XDG_RUNTIME_DIR="${OUT}"
+rviz_listeners="--listener /camera/blur_markers=/rviz --listener /camera/blur_overlay=/rviz"
+rviz_listeners+=" --listener /camera/image_raw=/rviz --listener /camera/deblurred/image_raw=/rviz"
 launch "${OUT}/rviz.log" bag:="${OUT}/input.bag" config:="${CONFIG}" rviz:=true \
-  conductor_args:="--duration ${duration} --screenshot ${OUT}/rviz.png
-    --listener /camera/blur_markers=/rviz --listener /camera/blur_overlay=/rviz --listener /camera/image_raw=/rviz"
+  conductor_args:="--duration ${duration} --screenshot ${OUT}/rviz.png ${rviz_listeners}"
 
 printf '\nDone. Look at:\n'
 for file in report.md rviz.png plots.png $(cd "${OUT}" && ls frame_*_comparison.png frame_*_crops.png frame_*_overlay.png 2> /dev/null); do
