@@ -15,8 +15,8 @@ namespace gyro_deblur {
 struct LineKernel {
   std::vector<float> taps;
 
-  /// Where the kernel jumps, for engines that make use of it: taps are box_height inside a centred box of box_extent_px
-  /// (its edges weighted by coverage) plus a smooth rest. 0: not known to have this shape.
+  /// Where the kernel jumps, for engines that make use of it: taps are symmetric, box_height inside a centred box of
+  /// box_extent_px (its edges weighted by coverage) plus a smooth rest. 0: not known to have this shape.
   double box_extent_px = 0;
   double box_height = 0;
 

@@ -196,18 +196,20 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
 
 // Vectors of lanes and coarse outputs that are summed together: 8 independent sums hide the latency of an FMA.
 constexpr int kLaneVectors = 2;
+constexpr int kCacheLineBytes = 64;
 constexpr int kCoarseOutputs = kCoarseGuard + 1;
-constexpr int kChunk = kLaneVectors * kLanes;
+// Vectors that a row of outputs takes on the lanes: three more than its pixels, from the last whole vector before.
+constexpr int kRowVectors = (kMaxTileSide + 3 + kLanes - 1 + kLanes - 1) / kLanes;
 
 /// Where things are in scratch. Lane v of row m holds the image at n = first_lane + v + slope (m - center).
 struct TwoScaleLayout {
   double center;          // m at which lanes are at integer n
-  int first_lane, lanes;  // lanes: a multiple of kChunk
+  int first_lane, lanes;  // lanes: a multiple of kLanes
   int coarse_outputs;     // nodes at which the smooth part is evaluated
   int first_node;         // node j sums m_begin + [j d, (j + 1) d)
   int nodes;
-  int prefix_first, prefix_rows;  // running sums kept, relative to m_begin
-  std::size_t prefix_at, nodes_at, coarse_at, row_at, total;
+  int prefix_first, prefix_rows;                                         // running sums kept, relative to m_begin
+  int rows_at, parts_at, prefix_at, nodes_at, coarse_at, row_at, total;  // in floats
 
   TwoScaleLayout(const TileGeometry& tile, const TwoScaleFilter& filter) {
     const int d = filter.decimation;
@@ -215,7 +217,7 @@ struct TwoScaleLayout {
     const double lean = (tile.slope < 0 ? -tile.slope : tile.slope) * (tile.m_count - 1) / 2.0;
     first_lane = floor_to_int(tile.n_begin - lean) - 2;  // one for the cubic, one for rounding
     const int last_lane = floor_to_int(tile.n_begin + tile.n_count - 1 + lean) + 3;
-    lanes = round_up(last_lane - first_lane + 1, kChunk);
+    lanes = round_up(last_lane - first_lane + 1, kLanes);
     // Outputs lie between nodes first_output + 1 and first_output + coarse_outputs - 2 for the cubic.
     first_output = -2;
     coarse_outputs =
@@ -224,114 +226,159 @@ struct TwoScaleLayout {
     nodes = coarse_outputs + 2 * filter.coarse_radius;
     prefix_first = -filter.edge_reach;
     prefix_rows = tile.m_count + 2 * filter.edge_reach;
-    prefix_at = 0;
-    nodes_at = prefix_at + static_cast<std::size_t>(prefix_rows) * lanes;
-    coarse_at = nodes_at + static_cast<std::size_t>(nodes) * lanes;
-    row_at = coarse_at + static_cast<std::size_t>(coarse_outputs) * lanes;
-    total = row_at + kMaxTileSide + 2 * kChunk;
+    rows_at = 0;
+    parts_at = rows_at + nodes * d * static_cast<int>(sizeof(std::ptrdiff_t) / sizeof(float));
+    prefix_at = round_up(parts_at + nodes * d, kLanes);
+    nodes_at = prefix_at + prefix_rows * lanes;
+    coarse_at = nodes_at + nodes * lanes;
+    row_at = coarse_at + coarse_outputs * lanes;
+    total = row_at + 2 * kRowVectors * kLanes;
   }
   int first_output;
 };
 
 std::size_t two_scale_scratch_floats(const TileGeometry& tile, const TwoScaleFilter& filter) {
-  return TwoScaleLayout(tile, filter).total;
+  return static_cast<std::size_t>(TwoScaleLayout(tile, filter).total);
+}
+
+/// Sums samples [begin, end) of the lanes, `part` of the way between pixels, into `sum`; and keeps running sums at
+/// `kept`, a row of `lanes` each, when kKeep.
+template <typename Pixel, int kVectors, bool kKeep>
+inline void sum_samples(const Pixel* origin, const std::ptrdiff_t* rows, const float* parts, int begin, int end,
+                        int lanes, Vector* sum, Vector* running, float* kept) {
+  for (int i = begin; i < end; ++i) {
+    const Pixel* from = origin + rows[i];
+    const float part = parts[i];
+    for (int v = 0; v < kVectors; ++v) {
+      const Vector below = load_pixels(from + v * kLanes);
+      const Vector above = load_pixels(from + v * kLanes + 1);
+      const Vector sample = below + part * (above - below);
+      sum[v] += sample;
+      if (kKeep) {
+        running[v] += sample;
+        store(kept + v * kLanes, running[v]);
+      }
+    }
+    if (kKeep) kept += lanes;
+  }
+}
+
+template <typename Pixel, int kVectors>
+inline void shear_lanes(const SourcePlane<Pixel>& source, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
+                        int lane, float* scratch) {
+  const int d = filter.decimation, lanes = layout.lanes;
+  const std::ptrdiff_t* rows = reinterpret_cast<const std::ptrdiff_t*>(scratch + layout.rows_at);
+  const float* parts = scratch + layout.parts_at;
+  const Pixel* origin = source.origin + lane;
+  // Samples whose running sums are kept.
+  const int keep_begin = layout.prefix_first - layout.first_node * d, keep_end = keep_begin + layout.prefix_rows;
+  float* kept = scratch + layout.prefix_at + lane;
+  Vector running[kVectors] = {};
+  for (int j = 0; j < layout.nodes; ++j) {
+    const int begin = j * d, end = begin + d;
+    Vector sum[kVectors] = {};
+    if (end <= keep_begin || begin >= keep_end) {
+      sum_samples<Pixel, kVectors, false>(origin, rows, parts, begin, end, lanes, sum, running, kept);
+    } else {
+      const int from = begin < keep_begin ? keep_begin : begin, to = end > keep_end ? keep_end : end;
+      sum_samples<Pixel, kVectors, false>(origin, rows, parts, begin, from, lanes, sum, running, kept);
+      sum_samples<Pixel, kVectors, true>(origin, rows, parts, from, to, lanes, sum, running, kept);
+      sum_samples<Pixel, kVectors, false>(origin, rows, parts, to, end, lanes, sum, running, kept);
+      kept += static_cast<std::ptrdiff_t>(to - from) * lanes;
+    }
+    for (int v = 0; v < kVectors; ++v) store(scratch + layout.nodes_at + j * lanes + lane + v * kLanes, sum[v]);
+  }
 }
 
 /// Resamples the neighbourhood into lanes (linear across the line) and accumulates sums over nodes and running sums.
 template <typename Pixel>
 inline void shear(const SourcePlane<Pixel>& source, const TileGeometry& tile, const TwoScaleFilter& filter,
                   const TwoScaleLayout& layout, float* scratch) {
-  const int d = filter.decimation;
-  for (int lane = 0; lane < layout.lanes; lane += kChunk) {
-    Vector running[kLaneVectors] = {};
-    for (int j = 0; j < layout.nodes; ++j) {
-      Vector sum[kLaneVectors] = {};
-      for (int i = 0; i < d; ++i) {
-        const int offset = (layout.first_node + j) * d + i;  // from m_begin
-        const int m = tile.m_begin + offset;
-        const double across = tile.slope * (m - layout.center);
-        const int whole = floor_to_int(across);
-        const float part = static_cast<float>(across - whole);
-        const Pixel* from =
-            source.origin + clamp_row(m, source.rows) * source.stride + layout.first_lane + whole + lane;
-        const int row = offset - layout.prefix_first;
-        const bool keep = row >= 0 && row < layout.prefix_rows;
-        for (int v = 0; v < kLaneVectors; ++v) {
-          const Vector below = load_pixels(from + v * kLanes);
-          const Vector above = load_pixels(from + v * kLanes + 1);
-          const Vector sample = below + part * (above - below);
-          sum[v] += sample;
-          if (keep) {
-            running[v] += sample;
-            store(scratch + layout.prefix_at + static_cast<std::size_t>(row) * layout.lanes + lane + v * kLanes,
-                  running[v]);
-          }
-        }
+  std::ptrdiff_t* rows = reinterpret_cast<std::ptrdiff_t*>(scratch + layout.rows_at);
+  float* parts = scratch + layout.parts_at;
+  const int samples = layout.nodes * filter.decimation;
+  const int first_m = tile.m_begin + layout.first_node * filter.decimation;
+  for (int i = 0; i < samples; ++i) {
+    const double across = tile.slope * (first_m + i - layout.center);
+    const int whole = floor_to_int(across);
+    parts[i] = static_cast<float>(across - whole);
+    rows[i] = clamp_row(first_m + i, source.rows) * source.stride + layout.first_lane + whole;
+    // The neighbourhood of a tile is a thousand cache lines that no hardware prefetcher foresees.
+    const char* begin = reinterpret_cast<const char*>(source.origin + rows[i]);
+    const char* end = begin + (layout.lanes + 1) * static_cast<int>(sizeof(Pixel));
+    for (const char* line = begin; line < end; line += kCacheLineBytes) __builtin_prefetch(line);
+    __builtin_prefetch(end - 1);
+  }
+  int lane = 0;
+  for (; lane + kLaneVectors * kLanes <= layout.lanes; lane += kLaneVectors * kLanes) {
+    shear_lanes<Pixel, kLaneVectors>(source, filter, layout, lane, scratch);
+  }
+  for (; lane < layout.lanes; lane += kLanes) shear_lanes<Pixel, 1>(source, filter, layout, lane, scratch);
+}
+
+template <int kVectors>
+inline void filter_coarse_lanes(const TwoScaleFilter& filter, const TwoScaleLayout& layout, int lane, float* scratch) {
+  const int taps = 2 * filter.coarse_radius + 1, lanes = layout.lanes;
+  // Weights have kCoarseGuard zeros on either side, so that every output sees every node of the span.
+  const float* weights = filter.coarse;
+  for (int j = 0; j < layout.coarse_outputs; j += kCoarseOutputs) {
+    Vector acc[kCoarseOutputs][kVectors] = {};
+    const float* from = scratch + layout.nodes_at + j * lanes + lane;
+    for (int k = 0; k < taps + kCoarseOutputs - 1; ++k, from += lanes) {
+      for (int v = 0; v < kVectors; ++v) {
+        const Vector node = load(from + v * kLanes);
+        for (int o = 0; o < kCoarseOutputs; ++o) acc[o][v] += weights[k - o] * node;
       }
-      for (int v = 0; v < kLaneVectors; ++v) {
-        store(scratch + layout.nodes_at + static_cast<std::size_t>(j) * layout.lanes + lane + v * kLanes, sum[v]);
-      }
+    }
+    float* to = scratch + layout.coarse_at + j * lanes + lane;
+    for (int o = 0; o < kCoarseOutputs; ++o) {
+      for (int v = 0; v < kVectors; ++v) store(to + o * lanes + v * kLanes, acc[o][v]);
     }
   }
 }
 
 /// Filters the sums over nodes with the coarse weights.
 inline void filter_coarse(const TwoScaleFilter& filter, const TwoScaleLayout& layout, float* scratch) {
-  const int taps = 2 * filter.coarse_radius + 1;
-  for (int lane = 0; lane < layout.lanes; lane += kChunk) {
-    for (int j = 0; j < layout.coarse_outputs; j += kCoarseOutputs) {
-      Vector acc[kCoarseOutputs][kLaneVectors] = {};
-      const float* from = scratch + layout.nodes_at + static_cast<std::size_t>(j) * layout.lanes + lane;
-      // Weights have kCoarseOutputs - 1 zeros on either side, so that every output sees every node of the span.
-      const float* weights = filter.coarse;
-      for (int k = 0; k < taps + kCoarseOutputs - 1; ++k) {
-        for (int v = 0; v < kLaneVectors; ++v) {
-          const Vector node = load(from + static_cast<std::size_t>(k) * layout.lanes + v * kLanes);
-          for (int o = 0; o < kCoarseOutputs; ++o) acc[o][v] += weights[k - o] * node;
-        }
-      }
-      for (int o = 0; o < kCoarseOutputs; ++o) {
-        for (int v = 0; v < kLaneVectors; ++v) {
-          store(scratch + layout.coarse_at + static_cast<std::size_t>(j + o) * layout.lanes + lane + v * kLanes,
-                acc[o][v]);
-        }
-      }
-    }
+  int lane = 0;
+  for (; lane + kLaneVectors * kLanes <= layout.lanes; lane += kLaneVectors * kLanes) {
+    filter_coarse_lanes<kLaneVectors>(filter, layout, lane, scratch);
   }
+  for (; lane < layout.lanes; lane += kLanes) filter_coarse_lanes<1>(filter, layout, lane, scratch);
 }
 
 /// Adds the parts up at every output's lane and resamples the lanes to pixels.
 template <typename Pixel>
 inline void unshear(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
                     float* scratch, Pixel* out) {
-  const int d = filter.decimation;
+  const int d = filter.decimation, lanes = layout.lanes;
   float* row = scratch + layout.row_at;
   for (int m = 0; m < tile.m_count; ++m) {
     const double node = (m - (d - 1) / 2.0) / d;
     const int node_below = floor_to_int(node);
     const CubicWeights along(node - node_below);
-    const float* coarse =
-        scratch + layout.coarse_at + static_cast<std::size_t>(node_below - 1 - layout.first_output) * layout.lanes;
 
     const double lane = tile.n_begin - tile.slope * (tile.m_begin + m - layout.center) - layout.first_lane;
     const int lane_below = floor_to_int(lane);
     const CubicWeights across(lane - lane_below);
-    const int first = lane_below - 1;
-    const float* prefix =
-        scratch + layout.prefix_at + static_cast<std::size_t>(m - layout.prefix_first) * layout.lanes + first;
+    const int skipped = (lane_below - 1) % kLanes, first = lane_below - 1 - skipped;
 
-    const int needed = tile.n_count + 3;
-    for (int n = 0; n < needed; n += kLanes) {
-      Vector sum = {};
-      for (int q = 0; q < 4; ++q) sum += along.w[q] * load(coarse + q * layout.lanes + first + n);
-      for (int e = 0; e < filter.edge_count; ++e) {
-        sum += filter.edge_weights[e] * load(prefix + filter.edge_offsets[e] * layout.lanes + n);
-      }
-      store(row + n, sum);
+    // All vectors of the row at once, aligned: a weight is spread once, and the sums do not wait for each other. What
+    // is read past the lanes is not used.
+    Vector sums[kRowVectors] = {};
+    const float* coarse = scratch + layout.coarse_at + (node_below - 1 - layout.first_output) * lanes + first;
+    for (int q = 0; q < 4; ++q, coarse += lanes) {
+      for (int v = 0; v < kRowVectors; ++v) sums[v] += along.w[q] * load(coarse + v * kLanes);
     }
+    const float* prefix = scratch + layout.prefix_at + (m - layout.prefix_first) * lanes + first;
+    for (int e = 0; e < filter.edge_count; ++e) {
+      const float* from = prefix + filter.edge_offsets[e] * lanes;
+      const float weight = filter.edge_weights[e];
+      for (int v = 0; v < kRowVectors; ++v) sums[v] += weight * load(from + v * kLanes);
+    }
+    for (int v = 0; v < kRowVectors; ++v) store(row + v * kLanes, sums[v]);
     for (int n = 0; n < tile.n_count; n += kLanes) {
-      Vector sum = across.w[0] * load(row + n);
-      for (int q = 1; q < 4; ++q) sum += across.w[q] * load(row + n + q);
+      Vector sum = across.w[0] * load(row + skipped + n);
+      for (int q = 1; q < 4; ++q) sum += across.w[q] * load(row + skipped + n + q);
       store_pixels(out + m * kMaxTileSide + n, sum, filter.max_value);
     }
   }

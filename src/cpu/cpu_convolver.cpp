@@ -5,11 +5,16 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
+#include <cstring>
 #include <limits>
 #include <numeric>
 #include <stdexcept>
 
 #include <opencv2/core.hpp>
+
+#if defined(__SSE2__)
+#include <emmintrin.h>
+#endif
 
 namespace gyro_deblur {
 namespace {
@@ -17,27 +22,14 @@ namespace {
 // Below this the interpolation between lanes and pixels shows (against exact taps 47 dB at 30 px, less below), and
 // exact taps are cheap.
 constexpr double kMinTwoScaleExtentPx = 30.0;
-// Samples of the smooth part in one extent of the box, at least. It falls as |H|^3, so that few do: at 1 grey level of
-// noise 24 leave an error of 52 dB, 16 of 46 dB.
-constexpr double kCoarseSamplesPerExtent = 24.0;
+// Samples of the smooth part in one extent of the box. It falls as |H|^3, so that few do: at 1 grey level of noise 24
+// leave an error of 52 dB, 16 of 46 dB. Below 48 px the lanes cost as much again, and every sample is used.
+constexpr double kCoarseSamplesPerExtent = 20.0;
+constexpr double kMinCoarseExtentPx = 48.0;
 // Samples on either side of the box's ends that are corrected: the splat onto the unit grid and the box's fractional
 // edge reach 1.5 px.
 constexpr int kEdgeReach = 2;
 constexpr int kAlignFloats = 16;
-
-/// Kernel value at a fractional position by Catmull-Rom; 0 outside. `values[i]` is at i - radius.
-double sample_cubic(const std::vector<double>& values, double position) {
-  const int radius = static_cast<int>(values.size() / 2);
-  const int below = static_cast<int>(std::floor(position));
-  const double t = position - below;
-  const auto at = [&](int i) {
-    const int index = i + radius;
-    return index >= 0 && index < static_cast<int>(values.size()) ? values[index] : 0.0;
-  };
-  return ((-t + 2 * t * t - t * t * t) * at(below - 1) + (2 - 5 * t * t + 3 * t * t * t) * at(below) +
-          (t + 4 * t * t - 3 * t * t * t) * at(below + 1) + (-t * t + t * t * t) * at(below + 2)) /
-         2;
-}
 
 }  // namespace
 
@@ -116,42 +108,58 @@ namespace {
 /// The kernel along the major axis less the box: smooth, so that few samples describe it.
 class SmoothPart {
  public:
-  /// @param major as in tap_on_major_axis
-  /// @param d     samples that one evaluation stands for
-  SmoothPart(const LineKernel& kernel, double major, int d) : major_(major), stretch_(std::abs(major)), d_(d) {
-    const std::vector<double> box = box_blur_kernel(kernel.box_extent_px, static_cast<int>(kernel.taps.size()));
-    values_.resize(kernel.taps.size());
-    for (std::size_t i = 0; i < values_.size(); ++i) {
-      values_[i] = kernel.taps[i] - kernel.box_height * kernel.box_extent_px * box[i];
-    }
+  /// @param stretch steps of the major axis in one pixel of the line, (0, 1]
+  /// @param d       steps that one sample stands for
+  SmoothPart(const LineKernel& kernel, double stretch, int d) : stretch_(stretch), d_(d) {
+    // Zeros on both sides for the cubic and for the half steps of `second_derivative`.
+    margin_ = static_cast<int>(std::ceil(2 * d / stretch_)) + 4;
+    const int size = static_cast<int>(kernel.taps.size());
+    const std::vector<double> box = box_blur_kernel(kernel.box_extent_px, size);
+    values_.assign(size + 2 * margin_, 0.0f);
+    const double height = kernel.box_height * kernel.box_extent_px;
+    for (int i = 0; i < size; ++i) values_[i + margin_] = static_cast<float>(kernel.taps[i] - height * box[i]);
+    center_ = size / 2 + margin_;
   }
 
-  /// Value at step m of the major axis, smoothed as tap_on_major_axis smooths it and sharpened by `removed_variance`:
-  /// smoothing by a variance v adds v / 2 times the second derivative.
-  double at(double m, double removed_variance) const {
-    const double s = m / major_;
-    const double value = sample_cubic(values_, s);
-    const double step = std::max(1.0, d_ / (2 * stretch_));
-    const double second = (sample_cubic(values_, s - step) - 2 * value + sample_cubic(values_, s + step)) /
-                          (step * step * stretch_ * stretch_);
-    return (value + (splat_variance(s) - removed_variance) / 2 * second) / stretch_;
+  /// Value at step m, smoothed as tap_on_major_axis smooths it and sharpened by `removed_variance`: smoothing by a
+  /// variance v adds v / 2 times the second derivative.
+  double at(int m, double removed_variance) const {
+    const double half_step = d_ / 2.0;
+    const double value = sample(m);
+    const double second = (sample(m - half_step) - 2 * value + sample(m + half_step)) / (half_step * half_step);
+    return (value + (splat_variance(m) - removed_variance) / 2 * second) / stretch_;
   }
 
  private:
-  /// A tap at fraction f between two steps gets the variance f (1 - f); averaged over the taps around a position.
-  double splat_variance(double line_position) const {
+  /// Catmull-Rom at a position along the major axis; 0 outside the kernel.
+  double sample(double m) const {
+    const double s = m / stretch_ + center_;
+    const int below = static_cast<int>(s);
+    if (below < 1 || below + 2 >= static_cast<int>(values_.size())) return 0;
+    const double t = s - below;
+    const float* v = values_.data() + below;
+    return v[0] +
+           t / 2 *
+               (v[1] - v[-1] + t * (2 * v[-1] - 5 * v[0] + 4 * v[1] - v[2] + t * (3 * (v[0] - v[1]) + v[2] - v[-1])));
+  }
+
+  /// A tap at fraction f between two steps gets the variance f (1 - f). Averaged over the taps around a step; where f
+  /// runs through a whole period there, the mean is 1/6.
+  double splat_variance(int m) const {
+    if (2 * d_ * (1 - stretch_) >= 1) return 1.0 / 6;
+    const double nearest = std::round(m / stretch_);
     double sum = 0;
     for (int i = -d_; i < d_; ++i) {
-      const double step = (std::round(line_position) + i) * major_;
+      const double step = (nearest + i) * stretch_;
       const double fraction = step - std::floor(step);
       sum += fraction * (1 - fraction);
     }
     return sum / (2 * d_);
   }
 
-  double major_, stretch_;
-  int d_;
-  std::vector<double> values_;  // along the line, unit steps
+  double stretch_;
+  int d_, margin_, center_;
+  std::vector<float> values_;  // along the line, unit steps, the kernel's centre at [center_]
 };
 
 }  // namespace
@@ -167,7 +175,7 @@ void CpuConvolver::plan_two_scale(const LineKernel& kernel, double major, int de
   plan.method = Method::TWO_SCALE;
   const double stretch = std::abs(major);  // steps of the major axis in one pixel of the line
   const double extent = kernel.box_extent_px * stretch;
-  const int d = std::max(1, static_cast<int>(extent / kCoarseSamplesPerExtent));
+  const int d = extent < kMinCoarseExtentPx ? 1 : static_cast<int>(std::lround(extent / kCoarseSamplesPerExtent));
   const int radius = (static_cast<int>(std::ceil(kernel.radius() * stretch)) + d - 1) / d;
 
   plan.edge_offsets.clear();
@@ -178,37 +186,37 @@ void CpuConvolver::plan_two_scale(const LineKernel& kernel, double major, int de
   if (d == 1) {
     for (int k = -radius; k <= radius; ++k) coarse[k] = static_cast<float>(tap_on_major_axis(kernel, major, -k));
   } else {
-    const SmoothPart smooth(kernel, major, d);
+    const SmoothPart smooth(kernel, stretch, d);
     const double height = kernel.box_height / stretch;
-    // What the running sums make of a constant image of one, from their float weights.
+    // The sum decides the brightness and must be exact: the box and the rest nearly cancel in it. A running sum at
+    // offset o makes o of a constant image of one.
     double edge_sum = 0;
-    for (const int side : {-1, 1}) {
-      constexpr int kCount = 2 * kEdgeReach;
-      const int first = side > 0 ? inside - kEdgeReach + 1 : -inside - kEdgeReach;
-      double correction[kCount + 2] = {};  // of offsets first - 1 .. first + kCount
-      for (int i = 0; i < kCount; ++i) {
-        const int offset = first + i;
-        const double model = smooth.at(-offset, 0.0) + (std::abs(offset) <= inside ? height : 0.0);
-        correction[i + 1] = tap_on_major_axis(kernel, major, -offset) - model;
-      }
-      // A weight w on the sample at offset o is w on the running sum at o and -w on that at o - 1.
-      for (int i = 0; i <= kCount; ++i) {
-        const int offset = first - 1 + i;
-        double weight = correction[i] - correction[i + 1];
-        if (offset == inside) weight += height;
-        if (offset == -inside - 1) weight -= height;
-        plan.edge_offsets.push_back(offset);
-        plan.edge_weights.push_back(static_cast<float>(weight));
-        edge_sum += static_cast<double>(plan.edge_weights.back()) * offset;
-      }
+    const auto add_edge = [&](int offset, double weight) {
+      plan.edge_offsets.push_back(offset);
+      plan.edge_weights.push_back(static_cast<float>(weight));
+      edge_sum += static_cast<double>(plan.edge_weights.back()) * offset;
+    };
+    constexpr int kCorrected = 2 * kEdgeReach;
+    const int first = inside - kEdgeReach + 1;
+    double correction[kCorrected + 2] = {};  // of offsets first - 1 .. first + kCorrected, on either side
+    for (int i = 0; i < kCorrected; ++i) {
+      const int offset = first + i;
+      const double model = smooth.at(offset, 0.0) + (offset <= inside ? height : 0.0);
+      correction[i + 1] = tap_on_major_axis(kernel, stretch, offset) - model;
     }
-    // The sum decides the brightness and must be exact: the box and the rest nearly cancel in it.
+    // A weight w on the sample at offset o is w on the running sum at o and -w on that at o - 1.
+    for (int i = 0; i <= kCorrected; ++i) {
+      const int offset = first - 1 + i;
+      const double weight = correction[i] - correction[i + 1] + (offset == inside ? height : 0.0);
+      add_edge(offset, weight);
+      add_edge(-offset - 1, -weight);
+    }
     const double node_variance = (d * d - 1) / 12.0;  // of a sum over d samples
-    std::vector<double> weights(2 * radius + 1);
-    for (int k = -radius; k <= radius; ++k) weights[k + radius] = smooth.at(-k * d, node_variance);
+    std::vector<double> weights(radius + 1);
+    for (int k = 0; k <= radius; ++k) weights[k] = smooth.at(k * d, node_variance);
     const double wanted = std::accumulate(kernel.taps.begin(), kernel.taps.end(), 0.0) - edge_sum;
-    const double scale = wanted / (d * std::accumulate(weights.begin(), weights.end(), 0.0));
-    for (int k = -radius; k <= radius; ++k) coarse[k] = static_cast<float>(weights[k + radius] * scale);
+    const double scale = wanted / (d * (2 * std::accumulate(weights.begin(), weights.end(), 0.0) - weights[0]));
+    for (int k = 0; k <= radius; ++k) coarse[k] = coarse[-k] = static_cast<float>(weights[k] * scale);
   }
 
   plan.two_scale = {plan.edge_offsets.data(),
@@ -239,6 +247,45 @@ void CpuConvolver::run_tile(const Tile& tile, const Plan& plan, const Planes<Pix
 
 namespace {
 
+/// Transposes 8x8 bytes.
+void transpose_8x8(const std::uint8_t* from, std::ptrdiff_t from_stride, std::uint8_t* to, std::ptrdiff_t to_stride) {
+#if defined(__SSE2__)
+  const auto pair = [&](int row) {
+    return _mm_unpacklo_epi8(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(from + row * from_stride)),
+                             _mm_loadl_epi64(reinterpret_cast<const __m128i*>(from + (row + 1) * from_stride)));
+  };
+  const __m128i a = pair(0), b = pair(2), c = pair(4), d = pair(6);
+  const __m128i ab_low = _mm_unpacklo_epi16(a, b), ab_high = _mm_unpackhi_epi16(a, b);
+  const __m128i cd_low = _mm_unpacklo_epi16(c, d), cd_high = _mm_unpackhi_epi16(c, d);
+  const __m128i columns[] = {_mm_unpacklo_epi32(ab_low, cd_low), _mm_unpackhi_epi32(ab_low, cd_low),
+                             _mm_unpacklo_epi32(ab_high, cd_high), _mm_unpackhi_epi32(ab_high, cd_high)};
+  for (int i = 0; i < 4; ++i) {
+    _mm_storel_epi64(reinterpret_cast<__m128i*>(to + 2 * i * to_stride), columns[i]);
+    _mm_storel_epi64(reinterpret_cast<__m128i*>(to + (2 * i + 1) * to_stride), _mm_srli_si128(columns[i], 8));
+  }
+#else
+  for (int y = 0; y < 8; ++y) {
+    for (int x = 0; x < 8; ++x) to[x * to_stride + y] = from[y * from_stride + x];
+  }
+#endif
+}
+
+/// to(x, y) = from(y, x) for rows x cols pixels of `from`.
+template <typename Pixel>
+void transpose(const Pixel* from, std::ptrdiff_t from_stride, int rows, int cols, Pixel* to, std::ptrdiff_t to_stride) {
+  const bool bytes = sizeof(Pixel) == 1;
+  const int whole_rows = bytes ? rows / 8 * 8 : 0, whole_cols = bytes ? cols / 8 * 8 : 0;
+  for (int y = 0; y < whole_rows; y += 8) {
+    for (int x = 0; x < whole_cols; x += 8) {
+      transpose_8x8(reinterpret_cast<const std::uint8_t*>(from + y * from_stride + x), from_stride,
+                    reinterpret_cast<std::uint8_t*>(to + x * to_stride + y), to_stride);
+    }
+  }
+  for (int y = 0; y < rows; ++y) {
+    for (int x = y < whole_rows ? whole_cols : 0; x < cols; ++x) to[x * to_stride + y] = from[y * from_stride + x];
+  }
+}
+
 /// Copies `channel` into `storage` with `pad` replicated pixels left and right, and returns its view.
 template <typename Pixel>
 SourcePlane<Pixel> pad_columns(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& storage) {
@@ -258,6 +305,28 @@ SourcePlane<Pixel> pad_columns(const cv::Mat& channel, int pad, int threads, std
   return {storage.data() + pad, stride, channel.rows};
 }
 
+/// The same of the transposed channel.
+template <typename Pixel>
+SourcePlane<Pixel> pad_transposed(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& storage) {
+  constexpr int kPixelsPerLine = 64 / sizeof(Pixel);
+  const std::ptrdiff_t stride = (((channel.rows + 2 * pad) / kPixelsPerLine + 1) | 1) * kPixelsPerLine;
+  const std::size_t needed = stride * channel.cols;
+  if (storage.size() < needed) storage.resize(needed);
+  constexpr int kBand = 64;  // columns of the channel that one thread transposes at a time
+#pragma omp parallel for num_threads(threads) schedule(static)
+  for (int x = 0; x < channel.cols; x += kBand) {
+    const int band = std::min(kBand, channel.cols - x);
+    transpose(channel.ptr<Pixel>(0) + x, channel.step1(), channel.rows, band, storage.data() + x * stride + pad,
+              stride);
+    for (int i = 0; i < band; ++i) {
+      Pixel* row = storage.data() + (x + i) * stride;
+      std::fill_n(row, pad, row[pad]);
+      std::fill_n(row + pad + channel.rows, pad, row[pad + channel.rows - 1]);
+    }
+  }
+  return {storage.data() + pad, stride, channel.cols};
+}
+
 /// Stores a tile, given in line order, into channel `channel` of `dst`.
 template <typename Pixel>
 void store_tile(const Pixel* line_order, const cv::Rect& rect, bool major_is_y, int channel, cv::Mat& dst) {
@@ -268,17 +337,14 @@ void store_tile(const Pixel* line_order, const cv::Rect& rect, bool major_is_y, 
     }
     return;
   }
-  const cv::Mat as_lines(major_is_y ? rect.height : rect.width, major_is_y ? rect.width : rect.height,
-                         cv::DataType<Pixel>::type, const_cast<Pixel*>(line_order), kMaxTileSide * sizeof(Pixel));
   if (channels == 1) {
-    cv::Mat to = dst(rect);
-    cv::transpose(as_lines, to);
+    transpose(line_order, kMaxTileSide, rect.width, rect.height, dst.ptr<Pixel>(rect.y) + rect.x, dst.step1());
     return;
   }
   for (int y = 0; y < rect.height; ++y) {
     Pixel* to = dst.ptr<Pixel>(rect.y + y) + static_cast<std::ptrdiff_t>(rect.x) * channels + channel;
     for (int x = 0; x < rect.width; ++x) {
-      to[x * channels] = major_is_y ? as_lines.at<Pixel>(y, x) : as_lines.at<Pixel>(x, y);
+      to[x * channels] = major_is_y ? line_order[y * kMaxTileSide + x] : line_order[x * kMaxTileSide + y];
     }
   }
 }
@@ -297,7 +363,7 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const std::vector<BlockFilter
   tiles_.clear();
   left_to_reference_.assign(blocks.begin(), blocks.end());
   bool need_reference = false, need_upright = false, need_transposed = false;
-  double pad_upright = 0, pad_transposed = 0;
+  double border_upright = 0, border_transposed = 0;
   std::size_t scratch_floats = 0;
   for (int i = 0; i < count; ++i) {
     const Plan& plan = plans_[i];
@@ -321,7 +387,8 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const std::vector<BlockFilter
     // Lines leave the tile sideways by their slope; whole vectors are read beyond.
     const double pad = std::abs(plan.slope) * (plan.reach_m + kMaxTileSide) + 4 * kernels_.lanes + 8;
     (plan.major_is_y ? need_upright : need_transposed) = true;
-    (plan.major_is_y ? pad_upright : pad_transposed) = std::max(plan.major_is_y ? pad_upright : pad_transposed, pad);
+    (plan.major_is_y ? border_upright : border_transposed) =
+        std::max(plan.major_is_y ? border_upright : border_transposed, pad);
   }
 
   if (need_reference) {
@@ -344,12 +411,11 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const std::vector<BlockFilter
       plane = channel_;
     }
     if (need_upright) {
-      planes.upright_view = pad_columns(plane, static_cast<int>(std::ceil(pad_upright)), threads, planes.upright);
+      planes.upright_view = pad_columns(plane, static_cast<int>(std::ceil(border_upright)), threads, planes.upright);
     }
     if (need_transposed) {
-      cv::transpose(plane, transposed_);
       planes.transposed_view =
-          pad_columns(transposed_, static_cast<int>(std::ceil(pad_transposed)), threads, planes.transposed);
+          pad_transposed(plane, static_cast<int>(std::ceil(border_transposed)), threads, planes.transposed);
     }
     const int tile_count = static_cast<int>(tiles_.size());
 #pragma omp parallel for num_threads(threads) schedule(dynamic)

@@ -69,7 +69,7 @@ class CpuConvolver : public LineConvolver {
   std::vector<BlockFilter> left_to_reference_;
   Planes<std::uint8_t> planes8_;
   Planes<std::uint16_t> planes16_;
-  cv::Mat channel_, transposed_;
+  cv::Mat channel_;
   std::vector<std::vector<float>> scratch_;  // by thread
 };
 
