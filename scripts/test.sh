@@ -67,7 +67,7 @@ if ((skipped > 0)); then
   # The reason stands below the line 'FILE:LINE: Skipped' in the tests' own output.
   sed -n 's/^ *[0-9]*\/[0-9]* Test *#[0-9]*: \(.*[^ .]\) *\.*\*\*\*Skipped.*$/  \1/p' "${log}"
   grep -h -A 1 -E '(: Skipped$|^SKIPPED:)' "${GYRO_DEBLUR_BUILD}/Testing/Temporary/LastTest.log" |
-    grep -v -E '(: Skipped$|^--$)' | sort | uniq -c | sort -rn | sed 's/^/  /' || true
+    grep -v -E '(: Skipped$|^SKIPPED:|^--$)' | sort | uniq -c | sort -rn | sed 's/^/  /' || true
 fi
 if ((failed_checks > 0)); then
   printf '\n%d of the checks before the tests failed: see above\n' "${failed_checks}"
