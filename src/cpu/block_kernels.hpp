@@ -25,6 +25,9 @@ struct SourcePlane {
 constexpr int kMaxTileSide = 64;
 constexpr int kCoarseGuard = 3;  ///< zeros that the caller puts on either side of TwoScaleFilter::coarse
 
+/// Largest size of an exact weight: its parts above and below 2^7 fit signed bytes.
+constexpr std::int32_t kMaxExactWeight = 127 * 128;
+
 /// Exact taps: at step `m` along the line the two neighbours across, with weights as a pair of int16.
 struct PairTap {
   int m, n;              ///< input relative to the output

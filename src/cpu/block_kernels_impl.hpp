@@ -96,11 +96,159 @@ struct CubicWeights {
 // ---- Exact taps
 // -----------------------------------------------------------------------------------------------------
 
+// Outputs that are summed together: enough independent sums to hide the latency of a multiply-add.
+constexpr int kExactRows = 2;
+constexpr int kExactVectors = GYRO_DEBLUR_VECTOR_BYTES == 64 ? 4 : 2;
+
+struct ExactLayout {
+  int rows, width, first_m, first_n;
+  ExactLayout(const TileGeometry& tile, const ExactFilter& filter)
+      : rows(tile.m_count + 2 * filter.radius_m + 1),
+        // Whole vectors are read for the last outputs.
+        width(round_up(round_up(tile.n_count, kExactVectors * kLanes) + filter.n_max - filter.n_min, kLanes) + kLanes),
+        first_m(tile.m_begin - filter.radius_m),
+        first_n(tile.n_begin + filter.n_min) {}
+};
+
+/// Rounds, clips and stores a vector of scaled sums.
+inline void store_exact(std::uint8_t* to, IntVector sum, const ExactFilter& filter) {
+  const IntVector zero = {}, top = zero + 255;
+  sum = (sum + (filter.shift > 0 ? 1 << (filter.shift - 1) : 0)) >> filter.shift;
+  sum = sum > zero ? sum : zero;
+  sum = sum < top ? sum : top;
+#if defined(__AVX512F__)
+  _mm_storeu_si128((__m128i*)to, _mm512_cvtepi32_epi8((__m512i)sum));
+#else
+  for (int k = 0; k < kLanes; ++k) to[k] = static_cast<std::uint8_t>(sum[k]);
+#endif
+}
+
+/// Walks over the tile's outputs, kExactRows by kExactVectors, and lets sum(at, vectors, sums) fill the sums for the
+/// outputs whose first one is at offset `at` of the neighbourhood.
+template <typename Sum>
+inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filter, const ExactLayout& layout,
+                              std::uint8_t* out, Sum sum) {
+  for (int m = 0; m < tile.m_count; m += kExactRows) {
+    for (int n = 0; n < tile.n_count; n += kExactVectors * kLanes) {
+      IntVector sums[kExactRows][kExactVectors];
+      sum((m + filter.radius_m) * layout.width + n - filter.n_min, sums);
+      for (int row = 0; row < kExactRows && m + row < tile.m_count; ++row) {
+        for (int v = 0; v < kExactVectors && n + v * kLanes < tile.n_count; ++v) {
+          store_exact(out + (m + row) * kMaxTileSide + n + v * kLanes, sums[row][v], filter);
+        }
+      }
+    }
+  }
+}
+
+#if defined(__AVX512VNNI__)
+
+// Two steps of the line at once: bytes (m, n), (m, n + 1), (m + 1, n'), (m + 1, n' + 1), where n' - n is 0 or the sign
+// of the slope. Half the loads of pairs, which is what limits those; weights are split in two so that they fit bytes.
+struct Quad {
+  int at;                  // first byte's place in the neighbourhood, relative to the output
+  int side;                // which of the two arrangements
+  std::int32_t high, low;  // weights / 128 and the rest, a byte each
+};
+
+struct QuadLayout {
+  int size;  // of one array
+  explicit QuadLayout(const ExactLayout& layout) : size(layout.rows * layout.width + kLanes) {}
+};
+
+std::size_t exact_scratch_floats(const TileGeometry& tile, const ExactFilter& filter) {
+  const ExactLayout layout(tile, filter);
+  return static_cast<std::size_t>(3 * QuadLayout(layout).size) +
+         static_cast<std::size_t>(filter.count) * sizeof(Quad) / sizeof(float);
+}
+
+inline std::int32_t pack_bytes(std::int32_t a, std::int32_t b, std::int32_t c, std::int32_t d) {
+  return (a & 0xff) | (b & 0xff) << 8 | (c & 0xff) << 16 | static_cast<std::int32_t>((d & 0xffu) << 24);
+}
+
+void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+              float* scratch, std::uint8_t* out) {
+  const ExactLayout layout(tile, filter);
+  const int size = QuadLayout(layout).size;
+  const int lean = tile.slope < 0 ? -1 : 1;
+
+  std::int32_t* pairs = reinterpret_cast<std::int32_t*>(scratch);
+  for (int r = 0; r < layout.rows; ++r) {
+    const std::uint8_t* from =
+        source.origin + clamp_row(layout.first_m + r, source.rows) * source.stride + layout.first_n;
+    for (int i = 0; i < layout.width; i += kLanes) {
+      const __m512i first = _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)(from + i)));
+      const __m512i second = _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)(from + i + 1)));
+      _mm512_storeu_si512(pairs + r * layout.width + i, _mm512_or_si512(first, _mm512_slli_epi32(second, 8)));
+    }
+  }
+  // The vector after the last row and before the first is read for the leaning arrangement, but no output uses it.
+  std::int32_t* quads[2] = {pairs + size, pairs + 2 * size};
+  const int last = (layout.rows - 1) * layout.width;
+  for (int i = 0; i < last; i += kLanes) {
+    const __m512i here = _mm512_loadu_si512(pairs + i);
+    const __m512i straight = _mm512_loadu_si512(pairs + i + layout.width);
+    const __m512i leaning = _mm512_loadu_si512(pairs + i + layout.width + lean);
+    _mm512_storeu_si512(quads[0] + i, _mm512_or_si512(here, _mm512_slli_epi32(straight, 16)));
+    _mm512_storeu_si512(quads[1] + i, _mm512_or_si512(here, _mm512_slli_epi32(leaning, 16)));
+  }
+
+  Quad* list = reinterpret_cast<Quad*>(scratch + 3 * size);
+  int count = 0;
+  const auto low_half = [](std::int32_t weights) {
+    return static_cast<std::int32_t>(static_cast<std::uint32_t>(weights) << 16) >> 16;
+  };
+  for (int t = 0; t < filter.count; ++t) {
+    const PairTap& tap = filter.taps[t];
+    std::int32_t w[4] = {low_half(tap.weights), tap.weights >> 16, 0, 0};
+    Quad quad{tap.m * layout.width + tap.n, 0, 0, 0};
+    if (t + 1 < filter.count) {
+      const PairTap& next = filter.taps[t + 1];
+      // Taps come in falling or rising order of m; the quad starts at the lower.
+      const PairTap& lower = next.m < tap.m ? next : tap;
+      const PairTap& upper = next.m < tap.m ? tap : next;
+      const int step = upper.n - lower.n;
+      if (upper.m == lower.m + 1 && (step == 0 || step == lean)) {
+        quad.at = lower.m * layout.width + lower.n;
+        quad.side = step == 0 ? 0 : 1;
+        w[0] = low_half(lower.weights);
+        w[1] = lower.weights >> 16;
+        w[2] = low_half(upper.weights);
+        w[3] = upper.weights >> 16;
+        ++t;
+      }
+    }
+    quad.high = pack_bytes(w[0] >> 7, w[1] >> 7, w[2] >> 7, w[3] >> 7);
+    quad.low = pack_bytes(w[0] & 127, w[1] & 127, w[2] & 127, w[3] & 127);
+    list[count++] = quad;
+  }
+
+  for_exact_outputs(tile, filter, layout, out, [&](int at, IntVector sums[kExactRows][kExactVectors]) {
+    __m512i high[kExactRows][kExactVectors] = {}, low[kExactRows][kExactVectors] = {};
+    for (int q = 0; q < count; ++q) {
+      const std::int32_t* from = quads[list[q].side] + at + list[q].at;
+      const __m512i high_weights = _mm512_set1_epi32(list[q].high), low_weights = _mm512_set1_epi32(list[q].low);
+      for (int row = 0; row < kExactRows; ++row) {
+        for (int v = 0; v < kExactVectors; ++v) {
+          const __m512i pixels = _mm512_loadu_si512(from + row * layout.width + v * kLanes);
+          high[row][v] = _mm512_dpbusd_epi32(high[row][v], pixels, high_weights);
+          low[row][v] = _mm512_dpbusd_epi32(low[row][v], pixels, low_weights);
+        }
+      }
+    }
+    for (int row = 0; row < kExactRows; ++row) {
+      for (int v = 0; v < kExactVectors; ++v) {
+        sums[row][v] = (IntVector)_mm512_add_epi32(_mm512_slli_epi32(high[row][v], 7), low[row][v]);
+      }
+    }
+  });
+}
+
+#else
+
 /// acc + low * low + high * high of the int16 halves of each lane.
 inline IntVector multiply_pairs(IntVector acc, IntVector pixels, IntVector weights) {
-#if defined(__AVX512VNNI__)
-  return (IntVector)_mm512_dpwssd_epi32((__m512i)acc, (__m512i)pixels, (__m512i)weights);
-#elif defined(__AVX2__)
+#if defined(__AVX2__)
   return acc + (IntVector)_mm256_madd_epi16((__m256i)pixels, (__m256i)weights);
 #elif defined(__SSE2__)
   return acc + (IntVector)_mm_madd_epi16((__m128i)pixels, (__m128i)weights);
@@ -110,38 +258,9 @@ inline IntVector multiply_pairs(IntVector acc, IntVector pixels, IntVector weigh
 #endif
 }
 
-struct ExactLayout {
-  int rows, width, first_m, first_n;
-  ExactLayout(const TileGeometry& tile, const ExactFilter& filter)
-      : rows(tile.m_count + 2 * filter.radius_m + 1),
-        // Whole vectors are read for the last outputs.
-        width(round_up(round_up(tile.n_count, kLanes) + filter.n_max - filter.n_min, kLanes) + kLanes),
-        first_m(tile.m_begin - filter.radius_m),
-        first_n(tile.n_begin + filter.n_min) {}
-};
-
 std::size_t exact_scratch_floats(const TileGeometry& tile, const ExactFilter& filter) {
   const ExactLayout layout(tile, filter);
   return static_cast<std::size_t>(layout.rows) * layout.width;
-}
-
-/// Sums `kVectors` vectors of outputs of two neighbouring rows.
-template <int kVectors>
-inline void sum_pairs(const std::int32_t* pairs, int width, const ExactFilter& filter, IntVector sums[2][kVectors]) {
-  IntVector acc[2][kVectors] = {};
-  for (int t = 0; t < filter.count; ++t) {
-    const PairTap& tap = filter.taps[t];
-    const std::int32_t* from = pairs + tap.m * width + tap.n;
-    const IntVector weights = IntVector{} + tap.weights;
-    for (int v = 0; v < kVectors; ++v) {
-      acc[0][v] = multiply_pairs(acc[0][v], load(from + v * kLanes), weights);
-      acc[1][v] = multiply_pairs(acc[1][v], load(from + width + v * kLanes), weights);
-    }
-  }
-  for (int v = 0; v < kVectors; ++v) {
-    sums[0][v] = acc[0][v];
-    sums[1][v] = acc[1][v];
-  }
 }
 
 void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
@@ -154,42 +273,25 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
     std::int32_t* to = pairs + r * layout.width;
     for (int i = 0; i < layout.width; ++i) to[i] = from[i] | (from[i + 1] << 16);
   }
-
-  const std::int32_t half = filter.shift > 0 ? 1 << (filter.shift - 1) : 0;
-  constexpr int kVectors = GYRO_DEBLUR_VECTOR_BYTES == 64 ? 4 : 2;
-  for (int m = 0; m < tile.m_count; m += 2) {
-    for (int n = 0; n < tile.n_count; n += kVectors * kLanes) {
-      IntVector sums[2][kVectors];
-      // Taps are relative to the output; row and column of the output in `pairs`:
-      const std::int32_t* at = pairs + (m + filter.radius_m) * layout.width + n - filter.n_min;
-      const int wanted = (tile.n_count - n + kLanes - 1) / kLanes;
-      if (wanted >= kVectors) {
-        sum_pairs<kVectors>(at, layout.width, filter, sums);
-      } else {
-        for (int v = 0; v < wanted; ++v) {
-          IntVector one[2][1];
-          sum_pairs<1>(at + v * kLanes, layout.width, filter, one);
-          sums[0][v] = one[0][0];
-          sums[1][v] = one[1][0];
-        }
-      }
-      for (int row = 0; row < 2 && m + row < tile.m_count; ++row) {
-        for (int v = 0; v < kVectors && v < wanted; ++v) {
-          IntVector s = (sums[row][v] + half) >> filter.shift;
-          const IntVector zero = {}, top = zero + 255;
-          s = s > zero ? s : zero;
-          s = s < top ? s : top;
-          std::uint8_t* to = out + (m + row) * kMaxTileSide + n + v * kLanes;
-#if defined(__AVX512F__)
-          _mm_storeu_si128((__m128i*)to, _mm512_cvtepi32_epi8((__m512i)s));
-#else
-          for (int k = 0; k < kLanes; ++k) to[k] = static_cast<std::uint8_t>(s[k]);
-#endif
+  for_exact_outputs(tile, filter, layout, out, [&](int at, IntVector sums[kExactRows][kExactVectors]) {
+    IntVector acc[kExactRows][kExactVectors] = {};
+    for (int t = 0; t < filter.count; ++t) {
+      const PairTap& tap = filter.taps[t];
+      const std::int32_t* from = pairs + at + tap.m * layout.width + tap.n;
+      const IntVector weights = IntVector{} + tap.weights;
+      for (int row = 0; row < kExactRows; ++row) {
+        for (int v = 0; v < kExactVectors; ++v) {
+          acc[row][v] = multiply_pairs(acc[row][v], load(from + row * layout.width + v * kLanes), weights);
         }
       }
     }
-  }
+    for (int row = 0; row < kExactRows; ++row) {
+      for (int v = 0; v < kExactVectors; ++v) sums[row][v] = acc[row][v];
+    }
+  });
 }
+
+#endif
 
 // ---- Two scales
 // -----------------------------------------------------------------------------------------------------

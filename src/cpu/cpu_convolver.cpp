@@ -57,10 +57,10 @@ void CpuConvolver::plan_exact(const LineKernel& kernel, double angle_rad, Plan& 
   const std::vector<KernelTap> taps = rotate_kernel(kernel, angle_rad);
   float largest = 0;
   for (const KernelTap& tap : taps) largest = std::max(largest, std::abs(tap.weight));
-  // As many bits as an int16 has room for.
+  // As many bits as there is room for.
   constexpr int kMaxShift = 14;
   int shift = kMaxShift;
-  while (shift > 0 && largest * (1 << shift) > std::numeric_limits<std::int16_t>::max() - 1) --shift;
+  while (shift > 0 && largest * (1 << shift) > kMaxExactWeight - 1) --shift;
 
   std::vector<std::int32_t> weights(taps.size());
   double sum = 0;
@@ -74,7 +74,7 @@ void CpuConvolver::plan_exact(const LineKernel& kernel, double angle_rad, Plan& 
   }
   // Rounding must not change the brightness. What is missing is a few units of the largest weight.
   const std::int32_t missing = static_cast<std::int32_t>(std::lround(sum * (1 << shift))) - fixed_sum;
-  weights[strongest] = std::clamp<std::int32_t>(weights[strongest] + missing, -32767, 32767);
+  weights[strongest] = std::clamp(weights[strongest] + missing, -kMaxExactWeight, kMaxExactWeight);
 
   plan.pair_taps.clear();
   ExactFilter& filter = plan.exact;
