@@ -7,7 +7,8 @@ source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
 
 build_packages=(
   ca-certificates cmake g++ git make
-  libcli11-dev libeigen3-dev libgtest-dev libopencv-dev libyaml-cpp-dev nlohmann-json3-dev zlib1g-dev
+  libcli11-dev libeigen3-dev libgtest-dev libopencv-dev libyaml-cpp-dev nlohmann-json3-dev
+  ocl-icd-opencl-dev opencl-clhpp-headers zlib1g-dev
 )
 ros_packages=(
   catkin rosbash ros-core-dev ros-core-python-dev
@@ -15,7 +16,7 @@ ros_packages=(
   libmessage-filters-dev libnodelet-dev libnodeletlib-dev libnodeletlib-tools librosbag-dev libtf2-msgs-dev
   libtf2-ros-dev pluginlib-dev python3-dynamic-reconfigure
 )
-test_packages=(catkin-lint clang-format librostest-dev python3-rostest)
+test_packages=(catkin-lint clang-format librostest-dev pocl-opencl-icd python3-rostest)
 # The simulator's textures come from opencv-doc; rviz is drawn by Mesa in software on a virtual display.
 demo_packages=(
   imagemagick libgl1-mesa-dri opencv-doc procps python3-matplotlib python3-numpy python3-opencv python3-rosbag

@@ -34,10 +34,19 @@ class LineConvolver {
 
   /// Short name for diagnostics, e.g. "reference".
   virtual std::string name() const = 0;
+
+  /// Something the user should know, such as a device that failed; each warning is returned once, empty: none.
+  virtual std::string take_warning() { return {}; }
 };
 
-/// Engine by name: "reference" (non-zero taps of the rotated kernel, float, OpenMP over blocks) or "auto" (the fastest
-/// that works), on `threads` OpenMP threads (0: OpenMP's default). Throws OptionError that lists the names.
+/// Engine by name, on `threads` OpenMP threads (0: OpenMP's default):
+/// - "reference": non-zero taps of the rotated kernel, float, OpenMP over blocks;
+/// - "cpu": the fast one for processors;
+/// - "opencl", "opencl:INDEX" or "opencl:NAME": the first GPU (else the first device), or a device by its index or a
+///   part of its platform's or its own name in any case. When it is absent or fails, also in mid-run, the "cpu" engine
+///   takes over with that very frame, and take_warning() says why;
+/// - "auto": "opencl" where there is a GPU, else "cpu".
+/// Throws OptionError that lists the names.
 std::unique_ptr<LineConvolver> make_line_convolver(const std::string& backend, int threads = 0);
 
 /// A non-zero element of a rotated kernel.

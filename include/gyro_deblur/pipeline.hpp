@@ -73,6 +73,9 @@ class Pipeline {
   /// Name of the engine in use.
   std::string engine() const;
 
+  /// What the engine has to tell the user, see LineConvolver::take_warning; ask after set_options and after each frame.
+  std::string take_warning();
+
   /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
   /// @param motion  of the camera over the frame; blocks it does not cover are NO_GYRO
   /// Throws std::invalid_argument when the image does not fit, std::logic_error before set_calibration.

@@ -2,9 +2,12 @@
 
 #include <cmath>
 #include <stdexcept>
+#include <utility>
 
+#include "core/fallback_convolver.hpp"
 #include "cpu/cpu_convolver.hpp"
 #include "cpu/reference_convolver.hpp"
+#include "opencl/opencl_factory.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -39,6 +42,16 @@ bool filters_anything(const std::vector<BlockFilter>& blocks) {
     if (block.kernel != nullptr) return true;
   }
   return false;
+}
+
+/// The OpenCL engine with the CPU engine behind it.
+std::unique_ptr<LineConvolver> make_opencl_with_fallback(const std::string& device, int threads) {
+  auto cpu = std::make_unique<CpuConvolver>(threads);
+  try {
+    return std::make_unique<FallbackConvolver>(make_opencl_convolver(device, threads), std::move(cpu));
+  } catch (const DeviceError& error) {
+    return std::make_unique<FallbackConvolver>("OpenCL", error, std::move(cpu));
+  }
 }
 
 /// Filters the four planes of a Bayer mosaic. Each samples the image at every second pixel from (px, py), so direction
@@ -141,8 +154,15 @@ void require_convolvable(const cv::Mat& src) {
 std::unique_ptr<LineConvolver> make_line_convolver(const std::string& backend, int threads) {
   require_range("threads", threads, 0, 256);
   if (backend == "reference") return std::make_unique<ReferenceConvolver>(threads);
-  if (backend == "cpu" || backend == "auto") return std::make_unique<CpuConvolver>(threads);
-  throw OptionError("backend = \"" + backend + "\" is unknown; available: auto, cpu, reference");
+  const bool automatic = backend == "auto";
+  if (backend == "opencl" || (automatic && opencl_gpu_present())) return make_opencl_with_fallback("", threads);
+  if (backend == "cpu" || automatic) return std::make_unique<CpuConvolver>(threads);
+  const std::string prefix = "opencl:";
+  if (backend.size() > prefix.size() && backend.compare(0, prefix.size(), prefix) == 0) {
+    return make_opencl_with_fallback(backend.substr(prefix.size()), threads);
+  }
+  throw OptionError("backend = \"" + backend +
+                    "\" is unknown; available: auto, cpu, reference, opencl, opencl:INDEX, opencl:NAME");
 }
 
 void deconvolve(const cv::Mat& image, PixelLayout layout, const BlurField& field, const KernelBank& bank,

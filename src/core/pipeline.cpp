@@ -95,6 +95,8 @@ void Pipeline::set_calibration(const CameraCalibration& calibration) {
 
 std::string Pipeline::engine() const { return engine_->name(); }
 
+std::string Pipeline::take_warning() { return engine_->take_warning(); }
+
 PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                                  const RowExposure& exposure, const PipelineRequest& request) {
   if (!camera_) throw std::logic_error("Pipeline::process before set_calibration");

@@ -173,6 +173,8 @@ void run(const Arguments& arguments) {
   const double deconvolution_ms =
       std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
 
+  if (const std::string warning = engine->take_warning(); !warning.empty()) std::cerr << "warning: " << warning << "\n";
+
   write_image(arguments.output, deblurred);
   if (!arguments.overlay.empty()) write_image(arguments.overlay, draw_overlay(luminance, field));
 
@@ -231,7 +233,8 @@ int main_of(int argc, char** argv) {
   extent->needs(angle)->excludes(field);
   app.add_option("--gamma", arguments.kernel.gamma, "noise-to-signal ratio of the Wiener filter")
       ->capture_default_str();
-  app.add_option("--backend", arguments.backend, "engine: auto, reference")->capture_default_str();
+  app.add_option("--backend", arguments.backend, "engine: auto, cpu, reference, opencl, opencl:INDEX, opencl:NAME")
+      ->capture_default_str();
   app.add_option("--threads", arguments.threads, "of the engine; 0: as many as there are cores")->capture_default_str();
   app.add_option("--block-size", arguments.blur_field.block_size_px, "side of a block [px], even")
       ->capture_default_str();

@@ -202,6 +202,20 @@ TEST(Pipeline, KeepsItsStateWhenNewOptionsAreBad) {
   EXPECT_EQ(before.features.keypoints.size(), after.features.keypoints.size());
 }
 
+TEST(Pipeline, WarnsOnceAboutAnAbsentDevice) {
+  PipelineOptions o = options();
+  o.backend = "opencl:no such device";
+  Pipeline p(o);
+  p.set_calibration(calibration());
+  const cv::Mat blurred = blurred_image(15);
+  EXPECT_FALSE(p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image.empty());
+  EXPECT_NE(p.take_warning().find("OpenCL failed"), std::string::npos);
+  EXPECT_EQ(p.take_warning(), "");
+  EXPECT_NE(p.engine().find("OpenCL failed"), std::string::npos);
+  p.set_options(options());
+  EXPECT_EQ(p.take_warning(), "");
+}
+
 TEST(Pipeline, RefusesImagesThatDoNotFit) {
   Pipeline bare(options());
   const RotationTrack motion = pan(0);

@@ -1,0 +1,45 @@
+#include "core/fallback_convolver.hpp"
+
+#include <utility>
+
+namespace gyro_deblur {
+
+FallbackConvolver::FallbackConvolver(std::unique_ptr<LineConvolver> primary, std::unique_ptr<LineConvolver> secondary)
+    : primary_(std::move(primary)), secondary_(std::move(secondary)) {}
+
+FallbackConvolver::FallbackConvolver(const std::string& primary_name, const DeviceError& error,
+                                     std::unique_ptr<LineConvolver> secondary)
+    : secondary_(std::move(secondary)) {
+  give_up(primary_name, error);
+}
+
+void FallbackConvolver::give_up(const std::string& primary_name, const DeviceError& error) {
+  failure_ = primary_name + " failed: " + error.what();
+  warning_ = failure_ + "; using " + secondary_->name() + " from now on";
+  primary_.reset();
+}
+
+void FallbackConvolver::convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) {
+  if (primary_) {
+    try {
+      primary_->convolve(src, blocks, dst);
+      return;
+    } catch (const DeviceError& error) {
+      give_up(primary_->name(), error);
+    }
+  }
+  secondary_->convolve(src, blocks, dst);
+}
+
+std::string FallbackConvolver::name() const {
+  return primary_ ? primary_->name() : secondary_->name() + " (" + failure_ + ")";
+}
+
+std::string FallbackConvolver::take_warning() {
+  std::string warning = std::exchange(warning_, {});
+  // The engine in use may have something to say as well.
+  LineConvolver& engine = primary_ ? *primary_ : *secondary_;
+  return warning.empty() ? engine.take_warning() : warning;
+}
+
+}  // namespace gyro_deblur

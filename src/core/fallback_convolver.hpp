@@ -1,0 +1,46 @@
+// An engine that may fail, with one that does not behind it.
+#pragma once
+
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "gyro_deblur/deconvolution.hpp"
+
+namespace gyro_deblur {
+
+/// A compute device that is absent, refuses its work or stopped working; what() is one line.
+class DeviceError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// Uses one engine until it throws DeviceError, and another from that very frame on. Other exceptions pass.
+class FallbackConvolver : public LineConvolver {
+ public:
+  /// Preconditions: neither is null.
+  FallbackConvolver(std::unique_ptr<LineConvolver> primary, std::unique_ptr<LineConvolver> secondary);
+
+  /// For a primary that failed before it existed.
+  /// @param primary_name  what was asked for
+  FallbackConvolver(const std::string& primary_name, const DeviceError& error,
+                    std::unique_ptr<LineConvolver> secondary);
+
+  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override;
+
+  /// The primary's name, or "SECONDARY (PRIMARY failed: reason)".
+  std::string name() const override;
+
+  std::string take_warning() override;
+
+ private:
+  void give_up(const std::string& primary_name, const DeviceError& error);
+
+  std::unique_ptr<LineConvolver> primary_;  // null once it failed
+  std::unique_ptr<LineConvolver> secondary_;
+  std::string failure_;  // empty while the primary works
+  std::string warning_;  // not taken yet
+};
+
+}  // namespace gyro_deblur
