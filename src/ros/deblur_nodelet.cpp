@@ -17,8 +17,9 @@
 namespace gyro_deblur {
 namespace {
 
-/// Images are large, and those that cannot be taken in are better dropped late, by the frame queue, which counts them.
-constexpr std::uint32_t kImageQueue = 10;
+/// Callbacks only store, so these queues are short in practice; a burst must not be lost here, where nobody would count
+/// it.
+constexpr std::uint32_t kImageQueue = 100;
 /// A second of a 1 kHz IMU.
 constexpr std::uint32_t kImuQueue = 1000;
 constexpr std::uint32_t kOutputQueue = 10;

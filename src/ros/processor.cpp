@@ -495,6 +495,14 @@ bool Processor::estimate_bias(std::string* text) {
   const std::optional<BiasEstimate> estimate =
       estimate_stationary_bias(samples, config_->bias_max_stddev_rad_s, kMinBiasSamples, text);
   if (!estimate) return false;
+  GyroOptions corrected = config_->gyro;
+  corrected.bias_rad_s = estimate->bias_rad_s;
+  try {
+    corrected.validate();  // a constant rotation looks like rest, but no bias is that large
+  } catch (const OptionError& error) {
+    *text = error.what();
+    return false;
+  }
   estimated_bias_rad_s_ = estimate->bias_rad_s;
   *text = "gyro_bias = " + vector_text(estimate->bias_rad_s) + " rad/s in use, from " +
           std::to_string(estimate->samples) + " samples with a standard deviation of " +

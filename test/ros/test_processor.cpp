@@ -629,6 +629,14 @@ TEST_F(ProcessorTest, BiasOfAMovingSensorIsRefused) {
   EXPECT_EQ(processor_.bias_rad_s().y(), 0);
 }
 
+TEST_F(ProcessorTest, ConstantRotationIsNoBias) {
+  add_imu(kStart - 1200 * kMs, kStart, 1.5);
+  std::string text;
+  EXPECT_FALSE(processor_.estimate_bias(&text));
+  EXPECT_NE(text.find("gyro_bias = 1.5"), std::string::npos) << text;
+  EXPECT_EQ(processor_.bias_rad_s().y(), 0);
+}
+
 TEST_F(ProcessorTest, BiasOfTooFewSamplesIsRefused) {
   std::string text;
   EXPECT_FALSE(processor_.estimate_bias(&text));

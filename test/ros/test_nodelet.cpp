@@ -1,0 +1,737 @@
+// The nodelet in a manager, and the node, as their users see them. Waits for messages and conditions with a deadline;
+// time never decides.
+#include <algorithm>
+#include <chrono>
+#include <condition_variable>
+#include <functional>
+#include <limits>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <diagnostic_msgs/DiagnosticArray.h>
+#include <dynamic_reconfigure/Reconfigure.h>
+#include <gtest/gtest.h>
+#include <nodelet/NodeletList.h>
+#include <nodelet/NodeletLoad.h>
+#include <nodelet/NodeletUnload.h>
+#include <ros/ros.h>
+#include <rosgraph_msgs/Log.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_msgs/TFMessage.h>
+#include <visualization_msgs/MarkerArray.h>
+
+#include "message_builders.hpp"
+#include "ros/messages.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using namespace test;
+
+constexpr std::chrono::seconds kDeadline{30};
+constexpr TimeNs kStart = 100 * kSecond;
+constexpr TimeNs kImuPeriod = 5 * kMs;
+constexpr char kManager[] = "/manager";
+/// Long enough that a frame that leaves did not leave for it.
+constexpr double kLongTimeoutS = 10, kShortTimeoutS = 0.2;
+
+/// What has arrived, and a way to wait for more.
+class Mailbox {
+ public:
+  template <typename Function>
+  void put(Function function) {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      function();
+    }
+    changed_.notify_all();
+  }
+  /// False when the deadline passes first.
+  bool wait(const std::function<bool()>& condition) {
+    std::unique_lock<std::mutex> lock(mutex_);
+    return changed_.wait_for(lock, kDeadline, condition);
+  }
+  template <typename Function>
+  auto look(Function function) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return function();
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable changed_;
+};
+
+/// For conditions of ROS's graph, which tells nobody when it changes.
+bool poll_until(const std::function<bool()>& condition) {
+  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > deadline || !ros::ok()) return false;
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  }
+  return true;
+}
+
+class NodeletTest : public testing::Test {
+ protected:
+  NodeletTest() {
+    static int count = 0;
+    ns_ = "/test" + std::to_string(++count);
+    name_ = ns_ + "/deblur";
+    image_publisher_ = nh_.advertise<sensor_msgs::Image>(ns_ + "/image_raw", 100);
+    info_publisher_ = nh_.advertise<sensor_msgs::CameraInfo>(ns_ + "/camera_info", 100);
+    imu_publisher_ = nh_.advertise<sensor_msgs::Imu>(ns_ + "/imu", 10000);
+    log_subscriber_ = nh_.subscribe<rosgraph_msgs::Log>("/rosout", 1000, [this](const rosgraph_msgs::LogConstPtr& log) {
+      mailbox_.put([&] {
+        if (log->name == kManager) log_.push_back(log->msg);
+      });
+    });
+    // The manager and the node: lines that are logged before they are connected are lost.
+    EXPECT_TRUE(poll_until([this] { return log_subscriber_.getNumPublishers() >= 2; }));
+    // As the launch files do: the parameters are there before the nodelet.
+    set("exposure_time", to_seconds(kExposure));
+    set("readout_time", to_seconds(kReadout));
+    set("R_cam_imu", std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, 1});
+    set("block_size", 32);
+    set("validate", false);
+    set("detector", std::string("FAST"));
+    set("descriptor", std::string("ORB"));
+    set("gyro_timeout", kLongTimeoutS);
+    set("frame_queue_size", 100);
+  }
+
+  ~NodeletTest() override {
+    if (loaded_) unload();
+    nodelet::NodeletList list;
+    EXPECT_TRUE(ros::service::call(std::string(kManager) + "/list", list)) << "the manager has to survive everything";
+  }
+
+  template <typename T>
+  void set(const std::string& parameter, const T& value) {
+    nh_.setParam(name_ + "/" + parameter, value);
+  }
+
+  void load() {
+    nodelet::NodeletLoad request;
+    request.request.name = name_;
+    request.request.type = "gyro_deblur/DeblurNodelet";
+    const std::string service = std::string(kManager) + "/load_nodelet";
+    ASSERT_TRUE(ros::service::waitForService(service, ros::Duration(30)));
+    ASSERT_TRUE(ros::service::call(service, request));
+    ASSERT_TRUE(request.response.success);
+    loaded_ = true;
+  }
+
+  void unload() {
+    nodelet::NodeletUnload request;
+    request.request.name = name_;
+    EXPECT_TRUE(ros::service::call(std::string(kManager) + "/unload_nodelet", request));
+    EXPECT_TRUE(request.response.success);
+    loaded_ = false;
+  }
+
+  /// Subscribes to the outputs and waits until everything is connected.
+  void connect() {
+    image_subscriber_ = nh_.subscribe<sensor_msgs::Image>(
+        ns_ + "/deblurred/image_raw", 100,
+        [this](const sensor_msgs::ImageConstPtr& m) { mailbox_.put([&] { images_.push_back(m); }); });
+    info_subscriber_ = nh_.subscribe<sensor_msgs::CameraInfo>(
+        ns_ + "/deblurred/camera_info", 100,
+        [this](const sensor_msgs::CameraInfoConstPtr& m) { mailbox_.put([&] { infos_.push_back(m); }); });
+    field_subscriber_ = nh_.subscribe<BlurFieldMessage>(
+        ns_ + "/blur_field", 100,
+        [this](const BlurFieldMessageConstPtr& m) { mailbox_.put([&] { fields_.push_back(m); }); });
+    keypoint_subscriber_ = nh_.subscribe<KeypointArray>(
+        ns_ + "/keypoints", 100,
+        [this](const KeypointArrayConstPtr& m) { mailbox_.put([&] { keypoints_.push_back(m); }); });
+    ASSERT_TRUE(poll_until([this] {
+      return image_subscriber_.getNumPublishers() > 0 && info_subscriber_.getNumPublishers() > 0 &&
+             field_subscriber_.getNumPublishers() > 0 && keypoint_subscriber_.getNumPublishers() > 0 &&
+             image_publisher_.getNumSubscribers() > 0 && info_publisher_.getNumSubscribers() > 0 &&
+             imu_publisher_.getNumSubscribers() > 0;
+    }));
+  }
+
+  /// Somebody who listens to an output and does nothing with it.
+  template <typename Message>
+  ros::Subscriber ignore(const std::string& output) {
+    const boost::function<void(const boost::shared_ptr<const Message>&)> nothing = [](const auto&) {};
+    return nh_.subscribe<Message>(ns_ + "/" + output, 1, nothing);
+  }
+
+  void start() {
+    load();
+    connect();
+  }
+
+  void publish_imu(TimeNs from_ns, TimeNs to_ns, double rate_rad_s = kFastRadS) {
+    for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod)
+      imu_publisher_.publish(imu_message(t_ns, rate_rad_s));
+  }
+  sensor_msgs::ImagePtr publish_frame(TimeNs stamp_ns, const std::string& encoding = "mono8") {
+    const auto image = image_message(stamp_ns, encoding);
+    info_publisher_.publish(camera_info(stamp_ns));
+    image_publisher_.publish(image);
+    return image;
+  }
+
+  /// Waits until `count` frames have come out on all topics.
+  void expect_frames(std::size_t count) {
+    const bool came = mailbox_.wait([&] {
+      return std::min({images_.size(), infos_.size(), fields_.size(), keypoints_.size()}) >= count;
+    });
+    // Thrown, so that the test that looks at the frames next ends here.
+    if (!came) throw std::runtime_error(std::to_string(images_.size()) + " of " + std::to_string(count) + " frames");
+    for (std::size_t i = 0; i < count; ++i) {
+      EXPECT_EQ(images_[i]->header.stamp, fields_[i]->header.stamp);
+      EXPECT_EQ(images_[i]->header.stamp, infos_[i]->header.stamp);
+      EXPECT_EQ(images_[i]->header.stamp, keypoints_[i]->header.stamp);
+    }
+  }
+  void expect_reason(std::size_t index, PassThroughReason reason) {
+    ASSERT_GT(fields_.size(), index);
+    EXPECT_STREQ(to_string(static_cast<PassThroughReason>(fields_[index]->reason)), to_string(reason))
+        << fields_[index]->reason_text;
+  }
+  void expect_deblurred(std::size_t index, const sensor_msgs::Image& input) {
+    expect_reason(index, PassThroughReason::NONE);
+    EXPECT_EQ(images_[index]->header.stamp, input.header.stamp);
+    EXPECT_EQ(images_[index]->encoding, input.encoding);
+    EXPECT_EQ(images_[index]->data.size(), input.data.size());
+    EXPECT_FALSE(images_[index]->data == input.data);
+  }
+  void expect_identical(std::size_t index, const sensor_msgs::Image& input) {
+    ASSERT_GT(images_.size(), index);
+    // Everything but header.seq, which roscpp counts for every publisher.
+    const sensor_msgs::Image& output = *images_[index];
+    EXPECT_EQ(output.header.stamp, input.header.stamp);
+    EXPECT_EQ(output.header.frame_id, input.header.frame_id);
+    EXPECT_EQ(output.width, input.width);
+    EXPECT_EQ(output.height, input.height);
+    EXPECT_EQ(output.encoding, input.encoding);
+    EXPECT_EQ(output.step, input.step);
+    EXPECT_EQ(output.is_bigendian, input.is_bigendian);
+    EXPECT_TRUE(output.data == input.data);
+  }
+  bool wait_for_log(const std::string& part) {
+    return mailbox_.wait([&] { return count_log(part) > 0; });
+  }
+  std::size_t count_log(const std::string& part) const {
+    return static_cast<std::size_t>(std::count_if(
+        log_.begin(), log_.end(), [&](const std::string& line) { return line.find(part) != std::string::npos; }));
+  }
+
+  ros::NodeHandle nh_;
+  std::string ns_, name_;
+  bool loaded_ = false;
+  Mailbox mailbox_;
+  std::vector<sensor_msgs::ImageConstPtr> images_;
+  std::vector<sensor_msgs::CameraInfoConstPtr> infos_;
+  std::vector<BlurFieldMessageConstPtr> fields_;
+  std::vector<KeypointArrayConstPtr> keypoints_;
+  std::vector<std::string> log_;
+  ros::Publisher image_publisher_, info_publisher_, imu_publisher_;
+  ros::Subscriber image_subscriber_, info_subscriber_, field_subscriber_, keypoint_subscriber_, log_subscriber_;
+};
+
+TEST_F(NodeletTest, SharpFramesComeOutBitIdenticalInOrder) {
+  start();
+  std::vector<sensor_msgs::ImagePtr> inputs;
+  publish_imu(kStart - 50 * kMs, kStart + kSecond, 0.0);
+  for (int i = 0; i < 20; ++i) inputs.push_back(publish_frame(kStart + i * 33 * kMs));
+  expect_frames(20);
+  for (std::size_t i = 0; i < 20; ++i) {
+    expect_reason(i, PassThroughReason::NONE);
+    expect_identical(i, *inputs[i]);
+  }
+}
+
+/// Values of the nodelet's diagnostics, as they come.
+class Diagnostics {
+ public:
+  Diagnostics(const std::string& name, Mailbox* mailbox) : mailbox_(mailbox) {
+    ros::NodeHandle nh;
+    subscriber_ = nh.subscribe<diagnostic_msgs::DiagnosticArray>(
+        "/diagnostics", 100, [this, name](const diagnostic_msgs::DiagnosticArrayConstPtr& array) {
+          mailbox_->put([&] {
+            for (const auto& status : array->status) {
+              if (("/" + status.name).rfind(name + ": ", 0) != 0) continue;
+              level = status.level;
+              message = status.message;
+              for (const auto& value : status.values) values[value.key] = value.value;
+            }
+          });
+        });
+  }
+  bool wait_for(const std::string& key, const std::string& value) {
+    return mailbox_->wait([&] { return values[key] == value; });
+  }
+  std::map<std::string, std::string> values;
+  std::string message;
+  int level = -1;
+
+ private:
+  Mailbox* mailbox_;
+  ros::Subscriber subscriber_;
+};
+
+TEST_F(NodeletTest, FrameWaitsForALateImu) {
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  publish_imu(kStart - 50 * kMs, kStart + 20 * kMs);
+  const auto input = publish_frame(kStart);
+  ASSERT_TRUE(diagnostics.wait_for("frames waiting", "1"));
+  EXPECT_TRUE(mailbox_.look([this] { return images_.empty(); }));
+  publish_imu(kStart + 25 * kMs, kStart + 60 * kMs);
+  expect_frames(1);
+  expect_deblurred(0, *input);
+  EXPECT_FALSE(keypoints_[0]->keypoints.empty());
+  ASSERT_TRUE(diagnostics.wait_for("frames waiting", "0"));
+  EXPECT_TRUE(mailbox_.wait([&] { return diagnostics.values.count("deconvolution mean [ms]") > 0; }));
+  EXPECT_EQ(diagnostics.values["engine"].empty(), false);
+}
+
+TEST_F(NodeletTest, MissingImuPassesThroughWithItsReason) {
+  set("gyro_timeout", kShortTimeoutS);
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  const auto input = publish_frame(kStart);
+  expect_frames(1);
+  expect_reason(0, PassThroughReason::NO_GYRO);
+  expect_identical(0, *input);
+  EXPECT_TRUE(diagnostics.wait_for("passed through, NO_GYRO", "1"));
+  EXPECT_TRUE(wait_for_log("NO_GYRO"));
+}
+
+TEST_F(NodeletTest, CameraIsSubscribedWhileSomebodyListens) {
+  load();
+  ASSERT_TRUE(poll_until([this] { return imu_publisher_.getNumSubscribers() == 1; })) << "always, to fill the buffer";
+  EXPECT_EQ(image_publisher_.getNumSubscribers(), 0u);
+  const auto listens = [this](ros::Subscriber subscriber) {
+    EXPECT_TRUE(poll_until([this] {
+      return image_publisher_.getNumSubscribers() == 1 && info_publisher_.getNumSubscribers() == 1;
+    })) << subscriber.getTopic();
+    const std::string topic = subscriber.getTopic();
+    subscriber.shutdown();
+    EXPECT_TRUE(poll_until([this] {
+      return image_publisher_.getNumSubscribers() == 0 && info_publisher_.getNumSubscribers() == 0;
+    })) << topic;
+  };
+  listens(ignore<sensor_msgs::Image>("deblurred/image_raw"));
+  listens(ignore<sensor_msgs::CameraInfo>("deblurred/camera_info"));
+  listens(ignore<KeypointArray>("keypoints"));
+  listens(ignore<BlurFieldMessage>("blur_field"));
+  listens(ignore<sensor_msgs::Image>("blur_overlay"));
+  listens(ignore<visualization_msgs::MarkerArray>("blur_markers"));
+  EXPECT_EQ(imu_publisher_.getNumSubscribers(), 1u);
+}
+
+TEST_F(NodeletTest, OverlayAndMarkersComeInTheImagesFrame) {
+  start();
+  std::vector<sensor_msgs::ImageConstPtr> overlays;
+  std::vector<visualization_msgs::MarkerArrayConstPtr> markers;
+  const ros::Subscriber overlay_subscriber = nh_.subscribe<sensor_msgs::Image>(
+      ns_ + "/blur_overlay", 10,
+      [&](const sensor_msgs::ImageConstPtr& m) { mailbox_.put([&] { overlays.push_back(m); }); });
+  const ros::Subscriber marker_subscriber = nh_.subscribe<visualization_msgs::MarkerArray>(
+      ns_ + "/blur_markers", 10,
+      [&](const visualization_msgs::MarkerArrayConstPtr& m) { mailbox_.put([&] { markers.push_back(m); }); });
+  ASSERT_TRUE(poll_until(
+      [&] { return overlay_subscriber.getNumPublishers() > 0 && marker_subscriber.getNumPublishers() > 0; }));
+  publish_imu(kStart - 50 * kMs, kStart + 4 * kSecond);
+  // The publishers may learn of their subscribers later than these do: frames go on until both have come.
+  for (TimeNs t_ns = kStart; t_ns < kStart + 3900 * kMs; t_ns += 100 * kMs) {
+    publish_frame(t_ns);
+    const auto frame = static_cast<std::size_t>((t_ns - kStart) / (100 * kMs)) + 1;
+    expect_frames(frame);
+    if (mailbox_.look([&] { return !overlays.empty() && !markers.empty(); })) break;
+  }
+  ASSERT_TRUE(mailbox_.wait([&] { return !overlays.empty() && !markers.empty(); }));
+  EXPECT_EQ(overlays[0]->encoding, "bgr8");
+  EXPECT_EQ(overlays[0]->width, static_cast<unsigned>(kWidth));
+  ASSERT_EQ(markers[0]->markers.size(), 1u);
+  EXPECT_EQ(markers[0]->markers[0].header.frame_id, kCameraFrame);
+  EXPECT_FALSE(markers[0]->markers[0].points.empty());
+}
+
+dynamic_reconfigure::Config reconfigure(const std::string& name, const dynamic_reconfigure::Config& change) {
+  dynamic_reconfigure::Reconfigure request;
+  request.request.config = change;
+  EXPECT_TRUE(ros::service::waitForService(name + "/set_parameters", ros::Duration(30)));
+  EXPECT_TRUE(ros::service::call(name + "/set_parameters", request));
+  return request.response.config;
+}
+
+dynamic_reconfigure::Config with_double(const std::string& key, double value) {
+  dynamic_reconfigure::Config config;
+  config.doubles.emplace_back();
+  config.doubles.back().name = key;
+  config.doubles.back().value = value;
+  return config;
+}
+
+dynamic_reconfigure::Config with_int(const std::string& key, int value) {
+  dynamic_reconfigure::Config config;
+  config.ints.emplace_back();
+  config.ints.back().name = key;
+  config.ints.back().value = value;
+  return config;
+}
+
+dynamic_reconfigure::Config with_string(const std::string& key, const std::string& value) {
+  dynamic_reconfigure::Config config;
+  config.strs.emplace_back();
+  config.strs.back().name = key;
+  config.strs.back().value = value;
+  return config;
+}
+
+template <typename List>
+auto value_of(const List& list, const std::string& key) {
+  const auto found = std::find_if(list.begin(), list.end(), [&](const auto& entry) { return entry.name == key; });
+  if (found == list.end()) throw std::out_of_range(key);
+  return found->value;
+}
+
+TEST_F(NodeletTest, BadParameterPassesFramesThroughUntilItIsMended) {
+  set("gamma", -1.0);
+  start();
+  EXPECT_TRUE(wait_for_log("gamma = -1"));
+  publish_imu(kStart - 50 * kMs, kStart + 500 * kMs);
+  const auto first = publish_frame(kStart);
+  expect_frames(1);
+  expect_reason(0, PassThroughReason::BAD_CONFIGURATION);
+  EXPECT_NE(fields_[0]->reason_text.find("gamma = -1"), std::string::npos) << fields_[0]->reason_text;
+  EXPECT_NE(fields_[0]->reason_text.find("1e-05"), std::string::npos) << "the range: " << fields_[0]->reason_text;
+  expect_identical(0, *first);
+
+  const auto config = reconfigure(name_, with_double("gamma", 0.02));
+  EXPECT_EQ(value_of(config.doubles, "gamma"), 0.02);
+  EXPECT_EQ(value_of(config.ints, "block_size"), 32);
+  const auto second = publish_frame(kStart + 33 * kMs);
+  expect_frames(2);
+  expect_deblurred(1, *second);
+}
+
+TEST_F(NodeletTest, BadParametersOfEveryKindAreNamed) {
+  set("R_cam_imu", std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, -1});
+  start();
+  publish_frame(kStart);
+  expect_frames(1);
+  expect_reason(0, PassThroughReason::BAD_CONFIGURATION);
+  EXPECT_NE(fields_[0]->reason_text.find("R_cam_imu"), std::string::npos) << fields_[0]->reason_text;
+  const auto& key_and_value = std::vector<std::pair<std::string, double>>{
+      {"tau", -3}, {"min_extent", 1000}, {"time_offset", 1e5}, {"exposure_time", -0.01}};
+  for (const auto& [key, value] : key_and_value) {
+    unload();
+    set("R_cam_imu", std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, 1});
+    set(key, value);
+    mailbox_.put([this] { images_.clear(), infos_.clear(), fields_.clear(), keypoints_.clear(); });
+    start();
+    publish_frame(kStart);
+    expect_frames(1);
+    expect_reason(0, PassThroughReason::BAD_CONFIGURATION);
+    EXPECT_NE(fields_[0]->reason_text.find(key), std::string::npos) << fields_[0]->reason_text;
+    nh_.deleteParam(name_ + "/" + key);
+  }
+}
+
+TEST_F(NodeletTest, ParametersChangeWhileRunning) {
+  start();
+  publish_imu(kStart - 50 * kMs, kStart + kSecond);
+  const auto first = publish_frame(kStart);
+  expect_frames(1);
+  expect_deblurred(0, *first);
+  EXPECT_EQ(value_of(reconfigure(name_, with_double("max_extent", 3)).doubles, "max_extent"), 3);
+  const auto second = publish_frame(kStart + 33 * kMs);
+  expect_frames(2);
+  expect_reason(1, PassThroughReason::NONE);
+  EXPECT_EQ(fields_[1]->status[0], BlurFieldMessage::TOO_LARGE);
+  expect_identical(1, *second);
+  EXPECT_EQ(value_of(reconfigure(name_, with_int("block_size", 64)).ints, "block_size"), 64);
+  publish_frame(kStart + 66 * kMs);
+  expect_frames(3);
+  EXPECT_EQ(fields_[2]->block_width, 64u);
+}
+
+TEST_F(NodeletTest, RefusedChangeRestoresTheFormerValues) {
+  start();
+  publish_imu(kStart - 50 * kMs, kStart + kSecond);
+  EXPECT_EQ(value_of(reconfigure(name_, with_int("block_size", 33)).ints, "block_size"), 32);
+  EXPECT_EQ(value_of(reconfigure(name_, with_string("detector", "nonsense")).strs, "detector"), "FAST");
+  EXPECT_TRUE(wait_for_log("block_size = 33"));
+  EXPECT_TRUE(wait_for_log("nonsense"));
+  const auto input = publish_frame(kStart);
+  expect_frames(1);
+  expect_deblurred(0, *input);
+  EXPECT_EQ(fields_[0]->block_width, 32u);
+}
+
+TEST_F(NodeletTest, ExposureFromMessageElseParameterElseNone) {
+  set("gyro_timeout", kShortTimeoutS);
+  start();
+  publish_imu(kStart - 50 * kMs, kStart + kSecond);
+  publish_frame(kStart);
+  expect_frames(1);
+  EXPECT_EQ(fields_[0]->exposure_time.toNSec(), kExposure) << "nobody publishes: the parameter";
+
+  ros::Publisher publisher = nh_.advertise<Exposure>(ns_ + "/exposure", 10);
+  ASSERT_TRUE(poll_until([&] { return publisher.getNumSubscribers() > 0; }));
+  Exposure exposure;
+  exposure.header.stamp = to_ros_time(kStart + 33 * kMs);
+  exposure.exposure_time.fromNSec(20 * kMs);
+  publisher.publish(exposure);
+  publish_frame(kStart + 33 * kMs);
+  expect_frames(2);
+  EXPECT_EQ(fields_[1]->exposure_time.toNSec(), 20 * kMs);
+  publish_frame(kStart + 66 * kMs);
+  expect_frames(3);
+  EXPECT_EQ(fields_[2]->exposure_time.toNSec(), kExposure) << "message missing: the parameter";
+}
+
+TEST_F(NodeletTest, NoExposureTime) {
+  set("exposure_time", 0.0);
+  set("gyro_timeout", kShortTimeoutS);
+  start();
+  EXPECT_TRUE(wait_for_log("exposure_time")) << "said at the start";
+  publish_imu(kStart - 50 * kMs, kStart + kSecond);
+  const auto input = publish_frame(kStart);
+  expect_frames(1);
+  expect_reason(0, PassThroughReason::NO_EXPOSURE_TIME);
+  expect_identical(0, *input);
+}
+
+TEST_F(NodeletTest, TransformMayComeLater) {
+  nh_.deleteParam(name_ + "/R_cam_imu");
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  const std::string camera = "camera_of" + ns_.substr(1), imu = "imu_of" + ns_.substr(1);
+  for (TimeNs t_ns = kStart - 50 * kMs; t_ns <= kStart + 100 * kMs; t_ns += kImuPeriod) {
+    sensor_msgs::Imu message = imu_message(t_ns, kFastRadS);
+    message.header.frame_id = imu;
+    imu_publisher_.publish(message);
+  }
+  auto input = image_message(kStart);
+  input->header.frame_id = camera;
+  info_publisher_.publish(camera_info(kStart));
+  image_publisher_.publish(input);
+  ASSERT_TRUE(diagnostics.wait_for("frames waiting", "1"));
+  EXPECT_TRUE(mailbox_.look([this] { return images_.empty(); }));
+
+  constexpr bool kLatch = true;
+  ros::Publisher publisher = nh_.advertise<tf2_msgs::TFMessage>("/tf_static", 1, kLatch);
+  tf2_msgs::TFMessage transforms;
+  transforms.transforms.resize(1);
+  transforms.transforms[0].header.frame_id = imu;
+  transforms.transforms[0].header.stamp = ros::Time::now();
+  transforms.transforms[0].child_frame_id = camera;
+  transforms.transforms[0].transform.rotation.w = 1;
+  publisher.publish(transforms);
+  expect_frames(1);
+  expect_deblurred(0, *input);
+}
+
+TEST_F(NodeletTest, NoTransformPassesThroughWithItsReason) {
+  nh_.deleteParam(name_ + "/R_cam_imu");
+  set("gyro_timeout", kShortTimeoutS);
+  start();
+  publish_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  const auto input = publish_frame(kStart);
+  expect_frames(1);
+  expect_reason(0, PassThroughReason::NO_EXTRINSIC);
+  expect_identical(0, *input);
+}
+
+TEST_F(NodeletTest, TimeGoingBackwardsIsOneMessageAndFramesKeepComing) {
+  start();
+  for (std::size_t loop = 0; loop < 3; ++loop) {
+    publish_imu(kStart - 50 * kMs, kStart + kSecond);
+    for (int i = 0; i < 5; ++i) publish_frame(kStart + i * 150 * kMs);
+    expect_frames(5 * (loop + 1));
+  }
+  for (std::size_t i = 0; i < 15; ++i) {
+    const bool maybe_early = i % 5 == 0 && i > 0;  // may overtake the first IMU sample of its loop
+    if (!maybe_early) expect_reason(i, PassThroughReason::NONE);
+    EXPECT_EQ(to_time_ns(images_[i]->header.stamp), kStart + static_cast<TimeNs>(i % 5) * 150 * kMs);
+  }
+  ASSERT_TRUE(mailbox_.wait([this] { return count_log("time went backwards") >= 2; }));
+  // Logging keeps its order: after this line all earlier ones have come.
+  reconfigure(name_, with_string("detector", "nonsense"));
+  ASSERT_TRUE(wait_for_log("nonsense"));
+  EXPECT_EQ(count_log("time went backwards"), 2u);
+}
+
+TEST_F(NodeletTest, CameraInfoAbsentOrUnusable) {
+  set("gyro_timeout", kShortTimeoutS);
+  start();
+  publish_imu(kStart - 50 * kMs, kStart + kSecond);
+  std::vector<sensor_msgs::ImagePtr> inputs;
+  std::vector<sensor_msgs::CameraInfoPtr> unusable(4);
+  for (std::size_t i = 0; i < 4; ++i) unusable[i] = camera_info(kStart + static_cast<TimeNs>(i) * 33 * kMs);
+  unusable[1]->K.fill(0);
+  unusable[2]->distortion_model = "nonsense";
+  unusable[3] = camera_info(kStart + 99 * kMs, 640, 480);
+  for (std::size_t i = 0; i < 4; ++i) {
+    inputs.push_back(image_message(kStart + static_cast<TimeNs>(i) * 33 * kMs));
+    if (i > 0) info_publisher_.publish(unusable[i]);
+    image_publisher_.publish(inputs.back());
+  }
+  expect_frames(4);
+  for (std::size_t i = 0; i < 4; ++i) {
+    expect_reason(i, PassThroughReason::NO_CALIBRATION);
+    expect_identical(i, *inputs[i]);
+  }
+}
+
+TEST_F(NodeletTest, EncodingsGoodAndBadComeOutInOrder) {
+  start();
+  publish_imu(kStart - 50 * kMs, kStart + 2 * kSecond);
+  const std::vector<std::string> good{"mono8", "mono16", "8UC1",        "bgr8",        "rgb8",
+                                      "bgra8", "rgba8",  "bayer_rggb8", "bayer_gbrg8", "bayer_bggr16"};
+  std::vector<sensor_msgs::ImagePtr> inputs;
+  for (const std::string& encoding : good) {
+    inputs.push_back(publish_frame(kStart + static_cast<TimeNs>(inputs.size()) * 33 * kMs, encoding));
+  }
+  for (const std::string& bad : {std::string("32FC1"), std::string("yuv422"), std::string("nonsense")}) {
+    auto image = image_message(kStart + static_cast<TimeNs>(inputs.size()) * 33 * kMs);
+    image->encoding = bad;
+    image_publisher_.publish(image);
+    inputs.push_back(image);
+  }
+  auto empty = boost::make_shared<sensor_msgs::Image>();
+  empty->header.stamp = to_ros_time(kStart + static_cast<TimeNs>(inputs.size()) * 33 * kMs);
+  empty->encoding = "mono8";
+  image_publisher_.publish(empty);
+  inputs.push_back(empty);
+  auto cut = image_message(kStart + static_cast<TimeNs>(inputs.size()) * 33 * kMs);
+  cut->data.resize(17);
+  image_publisher_.publish(cut);
+  inputs.push_back(cut);
+  const TimeNs last_ns = kStart + static_cast<TimeNs>(inputs.size()) * 33 * kMs;
+  const auto pixel = image_message(last_ns, "mono8", 1, 1);
+  info_publisher_.publish(camera_info(last_ns, 1, 1));
+  image_publisher_.publish(pixel);
+  inputs.push_back(pixel);
+
+  expect_frames(inputs.size());
+  for (std::size_t i = 0; i < inputs.size(); ++i) {
+    EXPECT_EQ(images_[i]->header.stamp, inputs[i]->header.stamp);
+    if (i < good.size()) {
+      expect_deblurred(i, *inputs[i]);
+    } else if (i < good.size() + 3) {
+      expect_reason(i, PassThroughReason::UNSUPPORTED_ENCODING);
+      expect_identical(i, *inputs[i]);
+    } else if (i < good.size() + 5) {
+      expect_reason(i, PassThroughReason::BAD_IMAGE);
+      expect_identical(i, *inputs[i]);
+    } else {
+      expect_reason(i, PassThroughReason::NONE);
+    }
+  }
+}
+
+TEST_F(NodeletTest, BadImuSamplesAreDroppedAndCounted) {
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  for (TimeNs t_ns = kStart - 50 * kMs; t_ns <= kStart + 100 * kMs; t_ns += kImuPeriod) {
+    imu_publisher_.publish(imu_message(t_ns, kFastRadS));
+    imu_publisher_.publish(imu_message(t_ns, 50));               // duplicate
+    imu_publisher_.publish(imu_message(t_ns - kImuPeriod, 50));  // late
+    imu_publisher_.publish(imu_message(t_ns + kMs, std::numeric_limits<double>::quiet_NaN()));
+  }
+  const auto input = publish_frame(kStart);
+  expect_frames(1);
+  expect_deblurred(0, *input);
+  const std::size_t center = fields_[0]->cols * (fields_[0]->rows / 2) + fields_[0]->cols / 2;
+  EXPECT_NEAR(fields_[0]->extent[center], kFocalPx * kFastRadS * to_seconds(kExposure), 0.5);
+  EXPECT_TRUE(diagnostics.wait_for("imu dropped, not finite", "31"));
+  EXPECT_TRUE(diagnostics.wait_for("imu dropped, duplicate", "31"));
+  EXPECT_TRUE(diagnostics.wait_for("imu dropped, out of order", "31"));
+}
+
+TEST_F(NodeletTest, Services) {
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  std_srvs::Trigger bias;
+  ASSERT_TRUE(ros::service::call(name_ + "/estimate_gyro_bias", bias));
+  EXPECT_FALSE(bias.response.success);
+  EXPECT_FALSE(bias.response.message.empty());
+  publish_imu(kStart - 1200 * kMs, kStart + 100 * kMs, 0.9);  // at rest: a constant rate is all bias
+  ASSERT_TRUE(mailbox_.wait([&] { return diagnostics.values["gyroscope buffer [s]"] == "1.300"; }));
+  ASSERT_TRUE(ros::service::call(name_ + "/estimate_gyro_bias", bias));
+  EXPECT_TRUE(bias.response.success) << bias.response.message;
+  EXPECT_NE(bias.response.message.find("0.900000"), std::string::npos) << bias.response.message;
+  const auto input = publish_frame(kStart);
+  expect_frames(1);
+  expect_reason(0, PassThroughReason::NONE);
+  expect_identical(0, *input);
+
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros::service::call(name_ + "/reset", reset));
+  EXPECT_TRUE(reset.response.success);
+  EXPECT_TRUE(diagnostics.wait_for("gyroscope buffer [s]", "empty"));
+}
+
+TEST_F(NodeletTest, UnloadsAndReloadsWhileFramesFlow) {
+  set("gyro_timeout", kShortTimeoutS);
+  std::mutex mutex;
+  bool stop = false;
+  std::thread camera([&] {
+    ros::WallRate rate(50);
+    for (TimeNs t_ns = kStart;; t_ns += 20 * kMs) {
+      {
+        const std::lock_guard<std::mutex> lock(mutex);
+        if (stop) return;
+      }
+      publish_imu(t_ns, t_ns + 19 * kMs);
+      publish_frame(t_ns - 100 * kMs);
+      rate.sleep();
+    }
+  });
+  for (int i = 0; i < 20; ++i) {
+    load();
+    if (!loaded_) break;
+    connect();
+    const std::size_t before = mailbox_.look([this] { return images_.size(); });
+    EXPECT_TRUE(mailbox_.wait([&] { return images_.size() > before; })) << "reload " << i;
+    unload();
+    // The next one must be seen to connect anew.
+    EXPECT_TRUE(poll_until([this] { return image_publisher_.getNumSubscribers() == 0; }));
+  }
+  {
+    const std::lock_guard<std::mutex> lock(mutex);
+    stop = true;
+  }
+  camera.join();
+}
+
+TEST_F(NodeletTest, NodeDoesTheSame) {
+  ns_ = "/standalone";
+  name_ = ns_ + "/deblur";
+  image_publisher_ = nh_.advertise<sensor_msgs::Image>(ns_ + "/image_raw", 100);
+  info_publisher_ = nh_.advertise<sensor_msgs::CameraInfo>(ns_ + "/camera_info", 100);
+  imu_publisher_ = nh_.advertise<sensor_msgs::Imu>(ns_ + "/imu", 10000);
+  connect();
+  publish_imu(kStart - 50 * kMs, kStart + kSecond);
+  const auto input = publish_frame(kStart);
+  expect_frames(1);
+  expect_deblurred(0, *input);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "test_nodelet");
+  ros::AsyncSpinner spinner(2);
+  spinner.start();
+  return RUN_ALL_TESTS();
+}
