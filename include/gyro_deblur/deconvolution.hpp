@@ -32,7 +32,7 @@ class LineConvolver {
   /// clipped to the pixel type. Throws std::invalid_argument for unsupported types.
   virtual void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) = 0;
 
-  /// Short name for diagnostics, e.g. "reference".
+  /// Short name for diagnostics, e.g. "reference". Any thread may ask, also during convolve().
   virtual std::string name() const = 0;
 
   /// Something the user should know, such as a device that failed; each warning is returned once, empty: none.

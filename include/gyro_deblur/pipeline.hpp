@@ -57,7 +57,7 @@ struct PipelineResult {
 };
 
 /// The paper's method for one camera. Calibration and options may change between frames; what depends on them is
-/// rebuilt then. Not thread-safe.
+/// rebuilt then. Not thread-safe, engine() aside.
 class Pipeline {
  public:
   /// Throws OptionError.
@@ -70,7 +70,7 @@ class Pipeline {
   /// Throws OptionError and keeps the former calibration when the new one is not valid. Cheap when nothing changed.
   void set_calibration(const CameraCalibration& calibration);
 
-  /// Name of the engine in use.
+  /// Name of the engine in use. Any thread may ask during process().
   std::string engine() const;
 
   /// What the engine has to tell the user, see LineConvolver::take_warning; ask after set_options and after each frame.

@@ -14,6 +14,7 @@ FallbackConvolver::FallbackConvolver(const std::string& primary_name, const Devi
 }
 
 void FallbackConvolver::give_up(const std::string& primary_name, const DeviceError& error) {
+  const std::lock_guard<std::mutex> lock(mutex_);
   failure_ = primary_name + " failed: " + error.what();
   warning_ = failure_ + "; using " + secondary_->name() + " from now on";
   primary_.reset();
@@ -32,10 +33,12 @@ void FallbackConvolver::convolve(const cv::Mat& src, const std::vector<BlockFilt
 }
 
 std::string FallbackConvolver::name() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
   return primary_ ? primary_->name() : secondary_->name() + " (" + failure_ + ")";
 }
 
 std::string FallbackConvolver::take_warning() {
+  const std::lock_guard<std::mutex> lock(mutex_);
   std::string warning = std::exchange(warning_, {});
   // The engine in use may have something to say as well.
   LineConvolver& engine = primary_ ? *primary_ : *secondary_;

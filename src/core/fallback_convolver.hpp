@@ -2,6 +2,7 @@
 #pragma once
 
 #include <memory>
+#include <mutex>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -29,7 +30,7 @@ class FallbackConvolver : public LineConvolver {
 
   void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override;
 
-  /// The primary's name, or "SECONDARY (PRIMARY failed: reason)".
+  /// The primary's name, or "SECONDARY (PRIMARY failed: reason)". Any thread may ask, also during convolve().
   std::string name() const override;
 
   std::string take_warning() override;
@@ -37,6 +38,7 @@ class FallbackConvolver : public LineConvolver {
  private:
   void give_up(const std::string& primary_name, const DeviceError& error);
 
+  mutable std::mutex mutex_;                // whoever changes or names the engine in use
   std::unique_ptr<LineConvolver> primary_;  // null once it failed
   std::unique_ptr<LineConvolver> secondary_;
   std::string failure_;  // empty while the primary works

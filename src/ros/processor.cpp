@@ -113,20 +113,23 @@ void Processor::log_throttled(LogLevel level, const std::string& key, const std:
   environment_.log(level, text + more);
 }
 
-void Processor::forget(Stream stream) {
+void Processor::forget(Stream stream, ShownBy shown_by) {
+  const bool itself = shown_by == ShownBy::ITSELF;
+  constexpr char kText[] = "time went backwards while the frame waited";
   switch (stream) {
     case Stream::IMU:
       gyro_.clear();
       late_samples_.clear();
       break;
     case Stream::IMAGE:
-      queue_.settle_all(PassThroughReason::TIME_JUMP, "time went backwards while the frame waited");
+      itself ? queue_.settle_all(PassThroughReason::TIME_JUMP, kText)
+             : queue_.settle_old_epoch(PassThroughReason::TIME_JUMP, kText);
       break;
     case Stream::CAMERA_INFO:
-      infos_.clear();
+      itself ? infos_.clear() : infos_.clear_old_epoch();
       break;
     case Stream::EXPOSURE:
-      exposures_.clear();
+      itself ? exposures_.clear() : exposures_.clear_old_epoch();
       break;
     case Stream::CLOCK:
       break;
@@ -138,18 +141,18 @@ void Processor::handle(TimeJumpDetector::Verdict verdict, Stream stream, TimeNs 
     case TimeJumpDetector::Verdict::FORWARD:
       return;
     case TimeJumpDetector::Verdict::FOLLOWS:
-      forget(stream);
+      forget(stream, ShownBy::ITSELF);
       return;
     case TimeJumpDetector::Verdict::JUMP:
       break;
   }
   ++statistics_.time_jumps;
-  const std::size_t waiting = queue_.size();
-  for (const Stream every : {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE}) forget(every);
+  for (const Stream every : {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE}) {
+    forget(every, every == stream ? ShownBy::ITSELF : ShownBy::OTHER);
+  }
   environment_.log(LogLevel::WARNING, std::string("time went backwards (") + to_string(stream) + " from " +
                                           seconds_text(from_ns) + " to " + seconds_text(to_ns) +
-                                          " s): starting anew, " + std::to_string(waiting) +
-                                          " waiting frames pass through unchanged");
+                                          " s): starting anew, frames that waited pass through unchanged");
 }
 
 void Processor::note_time(Stream stream, TimeNs stamp_ns) {
@@ -376,6 +379,9 @@ void Processor::run_pipeline(const Job& job, FrameOutput* output) const {
   PipelineResult result = job.pipeline->process(view.image, view.layout, motion, *job.exposure,
                                                 PipelineRequest{job.request.image, job.request.keypoints});
   output->stages = result.times;
+  if (const std::string warning = job.pipeline->take_warning(); !warning.empty()) {
+    environment_.log(LogLevel::WARNING, warning);
+  }
 
   start = std::chrono::steady_clock::now();
   const std_msgs::Header& header = job.frame.image->header;
