@@ -6,6 +6,7 @@ until rosbag play is through, until as many frames came out as went in. Ends wit
 happens for --patience seconds.
 """
 import argparse
+import json
 import subprocess
 import sys
 import threading
@@ -44,12 +45,21 @@ class Counter:
 
     def __init__(self, topic):
         self.count = 0
+        self.first_s = self.last_s = 0.0  # monotonic
         self._lock = threading.Lock()
         self._subscriber = rospy.Subscriber(topic, Image, self._on_image, queue_size=1000)
 
     def _on_image(self, _):
         with self._lock:
+            self.last_s = time.monotonic()
+            if self.count == 0:
+                self.first_s = self.last_s
             self.count += 1
+
+    def rate_hz(self):
+        """Of the frames from the first to the last."""
+        span_s = self.last_s - self.first_s
+        return (self.count - 1) / span_s if span_s > 0 else 0.0
 
 
 def subscribers(topic):
@@ -106,6 +116,7 @@ def main():
                         help="node that has to subscribe to a topic before the bag is played")
     parser.add_argument("--duration", type=float, help="play only so many seconds of the bag")
     parser.add_argument("--patience", type=float, default=60.0, help="[s] to wait for something [%(default)s]")
+    parser.add_argument("--json", metavar="FILE", help="write frames and rate to this file")
     parser.add_argument("--screenshot", metavar="PNG", help="at the end, a picture of the display")
     arguments = parser.parse_args(rospy.myargv()[1:])
 
@@ -117,7 +128,9 @@ def main():
         end = None
         if arguments.duration is not None:
             end = rospy.Time.from_sec(bag.get_start_time() + arguments.duration)
-        expected = sum(1 for _ in bag.read_messages(topics=[image], end_time=end))
+        times_s = [t.to_sec() for _, _, t in bag.read_messages(topics=[image], end_time=end)]
+    expected = len(times_s)
+    wanted_rate_hz = (expected - 1) / (times_s[-1] - times_s[0]) if expected > 1 else 0.0
     wanted = [image, arguments.camera + "/camera_info", arguments.imu, arguments.camera + "/exposure", "/tf_static"]
     topics = [t for t in wanted if t in present]
     if expected == 0 or arguments.imu not in present:
@@ -142,7 +155,11 @@ def main():
     if player.returncode != 0:
         sys.exit("play_through.py: rosbag play ended with status %d" % player.returncode)
     patience.until(lambda: counter.count >= expected, "the last of %d frames" % expected, lambda: counter.count)
-    print("%d of %d frames came out" % (counter.count, expected), flush=True)
+    print("%d of %d frames came out at %.1f Hz" % (counter.count, expected, counter.rate_hz()), flush=True)
+    if arguments.json:
+        with open(arguments.json, "w", encoding="utf-8") as file:
+            json.dump({"frames_in": expected, "frames_out": counter.count, "rate_hz": counter.rate_hz(),
+                       "wanted_rate_hz": wanted_rate_hz}, file)
     if screen:
         screen.take()
         print("screenshot: " + arguments.screenshot, flush=True)

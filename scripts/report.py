@@ -464,6 +464,41 @@ def analyse(arguments):
     return report
 
 
+def throughput(bag_path, json_path):
+    """What play_through.py measured, and what became of the frames."""
+    with open(json_path, encoding="utf-8") as file:
+        result = json.load(file)
+    with rosbag.Bag(bag_path) as bag:
+        types = topic_types(bag)
+        topic = find_topic(types, "blur_field", "gyro_deblur/BlurField", bag_path)
+        messages = [m for _, m, _ in bag.read_messages(topics=[topic])]
+        diagnostics = find_topic(types, "diagnostics", "diagnostic_msgs/DiagnosticArray", bag_path, False)
+        result["diagnostics"] = read_diagnostics(bag, diagnostics)
+    fields = [Field(m) for m in messages]
+    stamps = [stamp_ns(m) for m in messages]
+    result["size"] = [messages[0].image_width, messages[0].image_height] if messages else None
+    result["order_kept"] = all(a < b for a, b in zip(stamps, stamps[1:]))
+    result["reasons"] = {name: sum(f.reason_name == name for f in fields)
+                         for name in sorted({f.reason_name for f in fields})}
+    medians = [f.median_extent() for f in fields if f.status.size]
+    result["median_extent_px"] = float(np.median(medians)) if medians else None
+    return result
+
+
+def throughput_lines(result):
+    stages = ["%s %s ms" % (key[:-len(" mean [ms]")], value) for key, value in result["diagnostics"].items()
+              if key.endswith(" mean [ms]")]
+    return ["", "## Throughput", "",
+            "- %s at %.1f Hz, median extent %s px, image only: %d frames in, %d out, sustained %.1f Hz on %d cores" % (
+                "x".join(map(str, result["size"] or ["?"])), result["wanted_rate_hz"],
+                number(result["median_extent_px"]), result["frames_in"], result["frames_out"], result["rate_hz"],
+                os.cpu_count()),
+            "- order kept: %s; reasons: %s" % (
+                "yes" if result["order_kept"] else "**no**",
+                ", ".join("%s %d" % item for item in result["reasons"].items())),
+            "- mean latency by stage: " + ", ".join(stages)]
+
+
 def number(value, digits=1):
     return "-" if value is None else "%.*f" % (digits, value)
 
@@ -514,6 +549,8 @@ def write_markdown(report, arguments, path):
         lines += ["", "## Diagnostics of the nodelet", "", "Rates and mean latencies are means over the reporting periods.",
                   "", "| | |", "| --- | --- |"]
         lines += ["| %s | %s |" % item for item in report["diagnostics"].items()]
+    if report.get("throughput"):
+        lines += throughput_lines(report["throughput"])
     if report["pictures"]:
         lines += ["", "## Pictures", ""]
         for names in report["pictures"]:
@@ -542,10 +579,14 @@ def main():
     parser.add_argument("folder", help="where the report goes")
     parser.add_argument("--title", default="gyro_deblur: report")
     parser.add_argument("--pictures", type=int, default=2, help="how many frames, most blurred first [%(default)s]")
+    parser.add_argument("--throughput", nargs=2, metavar=("BAG", "JSON"),
+                        help="a bag recorded in another run and what play_through.py --json wrote of it")
     arguments = parser.parse_args()
     if arguments.pictures < 0:
         parser.error("--pictures %d is negative" % arguments.pictures)
     report = analyse(arguments)
+    if arguments.throughput:
+        report["throughput"] = throughput(*arguments.throughput)
     with open(os.path.join(arguments.folder, "report.json"), "w", encoding="utf-8") as file:
         json.dump(report, file, indent=2)
     write_markdown(report, arguments, os.path.join(arguments.folder, "report.md"))
