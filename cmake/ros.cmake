@@ -1,12 +1,10 @@
 # Messages, dynamic parameters and the catkin package. Included from the top level, where catkin wants it.
 find_package(catkin REQUIRED COMPONENTS
-  cv_bridge
   diagnostic_updater
   dynamic_reconfigure
   geometry_msgs
   image_transport
   message_generation
-  nav_msgs
   nodelet
   pluginlib
   rosbag
@@ -16,7 +14,6 @@ find_package(catkin REQUIRED COMPONENTS
   std_srvs
   tf2
   tf2_msgs
-  tf2_ros
   visualization_msgs
 )
 

@@ -350,6 +350,13 @@ visualization_msgs::MarkerArrayPtr no_markers(const std_msgs::Header& header) {
   return array;
 }
 
+void add_transforms(const tf2_msgs::TFMessage& message, tf2::BufferCore* buffer) {
+  constexpr bool kStatic = true;  // tf keeps one transform then, and looks at no stamps
+  for (const geometry_msgs::TransformStamped& transform : message.transforms) {
+    buffer->setTransform(transform, "gyro_deblur", kStatic);
+  }
+}
+
 std::optional<Eigen::Matrix3d> lookup_R_cam_imu(const tf2::BufferCore& buffer, const std::string& camera_frame_id,
                                                 const std::string& imu_frame_id) {
   const std::string camera_frame = tf2_name(camera_frame_id);

@@ -9,6 +9,7 @@
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 #include <tf2/buffer_core.h>
+#include <tf2_msgs/TFMessage.h>
 #include <visualization_msgs/MarkerArray.h>
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
@@ -89,6 +90,10 @@ visualization_msgs::MarkerArrayPtr to_markers(const BlurField& field, const Came
 
 /// Takes the markers of the image before away.
 visualization_msgs::MarkerArrayPtr no_markers(const std_msgs::Header& header);
+
+/// Adds transforms such that the newest to arrive counts, whatever its stamp: an extrinsic is wanted as it is now, and
+/// a clock that was set back must not make tf refuse what comes.
+void add_transforms(const tf2_msgs::TFMessage& message, tf2::BufferCore* buffer);
 
 /// Rotation that takes IMU coordinates to camera coordinates, the newest that tf has; nothing when it has none.
 std::optional<Eigen::Matrix3d> lookup_R_cam_imu(const tf2::BufferCore& buffer, const std::string& camera_frame,

@@ -22,6 +22,7 @@ namespace {
 constexpr std::uint32_t kImageQueue = 100;
 /// A second of a 1 kHz IMU.
 constexpr std::uint32_t kImuQueue = 1000;
+constexpr std::uint32_t kTfQueue = 100;
 constexpr std::uint32_t kOutputQueue = 10;
 
 /// How often waiting frames are looked at when no message comes: timeouts are late by at most this.
@@ -72,7 +73,8 @@ DeblurNodelet::~DeblurNodelet() {
   reset_service_.shutdown();
   bias_service_.shutdown();
   reconfigure_.reset();
-  tf_listener_.reset();
+  tf_subscriber_.shutdown();
+  tf_static_subscriber_.shutdown();
   image_transport::Subscriber image_subscriber;
   ros::Subscriber camera_info_subscriber;
   {
@@ -128,8 +130,8 @@ void DeblurNodelet::onInit() {
   ros::NodeHandle& nh = getNodeHandle();
   ros::NodeHandle& private_nh = getPrivateNodeHandle();
   transport_ = std::make_unique<image_transport::ImageTransport>(nh);
-  constexpr bool kOwnThread = false;  // the nodelet manager's threads serve tf as well
-  tf_listener_ = std::make_unique<tf2_ros::TransformListener>(tf_buffer_, nh, kOwnThread);
+  tf_static_subscriber_ = nh.subscribe("/tf_static", kTfQueue, &DeblurNodelet::on_transforms, this);
+  tf_subscriber_ = nh.subscribe("/tf", kTfQueue, &DeblurNodelet::on_transforms, this);
   exposure_subscriber_ = nh.subscribe("exposure", kImuQueue, &DeblurNodelet::on_exposure, this);
   imu_subscriber_ = nh.subscribe("imu", kImuQueue, &DeblurNodelet::on_imu, this, ros::TransportHints().tcpNoDelay());
   advertise();
@@ -290,6 +292,11 @@ void DeblurNodelet::on_imu(const sensor_msgs::ImuConstPtr& imu) {
 
 void DeblurNodelet::on_exposure(const ExposureConstPtr& exposure) {
   guarded("taking an exposure time in", [&] { processor_->add_exposure(*exposure); });
+  wake_worker();
+}
+
+void DeblurNodelet::on_transforms(const tf2_msgs::TFMessageConstPtr& message) {
+  guarded("taking transforms in", [&] { add_transforms(*message, &tf_buffer_); });
   wake_worker();
 }
 

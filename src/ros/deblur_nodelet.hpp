@@ -16,7 +16,8 @@
 #include <nodelet/nodelet.h>
 #include <ros/ros.h>
 #include <std_srvs/Trigger.h>
-#include <tf2_ros/transform_listener.h>
+#include <tf2/buffer_core.h>
+#include <tf2_msgs/TFMessage.h>
 #include <yaml-cpp/yaml.h>
 
 #include "gyro_deblur/DeblurConfig.h"
@@ -57,6 +58,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   void on_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
   void on_imu(const sensor_msgs::ImuConstPtr& imu);
   void on_exposure(const ExposureConstPtr& exposure);
+  void on_transforms(const tf2_msgs::TFMessageConstPtr& message);
   bool on_reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   bool on_estimate_bias(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   void on_diagnostics_timer(const ros::WallTimerEvent& event);
@@ -79,7 +81,8 @@ class DeblurNodelet : public nodelet::Nodelet {
   bool reconfigure_ready_ = false;
 
   tf2::BufferCore tf_buffer_;
-  std::unique_ptr<tf2_ros::TransformListener> tf_listener_;
+  ros::Subscriber tf_subscriber_;
+  ros::Subscriber tf_static_subscriber_;
 
   std::unique_ptr<image_transport::ImageTransport> transport_;
   ros::Subscriber imu_subscriber_;

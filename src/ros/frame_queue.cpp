@@ -12,6 +12,7 @@ std::size_t FrameQueue::unsettled() const {
 }
 
 std::size_t FrameQueue::push(PendingFrame frame) {
+  frame.epoch = epochs_.next(frame.stamp_ns);
   frames_.push_back(std::move(frame));
   std::size_t settled = 0;
   std::size_t waiting = unsettled();
@@ -26,10 +27,18 @@ std::size_t FrameQueue::push(PendingFrame frame) {
   return settled;
 }
 
-void FrameQueue::settle_all(PassThroughReason reason, const std::string& text) {
+void FrameQueue::settle_before(int epoch, PassThroughReason reason, const std::string& text) {
   for (PendingFrame& frame : frames_) {
-    if (frame.verdict == PassThroughReason::NONE) frame.settle(reason, text);
+    if (frame.epoch < epoch && frame.verdict == PassThroughReason::NONE) frame.settle(reason, text);
   }
+}
+
+void FrameQueue::settle_all(PassThroughReason reason, const std::string& text) {
+  settle_before(epochs_.begin(), reason, text);
+}
+
+void FrameQueue::settle_old_epoch(PassThroughReason reason, const std::string& text) {
+  settle_before(epochs_.reset(), reason, text);
 }
 
 PendingFrame FrameQueue::pop() {

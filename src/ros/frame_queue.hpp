@@ -10,6 +10,7 @@
 
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/types.hpp"
+#include "ros/time_jump.hpp"
 
 namespace gyro_deblur {
 
@@ -21,6 +22,7 @@ struct PendingFrame {
   TimeNs stamp_ns = 0;                           ///< camera clock
   TimeNs arrival_ns = 0;                         ///< node clock (may be simulated time)
   TimeNs arrival_steady_ns = 0;                  ///< steady clock
+  int epoch = 0;                                 ///< set by the queue; grows when time was reset
   /// Not NONE: it is settled that the frame passes through unchanged, and why.
   PassThroughReason verdict = PassThroughReason::NONE;
   std::string verdict_text;
@@ -47,6 +49,9 @@ class FrameQueue {
   /// Settles every unsettled frame.
   void settle_all(PassThroughReason reason, const std::string& text);
 
+  /// Settles the unsettled frames from before time was reset, see EpochCounter::reset.
+  void settle_old_epoch(PassThroughReason reason, const std::string& text);
+
   bool empty() const { return frames_.empty(); }
   std::size_t size() const { return frames_.size(); }
   std::deque<PendingFrame>& frames() { return frames_; }
@@ -56,9 +61,12 @@ class FrameQueue {
   PendingFrame pop();
 
  private:
-  std::size_t capacity_;
   std::size_t unsettled() const;
+  void settle_before(int epoch, PassThroughReason reason, const std::string& text);
+
+  std::size_t capacity_;
   std::deque<PendingFrame> frames_;
+  EpochCounter epochs_;
 };
 
 }  // namespace gyro_deblur

@@ -174,6 +174,12 @@ void Processor::add_gyro_sample(const GyroSample& sample) {
   switch (gyro_.add(sample)) {
     case GyroBuffer::AddResult::ACCEPTED:
       ++statistics_.imu_accepted;
+      if (!late_samples_.empty()) {
+        // Only now it is sure that they were late, and not the first of a new epoch.
+        log_throttled(LogLevel::WARNING, "imu out of order",
+                      "imu sample dropped: its stamp " + seconds_text(late_samples_.back().t_ns) +
+                          " s is before that of the one before it");
+      }
       late_samples_.clear();
       return;
     case GyroBuffer::AddResult::NOT_FINITE:
@@ -192,9 +198,6 @@ void Processor::add_gyro_sample(const GyroSample& sample) {
   }
   ++statistics_.imu_out_of_order;
   const TimeNs newest_ns = gyro_.available().end_ns;
-  log_throttled(LogLevel::WARNING, "imu out of order",
-                "imu sample dropped: its stamp " + seconds_text(sample.t_ns) + " s is before the newest, " +
-                    seconds_text(newest_ns) + " s");
   if (!late_samples_.empty() && late_samples_.back().t_ns >= sample.t_ns) late_samples_.clear();
   late_samples_.push_back(sample);
   if (late_samples_.size() < kLateSamplesOfReset) return;

@@ -135,19 +135,30 @@ class Processor {
   class StampedStore {
    public:
     void add(TimeNs stamp_ns, T value, std::size_t capacity) {
-      entries_.emplace_back(stamp_ns, std::move(value));
+      entries_.push_back({stamp_ns, epochs_.next(stamp_ns), std::move(value)});
       while (entries_.size() > capacity) entries_.pop_front();
     }
     const T* find(TimeNs stamp_ns) const {
       for (auto entry = entries_.rbegin(); entry != entries_.rend(); ++entry) {
-        if (entry->first == stamp_ns) return &entry->second;
+        if (entry->stamp_ns == stamp_ns) return &entry->value;
       }
       return nullptr;
     }
-    void clear() { entries_.clear(); }
+    void clear() { drop_before(epochs_.begin()); }
+    /// See EpochCounter::reset.
+    void clear_old_epoch() { drop_before(epochs_.reset()); }
 
    private:
-    std::deque<std::pair<TimeNs, T>> entries_;
+    struct Entry {
+      TimeNs stamp_ns;
+      int epoch;
+      T value;
+    };
+    void drop_before(int epoch) {
+      while (!entries_.empty() && entries_.front().epoch < epoch) entries_.pop_front();
+    }
+    std::deque<Entry> entries_;
+    EpochCounter epochs_;
   };
 
   /// What processing a frame takes; a copy, so that it needs no lock.
@@ -173,7 +184,9 @@ class Processor {
   void add_gyro_sample(const GyroSample& sample);
   void handle(TimeJumpDetector::Verdict verdict, Stream stream, TimeNs from_ns, TimeNs to_ns);
   void note_time(Stream stream, TimeNs stamp_ns);
-  void forget(Stream stream);
+  /// Drops what the stream brought before time was reset: all that has come when its own next message shows the reset.
+  enum class ShownBy { ITSELF, OTHER };
+  void forget(Stream stream, ShownBy shown_by);
   TimeNs now();
   TimeNs steady_now() const { return environment_.steady_clock ? environment_.steady_clock() : 0; }
   std::size_t store_size() const;

@@ -61,4 +61,23 @@ TimeJumpDetector::Verdict TimeJumpDetector::went_back(Stream stream, TimeNs stam
   return Verdict::JUMP;
 }
 
+int EpochCounter::next(TimeNs stamp_ns) {
+  if (last_ns_ && stamp_ns < *last_ns_) ++epoch_;
+  last_ns_ = stamp_ns;
+  return epoch_;
+}
+
+int EpochCounter::reset() {
+  if (epoch_ == begun_) return begin();
+  begun_ = epoch_;
+  return epoch_;
+}
+
+int EpochCounter::begin() {
+  ++epoch_;
+  begun_ = epoch_;
+  last_ns_.reset();
+  return epoch_;
+}
+
 }  // namespace gyro_deblur

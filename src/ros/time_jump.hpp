@@ -56,4 +56,24 @@ class TimeJumpDetector {
   std::array<State, kStreams> states_;
 };
 
+/// Tells what a stream brought before time was reset from what it brought after. Recordings that are shorter than the
+/// threshold step back by less, so the first messages of the new epoch may come before the reset is sure.
+class EpochCounter {
+ public:
+  /// Epoch of a message that has come.
+  int next(TimeNs stamp_ns);
+
+  /// Time was reset, as another stream shows. Messages of the returned epoch or later are new; without a step back
+  /// since the last reset none of those that have come is.
+  int reset();
+
+  /// Time was reset, as the next message of this very stream shows: nothing that has come is of the returned epoch.
+  int begin();
+
+ private:
+  std::optional<TimeNs> last_ns_;
+  int epoch_ = 0;
+  int begun_ = 0;  // epoch at the last reset
+};
+
 }  // namespace gyro_deblur

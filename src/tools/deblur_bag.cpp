@@ -287,14 +287,11 @@ void run(const Arguments& arguments) {
   }
 
   tf2::BufferCore tf_buffer;
-  const auto add_transforms = [&tf_buffer](const tf2_msgs::TFMessage& message, bool is_static) {
-    for (const auto& transform : message.transforms) tf_buffer.setTransform(transform, "bag", is_static);
-  };
   {
     // Latched: a node would have them from the start.
     rosbag::View statics(input, rosbag::TopicQuery("/tf_static"));
     for (const rosbag::MessageInstance& instance : statics) {
-      if (const auto message = instance.instantiate<tf2_msgs::TFMessage>()) add_transforms(*message, true);
+      if (const auto message = instance.instantiate<tf2_msgs::TFMessage>()) add_transforms(*message, &tf_buffer);
     }
   }
 
@@ -360,7 +357,7 @@ void run(const Arguments& arguments) {
       } else if (topic == topics.exposure) {
         if (const auto message = instance.instantiate<Exposure>()) processor.add_exposure(*message);
       } else if (topic == "/tf") {
-        if (const auto message = instance.instantiate<tf2_msgs::TFMessage>()) add_transforms(*message, false);
+        if (const auto message = instance.instantiate<tf2_msgs::TFMessage>()) add_transforms(*message, &tf_buffer);
       }
       if (processor.waiting() > 0) processor.advance(sink);
       progress.update(++done, frames.size());

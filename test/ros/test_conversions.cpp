@@ -296,13 +296,21 @@ TEST(Extrinsic, TakesImuToCameraCoordinates) {
   transform.child_frame_id = "camera";
   transform.transform.rotation.z = transform.transform.rotation.w = std::sqrt(0.5);
   transform.transform.translation.x = 3;
-  buffer.setTransform(transform, "test", true);
+  transform.header.stamp = ros::Time(1000);
+  tf2_msgs::TFMessage message;
+  message.transforms = {transform};
+  add_transforms(message, &buffer);
   const auto R_cam_imu = lookup_R_cam_imu(buffer, "camera", "imu");
   ASSERT_TRUE(R_cam_imu);
   EXPECT_TRUE((*R_cam_imu * Eigen::Vector3d::UnitY()).isApprox(Eigen::Vector3d::UnitX(), 1e-9));
   EXPECT_FALSE(lookup_R_cam_imu(buffer, "camera", ""));
   EXPECT_FALSE(lookup_R_cam_imu(buffer, "camera", "other"));
   EXPECT_TRUE(lookup_R_cam_imu(buffer, "/camera", "/imu")) << "names of old drivers";
+  message.transforms[0].header.stamp = ros::Time(1);  // the clock was set back by more than tf remembers
+  message.transforms[0].transform.rotation.z = 0;
+  message.transforms[0].transform.rotation.w = 1;
+  add_transforms(message, &buffer);
+  EXPECT_TRUE(lookup_R_cam_imu(buffer, "camera", "imu")->isIdentity(1e-9));
 }
 
 TEST(Parameters, KeepTheirTypes) {

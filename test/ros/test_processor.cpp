@@ -1,9 +1,12 @@
 #include "ros/processor.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <string>
-#include <tuple>
+#include <thread>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -611,6 +614,39 @@ TEST_F(ProcessorTest, ClockAloneGoingBackIsAJump) {
   advance();
   expect_deblurred(1);
   EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+}
+
+// --- threads ---
+
+TEST_F(ProcessorTest, ThreadsMayFeedItAtOnce) {
+  constexpr int kFrames = 60;
+  constexpr TimeNs kPeriod = 10 * kMs;
+  const TimeNs last_imu_ns = kStart + kFrames * kPeriod + kFrameDuration;
+  config_.frame_queue_size = kFrames;
+  config_.gyro_timeout_ns = 10 * kSecond;
+  configure();
+  std::thread imu([&] { add_imu(kStart - 50 * kMs, last_imu_ns); });
+  std::thread infos([&] {
+    for (int i = 0; i < kFrames; ++i) processor_.add_camera_info(camera_info(kStart + i * kPeriod));
+  });
+  std::thread images([&] {
+    for (int i = 0; i < kFrames; ++i) processor_.add_image(image_message(kStart + i * kPeriod));
+  });
+  std::thread owner([&] {
+    for (int i = 0; i < 20; ++i) {
+      configure();
+      processor_.statistics();
+      std::string text;
+      processor_.estimate_bias(&text);
+    }
+  });
+  while (outputs_.size() < kFrames && processor_.statistics().time_jumps == 0) advance();
+  for (std::thread* thread : {&imu, &infos, &images, &owner}) thread->join();
+  ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(kFrames));
+  for (std::size_t i = 0; i < outputs_.size(); ++i) {
+    EXPECT_EQ(to_time_ns(outputs_[i].input->header.stamp), kStart + static_cast<TimeNs>(i) * kPeriod);
+    EXPECT_EQ(outputs_[i].reason, PassThroughReason::NONE) << outputs_[i].reason_text;
+  }
 }
 
 // --- services ---

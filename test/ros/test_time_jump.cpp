@@ -54,5 +54,32 @@ TEST(TimeJumpDetector, OwnerCanTellOfAReset) {
   EXPECT_EQ(detector.newest_ns(Stream::IMU), 100);
 }
 
+TEST(EpochCounter, ResetKeepsWhatCameAfterAStepBack) {
+  EpochCounter counter;
+  EXPECT_EQ(counter.next(100), 0);
+  EXPECT_EQ(counter.next(200), 0);
+  EXPECT_EQ(counter.next(100), 1);
+  EXPECT_EQ(counter.reset(), 1);
+  EXPECT_EQ(counter.next(200), 1);
+  EXPECT_EQ(counter.next(50), 2);
+  EXPECT_EQ(counter.reset(), 2);
+}
+
+TEST(EpochCounter, ResetWithoutAStepBackKeepsNothing) {
+  EpochCounter counter;
+  EXPECT_EQ(counter.next(100), 0);
+  EXPECT_EQ(counter.reset(), 1);
+  EXPECT_EQ(counter.next(50), 1) << "the step belongs to that reset";
+  EXPECT_EQ(counter.reset(), 2) << "and does not speak for the next one";
+}
+
+TEST(EpochCounter, OwnMessageBeginsTheNewEpoch) {
+  EpochCounter counter;
+  EXPECT_EQ(counter.next(100), 0);
+  EXPECT_EQ(counter.next(90), 1);
+  EXPECT_EQ(counter.begin(), 2);
+  EXPECT_EQ(counter.next(0), 2);
+}
+
 }  // namespace
 }  // namespace gyro_deblur
