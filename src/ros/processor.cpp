@@ -397,11 +397,13 @@ void Processor::run_pipeline(const Job& job, FrameOutput* output) const {
   }
   if (job.request.markers) output->markers = to_markers(result.field, Camera(*job.frame.calibration), header);
   output->blur_field = to_message(result.field, header);
-  if (result.field.count(BlockStatus::NO_GYRO) == result.field.blocks.size()) {
+  const std::size_t uncovered = result.field.count(BlockStatus::NO_GYRO);
+  if (uncovered > 0) output->reason_text = job.coverage_text;
+  if (uncovered == result.field.blocks.size()) {
     output->reason = PassThroughReason::NO_GYRO;
-    output->reason_text = job.coverage_text;
     output->blur_field = pass_through_message(output->reason, output->reason_text, *job.frame.image);
   }
+  output->blur_field->reason_text = output->reason_text;
   output->field = std::move(result.field);
   output->messages_ms += elapsed_ms(start);
 }

@@ -201,6 +201,7 @@ TEST_F(ProcessorTest, PartlyCoveredFrameIsProcessedWhereCovered) {
   EXPECT_GT(outputs_[0].field->count(BlockStatus::NO_GYRO), 0u);
   EXPECT_EQ(outputs_[0].field->blocks.front().status, BlockStatus::DEBLURRED);
   EXPECT_EQ(outputs_[0].field->blocks.back().status, BlockStatus::NO_GYRO);
+  EXPECT_NE(outputs_[0].blur_field->reason_text.find("frame needs gyroscope samples"), std::string::npos);
   const std::size_t bottom = static_cast<std::size_t>(kHeight - 32) * kWidth;
   EXPECT_TRUE(std::equal(outputs_[0].image->data.begin() + static_cast<std::ptrdiff_t>(bottom),
                          outputs_[0].image->data.end(),
