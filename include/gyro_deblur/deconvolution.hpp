@@ -58,8 +58,8 @@ struct KernelTap {
 /// Non-zero elements of `kernel` rotated to `angle_rad` (paper section IV-B); their weights sum to the kernel's sum.
 std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad);
 
-/// The kernel at integer step `m` of a line's major axis: each tap, at position * major, is weighted onto the two nearest
-/// steps. major: cosine or sine of the line's angle, whichever is larger in size, in [-1, 1] and not 0.
+/// The kernel at integer step `m` of a line's major axis: each tap, at position * major, is weighted onto the two
+/// nearest steps. major: cosine or sine of the line's angle, whichever is larger in size, in [-1, 1] and not 0.
 double tap_on_major_axis(const LineKernel& kernel, double major, int m);
 
 /// Throws std::invalid_argument unless `src` is a non-empty CV_8U or CV_16U with 1 to 4 channels.

@@ -21,7 +21,7 @@ void require_range(const char* name, double value, double min, double max, const
 
 /// Blur field and its division into blocks (paper section IV).
 struct BlurFieldOptions {
-  int block_size_px = 64;        ///< [8, 1024], a multiple of 2 so that Bayer planes divide alike
+  int block_size_px = 64;  ///< [8, 1024], a multiple of 2 so that Bayer planes divide alike
   /// [1, 20]; smaller blur is left alone. The paper's kernels start at 2 px, but with noise of 2 grey levels the filter
   /// loses 2 to 4 dB there and gains only above 3 px.
   double min_extent_px = 3.0;
@@ -34,8 +34,9 @@ struct BlurFieldOptions {
 /// tau(r) = tau + tau_contrast / r. A box of extent r cannot leave more than contrast / r grey levels a pixel, so the
 /// threshold falls with the extent; tau alone (tau_contrast = 0) is the paper's constant threshold.
 /// Grey levels are those of an 8-bit image; 16-bit images are scaled.
-/// The defaults accept at least 98.6 % of truly blurred 64 px blocks at every extent from 5 to 90 px (first images of the
-/// Oxford sets, noise up to 2 grey levels) and reject 68 / 86 / 94 / 97 / 97 % of sharp ones at 5 / 10 / 20 / 40 / 90 px.
+/// The defaults accept at least 98.6 % of truly blurred 64 px blocks at every extent from 5 to 90 px (first images of
+/// the Oxford sets, noise up to 2 grey levels) and reject 68 / 86 / 94 / 97 / 97 % of sharp ones at 5 / 10 / 20 / 40 /
+/// 90 px.
 struct ValidationOptions {
   bool enabled = true;
   double tau = 6.0;             ///< [0, 255] grey levels / px: what noise and compression may add
@@ -70,9 +71,9 @@ enum class RectifyTo { FIRST_ROW, MIDDLE_ROW, LAST_ROW, STAMP };
 /// Gyroscope intake.
 struct GyroOptions {
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< each |.| <= 1; subtracted once, in RotationTrack
-  TimeNs time_offset_ns = 0;       ///< t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu); |.| <= 10 s
+  TimeNs time_offset_ns = 0;         ///< t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu); |.| <= 10 s
   TimeNs buffer_ns = 5'000'000'000;  ///< (0.1 s, 60 s]: how much is kept
-  TimeNs max_gap_ns = 50'000'000;  ///< [1 ms, 1 s]; a longer hole between samples is not integrated across
+  TimeNs max_gap_ns = 50'000'000;    ///< [1 ms, 1 s]; a longer hole between samples is not integrated across
 
   void validate() const;  ///< throws OptionError
 };

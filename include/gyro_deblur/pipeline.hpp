@@ -48,11 +48,11 @@ struct StageTimes {
 };
 
 struct PipelineResult {
-  BlurField field;             ///< validated
-  cv::Mat image;               ///< deblurred; empty when not requested, or when no block was changed (use the input)
-  Features features;           ///< in pixels of the image as it arrived
+  BlurField field;    ///< validated
+  cv::Mat image;      ///< deblurred; empty when not requested, or when no block was changed (use the input)
+  Features features;  ///< in pixels of the image as it arrived
   std::vector<RectifiedPoint> points;  ///< one for each of features.keypoints
-  TimeNs reference_ns = 0;     ///< camera clock; at which points[].rectified_px hold
+  TimeNs reference_ns = 0;             ///< camera clock; at which points[].rectified_px hold
   StageTimes times;
 };
 
