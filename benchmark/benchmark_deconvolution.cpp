@@ -1,0 +1,53 @@
+// Deconvolution of a roll field: engines x sizes x extents x threads.
+
+#include <memory>
+#include <string>
+
+#include <benchmark/benchmark.h>
+
+#include "engines.hpp"
+#include "roll_scene.hpp"
+#include "scene.hpp"
+
+namespace gyro_deblur::benchmark {
+namespace {
+
+void deconvolution(::benchmark::State& state, const std::string& engine_name, cv::Size size, double extent_px,
+                   int threads) {
+  static const KernelBank bank(KernelOptions{});
+  static const cv::Mat photograph = natural_images().front();
+  const cv::Mat image = extend(photograph, size);
+  const BlurField field =
+      test::Roll::about_center(size.width, size.height, extent_px).field(size.width, size.height, wide_options());
+  const auto engine = make_engine(engine_name, threads);
+  cv::setNumThreads(threads);
+  cv::Mat dst;
+  deconvolve(image, PixelLayout::GRAY, field, bank, *engine, dst);  // allocates
+  for (auto _ : state) {
+    deconvolve(image, PixelLayout::GRAY, field, bank, *engine, dst);
+    ::benchmark::DoNotOptimize(dst.data);
+  }
+  state.counters["Mpixel/s"] =
+      ::benchmark::Counter(1e-6 * size.area(), ::benchmark::Counter::kIsIterationInvariantRate);
+}
+
+const bool registered = [] {
+  for (const std::string& engine : available_engines()) {
+    for (const cv::Size size : {cv::Size(752, 480), cv::Size(1280, 720), cv::Size(1920, 1080)}) {
+      for (const int extent_px : {5, 15, 30, 60, 90, 130}) {
+        for (const int threads : {1, 2}) {
+          const std::string name = "deconvolution/" + engine + "/" + std::to_string(size.width) + "x" +
+                                   std::to_string(size.height) + "/" + std::to_string(extent_px) + "px/" +
+                                   std::to_string(threads) + "threads";
+          auto* entry = ::benchmark::RegisterBenchmark(name.c_str(), deconvolution, engine, size, extent_px, threads);
+          entry->Unit(::benchmark::kMillisecond)->UseRealTime();
+          if (engine.compare(0, 8, "filter2d") == 0) entry->Iterations(1);
+        }
+      }
+    }
+  }
+  return true;
+}();
+
+}  // namespace
+}  // namespace gyro_deblur::benchmark

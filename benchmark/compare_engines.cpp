@@ -1,0 +1,385 @@
+// Ratios between engines. Engines take turns in one process (A B C A B C ...), so that a machine whose speed drifts
+// slows all of them alike; a ratio is the median over rounds of the ratio within a round.
+
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <functional>
+#include <iostream>
+#include <map>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+#include <opencv2/features2d.hpp>
+
+#include "cpu/block_kernels.hpp"
+#include "engines.hpp"
+#include "machine_peaks.hpp"
+#include "pipeline_scene.hpp"
+#include "roll_scene.hpp"
+#include "scene.hpp"
+#include "synthetic_blur.hpp"
+#include "work.hpp"
+
+namespace gyro_deblur::benchmark {
+namespace {
+
+// cv::filter2D takes a hundred times as long as the rest: a few rounds of it are enough.
+constexpr int kFilter2dRounds = 3;
+
+struct Arguments {
+  std::vector<std::string> engines;
+  std::vector<std::string> sizes = {"752x480", "1280x720", "1920x1080"};
+  std::vector<double> extents_px = {5, 15, 30, 60, 90, 130};
+  std::vector<int> threads = {1, 2};
+  int rounds = 21;
+  bool no_peaks = false, no_memory = false, no_pipeline = false;
+  bool processor_time = false;
+  std::string json;
+};
+
+/// Time [ms] on the clock of the wall, or of the processors while they run this process.
+double ms_of(bool processor_time, const std::function<void()>& work) {
+  const auto now_ms = [processor_time] {
+    timespec time{};
+    clock_gettime(processor_time ? CLOCK_PROCESS_CPUTIME_ID : CLOCK_MONOTONIC, &time);
+    return 1e3 * static_cast<double>(time.tv_sec) + 1e-6 * static_cast<double>(time.tv_nsec);
+  };
+  const double start_ms = now_ms();
+  work();
+  return now_ms() - start_ms;
+}
+
+double quantile(std::vector<double> values, double q) {
+  std::sort(values.begin(), values.end());
+  return values[static_cast<std::size_t>(std::lround(q * static_cast<double>(values.size() - 1)))];
+}
+double median(const std::vector<double>& values) { return quantile(values, 0.5); }
+
+/// Median over the rounds that both took part in.
+double median_ratio(const std::vector<double>& numerator, const std::vector<double>& denominator) {
+  std::vector<double> ratios;
+  for (std::size_t i = 0; i < std::min(numerator.size(), denominator.size()); ++i) {
+    ratios.push_back(numerator[i] / denominator[i]);
+  }
+  return median(ratios);
+}
+
+cv::Size parse_size(const std::string& text) {
+  int width = 0, height = 0;
+  if (std::sscanf(text.c_str(), "%dx%d", &width, &height) != 2 || width < 1 || height < 1) {
+    throw std::runtime_error("--sizes: \"" + text + "\" is not WIDTHxHEIGHT");
+  }
+  return {width, height};
+}
+
+/// The straightforward engine compiled for the same instruction set.
+std::string baseline_of(const std::string& engine) {
+  if (engine == "cpu-avx512") return "reference-avx512";
+  if (engine == "cpu-avx2") return "reference-avx2";
+  return "reference";
+}
+
+std::vector<BlockFilter> filters_of(const BlurField& field, const KernelBank& bank) {
+  std::vector<BlockFilter> blocks;
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const BlockBlur& blur = field.blocks[i];
+    blocks.push_back({field.grid.rect(i), blur.angle_rad,
+                      blur.status == BlockStatus::DEBLURRED ? &bank.kernel(blur.extent_px) : nullptr});
+  }
+  return blocks;
+}
+
+nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBank& bank) {
+  nlohmann::json records;
+  for (const std::string& size_text : arguments.sizes) {
+    const cv::Size size = parse_size(size_text);
+    const cv::Mat image = extend(natural_images().front(), size);
+    for (const int threads : arguments.threads) {
+      cv::setNumThreads(threads);
+      std::printf("\n%s, %d thread%s: median ms of cpu engines and what they are compared with\n%9s", size_text.c_str(),
+                  threads, threads > 1 ? "s" : "", "extent");
+      for (const std::string& name : arguments.engines) std::printf(" %16s", name.c_str());
+      std::printf("\n");
+      for (const double extent_px : arguments.extents_px) {
+        const BlurField field =
+            test::Roll::about_center(size.width, size.height, extent_px).field(size.width, size.height, wide_options());
+        const std::vector<BlockFilter> blocks = filters_of(field, bank);
+        std::vector<std::unique_ptr<LineConvolver>> engines;
+        for (const std::string& name : arguments.engines) engines.push_back(make_engine(name, threads));
+        std::map<std::string, std::vector<double>> times_ms;
+        cv::Mat dst;
+        // The first round allocates and is not counted.
+        for (int round = -1; round < arguments.rounds; ++round) {
+          for (std::size_t e = 0; e < engines.size(); ++e) {
+            const std::string& name = arguments.engines[e];
+            if (name.compare(0, 8, "filter2d") == 0 && (round < 0 || round >= kFilter2dRounds)) continue;
+            const double ms = ms_of(arguments.processor_time,
+                                    [&] { deconvolve(image, PixelLayout::GRAY, field, bank, *engines[e], dst); });
+            if (round >= 0) times_ms[name].push_back(ms);
+          }
+        }
+        std::printf("%6.0f px", extent_px);
+        for (const std::string& name : arguments.engines) {
+          const std::vector<double>& ms = times_ms[name];
+          nlohmann::json record = {{"width", size.width},
+                                   {"height", size.height},
+                                   {"threads", threads},
+                                   {"extent_px", extent_px},
+                                   {"engine", name},
+                                   {"median_ms", median(ms)},
+                                   {"min_ms", quantile(ms, 0)},
+                                   {"p90_ms", quantile(ms, 0.9)}};
+          for (const std::string& other :
+               {baseline_of(name), std::string("reference"), std::string("filter2d"), std::string("filter2d-float")}) {
+            if (times_ms.count(other) != 0) record["speedup_over"][other] = median_ratio(times_ms[other], ms);
+          }
+          const bool is_reference = name.compare(0, 9, "reference") == 0;
+          if (is_reference || name.compare(0, 4, "cpu-") == 0) {
+            const BlockKernels* kernels = is_reference ? nullptr : find_block_kernels(name.c_str() + 4);
+            const Work work = is_reference ? work_of_reference(blocks) : work_of_cpu(blocks, kernels->lanes);
+            record["work"] = {{"float_gmac", work.float_macs / 1e9},
+                              {"int16_gmac", work.int16_macs / 1e9},
+                              {"load_gb", work.load_bytes / 1e9}};
+          }
+          std::printf(" %16.2f", median(ms));
+          records.push_back(record);
+        }
+        std::printf("   speed-up");
+        for (const std::string& name : arguments.engines) {
+          const std::string base = baseline_of(name);
+          if (base == name || name.compare(0, 9, "reference") == 0 || name.compare(0, 8, "filter2d") == 0) continue;
+          if (times_ms.count(base) == 0) continue;
+          std::printf("  %s %.1f", name.c_str(), median_ratio(times_ms[base], times_ms[name]));
+          if (times_ms.count("filter2d") != 0 && times_ms.count("filter2d-float") != 0) {
+            std::printf(" (filter2D %.0f, %.0f)", median_ratio(times_ms["filter2d"], times_ms[name]),
+                        median_ratio(times_ms["filter2d-float"], times_ms[name]));
+          }
+        }
+        std::printf("\n");
+        std::fflush(stdout);
+      }
+    }
+  }
+  return records;
+}
+
+/// Stages of the whole pipeline, in turn with cv::ORB on the same frame.
+nlohmann::json measure_pipeline(const Arguments& arguments) {
+  nlohmann::json records;
+  const std::pair<cv::Size, double> scenes[] = {{{752, 480}, 15}, {{1280, 720}, 30}, {{1920, 1080}, 90}};
+  std::printf(
+      "\nPipeline, median ms; ORB: cv::ORB with 1000 features on the blurred frame\n%-22s %8s %11s %10s %13s %10s %8s "
+      "%8s\n",
+      "", "threads", "blur field", "validation", "deconvolution", "keypoints", "ORB", "ORB/sum");
+  for (const auto& [size, extent_px] : scenes) {
+    const PipelineScene scene = make_pipeline_scene(size, extent_px);
+    for (const int threads : arguments.threads) {
+      cv::setNumThreads(threads);
+      Pipeline pipeline(pipeline_options(threads));
+      pipeline.set_calibration(scene.calibration);
+      const cv::Ptr<cv::ORB> orb = cv::ORB::create(1000);
+      std::map<std::string, std::vector<double>> times_ms;
+      PipelineResult result;
+      for (int round = -1; round < arguments.rounds; ++round) {
+        result = pipeline.process(scene.frame, PixelLayout::GRAY, *scene.motion, *scene.exposure, {true, true});
+        std::vector<cv::KeyPoint> keypoints;
+        cv::Mat descriptors;
+        const double orb_ms =
+            ms_of(false, [&] { orb->detectAndCompute(scene.frame, cv::noArray(), keypoints, descriptors); });
+        if (round < 0) continue;
+        const StageTimes& t = result.times;
+        times_ms["blur_field"].push_back(t.blur_field_ms);
+        times_ms["validation"].push_back(t.validation_ms);
+        times_ms["deconvolution"].push_back(t.deconvolution_ms);
+        times_ms["keypoints"].push_back(t.keypoints_ms);
+        times_ms["deblurring"].push_back(t.blur_field_ms + t.validation_ms + t.deconvolution_ms);
+        times_ms["orb"].push_back(orb_ms);
+      }
+      nlohmann::json record = {{"width", size.width},
+                               {"height", size.height},
+                               {"extent_px", extent_px},
+                               {"threads", threads},
+                               {"engine", pipeline.engine()},
+                               {"orb_over_deblurring", median_ratio(times_ms["orb"], times_ms["deblurring"])},
+                               {"blocks", result.field.blocks.size()},
+                               {"deblurred_blocks", result.field.count(BlockStatus::DEBLURRED)},
+                               {"rejected_blocks", result.field.count(BlockStatus::REJECTED)}};
+      for (const auto& [stage, ms] : times_ms) record["median_ms"][stage] = median(ms);
+      std::printf("%4dx%-4d %4.0f px %6zu/%zu %4d %11.3f %10.3f %13.3f %10.2f %8.2f %8.2f\n", size.width, size.height,
+                  extent_px, result.field.count(BlockStatus::DEBLURRED), result.field.blocks.size(), threads,
+                  median(times_ms["blur_field"]), median(times_ms["validation"]), median(times_ms["deconvolution"]),
+                  median(times_ms["keypoints"]), median(times_ms["orb"]), record["orb_over_deblurring"].get<double>());
+      std::fflush(stdout);
+      records.push_back(record);
+    }
+  }
+  return records;
+}
+
+/// Peak resident memory [MiB] of a child that runs `work`. Call before this process starts any thread.
+double peak_mib(const std::function<void()>& work) {
+  const pid_t child = fork();
+  if (child < 0) throw std::runtime_error("fork failed");
+  if (child == 0) {
+    work();
+    _exit(0);
+  }
+  int status = 0;
+  rusage usage{};
+  if (wait4(child, &status, 0, &usage) != child || status != 0) throw std::runtime_error("a child failed");
+  return static_cast<double>(usage.ru_maxrss) / 1024;
+}
+
+nlohmann::json measure_memory(const Arguments& arguments, const KernelBank& bank) {
+  // Everything but the engine is there before the children start, so that the difference is the engine's.
+  constexpr int kThreads = 2;
+  const cv::Size size(1920, 1080);
+  const BlurField field =
+      test::Roll::about_center(size.width, size.height, 90).field(size.width, size.height, wide_options());
+  const cv::Mat image(size, CV_8UC1, cv::Scalar(100));
+  cv::Mat dst(size, CV_8UC1, cv::Scalar(0));
+  filters_of(field, bank);
+  nlohmann::json result;
+  const double without = peak_mib([] {});
+  std::printf("Memory at 1920x1080, 90 px, %d threads: peak MiB above the images and kernels\n", kThreads);
+  for (const std::string& name : arguments.engines) {
+    if (name == "opencl") continue;  // its runtime must not be started before a fork
+    const double mib = peak_mib([&] {
+                         const auto engine = make_engine(name, kThreads);
+                         for (int i = 0; i < 3; ++i) deconvolve(image, PixelLayout::GRAY, field, bank, *engine, dst);
+                       }) -
+                       without;
+    std::printf("  %-17s %7.1f\n", name.c_str(), mib);
+    result[name] = mib;
+  }
+  return result;
+}
+
+nlohmann::json measure_peaks(const Arguments& arguments) {
+  nlohmann::json records;
+  for (const int threads : arguments.threads) {
+    std::printf("\nPeaks, %d thread%s:", threads, threads > 1 ? "s" : "");
+    for (const ArithmeticPeak& peak : measure_arithmetic(threads)) {
+      std::printf("  %s %.0f float / %.0f int16 GMAC/s;", peak.instruction_set.c_str(), peak.float_gmac_per_s,
+                  peak.int16_gmac_per_s);
+      records.push_back({{"threads", threads},
+                         {"instruction_set", peak.instruction_set},
+                         {"float_gmac_per_s", peak.float_gmac_per_s},
+                         {"int16_gmac_per_s", peak.int16_gmac_per_s}});
+    }
+    for (const BandwidthPeak& peak : measure_bandwidth(threads)) {
+      std::printf("  %s %.0f", peak.level.c_str(), peak.gb_per_s);
+      records.push_back({{"threads", threads}, {"level", peak.level}, {"gb_per_s", peak.gb_per_s}});
+    }
+    std::printf(" GB/s\n");
+  }
+  return records;
+}
+
+/// What a cpu or /proc file says, or "unknown".
+std::string field_of(const char* path, const std::string& key) {
+  std::ifstream file(path);
+  for (std::string line; std::getline(file, line);) {
+    if (line.compare(0, key.size(), key) == 0) {
+      const std::size_t colon = line.find(':');
+      return colon == std::string::npos ? line : line.substr(line.find_first_not_of(" \t", colon + 1));
+    }
+  }
+  return "unknown";
+}
+
+/// Share [0, 1] of all processors' time that others use, over a second of idling here.
+double load_of_others() {
+  const auto read = [] {
+    std::ifstream file("/proc/stat");
+    std::string cpu;
+    double total = 0, idle = 0, value = 0;
+    file >> cpu;
+    for (int i = 0; i < 8 && file >> value; ++i) {
+      total += value;
+      if (i == 3 || i == 4) idle += value;
+    }
+    return std::make_pair(total, idle);
+  };
+  const auto before = read();
+  std::this_thread::sleep_for(std::chrono::seconds(1));
+  const auto after = read();
+  const double total = after.first - before.first;
+  return total > 0 ? 1 - (after.second - before.second) / total : 0;
+}
+
+void run(Arguments arguments) {
+  if (arguments.engines.empty()) arguments.engines = available_engines();
+  for (const std::string& name : arguments.engines) {
+    if (!make_engine(name, 1)) throw std::runtime_error("engine " + name + " cannot run here");
+  }
+  const KernelBank bank(KernelOptions{});
+  nlohmann::json result;
+  result["machine"] = {{"processor", field_of("/proc/cpuinfo", "model name")},
+                       {"processors", std::thread::hardware_concurrency()},
+                       {"compiler", __VERSION__},
+                       {"clock", arguments.processor_time ? "processor" : "wall"},
+                       {"rounds", arguments.rounds}};
+  // First, because it forks.
+  if (!arguments.no_memory) result["memory_mib"] = measure_memory(arguments, bank);
+  result["machine"]["load_before"] = load_of_others();
+  std::printf("Processor time used by others before the start: %.0f %%\n",
+              100 * result["machine"]["load_before"].get<double>());
+  if (!arguments.no_peaks) result["peaks"] = measure_peaks(arguments);
+  if (!arguments.no_pipeline) result["pipeline"] = measure_pipeline(arguments);
+  result["deconvolution"] = measure_deconvolution(arguments, bank);
+  result["machine"]["load_after"] = load_of_others();
+  std::printf("\nProcessor time used by others after the end: %.0f %%\n",
+              100 * result["machine"]["load_after"].get<double>());
+  if (!arguments.json.empty()) {
+    std::ofstream file(arguments.json);
+    file << result.dump(2) << "\n";
+    if (!file.flush()) throw std::runtime_error(arguments.json + ": cannot be written");
+  }
+}
+
+}  // namespace
+}  // namespace gyro_deblur::benchmark
+
+int main(int argc, char** argv) {
+  gyro_deblur::benchmark::Arguments arguments;
+  CLI::App app{
+      "Times all engines in turn on roll fields and prints their ratios; the processor's peaks, memory, and the "
+      "stages of the pipeline.",
+      "compare_engines"};
+  app.add_option("--engines", arguments.engines, "default: all that can run here");
+  app.add_option("--sizes", arguments.sizes)->capture_default_str();
+  app.add_option("--extents", arguments.extents_px, "mean extents [px]")
+      ->check(CLI::Range(1.0, 250.0))
+      ->capture_default_str();
+  app.add_option("--threads", arguments.threads)->check(CLI::Range(1, 256))->capture_default_str();
+  app.add_option("--rounds", arguments.rounds, "turns of every engine")
+      ->check(CLI::Range(1, 10000))
+      ->capture_default_str();
+  app.add_flag("--processor-time", arguments.processor_time,
+               "compare processor time instead of wall time: for a busy machine, with --threads 1");
+  app.add_flag("--no-peaks", arguments.no_peaks);
+  app.add_flag("--no-memory", arguments.no_memory);
+  app.add_flag("--no-pipeline", arguments.no_pipeline);
+  app.add_option("--json", arguments.json, "also write the numbers as JSON");
+  CLI11_PARSE(app, argc, argv);
+  try {
+    gyro_deblur::benchmark::run(arguments);
+  } catch (const std::exception& error) {
+    std::cerr << "compare_engines: " << error.what() << "\n";
+    return 1;
+  }
+  return 0;
+}

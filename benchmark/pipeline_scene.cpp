@@ -1,0 +1,47 @@
+#include "pipeline_scene.hpp"
+
+#include "analytic_motion.hpp"
+#include "roll_scene.hpp"
+#include "scene.hpp"
+#include "synthetic_blur.hpp"
+
+namespace gyro_deblur::benchmark {
+
+PipelineScene make_pipeline_scene(cv::Size size, double mean_extent_px) {
+  constexpr TimeNs kExposureNs = 10'000'000, kStampNs = 1'000'000'000, kGyroPeriodNs = 5'000'000;
+  const test::Roll roll = test::Roll::about_center(size.width, size.height, mean_extent_px);
+
+  PipelineScene scene;
+  scene.frame = test::expose(roll.blur(extend(natural_images().front(), size)), 1, 1);
+  // cam0 of EuRoC, scaled to the image.
+  const double scale = size.width / 752.0;
+  scene.calibration.width_px = size.width;
+  scene.calibration.height_px = size.height;
+  scene.calibration.fx_px = 458.654 * scale;
+  scene.calibration.fy_px = 457.296 * scale;
+  scene.calibration.cx_px = roll.pivot_px.x;
+  scene.calibration.cy_px = roll.pivot_px.y;
+  scene.calibration.model = DistortionModel::PLUMB_BOB;
+  scene.calibration.coefficients = {-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05};
+
+  // A scene that turns by +turn in the image is a camera that turns by -turn.
+  const auto motion = test::AnalyticMotion::constant_rate({0, 0, -roll.turn_rad / to_seconds(kExposureNs)});
+  scene.motion =
+      std::make_unique<RotationTrack>(motion.sample({kStampNs - 100'000'000, kStampNs + 100'000'000}, kGyroPeriodNs),
+                                      GyroOptions{}, Eigen::Matrix3d::Identity());
+  ShutterTiming timing;
+  timing.exposure_ns = kExposureNs;
+  scene.exposure = std::make_unique<RowExposure>(kStampNs, size.height, timing);
+  return scene;
+}
+
+PipelineOptions pipeline_options(int threads) {
+  PipelineOptions options;
+  options.blur_field.max_extent_px = wide_options().max_extent_px;
+  options.keypoints.detector = "ORB";
+  options.keypoints.descriptor = "ORB";
+  options.threads = threads;
+  return options;
+}
+
+}  // namespace gyro_deblur::benchmark

@@ -1,0 +1,86 @@
+#include "work.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "cpu/block_kernels.hpp"
+
+namespace gyro_deblur::benchmark {
+namespace {
+
+// As in src/cpu: from which extent on there are two scales, samples of the smooth part in an extent, weights of running
+// sums (five at either end of the box).
+constexpr double kMinTwoScaleExtentPx = 30;
+constexpr double kCoarseSamplesPerExtent = 24;
+constexpr int kEdgeWeights = 10;
+constexpr int kCoarseOutputs = kCoarseGuard + 1;
+
+double round_up(double n, double step) { return std::ceil(n / step) * step; }
+
+void add_two_scale(const BlockFilter& block, int lanes_of_vector, Work& work) {
+  const double dx = std::cos(block.angle_rad), dy = std::sin(block.angle_rad);
+  const double stretch = std::max(std::abs(dx), std::abs(dy));
+  const double slope = std::min(std::abs(dx), std::abs(dy)) / stretch;
+  const bool major_is_y = std::abs(dy) > std::abs(dx);
+  const double along = major_is_y ? block.rect.height : block.rect.width;
+  const double across = major_is_y ? block.rect.width : block.rect.height;
+
+  const double d = std::max(1.0, std::floor(block.kernel->box_extent_px * stretch / kCoarseSamplesPerExtent));
+  const double radius = std::ceil(block.kernel->radius() * stretch / d);
+  const double lanes = round_up(across + slope * (along - 1) + 6, 2.0 * lanes_of_vector);
+  const double coarse_outputs = round_up(along / d + 5, kCoarseOutputs);
+  const double nodes = coarse_outputs + 2 * radius;
+  const double edge_weights = d > 1 ? kEdgeWeights : 0;
+
+  // Shear: two pixels in; difference, product and sum, and the running sums near the tile.
+  work.float_macs += nodes * d * lanes * 3;
+  work.load_bytes += nodes * d * lanes * 2;
+  // Smooth part: every node that is loaded goes into kCoarseOutputs sums.
+  const double coarse_macs = coarse_outputs * lanes * (2 * radius + kCoarseOutputs);
+  work.float_macs += coarse_macs;
+  work.load_bytes += coarse_macs / kCoarseOutputs * sizeof(float);
+  // Sum of the parts for three more pixels than come out, and the cubic across.
+  work.float_macs += along * ((across + 3) * (4 + edge_weights) + across * 4);
+  work.load_bytes += along * ((across + 3) * (4 + edge_weights) + across * 4) * sizeof(float);
+}
+
+void add_exact(const BlockFilter& block, Work& work) {
+  const std::vector<KernelTap> taps = rotate_kernel(*block.kernel, block.angle_rad);
+  const bool major_is_y = std::abs(std::sin(block.angle_rad)) > std::abs(std::cos(block.angle_rad));
+  const auto step = [&](const KernelTap& tap) { return major_is_y ? tap.dy : tap.dx; };
+  // Two neighbours across make a pair.
+  double pairs = 0;
+  for (std::size_t i = 0; i < taps.size(); ++i, ++pairs) {
+    if (i + 1 < taps.size() && step(taps[i + 1]) == step(taps[i])) ++i;
+  }
+  work.int16_macs += 2 * pairs * block.rect.area();
+  work.load_bytes += pairs * block.rect.area() * sizeof(std::int32_t);
+}
+
+}  // namespace
+
+Work work_of_reference(const std::vector<BlockFilter>& blocks) {
+  Work work;
+  for (const BlockFilter& block : blocks) {
+    if (block.kernel == nullptr) continue;
+    const double macs = static_cast<double>(rotate_kernel(*block.kernel, block.angle_rad).size()) * block.rect.area();
+    work.float_macs += macs;
+    work.load_bytes += macs * sizeof(float);  // sums stay in registers, pixels do not
+  }
+  return work;
+}
+
+Work work_of_cpu(const std::vector<BlockFilter>& blocks, int lanes) {
+  Work work;
+  for (const BlockFilter& block : blocks) {
+    if (block.kernel == nullptr) continue;
+    if (block.kernel->box_extent_px >= kMinTwoScaleExtentPx) {
+      add_two_scale(block, lanes, work);
+    } else {
+      add_exact(block, work);
+    }
+  }
+  return work;
+}
+
+}  // namespace gyro_deblur::benchmark

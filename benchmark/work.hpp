@@ -1,0 +1,24 @@
+// How much an engine computes and reads: the other axis of a roofline.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "gyro_deblur/deconvolution.hpp"
+
+namespace gyro_deblur::benchmark {
+
+/// Of one CV_8UC1 image. Loads that reach the load ports, whatever level they come from; stores are left out.
+struct Work {
+  double float_macs = 0;  ///< multiply-adds, and additions and multiplications that stand alone
+  double int16_macs = 0;
+  double load_bytes = 0;
+};
+
+/// Work of the straightforward engine.
+Work work_of_reference(const std::vector<BlockFilter>& blocks);
+
+/// Work of the cpu engine. Follows the loops of src/cpu/block_kernels_impl.hpp with vectors of `lanes` floats.
+Work work_of_cpu(const std::vector<BlockFilter>& blocks, int lanes);
+
+}  // namespace gyro_deblur::benchmark
