@@ -1,4 +1,5 @@
-// Parameters of the algorithm. Defaults and valid ranges live here and nowhere else.
+// Parameters of the algorithm. Defaults and valid ranges are decided here;
+// config/default.yaml and cfg/Deblur.cfg repeat them, and a test compares.
 #pragma once
 
 #include <stdexcept>

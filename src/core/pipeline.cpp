@@ -124,8 +124,11 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   }
   if (!request.keypoints) return result;
 
-  if (!result.image.empty()) {
-    luminance = luminance8(result.image, layout);
+  // The same keypoints whether or not somebody wants the image too: found on the deblurred luminance, which is not
+  // quite the luminance of the deblurred colours. With 8-bit grey they are one and the same.
+  const bool image_is_luminance = layout == PixelLayout::GRAY && image.depth() == CV_8U;
+  if (!result.image.empty() && image_is_luminance) {
+    luminance = result.image;
   } else {
     if (luminance.empty()) luminance = luminance8(image, layout);
     if (anything_to_deblur) {
@@ -133,7 +136,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
       cv::Mat deblurred;
       deconvolve(luminance, PixelLayout::GRAY, result.field, *bank_, *engine_, deblurred);
       luminance = deblurred;
-      result.times.deconvolution_ms = watch.ms();
+      result.times.deconvolution_ms += watch.ms();
     }
   }
   const Stopwatch watch;

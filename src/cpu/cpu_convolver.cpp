@@ -22,6 +22,11 @@ namespace {
 // Below this the interpolation between lanes and pixels shows (against exact taps 47 dB at 30 px, less below), and
 // exact taps are cheap.
 constexpr double kMinTwoScaleExtentPx = 30.0;
+// Box and smooth rest cancel each other from this gain (1 / gamma) down to one, so that their errors grow with it: 0.7
+// grey levels at gamma = 0.01, 2 at 0.005, 38 at 0.001. Kernels of a smaller gamma are left to the reference engine.
+constexpr double kMaxBoxGain = 128.0;
+// Exact taps of longer kernels would need a neighbourhood beyond any cache.
+constexpr int kMaxExactRadius = 128;
 // Samples of the smooth part in one extent of the box. It falls as |H|^3, so that few do: at 1 grey level of noise 24
 // leave an error of 52 dB, 16 of 46 dB. Below 48 px the lanes cost as much again, and every sample is used.
 constexpr double kCoarseSamplesPerExtent = 20.0;
@@ -43,9 +48,11 @@ void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) c
   plan.major_is_y = std::abs(dy) > std::abs(dx);
   const double major = plan.major_is_y ? dy : dx;
   plan.slope = (plan.major_is_y ? dx : dy) / major;
-  if (block.kernel->box_extent_px >= kMinTwoScaleExtentPx) {
+  if (block.kernel->box_height * block.kernel->box_extent_px > kMaxBoxGain) {
+    plan.method = Method::REFERENCE;
+  } else if (block.kernel->box_extent_px >= kMinTwoScaleExtentPx) {
     plan_two_scale(*block.kernel, major, depth, plan);
-  } else if (depth == CV_8U) {
+  } else if (depth == CV_8U && block.kernel->radius() <= kMaxExactRadius) {
     plan_exact(*block.kernel, block.angle_rad, plan);
   } else {
     plan.method = Method::REFERENCE;
@@ -384,8 +391,9 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const std::vector<BlockFilter
         tiles_.push_back(tile);
       }
     }
-    // Lines leave the tile sideways by their slope; whole vectors are read beyond.
-    const double pad = std::abs(plan.slope) * (plan.reach_m + kMaxTileSide) + 4 * kernels_.lanes + 8;
+    // Lines leave the tile sideways by their slope; whole vectors are read beyond, up to four of outputs and some of
+    // rounding.
+    const double pad = std::abs(plan.slope) * (plan.reach_m + kMaxTileSide) + 8 * kernels_.lanes + 8;
     (plan.major_is_y ? need_upright : need_transposed) = true;
     (plan.major_is_y ? border_upright : border_transposed) =
         std::max(plan.major_is_y ? border_upright : border_transposed, pad);

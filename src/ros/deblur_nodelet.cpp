@@ -146,10 +146,10 @@ void DeblurNodelet::onInit() {
 }
 
 void DeblurNodelet::load_parameters() {
-  XmlRpc::XmlRpcValue values;
   parameters_ = YAML::Node(YAML::NodeType::Map);
-  if (getPrivateNodeHandle().getParam("", values) && values.getType() == XmlRpc::XmlRpcValue::TypeStruct) {
-    parameters_ = to_yaml(values);
+  if (getPrivateNodeHandle().getParam("", given_parameters_) &&
+      given_parameters_.getType() == XmlRpc::XmlRpcValue::TypeStruct) {
+    parameters_ = to_yaml(given_parameters_);
   }
   for (const char* other : kOtherParameters) parameters_.remove(other);
 
@@ -195,6 +195,17 @@ void DeblurNodelet::start_reconfigure() {
       },
       dynamic_, clamped, DeblurConfig::__getDefault__());
   reconfigure_->updateConfig(dynamic_);
+  // The server has also written its values back. What was refused stays on the parameter server, so that it is refused
+  // again when the nodelet is loaded again, instead of being replaced by a default that nobody chose.
+  for_each_dynamic(
+      [this, &parameters](const char* key, const auto& offered) {
+        std::decay_t<decltype(offered)> given;
+        if (!parameters[key] || (YAML::convert<decltype(given)>::decode(parameters[key], given) && given == offered)) {
+          return;
+        }
+        getPrivateNodeHandle().setParam(key, given_parameters_[key]);
+      },
+      dynamic_);
   reconfigure_->setCallback([this](DeblurConfig& dynamic, std::uint32_t) { on_reconfigure(dynamic); });
   reconfigure_ready_ = true;
 }
@@ -245,6 +256,11 @@ FrameRequest DeblurNodelet::request() const {
 }
 
 void DeblurNodelet::on_connection_change() {
+  // A transport that is not installed, for one, throws.
+  guarded("subscribing", [this] { subscribe_on_demand(); });
+}
+
+void DeblurNodelet::subscribe_on_demand() {
   const std::lock_guard<std::mutex> lock(connection_mutex_);
   if (shutting_down_) return;
   if (!has_listener()) {
@@ -271,6 +287,8 @@ void DeblurNodelet::guarded(const char* what, Function function) {
     function();
   } catch (const std::exception& error) {
     NODELET_ERROR_STREAM_THROTTLE(5.0, what << " failed: " << error.what());
+  } catch (...) {
+    NODELET_ERROR_STREAM_THROTTLE(5.0, what << " failed for an unknown cause");
   }
 }
 

@@ -18,6 +18,7 @@
 #include <std_srvs/Trigger.h>
 #include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
+#include <xmlrpcpp/XmlRpcValue.h>
 #include <yaml-cpp/yaml.h>
 
 #include "gyro_deblur/DeblurConfig.h"
@@ -51,6 +52,7 @@ class DeblurNodelet : public nodelet::Nodelet {
 
   /// Subscribes to the camera while somebody listens to an output, as image_proc does.
   void on_connection_change();
+  void subscribe_on_demand();
   bool has_listener() const;
   FrameRequest request() const;
 
@@ -74,7 +76,8 @@ class DeblurNodelet : public nodelet::Nodelet {
 
   std::unique_ptr<Processor> processor_;
 
-  YAML::Node parameters_;  // as they were at the start
+  XmlRpc::XmlRpcValue given_parameters_;  // private ones, as they were when the nodelet was loaded
+  YAML::Node parameters_;                 // as they were at the start
   boost::recursive_mutex reconfigure_mutex_;
   std::unique_ptr<dynamic_reconfigure::Server<DeblurConfig>> reconfigure_;
   DeblurConfig dynamic_;  // last accepted values

@@ -324,11 +324,12 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
     // After a jump late samples of the old epoch say nothing about frames of the new one.
     if (jumps_.is_stale(Stream::IMU) && needed_imu.end_ns < available.begin_ns) return false;
   }
-  job->coverage_text = "frame needs gyroscope samples from " + seconds_text(needed_imu.begin_ns) + " to " +
-                       seconds_text(needed_imu.end_ns) + " s of the IMU clock, " +
-                       (gyro_.empty() ? std::string("there are none")
-                                      : "available are " + seconds_text(available.begin_ns) + " to " +
-                                            seconds_text(available.end_ns) + " s");
+  job->coverage_text =
+      "frame needs gyroscope samples from " + seconds_text(needed_imu.begin_ns) + " to " +
+      seconds_text(needed_imu.end_ns) + " s of the IMU clock, " +
+      (gyro_.empty() ? std::string("there are none")
+                     : "available are " + seconds_text(available.begin_ns) + " to " + seconds_text(available.end_ns) +
+                           " s, less holes longer than max_gyro_gap = " + seconds_text(job->gyro.max_gap_ns) + " s");
   if (gyro_.empty()) {  // nor is the IMU's frame known then
     frame.settle(PassThroughReason::NO_GYRO, job->coverage_text);
     return true;
@@ -398,9 +399,12 @@ void Processor::run_pipeline(const Job& job, FrameOutput* output) const {
   if (job.request.markers) output->markers = to_markers(result.field, Camera(*job.frame.calibration), header);
   output->blur_field = to_message(result.field, header);
   const std::size_t uncovered = result.field.count(BlockStatus::NO_GYRO);
-  if (uncovered > 0) output->reason_text = job.coverage_text;
+  const bool gyro_covers = motion.covers(job.exposure->frame());
+  if (uncovered > 0) {
+    output->reason_text = gyro_covers ? "blocks lie beyond the range of the lens model" : job.coverage_text;
+  }
   if (uncovered == result.field.blocks.size()) {
-    output->reason = PassThroughReason::NO_GYRO;
+    output->reason = gyro_covers ? PassThroughReason::NO_CALIBRATION : PassThroughReason::NO_GYRO;
     output->blur_field = pass_through_message(output->reason, output->reason_text, *job.frame.image);
   }
   output->blur_field->reason_text = output->reason_text;

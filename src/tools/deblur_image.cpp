@@ -56,7 +56,12 @@ void require_readable(const std::string& path) {
 
 cv::Mat read_image(const std::string& path) {
   require_readable(path);
-  cv::Mat image = cv::imread(path, cv::IMREAD_UNCHANGED);
+  cv::Mat image;
+  try {
+    image = cv::imread(path, cv::IMREAD_UNCHANGED);
+  } catch (const cv::Exception&) {
+    // Sizes beyond OpenCV's limit; its message names neither file nor limit.
+  }
   if (image.empty()) throw std::runtime_error(path + ": not an image that can be read");
   return image;
 }

@@ -420,6 +420,27 @@ TEST_F(NodeletTest, BadParameterPassesFramesThroughUntilItIsMended) {
   expect_deblurred(1, *second);
 }
 
+TEST_F(NodeletTest, RefusedParameterIsStillRefusedAfterReloading) {
+  set("gamma", 5.0);
+  load();
+  EXPECT_TRUE(wait_for_log("gamma = 5"));
+  unload();
+  double gamma = 0;
+  EXPECT_TRUE(nh_.getParam(name_ + "/gamma", gamma));
+  EXPECT_EQ(gamma, 5.0) << "what the user wrote stays on the parameter server";
+  start();
+  publish_frame(kStart);
+  expect_frames(1);
+  expect_reason(0, PassThroughReason::BAD_CONFIGURATION);
+}
+
+TEST_F(NodeletTest, UnknownTransportLeavesTheManagerAlive) {
+  set("image_transport", std::string("pigeon"));
+  load();
+  const ros::Subscriber listener = ignore<sensor_msgs::Image>("deblurred/image_raw");
+  EXPECT_TRUE(wait_for_log("pigeon"));
+}
+
 TEST_F(NodeletTest, BadParametersOfEveryKindAreNamed) {
   set("R_cam_imu", std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, -1});
   start();

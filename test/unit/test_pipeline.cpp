@@ -149,6 +149,13 @@ TEST(Pipeline, HandlesEveryLayout) {
       EXPECT_EQ(result.image.type(), image.type());
       EXPECT_EQ(result.image.size(), image.size());
       EXPECT_FALSE(result.features.keypoints.empty());
+
+      // A listener to the image must not change what the listener to the keypoints gets.
+      PipelineRequest keypoints;
+      keypoints.image = false;
+      const PipelineResult alone = p.process(image, layout, pan(rate_for(15)), global_shutter(), keypoints);
+      ASSERT_EQ(alone.features.keypoints.size(), result.features.keypoints.size());
+      EXPECT_TRUE(equal(alone.features.descriptors, result.features.descriptors));
     }
   }
 }
