@@ -110,6 +110,7 @@ cv::Mat luminance8(const cv::Mat& image, PixelLayout layout) {
       // validation would take for sharp edges.
       cv::Mat color;
       cv::cvtColor(image, color, demosaicing(layout));
+      gray = cv::Mat();  // it would be written into the mosaic, which has the same type
       cv::cvtColor(color, gray, luminance_conversion(layout));
     }
   } else if (layout != PixelLayout::GRAY) {

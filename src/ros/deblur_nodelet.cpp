@@ -195,6 +195,7 @@ void DeblurNodelet::start_reconfigure() {
       },
       dynamic_, clamped, DeblurConfig::__getDefault__());
   reconfigure_->updateConfig(dynamic_);
+  reconfigure_->setCallback([this](DeblurConfig& dynamic, std::uint32_t) { on_reconfigure(dynamic); });
   // The server has also written its values back. What was refused stays on the parameter server, so that it is refused
   // again when the nodelet is loaded again, instead of being replaced by a default that nobody chose.
   for_each_dynamic(
@@ -206,7 +207,6 @@ void DeblurNodelet::start_reconfigure() {
         getPrivateNodeHandle().setParam(key, given_parameters_[key]);
       },
       dynamic_);
-  reconfigure_->setCallback([this](DeblurConfig& dynamic, std::uint32_t) { on_reconfigure(dynamic); });
   reconfigure_ready_ = true;
 }
 

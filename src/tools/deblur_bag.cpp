@@ -18,6 +18,7 @@
 #include <utility>
 #include <vector>
 
+#include <ros/message_traits.h>
 #include <ros/time.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
@@ -113,6 +114,19 @@ Topics choose_topics(const Arguments& arguments, const std::map<std::string, std
   chosen.output_namespace =
       arguments.output_namespace.empty() ? parent_namespace(chosen.image) : arguments.output_namespace;
   return chosen;
+}
+
+/// Throws when the bag's messages of a topic have the type's name, but the definition of another version.
+template <typename Message>
+void require_definition(rosbag::Bag& bag, const std::string& topic) {
+  rosbag::View view(bag, rosbag::TopicQuery(topic));
+  const std::string expected = ros::message_traits::md5sum<Message>();
+  for (const rosbag::ConnectionInfo* connection : view.getConnections()) {
+    if (connection->md5sum != expected) {
+      throw std::runtime_error("topic " + topic + " has another version of " + connection->datatype + " (md5 " +
+                               connection->md5sum + ", here " + expected + ")");
+    }
+  }
 }
 
 /// A line that follows the work; silent when nobody watches.
@@ -256,6 +270,10 @@ void run(const Arguments& arguments) {
   Topics topics;
   try {
     topics = choose_topics(arguments, bag_topics);
+    require_definition<sensor_msgs::Image>(input, topics.image);
+    require_definition<sensor_msgs::CameraInfo>(input, topics.camera_info);
+    require_definition<sensor_msgs::Imu>(input, topics.imu);
+    if (!topics.exposure.empty()) require_definition<Exposure>(input, topics.exposure);
   } catch (const std::runtime_error& error) {
     throw std::runtime_error(arguments.input + ": " + error.what());
   }

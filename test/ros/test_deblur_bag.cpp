@@ -10,6 +10,7 @@
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 #include <tf2_msgs/TFMessage.h>
+#include <topic_tools/shape_shifter.h>
 #include <nlohmann/json.hpp>
 
 #include "message_builders.hpp"
@@ -202,6 +203,21 @@ TEST_F(DeblurBagTest, TopicsThatAreNotThereAreListed) {
   expect_error(run({"--imu-topic", "/nope"}), {"/nope", "/imu (sensor_msgs/Imu)", "/cam/image_raw"});
   expect_error(run({"--camera-ns", "/left"}), {"/left/image_raw", "/cam/image_raw"});
   expect_error(run({"--imu-topic", "/cam/image_raw"}), {"not of type sensor_msgs/Imu"});
+}
+
+TEST_F(DeblurBagTest, MessagesOfAnotherVersionAreRefused) {
+  write_bag(kFastRadS);
+  {
+    topic_tools::ShapeShifter older;
+    const std::string md5 = "0123456789abcdef0123456789abcdef";
+    older.morph(md5, "gyro_deblur/Exposure", "float64 exposure_time\n", "0");
+    std::vector<std::uint8_t> bytes(sizeof(double));
+    ros::serialization::IStream stream(bytes.data(), static_cast<std::uint32_t>(bytes.size()));
+    older.read(stream);
+    rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Append);
+    bag.write("/cam/exposure", to_ros_time(kStart), older);
+  }
+  expect_error(run(), {"/cam/exposure", "another version", "0123456789abcdef"});
 }
 
 TEST_F(DeblurBagTest, SeveralCandidatesHaveToBeNamed) {

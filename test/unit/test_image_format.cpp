@@ -121,5 +121,19 @@ TEST(Luminance8, RefusesWhatDoesNotFit) {
   EXPECT_THROW(luminance8(cv::Mat(2, 2, CV_8SC1), PixelLayout::GRAY), std::invalid_argument);
 }
 
+TEST(Luminance8, LeavesItsInputAlone) {
+  for (const PixelLayout layout :
+       {PixelLayout::GRAY, PixelLayout::BGR, PixelLayout::RGB, PixelLayout::BGRA, PixelLayout::RGBA,
+        PixelLayout::BAYER_RGGB, PixelLayout::BAYER_BGGR, PixelLayout::BAYER_GBRG, PixelLayout::BAYER_GRBG}) {
+    for (const int depth : {CV_8U, CV_16U}) {
+      cv::Mat image(40, 50, CV_MAKETYPE(depth, channels_of(layout)));
+      cv::randu(image, 0, depth == CV_8U ? 255 : 65535);
+      const cv::Mat before = image.clone();
+      luminance8(image, layout);
+      EXPECT_EQ(cv::norm(before, image, cv::NORM_INF), 0) << static_cast<int>(layout) << ", depth " << depth;
+    }
+  }
+}
+
 }  // namespace
 }  // namespace gyro_deblur

@@ -154,7 +154,8 @@ TEST(Pipeline, HandlesEveryLayout) {
       PipelineRequest keypoints;
       keypoints.image = false;
       const PipelineResult alone = p.process(image, layout, pan(rate_for(15)), global_shutter(), keypoints);
-      ASSERT_EQ(alone.features.keypoints.size(), result.features.keypoints.size());
+      ASSERT_EQ(alone.features.keypoints.size(), result.features.keypoints.size())
+          << "layout " << static_cast<int>(layout) << " depth " << depth;
       EXPECT_TRUE(equal(alone.features.descriptors, result.features.descriptors));
     }
   }
