@@ -8,10 +8,11 @@
 namespace gyro_deblur::benchmark {
 namespace {
 
-// As in src/cpu: from which extent on there are two scales, samples of the smooth part in an extent, weights of running
-// sums (five at either end of the box).
+// As in src/cpu: from which extent on lanes are used, and on them two scales; samples of the smooth part in an extent;
+// weights of running sums (five at either end of the box).
 constexpr double kMinTwoScaleExtentPx = 30;
-constexpr double kCoarseSamplesPerExtent = 24;
+constexpr double kMinCoarseExtentPx = 48;
+constexpr double kCoarseSamplesPerExtent = 20;
 constexpr int kEdgeWeights = 10;
 constexpr int kCoarseOutputs = kCoarseGuard + 1;
 
@@ -25,9 +26,10 @@ void add_two_scale(const BlockFilter& block, int lanes_of_vector, Work& work) {
   const double along = major_is_y ? block.rect.height : block.rect.width;
   const double across = major_is_y ? block.rect.width : block.rect.height;
 
-  const double d = std::max(1.0, std::floor(block.kernel->box_extent_px * stretch / kCoarseSamplesPerExtent));
+  const double extent = block.kernel->box_extent_px * stretch;
+  const double d = extent < kMinCoarseExtentPx ? 1.0 : std::round(extent / kCoarseSamplesPerExtent);
   const double radius = std::ceil(block.kernel->radius() * stretch / d);
-  const double lanes = round_up(across + slope * (along - 1) + 6, 2.0 * lanes_of_vector);
+  const double lanes = round_up(across + slope * (along - 1) + 6, lanes_of_vector);
   const double coarse_outputs = round_up(along / d + 5, kCoarseOutputs);
   const double nodes = coarse_outputs + 2 * radius;
   const double edge_weights = d > 1 ? kEdgeWeights : 0;
