@@ -293,14 +293,21 @@ void transpose(const Pixel* from, std::ptrdiff_t from_stride, int rows, int cols
   }
 }
 
+/// Makes room for `rows` rows of `cols` pixels with `pad` more on either side. Returns the distance between rows: an
+/// odd number of cache lines, so that rows do not compete for the same cache set.
+template <typename Pixel>
+std::ptrdiff_t reserve_padded(int rows, int cols, int pad, std::vector<Pixel>& storage) {
+  constexpr int kPixelsPerLine = 64 / sizeof(Pixel);
+  const std::ptrdiff_t stride = (((cols + 2 * pad) / kPixelsPerLine + 1) | 1) * kPixelsPerLine;
+  const std::size_t needed = stride * rows;
+  if (storage.size() < needed) storage.resize(needed);
+  return stride;
+}
+
 /// Copies `channel` into `storage` with `pad` replicated pixels left and right, and returns its view.
 template <typename Pixel>
 SourcePlane<Pixel> pad_columns(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& storage) {
-  // An odd number of cache lines a row, so that rows do not compete for the same cache set.
-  constexpr int kPixelsPerLine = 64 / sizeof(Pixel);
-  const std::ptrdiff_t stride = (((channel.cols + 2 * pad) / kPixelsPerLine + 1) | 1) * kPixelsPerLine;
-  const std::size_t needed = stride * channel.rows;
-  if (storage.size() < needed) storage.resize(needed);
+  const std::ptrdiff_t stride = reserve_padded(channel.rows, channel.cols, pad, storage);
 #pragma omp parallel for num_threads(threads) schedule(static)
   for (int y = 0; y < channel.rows; ++y) {
     const Pixel* from = channel.ptr<Pixel>(y);
@@ -315,10 +322,7 @@ SourcePlane<Pixel> pad_columns(const cv::Mat& channel, int pad, int threads, std
 /// The same of the transposed channel.
 template <typename Pixel>
 SourcePlane<Pixel> pad_transposed(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& storage) {
-  constexpr int kPixelsPerLine = 64 / sizeof(Pixel);
-  const std::ptrdiff_t stride = (((channel.rows + 2 * pad) / kPixelsPerLine + 1) | 1) * kPixelsPerLine;
-  const std::size_t needed = stride * channel.cols;
-  if (storage.size() < needed) storage.resize(needed);
+  const std::ptrdiff_t stride = reserve_padded(channel.cols, channel.rows, pad, storage);
   constexpr int kBand = 64;  // columns of the channel that one thread transposes at a time
 #pragma omp parallel for num_threads(threads) schedule(static)
   for (int x = 0; x < channel.cols; x += kBand) {
