@@ -7,6 +7,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "core/parallel.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -61,15 +63,14 @@ BlurField validate_blur_field(const BlurField& field, const cv::Mat& luminance, 
   }
   BlurField validated = field;
   if (!options.enabled) return validated;
-  const int count = field.grid.size();
-#pragma omp parallel for schedule(dynamic, 8)
-  for (int i = 0; i < count; ++i) {
+  constexpr int kDefaultThreads = 0, kBlocksAtATime = 8;
+  run_parallel(field.grid.size(), kDefaultThreads, kBlocksAtATime, [&](int i) {
     BlockBlur& block = validated.blocks[i];
-    if (block.status != BlockStatus::DEBLURRED) continue;
+    if (block.status != BlockStatus::DEBLURRED) return;
     if (max_gradient_along(luminance, field.grid.rect(i), block.angle_rad) > options.threshold(block.extent_px)) {
       block.status = BlockStatus::REJECTED;
     }
-  }
+  });
   return validated;
 }
 

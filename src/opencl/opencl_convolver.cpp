@@ -20,6 +20,7 @@
 #endif
 
 #include "core/fallback_convolver.hpp"
+#include "core/parallel.hpp"
 #include "opencl/opencl_factory.hpp"
 
 namespace gyro_deblur {
@@ -361,10 +362,9 @@ OpenClConvolver::Engine::Program& OpenClConvolver::Engine::program(int depth) {
 void OpenClConvolver::Engine::plan(const cv::Mat& src, const std::vector<BlockFilter>& blocks) {
   const int count = static_cast<int>(blocks.size());
   lines_.resize(std::max(lines_.size(), blocks.size()));
-#pragma omp parallel for num_threads(threads()) schedule(dynamic)
-  for (int i = 0; i < count; ++i) {
+  run_parallel(count, threads(), 1, [&](int i) {
     if (blocks[i].kernel != nullptr) set_line(blocks[i], &lines_[i]);
-  }
+  });
 
   tile_list_.clear();
   step_count_ = 0;

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "core/parallel.hpp"
 #include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur::sim {
@@ -104,8 +105,8 @@ cv::Mat Simulator::encode(const cv::Mat& grey_levels, bool with_noise, int frame
   cv::Mat image(grey_levels.size(), CV_MAKETYPE(wide ? CV_16U : CV_8U, out_channels));
   const int values = image.cols * out_channels;
   const std::uint64_t frame_seed = mix(scene_.seed, static_cast<std::uint64_t>(frame));
-#pragma omp parallel for schedule(static)
-  for (int y = 0; y < image.rows; ++y) {
+  constexpr int kDefaultThreads = 0, kRowsAtATime = 16;
+  run_parallel(image.rows, kDefaultThreads, kRowsAtATime, [&](int y) {
     cv::Mat noise = cv::Mat::zeros(1, values, CV_32F);
     if (with_noise && scene_.camera.noise > 0) {
       cv::RNG rng(mix(frame_seed, static_cast<std::uint64_t>(y)));  // a seed a row: the same on any number of threads
@@ -122,7 +123,7 @@ cv::Mat Simulator::encode(const cv::Mat& grey_levels, bool with_noise, int frame
         image.ptr<uchar>(y)[k] = cv::saturate_cast<uchar>(value);
       }
     }
-  }
+  });
   return image;
 }
 
