@@ -1,7 +1,9 @@
 // One frame from pixels and motion to deblurred pixels and rectified keypoints.
 #pragma once
 
+#include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -56,14 +58,18 @@ struct PipelineResult {
   StageTimes times;
 };
 
+/// Makes the engine for a backend and a number of threads, as make_line_convolver does.
+using EngineFactory = std::function<std::unique_ptr<LineConvolver>(const std::string& backend, int threads)>;
+
 /// The paper's method for one camera. Calibration and options may change between frames; what depends on them is
 /// rebuilt then. Not thread-safe, engine() aside.
 class Pipeline {
  public:
   /// Throws OptionError.
-  explicit Pipeline(const PipelineOptions& options);
+  explicit Pipeline(const PipelineOptions& options, EngineFactory make_engine = make_line_convolver);
 
-  /// Throws OptionError and keeps the former options when the new ones are not valid.
+  /// Throws OptionError and keeps the former options when the new ones are not valid. Rebuilds what depends on the
+  /// options that differ, and nothing else.
   void set_options(const PipelineOptions& options);
   const PipelineOptions& options() const { return options_; }
 
@@ -82,7 +88,15 @@ class Pipeline {
   PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                          const RowExposure& exposure, const PipelineRequest& request);
 
+  /// Keypoints of an image whose motion is not known: where they are in `image`, none deblurred or rectified.
+  /// @param image        CV_8U or CV_16U that fits `layout`
+  /// @param stamp_ns     becomes the result's reference time
+  /// @param calibration  for the normalised coordinates, which are NaN without it
+  PipelineResult detect(const cv::Mat& image, PixelLayout layout, TimeNs stamp_ns,
+                        const std::optional<CameraCalibration>& calibration) const;
+
  private:
+  EngineFactory make_engine_;
   PipelineOptions options_;
   std::unique_ptr<Camera> camera_;
   std::unique_ptr<BlurFieldEstimator> estimator_;

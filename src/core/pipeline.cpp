@@ -1,6 +1,7 @@
 #include "gyro_deblur/pipeline.hpp"
 
 #include <chrono>
+#include <limits>
 #include <stdexcept>
 #include <utility>
 
@@ -19,6 +20,10 @@ class Stopwatch {
  private:
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };
+
+bool same(const BlurFieldOptions& a, const BlurFieldOptions& b) {
+  return a.block_size_px == b.block_size_px && a.min_extent_px == b.min_extent_px && a.max_extent_px == b.max_extent_px;
+}
 
 bool same(const KernelOptions& a, const KernelOptions& b) {
   return a.gamma == b.gamma && a.length_factor == b.length_factor;
@@ -59,7 +64,9 @@ void PipelineOptions::validate() const {
   require_range("threads", threads, 0, 256);
 }
 
-Pipeline::Pipeline(const PipelineOptions& options) { set_options(options); }
+Pipeline::Pipeline(const PipelineOptions& options, EngineFactory make_engine) : make_engine_(std::move(make_engine)) {
+  set_options(options);
+}
 
 void Pipeline::set_options(const PipelineOptions& options) {
   // Everything that may throw comes before the first assignment, so that a failure leaves the former state.
@@ -68,14 +75,15 @@ void Pipeline::set_options(const PipelineOptions& options) {
   if (!bank_ || !same(options.kernel, options_.kernel)) bank = std::make_unique<KernelBank>(options.kernel);
   std::unique_ptr<LineConvolver> engine;
   if (!engine_ || options.backend != options_.backend || options.threads != options_.threads) {
-    engine = make_line_convolver(options.backend, options.threads);
+    engine = make_engine_(options.backend, options.threads);
   }
   std::unique_ptr<FeatureExtractor> extractor;
   if (!extractor_ || !same(options.keypoints, options_.keypoints)) {
     extractor = std::make_unique<FeatureExtractor>(options.keypoints);
   }
   std::unique_ptr<BlurFieldEstimator> estimator;
-  if (camera_) estimator = std::make_unique<BlurFieldEstimator>(*camera_, options.blur_field);
+  if (camera_ && !same(options.blur_field, options_.blur_field))
+    estimator = std::make_unique<BlurFieldEstimator>(*camera_, options.blur_field);
   PipelineOptions copy = options;
 
   std::swap(options_, copy);
@@ -143,6 +151,26 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   result.features = extractor_->extract(luminance);
   result.points = rectify_points(positions(result.features.keypoints), result.field, *camera_, motion, exposure,
                                  result.reference_ns);
+  result.times.keypoints_ms = watch.ms();
+  return result;
+}
+
+PipelineResult Pipeline::detect(const cv::Mat& image, PixelLayout layout, TimeNs stamp_ns,
+                                const std::optional<CameraCalibration>& calibration) const {
+  PipelineResult result;
+  result.reference_ns = stamp_ns;
+  const Stopwatch watch;
+  result.features = extractor_->extract(luminance8(image, layout));
+  const std::vector<Eigen::Vector2d> points_px = positions(result.features.keypoints);
+  std::vector<Eigen::Vector3d> rays(points_px.size(),
+                                    Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN()));
+  if (calibration) rays = Camera(*calibration).rays(points_px);
+  for (std::size_t i = 0; i < points_px.size(); ++i) {
+    RectifiedPoint point;
+    point.rectified_px = points_px[i];
+    point.normalized = rays[i].head<2>();
+    result.points.push_back(point);
+  }
   result.times.keypoints_ms = watch.ms();
   return result;
 }

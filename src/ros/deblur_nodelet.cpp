@@ -91,6 +91,15 @@ DeblurNodelet::~DeblurNodelet() {
   }
   worker_wakes_.notify_all();
   if (worker_.joinable()) worker_.join();
+  // What has come in goes out, with what is there.
+  if (processor_ && ros::ok()) {
+    guarded("processing the last frames", [this] {
+      processor_->finish([this](FrameOutput&& output) {
+        publish(output);
+        return true;
+      });
+    });
+  }
   image_publisher_.shutdown();
   overlay_publisher_.shutdown();
   keypoint_publisher_.shutdown();
@@ -217,7 +226,7 @@ void DeblurNodelet::on_reconfigure(DeblurConfig& dynamic) {
     for_each_dynamic([&merged](const char* key, const auto& value) { merged[key] = value; }, dynamic);
     processor_->set_config(parse_config(merged));
     dynamic_ = dynamic;
-    NODELET_INFO("parameters changed");
+    NODELET_INFO_THROTTLE(1.0, "parameters changed");
   } catch (const std::exception& error) {
     NODELET_ERROR_STREAM("parameters not changed: " << error.what());
     dynamic = dynamic_;
@@ -436,6 +445,7 @@ void DeblurNodelet::fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper
   status.add("imu dropped, not finite", now.imu_not_finite);
   status.add("imu dropped, duplicate", now.imu_duplicate);
   status.add("imu dropped, out of order", now.imu_out_of_order);
+  status.add("imu dropped, stray stamp", now.imu_stray);
   status.add("imu dropped, without gyroscope", now.imu_without_gyroscope);
   status.add("time jumps", now.time_jumps);
   if (now.newest_imu_ns) {

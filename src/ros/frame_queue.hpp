@@ -4,6 +4,7 @@
 #include <deque>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
@@ -59,6 +60,9 @@ class FrameQueue {
 
   /// Precondition: not empty.
   PendingFrame pop();
+
+  /// The frame that pop() gave last could not leave: it is the foremost one again.
+  void put_back(PendingFrame frame) { frames_.push_front(std::move(frame)); }
 
  private:
   std::size_t unsettled() const;

@@ -18,6 +18,10 @@ namespace {
 /// a bag shorter than it that loops. Jitter of a driver does not deliver that many.
 constexpr std::size_t kLateSamplesOfReset = 10;
 
+/// Samples in a row that fit each other, but not those before: an IMU that was silent, or whose clock was set. Fewer
+/// are wrong stamps, which must not empty the buffer.
+constexpr std::size_t kStraySamplesOfReset = 5;
+
 /// The samples have to span this part of the window.
 constexpr double kMinBiasCoverage = 0.8;
 
@@ -25,6 +29,9 @@ constexpr double kMinBiasCoverage = 0.8;
 constexpr TimeNs kSteadyTimeoutFactor = 10;
 
 constexpr std::chrono::seconds kLogPeriod{5};
+
+/// In force before there is a configuration.
+const Config kDefaults;
 
 /// Seconds with all nine digits: doubles have too few for stamps.
 std::string seconds_text(TimeNs time_ns) {
@@ -68,7 +75,18 @@ Processor::Processor(Environment environment)
 
 void Processor::set_config(const Config& config) {
   config.validate();
-  auto pipeline = std::make_shared<Pipeline>(config.pipeline);
+  std::shared_ptr<Pipeline> pipeline;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const bool same_engine = config_ && config_->pipeline.backend == config.pipeline.backend &&
+                             config_->pipeline.threads == config.pipeline.threads;
+    if (same_engine) pipeline = pipeline_;
+  }
+  // Making an engine can take seconds (a device compiles its program), so no lock is held.
+  if (!pipeline) {
+    pipeline = std::make_shared<Pipeline>(config.pipeline,
+                                          environment_.make_engine ? environment_.make_engine : make_line_convolver);
+  }
   const TimeNs capacity_ns = std::max(config.gyro.buffer_ns, config.bias_window_ns);
 
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -170,6 +188,47 @@ TimeNs Processor::now() {
   return now_ns;
 }
 
+void Processor::drop_stray_samples() {
+  if (stray_samples_.empty()) return;
+  statistics_.imu_stray += stray_samples_.size();
+  log_throttled(
+      LogLevel::WARNING, "imu stray",
+      "imu sample dropped: its stamp " + seconds_text(stray_samples_.back().t_ns) + " s is far from those around it");
+  stray_samples_.clear();
+}
+
+void Processor::take_gyro_sample(const GyroSample& sample) {
+  const auto accept = [this](const GyroSample& accepted) {
+    note_time(Stream::IMU, accepted.t_ns);
+    add_gyro_sample(accepted);
+  };
+  const Config& config = config_ ? *config_ : kDefaults;
+  const auto fits = [&](TimeNs before_ns) {
+    return sample.t_ns >= before_ns - config.time_jump_ns && sample.t_ns <= before_ns + config.gyro.max_gap_ns;
+  };
+  const std::optional<TimeNs> newest_ns = jumps_.newest_ns(Stream::IMU);
+  if (!newest_ns || fits(*newest_ns)) {
+    drop_stray_samples();
+    accept(sample);
+    return;
+  }
+  if (!stray_samples_.empty()) {
+    const TimeNs last_ns = stray_samples_.back().t_ns;
+    if (!fits(last_ns)) {
+      drop_stray_samples();
+    } else if (sample.t_ns <= last_ns) {
+      ++(sample.t_ns == last_ns ? statistics_.imu_duplicate : statistics_.imu_out_of_order);
+      return;
+    }
+  }
+  stray_samples_.push_back(sample);
+  // Where another stream has shown the reset already, one sample is enough.
+  const bool expected = jumps_.is_stale(Stream::IMU) && sample.t_ns < *newest_ns;
+  if (stray_samples_.size() < kStraySamplesOfReset && !expected) return;
+  const std::vector<GyroSample> agreeing = std::exchange(stray_samples_, {});
+  for (const GyroSample& each : agreeing) accept(each);
+}
+
 void Processor::add_gyro_sample(const GyroSample& sample) {
   switch (gyro_.add(sample)) {
     case GyroBuffer::AddResult::ACCEPTED:
@@ -218,8 +277,11 @@ void Processor::add_imu(const sensor_msgs::Imu& imu) {
     return;
   }
   imu_frame_ = imu.header.frame_id;
-  note_time(Stream::IMU, sample->t_ns);
-  add_gyro_sample(*sample);
+  if (sample->rate_rad_s.allFinite()) {
+    take_gyro_sample(*sample);
+  } else {
+    add_gyro_sample(*sample);  // counts it; the stamp of such a message tells nothing
+  }
 }
 
 void Processor::add_exposure(const Exposure& exposure) {
@@ -363,11 +425,20 @@ std::optional<Processor::Job> Processor::next_job(bool finishing) {
         (environment_.steady_clock && steady_now() - frame.arrival_steady_ns >= kSteadyTimeoutFactor * timeout_ns);
   }
   Job job;
-  if (!prepare(frame, timed_out, &job)) return std::nullopt;
+  try {
+    if (!prepare(frame, timed_out, &job)) return std::nullopt;
+  } catch (const std::exception& error) {
+    // Without a verdict the frame would be tried again for ever, and hold up all that come after it.
+    frame.settle(PassThroughReason::INTERNAL_ERROR, error.what());
+  }
   if (!frame.info) {
     if (const sensor_msgs::CameraInfoConstPtr* info = infos_.find(frame.stamp_ns)) frame.info = *info;
   }
   job.pipeline = pipeline_;
+  if (config_) {
+    job.options = config_->pipeline;
+    job.rectified_input = config_->rectified_input;
+  }
   job.frame = queue_.pop();
   ++in_progress_;
   return job;
@@ -378,6 +449,7 @@ void Processor::run_pipeline(const Job& job, FrameOutput* output) const {
   const ImageView view = view_image(*job.frame.image);
   output->messages_ms += elapsed_ms(start);
 
+  job.pipeline->set_options(job.options);
   job.pipeline->set_calibration(*job.frame.calibration);
   const RotationTrack motion(job.samples, job.gyro, job.R_cam_imu);
   PipelineResult result = job.pipeline->process(view.image, view.layout, motion, *job.exposure,
@@ -412,6 +484,30 @@ void Processor::run_pipeline(const Job& job, FrameOutput* output) const {
   output->messages_ms += elapsed_ms(start);
 }
 
+KeypointArrayPtr Processor::raw_keypoints(const Job& job, PassThroughReason reason) const {
+  auto none = boost::make_shared<KeypointArray>();
+  none->header = job.frame.image->header;
+  none->reference_time = none->header.stamp;
+  // When too much waits, what is left of the work has to be quick.
+  if (!job.pipeline || reason == PassThroughReason::OVERLOAD) return none;
+  try {
+    const ImageView view = view_image(*job.frame.image);
+    std::optional<CameraCalibration> calibration = job.frame.calibration;
+    if (!calibration && job.frame.info) {
+      try {
+        calibration = to_calibration(*job.frame.info, view.image.cols, view.image.rows, job.rectified_input);
+      } catch (const OptionError&) {
+        // Normalised coordinates are not known then.
+      }
+    }
+    job.pipeline->set_options(job.options);
+    return to_message(job.pipeline->detect(view.image, view.layout, job.frame.stamp_ns, calibration),
+                      job.options.keypoints, none->header);
+  } catch (const std::exception&) {
+    return none;  // the frame has its reason already
+  }
+}
+
 FrameOutput Processor::process(const Job& job) const {
   const auto start = std::chrono::steady_clock::now();
   const sensor_msgs::ImageConstPtr& image = job.frame.image;
@@ -422,11 +518,17 @@ FrameOutput Processor::process(const Job& job) const {
   output.reason = job.frame.verdict;
   output.reason_text = job.frame.verdict_text;
   if (output.reason == PassThroughReason::NONE) {
+    std::optional<std::string> failure;
     try {
       run_pipeline(job, &output);
     } catch (const std::exception& error) {
+      failure = error.what();
+    } catch (...) {
+      failure = "an exception of unknown type";
+    }
+    if (failure) {
       output.reason = PassThroughReason::INTERNAL_ERROR;
-      output.reason_text = error.what();
+      output.reason_text = *failure;
       output.image = image;
       output.field.reset();
       output.blur_field.reset();
@@ -438,11 +540,7 @@ FrameOutput Processor::process(const Job& job) const {
   output.camera_info =
       job.frame.info ? job.frame.info : sensor_msgs::CameraInfoConstPtr(uncalibrated_camera_info(*image));
   if (!output.blur_field) output.blur_field = pass_through_message(output.reason, output.reason_text, *image);
-  if (job.request.keypoints && !output.keypoints) {
-    output.keypoints = boost::make_shared<KeypointArray>();
-    output.keypoints->header = image->header;
-    output.keypoints->reference_time = image->header.stamp;
-  }
+  if (job.request.keypoints && !output.keypoints) output.keypoints = raw_keypoints(job, output.reason);
   if (job.request.markers && !output.markers) output.markers = no_markers(image->header);
   output.total_ms = elapsed_ms(start);
   return output;
@@ -451,8 +549,18 @@ FrameOutput Processor::process(const Job& job) const {
 void Processor::advance(const Sink& sink, bool finishing) {
   const std::lock_guard<std::mutex> one_at_a_time(advance_mutex_);
   while (std::optional<Job> job = next_job(finishing)) {
-    if (environment_.request) job->request = environment_.request();
-    FrameOutput output = process(*job);
+    FrameOutput output;
+    try {
+      if (environment_.request) job->request = environment_.request();
+      output = process(*job);
+    } catch (...) {
+      // Even passing it through failed, for lack of memory for example: it stays the first to leave.
+      const std::lock_guard<std::mutex> lock(mutex_);
+      --in_progress_;
+      job->frame.verdict = PassThroughReason::INTERNAL_ERROR;
+      queue_.put_back(std::move(job->frame));
+      throw;
+    }
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       --in_progress_;
@@ -483,6 +591,7 @@ void Processor::reset() {
   queue_.settle_all(PassThroughReason::TIME_JUMP, "reset was asked for while the frame waited");
   gyro_.clear();
   late_samples_.clear();
+  stray_samples_.clear();
   infos_.clear();
   exposures_.clear();
   exposure_seen_ = false;

@@ -67,6 +67,7 @@ struct ProcessorStatistics {
   std::size_t imu_not_finite = 0;
   std::size_t imu_duplicate = 0;
   std::size_t imu_out_of_order = 0;
+  std::size_t imu_stray = 0;  ///< stamp far from those around it
   std::size_t imu_without_gyroscope = 0;
   std::size_t time_jumps = 0;
   std::size_t waiting = 0;              ///< frames in the queue now
@@ -91,6 +92,8 @@ class Processor {
     std::function<bool()> exposure_expected;
     /// What is wanted of the frame that is about to be processed; absent: image and keypoints.
     std::function<FrameRequest()> request;
+    /// Absent: make_line_convolver.
+    EngineFactory make_engine;
   };
   /// Takes a frame; false: enough for now, the rest stays.
   using Sink = std::function<bool(FrameOutput&&)>;
@@ -99,7 +102,8 @@ class Processor {
   explicit Processor(Environment environment);
 
   /// Throws OptionError and keeps the former configuration when the new one cannot be used. A bias that was estimated
-  /// stays in use.
+  /// stays in use. An engine is made only when backend or threads change; what else has to be rebuilt is when the next
+  /// frame is processed, by the thread that does so: many changes in a row cost no more than one.
   void set_config(const Config& config);
   /// From now on frames pass through with BAD_CONFIGURATION and this text.
   void set_config_error(const std::string& text);
@@ -166,6 +170,8 @@ class Processor {
     PendingFrame frame;
     FrameRequest request;
     std::shared_ptr<Pipeline> pipeline;
+    PipelineOptions options;
+    bool rectified_input = false;
     std::optional<RowExposure> exposure;
     std::vector<GyroSample> samples;
     GyroOptions gyro;
@@ -180,7 +186,12 @@ class Processor {
   bool prepare(PendingFrame& frame, bool timed_out, Job* job);
   FrameOutput process(const Job& job) const;
   void run_pipeline(const Job& job, FrameOutput* output) const;
+  /// Keypoints of a frame that passes through; an empty array when it can have none.
+  KeypointArrayPtr raw_keypoints(const Job& job, PassThroughReason reason) const;
 
+  /// Takes a sample whose stamp fits those before it; others once enough of them agree with each other.
+  void take_gyro_sample(const GyroSample& sample);
+  void drop_stray_samples();
   void add_gyro_sample(const GyroSample& sample);
   void handle(TimeJumpDetector::Verdict verdict, Stream stream, TimeNs from_ns, TimeNs to_ns);
   void note_time(Stream stream, TimeNs stamp_ns);
@@ -202,7 +213,8 @@ class Processor {
   std::optional<Eigen::Vector3d> estimated_bias_rad_s_;
   TimeJumpDetector jumps_;
   GyroBuffer gyro_;
-  std::vector<GyroSample> late_samples_;  // consecutive ones, ordered among themselves
+  std::vector<GyroSample> late_samples_;   // consecutive ones, ordered among themselves
+  std::vector<GyroSample> stray_samples_;  // consecutive ones far from the others, ordered among themselves
   std::string imu_frame_;
   StampedStore<Exposure> exposures_;
   StampedStore<sensor_msgs::CameraInfoConstPtr> infos_;

@@ -42,7 +42,15 @@ const char* to_string(Stream stream) {
 TimeJumpDetector::Verdict TimeJumpDetector::update(Stream stream, TimeNs stamp_ns) {
   State& own = state(stream);
   if (own.newest_ns && stamp_ns < *own.newest_ns - threshold_ns_) return went_back(stream, stamp_ns);
-  own.newest_ns = own.newest_ns ? std::max(*own.newest_ns, stamp_ns) : stamp_ns;
+  // A stamp far ahead may be wrong, and would make the next right one look like a reset: the next one tells.
+  if (own.ahead_ns && stamp_ns >= *own.ahead_ns - threshold_ns_)
+    own.newest_ns = std::max(*own.newest_ns, *own.ahead_ns);
+  own.ahead_ns.reset();
+  if (own.newest_ns && stamp_ns > *own.newest_ns + threshold_ns_) {
+    own.ahead_ns = stamp_ns;
+  } else {
+    own.newest_ns = own.newest_ns ? std::max(*own.newest_ns, stamp_ns) : stamp_ns;
+  }
   if (own.stragglers_left > 0) --own.stragglers_left;
   return Verdict::FORWARD;
 }
@@ -51,6 +59,7 @@ TimeJumpDetector::Verdict TimeJumpDetector::went_back(Stream stream, TimeNs stam
   State& own = state(stream);
   const bool known = own.stragglers_left > 0;
   own.newest_ns = stamp_ns;
+  own.ahead_ns.reset();
   own.stragglers_left = 0;
   if (known) return Verdict::FOLLOWS;
   for (std::size_t i = 0; i < kStreams; ++i) {
@@ -63,13 +72,16 @@ TimeJumpDetector::Verdict TimeJumpDetector::went_back(Stream stream, TimeNs stam
 
 int EpochCounter::next(TimeNs stamp_ns) {
   if (last_ns_ && stamp_ns < *last_ns_) ++epoch_;
+  if (newest_ns_ && stamp_ns > *newest_ns_) begun_ = epoch_;
   last_ns_ = stamp_ns;
+  newest_ns_ = newest_ns_ ? std::max(*newest_ns_, stamp_ns) : stamp_ns;
   return epoch_;
 }
 
 int EpochCounter::reset() {
   if (epoch_ == begun_) return begin();
   begun_ = epoch_;
+  newest_ns_ = last_ns_;
   return epoch_;
 }
 
@@ -77,6 +89,7 @@ int EpochCounter::begin() {
   ++epoch_;
   begun_ = epoch_;
   last_ns_.reset();
+  newest_ns_.reset();
   return epoch_;
 }
 

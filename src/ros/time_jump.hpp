@@ -17,7 +17,8 @@ const char* to_string(Stream stream);
 
 /// Watches the newest time of every stream. The first stream to go back tells of a jump; the others, whose last old
 /// messages may still be on their way, then follow it without telling again. A stream that goes on for long without
-/// going back has not been reset.
+/// going back has not been reset. A single stamp that is ahead by more than the threshold is not believed until the
+/// next message of its stream agrees.
 class TimeJumpDetector {
  public:
   enum class Verdict {
@@ -47,7 +48,8 @@ class TimeJumpDetector {
  private:
   struct State {
     std::optional<TimeNs> newest_ns;
-    int stragglers_left = 0;  // messages of the old epoch that may still come after a jump
+    std::optional<TimeNs> ahead_ns;  // of the last message, when it was ahead of newest_ns by more than the threshold
+    int stragglers_left = 0;         // messages of the old epoch that may still come after a jump
   };
   State& state(Stream stream) { return states_[static_cast<std::size_t>(stream)]; }
   const State& state(Stream stream) const { return states_[static_cast<std::size_t>(stream)]; }
@@ -57,7 +59,8 @@ class TimeJumpDetector {
 };
 
 /// Tells what a stream brought before time was reset from what it brought after. Recordings that are shorter than the
-/// threshold step back by less, so the first messages of the new epoch may come before the reset is sure.
+/// threshold step back by less, so the first messages of the new epoch may come before the reset is sure. A stream that
+/// afterwards gets beyond where it stepped back was out of order, and not reset.
 class EpochCounter {
  public:
   /// Epoch of a message that has come.
@@ -72,8 +75,9 @@ class EpochCounter {
 
  private:
   std::optional<TimeNs> last_ns_;
+  std::optional<TimeNs> newest_ns_;  // since the last reset
   int epoch_ = 0;
-  int begun_ = 0;  // epoch at the last reset
+  int begun_ = 0;  // up to this epoch no step back speaks for a reset
 };
 
 }  // namespace gyro_deblur

@@ -50,6 +50,15 @@ TEST(FrameQueue, SettlingKeepsEarlierVerdicts) {
   EXPECT_EQ(queue.pop().verdict, PassThroughReason::TIME_JUMP);
 }
 
+TEST(FrameQueue, FramePutBackIsTheForemostAgain) {
+  FrameQueue queue(2);
+  queue.push(frame(1));
+  queue.push(frame(2));
+  queue.put_back(queue.pop());
+  EXPECT_EQ(queue.pop().stamp_ns, 1);
+  EXPECT_EQ(queue.pop().stamp_ns, 2);
+}
+
 TEST(FrameQueue, SettledFramesNeedNoRoom) {
   FrameQueue queue(1);
   PendingFrame bad = frame(1);

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <new>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <utility>
@@ -35,13 +37,21 @@ class ProcessorTest : public testing::Test {
     environment.clock = [this] { return now_ns_; };
     environment.steady_clock = [this] { return steady_ns_; };
     environment.log = [this](LogLevel, const std::string& text) { log_.push_back(text); };
+    environment.make_engine = [this](const std::string& backend, int threads) {
+      ++engines_made_;
+      return make_line_convolver(backend, threads);
+    };
     environment.extrinsic = [this](const std::string& camera_frame, const std::string& imu_frame) {
+      if (extrinsic_fails_) throw std::runtime_error("the transforms are broken");
       EXPECT_EQ(camera_frame, kCameraFrame);
       EXPECT_EQ(imu_frame, kImuFrame);
       return extrinsic_;
     };
     environment.exposure_expected = [this] { return exposure_expected_; };
-    environment.request = [this] { return request_; };
+    environment.request = [this] {
+      if (requests_to_fail_ > 0 && requests_to_fail_-- > 0) throw std::bad_alloc();
+      return request_;
+    };
     return environment;
   }
 
@@ -103,6 +113,9 @@ class ProcessorTest : public testing::Test {
 
   TimeNs now_ns_ = 0, steady_ns_ = 0;
   bool exposure_expected_ = false;
+  bool extrinsic_fails_ = false;
+  int requests_to_fail_ = 0;
+  int engines_made_ = 0;
   std::optional<Eigen::Matrix3d> extrinsic_;
   FrameRequest request_;
   Config config_ = test_config();
@@ -516,7 +529,163 @@ TEST_F(ProcessorTest, ImuSamplesThatCannotBeUsedAreCountedAndDropped) {
   EXPECT_EQ(log_.size(), 4u) << "one line of each kind";
 }
 
+TEST_F(ProcessorTest, StrayImuStampsAreDroppedAndChangeNothing) {
+  add_imu(kStart - 50 * kMs, kStart + 20 * kMs);
+  for (const TimeNs stray_ns : {kStart + 1000 * kSecond, kStart + kSecond, kStart - 50 * kSecond, TimeNs{0}}) {
+    processor_.add_imu(imu_message(stray_ns, 100));
+  }
+  add_imu(kStart + 25 * kMs, kStart + 30 * kMs);
+  processor_.add_imu(imu_message(kStart + 100 * kMs, 100));  // further than max_gyro_gap, nearer than a time jump
+  add_imu(kStart + 35 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  const BlurField& field = *outputs_[0].field;
+  EXPECT_NEAR(field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))].extent_px,
+              kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
+  EXPECT_EQ(processor_.statistics().imu_stray, 5u);
+  EXPECT_EQ(processor_.statistics().time_jumps, 0u);
+  EXPECT_EQ(logged("far from those around it"), 1u) << "throttled";
+}
+
+TEST_F(ProcessorTest, ImuThatWasSilentIsTakenAgain) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  add_frame(kStart + 5 * kSecond);
+  add_imu(kStart + 5 * kSecond - 10 * kMs, kStart + 5 * kSecond + 100 * kMs);
+  advance();
+  expect_deblurred(1);
+  EXPECT_EQ(processor_.statistics().time_jumps, 0u);
+  EXPECT_EQ(processor_.statistics().imu_stray, 0u);
+}
+
+TEST_F(ProcessorTest, StrayImageStampIsNoJump) {
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  add_frame(kStart);
+  add_frame(kStart + 1000 * kSecond);
+  add_frame(kStart + 33 * kMs);
+  advance();
+  time_out();
+  ASSERT_EQ(outputs_.size(), 3u);
+  expect_deblurred(0);
+  expect_passed_through(1, PassThroughReason::NO_GYRO, "");
+  expect_deblurred(2);
+  EXPECT_EQ(processor_.statistics().time_jumps, 0u);
+}
+
+TEST_F(ProcessorTest, FramesThatPassThroughHaveRawKeypoints) {
+  const auto expect_raw_keypoints = [this](std::size_t index, bool normalized) {
+    ASSERT_GT(outputs_.size(), index);
+    const KeypointArray& keypoints = *outputs_[index].keypoints;
+    EXPECT_FALSE(keypoints.keypoints.empty());
+    EXPECT_EQ(keypoints.detector, "FAST");
+    EXPECT_EQ(keypoints.descriptors.size(), keypoints.keypoints.size() * keypoints.descriptor_length);
+    EXPECT_EQ(keypoints.reference_time, outputs_[index].input->header.stamp);
+    for (const Keypoint& keypoint : keypoints.keypoints) {
+      EXPECT_FALSE(keypoint.deblurred);
+      EXPECT_FALSE(keypoint.rectified);
+      EXPECT_EQ(keypoint.rectified_x, keypoint.x);
+      EXPECT_EQ(std::isfinite(keypoint.normalized_x), normalized);
+      if (normalized) {
+        EXPECT_NEAR(keypoint.normalized_x, (keypoint.x - (kWidth - 1) / 2.0) / kFocalPx, 1e-5);
+      }
+    }
+  };
+  add_frame(kStart);
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "there are none");
+  expect_raw_keypoints(0, true);
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_image(image_message(kStart + kMs));
+  time_out();
+  expect_passed_through(1, PassThroughReason::NO_CALIBRATION, "");
+  expect_raw_keypoints(1, false);
+  processor_.add_exposure([] {
+    Exposure exposure;
+    exposure.header.stamp = to_ros_time(kStart + 2 * kMs);
+    exposure.exposure_time.fromNSec(-kMs);
+    return exposure;
+  }());
+  add_frame(kStart + 2 * kMs);
+  advance();
+  expect_passed_through(2, PassThroughReason::NO_EXPOSURE_TIME, "");
+  expect_raw_keypoints(2, true);
+  add_frame(kStart + 90 * kMs);
+  processor_.reset();
+  advance();
+  expect_passed_through(3, PassThroughReason::TIME_JUMP, "");
+  expect_raw_keypoints(3, false);
+}
+
+TEST_F(ProcessorTest, ManyChangesOfParametersMakeNoNewEngine) {
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  add_frame(kStart);
+  for (int i = 0; i < 100; ++i) {
+    config_.pipeline.kernel.gamma = 0.001 * (1 + i);
+    config_.pipeline.keypoints.max_features = 100 + i % 7;
+    configure();
+  }
+  config_.pipeline.blur_field.block_size_px = 64;
+  config_.pipeline.keypoints.descriptor = "BRISK";
+  configure();
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].field->grid.block_size_px(), 64) << "the last one counts";
+  EXPECT_EQ(outputs_[0].keypoints->descriptor, "BRISK");
+  EXPECT_EQ(engines_made_, 1);
+  config_.pipeline.threads = 1;
+  configure();
+  EXPECT_EQ(engines_made_, 2);
+}
+
+TEST_F(ProcessorTest, FrameThatCannotBePreparedDoesNotHoldUpOthers) {
+  config_.R_cam_imu.reset();
+  configure();
+  extrinsic_fails_ = true;
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::INTERNAL_ERROR, "the transforms are broken");
+  extrinsic_fails_ = false;
+  extrinsic_ = Eigen::Matrix3d::Identity();
+  add_frame(kStart + kMs);
+  advance();
+  expect_deblurred(1);
+}
+
+TEST_F(ProcessorTest, FrameIsKeptWhenEvenPassingItThroughFails) {
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  const auto first = add_frame(kStart);
+  add_frame(kStart + kMs);
+  requests_to_fail_ = 1;
+  EXPECT_THROW(advance(), std::bad_alloc);
+  EXPECT_TRUE(outputs_.empty());
+  EXPECT_EQ(processor_.waiting(), 2u);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_passed_through(0, PassThroughReason::INTERNAL_ERROR, "");
+  EXPECT_EQ(outputs_[0].image, first);
+  expect_deblurred(1);
+  EXPECT_EQ(processor_.waiting(), 0u);
+}
+
 // --- time going backwards ---
+
+TEST_F(ProcessorTest, OldImageOutOfOrderDoesNotHideALaterJump) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart + 10 * kMs);
+  add_frame(kStart);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  add_imu(kStart + 105 * kMs, kStart + kSecond);
+  add_frame(kStart + kSecond);  // waits for samples that never come
+  add_imu(kStart, kStart + 100 * kMs);
+  advance();
+  EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+  expect_passed_through(2, PassThroughReason::TIME_JUMP, "backwards");
+}
 
 /// One pass of a bag: IMU from 0 to length, a frame every 100 ms, interleaved by time.
 void play(Processor* processor, TimeNs begin_ns, TimeNs length_ns, const std::function<void()>& after_each) {

@@ -27,6 +27,7 @@ TEST(TimeJumpDetector, OtherStreamsFollowWithoutTellingAgain) {
   EXPECT_EQ(detector.update(Stream::IMAGE, 0), Verdict::FOLLOWS);
   EXPECT_FALSE(detector.is_stale(Stream::IMAGE));
   EXPECT_EQ(detector.update(Stream::IMAGE, 10'000), Verdict::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 10'030), Verdict::FORWARD);
   EXPECT_EQ(detector.update(Stream::IMAGE, 0), Verdict::JUMP) << "the second reset is news again";
 }
 
@@ -52,6 +53,42 @@ TEST(TimeJumpDetector, OwnerCanTellOfAReset) {
   detector.update(Stream::IMU, 400);
   EXPECT_EQ(detector.went_back(Stream::IMU, 100), Verdict::JUMP);
   EXPECT_EQ(detector.newest_ns(Stream::IMU), 100);
+}
+
+TEST(TimeJumpDetector, OneStampFarAheadIsNotBelieved) {
+  TimeJumpDetector detector(kThreshold);
+  detector.update(Stream::IMAGE, 10'000);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 90'000), Verdict::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 10'030), Verdict::FORWARD)
+      << "the stamp before was wrong, nothing was reset";
+  EXPECT_EQ(detector.newest_ns(Stream::IMAGE), 10'030);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 9'000), Verdict::JUMP);
+}
+
+TEST(TimeJumpDetector, StreamThatWentAheadCanGoBack) {
+  TimeJumpDetector detector(kThreshold);
+  detector.update(Stream::IMAGE, 10'000);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 90'000), Verdict::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 90'030), Verdict::FORWARD);
+  EXPECT_EQ(detector.newest_ns(Stream::IMAGE), 90'030);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 10'000), Verdict::JUMP);
+}
+
+TEST(TimeJumpDetector, SlowStreamIsFollowed) {
+  TimeJumpDetector detector(kThreshold);
+  for (TimeNs t_ns = 0; t_ns <= 100'000; t_ns += 10'000) {
+    EXPECT_EQ(detector.update(Stream::IMAGE, t_ns), Verdict::FORWARD);
+  }
+  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Verdict::JUMP);
+}
+
+TEST(EpochCounter, StepBackThatWasMadeUpForIsForgotten) {
+  EpochCounter counter;
+  EXPECT_EQ(counter.next(100), 0);
+  EXPECT_EQ(counter.next(200), 0);
+  EXPECT_EQ(counter.next(150), 1) << "out of order";
+  EXPECT_EQ(counter.next(300), 1);
+  EXPECT_EQ(counter.reset(), 2) << "nothing that has come is of the new epoch";
 }
 
 TEST(EpochCounter, ResetKeepsWhatCameAfterAStepBack) {
