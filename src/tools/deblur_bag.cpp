@@ -10,6 +10,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iostream>
+#include <limits>
 #include <map>
 #include <optional>
 #include <set>
@@ -50,6 +51,8 @@ struct Arguments {
   bool overlay = false;
   bool markers = false;
   std::optional<double> bias_seconds;
+  double start_s = 0;           // of the slice, since the bag's first message
+  std::optional<double> end_s;  // absent: to the bag's end
 };
 
 struct Topics {
@@ -228,6 +231,26 @@ Eigen::Vector3d bias_of_first(rosbag::Bag& bag, const std::string& imu_topic, do
   return estimate->bias_rad_s;
 }
 
+/// The part of a bag whose images are deblurred, [begin_ns, end_ns) of recording time. Everything else is read from
+/// lead_ns earlier, and until the last image has left, so that slices together give what the whole bag gives.
+struct Slice {
+  TimeNs begin_ns, end_ns, lead_ns;
+  bool holds(TimeNs t_ns) const { return t_ns >= begin_ns && t_ns < end_ns; }
+};
+
+Slice slice_of(rosbag::Bag& bag, const Arguments& arguments, const Config& config) {
+  rosbag::View all(bag);
+  if (arguments.end_s && *arguments.end_s <= arguments.start_s) {
+    throw std::runtime_error("--end " + std::to_string(*arguments.end_s) + " s is not after --start " +
+                             std::to_string(arguments.start_s) + " s");
+  }
+  const TimeNs bag_begin_ns = all.size() == 0 ? 0 : to_time_ns(all.getBeginTime());
+  // What a frame may need from before its image came: its gyroscope samples, and messages that overtook it.
+  const TimeNs lead_ns = config.gyro.buffer_ns + std::abs(config.gyro.time_offset_ns) + config.gyro_timeout_ns;
+  return {bag_begin_ns + to_ns(arguments.start_s),
+          arguments.end_s ? bag_begin_ns + to_ns(*arguments.end_s) : std::numeric_limits<TimeNs>::max(), lead_ns};
+}
+
 /// Deletes a half-written file when something goes wrong.
 class TemporaryFile {
  public:
@@ -313,8 +336,16 @@ void run(const Arguments& arguments) {
     }
   }
 
+  const Slice slice = slice_of(input, arguments, config);
+  const ros::Time read_from = std::max(to_ros_time(slice.begin_ns - slice.lead_ns), ros::TIME_MIN);
+  if (arguments.start_s > 0) {
+    rosbag::View before(input, rosbag::TopicQuery("/tf"), ros::TIME_MIN, read_from);
+    for (const rosbag::MessageInstance& instance : before) {
+      if (const auto message = instance.instantiate<tf2_msgs::TFMessage>()) add_transforms(*message, &tf_buffer);
+    }
+  }
   TimeNs bag_time_ns = 0;
-  rosbag::View view(input);
+  rosbag::View view(input, read_from);
   ProgressBar progress(view.size());
   Processor::Environment environment;
   environment.clock = [&bag_time_ns] { return bag_time_ns; };
@@ -361,13 +392,16 @@ void run(const Arguments& arguments) {
   try {
     for (const rosbag::MessageInstance& instance : view) {
       bag_time_ns = to_time_ns(instance.getTime());
+      if (bag_time_ns >= slice.end_ns && processor.waiting() == 0) break;
       const std::string& topic = instance.getTopic();
-      if (arguments.keep_all_topics) output.write(topic, instance.getTime(), instance, instance.getConnectionHeader());
+      const bool inside = slice.holds(bag_time_ns);
+      if (arguments.keep_all_topics && inside)
+        output.write(topic, instance.getTime(), instance, instance.getConnectionHeader());
       if (topic == topics.imu) {
         if (const auto message = instance.instantiate<sensor_msgs::Imu>()) processor.add_imu(*message);
       } else if (topic == topics.camera_info) {
         if (const auto message = instance.instantiate<sensor_msgs::CameraInfo>()) processor.add_camera_info(message);
-      } else if (topic == topics.image) {
+      } else if (topic == topics.image && inside) {
         if (const auto message = instance.instantiate<sensor_msgs::Image>()) {
           record_times.push_back(instance.getTime());
           processor.add_image(message);
@@ -404,11 +438,9 @@ void run(const Arguments& arguments) {
   report["frames_out"] = statistics.frames_out;
   report["passed_through"] = nlohmann::json::object();
   for (const auto& [reason, count] : statistics.passed_through) report["passed_through"][to_string(reason)] = count;
-  report["imu"] = {{"accepted", statistics.imu_accepted},
-                   {"not_finite", statistics.imu_not_finite},
-                   {"duplicate", statistics.imu_duplicate},
-                   {"out_of_order", statistics.imu_out_of_order},
-                   {"without_gyroscope", statistics.imu_without_gyroscope}};
+  report["imu"] = {{"accepted", statistics.imu_accepted},   {"not_finite", statistics.imu_not_finite},
+                   {"duplicate", statistics.imu_duplicate}, {"out_of_order", statistics.imu_out_of_order},
+                   {"stray", statistics.imu_stray},         {"without_gyroscope", statistics.imu_without_gyroscope}};
   report["time_jumps"] = statistics.time_jumps;
   const Eigen::Vector3d bias = processor.bias_rad_s();
   report["gyro_bias_rad_s"] = {bias.x(), bias.y(), bias.z()};
@@ -450,6 +482,10 @@ int main_of(int argc, char** argv) {
   app.add_flag("--keep-all-topics", arguments.keep_all_topics, "copy every message of the input as well");
   app.add_option("--estimate-bias-first", arguments.bias_seconds,
                  "the sensor is at rest in the first SECONDS: use its mean rate as bias")
+      ->check(CLI::PositiveNumber);
+  app.add_option("--start", arguments.start_s, "only images recorded from SECONDS after the bag's first message on [0]")
+      ->check(CLI::NonNegativeNumber);
+  app.add_option("--end", arguments.end_s, "only images recorded before SECONDS after the bag's first message")
       ->check(CLI::PositiveNumber);
   app.add_flag("--overlay", arguments.overlay, "also write blur_overlay");
   app.add_flag("--markers", arguments.markers, "also write blur_markers");

@@ -154,6 +154,36 @@ TEST_F(DeblurBagTest, PixelsAreThoseOfTheProcessor) {
   EXPECT_EQ(outputs, 1u);
 }
 
+TEST_F(DeblurBagTest, SlicesTogetherAreTheWholeBag) {
+  write_bag(kFastRadS);
+  ASSERT_EQ(run().exit_code, 0);
+  const auto whole_images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  const auto whole_fields = read<BlurFieldMessage>("out.bag", "/cam/blur_field");
+  const auto whole_keypoints = read<KeypointArray>("out.bag", "/cam/keypoints");
+  std::size_t done = 0;
+  // The images are at 2.0, 2.1, ... 2.4 s of the bag.
+  for (const std::vector<std::string>& limits :
+       {std::vector<std::string>{"--end", "2.1"}, {"--start", "2.1", "--end", "2.35"}, {"--start", "2.35"}}) {
+    const ProgramResult result = run(limits);
+    ASSERT_EQ(result.exit_code, 0) << result.output;
+    const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+    const auto fields = read<BlurFieldMessage>("out.bag", "/cam/blur_field");
+    const auto keypoints = read<KeypointArray>("out.bag", "/cam/keypoints");
+    ASSERT_FALSE(images.empty());
+    for (std::size_t i = 0; i < images.size(); ++i, ++done) {
+      ASSERT_LT(done, whole_images.size());
+      EXPECT_EQ(images[i]->header.stamp, whole_images[done]->header.stamp);
+      EXPECT_TRUE(images[i]->data == whole_images[done]->data);
+      EXPECT_EQ(fields[i]->reason, whole_fields[done]->reason);
+      EXPECT_EQ(fields[i]->extent, whole_fields[done]->extent);
+      EXPECT_TRUE(keypoints[i]->descriptors == whole_keypoints[done]->descriptors);
+    }
+  }
+  EXPECT_EQ(done, whole_images.size());
+  fs::remove(path("out.bag"));
+  expect_error(run({"--start", "2", "--end", "1"}), {"--start 2", "--end 1"});
+}
+
 TEST_F(DeblurBagTest, ExposureTopicIsFoundAndUsed) {
   write_bag(kFastRadS, true);
   ASSERT_EQ(run().exit_code, 0);
