@@ -228,6 +228,7 @@ Features extract_sift(const cv::Mat& image, int count) {
   const cv::Ptr<cv::Feature2D> sift = make_sift();
   sift->detect(image, features.keypoints);
   std::sort(features.keypoints.begin(), features.keypoints.end(), stronger);
+  features.keypoints = without_duplicates(features.keypoints);
   features.keypoints.resize(std::min(features.keypoints.size(), static_cast<std::size_t>(count)));
   sift->compute(image, features.keypoints, features.descriptors);
   return features;

@@ -106,7 +106,7 @@ Matching evaluate_matching(const Features& features1, const cv::Size& size1, con
 /// is older than 4.4.
 std::vector<cv::KeyPoint> detect_dog(const cv::Mat& image);
 
-/// The `count` strongest SIFT features, contrast threshold 0, with their descriptors.
+/// The `count` strongest of detect_dog() with their SIFT descriptors.
 Features extract_sift(const cv::Mat& image, int count);
 
 /// The `count` strongest ORB features, FAST threshold 5, with their descriptors.

@@ -1,0 +1,177 @@
+// The paper's figure on deconvolution (section IV-A): the Wiener filter in space against the frequency domain, with the
+// ringing at the image's borders measured, and the kernels.
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <iostream>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+#include <opencv2/imgcodecs.hpp>
+
+#include "baselines.hpp"
+#include "gyro_deblur/deconvolution.hpp"
+#include "image_pairs.hpp"
+#include "synthetic_blur.hpp"
+#include "tools/progress.hpp"
+
+namespace gyro_deblur::experiments {
+namespace {
+
+constexpr LineBlur kBlur = {20 * CV_PI / 180, 31};  // the paper's
+constexpr double kBandExtents = 1.5;                // width of the border in extents
+// The blurred image is cut out of a larger one, so that its border holds real light from outside.
+constexpr int kMarginPx = 32;
+
+struct Arguments {
+  std::string out = "results";
+  std::string data = GYRO_DEBLUR_DATA_DIR;
+  std::string picture;
+  double noise_grey_levels = 1;
+  std::uint64_t seed = 1;
+  bool quick = false, quiet = false;
+};
+
+struct Method {
+  const char* name;
+  cv::Mat (*restore)(const cv::Mat& blurred);
+};
+
+cv::Mat frequency(const cv::Mat& blurred, bool taper) {
+  cv::Mat out;
+  deblur_in_frequency(blurred, kBlur, KernelOptions().gamma, taper).convertTo(out, CV_8U);
+  return out;
+}
+
+const Method kMethods[] = {
+    {"blurred", [](const cv::Mat& blurred) { return blurred; }},
+    {"frequency", [](const cv::Mat& blurred) { return frequency(blurred, false); }},
+    {"frequency_tapered", [](const cv::Mat& blurred) { return frequency(blurred, true); }},
+    {"spatial", [](const cv::Mat& blurred) { return deblur_in_space(blurred, kBlur); }},
+};
+
+/// Root mean square error [grey levels] nearer to the border than the band's width, and farther.
+struct Errors {
+  double border = 0, interior = 0;
+};
+
+Errors errors_of(const cv::Mat& image, const cv::Mat& truth) {
+  const int band = static_cast<int>(std::lround(kBandExtents * kBlur.extent_px));
+  const cv::Rect inside(band, band, image.cols - 2 * band, image.rows - 2 * band);
+  const double all = std::pow(cv::norm(image, truth, cv::NORM_L2), 2);
+  const double within = std::pow(cv::norm(image(inside), truth(inside), cv::NORM_L2), 2);
+  return {std::sqrt((all - within) / (image.total() - inside.area())), std::sqrt(within / inside.area())};
+}
+
+void write_image(const std::string& path, const cv::Mat& image) {
+  if (!cv::imwrite(path, image)) throw std::runtime_error(path + ": cannot be written");
+}
+
+/// The kernel as the paper draws it, along the line and in the plane. Returns how much of the plane is not zero.
+nlohmann::json write_kernels(const std::string& folder) {
+  const LineKernel kernel = wiener_kernel(kBlur.extent_px, KernelOptions());
+  std::ofstream line(folder + "/deconvolution_kernel_1d.csv");
+  line << "position_px,weight\n";
+  for (std::size_t i = 0; i < kernel.taps.size(); ++i) {
+    line << static_cast<int>(i) - kernel.radius() << ',' << kernel.taps[i] << '\n';
+  }
+  const std::vector<KernelTap> taps = rotate_kernel(kernel, kBlur.angle_rad);
+  int rx = 0, ry = 0;
+  for (const KernelTap& tap : taps) {
+    rx = std::max(rx, std::abs(tap.dx));
+    ry = std::max(ry, std::abs(tap.dy));
+  }
+  std::ofstream plane(folder + "/deconvolution_kernel_2d.csv");
+  plane << "dx_px,dy_px,weight\n";
+  for (const KernelTap& tap : taps) plane << tap.dx << ',' << tap.dy << ',' << tap.weight << '\n';
+  if (!line.flush() || !plane.flush()) throw std::runtime_error(folder + ": the kernels cannot be written");
+  return {{"taps", taps.size()}, {"width_px", 2 * rx + 1}, {"height_px", 2 * ry + 1}};
+}
+
+void run(const Arguments& arguments) {
+  std::string source;
+  std::vector<ImagePair> pairs = load_pairs(arguments.data, source);
+  if (arguments.quick) pairs.resize(3);
+  const std::string picture = arguments.picture.empty() ? pairs[1].name : arguments.picture;
+  const auto is_picture = [&](const ImagePair& pair) { return pair.name == picture; };
+  std::filesystem::create_directories(arguments.out);
+  if (std::none_of(pairs.begin(), pairs.end(), is_picture)) {
+    throw std::runtime_error("picture \"" + picture + "\" is none of the " + source);
+  }
+
+  std::ofstream csv(arguments.out + "/deconvolution.csv");
+  csv << "image,method,rmse_border,rmse_interior\n";
+  std::vector<Errors> squares(std::size(kMethods));
+  Progress progress(pairs.size(), "images", arguments.quiet);
+  for (std::size_t p = 0; p < pairs.size(); ++p) {
+    const cv::Mat& photograph = pairs[p].image1;
+    const cv::Rect inner(kMarginPx, kMarginPx, photograph.cols - 2 * kMarginPx, photograph.rows - 2 * kMarginPx);
+    const cv::Mat sharp = photograph(inner).clone();
+    const cv::Mat blurred = test::expose(test::blur_along_line(photograph, kBlur.angle_rad, kBlur.extent_px)(inner),
+                                         arguments.noise_grey_levels, arguments.seed * 1000 + p);
+    for (std::size_t m = 0; m < std::size(kMethods); ++m) {
+      const cv::Mat restored = kMethods[m].restore(blurred);
+      const Errors errors = errors_of(restored, sharp);
+      squares[m].border += errors.border * errors.border / pairs.size();
+      squares[m].interior += errors.interior * errors.interior / pairs.size();
+      csv << pairs[p].name << ',' << kMethods[m].name << ',' << errors.border << ',' << errors.interior << '\n';
+      if (is_picture(pairs[p])) {
+        write_image(arguments.out + "/deconvolution_" + kMethods[m].name + ".png", restored);
+      }
+    }
+    progress.done(p + 1);
+  }
+  nlohmann::json methods = nlohmann::json::array();
+  for (std::size_t m = 0; m < std::size(kMethods); ++m) {
+    methods.push_back({{"method", kMethods[m].name},
+                       {"rmse_border", std::sqrt(squares[m].border)},
+                       {"rmse_interior", std::sqrt(squares[m].interior)}});
+  }
+  std::ofstream json(arguments.out + "/deconvolution.json");
+  json << nlohmann::json({{"images", source},
+                          {"count", pairs.size()},
+                          {"picture", picture},
+                          {"angle_deg", kBlur.angle_rad * 180 / CV_PI},
+                          {"extent_px", kBlur.extent_px},
+                          {"band_px", std::lround(kBandExtents * kBlur.extent_px)},
+                          {"gamma", KernelOptions().gamma},
+                          {"noise_grey_levels", arguments.noise_grey_levels},
+                          {"kernel", write_kernels(arguments.out)},
+                          {"methods", methods}})
+              .dump(2)
+       << '\n';
+  if (!csv.flush() || !json.flush()) throw std::runtime_error(arguments.out + ": the results cannot be written");
+}
+
+int main_of(int argc, char** argv) {
+  Arguments arguments;
+  CLI::App app("Wiener deconvolution in space against the frequency domain: writes deconvolution*.csv, .json, .png");
+  app.add_option("--out", arguments.out, "folder for the results")->capture_default_str();
+  app.add_option("--data", arguments.data, "folder with oxford_affine; without it, photographs of opencv-doc")
+      ->capture_default_str();
+  app.add_option("--picture", arguments.picture, "name of the image that is written; default: the second");
+  app.add_option("--noise", arguments.noise_grey_levels, "standard deviation [grey levels]")
+      ->check(CLI::Range(0, 100))
+      ->capture_default_str();
+  app.add_option("--seed", arguments.seed, "of the noise")->capture_default_str();
+  app.add_flag("--quick", arguments.quick, "three images");
+  app.add_flag("--quiet", arguments.quiet, "no progress");
+  CLI11_PARSE(app, argc, argv);
+  try {
+    run(arguments);
+  } catch (const std::exception& error) {
+    std::cerr << "deconvolution_figure: " << error.what() << "\n";
+    return 1;
+  }
+  return 0;
+}
+
+}  // namespace
+}  // namespace gyro_deblur::experiments
+
+int main(int argc, char** argv) { return gyro_deblur::experiments::main_of(argc, argv); }
