@@ -13,8 +13,8 @@ build_packages=(
 ros_packages=(
   catkin rosbash ros-core-dev ros-core-python-dev
   libcv-bridge-dev libdiagnostic-updater-dev libdynamic-reconfigure-config-init-mutex-dev libimage-transport-dev
-  libmessage-filters-dev libnodelet-dev libnodeletlib-dev libnodeletlib-tools librosbag-dev libtf2-msgs-dev
-  libtf2-ros-dev pluginlib-dev python3-dynamic-reconfigure
+  libmessage-filters-dev libnav-msgs-dev libnodelet-dev libnodeletlib-dev libnodeletlib-tools librosbag-dev
+  libtf2-msgs-dev libtf2-ros-dev pluginlib-dev python3-dynamic-reconfigure
 )
 test_packages=(catkin-lint clang-format libbenchmark-dev librostest-dev pocl-opencl-icd python3-rostest)
 # The simulator's textures come from opencv-doc; rviz is drawn by Mesa in software on a virtual display.

@@ -14,7 +14,8 @@ namespace gyro_deblur {
 float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double angle_rad);
 
 /// Returns `field` with those DEBLURRED blocks turned REJECTED whose gradient along the predicted motion exceeds
-/// options.threshold(extent). Throws std::invalid_argument when luminance is not CV_8UC1 of the field's size.
+/// options.threshold(extent), and those more than half of whose judged neighbours were rejected so; all of them when
+/// more than four in five were. Throws std::invalid_argument when luminance is not CV_8UC1 of the field's size.
 BlurField validate_blur_field(const BlurField& field, const cv::Mat& luminance, const ValidationOptions& options);
 
 }  // namespace gyro_deblur

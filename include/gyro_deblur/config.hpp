@@ -17,18 +17,28 @@ class Node;
 
 namespace gyro_deblur {
 
+/// The clock that the stamps of an odometry are in.
+enum class OdometryClock { CAMERA, IMU };
+/// The axes of an odometry's twist: those of its child frame (nav_msgs/Odometry's definition), or of its parent frame,
+/// as some stacks publish it.
+enum class TwistFrame { CHILD, PARENT };
+
 /// Every parameter; config/default.yaml documents the keys.
 struct Config {
   PipelineOptions pipeline;
   GyroOptions gyro;
   ShutterTiming shutter;         ///< exposure_ns 0: per-frame message only; readout_ns is the default readout
   bool rectified_input = false;  ///< the image is undistorted: use camera_info's P and R
-  std::optional<Eigen::Matrix3d> R_cam_imu;  ///< absent: from tf
-  TimeNs gyro_timeout_ns = 500'000'000;      ///< how long a frame waits for gyroscope, exposure and tf; [0, 10 s]
-  int frame_queue_size = 30;                 ///< frames that may wait; [1, 1000]
-  TimeNs bias_window_ns = 1'000'000'000;     ///< of ~estimate_gyro_bias; [0.1 s, 10 s]
-  double bias_max_stddev_rad_s = 0.05;       ///< of single samples at rest; (0, 1]
-  TimeNs time_jump_ns = 500'000'000;         ///< a stamp that goes back by more is a clock reset; [10 ms, 10 s]
+  std::optional<Eigen::Matrix3d> R_cam_imu;               ///< absent: from tf
+  Eigen::Vector3d p_cam_imu_m = Eigen::Vector3d::Zero();  ///< origin of the IMU in camera coordinates; each |.| <= 100
+  TranslationOptions translation;
+  OdometryClock odometry_clock = OdometryClock::CAMERA;
+  TwistFrame odometry_twist_frame = TwistFrame::CHILD;
+  TimeNs gyro_timeout_ns = 500'000'000;   ///< how long a frame waits for gyroscope, exposure and tf; [0, 10 s]
+  int frame_queue_size = 30;              ///< frames that may wait; [1, 1000]
+  TimeNs bias_window_ns = 1'000'000'000;  ///< of ~estimate_gyro_bias; [0.1 s, 10 s]
+  double bias_max_stddev_rad_s = 0.05;    ///< of single samples at rest; (0, 1]
+  TimeNs time_jump_ns = 500'000'000;      ///< a stamp that goes back by more is a clock reset; [10 ms, 10 s]
 
   void validate() const;  ///< throws OptionError
 };

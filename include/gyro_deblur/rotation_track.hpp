@@ -23,6 +23,9 @@ class CameraMotion {
   /// its direction (up to scale) in the camera frame at `to_ns`. Camera clock; from may be later than to.
   /// Throws std::out_of_range with the range asked for and the range available.
   virtual Eigen::Matrix3d direction_map(TimeNs from_ns, TimeNs to_ns) const = 0;
+
+  /// The part of direction_map that holds at every depth: its rotation. The same where there is no translation.
+  virtual Eigen::Matrix3d rotation_map(TimeNs from_ns, TimeNs to_ns) const { return direction_map(from_ns, to_ns); }
 };
 
 /// Orientation of the camera by integration of the gyroscope (paper section III-A): rates linear between samples,

@@ -10,6 +10,9 @@ namespace {
 
 constexpr double kPi = 3.14159265358979323846;
 
+/// Relative error of the displacement by translation: one depth stands for the whole scene, and a velocity is late.
+constexpr double kTranslationUncertainty = 0.25;
+
 }  // namespace
 
 BlockGrid::BlockGrid(int width_px, int height_px, int block_size_px)
@@ -96,9 +99,18 @@ BlurField BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
     if (!motion.covers({start_ns, end_ns})) continue;
     const Eigen::Matrix3d to_start = motion.direction_map(middle_ns, start_ns);
     const Eigen::Matrix3d to_end = motion.direction_map(middle_ns, end_ns);
+    const Eigen::Matrix3d rotation_to_start = motion.rotation_map(middle_ns, start_ns);
+    const Eigen::Matrix3d rotation_to_end = motion.rotation_map(middle_ns, end_ns);
     for (int i = first; i < first + grid_.cols(); ++i) {
       const Eigen::Vector2d path_px = camera_.project(to_end * rays_[i]) - camera_.project(to_start * rays_[i]);
-      if (path_px.allFinite()) field.blocks[i] = classify_blur(path_px.x(), path_px.y(), options_);
+      if (!path_px.allFinite()) continue;
+      BlockBlur& block = field.blocks[i];
+      block = classify_blur(path_px.x(), path_px.y(), options_);
+      if (rotation_to_start == to_start && rotation_to_end == to_end) continue;
+      const Eigen::Vector2d rotation_px =
+          camera_.project(rotation_to_end * rays_[i]) - camera_.project(rotation_to_start * rays_[i]);
+      const double uncertainty_px = kTranslationUncertainty * (path_px - rotation_px).norm();
+      if (path_px.norm() - uncertainty_px < options_.min_extent_px) block.status = BlockStatus::SHARP;
     }
   }
   return field;

@@ -129,6 +129,14 @@ void read(const std::string& key, const YAML::Node& node, RectifyTo& value) {
             value);
 }
 
+void read(const std::string& key, const YAML::Node& node, OdometryClock& value) {
+  read_enum(key, node, {{"camera", OdometryClock::CAMERA}, {"imu", OdometryClock::IMU}}, value);
+}
+
+void read(const std::string& key, const YAML::Node& node, TwistFrame& value) {
+  read_enum(key, node, {{"child", TwistFrame::CHILD}, {"parent", TwistFrame::PARENT}}, value);
+}
+
 using Reader = std::function<void(const std::string& key, const YAML::Node& node, Config& config)>;
 
 /// Reads a value into the member that `member` picks out of a Config.
@@ -159,6 +167,15 @@ const std::map<std::string, Reader>& readers() {
       {"bias_window", seconds_into([](Config& c) -> TimeNs& { return c.bias_window_ns; })},
       {"bias_max_stddev", into([](Config & c) -> auto& { return c.bias_max_stddev_rad_s; })},
       {"time_jump_threshold", seconds_into([](Config& c) -> TimeNs& { return c.time_jump_ns; })},
+      {"p_cam_imu", into([](Config & c) -> auto& { return c.p_cam_imu_m; })},
+      {"scene_depth", into([](Config & c) -> auto& { return c.translation.scene_depth_m; })},
+      {"scene_depth_max_age", seconds_into([](Config& c) -> TimeNs& { return c.translation.depth_max_age_ns; })},
+      {"odometry_max_age", seconds_into([](Config& c) -> TimeNs& { return c.translation.max_age_ns; })},
+      {"odometry_max_speed", into([](Config & c) -> auto& { return c.translation.max_speed_m_s; })},
+      {"odometry_max_acceleration", into([](Config & c) -> auto& { return c.translation.max_acceleration_m_s2; })},
+      {"odometry_max_stddev", into([](Config & c) -> auto& { return c.translation.max_stddev_m_s; })},
+      {"odometry_clock", into([](Config & c) -> auto& { return c.odometry_clock; })},
+      {"odometry_twist_frame", into([](Config & c) -> auto& { return c.odometry_twist_frame; })},
       {"rectify_to", into([](Config & c) -> auto& { return c.pipeline.rectify_to; })},
       {"backend", into([](Config & c) -> auto& { return c.pipeline.backend; })},
       {"threads", into([](Config & c) -> auto& { return c.pipeline.threads; })},
@@ -188,6 +205,8 @@ void Config::validate() const {
   if (timing.exposure_ns == 0) timing.exposure_ns = 1;  // each frame brings its own; check the rest
   timing.validate();
   if (R_cam_imu) require_rotation("R_cam_imu", *R_cam_imu);
+  for (int axis = 0; axis < 3; ++axis) require_range("p_cam_imu", p_cam_imu_m[axis], -100, 100, "m");
+  translation.validate();
   require_range("gyro_timeout", to_seconds(gyro_timeout_ns), 0, 10, "s");
   require_range("frame_queue_size", frame_queue_size, 1, 1000);
   require_range("bias_window", to_seconds(bias_window_ns), 0.1, 10, "s");

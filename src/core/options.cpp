@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <limits>
 #include <sstream>
 
 namespace gyro_deblur {
@@ -64,6 +65,16 @@ void GyroOptions::validate() const {
   require_range("time_offset", to_seconds(time_offset_ns), -10, 10, "s");
   require_range("gyro_buffer_duration", to_seconds(buffer_ns), to_seconds(100'000'001), 60, "s");
   require_range("max_gyro_gap", to_seconds(max_gap_ns), 1e-3, 1, "s");
+}
+
+void TranslationOptions::validate() const {
+  constexpr double kAboveZero = std::numeric_limits<double>::min();
+  require_range("scene_depth", scene_depth_m, 0, 1000, "m");
+  require_range("scene_depth_max_age", to_seconds(depth_max_age_ns), 0, 60, "s");
+  require_range("odometry_max_age", to_seconds(max_age_ns), 1e-3, 2, "s");
+  require_range("odometry_max_speed", max_speed_m_s, kAboveZero, 1000, "m/s");
+  require_range("odometry_max_acceleration", max_acceleration_m_s2, kAboveZero, 10000, "m/s^2");
+  require_range("odometry_max_stddev", max_stddev_m_s, kAboveZero, 100, "m/s");
 }
 
 }  // namespace gyro_deblur

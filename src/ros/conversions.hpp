@@ -11,7 +11,7 @@
 #include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
 #include <visualization_msgs/MarkerArray.h>
-#include <Eigen/Core>
+#include <Eigen/Geometry>
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/camera.hpp"
@@ -98,5 +98,9 @@ void add_transforms(const tf2_msgs::TFMessage& message, tf2::BufferCore* buffer)
 /// Rotation that takes IMU coordinates to camera coordinates, the newest that tf has; nothing when it has none.
 std::optional<Eigen::Matrix3d> lookup_R_cam_imu(const tf2::BufferCore& buffer, const std::string& camera_frame,
                                                 const std::string& imu_frame);
+
+/// The same with the body's place: takes coordinates of `body_frame` to those of `camera_frame`.
+std::optional<Eigen::Isometry3d> lookup_T_cam_body(const tf2::BufferCore& buffer, const std::string& camera_frame,
+                                                   const std::string& body_frame);
 
 }  // namespace gyro_deblur

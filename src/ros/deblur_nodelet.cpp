@@ -69,6 +69,8 @@ DeblurNodelet::~DeblurNodelet() {
   // Shutting a subscription down waits for its callback in progress; after this no callback runs any more.
   imu_subscriber_.shutdown();
   exposure_subscriber_.shutdown();
+  odometry_subscriber_.shutdown();
+  scene_depth_subscriber_.shutdown();
   diagnostics_timer_.stop();
   reset_service_.shutdown();
   bias_service_.shutdown();
@@ -129,6 +131,9 @@ void DeblurNodelet::onInit() {
   environment.extrinsic = [this](const std::string& camera_frame, const std::string& imu_frame) {
     return lookup_R_cam_imu(tf_buffer_, camera_frame, imu_frame);
   };
+  environment.transform = [this](const std::string& camera_frame, const std::string& body_frame) {
+    return lookup_T_cam_body(tf_buffer_, camera_frame, body_frame);
+  };
   environment.exposure_expected = [this] { return exposure_expected_.load(); };
   environment.request = [this] { return request(); };
   processor_ = std::make_unique<Processor>(std::move(environment));
@@ -142,6 +147,9 @@ void DeblurNodelet::onInit() {
   tf_static_subscriber_ = nh.subscribe("/tf_static", kTfQueue, &DeblurNodelet::on_transforms, this);
   tf_subscriber_ = nh.subscribe("/tf", kTfQueue, &DeblurNodelet::on_transforms, this);
   exposure_subscriber_ = nh.subscribe("exposure", kImuQueue, &DeblurNodelet::on_exposure, this);
+  odometry_subscriber_ =
+      nh.subscribe("odometry", kImuQueue, &DeblurNodelet::on_odometry, this, ros::TransportHints().tcpNoDelay());
+  scene_depth_subscriber_ = nh.subscribe("scene_depth", kImuQueue, &DeblurNodelet::on_scene_depth, this);
   imu_subscriber_ = nh.subscribe("imu", kImuQueue, &DeblurNodelet::on_imu, this, ros::TransportHints().tcpNoDelay());
   advertise();
   worker_ = std::thread(&DeblurNodelet::work, this);
@@ -322,6 +330,14 @@ void DeblurNodelet::on_exposure(const ExposureConstPtr& exposure) {
   wake_worker();
 }
 
+void DeblurNodelet::on_odometry(const nav_msgs::OdometryConstPtr& odometry) {
+  guarded("taking an odometry in", [&] { processor_->add_odometry(*odometry); });
+}
+
+void DeblurNodelet::on_scene_depth(const sensor_msgs::RangeConstPtr& depth) {
+  guarded("taking a depth of the scene in", [&] { processor_->add_scene_depth(*depth); });
+}
+
 void DeblurNodelet::on_transforms(const tf2_msgs::TFMessageConstPtr& message) {
   guarded("taking transforms in", [&] { add_transforms(*message, &tf_buffer_); });
   wake_worker();
@@ -448,6 +464,12 @@ void DeblurNodelet::fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper
   status.add("imu dropped, stray stamp", now.imu_stray);
   status.add("imu dropped, without gyroscope", now.imu_without_gyroscope);
   status.add("time jumps", now.time_jumps);
+  if (now.frames_translated + now.frames_not_translated > 0) {
+    status.add("frames with translation", now.frames_translated);
+    status.add("frames without, though there is odometry", now.frames_not_translated);
+    if (!now.translation_text.empty()) status.add("why without translation", now.translation_text);
+    status.add("odometry refused", now.odometry_refused);
+  }
   if (now.newest_imu_ns) {
     status.addf("gyroscope buffer [s]", "%.3f", to_seconds(now.gyro_available.end_ns - now.gyro_available.begin_ns));
     status.addf("gyroscope age [s]", "%.3f", to_seconds(to_time_ns(ros::Time::now()) - *now.newest_imu_ns));

@@ -60,6 +60,8 @@ class DeblurNodelet : public nodelet::Nodelet {
   void on_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
   void on_imu(const sensor_msgs::ImuConstPtr& imu);
   void on_exposure(const ExposureConstPtr& exposure);
+  void on_odometry(const nav_msgs::OdometryConstPtr& odometry);
+  void on_scene_depth(const sensor_msgs::RangeConstPtr& depth);
   void on_transforms(const tf2_msgs::TFMessageConstPtr& message);
   bool on_reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   bool on_estimate_bias(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
@@ -90,6 +92,8 @@ class DeblurNodelet : public nodelet::Nodelet {
   std::unique_ptr<image_transport::ImageTransport> transport_;
   ros::Subscriber imu_subscriber_;
   ros::Subscriber exposure_subscriber_;
+  ros::Subscriber odometry_subscriber_;
+  ros::Subscriber scene_depth_subscriber_;
   std::atomic<bool> exposure_expected_{false};
   std::atomic<TimeNs> last_image_ns_{0};  // steady clock
 

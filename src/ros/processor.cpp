@@ -165,6 +165,7 @@ void Processor::handle(TimeJumpDetector::Verdict verdict, Stream stream, TimeNs 
       break;
   }
   ++statistics_.time_jumps;
+  translation_.clear();
   for (const Stream every : {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE}) {
     forget(every, every == stream ? ShownBy::ITSELF : ShownBy::OTHER);
   }
@@ -279,6 +280,7 @@ void Processor::add_imu(const sensor_msgs::Imu& imu) {
   imu_frame_ = imu.header.frame_id;
   if (sample->rate_rad_s.allFinite()) {
     take_gyro_sample(*sample);
+    translation_.add(imu);
   } else {
     add_gyro_sample(*sample);  // counts it; the stamp of such a message tells nothing
   }
@@ -299,6 +301,25 @@ void Processor::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   const TimeNs stamp_ns = to_time_ns(info->header.stamp);
   note_time(Stream::CAMERA_INFO, stamp_ns);
   infos_.add(stamp_ns, info, store_size());
+}
+
+void Processor::add_odometry(const nav_msgs::Odometry& odometry) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  now();
+  if (const auto refused = translation_.add(odometry, config_.value_or(Config()))) {
+    ++statistics_.odometry_refused;
+    log_throttled(LogLevel::WARNING, "odometry refused",
+                  "odometry at " + seconds_text(to_time_ns(odometry.header.stamp)) + " s ignored: " + *refused);
+  }
+}
+
+void Processor::add_scene_depth(const sensor_msgs::Range& depth) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  now();
+  if (const auto refused = translation_.add(depth, config_.value_or(Config()))) {
+    log_throttled(LogLevel::WARNING, "scene depth refused",
+                  "scene_depth at " + seconds_text(to_time_ns(depth.header.stamp)) + " s ignored: " + *refused);
+  }
 }
 
 void Processor::add_image(const sensor_msgs::ImageConstPtr& image) {
@@ -409,6 +430,16 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
   }
   job->R_cam_imu = *R_cam_imu;
   job->samples = gyro_.window(needed_imu);
+  if (translation_.expected()) {
+    job->translation = translation_.around(frame_cam, *config_, camera_frame, imu_frame_, *R_cam_imu,
+                                           environment_.transform, &job->translation_text);
+  }
+  if (job->translation && !job->translation->velocities.empty()) {
+    const std::vector<VelocitySample>& velocities = job->translation->velocities;
+    job->translation->samples =
+        gyro_.window({std::min(needed_imu.begin_ns, velocities.front().t_ns + job->gyro.time_offset_ns),
+                      std::max(needed_imu.end_ns, velocities.back().t_ns + job->gyro.time_offset_ns)});
+  }
   return true;
 }
 
@@ -452,7 +483,21 @@ void Processor::run_pipeline(const Job& job, FrameOutput* output) const {
   job.pipeline->set_options(job.options);
   job.pipeline->set_calibration(*job.frame.calibration);
   const RotationTrack motion(job.samples, job.gyro, job.R_cam_imu);
-  PipelineResult result = job.pipeline->process(view.image, view.layout, motion, *job.exposure,
+  std::optional<RotationTrack> longer;  // covers the odometry as well
+  std::optional<TranslatedMotion> translated;
+  output->translation_text = job.translation_text;
+  if (job.translation) {
+    longer.emplace(job.translation->samples, job.gyro, job.R_cam_imu);
+    const std::optional<BodyVelocity> velocity =
+        fit_velocity(job.translation->velocities, job.translation->forces, *longer, job.translation->R_cam_body,
+                     job.exposure->frame(), job.translation->options, &output->translation_text);
+    if (velocity) {
+      translated.emplace(*longer, *velocity, job.translation->p_cam_body_m, job.translation->depth_m);
+      output->translated = true;
+    }
+  }
+  const CameraMotion& camera_motion = translated ? static_cast<const CameraMotion&>(*translated) : motion;
+  PipelineResult result = job.pipeline->process(view.image, view.layout, camera_motion, *job.exposure,
                                                 PipelineRequest{job.request.image, job.request.keypoints});
   output->stages = result.times;
   if (const std::string warning = job.pipeline->take_warning(); !warning.empty()) {
@@ -478,6 +523,9 @@ void Processor::run_pipeline(const Job& job, FrameOutput* output) const {
   if (uncovered == result.field.blocks.size()) {
     output->reason = gyro_covers ? PassThroughReason::NO_CALIBRATION : PassThroughReason::NO_GYRO;
     output->blur_field = pass_through_message(output->reason, output->reason_text, *job.frame.image);
+  }
+  if (output->reason_text.empty() && !output->translation_text.empty()) {
+    output->reason_text = "rotation only: " + output->translation_text;
   }
   output->blur_field->reason_text = output->reason_text;
   output->field = std::move(result.field);
@@ -566,6 +614,14 @@ void Processor::advance(const Sink& sink, bool finishing) {
       --in_progress_;
       ++statistics_.frames_out;
       if (output.reason != PassThroughReason::NONE) ++statistics_.passed_through[output.reason];
+      if (output.translated) ++statistics_.frames_translated;
+      if (!output.translation_text.empty()) {
+        ++statistics_.frames_not_translated;
+        statistics_.translation_text = output.translation_text;
+        log_throttled(LogLevel::WARNING, "translation",
+                      "frame " + seconds_text(job->frame.stamp_ns) +
+                          " is deblurred with the rotation alone: " + output.translation_text);
+      }
       // A jump has told its one message already.
       if (output.reason != PassThroughReason::NONE && output.reason != PassThroughReason::TIME_JUMP) {
         log_throttled(level_of(output.reason), to_string(output.reason),
@@ -595,6 +651,7 @@ void Processor::reset() {
   infos_.clear();
   exposures_.clear();
   exposure_seen_ = false;
+  translation_.clear();
   estimated_bias_rad_s_.reset();
   jumps_.clear();
   throttles_.clear();

@@ -13,9 +13,11 @@
 #include <string>
 #include <vector>
 
+#include <nav_msgs/Odometry.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
+#include <sensor_msgs/Range.h>
 #include <visualization_msgs/MarkerArray.h>
 
 #include "gyro_deblur/config.hpp"
@@ -24,6 +26,7 @@
 #include "ros/frame_queue.hpp"
 #include "ros/messages.hpp"
 #include "ros/time_jump.hpp"
+#include "ros/translation_input.hpp"
 
 namespace gyro_deblur {
 
@@ -52,6 +55,8 @@ struct FrameOutput {
   PassThroughReason reason = PassThroughReason::NONE;
   std::string reason_text;
   std::optional<BlurField> field;  ///< of the core; absent when the pipeline did not run
+  bool translated = false;         ///< odometry and depth were used
+  std::string translation_text;    ///< why not, where an odometry is expected; else empty
   StageTimes stages;               ///< [ms]
   double waiting_ms = 0;           ///< steady time in the queue
   double messages_ms = 0;          ///< conversion from and to messages, overlay and markers
@@ -69,6 +74,10 @@ struct ProcessorStatistics {
   std::size_t imu_out_of_order = 0;
   std::size_t imu_stray = 0;  ///< stamp far from those around it
   std::size_t imu_without_gyroscope = 0;
+  std::size_t odometry_refused = 0;
+  std::size_t frames_translated = 0;      ///< whose blur field has the odometry's translation
+  std::size_t frames_not_translated = 0;  ///< without, though an odometry is there
+  std::string translation_text;           ///< why the newest of those is without
   std::size_t time_jumps = 0;
   std::size_t waiting = 0;              ///< frames in the queue now
   std::optional<TimeNs> newest_imu_ns;  ///< IMU clock
@@ -88,6 +97,8 @@ class Processor {
     std::function<TimeNs()> steady_clock;
     /// R_cam_imu for (camera frame, IMU frame); absent: from the configuration only.
     std::function<std::optional<Eigen::Matrix3d>(const std::string&, const std::string&)> extrinsic;
+    /// Pose of a body in the camera's frame, for (camera frame, body frame); absent: from the configuration only.
+    TranslationInput::Transform transform;
     /// True when somebody will send exposure messages. Once one has come they are expected anyway.
     std::function<bool()> exposure_expected;
     /// What is wanted of the frame that is about to be processed; absent: image and keypoints.
@@ -111,6 +122,9 @@ class Processor {
   void add_imu(const sensor_msgs::Imu& imu);
   void add_exposure(const Exposure& exposure);
   void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
+  /// Velocity and depth of the scene. Frames never wait for them: they may come from the frames themselves.
+  void add_odometry(const nav_msgs::Odometry& odometry);
+  void add_scene_depth(const sensor_msgs::Range& depth);
   void add_image(const sensor_msgs::ImageConstPtr& image);
 
   /// Hands every frame that can leave to `sink`. Exceptions of processing become INTERNAL_ERROR; those of `sink` pass.
@@ -177,6 +191,8 @@ class Processor {
     GyroOptions gyro;
     Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
     std::string coverage_text;
+    std::optional<TranslationJob> translation;
+    std::string translation_text;
   };
 
   void advance(const Sink& sink, bool finishing);
@@ -219,6 +235,7 @@ class Processor {
   StampedStore<Exposure> exposures_;
   StampedStore<sensor_msgs::CameraInfoConstPtr> infos_;
   bool exposure_seen_ = false;
+  TranslationInput translation_;
   FrameQueue queue_;
   std::size_t in_progress_ = 0;
   ProcessorStatistics statistics_;

@@ -19,6 +19,7 @@
 #include <utility>
 #include <vector>
 
+#include <nav_msgs/Odometry.h>
 #include <ros/message_traits.h>
 #include <ros/time.h>
 #include <rosbag/bag.h>
@@ -26,6 +27,7 @@
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
+#include <sensor_msgs/Range.h>
 #include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
 #include <CLI/CLI.hpp>
@@ -47,6 +49,7 @@ constexpr int kBadUsage = 2;
 struct Arguments {
   std::string input, output, config, json;
   std::string camera_namespace, image_topic, camera_info_topic, imu_topic, exposure_topic, output_namespace;
+  std::string odometry_topic, scene_depth_topic;
   bool keep_all_topics = false;
   bool overlay = false;
   bool markers = false;
@@ -57,7 +60,8 @@ struct Arguments {
 
 struct Topics {
   std::string image, camera_info, imu;
-  std::string exposure;  // empty: none
+  std::string exposure;               // empty: none
+  std::string odometry, scene_depth;  // empty: none
   std::string output_namespace;
 };
 
@@ -114,6 +118,12 @@ Topics choose_topics(const Arguments& arguments, const std::map<std::string, std
   chosen.imu = choose_topic(topics, "imu", "sensor_msgs/Imu", arguments.imu_topic, "", true);
   chosen.exposure = choose_topic(topics, "exposure", "gyro_deblur/Exposure", arguments.exposure_topic,
                                  parent_namespace(chosen.image) + "/exposure", false);
+  // Never by their type alone: a bag's odometry may be that of something else.
+  const auto choose_named = [&](const std::string& kind, const std::string& type, const std::string& named) {
+    return named.empty() ? named : choose_topic(topics, kind, type, named, "", false);
+  };
+  chosen.odometry = choose_named("odometry", "nav_msgs/Odometry", arguments.odometry_topic);
+  chosen.scene_depth = choose_named("scene depth", "sensor_msgs/Range", arguments.scene_depth_topic);
   chosen.output_namespace =
       arguments.output_namespace.empty() ? parent_namespace(chosen.image) : arguments.output_namespace;
   return chosen;
@@ -297,6 +307,8 @@ void run(const Arguments& arguments) {
     require_definition<sensor_msgs::CameraInfo>(input, topics.camera_info);
     require_definition<sensor_msgs::Imu>(input, topics.imu);
     if (!topics.exposure.empty()) require_definition<Exposure>(input, topics.exposure);
+    if (!topics.odometry.empty()) require_definition<nav_msgs::Odometry>(input, topics.odometry);
+    if (!topics.scene_depth.empty()) require_definition<sensor_msgs::Range>(input, topics.scene_depth);
   } catch (const std::runtime_error& error) {
     throw std::runtime_error(arguments.input + ": " + error.what());
   }
@@ -360,6 +372,9 @@ void run(const Arguments& arguments) {
   environment.extrinsic = [&tf_buffer](const std::string& camera_frame, const std::string& imu_frame) {
     return lookup_R_cam_imu(tf_buffer, camera_frame, imu_frame);
   };
+  environment.transform = [&tf_buffer](const std::string& camera_frame, const std::string& body_frame) {
+    return lookup_T_cam_body(tf_buffer, camera_frame, body_frame);
+  };
   environment.exposure_expected = [&topics] { return !topics.exposure.empty(); };
   environment.request = [&arguments] {
     FrameRequest request;
@@ -408,6 +423,10 @@ void run(const Arguments& arguments) {
         }
       } else if (topic == topics.exposure) {
         if (const auto message = instance.instantiate<Exposure>()) processor.add_exposure(*message);
+      } else if (topic == topics.odometry) {
+        if (const auto message = instance.instantiate<nav_msgs::Odometry>()) processor.add_odometry(*message);
+      } else if (topic == topics.scene_depth) {
+        if (const auto message = instance.instantiate<sensor_msgs::Range>()) processor.add_scene_depth(*message);
       } else if (topic == "/tf") {
         if (const auto message = instance.instantiate<tf2_msgs::TFMessage>()) add_transforms(*message, &tf_buffer);
       }
@@ -441,6 +460,11 @@ void run(const Arguments& arguments) {
   report["imu"] = {{"accepted", statistics.imu_accepted},   {"not_finite", statistics.imu_not_finite},
                    {"duplicate", statistics.imu_duplicate}, {"out_of_order", statistics.imu_out_of_order},
                    {"stray", statistics.imu_stray},         {"without_gyroscope", statistics.imu_without_gyroscope}};
+  if (!topics.odometry.empty()) {
+    report["translation"] = {{"frames_with", statistics.frames_translated},
+                             {"frames_without", statistics.frames_not_translated},
+                             {"odometry_refused", statistics.odometry_refused}};
+  }
   report["time_jumps"] = statistics.time_jumps;
   const Eigen::Vector3d bias = processor.bias_rad_s();
   report["gyro_bias_rad_s"] = {bias.x(), bias.y(), bias.z()};
@@ -478,6 +502,9 @@ int main_of(int argc, char** argv) {
                  "sensor_msgs/CameraInfo [camera_info beside the images]");
   app.add_option("--imu-topic", arguments.imu_topic, "sensor_msgs/Imu");
   app.add_option("--exposure-topic", arguments.exposure_topic, "gyro_deblur/Exposure [exposure beside the images]");
+  app.add_option("--odometry-topic", arguments.odometry_topic, "nav_msgs/Odometry, for the translation [none]");
+  app.add_option("--scene-depth-topic", arguments.scene_depth_topic,
+                 "sensor_msgs/Range, the scene's median depth [none: parameter scene_depth]");
   app.add_option("--output-namespace", arguments.output_namespace, "of the topics written [that of the images]");
   app.add_flag("--keep-all-topics", arguments.keep_all_topics, "copy every message of the input as well");
   app.add_option("--estimate-bias-first", arguments.bias_seconds,

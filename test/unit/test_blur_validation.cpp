@@ -115,6 +115,36 @@ TEST(ValidateBlurField, TouchesOnlyBlocksThatWouldBeDeblurred) {
   }
 }
 
+// Grey, but for noise in the columns from `first_col` on: those contradict any blur along x.
+cv::Mat grey_beside_noise(int first_col, int cols = 8, int rows = 8) {
+  cv::Mat image(rows * 64, cols * 64, CV_8UC1, cv::Scalar(128));
+  cv::RNG rng(1);
+  // Not at the border, where the gradient looks across.
+  if (first_col < cols) rng.fill(image.colRange(first_col * 64 + 2, cols * 64), cv::RNG::UNIFORM, 0, 256);
+  return image;
+}
+
+TEST(ValidateBlurField, ABlockWithoutTextureFollowsItsNeighbours) {
+  BlurField field = uniform_blur_field(512, 512, 0, 10, {});
+  cv::Mat image = grey_beside_noise(4);
+
+  image(cv::Rect(6 * 64 - 8, 5 * 64 - 8, 80, 80)) = 128;  // nothing in the block itself does
+  const BlurField validated = validate_blur_field(field, image, {});
+  for (int i = 0; i < field.grid.size(); ++i) {
+    // The border between the halves stays where it is, its corners included: no side outvotes the other.
+    const int col = i % 8;
+    EXPECT_EQ(validated.blocks[i].status, col < 4 ? BlockStatus::DEBLURRED : BlockStatus::REJECTED) << i;
+  }
+}
+
+TEST(ValidateBlurField, AFrameWhosePredictionsHardlyEverHoldIsLeftAlone) {
+  const BlurField field = uniform_blur_field(512, 512, 0, 10, {});
+  // One grey column of eight, and two.
+  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(1), {}).count(BlockStatus::DEBLURRED), 0u);
+  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(2), {}).count(BlockStatus::DEBLURRED), 16u);
+  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(8), {}).count(BlockStatus::DEBLURRED), 64u);
+}
+
 TEST(ValidateBlurField, RefusesImagesThatDoNotFit) {
   const BlurField field = uniform_blur_field(64, 64, 0, 10, {});
   EXPECT_THROW(validate_blur_field(field, cv::Mat(64, 63, CV_8UC1), {}), std::invalid_argument);

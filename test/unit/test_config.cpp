@@ -49,7 +49,11 @@ std::string dump(const Config& c) {
     << c.pipeline.validation.enabled << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
     << c.pipeline.validation.tau_contrast << "\ndetector " << c.pipeline.keypoints.detector << "\ndescriptor "
     << c.pipeline.keypoints.descriptor << "\nmax_features " << c.pipeline.keypoints.max_features << "\ngrid "
-    << c.pipeline.keypoints.grid_cols << ' ' << c.pipeline.keypoints.grid_rows;
+    << c.pipeline.keypoints.grid_cols << ' ' << c.pipeline.keypoints.grid_rows << "\np_cam_imu "
+    << c.p_cam_imu_m.transpose() << "\nscene_depth " << c.translation.scene_depth_m << ' '
+    << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns << ' ' << c.translation.max_speed_m_s
+    << ' ' << c.translation.max_acceleration_m_s2 << ' ' << c.translation.max_stddev_m_s << ' '
+    << static_cast<int>(c.odometry_clock) << ' ' << static_cast<int>(c.odometry_twist_frame);
   return s.str();
 }
 
@@ -71,6 +75,15 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"bias_window", "2"},
       {"bias_max_stddev", "0.1"},
       {"time_jump_threshold", "1"},
+      {"p_cam_imu", "[0.1, -0.2, 0.3]"},
+      {"scene_depth", "2.5"},
+      {"scene_depth_max_age", "0.5"},
+      {"odometry_max_age", "0.1"},
+      {"odometry_max_speed", "3"},
+      {"odometry_max_acceleration", "50"},
+      {"odometry_max_stddev", "0.1"},
+      {"odometry_clock", "imu"},
+      {"odometry_twist_frame", "parent"},
       {"rectify_to", "stamp"},
       {"backend", "reference"},
       {"threads", "2"},
