@@ -21,6 +21,9 @@ int straggler_limit(Stream stream) {
   return 30;
 }
 
+/// A camera_info or an exposure that is late says nothing about the clock; the image that it belongs to does.
+bool tells_of_resets(Stream stream) { return stream != Stream::CAMERA_INFO && stream != Stream::EXPOSURE; }
+
 }  // namespace
 
 const char* to_string(Stream stream) {
@@ -62,6 +65,7 @@ TimeJumpDetector::Verdict TimeJumpDetector::went_back(Stream stream, TimeNs stam
   own.ahead_ns.reset();
   own.stragglers_left = 0;
   if (known) return Verdict::FOLLOWS;
+  if (!tells_of_resets(stream)) return Verdict::FORWARD;
   for (std::size_t i = 0; i < kStreams; ++i) {
     const auto other = static_cast<Stream>(i);
     // A stream that has not started yet has nothing old to bring.

@@ -15,10 +15,10 @@ constexpr std::size_t kStreams = 5;
 
 const char* to_string(Stream stream);
 
-/// Watches the newest time of every stream. The first stream to go back tells of a jump; the others, whose last old
-/// messages may still be on their way, then follow it without telling again. A stream that goes on for long without
-/// going back has not been reset. A single stamp that is ahead by more than the threshold is not believed until the
-/// next message of its stream agrees.
+/// Watches the newest time of every stream. The first stream to go back tells of a jump (camera_info and exposures do
+/// not: late ones are no reset); the others, whose last old messages may still be on their way, then follow it without
+/// telling again. A stream that goes on for long without going back has not been reset. A single stamp that is ahead by
+/// more than the threshold is not believed until the next message of its stream agrees.
 class TimeJumpDetector {
  public:
   enum class Verdict {

@@ -31,6 +31,15 @@ TEST(TimeJumpDetector, OtherStreamsFollowWithoutTellingAgain) {
   EXPECT_EQ(detector.update(Stream::IMAGE, 0), Verdict::JUMP) << "the second reset is news again";
 }
 
+TEST(TimeJumpDetector, LateCameraInfoAndExposureAreNoReset) {
+  TimeJumpDetector detector(kThreshold);
+  for (const Stream stream : {Stream::CAMERA_INFO, Stream::EXPOSURE}) {
+    detector.update(stream, 10'000);
+    EXPECT_EQ(detector.update(stream, 0), Verdict::FORWARD);
+    EXPECT_EQ(detector.update(stream, 10'030), Verdict::FORWARD);
+  }
+}
+
 TEST(TimeJumpDetector, StreamThatStartsLaterIsNotExpectedToFollow) {
   TimeJumpDetector detector(kThreshold);
   detector.update(Stream::IMU, 10'000);
