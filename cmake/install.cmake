@@ -8,7 +8,10 @@ endforeach()
 install(DIRECTORY include/${PROJECT_NAME}/
   DESTINATION ${CATKIN_PACKAGE_INCLUDE_DESTINATION}
   FILES_MATCHING PATTERN "*.hpp")
-install(DIRECTORY config launch rviz DESTINATION ${CATKIN_PACKAGE_SHARE_DESTINATION})
+install(DIRECTORY config launch rviz workflow
+  DESTINATION ${CATKIN_PACKAGE_SHARE_DESTINATION}
+  USE_SOURCE_PERMISSIONS
+  PATTERN __pycache__ EXCLUDE)
 catkin_install_python(PROGRAMS scripts/play_through.py scripts/report.py
   DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
 

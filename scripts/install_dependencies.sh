@@ -16,7 +16,9 @@ ros_packages=(
   libmessage-filters-dev libnav-msgs-dev libnodelet-dev libnodeletlib-dev libnodeletlib-tools librosbag-dev
   libtf2-msgs-dev libtf2-ros-dev pluginlib-dev python3-dynamic-reconfigure
 )
-test_packages=(catkin-lint clang-format libbenchmark-dev librostest-dev pocl-opencl-icd python3-rostest)
+test_packages=(
+  catkin-lint clang clang-format libbenchmark-dev libclang-rt-14-dev librostest-dev pocl-opencl-icd python3-rostest snakemake
+)
 # The simulator's textures come from opencv-doc; rviz is drawn by Mesa in software on a virtual display.
 demo_packages=(
   imagemagick libgl1-mesa-dri opencv-doc procps python3-matplotlib python3-numpy python3-opencv python3-rosbag

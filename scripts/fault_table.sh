@@ -1,0 +1,28 @@
+#!/usr/bin/env bash
+# Plays a simulated recording through every fault and prints what became of the frames; fails when one is lost. Builds
+# first. --update-doc puts the table into doc/faults.md; other arguments go to fault_table (see --help).
+#
+#   scripts/fault_table.sh [--update-doc] [--seconds S] [--reloads N]
+set -euo pipefail
+# shellcheck source=scripts/common.sh
+source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
+cd "${GYRO_DEBLUR_ROOT}"
+
+update_doc=false
+arguments=()
+for argument in "$@"; do
+  case "${argument}" in
+    --update-doc) update_doc=true ;;
+    *) arguments+=("${argument}") ;;
+  esac
+done
+
+scripts/install_dependencies.sh
+scripts/build.sh
+table="${GYRO_DEBLUR_BUILD}/fault_table.md"
+"${GYRO_DEBLUR_BUILD}/devel/lib/gyro_deblur/fault_table" --markdown "${table}" "${arguments[@]}"
+if "${update_doc}"; then
+  sed -i -e '/^<!-- fault table: begin -->$/,/^<!-- fault table: end -->$/{//!d}' \
+    -e "/^<!-- fault table: begin -->\$/r ${table}" doc/faults.md
+  say "doc/faults.md has the new table"
+fi

@@ -1,0 +1,289 @@
+// Plays a simulated recording through every fault and prints what became of the frames. Fails when a frame is lost,
+// repeated, out of order or altered.
+#include <cstddef>
+#include <cstdio>
+#include <fstream>
+#include <iostream>
+#include <map>
+#include <new>
+#include <random>
+#include <sstream>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "core/fallback_convolver.hpp"
+#include "faults.hpp"
+#include "gyro_deblur/config.hpp"
+#include "process_memory.hpp"
+#include "replay.hpp"
+#include "tools/progress.hpp"
+
+namespace gyro_deblur::test {
+namespace {
+
+constexpr TimeNs kSecond = 1'000'000'000;
+constexpr double kRates[] = {0.01, 0.1, 0.5};
+
+/// Calls of the engine before it fails.
+constexpr int kGoodCalls = 20, kGoodCallsInARow = 9;
+
+/// A device that works for some calls and then fails: for good, or every so often.
+template <typename Error>
+class FailingConvolver : public LineConvolver {
+ public:
+  FailingConvolver(std::unique_ptr<LineConvolver> engine, int good_calls, bool for_good)
+      : engine_(std::move(engine)), good_calls_(good_calls), for_good_(for_good) {}
+
+  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override {
+    ++calls_;
+    const bool fails = for_good_ ? calls_ > good_calls_ : calls_ % (good_calls_ + 1) == 0;
+    engine_->convolve(src, blocks, dst);
+    if (!fails) return;
+    dst.setTo(cv::Scalar::all(7));  // the result is spoilt
+    throw Error();
+  }
+  std::string name() const override { return "failing"; }
+
+ private:
+  std::unique_ptr<LineConvolver> engine_;
+  int good_calls_, calls_ = 0;
+  bool for_good_;
+};
+
+struct DeviceLost : DeviceError {
+  DeviceLost() : DeviceError("the device was lost") {}
+};
+
+struct Row {
+  std::string fault, stream, rate;
+  ReplayResult result;
+  std::size_t allowed_waiting = 0;  ///< 0: not looked at
+  bool good() const {
+    return result.balance.good() && (allowed_waiting == 0 || result.peak_waiting <= allowed_waiting);
+  }
+};
+
+std::string percent(double part) {
+  char text[20];
+  std::snprintf(text, sizeof(text), "%g %%", 100 * part);
+  return text;
+}
+
+std::string describe(const std::map<PassThroughReason, std::size_t>& passed_through) {
+  std::string text;
+  for (const auto& [reason, count] : passed_through) {
+    text += (text.empty() ? "" : ", ") + std::string(gyro_deblur::to_string(reason)) + " " + std::to_string(count);
+  }
+  return text.empty() ? "-" : text;
+}
+
+class Table {
+ public:
+  Table(const Recording& recording, const Config& config, std::size_t reloads)
+      : recording_(recording), config_(config), reloads_(reloads) {
+    options_.config = config;
+  }
+
+  void make(bool quiet) {
+    const Stream streams[] = {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE};
+    constexpr std::size_t kOthers = 22;
+    Progress progress(std::size(kFaults) * std::size(streams) * std::size(kRates) + kOthers, "faults", quiet);
+    std::size_t done = 0;
+    const auto add = [&](Row row) {
+      rows_.push_back(std::move(row));
+      progress.done(++done);
+    };
+    const auto one = [&](const std::string& fault, const std::string& stream, const std::vector<Delivery>& deliveries,
+                         const ReplayOptions& options) {
+      // What may wait unsettled, and what came while one frame was processed.
+      const std::size_t allowed = static_cast<std::size_t>(config_.frame_queue_size) + 1 +
+                                  static_cast<std::size_t>(options.processing_ns / recording_.frame_period_ns());
+      add({fault, stream, "", replay(recording_, deliveries, options), allowed});
+    };
+    const std::vector<Delivery>& all = recording_.deliveries();
+    one("none", "", all, options_);
+    std::uint64_t seed = 1;
+    for (const Fault fault : kFaults) {
+      for (const Stream stream : streams) {
+        for (const double rate : kRates) {
+          one(to_string(fault), gyro_deblur::to_string(stream), inject(all, stream, fault, rate, seed++), options_);
+          rows_.back().rate = percent(rate);
+        }
+      }
+    }
+    for (const double rate : kRates) {
+      std::vector<Delivery> deliveries = all;
+      for (const Fault fault : kFaults) {
+        for (const Stream stream : streams) deliveries = inject(deliveries, stream, fault, rate / 4, seed++);
+      }
+      one("all of these at once", "all", deliveries, options_);
+      rows_.back().rate = percent(rate / 4) + " each";
+    }
+
+    const TimeNs begin_ns = recording_.begin_ns(), length_ns = recording_.end_ns() - begin_ns;
+    const TimeNs third_ns = begin_ns + length_ns / 3, two_thirds_ns = begin_ns + 2 * length_ns / 3;
+    one("stops and comes back", "imu", silence(all, Stream::IMU, third_ns, two_thirds_ns), options_);
+    one("stops for good", "imu", silence(all, Stream::IMU, third_ns, begin_ns + 2 * length_ns), options_);
+    std::vector<Delivery> unplugged = all;
+    for (const Stream stream : {Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE}) {
+      unplugged = silence(unplugged, stream, third_ns, two_thirds_ns);
+    }
+    one("unplugged and plugged in", "camera", unplugged, options_);
+    one("image without camera_info", "camera_info", silence(all, Stream::CAMERA_INFO, 0, begin_ns + 2 * length_ns),
+        options_);
+    for (const TimeNs step_s : {10, -10, 1, -1}) {
+      one("clock steps by " + std::to_string(step_s) + " s", "all", step_clock(all, third_ns, step_s * kSecond),
+          options_);
+    }
+    one("clock steps by -10 s and back", "all",
+        step_clock(step_clock(all, third_ns, -10 * kSecond), two_thirds_ns, 10 * kSecond), options_);
+    std::vector<Delivery> node_clock = all;
+    for (Delivery& delivery : node_clock) {
+      if (delivery.at_ns >= third_ns) delivery.clock_ns -= 10 * kSecond;
+    }
+    one("only the node's clock steps by -10 s", "clock", node_clock, options_);
+    constexpr std::size_t kFramesOfAKind = 7;
+    one("size changes", "image", change_sizes(all, kFramesOfAKind), options_);
+    one("encoding changes", "image", change_encodings(all, kFramesOfAKind), options_);
+
+    std::uint64_t changes = 0;
+    const Action reconfigure = [this, &changes](Processor& processor) {
+      try {
+        processor.set_config(random_change(config_, changes++));
+      } catch (const OptionError&) {
+        // Some are meant to be refused.
+      }
+    };
+    one("parameters change at 50 Hz", "", with_action(all, kSecond / 50, reconfigure), options_);
+    one("reset is called at 2 Hz", "", with_action(all, kSecond / 2, [](Processor& processor) { processor.reset(); }),
+        options_);
+
+    ReplayOptions failing = options_;
+    failing.make_engine = [](const std::string&, int threads) {
+      return std::make_unique<FallbackConvolver>(
+          std::make_unique<FailingConvolver<DeviceLost>>(make_line_convolver("cpu", threads), kGoodCalls, true),
+          make_line_convolver("cpu", threads));
+    };
+    one("device fails in mid-run", "engine", all, failing);
+    failing.make_engine = [](const std::string&, int threads) {
+      return std::make_unique<FailingConvolver<std::bad_alloc>>(make_line_convolver("cpu", threads), kGoodCallsInARow,
+                                                                false);
+    };
+    one("memory runs out", "engine", all, failing);
+    rows_.back().rate = "10 %";
+    ReplayOptions slow = options_;
+    slow.processing_ns = kSecond / 10;
+    one("processing takes 100 ms a frame", "engine", all, slow);
+
+    Balance reloaded;
+    ReplayResult last;
+    for (std::size_t i = 0; i < reloads_; ++i) {
+      // A short piece each, begun and ended anywhere.
+      const std::size_t begin = i * all.size() / (2 * reloads_), end = begin + all.size() / 20;
+      last = replay(recording_,
+                    {all.begin() + static_cast<std::ptrdiff_t>(begin), all.begin() + static_cast<std::ptrdiff_t>(end)},
+                    options_);
+      reloaded += last.balance;
+    }
+    last.balance = reloaded;
+    add({"unloaded and loaded " + std::to_string(reloads_) + " times", "", "", last, 0});
+
+    constexpr int kThreadedRuns = 8;
+    Balance threaded;
+    for (int i = 0; i < kThreadedRuns; ++i) {
+      std::mt19937_64 random(seed++);
+      const double part = std::uniform_real_distribution<double>(0.05, 1)(random);
+      last = replay_on_threads(recording_, all, options_, part, seed++);
+      threaded += last.balance;
+      last.mispredicted = 0;
+    }
+    last.balance = threaded;
+    add({"shut down during work, " + std::to_string(kThreadedRuns) + " times, streams and changes on threads", "all",
+         "", last, 0});
+  }
+
+  bool good() const {
+    for (const Row& row : rows_) {
+      if (!row.good()) return false;
+    }
+    return true;
+  }
+
+  std::string markdown() const {
+    std::ostringstream out;
+    out << "| fault | in | rate | frames in | out | deblurred | unchanged | passed through, by reason | off | lost | "
+           "repeated | reordered | altered | most waiting |\n"
+        << "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n";
+    Balance sum;
+    for (const Row& row : rows_) {
+      const Balance& b = row.result.balance;
+      sum += b;
+      out << "| " << row.fault << " | " << row.stream << " | " << row.rate << " | " << b.frames_in << " | "
+          << b.frames_out << " | " << b.deblurred << " | " << b.unchanged << " | " << describe(b.passed_through)
+          << " | " << row.result.mispredicted << " | " << b.lost << " | " << b.repeated << " | " << b.reordered << " | "
+          << b.altered + b.misstamped + b.retained << " | "
+          << (row.allowed_waiting > 0 ? std::to_string(row.result.peak_waiting) : "") << " |"
+          << (row.good() ? "" : " **WRONG**") << "\n";
+    }
+    out << "| **all** | | | " << sum.frames_in << " | " << sum.frames_out << " | " << sum.deblurred << " | "
+        << sum.unchanged << " | " << describe(sum.passed_through) << " | | " << sum.lost << " | " << sum.repeated
+        << " | " << sum.reordered << " | " << sum.altered + sum.misstamped + sum.retained << " | |\n";
+    return out.str();
+  }
+
+ private:
+  const Recording& recording_;
+  const Config& config_;
+  std::size_t reloads_;
+  ReplayOptions options_;
+  std::vector<Row> rows_;
+};
+
+int main_of(int argc, char** argv) {
+  const std::string folder = std::string(GYRO_DEBLUR_SOURCE_DIR) + "/test/faults/";
+  std::string scene = folder + "scene.yaml", config_path = folder + "config.yaml", markdown_path;
+  double seconds = 10;
+  std::size_t reloads = 200;
+  bool quiet = false;
+  CLI::App app{"Plays a simulated recording through every fault and prints what became of the frames.", "fault_table"};
+  app.add_option("--seconds", seconds, "length of the recording [10]")->check(CLI::Range(0.5, 10.0));
+  app.add_option("--reloads", reloads, "how often to unload and load [200]")->check(CLI::Range(1, 10000));
+  app.add_option("--scene", scene, "of the simulator");
+  app.add_option("--config", config_path, "keys of config/default.yaml");
+  app.add_option("--markdown", markdown_path, "also write the table into a file");
+  app.add_flag("--quiet", quiet, "no progress");
+  CLI11_PARSE(app, argc, argv);
+
+  try {
+    const Config config = load_config(config_path);
+    const Recording recording(scene, seconds);
+    Table table(recording, config, reloads);
+    const double memory_before_mib = process_memory_mib();
+    table.make(quiet);
+    const std::string text = table.markdown();
+    std::cout << text << "\nmemory of the process: " << static_cast<int>(memory_before_mib) << " MiB before, "
+              << static_cast<int>(process_memory_mib()) << " MiB after\n";
+    if (!markdown_path.empty()) {
+      std::ofstream file(markdown_path);
+      file << text;
+      if (!file.flush()) throw std::runtime_error(markdown_path + ": cannot be written");
+    }
+    if (!table.good()) {
+      std::cerr << "fault_table: the rows with WRONG lost, repeated, reordered or altered frames, or held too many\n";
+      return 1;
+    }
+  } catch (const std::exception& error) {
+    std::cerr << "fault_table: " << error.what() << "\n";
+    return 1;
+  }
+  return 0;
+}
+
+}  // namespace
+}  // namespace gyro_deblur::test
+
+int main(int argc, char** argv) { return gyro_deblur::test::main_of(argc, argv); }

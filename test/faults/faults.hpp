@@ -1,0 +1,40 @@
+// Faults between a recording and the processor.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "recording.hpp"
+
+namespace gyro_deblur::test {
+
+/// What may happen to single messages.
+enum class Fault { DROP, DELAY, DUPLICATE, REORDER, CORRUPT, TIME_JUMP };
+constexpr Fault kFaults[] = {Fault::DROP,    Fault::DELAY,   Fault::DUPLICATE,
+                             Fault::REORDER, Fault::CORRUPT, Fault::TIME_JUMP};
+
+const char* to_string(Fault fault);
+
+/// Does `fault` to each message of a stream with probability `rate` (in [0, 1]); the same for the same seed.
+/// DELAY: by up to a second. REORDER: behind the next two of its stream. CORRUPT: values that are not finite,
+/// saturated, out of range or contradict each other. TIME_JUMP: the stamp is off by 1 to 100 s, either way.
+std::vector<Delivery> inject(const std::vector<Delivery>& deliveries, Stream stream, Fault fault, double rate,
+                             std::uint64_t seed);
+
+/// Without the messages of `stream` that arrive in [from_ns, to_ns).
+std::vector<Delivery> silence(const std::vector<Delivery>& deliveries, Stream stream, TimeNs from_ns, TimeNs to_ns);
+
+/// The clock of the whole machine is set by `step_ns` at `from_ns`: stamps and the node's clock.
+std::vector<Delivery> step_clock(const std::vector<Delivery>& deliveries, TimeNs from_ns, TimeNs step_ns);
+
+/// `action` every `period_ns`.
+std::vector<Delivery> with_action(const std::vector<Delivery>& deliveries, TimeNs period_ns, const Action& action);
+
+/// Images change their encoding every `period` frames: grey of 8 and 16 bits, three colour orders, a Bayer mosaic, and
+/// one that cannot be deblurred.
+std::vector<Delivery> change_encodings(const std::vector<Delivery>& deliveries, std::size_t period);
+
+/// Images, and their camera_info, are cut to another size every `period` frames.
+std::vector<Delivery> change_sizes(const std::vector<Delivery>& deliveries, std::size_t period);
+
+}  // namespace gyro_deblur::test

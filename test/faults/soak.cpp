@@ -1,0 +1,219 @@
+// Plays a recording again and again through the processor, faster than it was taken, with a few faults of every kind,
+// and writes memory and latency over time. Fails when a frame is lost or memory grows.
+#include <time.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <deque>
+#include <fstream>
+#include <iostream>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+
+#include "faults.hpp"
+#include "gyro_deblur/config.hpp"
+#include "process_memory.hpp"
+#include "replay.hpp"
+#include "ros/conversions.hpp"
+#include "tools/progress.hpp"
+
+namespace gyro_deblur::test {
+namespace {
+
+constexpr TimeNs kSecond = 1'000'000'000;
+/// Of each kind of fault in each stream; 24 kinds together.
+constexpr double kFaultRate = 0.001;
+/// Between the run's second quarter, when all buffers have been filled, and its end. A frame is 0.03 MiB.
+constexpr double kMaxGrowthMib = 4;
+
+double thread_time_ms() {
+  timespec time{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
+  return 1e3 * static_cast<double>(time.tv_sec) + 1e-6 * static_cast<double>(time.tv_nsec);
+}
+
+double percentile(std::vector<double> values, double part) {
+  if (values.empty()) return 0;
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(part * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+/// What happened in a stretch of simulated time.
+struct Window {
+  std::vector<double> latency_ms, processor_ms;
+  nlohmann::json report(double end_s, std::size_t waiting) const {
+    return {{"t_s", end_s},
+            {"memory_mib", process_memory_mib()},
+            {"frames", latency_ms.size()},
+            {"waiting", waiting},
+            {"p50_ms", percentile(latency_ms, 0.50)},
+            {"p95_ms", percentile(latency_ms, 0.95)},
+            {"p99_ms", percentile(latency_ms, 0.99)},
+            {"processor_p50_ms", percentile(processor_ms, 0.50)},
+            {"processor_p95_ms", percentile(processor_ms, 0.95)},
+            {"processor_p99_ms", percentile(processor_ms, 0.99)}};
+  }
+};
+
+/// A piece of the recording that can be repeated without a seam in its stamps.
+std::vector<Delivery> repeatable(const Recording& recording, TimeNs* length_ns) {
+  TimeNs first_image_ns = 0;
+  for (const Delivery& delivery : recording.deliveries()) {
+    if (stream_of(delivery) == Stream::IMAGE && first_image_ns == 0) first_image_ns = delivery.at_ns;
+  }
+  const TimeNs from_ns = first_image_ns - recording.frame_period_ns() / 2;
+  *length_ns = static_cast<TimeNs>(recording.frames()) * recording.frame_period_ns();
+  std::vector<Delivery> piece;
+  for (const Delivery& delivery : recording.deliveries()) {
+    if (delivery.at_ns >= from_ns && delivery.at_ns < from_ns + *length_ns) piece.push_back(delivery);
+  }
+  return piece;
+}
+
+nlohmann::json soak(const Recording& recording, const Config& config, double seconds, double window_s, bool quiet) {
+  TimeNs length_ns = 0;
+  const std::vector<Delivery> piece = repeatable(recording, &length_ns);
+  const TimeNs begin_ns = piece.front().at_ns;
+  const auto rounds = static_cast<std::uint64_t>(std::max<TimeNs>(1, to_ns(seconds) / length_ns));
+
+  TimeNs clock_ns = 0;
+  std::size_t log_lines = 0;
+  Processor::Environment environment;
+  environment.clock = environment.steady_clock = [&clock_ns] { return clock_ns; };
+  environment.log = [&log_lines](LogLevel, const std::string&) { ++log_lines; };
+  environment.exposure_expected = [] { return true; };
+  environment.request = [] { return FrameRequest{true, true, true, true}; };
+  Processor processor(std::move(environment));
+  processor.set_config(config);
+
+  nlohmann::json windows = nlohmann::json::array();
+  Window window;
+  TimeNs window_end_ns = begin_ns + to_ns(window_s);
+  std::deque<const sensor_msgs::Image*> expected;  // in order; the processor holds them
+  std::size_t frames_in = 0, frames_out = 0, wrong = 0;
+  const Processor::Sink sink = [&](FrameOutput&& output) {
+    ++frames_out;
+    if (expected.empty() || expected.front() != output.input.get()) {
+      ++wrong;
+    } else {
+      expected.pop_front();
+    }
+    window.latency_ms.push_back(output.total_ms);
+    return true;
+  };
+  Progress progress(rounds, "rounds of the recording", quiet);
+  for (std::uint64_t round = 0; round < rounds; ++round) {
+    std::vector<Delivery> deliveries =
+        step_clock(piece, begin_ns, static_cast<TimeNs>(round) * length_ns);  // shifts stamps and clock
+    std::uint64_t seed = 100 * round;
+    for (const Fault fault : kFaults) {
+      for (const Stream stream : {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE}) {
+        deliveries = inject(deliveries, stream, fault, kFaultRate, seed++);
+      }
+    }
+    for (Delivery& delivery : deliveries) {
+      clock_ns = delivery.at_ns + static_cast<TimeNs>(round) * length_ns;
+      if (const auto* imu = std::get_if<sensor_msgs::ImuConstPtr>(&delivery.message)) {
+        processor.add_imu(**imu);
+      } else if (const auto* image = std::get_if<sensor_msgs::ImageConstPtr>(&delivery.message)) {
+        ++frames_in;
+        expected.push_back(image->get());
+        processor.add_image(*image);
+      } else if (const auto* info = std::get_if<sensor_msgs::CameraInfoConstPtr>(&delivery.message)) {
+        processor.add_camera_info(*info);
+      } else if (const auto* exposure = std::get_if<ExposureConstPtr>(&delivery.message)) {
+        processor.add_exposure(**exposure);
+      }
+      if (processor.waiting() == 0) continue;
+      const double before_ms = thread_time_ms();
+      const std::size_t out_before = frames_out;
+      processor.advance(sink);
+      if (frames_out == out_before + 1) window.processor_ms.push_back(thread_time_ms() - before_ms);
+      if (clock_ns >= window_end_ns) {
+        windows.push_back(window.report(to_seconds(window_end_ns - begin_ns), processor.waiting()));
+        window = {};
+        window_end_ns += to_ns(window_s);
+      }
+    }
+    progress.done(round + 1);
+  }
+  processor.finish(sink);
+  const ProcessorStatistics statistics = processor.statistics();
+  nlohmann::json report;
+  report["simulated_s"] = to_seconds(static_cast<TimeNs>(rounds) * length_ns);
+  report["frames_in"] = frames_in;
+  report["frames_out"] = frames_out;
+  report["lost"] = frames_in - frames_out;
+  report["out_of_turn"] = wrong;
+  for (const auto& [reason, count] : statistics.passed_through) report["passed_through"][to_string(reason)] = count;
+  report["time_jumps"] = statistics.time_jumps;
+  report["log_lines"] = log_lines;
+  report["windows"] = std::move(windows);
+  return report;
+}
+
+/// Growth of memory [MiB] from the second quarter to the last one: medians of each.
+double growth_mib(const nlohmann::json& windows) {
+  const auto quarter = [&windows](std::size_t index) {
+    std::vector<double> memory_mib;
+    for (std::size_t i = index * windows.size() / 4; i < (index + 1) * windows.size() / 4; ++i) {
+      memory_mib.push_back(windows[i]["memory_mib"]);
+    }
+    return percentile(memory_mib, 0.5);
+  };
+  return quarter(3) - quarter(1);
+}
+
+int main_of(int argc, char** argv) {
+  const std::string folder = std::string(GYRO_DEBLUR_SOURCE_DIR) + "/test/faults/";
+  std::string scene = folder + "scene.yaml", config_path = folder + "config.yaml", json_path;
+  double seconds = 600, window_s = 10;
+  bool quiet = false;
+  CLI::App app{"Plays a recording again and again through the processor and follows memory and latency.", "soak"};
+  app.add_option("--seconds", seconds, "of simulated time [600]")->check(CLI::Range(40.0, 1e6));
+  app.add_option("--window", window_s, "seconds of simulated time for each point [10]")->check(CLI::Range(0.1, 600.0));
+  app.add_option("--scene", scene, "of the simulator");
+  app.add_option("--config", config_path, "keys of config/default.yaml");
+  app.add_option("--json", json_path, "where to write the points");
+  app.add_flag("--quiet", quiet, "no progress");
+  CLI11_PARSE(app, argc, argv);
+  try {
+    const Recording recording(scene, 10);
+    const nlohmann::json report = soak(recording, load_config(config_path), seconds, window_s, quiet);
+    if (!json_path.empty()) {
+      std::ofstream file(json_path);
+      file << report.dump(1) << "\n";
+      if (!file.flush()) throw std::runtime_error(json_path + ": cannot be written");
+    }
+    const nlohmann::json &first = report["windows"].front(), &last = report["windows"].back();
+    const double growth = growth_mib(report["windows"]);
+    std::printf("%.0f s simulated: %zu frames in, %zu out, %zu lost, %zu out of turn; passed through %s\n",
+                report["simulated_s"].get<double>(), report["frames_in"].get<std::size_t>(),
+                report["frames_out"].get<std::size_t>(), report["lost"].get<std::size_t>(),
+                report["out_of_turn"].get<std::size_t>(), report["passed_through"].dump().c_str());
+    std::printf("memory %.1f MiB at first, %.1f MiB at last, %+.2f MiB from the second quarter to the last\n",
+                first["memory_mib"].get<double>(), last["memory_mib"].get<double>(), growth);
+    for (const char* key : {"p50_ms", "p95_ms", "p99_ms", "processor_p50_ms", "processor_p95_ms", "processor_p99_ms"}) {
+      std::printf("%-17s %.2f at first, %.2f at last\n", key, first[key].get<double>(), last[key].get<double>());
+    }
+    if (report["lost"] != 0 || report["out_of_turn"] != 0 || growth > kMaxGrowthMib) {
+      std::cerr << "soak: frames were lost or out of turn, or memory grew by more than " << kMaxGrowthMib << " MiB\n";
+      return 1;
+    }
+  } catch (const std::exception& error) {
+    std::cerr << "soak: " << error.what() << "\n";
+    return 1;
+  }
+  return 0;
+}
+
+}  // namespace
+}  // namespace gyro_deblur::test
+
+int main(int argc, char** argv) { return gyro_deblur::test::main_of(argc, argv); }
