@@ -56,11 +56,16 @@ struct KernelTap {
 };
 
 /// Non-zero elements of `kernel` rotated to `angle_rad` (paper section IV-B); their weights sum to the kernel's sum.
+/// Steps of the major axis in rising order, at each one or two taps, neighbours across. The second form uses the room
+/// that `taps` and `on_axis` have.
 std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad);
+void rotate_kernel(const LineKernel& kernel, double angle_rad, std::vector<KernelTap>& taps,
+                   std::vector<float>& on_axis);
 
-/// The kernel at integer step `m` of a line's major axis: each tap, at position * major, is weighted onto the two
-/// nearest steps. major: cosine or sine of the line's angle, whichever is larger in size, in [-1, 1] and not 0.
-double tap_on_major_axis(const LineKernel& kernel, double major, int m);
+/// The kernel on unit steps of a line's major axis: each tap, at position * major, is weighted onto the two nearest
+/// steps. major: cosine or sine of the line's angle, whichever is larger in size, in [-1, 1] and not 0.
+/// @param on_axis  set to steps -n .. n, n = ceil(radius * |major|)
+void kernel_on_major_axis(const LineKernel& kernel, double major, std::vector<float>& on_axis);
 
 /// Throws std::invalid_argument unless `src` is a non-empty CV_8U or CV_16U with 1 to 4 channels.
 void require_convolvable(const cv::Mat& src);

@@ -23,6 +23,8 @@ struct SourcePlane {
 };
 
 constexpr int kMaxTileSide = 64;
+/// Pixels from row to row of a finished tile: whole vectors are written.
+constexpr int kTileStride = (kMaxTileSide + 31) / 32 * 32;
 constexpr int kCoarseGuard = 3;  ///< zeros that the caller puts on either side of TwoScaleFilter::coarse
 
 /// Largest size of an exact weight: its parts above and below 2^7 fit signed bytes.
@@ -42,32 +44,41 @@ struct ExactFilter {
   int shift;         ///< weights are scaled by 2^shift
 };
 
-/// Two scales: a box (as running sums), exact corrections at its ends, and a smooth rest on every `decimation`-th
-/// sample. Applies to correlation order: output(m) = sum weight[k] input(m + k).
+/// Two scales (see TwoScaleWeights). Applies to correlation order: output(m) = sum weight[k] input(m + k).
 struct TwoScaleFilter {
-  const int* edge_offsets;  ///< of running sums
-  const float* edge_weights;
-  int edge_count;
-  int edge_reach;       ///< max |offset|
-  const float* coarse;  ///< 2 coarse_radius + 1 weights of sums over `decimation` samples
+  int box_half;                ///< samples of the inner box on either side of the output
+  float inner_box, outer_box;  ///< weights of the two boxes
+  const float* coarse;         ///< 2 coarse_radius + 1 weights of sums over `decimation` samples
   int coarse_radius;
-  int decimation;   ///< >= 1
+  /// The same weights w in fixed point with coarse_shift bits, for 8-bit pixels, as pairs of int16 with the lower index
+  /// in the low half: coarse_even[i] is w[2 i], w[2 i + 1] and coarse_odd[i] is w[2 i - 1], w[2 i], with zeros beyond
+  /// the ends; i from -1 to coarse_radius + 1. Their sum is coarse_sum.
+  const std::int32_t *coarse_even, *coarse_odd;
+  int coarse_shift;
+  std::int32_t coarse_sum;
+  int decimation;   ///< >= 2
   float max_value;  ///< of the pixel type
 };
 
+/// Rows of a matrix that combine_columns takes at a time: floats in the widest vector.
+constexpr int kRowGroup = 16;
+
 /// The functions of one instruction set. `scratch` holds at least *_scratch_floats() floats, 64-byte aligned. `tile`
-/// receives m_count rows of kMaxTileSide pixels.
+/// receives m_count rows of kTileStride pixels.
 struct BlockKernels {
   const char* name;
   int lanes;  ///< floats in a vector
   std::size_t (*exact_scratch_floats)(const TileGeometry&, const ExactFilter&);
   void (*exact_u8)(const SourcePlane<std::uint8_t>&, const TileGeometry&, const ExactFilter&, float* scratch,
                    std::uint8_t* tile);
-  std::size_t (*two_scale_scratch_floats)(const TileGeometry&, const TwoScaleFilter&);
+  std::size_t (*two_scale_u8_scratch_floats)(const TileGeometry&, const TwoScaleFilter&);
+  std::size_t (*two_scale_u16_scratch_floats)(const TileGeometry&, const TwoScaleFilter&);
   void (*two_scale_u8)(const SourcePlane<std::uint8_t>&, const TileGeometry&, const TwoScaleFilter&, float* scratch,
                        std::uint8_t* tile);
   void (*two_scale_u16)(const SourcePlane<std::uint16_t>&, const TileGeometry&, const TwoScaleFilter&, float* scratch,
                         std::uint16_t* tile);
+  /// sums[i] = sum of factors[m] * columns[m * kRowGroup + i] over m < count, for i < kRowGroup.
+  void (*combine_columns)(const float* columns, const float* factors, int count, float* sums);
 };
 
 namespace baseline {

@@ -38,6 +38,20 @@ inline int floor_to_int(double x) {
   return x < i ? i - 1 : i;
 }
 
+/// acc + low * low + high * high of the int16 halves of each lane.
+inline IntVector multiply_pairs(IntVector acc, IntVector pixels, IntVector weights) {
+#if defined(__AVX512VNNI__)
+  return (IntVector)_mm512_dpwssd_epi32((__m512i)acc, (__m512i)pixels, (__m512i)weights);
+#elif defined(__AVX2__)
+  return acc + (IntVector)_mm256_madd_epi16((__m256i)pixels, (__m256i)weights);
+#elif defined(__SSE2__)
+  return acc + (IntVector)_mm_madd_epi16((__m128i)pixels, (__m128i)weights);
+#else
+  const IntVector low = (weights << 16) >> 16, high = weights >> 16;
+  return acc + (pixels & 0xffff) * low + (pixels >> 16) * high;
+#endif
+}
+
 /// kLanes pixels as floats.
 inline Vector load_pixels(const std::uint8_t* from) {
 #if defined(__AVX512F__)
@@ -134,7 +148,7 @@ inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filte
       sum((m + filter.radius_m) * layout.width + n - filter.n_min, sums);
       for (int row = 0; row < kExactRows && m + row < tile.m_count; ++row) {
         for (int v = 0; v < kExactVectors && n + v * kLanes < tile.n_count; ++v) {
-          store_exact(out + (m + row) * kMaxTileSide + n + v * kLanes, sums[row][v], filter);
+          store_exact(out + (m + row) * kTileStride + n + v * kLanes, sums[row][v], filter);
         }
       }
     }
@@ -246,18 +260,6 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
 
 #else
 
-/// acc + low * low + high * high of the int16 halves of each lane.
-inline IntVector multiply_pairs(IntVector acc, IntVector pixels, IntVector weights) {
-#if defined(__AVX2__)
-  return acc + (IntVector)_mm256_madd_epi16((__m256i)pixels, (__m256i)weights);
-#elif defined(__SSE2__)
-  return acc + (IntVector)_mm_madd_epi16((__m128i)pixels, (__m128i)weights);
-#else
-  const IntVector low = (weights << 16) >> 16, high = weights >> 16;
-  return acc + (pixels & 0xffff) * low + (pixels >> 16) * high;
-#endif
-}
-
 std::size_t exact_scratch_floats(const TileGeometry& tile, const ExactFilter& filter) {
   const ExactLayout layout(tile, filter);
   return static_cast<std::size_t>(layout.rows) * layout.width;
@@ -300,123 +302,304 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
 constexpr int kLaneVectors = 2;
 constexpr int kCacheLineBytes = 64;
 constexpr int kCoarseOutputs = kCoarseGuard + 1;
-// Vectors that a row of outputs takes on the lanes: three more than its pixels, from the last whole vector before.
-constexpr int kRowVectors = (kMaxTileSide + 3 + kLanes - 1 + kLanes - 1) / kLanes;
+
+/// How samples on the lanes and results on the lanes are kept. Samples come in groups of kGroup lanes; vector p (of 2)
+/// of part h of a group is at h * kLanes + p * kGroup / 2.
+template <typename Pixel>
+struct LaneFormat {
+  using Sample = float;
+  using Result = float;
+  static constexpr int kGroup = 2 * kLanes;
+  static constexpr float kSampleScale = 1, kResultScale = 1;  // units in one grey level
+  static Vector load_sample(const float* from) { return load(from); }
+  static Vector sum_samples(const float* from, int rows, int stride) {
+    Vector sum = {};
+    for (int i = 0; i < rows; ++i, from += stride) sum += load(from);
+    return sum;
+  }
+  static void store_results(float* group, int part, const Vector values[2]) {
+    store(group + part * kLanes, values[0]);
+    store(group + part * kLanes + kGroup / 2, values[1]);
+  }
+};
+
+#if defined(__AVX2__)
+
+/// 8-bit pixels: samples in int16, 1 / 32 grey level, so that one instruction interpolates 16 lanes. It takes pixels in
+/// pairs, n with n + 1, so that a vector has every other lane: a group is its 16 even and then its 16 odd lanes.
+/// Results in order, in 1 / 16 grey level.
+template <>
+struct LaneFormat<std::uint8_t> {
+  using Sample = std::int16_t;
+  using Result = std::int16_t;
+  static constexpr int kGroup = 32;
+  static constexpr float kSampleScale = 32, kResultScale = 16;
+  // Sums of so many samples fit uint16.
+  static constexpr int kSummands = 8;
+
+  static Vector load_sample(const std::int16_t* from) {
+#if defined(__AVX512F__)
+    return (Vector)_mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i*)from)));
+#else
+    return (Vector)_mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i*)from)));
+#endif
+  }
+  static Vector sum_samples(const std::int16_t* from, int rows, int stride) {
+    typedef std::uint16_t Words __attribute__((vector_size(2 * kLanes)));
+    Vector sum = {};
+    while (rows > 0) {
+      Words words = {};
+      const int count = rows < kSummands ? rows : kSummands;
+      for (int i = 0; i < count; ++i, from += stride) {
+        Words row;
+        std::memcpy(&row, from, sizeof row);
+        words += row;
+      }
+      std::int16_t stored[kLanes];
+      std::memcpy(stored, &words, sizeof words);
+      sum += load_sample(stored);
+      rows -= count;
+    }
+    return sum;
+  }
+  static void store_results(std::int16_t* group, int part, const Vector values[2]) {
+    // Saturated to int16, and even and odd lanes put side by side.
+#if defined(__AVX512F__)
+    const __m512i order = _mm512_broadcast_i32x4(_mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15));
+    const __m512i packed =
+        _mm512_packs_epi32(_mm512_cvtps_epi32((__m512)values[0]), _mm512_cvtps_epi32((__m512)values[1]));
+    _mm512_storeu_si512(group + part * 2 * kLanes, _mm512_shuffle_epi8(packed, order));
+#else
+    const __m256i order =
+        _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15));
+    const __m256i packed =
+        _mm256_packs_epi32(_mm256_cvtps_epi32((__m256)values[0]), _mm256_cvtps_epi32((__m256)values[1]));
+    _mm256_storeu_si256((__m256i*)(group + part * 2 * kLanes), _mm256_shuffle_epi8(packed, order));
+#endif
+  }
+};
+
+#endif
 
 /// Where things are in scratch. Lane v of row m holds the image at n = first_lane + v + slope (m - center).
 struct TwoScaleLayout {
-  double center;          // m at which lanes are at integer n
-  int first_lane, lanes;  // lanes: a multiple of kLanes
-  int coarse_outputs;     // nodes at which the smooth part is evaluated
+  // m at which lanes are at integer n: an integer, so that a slope of 1 needs no interpolation anywhere.
+  int center;
+  int first_lane, lanes;  // lanes: whole groups
+  int coarse_outputs;     // nodes at which the smooth part is evaluated, from node -1
   int first_node;         // node j sums m_begin + [j d, (j + 1) d)
   int nodes;
-  int prefix_first, prefix_rows;                                         // running sums kept, relative to m_begin
-  int rows_at, parts_at, prefix_at, nodes_at, coarse_at, row_at, total;  // in floats
+  int kept_first, kept_rows;                                              // samples kept, relative to m_begin
+  int rows_at, parts_at, kept_at, nodes_at, coarse_at, result_at, total;  // in floats
 
-  TwoScaleLayout(const TileGeometry& tile, const TwoScaleFilter& filter) {
+  TwoScaleLayout(const TileGeometry& tile, const TwoScaleFilter& filter, int group, int sample_bytes) {
     const int d = filter.decimation;
-    center = tile.m_begin + (tile.m_count - 1) / 2.0;
-    const double lean = (tile.slope < 0 ? -tile.slope : tile.slope) * (tile.m_count - 1) / 2.0;
+    center = tile.m_begin + tile.m_count / 2;
+    const double lean = (tile.slope < 0 ? -tile.slope : tile.slope) * (tile.m_count / 2);
     first_lane = floor_to_int(tile.n_begin - lean) - 2;  // one for the cubic, one for rounding
     const int last_lane = floor_to_int(tile.n_begin + tile.n_count - 1 + lean) + 3;
-    lanes = round_up(last_lane - first_lane + 1, kLanes);
-    // Outputs lie between nodes first_output + 1 and first_output + coarse_outputs - 2 for the cubic.
-    first_output = -2;
-    coarse_outputs =
-        round_up(floor_to_int((tile.m_count - 1 - (d - 1) / 2.0) / d) + 2 - first_output + 1, kCoarseOutputs);
-    first_node = first_output - filter.coarse_radius;
+    lanes = round_up(last_lane - first_lane + 1, group);
+    coarse_outputs = round_up((tile.m_count - 1) / d + 3, kCoarseOutputs);
+    first_node = -1 - filter.coarse_radius;
     nodes = coarse_outputs + 2 * filter.coarse_radius;
-    prefix_first = -filter.edge_reach;
-    prefix_rows = tile.m_count + 2 * filter.edge_reach;
+    kept_first = -filter.box_half - 1;
+    kept_rows = tile.m_count + 2 * (filter.box_half + 1);
+    const int floats_of_kept = round_up(kept_rows * lanes * sample_bytes, kCacheLineBytes) / 4;
     rows_at = 0;
     parts_at = rows_at + nodes * d * static_cast<int>(sizeof(std::ptrdiff_t) / sizeof(float));
-    prefix_at = round_up(parts_at + nodes * d, kLanes);
-    nodes_at = prefix_at + prefix_rows * lanes;
+    kept_at = round_up(parts_at + nodes * d, kCacheLineBytes / 4);
+    nodes_at = kept_at + floats_of_kept;
     coarse_at = nodes_at + nodes * lanes;
-    row_at = coarse_at + coarse_outputs * lanes;
-    total = row_at + 2 * kRowVectors * kLanes;
+    result_at = coarse_at + coarse_outputs * lanes;
+    // Whole vectors are read past the last result.
+    total = result_at + tile.m_count * lanes + 4 * kLanes;
   }
-  int first_output;
+  template <typename Pixel>
+  static TwoScaleLayout of(const TileGeometry& tile, const TwoScaleFilter& filter) {
+    return TwoScaleLayout(tile, filter, LaneFormat<Pixel>::kGroup, sizeof(typename LaneFormat<Pixel>::Sample));
+  }
 };
 
+template <typename Pixel>
 std::size_t two_scale_scratch_floats(const TileGeometry& tile, const TwoScaleFilter& filter) {
-  return static_cast<std::size_t>(TwoScaleLayout(tile, filter).total);
+  return static_cast<std::size_t>(TwoScaleLayout::of<Pixel>(tile, filter).total);
 }
 
-/// Sums samples [begin, end) of the lanes, `part` of the way between pixels, into `sum`; and keeps running sums at
-/// `kept`, a row of `lanes` each, when kKeep.
-template <typename Pixel, int kVectors, bool kKeep>
-inline void sum_samples(const Pixel* origin, const std::ptrdiff_t* rows, const float* parts, int begin, int end,
-                        int lanes, Vector* sum, Vector* running, float* kept) {
+/// Where a tile's samples come from: for sample row i, the offset of lane 0's pixel from the source's origin, and how
+/// far the lanes are between pixels.
+template <typename Pixel>
+struct SampleRows {
+  const Pixel* origin;
+  std::ptrdiff_t* offsets;
+  float* parts;  // [0, 1)
+  int keep_begin, keep_end;
+
+  SampleRows(const SourcePlane<Pixel>& source, const TileGeometry& tile, const TwoScaleFilter& filter,
+             const TwoScaleLayout& layout, float* scratch)
+      : origin(source.origin),
+        offsets(reinterpret_cast<std::ptrdiff_t*>(scratch + layout.rows_at)),
+        parts(scratch + layout.parts_at),
+        keep_begin(layout.kept_first - layout.first_node * filter.decimation),
+        keep_end(keep_begin + layout.kept_rows) {
+    const int samples = layout.nodes * filter.decimation;
+    const int first_m = tile.m_begin + layout.first_node * filter.decimation;
+    for (int i = 0; i < samples; ++i) {
+      const double across = tile.slope * (first_m + i - layout.center);
+      const int whole = floor_to_int(across);
+      parts[i] = static_cast<float>(across - whole);
+      offsets[i] = clamp_row(first_m + i, source.rows) * source.stride + layout.first_lane + whole;
+      // The neighbourhood of a tile is a thousand cache lines that no hardware prefetcher foresees.
+      const char* begin = reinterpret_cast<const char*>(source.origin + offsets[i]);
+      const char* end = begin + (layout.lanes + 1) * static_cast<int>(sizeof(Pixel));
+      for (const char* line = begin; line < end; line += kCacheLineBytes) __builtin_prefetch(line);
+      __builtin_prefetch(end - 1);
+    }
+  }
+};
+
+/// Sums samples [begin, end) of two vectors of lanes, and keeps them at `kept` when kKeep.
+template <typename Pixel, bool kKeep>
+inline void sum_samples(const SampleRows<Pixel>& rows, int begin, int end, int lane, int lanes, Vector* sum,
+                        float* kept) {
   for (int i = begin; i < end; ++i) {
-    const Pixel* from = origin + rows[i];
-    const float part = parts[i];
-    for (int v = 0; v < kVectors; ++v) {
+    const Pixel* from = rows.origin + rows.offsets[i] + lane;
+    const float part = rows.parts[i];
+    for (int v = 0; v < 2; ++v) {
       const Vector below = load_pixels(from + v * kLanes);
       const Vector above = load_pixels(from + v * kLanes + 1);
       const Vector sample = below + part * (above - below);
       sum[v] += sample;
-      if (kKeep) {
-        running[v] += sample;
-        store(kept + v * kLanes, running[v]);
-      }
+      if (kKeep) store(kept + (i - rows.keep_begin) * lanes + lane + v * kLanes, sample);
     }
-    if (kKeep) kept += lanes;
   }
 }
 
-template <typename Pixel, int kVectors>
-inline void shear_lanes(const SourcePlane<Pixel>& source, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
-                        int lane, float* scratch) {
-  const int d = filter.decimation, lanes = layout.lanes;
-  const std::ptrdiff_t* rows = reinterpret_cast<const std::ptrdiff_t*>(scratch + layout.rows_at);
-  const float* parts = scratch + layout.parts_at;
-  const Pixel* origin = source.origin + lane;
-  // Samples whose running sums are kept.
-  const int keep_begin = layout.prefix_first - layout.first_node * d, keep_end = keep_begin + layout.prefix_rows;
-  float* kept = scratch + layout.prefix_at + lane;
-  Vector running[kVectors] = {};
-  for (int j = 0; j < layout.nodes; ++j) {
-    const int begin = j * d, end = begin + d;
-    Vector sum[kVectors] = {};
-    if (end <= keep_begin || begin >= keep_end) {
-      sum_samples<Pixel, kVectors, false>(origin, rows, parts, begin, end, lanes, sum, running, kept);
-    } else {
-      const int from = begin < keep_begin ? keep_begin : begin, to = end > keep_end ? keep_end : end;
-      sum_samples<Pixel, kVectors, false>(origin, rows, parts, begin, from, lanes, sum, running, kept);
-      sum_samples<Pixel, kVectors, true>(origin, rows, parts, from, to, lanes, sum, running, kept);
-      sum_samples<Pixel, kVectors, false>(origin, rows, parts, to, end, lanes, sum, running, kept);
-      kept += static_cast<std::ptrdiff_t>(to - from) * lanes;
-    }
-    for (int v = 0; v < kVectors; ++v) store(scratch + layout.nodes_at + j * lanes + lane + v * kLanes, sum[v]);
-  }
-}
-
-/// Resamples the neighbourhood into lanes (linear across the line) and accumulates sums over nodes and running sums.
+/// Resamples the neighbourhood into lanes (linear across the line), sums nodes, and keeps the samples that boxes need.
 template <typename Pixel>
 inline void shear(const SourcePlane<Pixel>& source, const TileGeometry& tile, const TwoScaleFilter& filter,
-                  const TwoScaleLayout& layout, float* scratch) {
-  std::ptrdiff_t* rows = reinterpret_cast<std::ptrdiff_t*>(scratch + layout.rows_at);
-  float* parts = scratch + layout.parts_at;
-  const int samples = layout.nodes * filter.decimation;
-  const int first_m = tile.m_begin + layout.first_node * filter.decimation;
-  for (int i = 0; i < samples; ++i) {
-    const double across = tile.slope * (first_m + i - layout.center);
-    const int whole = floor_to_int(across);
-    parts[i] = static_cast<float>(across - whole);
-    rows[i] = clamp_row(first_m + i, source.rows) * source.stride + layout.first_lane + whole;
-    // The neighbourhood of a tile is a thousand cache lines that no hardware prefetcher foresees.
-    const char* begin = reinterpret_cast<const char*>(source.origin + rows[i]);
-    const char* end = begin + (layout.lanes + 1) * static_cast<int>(sizeof(Pixel));
-    for (const char* line = begin; line < end; line += kCacheLineBytes) __builtin_prefetch(line);
-    __builtin_prefetch(end - 1);
+                  const TwoScaleLayout& layout, float* scratch, float* kept) {
+  const SampleRows<Pixel> rows(source, tile, filter, layout, scratch);
+  const int d = filter.decimation, lanes = layout.lanes;
+  for (int lane = 0; lane < lanes; lane += 2 * kLanes) {
+    for (int j = 0; j < layout.nodes; ++j) {
+      const int begin = j * d, end = begin + d;
+      const int from = begin > rows.keep_begin ? begin : rows.keep_begin,
+                to = end < rows.keep_end ? end : rows.keep_end;
+      Vector sum[2] = {};
+      if (from >= to) {
+        sum_samples<Pixel, false>(rows, begin, end, lane, lanes, sum, kept);
+      } else {
+        sum_samples<Pixel, false>(rows, begin, from, lane, lanes, sum, kept);
+        sum_samples<Pixel, true>(rows, from, to, lane, lanes, sum, kept);
+        sum_samples<Pixel, false>(rows, to, end, lane, lanes, sum, kept);
+      }
+      for (int v = 0; v < 2; ++v) store(scratch + layout.nodes_at + j * lanes + lane + v * kLanes, sum[v]);
+    }
   }
-  int lane = 0;
-  for (; lane + kLaneVectors * kLanes <= layout.lanes; lane += kLaneVectors * kLanes) {
-    shear_lanes<Pixel, kLaneVectors>(source, filter, layout, lane, scratch);
-  }
-  for (; lane < layout.lanes; lane += kLanes) shear_lanes<Pixel, 1>(source, filter, layout, lane, scratch);
 }
+
+#if defined(__AVX2__)
+
+/// Adds samples [begin, end) of kGroups groups of lanes to `sum`, and keeps them at `kept` when kKeep.
+template <int kGroups, bool kKeep>
+inline void sum_samples(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights, int begin, int end, int lane,
+                        int lanes, __m256i sum[][2], std::int16_t* kept) {
+  for (int i = begin; i < end; ++i) {
+    const std::uint8_t* from = rows.origin + rows.offsets[i] + lane;
+    const __m256i weight = _mm256_set1_epi32(weights[i]);
+    for (int g = 0; g < kGroups; ++g) {
+      for (int odd = 0; odd < 2; ++odd) {
+        const __m256i pixels = _mm256_loadu_si256((const __m256i*)(from + g * 32 + odd));
+        const __m256i sample = _mm256_maddubs_epi16(pixels, weight);
+        sum[g][odd] = _mm256_add_epi16(sum[g][odd], sample);
+        if (kKeep) {
+          _mm256_storeu_si256((__m256i*)(kept + (i - rows.keep_begin) * lanes + lane + g * 32 + odd * 16), sample);
+        }
+      }
+    }
+  }
+}
+
+/// Stores 16 sums over each of two nodes as pairs, less 2^15 so that they are signed.
+inline void store_node_pairs(std::int32_t* to, __m256i first, __m256i second) {
+  const __m256i sign = _mm256_set1_epi16(static_cast<short>(-32768));
+  // In such an order that unpacking, which works within halves, leaves the lanes in theirs.
+  first = _mm256_permute4x64_epi64(_mm256_xor_si256(first, sign), 0xD8);
+  second = _mm256_permute4x64_epi64(_mm256_xor_si256(second, sign), 0xD8);
+  _mm256_storeu_si256((__m256i*)to, _mm256_unpacklo_epi16(first, second));
+  _mm256_storeu_si256((__m256i*)(to + 8), _mm256_unpackhi_epi16(first, second));
+}
+
+/// Halvings that make the sum of a node fit 16 bits: one of more samples than fit is summed in parts of as many as do.
+inline int node_shift(const TwoScaleFilter& filter) {
+  int shift = 0;
+  while (filter.decimation > LaneFormat<std::uint8_t>::kSummands << shift) ++shift;
+  return shift;
+}
+
+template <int kGroups>
+inline void shear_groups(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights,
+                         const TwoScaleFilter& filter, const TwoScaleLayout& layout, int lane, std::int32_t* nodes,
+                         std::int16_t* kept) {
+  using Format = LaneFormat<std::uint8_t>;
+  const int d = filter.decimation, lanes = layout.lanes;
+  const int shift = node_shift(filter);
+  const __m256i half = _mm256_set1_epi16(static_cast<short>(shift > 0 ? 1 << (shift - 1) : 0));
+  __m256i before[kGroups][2] = {};  // the node before an odd one
+  for (int j = 0; j < layout.nodes; ++j) {
+    __m256i node[kGroups][2];
+    for (int g = 0; g < kGroups; ++g) node[g][0] = node[g][1] = _mm256_setzero_si256();
+    for (int begin = j * d; begin < (j + 1) * d; begin += Format::kSummands) {
+      const int end = begin + Format::kSummands < (j + 1) * d ? begin + Format::kSummands : (j + 1) * d;
+      const int from = begin > rows.keep_begin ? begin : rows.keep_begin,
+                to = end < rows.keep_end ? end : rows.keep_end;
+      __m256i sum[kGroups][2];
+      for (int g = 0; g < kGroups; ++g) sum[g][0] = sum[g][1] = _mm256_setzero_si256();
+      if (from >= to) {
+        sum_samples<kGroups, false>(rows, weights, begin, end, lane, lanes, sum, kept);
+      } else {
+        sum_samples<kGroups, false>(rows, weights, begin, from, lane, lanes, sum, kept);
+        sum_samples<kGroups, true>(rows, weights, from, to, lane, lanes, sum, kept);
+        sum_samples<kGroups, false>(rows, weights, to, end, lane, lanes, sum, kept);
+      }
+      for (int g = 0; g < kGroups; ++g) {
+        for (int odd = 0; odd < 2; ++odd) {
+          const __m256i part = _mm256_srli_epi16(_mm256_add_epi16(sum[g][odd], half), shift);
+          node[g][odd] = _mm256_add_epi16(node[g][odd], part);
+        }
+      }
+    }
+    for (int g = 0; g < kGroups; ++g) {
+      for (int odd = 0; odd < 2; ++odd) {
+        if (j % 2 == 0) {
+          before[g][odd] = node[g][odd];
+        } else {
+          store_node_pairs(nodes + j / 2 * lanes + lane + g * 32 + odd * 16, before[g][odd], node[g][odd]);
+        }
+      }
+    }
+  }
+}
+
+inline void shear(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const TwoScaleFilter& filter,
+                  const TwoScaleLayout& layout, float* scratch, std::int16_t* kept) {
+  const SampleRows<std::uint8_t> rows(source, tile, filter, layout, scratch);
+  // Weights of a pixel and the next in the low and high byte of either half, in place of the parts.
+  std::int32_t* weights = reinterpret_cast<std::int32_t*>(scratch + layout.parts_at);
+  for (int i = 0; i < layout.nodes * filter.decimation; ++i) {
+    const int scale = static_cast<int>(LaneFormat<std::uint8_t>::kSampleScale);
+    const int above = static_cast<int>(rows.parts[i] * static_cast<float>(scale) + 0.5f);
+    weights[i] = ((scale - above) | above << 8) * 0x10001;
+  }
+  std::int32_t* nodes = reinterpret_cast<std::int32_t*>(scratch + layout.nodes_at);
+  int lane = 0;
+  for (; lane + 64 <= layout.lanes; lane += 64) {
+    shear_groups<2>(rows, weights, filter, layout, lane, nodes, kept);
+  }
+  for (; lane < layout.lanes; lane += 32) shear_groups<1>(rows, weights, filter, layout, lane, nodes, kept);
+}
+
+#endif
 
 template <int kVectors>
 inline void filter_coarse_lanes(const TwoScaleFilter& filter, const TwoScaleLayout& layout, int lane, float* scratch) {
@@ -440,67 +623,203 @@ inline void filter_coarse_lanes(const TwoScaleFilter& filter, const TwoScaleLayo
 }
 
 /// Filters the sums over nodes with the coarse weights.
+template <typename Pixel>
 inline void filter_coarse(const TwoScaleFilter& filter, const TwoScaleLayout& layout, float* scratch) {
-  int lane = 0;
-  for (; lane + kLaneVectors * kLanes <= layout.lanes; lane += kLaneVectors * kLanes) {
+  for (int lane = 0; lane < layout.lanes; lane += kLaneVectors * kLanes) {
     filter_coarse_lanes<kLaneVectors>(filter, layout, lane, scratch);
   }
-  for (; lane < layout.lanes; lane += kLanes) filter_coarse_lanes<1>(filter, layout, lane, scratch);
 }
 
-/// Adds the parts up at every output's lane and resamples the lanes to pixels.
-template <typename Pixel>
-inline void unshear(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
-                    float* scratch, Pixel* out) {
-  const int d = filter.decimation, lanes = layout.lanes;
-  float* row = scratch + layout.row_at;
-  for (int m = 0; m < tile.m_count; ++m) {
-    const double node = (m - (d - 1) / 2.0) / d;
-    const int node_below = floor_to_int(node);
-    const CubicWeights along(node - node_below);
+#if defined(__AVX2__)
 
-    const double lane = tile.n_begin - tile.slope * (tile.m_begin + m - layout.center) - layout.first_lane;
-    const int lane_below = floor_to_int(lane);
-    const CubicWeights across(lane - lane_below);
-    const int skipped = (lane_below - 1) % kLanes, first = lane_below - 1 - skipped;
-
-    // All vectors of the row at once, aligned: a weight is spread once, and the sums do not wait for each other. What
-    // is read past the lanes is not used.
-    Vector sums[kRowVectors] = {};
-    const float* coarse = scratch + layout.coarse_at + (node_below - 1 - layout.first_output) * lanes + first;
-    for (int q = 0; q < 4; ++q, coarse += lanes) {
-      for (int v = 0; v < kRowVectors; ++v) sums[v] += along.w[q] * load(coarse + v * kLanes);
-    }
-    const float* prefix = scratch + layout.prefix_at + (m - layout.prefix_first) * lanes + first;
-    for (int e = 0; e < filter.edge_count; ++e) {
-      const float* from = prefix + filter.edge_offsets[e] * lanes;
-      const float weight = filter.edge_weights[e];
-      for (int v = 0; v < kRowVectors; ++v) sums[v] += weight * load(from + v * kLanes);
-    }
-    for (int v = 0; v < kRowVectors; ++v) store(row + v * kLanes, sums[v]);
-    for (int n = 0; n < tile.n_count; n += kLanes) {
-      Vector sum = across.w[0] * load(row + skipped + n);
-      for (int q = 1; q < 4; ++q) sum += across.w[q] * load(row + skipped + n + q);
-      store_pixels(out + m * kMaxTileSide + n, sum, filter.max_value);
+template <>
+inline void filter_coarse<std::uint8_t>(const TwoScaleFilter& filter, const TwoScaleLayout& layout, float* scratch) {
+  using Format = LaneFormat<std::uint8_t>;
+  static_assert(kCoarseOutputs == 4 && kCoarseGuard == 3, "outputs 0 .. 3 take the pairs of weights below");
+  const int lanes = layout.lanes, pairs = filter.coarse_radius + 2;  // of 2 radius + 1 nodes for each of 4 outputs
+  const float unit = Format::kResultScale / Format::kSampleScale * static_cast<float>(1 << node_shift(filter)) /
+                     static_cast<float>(1 << filter.coarse_shift);
+  const float offset = unit * 32768.0f * static_cast<float>(filter.coarse_sum);
+  for (int j = 0; j < layout.coarse_outputs; j += kCoarseOutputs) {
+    for (int lane = 0; lane < lanes; lane += kLaneVectors * kLanes) {
+      IntVector acc[kCoarseOutputs][kLaneVectors] = {};
+      const std::int32_t* from =
+          reinterpret_cast<const std::int32_t*>(scratch + layout.nodes_at) + j / 2 * lanes + lane;
+      const std::int32_t* even = filter.coarse_even;
+      const std::int32_t* odd = filter.coarse_odd;
+      for (int p = 0; p < pairs; ++p, from += lanes) {
+        const std::int32_t weights[kCoarseOutputs] = {even[p], odd[p], even[p - 1], odd[p - 1]};
+        for (int v = 0; v < kLaneVectors; ++v) {
+          const IntVector node = load(from + v * kLanes);
+          for (int o = 0; o < kCoarseOutputs; ++o)
+            acc[o][v] = multiply_pairs(acc[o][v], node, IntVector{} + weights[o]);
+        }
+      }
+      float* to = scratch + layout.coarse_at + j * lanes + lane;
+      for (int o = 0; o < kCoarseOutputs; ++o) {
+        for (int v = 0; v < kLaneVectors; ++v) {
+          store(to + o * lanes + v * kLanes, __builtin_convertvector(acc[o][v], Vector) * unit + offset);
+        }
+      }
     }
   }
 }
+
+#endif
+
+/// Adds boxes and smooth part up for every output row, on the lanes.
+template <typename Format>
+inline void add_scales(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
+                       const float* coarse, const typename Format::Sample* kept, typename Format::Result* result) {
+  const int d = filter.decimation, lanes = layout.lanes;
+  const float unit = Format::kResultScale / Format::kSampleScale;
+  const float both = unit * (filter.inner_box + filter.outer_box), outer = unit * filter.outer_box;
+  // The spline over one node is a parabola, which is followed by its differences.
+  const float step = 1.0f / static_cast<float>(d), first_u = -0.5f * static_cast<float>(d - 1) * step;
+  for (int group = 0; group < lanes; group += Format::kGroup) {
+    for (int part = 0; part < Format::kGroup / (2 * kLanes); ++part) {
+      const int at[2] = {group + part * kLanes, group + part * kLanes + Format::kGroup / 2};
+      Vector box[2], leaving[2];  // samples of the inner box, and the one before it
+      for (int p = 0; p < 2; ++p) {
+        box[p] = Format::sum_samples(kept + lanes + at[p], 2 * filter.box_half + 1, lanes);
+        leaving[p] = Format::load_sample(kept + at[p]);
+      }
+      for (int node = 0, m = 0; m < tile.m_count; ++node) {
+        Vector value[2], slope[2], bend[2];
+        for (int p = 0; p < 2; ++p) {
+          const float* from = coarse + node * lanes + at[p];  // of the node before
+          const Vector before = load(from), here = load(from + lanes), after = load(from + 2 * lanes);
+          const Vector linear = 0.5f * (after - before), square = 0.5f * (before + after) - here;
+          value[p] = here + 0.25f * square + first_u * (linear + first_u * square);
+          slope[p] = step * (linear + (2 * first_u + step) * square);
+          bend[p] = (2 * step * step) * square;
+        }
+        const int last = m + d < tile.m_count ? m + d : tile.m_count;
+        for (; m < last; ++m) {
+          const typename Format::Sample* entering_row = kept + (m + 2 * filter.box_half + 2) * lanes;
+          const typename Format::Sample* leaving_row = kept + (m + 1) * lanes;
+          Vector sum[2];
+          for (int p = 0; p < 2; ++p) {
+            const Vector entering = Format::load_sample(entering_row + at[p]);
+            sum[p] = value[p] + both * box[p] + outer * (entering + leaving[p]);
+            leaving[p] = Format::load_sample(leaving_row + at[p]);
+            box[p] += entering - leaving[p];
+            value[p] += slope[p];
+            slope[p] += bend[p];
+          }
+          Format::store_results(result + m * lanes + group, part, sum);
+        }
+      }
+    }
+  }
+}
+
+/// Where an output row's first pixel is on the lanes.
+struct LanePosition {
+  int below;
+  double part;
+  LanePosition(const TileGeometry& tile, const TwoScaleLayout& layout, int m) {
+    const double lane = tile.n_begin - tile.slope * (tile.m_begin + m - layout.center) - layout.first_lane;
+    below = floor_to_int(lane);
+    part = lane - below;
+  }
+};
+
+/// Resamples the lanes to pixels (Catmull-Rom).
+template <typename Pixel>
+inline void unshear(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
+                    const float* result, Pixel* out) {
+  for (int m = 0; m < tile.m_count; ++m) {
+    const LanePosition position(tile, layout, m);
+    const CubicWeights across(position.part);
+    const float* row = result + m * layout.lanes + position.below - 1;
+    for (int n = 0; n < tile.n_count; n += kLanes) {
+      Vector sum = across.w[0] * load(row + n);
+      for (int q = 1; q < 4; ++q) sum += across.w[q] * load(row + n + q);
+      store_pixels(out + m * kTileStride + n, sum, filter.max_value);
+    }
+  }
+}
+
+#if defined(__AVX2__)
+
+inline void unshear(const TileGeometry& tile, const TwoScaleFilter&, const TwoScaleLayout& layout,
+                    const std::int16_t* result, std::uint8_t* out) {
+  // Weights have 14 bits, results 4 below the grey level.
+  constexpr int kWeightBits = 14, kShift = kWeightBits + 4;
+  static_assert(1 << (kShift - kWeightBits) == static_cast<int>(LaneFormat<std::uint8_t>::kResultScale), "");
+  const __m256i half = _mm256_set1_epi32(1 << (kShift - 1));
+  for (int m = 0; m < tile.m_count; ++m) {
+    const LanePosition position(tile, layout, m);
+    const CubicWeights across(position.part);
+    std::int32_t w[4], sum = 0;
+    for (int q = 0; q < 4; ++q) {
+      w[q] = floor_to_int(across.w[q] * (1 << kWeightBits) + 0.5);
+      sum += w[q];
+    }
+    w[position.part < 0.5 ? 1 : 2] += (1 << kWeightBits) - sum;
+    const __m256i first = _mm256_set1_epi32((w[0] & 0xffff) | w[1] << 16);
+    const __m256i second =
+        _mm256_set1_epi32((w[2] & 0xffff) | static_cast<std::int32_t>(static_cast<std::uint32_t>(w[3]) << 16));
+    const std::int16_t* row = result + m * layout.lanes + position.below - 1;
+    for (int n = 0; n < tile.n_count; n += 16) {
+      const auto at = [&](int i) { return _mm256_loadu_si256((const __m256i*)(row + n + i)); };
+      const __m256i even =
+          _mm256_add_epi32(_mm256_add_epi32(_mm256_madd_epi16(at(0), first), half), _mm256_madd_epi16(at(2), second));
+      const __m256i odd =
+          _mm256_add_epi32(_mm256_add_epi32(_mm256_madd_epi16(at(1), first), half), _mm256_madd_epi16(at(3), second));
+      const __m256i pixels =
+          _mm256_blend_epi16(_mm256_srai_epi32(even, kShift), _mm256_srai_epi32(odd, kShift - 16), 0xAA);
+      _mm_storeu_si128((__m128i*)(out + m * kTileStride + n),
+                       _mm_packus_epi16(_mm256_castsi256_si128(pixels), _mm256_extracti128_si256(pixels, 1)));
+    }
+  }
+}
+
+#endif
 
 template <typename Pixel>
 void two_scale(const SourcePlane<Pixel>& source, const TileGeometry& tile, const TwoScaleFilter& filter, float* scratch,
                Pixel* out) {
-  const TwoScaleLayout layout(tile, filter);
-  shear(source, tile, filter, layout, scratch);
-  filter_coarse(filter, layout, scratch);
-  unshear(tile, filter, layout, scratch, out);
+  using Format = LaneFormat<Pixel>;
+  const TwoScaleLayout layout = TwoScaleLayout::of<Pixel>(tile, filter);
+  auto* kept = reinterpret_cast<typename Format::Sample*>(scratch + layout.kept_at);
+  auto* result = reinterpret_cast<typename Format::Result*>(scratch + layout.result_at);
+  shear(source, tile, filter, layout, scratch, kept);
+  filter_coarse<Pixel>(filter, layout, scratch);
+  add_scales<Format>(tile, filter, layout, scratch + layout.coarse_at, kept, result);
+  unshear(tile, filter, layout, result, out);
+}
+
+void combine_columns(const float* columns, const float* factors, int count, float* sums) {
+  constexpr int kVectors = kRowGroup / kLanes;
+  constexpr int kChains = 4;  // independent sums, to hide the latency of an FMA
+  Vector acc[kChains][kVectors] = {};
+  const auto add = [&](int m, Vector* chain) {
+    for (int v = 0; v < kVectors; ++v) chain[v] += factors[m] * load(columns + m * kRowGroup + v * kLanes);
+  };
+  int m = 0;
+  for (; m + kChains <= count; m += kChains) {
+    for (int c = 0; c < kChains; ++c) add(m + c, acc[c]);
+  }
+  for (; m < count; ++m) add(m, acc[0]);
+  for (int v = 0; v < kVectors; ++v) {
+    store(sums + v * kLanes, (acc[0][v] + acc[1][v]) + (acc[2][v] + acc[3][v]));
+  }
 }
 
 }  // namespace
 
 extern const BlockKernels kKernels;
-const BlockKernels kKernels = {
-    GYRO_DEBLUR_ISA_NAME,    kLanes, exact_scratch_floats, exact_u8, two_scale_scratch_floats, two_scale<std::uint8_t>,
-    two_scale<std::uint16_t>};
+const BlockKernels kKernels = {GYRO_DEBLUR_ISA_NAME,
+                               kLanes,
+                               exact_scratch_floats,
+                               exact_u8,
+                               two_scale_scratch_floats<std::uint8_t>,
+                               two_scale_scratch_floats<std::uint16_t>,
+                               two_scale<std::uint8_t>,
+                               two_scale<std::uint16_t>,
+                               combine_columns};
 
 }  // namespace GYRO_DEBLUR_ISA
 }  // namespace gyro_deblur

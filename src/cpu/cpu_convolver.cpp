@@ -9,6 +9,7 @@
 #include <limits>
 #include <numeric>
 #include <stdexcept>
+#include <tuple>
 
 #include <opencv2/core.hpp>
 
@@ -21,19 +22,16 @@ namespace {
 
 // Below this the interpolation between lanes and pixels shows (against exact taps 47 dB at 30 px, less below), and
 // exact taps are cheap.
-constexpr double kMinTwoScaleExtentPx = 30.0;
+constexpr double kMinTwoScaleExtentPx = 34.0;
+// Nearly along an axis the lanes lie between pixels over whole stretches of a line, where exact taps do not: 41 dB at 3
+// degrees and 35 to 45 px, 45 dB from here on.
+constexpr double kMinTwoScaleExtentNearAxisPx = 57.0;
+constexpr double kNearAxisSlope = 0.12;
 // Box and smooth rest cancel each other from this gain (1 / gamma) down to one, so that their errors grow with it: 0.7
 // grey levels at gamma = 0.01, 2 at 0.005, 38 at 0.001. Kernels of a smaller gamma are left to the reference engine.
 constexpr double kMaxBoxGain = 128.0;
 // Exact taps of longer kernels would need a neighbourhood beyond any cache.
 constexpr int kMaxExactRadius = 128;
-// Samples of the smooth part in one extent of the box. It falls as |H|^3, so that few do: at 1 grey level of noise 24
-// leave an error of 52 dB, 16 of 46 dB. Below 48 px the lanes cost as much again, and every sample is used.
-constexpr double kCoarseSamplesPerExtent = 20.0;
-constexpr double kMinCoarseExtentPx = 48.0;
-// Samples on either side of the box's ends that are corrected: the splat onto the unit grid and the box's fractional
-// edge reach 1.5 px.
-constexpr int kEdgeReach = 2;
 constexpr int kAlignFloats = 16;
 
 }  // namespace
@@ -41,7 +39,7 @@ constexpr int kAlignFloats = 16;
 CpuConvolver::CpuConvolver(int threads, const BlockKernels& kernels)
     : threads_(threads), kernels_(kernels), reference_(threads) {}
 
-void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) const {
+void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.method = Method::COPY;
   if (block.kernel == nullptr) return;
   const double dx = std::cos(block.angle_rad), dy = std::sin(block.angle_rad);
@@ -50,9 +48,14 @@ void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) c
   plan.slope = (plan.major_is_y ? dx : dy) / major;
   if (block.kernel->box_height * block.kernel->box_extent_px > kMaxBoxGain) {
     plan.method = Method::REFERENCE;
-  } else if (block.kernel->box_extent_px >= kMinTwoScaleExtentPx) {
+    return;
+  }
+  const bool exact_is_possible = depth == CV_8U && block.kernel->radius() <= kMaxExactRadius;
+  const double least_extent_px =
+      exact_is_possible && std::abs(plan.slope) < kNearAxisSlope ? kMinTwoScaleExtentNearAxisPx : kMinTwoScaleExtentPx;
+  if (block.kernel->box_extent_px >= least_extent_px) {
     plan_two_scale(*block.kernel, major, depth, plan);
-  } else if (depth == CV_8U && block.kernel->radius() <= kMaxExactRadius) {
+  } else if (exact_is_possible) {
     plan_exact(*block.kernel, block.angle_rad, plan);
   } else {
     plan.method = Method::REFERENCE;
@@ -61,7 +64,8 @@ void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) c
 
 void CpuConvolver::plan_exact(const LineKernel& kernel, double angle_rad, Plan& plan) const {
   plan.method = Method::EXACT;
-  const std::vector<KernelTap> taps = rotate_kernel(kernel, angle_rad);
+  const std::vector<KernelTap>& taps = plan.taps;
+  rotate_kernel(kernel, angle_rad, plan.taps, plan.on_axis);
   float largest = 0;
   for (const KernelTap& tap : taps) largest = std::max(largest, std::abs(tap.weight));
   // As many bits as there is room for.
@@ -69,12 +73,14 @@ void CpuConvolver::plan_exact(const LineKernel& kernel, double angle_rad, Plan& 
   int shift = kMaxShift;
   while (shift > 0 && largest * (1 << shift) > kMaxExactWeight - 1) --shift;
 
-  std::vector<std::int32_t> weights(taps.size());
+  std::vector<std::int32_t>& weights = plan.fixed_weights;
+  weights.resize(taps.size());
   double sum = 0;
   std::int32_t fixed_sum = 0;
   std::size_t strongest = 0;
   for (std::size_t i = 0; i < taps.size(); ++i) {
-    weights[i] = static_cast<std::int32_t>(std::lround(taps[i].weight * (1 << shift)));
+    const float scaled = taps[i].weight * static_cast<float>(1 << shift);
+    weights[i] = static_cast<std::int32_t>(scaled < 0 ? scaled - 0.5f : scaled + 0.5f);
     sum += taps[i].weight;
     fixed_sum += weights[i];
     if (std::abs(weights[i]) > std::abs(weights[strongest])) strongest = i;
@@ -110,130 +116,85 @@ void CpuConvolver::plan_exact(const LineKernel& kernel, double angle_rad, Plan& 
   plan.reach_m = filter.radius_m + 1;
 }
 
-namespace {
-
-/// The kernel along the major axis less the box: smooth, so that few samples describe it.
-class SmoothPart {
- public:
-  /// @param stretch steps of the major axis in one pixel of the line, (0, 1]
-  /// @param d       steps that one sample stands for
-  SmoothPart(const LineKernel& kernel, double stretch, int d) : stretch_(stretch), d_(d) {
-    // Zeros on both sides for the cubic and for the half steps of `second_derivative`.
-    margin_ = static_cast<int>(std::ceil(2 * d / stretch_)) + 4;
-    const int size = static_cast<int>(kernel.taps.size());
-    const std::vector<double> box = box_blur_kernel(kernel.box_extent_px, size);
-    values_.assign(size + 2 * margin_, 0.0f);
-    const double height = kernel.box_height * kernel.box_extent_px;
-    for (int i = 0; i < size; ++i) values_[i + margin_] = static_cast<float>(kernel.taps[i] - height * box[i]);
-    center_ = size / 2 + margin_;
+// Rounding errors are passed on to the next weight inwards: their sum over neighbours, which is what a blurred image
+// sees, stays below one unit.
+void CpuConvolver::fix_coarse_weights(Plan& plan) {
+  TwoScaleFilter& filter = plan.two_scale;
+  const int radius = filter.coarse_radius;
+  const std::vector<float>& weights = plan.weights.coarse;
+  double size = 0, largest = 0;
+  for (int k = 0; k <= radius; ++k) {
+    size += (k == 0 ? 1 : 2) * std::abs(weights[k]);
+    largest = std::max<double>(largest, std::abs(weights[k]));
+  }
+  // Sums of nodes are below 2^15 in size, results below 2^31, and weights below 2^15 even with a neighbour's error.
+  constexpr int kMaxShift = 14;
+  filter.coarse_shift = kMaxShift;
+  while (filter.coarse_shift > 0 &&
+         (size * (1 << filter.coarse_shift) > 65000.0 || largest * (1 << filter.coarse_shift) > 32000.0)) {
+    --filter.coarse_shift;
   }
 
-  /// Value at step m, smoothed as tap_on_major_axis smooths it and sharpened by `removed_variance`: smoothing by a
-  /// variance v adds v / 2 times the second derivative.
-  double at(int m, double removed_variance) const {
-    const double half_step = d_ / 2.0;
-    const double value = sample(m);
-    const double second = (sample(m - half_step) - 2 * value + sample(m + half_step)) / (half_step * half_step);
-    return (value + (splat_variance(m) - removed_variance) / 2 * second) / stretch_;
+  plan.fixed_weights.assign(2 * radius + 1 + 8, 0);
+  std::int32_t* fixed = plan.fixed_weights.data() + radius + 4;  // of node k at [k]
+  const double unit = 1 << filter.coarse_shift;
+  double error = 0, wanted = 0;
+  for (int k = radius; k >= 0; --k) {
+    const double exact = weights[k] * unit;
+    fixed[k] = fixed[-k] = static_cast<std::int32_t>(std::lround(exact + (k == 0 ? 2 : 1) * error));
+    error += exact - fixed[k];
+    wanted += (k == 0 ? 1 : 2) * exact;
   }
+  filter.coarse_sum = std::accumulate(plan.fixed_weights.begin(), plan.fixed_weights.end(), 0);
+  // What is left of the sum decides the brightness.
+  filter.inner_box +=
+      static_cast<float>((wanted - filter.coarse_sum) / unit * filter.decimation / (2 * filter.box_half + 1));
 
- private:
-  /// Catmull-Rom at a position along the major axis; 0 outside the kernel.
-  double sample(double m) const {
-    const double s = m / stretch_ + center_;
-    const int below = static_cast<int>(s);
-    if (below < 1 || below + 2 >= static_cast<int>(values_.size())) return 0;
-    const double t = s - below;
-    const float* v = values_.data() + below;
-    return v[0] +
-           t / 2 *
-               (v[1] - v[-1] + t * (2 * v[-1] - 5 * v[0] + 4 * v[1] - v[2] + t * (3 * (v[0] - v[1]) + v[2] - v[-1])));
+  const auto pack = [](std::int32_t low, std::int32_t high) {
+    return static_cast<std::int32_t>((static_cast<std::uint32_t>(high) << 16) |
+                                     (static_cast<std::uint32_t>(low) & 0xffffu));
+  };
+  const int pairs = radius + 3;  // from pair -1
+  plan.coarse_pairs.resize(2 * pairs);
+  std::int32_t* even = plan.coarse_pairs.data() + 1;
+  std::int32_t* odd = even + pairs;
+  for (int i = -1; i <= radius + 1; ++i) {
+    const std::int32_t* at = fixed - radius + 2 * i;
+    even[i] = pack(at[0], at[1]);
+    odd[i] = pack(at[-1], at[0]);
   }
+  filter.coarse_even = even;
+  filter.coarse_odd = odd;
+}
 
-  /// A tap at fraction f between two steps gets the variance f (1 - f). Averaged over the taps around a step; where f
-  /// runs through a whole period there, the mean is 1/6.
-  double splat_variance(int m) const {
-    if (2 * d_ * (1 - stretch_) >= 1) return 1.0 / 6;
-    const double nearest = std::round(m / stretch_);
-    double sum = 0;
-    for (int i = -d_; i < d_; ++i) {
-      const double step = (nearest + i) * stretch_;
-      const double fraction = step - std::floor(step);
-      sum += fraction * (1 - fraction);
-    }
-    return sum / (2 * d_);
-  }
-
-  double stretch_;
-  int d_, margin_, center_;
-  std::vector<float> values_;  // along the line, unit steps, the kernel's centre at [center_]
-};
-
-}  // namespace
-
-// The kernel along the major axis is split into three parts:
-//   box_height inside the box        -> two running sums,
-//   what differs at the box's ends   -> exact taps, merged into weights of the running sums there,
-//   the smooth rest                  -> its values at every d-th step, applied to sums over d samples, and a cubic
-//                                       between the d-th outputs.
-// All weights are in correlation order: the weight at offset k acts on the input k steps further, which is the kernel
-// at -k.
-void CpuConvolver::plan_two_scale(const LineKernel& kernel, double major, int depth, Plan& plan) const {
+// The kernel along the major axis jumps at the ends of its box and is smooth elsewhere: two boxes carry the jumps, and
+// few coarse weights the rest.
+void CpuConvolver::plan_two_scale(const LineKernel& kernel, double major, int depth, Plan& plan) {
   plan.method = Method::TWO_SCALE;
   const double stretch = std::abs(major);  // steps of the major axis in one pixel of the line
-  const double extent = kernel.box_extent_px * stretch;
-  const int d = extent < kMinCoarseExtentPx ? 1 : static_cast<int>(std::lround(extent / kCoarseSamplesPerExtent));
+  // A box that covers the samples -b .. b ends at b + 1 / 2: the box's end lies between those of the two boxes.
+  const int box_half = static_cast<int>(std::floor((kernel.box_extent_px * stretch - 1) / 2));
+  const int d = TwoScaleDesign::decimation_for(box_half);
   const int radius = (static_cast<int>(std::ceil(kernel.radius() * stretch)) + d - 1) / d;
+  const TwoScaleDesign& design = designs_.get(box_half, radius);
 
-  plan.edge_offsets.clear();
-  plan.edge_weights.clear();
+  kernel_on_major_axis(kernel, stretch, plan.on_axis);
+  const std::size_t steps = plan.on_axis.size() / 2;
+  design.fit(plan.on_axis.data() + steps, static_cast<int>(steps), kernels_, plan.weights);
   plan.coarse.assign(2 * radius + 1 + 2 * kCoarseGuard, 0.0f);
-  float* coarse = plan.coarse.data() + kCoarseGuard + radius;  // weight of node k at [k]
-  const int inside = static_cast<int>(std::floor(extent / 2));
-  if (d == 1) {
-    for (int k = -radius; k <= radius; ++k) coarse[k] = static_cast<float>(tap_on_major_axis(kernel, major, -k));
-  } else {
-    const SmoothPart smooth(kernel, stretch, d);
-    const double height = kernel.box_height / stretch;
-    // The sum decides the brightness and must be exact: the box and the rest nearly cancel in it. A running sum at
-    // offset o makes o of a constant image of one.
-    double edge_sum = 0;
-    const auto add_edge = [&](int offset, double weight) {
-      plan.edge_offsets.push_back(offset);
-      plan.edge_weights.push_back(static_cast<float>(weight));
-      edge_sum += static_cast<double>(plan.edge_weights.back()) * offset;
-    };
-    constexpr int kCorrected = 2 * kEdgeReach;
-    const int first = inside - kEdgeReach + 1;
-    double correction[kCorrected + 2] = {};  // of offsets first - 1 .. first + kCorrected, on either side
-    for (int i = 0; i < kCorrected; ++i) {
-      const int offset = first + i;
-      const double model = smooth.at(offset, 0.0) + (offset <= inside ? height : 0.0);
-      correction[i + 1] = tap_on_major_axis(kernel, stretch, offset) - model;
-    }
-    // A weight w on the sample at offset o is w on the running sum at o and -w on that at o - 1.
-    for (int i = 0; i <= kCorrected; ++i) {
-      const int offset = first - 1 + i;
-      const double weight = correction[i] - correction[i + 1] + (offset == inside ? height : 0.0);
-      add_edge(offset, weight);
-      add_edge(-offset - 1, -weight);
-    }
-    const double node_variance = (d * d - 1) / 12.0;  // of a sum over d samples
-    std::vector<double> weights(radius + 1);
-    for (int k = 0; k <= radius; ++k) weights[k] = smooth.at(k * d, node_variance);
-    const double wanted = std::accumulate(kernel.taps.begin(), kernel.taps.end(), 0.0) - edge_sum;
-    const double scale = wanted / (d * (2 * std::accumulate(weights.begin(), weights.end(), 0.0) - weights[0]));
-    for (int k = 0; k <= radius; ++k) coarse[k] = coarse[-k] = static_cast<float>(weights[k] * scale);
-  }
+  float* middle = plan.coarse.data() + kCoarseGuard + radius;
+  for (int k = 0; k <= radius; ++k) middle[k] = middle[-k] = plan.weights.coarse[k];
 
-  plan.two_scale = {plan.edge_offsets.data(),
-                    plan.edge_weights.data(),
-                    static_cast<int>(plan.edge_offsets.size()),
-                    d > 1 ? inside + kEdgeReach + 1 : 0,
-                    plan.coarse.data() + kCoarseGuard,
-                    radius,
-                    d,
-                    depth == CV_8U ? 255.0f : 65535.0f};
+  plan.two_scale = {};
+  TwoScaleFilter& filter = plan.two_scale;
+  filter.box_half = box_half;
+  filter.inner_box = plan.weights.inner_box;
+  filter.outer_box = plan.weights.outer_box;
+  filter.coarse = plan.coarse.data() + kCoarseGuard;
+  filter.coarse_radius = radius;
+  filter.decimation = d;
+  filter.max_value = depth == CV_8U ? 255.0f : 65535.0f;
+  if (depth == CV_8U) fix_coarse_weights(plan);
   plan.reach_m = (radius + kCoarseGuard + 5) * d;
 }
 
@@ -344,18 +305,18 @@ void store_tile(const Pixel* line_order, const cv::Rect& rect, bool major_is_y, 
   const int channels = dst.channels();
   if (channels == 1 && major_is_y) {
     for (int y = 0; y < rect.height; ++y) {
-      std::copy_n(line_order + y * kMaxTileSide, rect.width, dst.ptr<Pixel>(rect.y + y) + rect.x);
+      std::copy_n(line_order + y * kTileStride, rect.width, dst.ptr<Pixel>(rect.y + y) + rect.x);
     }
     return;
   }
   if (channels == 1) {
-    transpose(line_order, kMaxTileSide, rect.width, rect.height, dst.ptr<Pixel>(rect.y) + rect.x, dst.step1());
+    transpose(line_order, kTileStride, rect.width, rect.height, dst.ptr<Pixel>(rect.y) + rect.x, dst.step1());
     return;
   }
   for (int y = 0; y < rect.height; ++y) {
     Pixel* to = dst.ptr<Pixel>(rect.y + y) + static_cast<std::ptrdiff_t>(rect.x) * channels + channel;
     for (int x = 0; x < rect.width; ++x) {
-      to[x * channels] = major_is_y ? line_order[y * kMaxTileSide + x] : line_order[x * kMaxTileSide + y];
+      to[x * channels] = major_is_y ? line_order[y * kTileStride + x] : line_order[x * kTileStride + y];
     }
   }
 }
@@ -388,10 +349,11 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const std::vector<BlockFilter
         Tile tile{{}, part, i};
         tile.geometry = plan.major_is_y ? TileGeometry{part.y, part.height, part.x, part.width, plan.slope}
                                         : TileGeometry{part.x, part.width, part.y, part.height, plan.slope};
-        scratch_floats =
-            std::max(scratch_floats, plan.method == Method::EXACT
-                                         ? kernels_.exact_scratch_floats(tile.geometry, plan.exact)
-                                         : kernels_.two_scale_scratch_floats(tile.geometry, plan.two_scale));
+        const auto two_scale_scratch_floats =
+            sizeof(Pixel) == 1 ? kernels_.two_scale_u8_scratch_floats : kernels_.two_scale_u16_scratch_floats;
+        scratch_floats = std::max(scratch_floats, plan.method == Method::EXACT
+                                                      ? kernels_.exact_scratch_floats(tile.geometry, plan.exact)
+                                                      : two_scale_scratch_floats(tile.geometry, plan.two_scale));
         tiles_.push_back(tile);
       }
     }
@@ -402,6 +364,14 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const std::vector<BlockFilter
     (plan.major_is_y ? border_upright : border_transposed) =
         std::max(plan.major_is_y ? border_upright : border_transposed, pad);
   }
+
+  // Tiles that follow each other along m read nearly the same rows, which are then still in the second-level cache.
+  std::sort(tiles_.begin(), tiles_.end(), [&](const Tile& a, const Tile& b) {
+    const auto key = [&](const Tile& tile) {
+      return std::make_tuple(plans_[tile.plan].major_is_y, tile.geometry.n_begin, tile.geometry.m_begin);
+    };
+    return key(a) < key(b);
+  });
 
   if (need_reference) {
     reference_.convolve(src, left_to_reference_, dst);
@@ -430,11 +400,11 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const std::vector<BlockFilter
           pad_transposed(plane, static_cast<int>(std::ceil(border_transposed)), threads, planes.transposed);
     }
     const int tile_count = static_cast<int>(tiles_.size());
-#pragma omp parallel for num_threads(threads) schedule(dynamic)
+#pragma omp parallel for num_threads(threads) schedule(dynamic, 8)
     for (int i = 0; i < tile_count; ++i) {
       const Tile& tile = tiles_[i];
       const Plan& plan = plans_[tile.plan];
-      alignas(64) Pixel line_order[kMaxTileSide * kMaxTileSide];
+      alignas(64) Pixel line_order[kMaxTileSide * kTileStride];
       float* scratch = scratch_[omp_get_thread_num()].data();
       const std::uintptr_t past_line = reinterpret_cast<std::uintptr_t>(scratch) % 64;
       if (past_line != 0) scratch += (64 - past_line) / sizeof(float);

@@ -7,6 +7,7 @@
 
 #include "cpu/block_kernels.hpp"
 #include "cpu/reference_convolver.hpp"
+#include "cpu/two_scale_design.hpp"
 #include "gyro_deblur/deconvolution.hpp"
 
 namespace gyro_deblur {
@@ -40,8 +41,10 @@ class CpuConvolver : public LineConvolver {
     ExactFilter exact{};
     std::vector<PairTap> pair_taps;
     TwoScaleFilter two_scale{};
-    std::vector<int> edge_offsets;
-    std::vector<float> edge_weights, coarse;
+    std::vector<float> on_axis, coarse;
+    std::vector<KernelTap> taps;
+    std::vector<std::int32_t> fixed_weights, coarse_pairs;
+    TwoScaleWeights weights;
     int reach_m = 0;  ///< rows before and after a tile that are read
   };
 
@@ -52,9 +55,10 @@ class CpuConvolver : public LineConvolver {
     SourcePlane<Pixel> upright_view{}, transposed_view{};
   };
 
-  void plan_block(const BlockFilter& block, int depth, Plan& plan) const;
+  void plan_block(const BlockFilter& block, int depth, Plan& plan);
   void plan_exact(const LineKernel& kernel, double angle_rad, Plan& plan) const;
-  void plan_two_scale(const LineKernel& kernel, double major, int depth, Plan& plan) const;
+  void plan_two_scale(const LineKernel& kernel, double major, int depth, Plan& plan);
+  static void fix_coarse_weights(Plan& plan);
   template <typename Pixel>
   void convolve_as(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst, Planes<Pixel>& planes);
   template <typename Pixel>
@@ -64,6 +68,7 @@ class CpuConvolver : public LineConvolver {
   int threads_;
   const BlockKernels& kernels_;
   ReferenceConvolver reference_;
+  TwoScaleDesigns designs_;
   std::vector<Plan> plans_;
   std::vector<Tile> tiles_;
   std::vector<BlockFilter> left_to_reference_;
