@@ -244,6 +244,12 @@ void transpose(const Pixel* from, std::ptrdiff_t from_stride, int rows, int cols
   const bool bytes = sizeof(Pixel) == 1;
   const int whole_rows = bytes ? rows / 8 * 8 : 0, whole_cols = bytes ? cols / 8 * 8 : 0;
   for (int y = 0; y < whole_rows; y += 8) {
+    // Rows are too far apart for the processor to foresee.
+    constexpr int kRowsAhead = 32;
+    for (int i = y + kRowsAhead; i < std::min(y + kRowsAhead + 8, rows); ++i) {
+      __builtin_prefetch(from + i * from_stride);
+      __builtin_prefetch(from + i * from_stride + cols - 1);
+    }
     for (int x = 0; x < whole_cols; x += 8) {
       transpose_8x8(reinterpret_cast<const std::uint8_t*>(from + y * from_stride + x), from_stride,
                     reinterpret_cast<std::uint8_t*>(to + x * to_stride + y), to_stride);
