@@ -1,6 +1,6 @@
 # What a user of the package needs; the nodelet's and deblur_bag's rules stand beside their targets.
 install(TARGETS gyro_deblur_core LIBRARY DESTINATION ${CATKIN_PACKAGE_LIB_DESTINATION})
-foreach(tool deblur_image make_bag simulate_bag)
+foreach(tool deblur_image evaluate_features make_bag simulate_bag)
   if(TARGET ${tool})
     install(TARGETS ${tool} RUNTIME DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
   endif()

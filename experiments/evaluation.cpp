@@ -9,7 +9,6 @@
 #include <tuple>
 
 #include <opencv2/calib3d.hpp>
-#include <opencv2/core/version.hpp>
 #include <opencv2/features2d.hpp>
 
 namespace gyro_deblur::experiments {
@@ -22,11 +21,7 @@ constexpr double kSiftEdgeThreshold = 10;
 constexpr double kSiftSigma = 1.6;
 
 cv::Ptr<cv::Feature2D> make_sift() {
-#if CV_VERSION_MAJOR > 4 || (CV_VERSION_MAJOR == 4 && CV_VERSION_MINOR >= 4)
   return cv::SIFT::create(0, kSiftOctaveLayers, kSiftContrastThreshold, kSiftEdgeThreshold, kSiftSigma);
-#else
-  throw OptionError("the experiments need SIFT, which is in OpenCV 4.4 or newer; this is " CV_VERSION);
-#endif
 }
 
 bool stronger(const cv::KeyPoint& a, const cv::KeyPoint& b) {

@@ -102,8 +102,7 @@ Matching evaluate_matching(const Features& features1, const cv::Size& size1, con
                            const Homography& H_2_1, const MatchingOptions& options);
 
 /// OpenCV's SIFT (DoG) keypoints by falling response, each place and scale once. Thresholds: contrast 0, so that the
-/// number of detections can be fixed by response; edges 10 (Lowe 2004). Image: CV_8UC1. Throws OptionError where OpenCV
-/// is older than 4.4.
+/// number of detections can be fixed by response; edges 10 (Lowe 2004). Image: CV_8UC1.
 std::vector<cv::KeyPoint> detect_dog(const cv::Mat& image);
 
 /// The `count` strongest of detect_dog() with their SIFT descriptors.

@@ -7,9 +7,12 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
 #include "gyro_deblur/options.hpp"
+#include "run_program.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur::experiments {
@@ -278,6 +281,38 @@ TEST(DetectDog, ReportsTheScaleOfABlob) {
     EXPECT_NEAR(keypoints[0].size / 2, s, 0.2 * s);
   }
 }
+
+#ifdef EVALUATE_FEATURES
+TEST(EvaluateFeatures, ReportsAndRefuses) {
+  const std::string folder = testing::TempDir();
+  const std::string image = folder + "evaluate_features.png", homography = folder + "evaluate_features.txt",
+                    json = folder + "evaluate_features.json";
+  ASSERT_TRUE(cv::imwrite(image, test::textured_image(kSize.width, kSize.height, 3)));
+  std::ofstream(homography) << "1 0 0 0 1 0 0 0 1";
+  const auto run = [&](const std::vector<std::string>& arguments) {
+    std::vector<std::string> command = {EVALUATE_FEATURES};
+    command.insert(command.end(), arguments.begin(), arguments.end());
+    return test::run_program(command);
+  };
+  const auto good = run({image, image, homography, "--detections", "200", "--json", json});
+  ASSERT_EQ(good.exit_code, 0) << good.output;
+  nlohmann::json results;
+  std::ifstream(json) >> results;
+  EXPECT_EQ(results.at("as_detected").at("correspondences"), 200);
+  EXPECT_EQ(results.at("normalized").at("repeatability"), 1);
+  EXPECT_EQ(results.at("as_detected").at("error_px"), 0);
+  EXPECT_TRUE(results.at("sift").at("homography_found"));
+  EXPECT_EQ(results.at("orb").at("correct"), results.at("orb").at("matches"));
+
+  const auto absent = run({image, folder + "absent.png", homography});
+  EXPECT_EQ(absent.exit_code, 1);
+  EXPECT_NE(absent.output.find("absent.png"), std::string::npos);
+  const auto out_of_range = run({image, image, homography, "--min-overlap", "1.5"});
+  EXPECT_EQ(out_of_range.exit_code, 1);
+  EXPECT_NE(out_of_range.output.find("min_overlap = 1.5"), std::string::npos);
+  EXPECT_EQ(run({image, image}).exit_code, 2);
+}
+#endif
 
 }  // namespace
 }  // namespace gyro_deblur::experiments
