@@ -138,14 +138,14 @@ inline void store_exact(std::uint8_t* to, IntVector sum, const ExactFilter& filt
 }
 
 /// Walks over the tile's outputs, kExactRows by kExactVectors, and lets sum(at, vectors, sums) fill the sums for the
-/// outputs whose first one is at offset `at` of the neighbourhood.
+/// outputs whose first one is at offset `at` of the neighbourhood, whose rows are `stride` apart.
 template <typename Sum>
-inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filter, const ExactLayout& layout,
-                              std::uint8_t* out, Sum sum) {
+inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filter, std::uint8_t* out, int stride,
+                              Sum sum) {
   for (int m = 0; m < tile.m_count; m += kExactRows) {
     for (int n = 0; n < tile.n_count; n += kExactVectors * kLanes) {
       IntVector sums[kExactRows][kExactVectors];
-      sum((m + filter.radius_m) * layout.width + n - filter.n_min, sums);
+      sum((m + filter.radius_m) * stride + n - filter.n_min, sums);
       for (int row = 0; row < kExactRows && m + row < tile.m_count; ++row) {
         for (int v = 0; v < kExactVectors && n + v * kLanes < tile.n_count; ++v) {
           store_exact(out + (m + row) * kTileStride + n + v * kLanes, sums[row][v], filter);
@@ -155,24 +155,22 @@ inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filte
   }
 }
 
-#if defined(__AVX512VNNI__)
+#if defined(__AVX512VBMI__) && defined(__AVX512VNNI__)
 
-// Two steps of the line at once: bytes (m, n), (m, n + 1), (m + 1, n'), (m + 1, n' + 1), where n' - n is 0 or the sign
-// of the slope. Half the loads of pairs, which is what limits those; weights are split in two so that they fit bytes.
+// Two steps of the line at once: bytes (m, n), (m, n + 1) of one and (m', n'), (m', n' + 1) of the next are put side by
+// side for 16 outputs by one permutation, and multiplied by one dot product. Weights are split in two so that they fit
+// bytes.
 struct Quad {
-  int at;                  // first byte's place in the neighbourhood, relative to the output
-  int side;                // which of the two arrangements
+  int lower, upper;        // places of the first byte of either step in the neighbourhood, relative to the output
   std::int32_t high, low;  // weights / 128 and the rest, a byte each
 };
 
-struct QuadLayout {
-  int size;  // of one array
-  explicit QuadLayout(const ExactLayout& layout) : size(layout.rows * layout.width + kLanes) {}
-};
+/// The neighbourhood's rows as bytes, with room for whole vectors.
+inline int quad_stride(const ExactLayout& layout) { return round_up(layout.width, 64) + 64; }
 
 std::size_t exact_scratch_floats(const TileGeometry& tile, const ExactFilter& filter) {
   const ExactLayout layout(tile, filter);
-  return static_cast<std::size_t>(3 * QuadLayout(layout).size) +
+  return static_cast<std::size_t>(layout.rows) * quad_stride(layout) / sizeof(float) +
          static_cast<std::size_t>(filter.count) * sizeof(Quad) / sizeof(float);
 }
 
@@ -183,68 +181,61 @@ inline std::int32_t pack_bytes(std::int32_t a, std::int32_t b, std::int32_t c, s
 void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
               float* scratch, std::uint8_t* out) {
   const ExactLayout layout(tile, filter);
-  const int size = QuadLayout(layout).size;
-  const int lean = tile.slope < 0 ? -1 : 1;
-
-  std::int32_t* pairs = reinterpret_cast<std::int32_t*>(scratch);
+  const int stride = quad_stride(layout);
+  std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(scratch);
   for (int r = 0; r < layout.rows; ++r) {
     const std::uint8_t* from =
         source.origin + clamp_row(layout.first_m + r, source.rows) * source.stride + layout.first_n;
-    for (int i = 0; i < layout.width; i += kLanes) {
-      const __m512i first = _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)(from + i)));
-      const __m512i second = _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)(from + i + 1)));
-      _mm512_storeu_si512(pairs + r * layout.width + i, _mm512_or_si512(first, _mm512_slli_epi32(second, 8)));
+    for (int i = 0; i < layout.width; i += 64) {
+      _mm512_storeu_si512(bytes + r * stride + i, _mm512_loadu_si512(from + i));
     }
   }
-  // The vector after the last row and before the first is read for the leaning arrangement, but no output uses it.
-  std::int32_t* quads[2] = {pairs + size, pairs + 2 * size};
-  const int last = (layout.rows - 1) * layout.width;
-  for (int i = 0; i < last; i += kLanes) {
-    const __m512i here = _mm512_loadu_si512(pairs + i);
-    const __m512i straight = _mm512_loadu_si512(pairs + i + layout.width);
-    const __m512i leaning = _mm512_loadu_si512(pairs + i + layout.width + lean);
-    _mm512_storeu_si512(quads[0] + i, _mm512_or_si512(here, _mm512_slli_epi32(straight, 16)));
-    _mm512_storeu_si512(quads[1] + i, _mm512_or_si512(here, _mm512_slli_epi32(leaning, 16)));
-  }
 
-  Quad* list = reinterpret_cast<Quad*>(scratch + 3 * size);
+  Quad* list = reinterpret_cast<Quad*>(bytes + layout.rows * stride);
   int count = 0;
   const auto low_half = [](std::int32_t weights) {
     return static_cast<std::int32_t>(static_cast<std::uint32_t>(weights) << 16) >> 16;
   };
-  for (int t = 0; t < filter.count; ++t) {
-    const PairTap& tap = filter.taps[t];
-    std::int32_t w[4] = {low_half(tap.weights), tap.weights >> 16, 0, 0};
-    Quad quad{tap.m * layout.width + tap.n, 0, 0, 0};
+  for (int t = 0; t < filter.count; t += 2) {
+    const PairTap& lower = filter.taps[t];
+    std::int32_t w[4] = {low_half(lower.weights), lower.weights >> 16, 0, 0};
+    Quad quad{lower.m * stride + lower.n, lower.m * stride + lower.n, 0, 0};
     if (t + 1 < filter.count) {
-      const PairTap& next = filter.taps[t + 1];
-      // Taps come in falling or rising order of m; the quad starts at the lower.
-      const PairTap& lower = next.m < tap.m ? next : tap;
-      const PairTap& upper = next.m < tap.m ? tap : next;
-      const int step = upper.n - lower.n;
-      if (upper.m == lower.m + 1 && (step == 0 || step == lean)) {
-        quad.at = lower.m * layout.width + lower.n;
-        quad.side = step == 0 ? 0 : 1;
-        w[0] = low_half(lower.weights);
-        w[1] = lower.weights >> 16;
-        w[2] = low_half(upper.weights);
-        w[3] = upper.weights >> 16;
-        ++t;
-      }
+      const PairTap& upper = filter.taps[t + 1];
+      quad.upper = upper.m * stride + upper.n;
+      w[2] = low_half(upper.weights);
+      w[3] = upper.weights >> 16;
     }
     quad.high = pack_bytes(w[0] >> 7, w[1] >> 7, w[2] >> 7, w[3] >> 7);
     quad.low = pack_bytes(w[0] & 127, w[1] & 127, w[2] & 127, w[3] & 127);
     list[count++] = quad;
   }
 
-  for_exact_outputs(tile, filter, layout, out, [&](int at, IntVector sums[kExactRows][kExactVectors]) {
+  // From two vectors of bytes, i, i + 1 of the first and i, i + 1 of the second for i = 16 v .. 16 v + 15. A vector
+  // reaches three such groups; the fourth is the first of another vector 48 bytes on.
+  constexpr int kReached = 3;
+  static_assert(kExactVectors == kReached + 1, "");
+  const __m512i group_step = _mm512_set1_epi8(16);
+  const __m512i counting = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  __m512i order[kReached];
+  order[0] =
+      _mm512_add_epi32(_mm512_mullo_epi32(counting, _mm512_set1_epi32(0x01010101)), _mm512_set1_epi32(0x41400100));
+  for (int v = 1; v < kReached; ++v) order[v] = _mm512_add_epi8(order[v - 1], group_step);
+
+  for_exact_outputs(tile, filter, out, stride, [&](int at, IntVector sums[kExactRows][kExactVectors]) {
     __m512i high[kExactRows][kExactVectors] = {}, low[kExactRows][kExactVectors] = {};
     for (int q = 0; q < count; ++q) {
-      const std::int32_t* from = quads[list[q].side] + at + list[q].at;
+      const std::uint8_t *lower = bytes + at + list[q].lower, *upper = bytes + at + list[q].upper;
       const __m512i high_weights = _mm512_set1_epi32(list[q].high), low_weights = _mm512_set1_epi32(list[q].low);
-      for (int row = 0; row < kExactRows; ++row) {
+      for (int row = 0; row < kExactRows; ++row, lower += stride, upper += stride) {
+        const __m512i first = _mm512_loadu_si512(lower), second = _mm512_loadu_si512(upper);
+        const __m512i first_beyond =
+            _mm512_castsi256_si512(_mm256_loadu_si256((const __m256i*)(lower + 16 * kReached)));
+        const __m512i second_beyond =
+            _mm512_castsi256_si512(_mm256_loadu_si256((const __m256i*)(upper + 16 * kReached)));
         for (int v = 0; v < kExactVectors; ++v) {
-          const __m512i pixels = _mm512_loadu_si512(from + row * layout.width + v * kLanes);
+          const __m512i pixels = v < kReached ? _mm512_permutex2var_epi8(first, order[v], second)
+                                              : _mm512_permutex2var_epi8(first_beyond, order[0], second_beyond);
           high[row][v] = _mm512_dpbusd_epi32(high[row][v], pixels, high_weights);
           low[row][v] = _mm512_dpbusd_epi32(low[row][v], pixels, low_weights);
         }
@@ -275,7 +266,7 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
     std::int32_t* to = pairs + r * layout.width;
     for (int i = 0; i < layout.width; ++i) to[i] = from[i] | (from[i + 1] << 16);
   }
-  for_exact_outputs(tile, filter, layout, out, [&](int at, IntVector sums[kExactRows][kExactVectors]) {
+  for_exact_outputs(tile, filter, out, layout.width, [&](int at, IntVector sums[kExactRows][kExactVectors]) {
     IntVector acc[kExactRows][kExactVectors] = {};
     for (int t = 0; t < filter.count; ++t) {
       const PairTap& tap = filter.taps[t];
@@ -452,11 +443,6 @@ struct SampleRows {
     for (int i = 0; i < samples; ++i, across += step) {
       parts[i] = static_cast<std::uint32_t>(across);
       offsets[i] = clamp_row(first_m + i, source.rows) * source.stride + layout.first_lane + (across >> kPartBits);
-      // The neighbourhood of a tile is a thousand cache lines that no hardware prefetcher foresees.
-      const char* begin = reinterpret_cast<const char*>(source.origin + offsets[i]);
-      const char* end = begin + (layout.lanes + 1) * static_cast<int>(sizeof(Pixel));
-      for (const char* line = begin; line < end; line += kCacheLineBytes) __builtin_prefetch(line);
-      __builtin_prefetch(end - 1);
     }
   }
 };

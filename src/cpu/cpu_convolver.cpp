@@ -363,9 +363,9 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const std::vector<BlockFilter
         tiles_.push_back(tile);
       }
     }
-    // Lines leave the tile sideways by their slope; whole vectors are read beyond, up to four of outputs and some of
+    // Lines leave the tile sideways by their slope; whole vectors are read beyond, up to eight of outputs and some of
     // rounding.
-    const double pad = std::abs(plan.slope) * (plan.reach_m + kMaxTileSide) + 8 * kernels_.lanes + 8;
+    const double pad = std::abs(plan.slope) * (plan.reach_m + kMaxTileSide) + 12 * kernels_.lanes + 8;
     (plan.major_is_y ? need_upright : need_transposed) = true;
     (plan.major_is_y ? border_upright : border_transposed) =
         std::max(plan.major_is_y ? border_upright : border_transposed, pad);
