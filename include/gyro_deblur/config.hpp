@@ -32,6 +32,7 @@ struct Config {
   std::optional<Eigen::Matrix3d> R_cam_imu;               ///< absent: from tf
   Eigen::Vector3d p_cam_imu_m = Eigen::Vector3d::Zero();  ///< origin of the IMU in camera coordinates; each |.| <= 100
   TranslationOptions translation;
+  TrackerOptions tracker;
   OdometryClock odometry_clock = OdometryClock::CAMERA;
   TwistFrame odometry_twist_frame = TwistFrame::CHILD;
   TimeNs gyro_timeout_ns = 500'000'000;   ///< how long a frame waits for gyroscope, exposure and tf; [0, 10 s]

@@ -66,6 +66,18 @@ struct KeypointOptions {
   void validate() const;  ///< throws OptionError
 };
 
+/// Tracking of corners. The defaults are those of VINS-Mono's tracker for 752 x 480 px.
+struct TrackerOptions {
+  int max_tracks = 150;            ///< [8, 10000]
+  double min_distance_px = 30;     ///< [2, 500] between two tracks
+  double max_round_trip_px = 1.0;  ///< [0.05, 10]: how far from its start a corner may end up when tracked back
+  double max_epipolar_px = 1.0;    ///< [0.1, 20]: distance from the epipolar line
+  int window_px = 21;              ///< [5, 101], odd: side of the patch that is compared
+  int levels = 3;                  ///< [0, 6]: halvings of the image
+
+  void validate() const;  ///< throws OptionError
+};
+
 /// The instant at which rectified keypoints hold.
 enum class RectifyTo { FIRST_ROW, MIDDLE_ROW, LAST_ROW, STAMP };
 

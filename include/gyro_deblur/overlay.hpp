@@ -18,7 +18,8 @@ struct BlurSegment {
 BlurSegment blur_segment(const BlurField& field, int index);
 
 /// `luminance` (CV_8UC1, the field's size) as CV_8UC3 BGR with the blur path of every block drawn in its status's
-/// colour, and a legend with counts and the median extent.
+/// colour, and a legend: the median extent, what became of how many blocks, and a bar of 50 px for scale. Too small
+/// images have no legend.
 cv::Mat draw_overlay(const cv::Mat& luminance, const BlurField& field);
 
 }  // namespace gyro_deblur

@@ -37,8 +37,9 @@ struct PipelineOptions {
 
 /// What a caller wants of a frame; nothing else is computed.
 struct PipelineRequest {
-  bool image = true;      ///< the deblurred image
-  bool keypoints = true;  ///< keypoints and rectification (implies the deblurred luminance)
+  bool image = true;       ///< the deblurred image
+  bool keypoints = true;   ///< keypoints and rectification (implies the deblurred luminance)
+  bool luminance = false;  ///< the deblurred luminance
 };
 
 /// Wall time of each stage [ms]; 0 for a stage that did not run.
@@ -52,6 +53,7 @@ struct StageTimes {
 struct PipelineResult {
   BlurField field;    ///< validated
   cv::Mat image;      ///< deblurred; empty when not requested, or when no block was changed (use the input)
+  cv::Mat luminance;  ///< deblurred, CV_8UC1; may share memory with the input; empty when not requested
   Features features;  ///< in pixels of the image as it arrived
   std::vector<RectifiedPoint> points;  ///< one for each of features.keypoints
   TimeNs reference_ns = 0;             ///< camera clock; at which points[].rectified_px hold

@@ -176,6 +176,12 @@ const std::map<std::string, Reader>& readers() {
       {"odometry_max_stddev", into([](Config & c) -> auto& { return c.translation.max_stddev_m_s; })},
       {"odometry_clock", into([](Config & c) -> auto& { return c.odometry_clock; })},
       {"odometry_twist_frame", into([](Config & c) -> auto& { return c.odometry_twist_frame; })},
+      {"max_tracks", into([](Config & c) -> auto& { return c.tracker.max_tracks; })},
+      {"track_min_distance", into([](Config & c) -> auto& { return c.tracker.min_distance_px; })},
+      {"track_max_round_trip", into([](Config & c) -> auto& { return c.tracker.max_round_trip_px; })},
+      {"track_max_epipolar", into([](Config & c) -> auto& { return c.tracker.max_epipolar_px; })},
+      {"track_window", into([](Config & c) -> auto& { return c.tracker.window_px; })},
+      {"track_levels", into([](Config & c) -> auto& { return c.tracker.levels; })},
       {"rectify_to", into([](Config & c) -> auto& { return c.pipeline.rectify_to; })},
       {"backend", into([](Config & c) -> auto& { return c.pipeline.backend; })},
       {"threads", into([](Config & c) -> auto& { return c.pipeline.threads; })},
@@ -207,6 +213,7 @@ void Config::validate() const {
   if (R_cam_imu) require_rotation("R_cam_imu", *R_cam_imu);
   for (int axis = 0; axis < 3; ++axis) require_range("p_cam_imu", p_cam_imu_m[axis], -100, 100, "m");
   translation.validate();
+  tracker.validate();
   require_range("gyro_timeout", to_seconds(gyro_timeout_ns), 0, 10, "s");
   require_range("frame_queue_size", frame_queue_size, 1, 1000);
   require_range("bias_window", to_seconds(bias_window_ns), 0.1, 10, "s");

@@ -60,6 +60,18 @@ void KeypointOptions::validate() const {
   require_range("grid_rows", grid_rows, 1, 64);
 }
 
+void TrackerOptions::validate() const {
+  require_range("max_tracks", max_tracks, 8, 10000);
+  require_range("track_min_distance", min_distance_px, 2, 500, "px");
+  require_range("track_max_round_trip", max_round_trip_px, 0.05, 10, "px");
+  require_range("track_max_epipolar", max_epipolar_px, 0.1, 20, "px");
+  require_range("track_window", window_px, 5, 101, "px");
+  if (window_px % 2 == 0) {
+    throw OptionError("track_window = " + std::to_string(window_px) + " is even; allowed are odd sizes in [5, 101] px");
+  }
+  require_range("track_levels", levels, 0, 6);
+}
+
 void GyroOptions::validate() const {
   for (int axis = 0; axis < 3; ++axis) require_range("gyro_bias", bias_rad_s[axis], -1, 1, "rad/s");
   require_range("time_offset", to_seconds(time_offset_ns), -10, 10, "s");

@@ -47,18 +47,38 @@ struct LegendLine {
   cv::Scalar color;
 };
 
+/// What became of blocks, in words that need no manual.
+const char* fate(BlockStatus status) {
+  switch (status) {
+    case BlockStatus::DEBLURRED:
+      return "deblurred";
+    case BlockStatus::SHARP:
+      return "sharp, left alone";
+    case BlockStatus::REJECTED:
+      return "do not fit the image";
+    case BlockStatus::TOO_LARGE:
+      return "blurred too far";
+    case BlockStatus::NO_GYRO:
+      return "without gyroscope";
+  }
+  return "";
+}
+
+/// Length of the scale bar [px].
+constexpr int kScaleBarPx = 50;
+
 void draw_legend(cv::Mat& image, const BlurField& field, double scale) {
   std::vector<LegendLine> lines;
+  char median[64];
+  std::snprintf(median, sizeof(median), "median blur %.1f px", median_extent_px(field));
+  lines.push_back({median, cv::Scalar::all(255)});
   for (const BlockStatus status : kStatuses) {
     const std::size_t count = field.count(status);
-    if (count > 0) lines.push_back({std::to_string(count) + " " + to_string(status), color_bgr(status)});
+    if (count > 0) lines.push_back({std::to_string(count) + " " + fate(status), color_bgr(status)});
   }
-  char median[64];
-  std::snprintf(median, sizeof(median), "median %.1f px", median_extent_px(field));
-  lines.push_back({median, color_bgr(BlockStatus::DEBLURRED)});
 
   const int font = cv::FONT_HERSHEY_SIMPLEX;
-  const double font_scale = 0.42 * scale;
+  const double font_scale = 0.5 * scale;
   const int thickness = std::max(1, static_cast<int>(std::lround(scale)));
   const int margin_px = std::max(2, static_cast<int>(std::lround(6 * scale)));
   int width_px = 0, line_px = 0;
@@ -68,7 +88,11 @@ void draw_legend(cv::Mat& image, const BlurField& field, double scale) {
     width_px = std::max(width_px, size.width);
     line_px = std::max(line_px, size.height + baseline_px + 1);
   }
-  const cv::Rect box(0, 0, width_px + 2 * margin_px, line_px * static_cast<int>(lines.size()) + margin_px);
+  const std::string bar_text = std::to_string(kScaleBarPx) + " px";
+  width_px = std::max(width_px,
+                      kScaleBarPx + margin_px + cv::getTextSize(bar_text, font, font_scale, thickness, nullptr).width);
+  const int rows = static_cast<int>(lines.size()) + 1;  // the scale bar is the last
+  const cv::Rect box(0, 0, width_px + 2 * margin_px, line_px * rows + margin_px);
   if (box.width > image.cols || box.height > image.rows) return;  // would hide the image
   image(box) *= 0.3;
   int baseline_y_px = 0;
@@ -76,6 +100,15 @@ void draw_legend(cv::Mat& image, const BlurField& field, double scale) {
     baseline_y_px += line_px;
     cv::putText(image, line.text, {margin_px, baseline_y_px}, font, font_scale, line.color, thickness, cv::LINE_AA);
   }
+  baseline_y_px += line_px;
+  const cv::Scalar white = cv::Scalar::all(255);
+  const int bar_y_px = baseline_y_px - line_px / 4, tick_px = line_px / 4;
+  cv::line(image, {margin_px, bar_y_px}, {margin_px + kScaleBarPx, bar_y_px}, white, 2 * thickness);
+  for (const int x_px : {margin_px, margin_px + kScaleBarPx}) {
+    cv::line(image, {x_px, bar_y_px - tick_px}, {x_px, bar_y_px + tick_px}, white, 2 * thickness);
+  }
+  cv::putText(image, bar_text, {2 * margin_px + kScaleBarPx, baseline_y_px}, font, font_scale, white, thickness,
+              cv::LINE_AA);
 }
 
 }  // namespace

@@ -130,7 +130,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     deconvolve(image, layout, result.field, *bank_, *engine_, result.image);
     result.times.deconvolution_ms = watch.ms();
   }
-  if (!request.keypoints) return result;
+  if (!request.keypoints && !request.luminance) return result;
 
   // The same keypoints whether or not somebody wants the image too: found on the deblurred luminance, which is not
   // quite the luminance of the deblurred colours. With 8-bit grey they are one and the same.
@@ -147,6 +147,8 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
       result.times.deconvolution_ms += watch.ms();
     }
   }
+  if (request.luminance) result.luminance = luminance;
+  if (!request.keypoints) return result;
   const Stopwatch watch;
   result.features = extractor_->extract(luminance);
   result.points = rectify_points(positions(result.features.keypoints), result.field, *camera_, motion, exposure,

@@ -11,6 +11,7 @@
 #include <tf2/exceptions.h>
 #include <Eigen/Geometry>
 #include <boost/make_shared.hpp>
+#include <opencv2/imgcodecs.hpp>
 
 #include "gyro_deblur/overlay.hpp"
 #include "gyro_deblur/rotation_track.hpp"
@@ -217,6 +218,44 @@ sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& h
   return to_image(bgr, like);
 }
 
+sensor_msgs::ImagePtr decode_image(const sensor_msgs::CompressedImage& compressed) {
+  namespace encodings = sensor_msgs::image_encodings;
+  sensor_msgs::Image like;
+  like.header = compressed.header;
+  cv::Mat pixels;
+  try {
+    // compressedDepth puts a header of its own before the data.
+    if (!compressed.data.empty() && compressed.format.find("compressedDepth") == std::string::npos) {
+      pixels = cv::imdecode(compressed.data, cv::IMREAD_UNCHANGED);
+    }
+  } catch (const cv::Exception&) {
+    pixels.release();  // the same as data that is none
+  }
+  const std::string original = compressed.format.substr(0, compressed.format.find(';'));
+  const bool wide = pixels.depth() == CV_16U;
+  if (!pixels.empty() && (wide || pixels.depth() == CV_8U)) {
+    switch (pixels.channels()) {
+      case 1:
+        like.encoding = wide ? encodings::MONO16 : encodings::MONO8;
+        if (encodings::isBayer(original) && encodings::bitDepth(original) == (wide ? 16 : 8)) like.encoding = original;
+        break;
+      case 3:
+        like.encoding = wide ? encodings::BGR16 : encodings::BGR8;
+        break;
+      case 4:
+        like.encoding = wide ? encodings::BGRA16 : encodings::BGRA8;
+        break;
+      default:
+        break;
+    }
+  }
+  if (like.encoding.empty()) {
+    like.encoding = encodings::MONO8;
+    pixels.release();
+  }
+  return to_image(pixels, like);
+}
+
 sensor_msgs::CameraInfoPtr uncalibrated_camera_info(const sensor_msgs::Image& input) {
   auto info = boost::make_shared<sensor_msgs::CameraInfo>();
   info->header = input.header;
@@ -292,6 +331,35 @@ KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions&
   message->descriptors.resize(row_bytes * static_cast<std::size_t>(descriptors.rows));
   for (int i = 0; i < descriptors.rows; ++i) {
     std::memcpy(message->descriptors.data() + static_cast<std::size_t>(i) * row_bytes, descriptors.ptr(i), row_bytes);
+  }
+  return message;
+}
+
+sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const std_msgs::Header& header) {
+  auto message = boost::make_shared<sensor_msgs::PointCloud>();
+  message->header = header;
+  message->channels.resize(5);
+  enum Channel : std::size_t { ID, U, V, VELOCITY_X, VELOCITY_Y };
+  message->channels[ID].name = "id_of_point";
+  message->channels[U].name = "u_of_point";
+  message->channels[V].name = "v_of_point";
+  message->channels[VELOCITY_X].name = "velocity_x_of_point";
+  message->channels[VELOCITY_Y].name = "velocity_y_of_point";
+  const auto add = [&message](Channel channel, double value) {
+    message->channels[channel].values.push_back(static_cast<float>(value));
+  };
+  for (const Track& track : tracks) {
+    if (track.length < 2) continue;
+    geometry_msgs::Point32 point;
+    point.x = static_cast<float>(track.normalized.x());
+    point.y = static_cast<float>(track.normalized.y());
+    point.z = 1;
+    message->points.push_back(point);
+    add(ID, track.id);
+    add(U, track.pixel_px.x());
+    add(V, track.pixel_px.y());
+    add(VELOCITY_X, track.velocity_1_s.x());
+    add(VELOCITY_Y, track.velocity_1_s.y());
   }
   return message;
 }

@@ -4,10 +4,13 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
+#include <sensor_msgs/PointCloud.h>
 #include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
 #include <visualization_msgs/MarkerArray.h>
@@ -15,6 +18,7 @@
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/types.hpp"
@@ -71,6 +75,11 @@ sensor_msgs::ImagePtr to_image(const cv::Mat& pixels, const sensor_msgs::Image& 
 /// A bgr8 message with the header of `input`.
 sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& header);
 
+/// Pixels of a compressed image (JPEG, PNG, whatever OpenCV reads), with its header. Colours come as bgr8 (bgr16,
+/// bgra8), one channel as mono8, mono16, or the Bayer encoding that `format` names before its semicolon. What cannot be
+/// decoded gives an image of 0x0, which check_image refuses as BAD_IMAGE: the frame comes out in its turn.
+sensor_msgs::ImagePtr decode_image(const sensor_msgs::CompressedImage& compressed);
+
 /// What is known of a camera without camera_info: header and size, K of zeros (not calibrated).
 sensor_msgs::CameraInfoPtr uncalibrated_camera_info(const sensor_msgs::Image& input);
 
@@ -82,6 +91,12 @@ BlurFieldMessagePtr pass_through_message(PassThroughReason reason, const std::st
 
 KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions& options,
                             const std_msgs::Header& header);
+
+/// Corners as VINS-Mono's estimator takes them: one point (x, y, 1) each on the undistorted plane z = 1 of the camera,
+/// and the channels id_of_point, u_of_point, v_of_point [px, raw], velocity_x_of_point, velocity_y_of_point [1/s], in
+/// this order. Corners that were seen for the first time, which have no velocity yet, are left out, as its own tracker
+/// does.
+sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const std_msgs::Header& header);
 
 /// The blur paths as lines at a depth of 1 m in the camera's frame, in the colours of the overlay. One marker with a
 /// fixed namespace and id, so that each image's replaces the one before.

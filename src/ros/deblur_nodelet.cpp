@@ -39,6 +39,35 @@ TimeNs steady_now_ns() {
       .count();
 }
 
+/// What to do about frames that pass through unchanged.
+const char* remedy(PassThroughReason reason) {
+  switch (reason) {
+    case PassThroughReason::NONE:
+      return "";
+    case PassThroughReason::NO_GYRO:
+      return "check that the IMU publishes, its rate, and time_offset; compare the stamps of image and IMU";
+    case PassThroughReason::NO_EXPOSURE_TIME:
+      return "set exposure_time, or publish an Exposure message with each image's stamp";
+    case PassThroughReason::NO_CALIBRATION:
+      return "publish camera_info with each image's stamp, calibrated for the image's size";
+    case PassThroughReason::NO_EXTRINSIC:
+      return "set R_cam_imu, or publish a static transform between the frames of images and IMU";
+    case PassThroughReason::UNSUPPORTED_ENCODING:
+      return "have the driver publish mono8, bgr8, rgb8 or a Bayer encoding";
+    case PassThroughReason::BAD_IMAGE:
+      return "the image's data does not fit its header: mend the driver or the decoder";
+    case PassThroughReason::BAD_CONFIGURATION:
+      return "mend the parameter that the message names";
+    case PassThroughReason::OVERLOAD:
+      return "too slow: fewer max_features, a faster detector (ORB), smaller images, or fewer subscribers";
+    case PassThroughReason::TIME_JUMP:
+      return "expected when a bag loops; otherwise synchronise the clocks";
+    case PassThroughReason::INTERNAL_ERROR:
+      return "the log has the error";
+  }
+  return "";
+}
+
 /// Calls apply(key, member...) for every key that dynamic_reconfigure serves, all of which are keys of the
 /// configuration, with that member of each of `configs`.
 template <typename Function, typename... Configs>
@@ -78,15 +107,17 @@ DeblurNodelet::~DeblurNodelet() {
   tf_subscriber_.shutdown();
   tf_static_subscriber_.shutdown();
   image_transport::Subscriber image_subscriber;
-  ros::Subscriber camera_info_subscriber;
+  ros::Subscriber camera_info_subscriber, compressed_subscriber;
   {
     const std::lock_guard<std::mutex> lock(connection_mutex_);
     shutting_down_ = true;
     std::swap(image_subscriber, image_subscriber_);
     std::swap(camera_info_subscriber, camera_info_subscriber_);
+    std::swap(compressed_subscriber, compressed_subscriber_);
   }
   image_subscriber.shutdown();
   camera_info_subscriber.shutdown();
+  compressed_subscriber.shutdown();
   {
     const std::lock_guard<std::mutex> lock(worker_mutex_);
     worker_stops_ = true;
@@ -107,6 +138,7 @@ DeblurNodelet::~DeblurNodelet() {
   keypoint_publisher_.shutdown();
   blur_field_publisher_.shutdown();
   marker_publisher_.shutdown();
+  track_publisher_.shutdown();
 }
 
 void DeblurNodelet::log(LogLevel level, const std::string& text) const {
@@ -253,6 +285,8 @@ void DeblurNodelet::advertise() {
   overlay_publisher_ = transport_->advertise("blur_overlay", kOutputQueue, on_image_change, on_image_change);
   keypoint_publisher_ = nh.advertise<KeypointArray>("keypoints", kOutputQueue, on_topic_change, on_topic_change);
   blur_field_publisher_ = nh.advertise<BlurFieldMessage>("blur_field", kOutputQueue, on_topic_change, on_topic_change);
+  track_publisher_ =
+      nh.advertise<sensor_msgs::PointCloud>("feature_tracks", kOutputQueue, on_topic_change, on_topic_change);
   marker_publisher_ =
       nh.advertise<visualization_msgs::MarkerArray>("blur_markers", kOutputQueue, on_topic_change, on_topic_change);
 }
@@ -260,7 +294,7 @@ void DeblurNodelet::advertise() {
 bool DeblurNodelet::has_listener() const {
   return image_publisher_.getNumSubscribers() > 0 || overlay_publisher_.getNumSubscribers() > 0 ||
          keypoint_publisher_.getNumSubscribers() > 0 || blur_field_publisher_.getNumSubscribers() > 0 ||
-         marker_publisher_.getNumSubscribers() > 0;
+         marker_publisher_.getNumSubscribers() > 0 || track_publisher_.getNumSubscribers() > 0;
 }
 
 FrameRequest DeblurNodelet::request() const {
@@ -269,6 +303,7 @@ FrameRequest DeblurNodelet::request() const {
   request.keypoints = keypoint_publisher_.getNumSubscribers() > 0;
   request.overlay = overlay_publisher_.getNumSubscribers() > 0;
   request.markers = marker_publisher_.getNumSubscribers() > 0;
+  request.tracks = track_publisher_.getNumSubscribers() > 0;
   return request;
 }
 
@@ -282,10 +317,11 @@ void DeblurNodelet::subscribe_on_demand() {
   if (shutting_down_) return;
   if (!has_listener()) {
     image_subscriber_.shutdown();
+    compressed_subscriber_.shutdown();
     camera_info_subscriber_.shutdown();
     return;
   }
-  if (image_subscriber_) return;
+  if (image_subscriber_ || compressed_subscriber_) return;
   ros::NodeHandle& nh = getNodeHandle();
   const std::string image_topic = nh.resolveName("image_raw");
   // The sibling of the image, as for every camera subscriber, unless camera_info has been remapped on its own.
@@ -294,6 +330,14 @@ void DeblurNodelet::subscribe_on_demand() {
       remapped ? nh.resolveName("camera_info") : image_transport::getCameraInfoTopic(image_topic);
   camera_info_subscriber_ = nh.subscribe(info_topic, kImageQueue, &DeblurNodelet::on_camera_info, this);
   const image_transport::TransportHints hints("raw", ros::TransportHints(), getPrivateNodeHandle());
+  const std::vector<std::string> installed = transport_->getLoadableTransports();
+  if (hints.getTransport() == "compressed" &&
+      std::find(installed.begin(), installed.end(), "image_transport/compressed") == installed.end()) {
+    compressed_subscriber_ =
+        nh.subscribe(image_topic + "/compressed", kImageQueue, &DeblurNodelet::on_compressed_image, this);
+    last_image_ns_ = steady_now_ns();
+    return;
+  }
   image_subscriber_ = transport_->subscribe("image_raw", kImageQueue, &DeblurNodelet::on_image, this, hints);
   last_image_ns_ = steady_now_ns();
 }
@@ -313,6 +357,10 @@ void DeblurNodelet::on_image(const sensor_msgs::ImageConstPtr& image) {
   last_image_ns_ = steady_now_ns();
   guarded("taking an image in", [&] { processor_->add_image(image); });
   wake_worker();
+}
+
+void DeblurNodelet::on_compressed_image(const sensor_msgs::CompressedImageConstPtr& image) {
+  guarded("decoding an image", [&] { on_image(decode_image(*image)); });
 }
 
 void DeblurNodelet::on_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
@@ -403,6 +451,7 @@ void DeblurNodelet::publish(const FrameOutput& output) {
       latencies_["deconvolution"].add(output.stages.deconvolution_ms);
       latencies_["keypoints"].add(output.stages.keypoints_ms);
       latencies_["messages"].add(output.messages_ms);
+      if (output.tracks) latencies_["tracks"].add(output.tracks_ms);
     }
   }
   image_publisher_.publish(output.image, output.camera_info);
@@ -410,6 +459,7 @@ void DeblurNodelet::publish(const FrameOutput& output) {
   if (output.keypoints) keypoint_publisher_.publish(output.keypoints);
   if (output.overlay) overlay_publisher_.publish(output.overlay);
   if (output.markers) marker_publisher_.publish(output.markers);
+  if (output.tracks) track_publisher_.publish(output.tracks);
 }
 
 void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {
@@ -419,7 +469,7 @@ void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {
     bool subscribed = false;
     {
       const std::lock_guard<std::mutex> lock(connection_mutex_);
-      subscribed = static_cast<bool>(image_subscriber_);
+      subscribed = image_subscriber_ || compressed_subscriber_;
     }
     const double silence_s = to_seconds(steady_now_ns() - last_image_ns_);
     if (subscribed && silence_s > kImageSilenceS) {
@@ -455,7 +505,8 @@ void DeblurNodelet::fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper
     const auto before = last_statistics_.passed_through.find(reason);
     const std::size_t fresh = count - (before == last_statistics_.passed_through.end() ? 0 : before->second);
     if (fresh > 0) {
-      status.mergeSummaryf(DiagnosticStatus::WARN, "%zu frames passed through: %s", fresh, to_string(reason));
+      status.mergeSummaryf(DiagnosticStatus::WARN, "%zu frames passed through: %s; %s", fresh, to_string(reason),
+                           remedy(reason));
     }
   }
   status.add("imu dropped, not finite", now.imu_not_finite);

@@ -15,6 +15,7 @@
 #include <image_transport/image_transport.h>
 #include <nodelet/nodelet.h>
 #include <ros/ros.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <std_srvs/Trigger.h>
 #include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
@@ -57,6 +58,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   FrameRequest request() const;
 
   void on_image(const sensor_msgs::ImageConstPtr& image);
+  void on_compressed_image(const sensor_msgs::CompressedImageConstPtr& image);
   void on_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
   void on_imu(const sensor_msgs::ImuConstPtr& imu);
   void on_exposure(const ExposureConstPtr& exposure);
@@ -99,12 +101,14 @@ class DeblurNodelet : public nodelet::Nodelet {
 
   mutable std::mutex connection_mutex_;  // subscribers of the camera and the set of publishers
   image_transport::Subscriber image_subscriber_;
+  ros::Subscriber compressed_subscriber_;  // in its place where the plugin is not installed
   ros::Subscriber camera_info_subscriber_;
   image_transport::CameraPublisher image_publisher_;
   ros::Publisher keypoint_publisher_;
   ros::Publisher blur_field_publisher_;
   image_transport::Publisher overlay_publisher_;
   ros::Publisher marker_publisher_;
+  ros::Publisher track_publisher_;
   bool shutting_down_ = false;
 
   ros::ServiceServer reset_service_;

@@ -71,7 +71,8 @@ Processor::Processor(Environment environment)
     : environment_(std::move(environment)),
       jumps_(Config().time_jump_ns),
       gyro_(Config().gyro.buffer_ns),
-      queue_(static_cast<std::size_t>(Config().frame_queue_size)) {}
+      queue_(static_cast<std::size_t>(Config().frame_queue_size)),
+      tracker_(std::make_shared<FeatureTracker>(TrackerOptions{})) {}
 
 void Processor::set_config(const Config& config) {
   config.validate();
@@ -430,6 +431,13 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
   }
   job->R_cam_imu = *R_cam_imu;
   job->samples = gyro_.window(needed_imu);
+  job->tracker = tracker_;
+  job->tracker_options = config_->tracker;
+  if (const std::optional<TimeRange> seen_cam = tracker_->newest_frame()) {
+    job->tracker_samples =
+        gyro_.window({std::min(needed_imu.begin_ns, seen_cam->begin_ns + job->gyro.time_offset_ns),  //
+                      needed_imu.end_ns});
+  }
   if (translation_.expected()) {
     job->translation = translation_.around(frame_cam, *config_, camera_frame, imu_frame_, *R_cam_imu,
                                            environment_.transform, &job->translation_text);
@@ -497,15 +505,25 @@ void Processor::run_pipeline(const Job& job, FrameOutput* output) const {
     }
   }
   const CameraMotion& camera_motion = translated ? static_cast<const CameraMotion&>(*translated) : motion;
-  PipelineResult result = job.pipeline->process(view.image, view.layout, camera_motion, *job.exposure,
-                                                PipelineRequest{job.request.image, job.request.keypoints});
+  PipelineResult result =
+      job.pipeline->process(view.image, view.layout, camera_motion, *job.exposure,
+                            PipelineRequest{job.request.image, job.request.keypoints, job.request.tracks});
   output->stages = result.times;
   if (const std::string warning = job.pipeline->take_warning(); !warning.empty()) {
     environment_.log(LogLevel::WARNING, warning);
   }
 
-  start = std::chrono::steady_clock::now();
   const std_msgs::Header& header = job.frame.image->header;
+  if (job.request.tracks) {
+    start = std::chrono::steady_clock::now();
+    const RotationTrack since_last(job.tracker_samples, job.gyro, job.R_cam_imu);
+    job.tracker->set_options(job.tracker_options);
+    output->tracks = to_message(
+        job.tracker->track(result.luminance, Camera(*job.frame.calibration), since_last, *job.exposure), header);
+    output->tracks_ms = elapsed_ms(start);
+  }
+
+  start = std::chrono::steady_clock::now();
   if (!result.image.empty()) output->image = to_image(result.image, *job.frame.image);
   if (job.request.keypoints) {
     output->keypoints = to_message(result, job.pipeline->options().keypoints, header);
@@ -583,6 +601,7 @@ FrameOutput Processor::process(const Job& job) const {
       output.keypoints.reset();
       output.overlay.reset();
       output.markers.reset();
+      output.tracks.reset();
     }
   }
   output.camera_info =

@@ -17,10 +17,12 @@
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
+#include <sensor_msgs/PointCloud.h>
 #include <sensor_msgs/Range.h>
 #include <visualization_msgs/MarkerArray.h>
 
 #include "gyro_deblur/config.hpp"
+#include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "ros/frame_queue.hpp"
@@ -41,6 +43,7 @@ struct FrameRequest {
   bool keypoints = true;
   bool overlay = false;
   bool markers = false;
+  bool tracks = false;
 };
 
 /// A frame on its way out: one for every frame that came in, in the same order.
@@ -52,12 +55,14 @@ struct FrameOutput {
   KeypointArrayPtr keypoints;                  ///< null when not requested
   sensor_msgs::ImagePtr overlay;               ///< null when not requested, or without a blur field
   visualization_msgs::MarkerArrayPtr markers;  ///< null when not requested
+  sensor_msgs::PointCloudPtr tracks;           ///< null when not requested, or when the pipeline did not run
   PassThroughReason reason = PassThroughReason::NONE;
   std::string reason_text;
   std::optional<BlurField> field;  ///< of the core; absent when the pipeline did not run
   bool translated = false;         ///< odometry and depth were used
   std::string translation_text;    ///< why not, where an odometry is expected; else empty
   StageTimes stages;               ///< [ms]
+  double tracks_ms = 0;            ///< of following corners
   double waiting_ms = 0;           ///< steady time in the queue
   double messages_ms = 0;          ///< conversion from and to messages, overlay and markers
   double total_ms = 0;             ///< of processing, without waiting
@@ -191,6 +196,9 @@ class Processor {
     GyroOptions gyro;
     Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
     std::string coverage_text;
+    std::shared_ptr<FeatureTracker> tracker;
+    TrackerOptions tracker_options;
+    std::vector<GyroSample> tracker_samples;  // from the frame that the tracker saw last to this one
     std::optional<TranslationJob> translation;
     std::string translation_text;
   };
@@ -237,6 +245,7 @@ class Processor {
   bool exposure_seen_ = false;
   TranslationInput translation_;
   FrameQueue queue_;
+  std::shared_ptr<FeatureTracker> tracker_;  // used by the thread that holds advance_mutex_ alone
   std::size_t in_progress_ = 0;
   ProcessorStatistics statistics_;
   struct Throttle {

@@ -25,6 +25,7 @@
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 #include <sensor_msgs/Range.h>
@@ -53,6 +54,7 @@ struct Arguments {
   bool keep_all_topics = false;
   bool overlay = false;
   bool markers = false;
+  bool tracks = false;
   std::optional<double> bias_seconds;
   double start_s = 0;           // of the slice, since the bag's first message
   std::optional<double> end_s;  // absent: to the bag's end
@@ -60,6 +62,7 @@ struct Arguments {
 
 struct Topics {
   std::string image, camera_info, imu;
+  bool compressed = false;            // the images are
   std::string exposure;               // empty: none
   std::string odometry, scene_depth;  // empty: none
   std::string output_namespace;
@@ -108,24 +111,48 @@ std::string choose_topic(const std::map<std::string, std::string>& topics, const
   return fail("several topics of type " + type + ", name the one for " + kind);
 }
 
+constexpr char kCompressedType[] = "sensor_msgs/CompressedImage";
+constexpr char kCompressedSuffix[] = "/compressed";  // image_transport's name for the topic beside that of the image
+
+bool has_type(const std::map<std::string, std::string>& topics, const std::string& type) {
+  return std::any_of(topics.begin(), topics.end(), [&type](const auto& topic) { return topic.second == type; });
+}
+
+/// Topic of the images: raw ones where the bag has them, else compressed ones.
+std::string choose_image_topic(const Arguments& arguments, const std::map<std::string, std::string>& topics) {
+  std::string named = arguments.image_topic;
+  if (named.empty() && !arguments.camera_namespace.empty()) {
+    named = arguments.camera_namespace + "/image_raw";
+    if (topics.count(named) == 0 && topics.count(named + kCompressedSuffix) > 0) named += kCompressedSuffix;
+  }
+  const auto found = topics.find(named);
+  const bool compressed = named.empty() ? !has_type(topics, "sensor_msgs/Image") && has_type(topics, kCompressedType)
+                                        : found != topics.end() && found->second == kCompressedType;
+  return choose_topic(topics, "images", compressed ? kCompressedType : "sensor_msgs/Image", named, "", true);
+}
+
 Topics choose_topics(const Arguments& arguments, const std::map<std::string, std::string>& topics) {
-  const std::string& ns = arguments.camera_namespace;
   Topics chosen;
-  const std::string image = arguments.image_topic.empty() && !ns.empty() ? ns + "/image_raw" : arguments.image_topic;
-  chosen.image = choose_topic(topics, "images", "sensor_msgs/Image", image, "", true);
+  chosen.image = choose_image_topic(arguments, topics);
+  chosen.compressed = topics.at(chosen.image) == kCompressedType;
+  // What belongs to the image stands beside it, not beside its compressed version.
+  std::string image = chosen.image;
+  const std::size_t suffix = std::string(kCompressedSuffix).size();
+  if (chosen.compressed && image.size() > suffix && image.substr(image.size() - suffix) == kCompressedSuffix) {
+    image.resize(image.size() - suffix);
+  }
   chosen.camera_info = choose_topic(topics, "camera_info", "sensor_msgs/CameraInfo", arguments.camera_info_topic,
-                                    parent_namespace(chosen.image) + "/camera_info", true);
+                                    parent_namespace(image) + "/camera_info", true);
   chosen.imu = choose_topic(topics, "imu", "sensor_msgs/Imu", arguments.imu_topic, "", true);
   chosen.exposure = choose_topic(topics, "exposure", "gyro_deblur/Exposure", arguments.exposure_topic,
-                                 parent_namespace(chosen.image) + "/exposure", false);
+                                 parent_namespace(image) + "/exposure", false);
   // Never by their type alone: a bag's odometry may be that of something else.
   const auto choose_named = [&](const std::string& kind, const std::string& type, const std::string& named) {
     return named.empty() ? named : choose_topic(topics, kind, type, named, "", false);
   };
   chosen.odometry = choose_named("odometry", "nav_msgs/Odometry", arguments.odometry_topic);
   chosen.scene_depth = choose_named("scene depth", "sensor_msgs/Range", arguments.scene_depth_topic);
-  chosen.output_namespace =
-      arguments.output_namespace.empty() ? parent_namespace(chosen.image) : arguments.output_namespace;
+  chosen.output_namespace = arguments.output_namespace.empty() ? parent_namespace(image) : arguments.output_namespace;
   return chosen;
 }
 
@@ -303,7 +330,8 @@ void run(const Arguments& arguments) {
   Topics topics;
   try {
     topics = choose_topics(arguments, bag_topics);
-    require_definition<sensor_msgs::Image>(input, topics.image);
+    topics.compressed ? require_definition<sensor_msgs::CompressedImage>(input, topics.image)
+                      : require_definition<sensor_msgs::Image>(input, topics.image);
     require_definition<sensor_msgs::CameraInfo>(input, topics.camera_info);
     require_definition<sensor_msgs::Imu>(input, topics.imu);
     if (!topics.exposure.empty()) require_definition<Exposure>(input, topics.exposure);
@@ -330,8 +358,9 @@ void run(const Arguments& arguments) {
   const std::string field_topic = output_topic("blur_field");
   const std::string overlay_topic = output_topic("blur_overlay");
   const std::string marker_topic = output_topic("blur_markers");
-  const std::set<std::string> own_topics{deblurred_topic, info_topic,    keypoint_topic,
-                                         field_topic,     overlay_topic, marker_topic};
+  const std::string track_topic = output_topic("feature_tracks");
+  const std::set<std::string> own_topics{deblurred_topic, info_topic,   keypoint_topic, field_topic,
+                                         overlay_topic,   marker_topic, track_topic};
   for (const auto& [topic, type] : bag_topics) {
     if (arguments.keep_all_topics && own_topics.count(topic) > 0) {
       throw std::runtime_error(arguments.input + ": has a topic " + topic +
@@ -380,6 +409,7 @@ void run(const Arguments& arguments) {
     FrameRequest request;
     request.overlay = arguments.overlay;
     request.markers = arguments.markers;
+    request.tracks = arguments.tracks;
     return request;
   };
   Processor processor(std::move(environment));
@@ -397,6 +427,7 @@ void run(const Arguments& arguments) {
     output.write(field_topic, time, *frame.blur_field);
     if (frame.overlay) output.write(overlay_topic, time, *frame.overlay);
     if (frame.markers) output.write(marker_topic, time, *frame.markers);
+    if (frame.tracks) output.write(track_topic, time, *frame.tracks);
     processing_ms += frame.total_ms;
     frames.push_back(frame_report(frame));
     return true;
@@ -417,7 +448,14 @@ void run(const Arguments& arguments) {
       } else if (topic == topics.camera_info) {
         if (const auto message = instance.instantiate<sensor_msgs::CameraInfo>()) processor.add_camera_info(message);
       } else if (topic == topics.image && inside) {
-        if (const auto message = instance.instantiate<sensor_msgs::Image>()) {
+        sensor_msgs::ImageConstPtr message;
+        if (topics.compressed) {
+          const auto compressed = instance.instantiate<sensor_msgs::CompressedImage>();
+          if (compressed) message = decode_image(*compressed);
+        } else {
+          message = instance.instantiate<sensor_msgs::Image>();
+        }
+        if (message) {
           record_times.push_back(instance.getTime());
           processor.add_image(message);
         }
@@ -497,7 +535,7 @@ int main_of(int argc, char** argv) {
   app.add_option("output", arguments.output, "bag to write")->required();
   app.add_option("--config", arguments.config, "YAML file with the keys of config/default.yaml")->required();
   app.add_option("--camera-ns", arguments.camera_namespace, "the images are on NAMESPACE/image_raw");
-  app.add_option("--image-topic", arguments.image_topic, "sensor_msgs/Image");
+  app.add_option("--image-topic", arguments.image_topic, "sensor_msgs/Image, or sensor_msgs/CompressedImage");
   app.add_option("--camera-info-topic", arguments.camera_info_topic,
                  "sensor_msgs/CameraInfo [camera_info beside the images]");
   app.add_option("--imu-topic", arguments.imu_topic, "sensor_msgs/Imu");
@@ -515,6 +553,7 @@ int main_of(int argc, char** argv) {
   app.add_option("--end", arguments.end_s, "only images recorded before SECONDS after the bag's first message")
       ->check(CLI::PositiveNumber);
   app.add_flag("--overlay", arguments.overlay, "also write blur_overlay");
+  app.add_flag("--tracks", arguments.tracks, "also write feature_tracks");
   app.add_flag("--markers", arguments.markers, "also write blur_markers");
   app.add_option("--json", arguments.json, "also write what was done as JSON");
   try {

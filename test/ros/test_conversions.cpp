@@ -335,5 +335,41 @@ TEST(Parameters, KeepTheirTypes) {
   EXPECT_TRUE(has(error_of([&] { parse_config(to_yaml(values)); }), "gamma"));
 }
 
+// Field by field what VINS-Mono's estimator reads: points (x, y, 1), then by position id, u, v and the velocities.
+TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
+  std::vector<Track> tracks(3);
+  tracks[0].id = 16'777'215;  // the largest
+  tracks[0].length = 5;
+  tracks[0].pixel_px = {100.25, 50.5};
+  tracks[0].normalized = {-0.25, 0.125};
+  tracks[0].velocity_1_s = {0.5, -1.5};
+  tracks[1].id = 4;  // new: without a velocity yet
+  tracks[2].id = 7;
+  tracks[2].length = 2;
+  tracks[2].normalized = {0.5, 0.75};
+  std_msgs::Header header;
+  header.stamp = to_ros_time(12 * kSecond + 345);
+  header.frame_id = kCameraFrame;
+  const sensor_msgs::PointCloudPtr message = to_message(tracks, header);
+  EXPECT_EQ(message->header.stamp, header.stamp);
+  EXPECT_EQ(message->header.frame_id, kCameraFrame);
+  ASSERT_EQ(message->points.size(), 2u);
+  ASSERT_EQ(message->channels.size(), 5u);
+  const std::vector<std::pair<std::string, std::vector<float>>> expected{{"id_of_point", {16'777'215.f, 7}},
+                                                                         {"u_of_point", {100.25f, 0}},
+                                                                         {"v_of_point", {50.5f, 0}},
+                                                                         {"velocity_x_of_point", {0.5f, 0}},
+                                                                         {"velocity_y_of_point", {-1.5f, 0}}};
+  for (std::size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_EQ(message->channels[i].name, expected[i].first);
+    EXPECT_EQ(message->channels[i].values, expected[i].second) << expected[i].first;
+  }
+  EXPECT_EQ(message->points[0].x, -0.25f);
+  EXPECT_EQ(message->points[0].y, 0.125f);
+  for (const auto& point : message->points) EXPECT_EQ(point.z, 1.f);  // the estimator asserts it
+  // With one camera the estimator takes the id by rounding: v + 0.5 as int.
+  EXPECT_EQ(static_cast<int>(message->channels[0].values[0] + 0.5), 16'777'215);
+}
+
 }  // namespace
 }  // namespace gyro_deblur

@@ -9,9 +9,11 @@
 #include <gtest/gtest.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <tf2_msgs/TFMessage.h>
 #include <topic_tools/shape_shifter.h>
 #include <nlohmann/json.hpp>
+#include <opencv2/imgcodecs.hpp>
 
 #include "message_builders.hpp"
 #include "ros/messages.hpp"
@@ -97,6 +99,43 @@ class DeblurBagTest : public testing::Test {
 
   fs::path directory_;
 };
+
+TEST_F(DeblurBagTest, CompressedImagesAreDecoded) {
+  write_bag(kFastRadS);
+  ASSERT_EQ(run().exit_code, 0);
+  const auto expected = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  // The same bag with PNGs, which lose nothing, in place of the images; one of them is broken.
+  fs::rename(path("in.bag"), path("raw.bag"));
+  {
+    rosbag::Bag raw(path("raw.bag"), rosbag::bagmode::Read), bag(path("in.bag"), rosbag::bagmode::Write);
+    std::size_t images = 0;
+    for (const rosbag::MessageInstance& instance : rosbag::View(raw)) {
+      const auto image = instance.instantiate<sensor_msgs::Image>();
+      if (!image) {
+        bag.write(instance.getTopic(), instance.getTime(), instance);
+        continue;
+      }
+      sensor_msgs::CompressedImage compressed;
+      compressed.header = image->header;
+      compressed.format = "mono8; png compressed ";
+      cv::imencode(".png", view_image(*image).image, compressed.data);
+      if (++images == 2) compressed.data.resize(compressed.data.size() / 8);
+      bag.write("/cam/image_raw/compressed", instance.getTime(), compressed);
+    }
+  }
+  const ProgramResult result = run();
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  ASSERT_EQ(images.size(), expected.size());
+  for (std::size_t i = 0; i < images.size(); ++i) {
+    EXPECT_EQ(images[i]->header.stamp, expected[i]->header.stamp);
+    if (i == 1) continue;
+    EXPECT_EQ(images[i]->encoding, "mono8");
+    EXPECT_EQ(images[i]->data, expected[i]->data);
+  }
+  EXPECT_EQ(report()["frames"][1]["reason"], "BAD_IMAGE");
+  EXPECT_EQ(report()["passed_through"]["BAD_IMAGE"], 1);
+}
 
 TEST_F(DeblurBagTest, EveryFrameComesOutInOrderWithItsReason) {
   write_bag(kFastRadS);

@@ -1,0 +1,71 @@
+// Corners followed from image to image: predicted by the gyroscope, found by pyramidal Lucas-Kanade.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/options.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+#include "gyro_deblur/types.hpp"
+
+namespace gyro_deblur {
+
+/// One corner in the newest image.
+struct Track {
+  std::int32_t id = 0;                                     ///< the same in every image; [0, 2^24): exact as a float
+  int length = 1;                                          ///< images in which it was seen, this one included
+  Eigen::Vector2d pixel_px = Eigen::Vector2d::Zero();      ///< where it was at the middle of its row's exposure
+  Eigen::Vector2d normalized = Eigen::Vector2d::Zero();    ///< undistorted (x / z, y / z) in the image's frame
+  Eigen::Vector2d velocity_1_s = Eigen::Vector2d::Zero();  ///< of `normalized` since the image before; new ones: 0
+};
+
+/// Follows corners through the images of one camera. Not thread-safe.
+///
+/// A corner is looked for where the gyroscope says it has gone, so that a turn between two images costs no pyramid
+/// levels; it is kept when tracking it back returns to where it came from, and when it agrees with the epipolar
+/// geometry of the others, from which rotation (row by row) has been taken out first.
+class FeatureTracker {
+ public:
+  /// Throws OptionError.
+  explicit FeatureTracker(const TrackerOptions& options);
+
+  /// Throws OptionError and keeps the former options when the new ones are not valid.
+  void set_options(const TrackerOptions& options);
+
+  /// Forgets all tracks; ids go on.
+  void reset();
+
+  /// Exposure of the newest image: how far back the next call's `motion` should reach. Nothing before the first image.
+  std::optional<TimeRange> newest_frame() const;
+
+  /// Follows the corners into the next image and fills up with new ones.
+  /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
+  /// @param motion     from the image before to this one; where it is not known, corners are looked for where they were
+  /// @param exposure   of this image; all tracks are forgotten first when it is not after the one before, or more than
+  /// 1 s
+  /// @return all corners in this image, longest tracks first
+  /// Throws std::invalid_argument when the image does not fit.
+  const std::vector<Track>& track(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
+                                  const RowExposure& exposure);
+
+ private:
+  void follow(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
+              const RowExposure& exposure);
+  void add_corners(const cv::Mat& luminance, const Camera& camera);
+
+  TrackerOptions options_;
+  std::int32_t next_id_ = 0;
+  std::vector<Track> tracks_;
+  std::vector<cv::Mat> pyramid_;  // of the newest image
+  cv::Size size_;
+  std::optional<RowExposure> exposure_;  // of the newest image
+  CameraCalibration calibration_;
+};
+
+}  // namespace gyro_deblur

@@ -1,0 +1,188 @@
+#!/usr/bin/env python3
+"""Latency of two cameras in one nodelet manager: plays a bag in real time to both and waits for every image.
+
+Starts a master of its own, loads one nodelet for each camera with slam_front_end.launch, publishes the bag's images to
+both cameras and its IMU once, at the bag's pace, and measures the time from publishing an image to receiving the
+deblurred one. Keypoints are subscribed to as well, so that they are computed. Prints a table and the machine's load.
+"""
+import argparse
+import collections
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+import numpy as np
+import rosbag
+
+CAMERAS = ("/cam0", "/cam1")
+
+
+def free_port():
+    with socket.socket() as s:
+        s.bind(("localhost", 0))
+        return s.getsockname()[1]
+
+
+def percentiles(values_ms):
+    return {"p50_ms": float(np.percentile(values_ms, 50)), "p95_ms": float(np.percentile(values_ms, 95)),
+            "p99_ms": float(np.percentile(values_ms, 99)), "max_ms": float(np.max(values_ms))}
+
+
+class Listener:
+    """When each image of each camera came out, and what became of it."""
+
+    def __init__(self):
+        import rospy
+        from gyro_deblur.msg import BlurField, KeypointArray
+        from sensor_msgs.msg import Image
+
+        self.images = {camera: collections.OrderedDict() for camera in CAMERAS}
+        self.reasons = collections.Counter()
+        self.keypoints = []
+        self._lock = threading.Lock()
+        self._subscribers = []
+        for camera in CAMERAS:
+            for name, kind, callback in (("deblurred/image_raw", Image, self._on_image),
+                                         ("blur_field", BlurField, self._on_field),
+                                         ("keypoints", KeypointArray, self._on_keypoints)):
+                self._subscribers.append(rospy.Subscriber(camera + "/" + name, kind, callback, camera, queue_size=1000,
+                                                          tcp_nodelay=True))
+
+    def _on_image(self, message, camera):
+        now = time.monotonic()
+        with self._lock:
+            self.images[camera][message.header.stamp.to_nsec()] = now
+
+    def _on_field(self, message, _):
+        with self._lock:
+            self.reasons[message.reason] += 1
+
+    def _on_keypoints(self, message, _):
+        with self._lock:
+            self.keypoints.append(len(message.keypoints))
+
+    def count(self):
+        with self._lock:
+            return min(len(images) for images in self.images.values())
+
+
+def measure(bag_path, camera, imu_topic, seconds):
+    """Plays the bag and returns what was measured."""
+    import rospy
+    from gyro_deblur.msg import Exposure
+    from sensor_msgs.msg import CameraInfo, Image, Imu
+    from tf2_msgs.msg import TFMessage
+
+    rospy.init_node("stereo_latency", disable_signals=True)
+    kinds = {camera + "/image_raw": ("image_raw", Image), camera + "/camera_info": ("camera_info", CameraInfo),
+             camera + "/exposure": ("exposure", Exposure)}
+    publishers = {topic: [rospy.Publisher(c + "/" + name, kind, queue_size=100, tcp_nodelay=True) for c in CAMERAS]
+                  for topic, (name, kind) in kinds.items()}
+    publishers[imu_topic] = [rospy.Publisher("/imu", Imu, queue_size=1000, tcp_nodelay=True)]
+    publishers["/tf_static"] = [rospy.Publisher("/tf_static", TFMessage, queue_size=10, latch=True)]
+    with rosbag.Bag(bag_path) as bag:
+        start = bag.get_start_time()
+        messages = [(topic, message, t.to_sec() - start) for topic, message, t in bag.read_messages(topics=publishers)
+                    if t.to_sec() - start <= seconds]
+    frames = sum(topic == camera + "/image_raw" for topic, _, _ in messages)
+    if frames == 0:
+        sys.exit("stereo_latency.py: %s has no images on %s/image_raw" % (bag_path, camera))
+    listener = Listener()
+
+    deadline = time.monotonic() + 60
+    while not all(p.get_num_connections() >= 1 for topic in publishers for p in publishers[topic]):
+        if time.monotonic() > deadline:
+            sys.exit("stereo_latency.py: the nodelets did not subscribe within 60 s")
+        time.sleep(0.1)
+    published = {c: {} for c in CAMERAS}
+    begin = time.monotonic()
+    late = 0.0
+    for topic, message, at in messages:
+        wait = begin + at - time.monotonic()
+        if wait > 0:
+            time.sleep(wait)
+        late = max(late, -wait)
+        for i, publisher in enumerate(publishers[topic]):
+            if topic == camera + "/image_raw":
+                published[CAMERAS[i]][message.header.stamp.to_nsec()] = time.monotonic()
+            publisher.publish(message)
+    last, since = -1, time.monotonic()
+    while listener.count() < frames and time.monotonic() - since < 10:
+        if listener.count() != last:
+            last, since = listener.count(), time.monotonic()
+        time.sleep(0.1)
+
+    result = {"frames": frames, "cameras": {}, "load_average": os.getloadavg(), "cores": os.cpu_count(),
+              "publisher_late_s": late, "keypoints_mean": float(np.mean(listener.keypoints or [0])),
+              "passed_through": {str(reason): n for reason, n in listener.reasons.items() if reason != 0}}
+    for c in CAMERAS:
+        out = listener.images[c]
+        latencies = [1e3 * (out[stamp] - published[c][stamp]) for stamp in published[c] if stamp in out]
+        result["cameras"][c] = dict(percentiles(latencies), out=len(out), dropped=frames - len(out),
+                                    in_order=list(out) == sorted(out))
+    apart = [1e3 * abs(listener.images[CAMERAS[0]][s] - listener.images[CAMERAS[1]][s])
+             for s in listener.images[CAMERAS[0]] if s in listener.images[CAMERAS[1]]]
+    result["pairs"] = dict(percentiles(apart), complete=len(apart))
+    return result
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("bag", help="of one camera; both get its images")
+    parser.add_argument("--camera", default="/camera", help="namespace in the bag [%(default)s]")
+    parser.add_argument("--imu", default="/imu", help="topic in the bag [%(default)s]")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE",
+                        help="parameter of the nodelets besides detector ORB, 1000 features, one thread each")
+    parser.add_argument("--seconds", type=float, default=1e9, help="play only so much of the bag")
+    parser.add_argument("--json", metavar="FILE", help="write everything to this file")
+    arguments = parser.parse_args()
+
+    processes = []
+    with tempfile.TemporaryDirectory() as folder:
+        config = os.path.join(folder, "config.yaml")
+        with open(config, "w", encoding="utf-8") as file:
+            file.write("detector: ORB\ndescriptor: ORB\nmax_features: 1000\nthreads: 1\n")
+            file.writelines("%s: %s\n" % tuple(item.split("=", 1)) for item in arguments.set)
+        port = free_port()
+        os.environ.update(ROS_MASTER_URI="http://localhost:%d" % port, ROS_HOSTNAME="localhost",
+                          ROS_LOG_DIR=os.path.join(folder, "log"))
+        try:
+            log = open(os.path.join(folder, "launch.log"), "w", encoding="utf-8")
+            processes.append(subprocess.Popen(
+                ["roslaunch", "-p", str(port), "gyro_deblur", "slam_front_end.launch", "camera:=" + CAMERAS[0],
+                 "camera1:=" + CAMERAS[1], "imu:=/imu", "config:=" + config],
+                stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL))
+            while subprocess.run(["rosparam", "get", "/run_id"], stdout=subprocess.DEVNULL,
+                                 stderr=subprocess.DEVNULL, check=False).returncode != 0:
+                if processes[0].poll() is not None:
+                    sys.exit("stereo_latency.py: roslaunch ended; is the package's environment sourced?")
+                time.sleep(0.5)
+            result = measure(arguments.bag, arguments.camera, arguments.imu, arguments.seconds)
+        finally:
+            for process in processes:
+                process.send_signal(signal.SIGINT)
+                process.wait()
+    if arguments.json:
+        with open(arguments.json, "w", encoding="utf-8") as file:
+            json.dump(result, file, indent=2)
+    print("%d pairs, %d cores, load average %.1f, %.0f keypoints an image" % (
+        result["frames"], result["cores"], result["load_average"][0], result["keypoints_mean"]))
+    print("| | out | dropped | p50 | p95 | p99 |\n| --- | --- | --- | --- | --- | --- |")
+    for c, numbers in result["cameras"].items():
+        print("| %s | %d | %d | %.1f ms | %.1f ms | %.1f ms |" % (c, numbers["out"], numbers["dropped"],
+                                                                  numbers["p50_ms"], numbers["p95_ms"], numbers["p99_ms"]))
+    pairs = result["pairs"]
+    print("| images of a pair apart | %d | | %.1f ms | %.1f ms | %.1f ms |" % (
+        pairs["complete"], pairs["p50_ms"], pairs["p95_ms"], pairs["p99_ms"]))
+    if result["passed_through"]:
+        print("passed through, by reason: %s" % result["passed_through"])
+
+
+if __name__ == "__main__":
+    main()
