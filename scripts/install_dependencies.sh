@@ -17,7 +17,8 @@ ros_packages=(
   libtf2-msgs-dev libtf2-ros-dev pluginlib-dev python3-dynamic-reconfigure
 )
 test_packages=(
-  catkin-lint clang clang-format libbenchmark-dev libclang-rt-14-dev librostest-dev pocl-opencl-icd python3-rostest snakemake
+  catkin-lint clang clang-format libbenchmark-dev libclang-rt-14-dev libomp-dev librostest-dev pocl-opencl-icd
+  python3-rostest snakemake
 )
 # The simulator's textures come from opencv-doc; rviz is drawn by Mesa in software on a virtual display.
 demo_packages=(

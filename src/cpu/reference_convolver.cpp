@@ -6,8 +6,9 @@
 #include <limits>
 
 // One binary for every x86-64: the compiler makes a copy of the inner loop per instruction set and the loader picks
-// one.
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__)
+// one. It does so before ThreadSanitizer has started, which ends the process.
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) && \
+    !defined(__SANITIZE_THREAD__)
 #define GYRO_DEBLUR_TARGET_CLONES __attribute__((target_clones("avx512f", "fma", "default")))
 #else
 #define GYRO_DEBLUR_TARGET_CLONES

@@ -1,0 +1,140 @@
+#!/usr/bin/env bash
+# Proof by tools, in build/proof: every unit test under AddressSanitizer and UndefinedBehaviorSanitizer, the tests of
+# buffer, queue, engine and processor under ThreadSanitizer, the fuzz targets for a bounded time, the soak. Fails when
+# one of them finds something. --quick: fuzzers for 10 s each instead of 60 s, the soak 1 min instead of 10 min.
+#
+#   scripts/proof.sh [--quick] [--only asan|tsan|fuzz|soak]...
+set -euo pipefail
+# shellcheck source=scripts/common.sh
+source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
+cd "${GYRO_DEBLUR_ROOT}"
+
+fuzz_s=60
+soak_s=600
+only=()
+while (($# > 0)); do
+  case "$1" in
+    --quick)
+      fuzz_s=10
+      soak_s=60
+      ;;
+    --only)
+      [[ "${2:-}" =~ ^(asan|tsan|fuzz|soak)$ ]] || fail "--only takes asan, tsan, fuzz or soak"
+      only+=("$2")
+      shift
+      ;;
+    -h | --help)
+      sed -n '2,/^set /{/^set /d;s/^# \{0,1\}//p}' "${BASH_SOURCE[0]}"
+      exit 0
+      ;;
+    *) fail "unknown argument $1; see --help" ;;
+  esac
+  shift
+done
+((${#only[@]} > 0)) || only=(asan tsan fuzz soak)
+wanted() { [[ " ${only[*]} " == *" $1 "* ]]; }
+readonly STEPS=$((1 + ${#only[@]}))
+
+step ${STEPS} "Packages"
+scripts/install_dependencies.sh
+source_system_ros
+
+# OpenMP's runtimes are not instrumented: ThreadSanitizer takes their barriers for races. Tests of threads use
+# std::thread, so one OpenMP thread hides nothing of theirs.
+export ASAN_OPTIONS=detect_leaks=1:strict_string_checks=1:allocator_may_return_null=1
+export UBSAN_OPTIONS=print_stacktrace=1
+export LSAN_OPTIONS="suppressions=${GYRO_DEBLUR_ROOT}/scripts/leaks_of_others.txt:print_suppressions=0"
+export TSAN_OPTIONS=halt_on_error=1:second_deadlock_stack=1
+
+# configure FOLDER ARGUMENTS...
+configure() {
+  local folder="$1"
+  shift
+  local launcher=()
+  if command -v ccache > /dev/null; then
+    launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
+  fi
+  mkdir -p "${folder}"
+  cmake -S . -B "${folder}" "${launcher[@]}" -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g" \
+    -DPYTHON_EXECUTABLE=/usr/bin/python3 -DPython3_EXECUTABLE=/usr/bin/python3 "$@" > "${folder}/configure.log" 2>&1 || { cat "${folder}/configure.log" >&2; fail "cmake failed"; }
+}
+
+# make_targets FOLDER TARGETS...
+make_targets() {
+  local folder="$1"
+  shift
+  cmake --build "${folder}" --parallel "$(nproc)" --target "$@" > "${folder}/build.log" 2>&1 ||
+    { tail -n 40 "${folder}/build.log" >&2; fail "the build failed; its log is ${folder}/build.log"; }
+}
+
+# run_tests FOLDER BINARIES...: each as one process; prints how many cases passed.
+run_tests() {
+  local folder="$1" name log passed total=0
+  shift
+  for name in "$@"; do
+    log="${folder}/${name}.log"
+    "${folder}/devel/lib/gyro_deblur/${name}" > "${log}" 2>&1 ||
+      { tail -n 60 "${log}" >&2; fail "${name} failed; its log is ${log}"; }
+    passed="$(sed -n 's/^\[  PASSED  \] \([0-9]*\) test.*/\1/p' "${log}")"
+    total=$((total + passed))
+    say "${name}: ${passed} cases clean"
+  done
+  say "${total} cases in $# binaries clean"
+}
+
+asan_folder="${GYRO_DEBLUR_BUILD}/proof/asan"
+fuzzers=(config_yaml bag_messages image_header exposure)
+[[ ! -f include/gyro_deblur/calibration.hpp ]] || fuzzers+=(calibration_yaml)
+if wanted asan || wanted fuzz; then
+  command -v clang++ > /dev/null || fail "there is no clang++"
+  configure "${asan_folder}" -DCMAKE_CXX_COMPILER=clang++ -DGYRO_DEBLUR_FUZZERS=ON \
+    -DGYRO_DEBLUR_SANITIZE=address,undefined,float-cast-overflow
+fi
+
+if wanted asan; then
+  step ${STEPS} "AddressSanitizer and UndefinedBehaviorSanitizer: every unit test"
+  mapfile -t unit_tests < <(cd test/unit && printf '%s\n' test_*.cpp | sed 's/\.cpp$//')
+  # Command-line tools run as processes of their own, which these tests start.
+  asan_tests=("${unit_tests[@]}" test_time_jump test_frame_queue test_conversions test_processor test_ledger)
+  make_targets "${asan_folder}" "${asan_tests[@]}"
+  run_tests "${asan_folder}" "${asan_tests[@]}"
+fi
+
+if wanted tsan; then
+  step ${STEPS} "ThreadSanitizer: buffer, queue, engines, processor"
+  tsan_folder="${GYRO_DEBLUR_BUILD}/proof/tsan"
+  tsan_tests=(test_gyro_buffer test_frame_queue test_time_jump test_fallback_convolver test_cpu_convolver test_processor)
+  configure "${tsan_folder}" -DGYRO_DEBLUR_SANITIZE=thread
+  make_targets "${tsan_folder}" "${tsan_tests[@]}" fault_table
+  OMP_NUM_THREADS=1 run_tests "${tsan_folder}" "${tsan_tests[@]}"
+  OMP_NUM_THREADS=1 "${tsan_folder}/devel/lib/gyro_deblur/fault_table" --seconds 1 --reloads 5 --quiet \
+    > "${tsan_folder}/fault_table.log" 2>&1 || { tail -n 60 "${tsan_folder}/fault_table.log" >&2; fail "fault_table failed"; }
+  say "fault_table, with a thread for each stream: clean"
+fi
+
+if wanted fuzz; then
+  step ${STEPS} "libFuzzer: ${fuzz_s} s for each target"
+  make_targets "${asan_folder}" "${fuzzers[@]/#/fuzz_}"
+  for name in "${fuzzers[@]}"; do
+    found="${GYRO_DEBLUR_BUILD}/proof/corpus/${name}"
+    log="${asan_folder}/fuzz_${name}.log"
+    mkdir -p "${found}"
+    # The corpus in the repository is read; what is new goes into the build folder.
+    (cd "${asan_folder}" && OMP_NUM_THREADS=1 "devel/lib/gyro_deblur/fuzz_${name}" -max_total_time="${fuzz_s}" -timeout=20 \
+      -rss_limit_mb=3000 -malloc_limit_mb=2000 -max_len=4096 -print_final_stats=1 \
+      -artifact_prefix="${GYRO_DEBLUR_BUILD}/proof/found_${name}_" \
+      "${found}" "${GYRO_DEBLUR_ROOT}/fuzz/corpus/${name}") > "${log}" 2>&1 ||
+      { tail -n 60 "${log}" >&2; fail "fuzz_${name} found something; its log is ${log}"; }
+    say "${name}: $(sed -n 's/^stat::number_of_executed_units: *//p' "${log}") inputs, clean"
+  done
+fi
+
+if wanted soak; then
+  step ${STEPS} "Soak: ${soak_s} s of simulated time"
+  scripts/build.sh
+  results="${GYRO_DEBLUR_BUILD}/proof"
+  mkdir -p "${results}"
+  OMP_NUM_THREADS=1 "${GYRO_DEBLUR_BUILD}/devel/lib/gyro_deblur/soak" --seconds "${soak_s}" --json "${results}/soak.json"
+  /usr/bin/python3 scripts/soak_plot.py "${results}/soak.json" "${results}/soak.png"
+  say "plot: ${results}/soak.png"
+fi
