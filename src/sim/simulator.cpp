@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "core/parallel.hpp"
@@ -181,6 +182,30 @@ Eigen::Vector2d Simulator::truth_rectified(int i, const Eigen::Vector2d& pixel_p
   const Pose middle = pose(exposure(i).middle(pixel_px.y()));
   const Eigen::Vector3d ray = camera_.ray(pixel_px);
   return transfer(camera_, middle, ray, renderer_.intersections(middle, ray), pose(reference_ns));
+}
+
+std::optional<Eigen::Vector3d> Simulator::scene_point(int i, const Eigen::Vector2d& pixel_px) const {
+  const std::vector<Eigen::Vector3d> points =
+      renderer_.intersections(pose(exposure(i).middle(pixel_px.y())), camera_.ray(pixel_px));
+  if (points.empty()) return std::nullopt;
+  return points.front();
+}
+
+Eigen::Vector2d Simulator::pixel_of(int i, const Eigen::Vector3d& point_m) const {
+  // The pixel decides the row, the row the time and the time the pixel. That contracts by the image's speed times the
+  // readout of one row, which is far below one for any motion that leaves an image.
+  constexpr int kMaxIterations = 50;
+  constexpr double kConvergedPx = 1e-7;
+  const RowExposure rows = exposure(i);
+  double y = (scene_.camera.calibration.height_px - 1) / 2.0;
+  Eigen::Vector2d pixel = Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
+  for (int k = 0; k < kMaxIterations; ++k) {
+    const Pose p = pose(rows.middle(y));
+    pixel = camera_.project(p.R_world_cam.conjugate() * (point_m - p.p_world_m));
+    if (!pixel.allFinite() || std::abs(pixel.y() - y) < kConvergedPx) break;
+    y = pixel.y();
+  }
+  return pixel;
 }
 
 int Simulator::sub_exposures(int i) const {

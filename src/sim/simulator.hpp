@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
@@ -67,6 +68,12 @@ class Simulator {
   /// Pixel, at `reference_ns` (camera clock), of the scene point which the pixel sees at the middle of its row's
   /// exposure.
   Eigen::Vector2d truth_rectified(int i, const Eigen::Vector2d& pixel_px, TimeNs reference_ns) const;
+
+  /// Scene point [m, world] which the pixel sees at the middle of its row's exposure; nothing where there is no plane.
+  std::optional<Eigen::Vector3d> scene_point(int i, const Eigen::Vector2d& pixel_px) const;
+  /// Pixel at which frame i shows a scene point [m, world] at the middle of that pixel's row's exposure, which need not
+  /// lie in the image. NaN for a point behind the camera.
+  Eigen::Vector2d pixel_of(int i, const Eigen::Vector3d& point_m) const;
 
   /// Sub-exposures with which no scene point of frame i moves more than half a pixel between two.
   int sub_exposures(int i) const;
