@@ -10,7 +10,7 @@
 set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/../scripts/common.sh"
-readonly STEPS=5
+readonly STEPS=7
 
 quick=()
 seed=1
@@ -45,7 +45,7 @@ step ${STEPS} "Packages"
 if [[ -n "${programs}" ]]; then
   say "skipped"
 else
-  scripts/install_dependencies.sh
+  scripts/install_dependencies.sh colmap
 fi
 
 step ${STEPS} "Build"
@@ -74,6 +74,17 @@ step ${STEPS} "Figure: deconvolution in space and in the frequency domain"
 
 step ${STEPS} "Figure: synthetic blur"
 "${programs}/synthetic" --out "${out}" --data "${data}" --seed "${seed}" "${quick[@]}"
+
+step ${STEPS} "Table: bursts with real hand-shake"
+/usr/bin/python3 experiments/real_world.py "${out}/real_world" --program "${programs}/real_world" --data "${data}" \
+  --seed "${seed}" "${quick[@]}"
+
+step ${STEPS} "Figure: reconstruction"
+status=0
+/usr/bin/python3 experiments/reconstruction.py "${out}/reconstruction" --program "${programs}/reconstruction" \
+  --seed "${seed}" "${quick[@]}" || status=$?
+# 77: there is no COLMAP, and the program has said so.
+((status == 0 || status == 77)) || fail "the reconstruction failed with status ${status}"
 
 step ${STEPS} "Report"
 /usr/bin/python3 experiments/report.py "${out}"

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # Installs the Debian packages that building, testing and the demo need. Does nothing when all of them are there.
+# Arguments: further packages, which single commands need.
 # Debian 12: from the list below. Where ROS noetic is in /opt/ros: through rosdep, from package.xml.
 set -euo pipefail
 # shellcheck source=scripts/common.sh
@@ -18,7 +19,7 @@ ros_packages=(
 )
 test_packages=(
   catkin-lint clang clang-format libbenchmark-dev libclang-rt-14-dev libomp-dev librostest-dev pocl-opencl-icd
-  python3-rostest snakemake
+  python3-rostest python3-yaml snakemake
 )
 # The simulator's textures come from opencv-doc; rviz is drawn by Mesa in software on a virtual display.
 demo_packages=(
@@ -45,12 +46,13 @@ if [[ -d /opt/ros/noetic ]]; then
   say "rosdep install --from-paths ${GYRO_DEBLUR_ROOT}"
   rosdep update
   rosdep install --from-paths "${GYRO_DEBLUR_ROOT}" --ignore-src --default-yes --rosdistro noetic
+  (($# == 0)) || apt_get install -y --no-install-recommends "$@"
   exit 0
 fi
 
 command -v apt-get > /dev/null || fail "this is no Debian: install the packages listed in $0 by other means"
 
-packages=("${build_packages[@]}" "${ros_packages[@]}" "${test_packages[@]}" "${demo_packages[@]}")
+packages=("${build_packages[@]}" "${ros_packages[@]}" "${test_packages[@]}" "${demo_packages[@]}" "$@")
 missing=()
 for package in "${packages[@]}"; do
   status="$(dpkg-query -W -f '${db:Status-Status}' "${package}" 2> /dev/null || true)"
