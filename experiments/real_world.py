@@ -12,10 +12,12 @@ import argparse
 import csv
 import json
 import math
+import os
 import pathlib
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import matplotlib
@@ -173,9 +175,10 @@ def write_scene(path, base, plane, trace_path, exposures, drawn, rng, seed):
 
 
 def run(program, *arguments):
-    done = subprocess.run([str(program), *map(str, arguments)], stderr=subprocess.PIPE, text=True)
+    done = subprocess.run([str(program), *map(str, arguments)], stderr=subprocess.PIPE, text=True,
+                          env=dict(os.environ, OMP_NUM_THREADS="1"))
     if done.returncode != 0:
-        sys.exit(f"real_world.py: {done.stderr.strip()}")
+        raise RuntimeError(done.stderr.strip())
 
 
 def rows_of(report, pair):
@@ -264,6 +267,7 @@ def main():
                         help="folder with handshake_gyro and oxford_affine")
     parser.add_argument("--seed", type=int, default=1, help="of the choice of exposures, viewpoints and noise [1]")
     parser.add_argument("--quick", action="store_true", help="one even pair only")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="pairs at a time [number of cores]")
     parser.add_argument("--keep-bursts", action="store_true", help="leave the images of all pairs")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -301,23 +305,31 @@ def main():
     if arguments.quick:
         plan = plan[:1]
 
-    rows = []
-    for index, (kind, scene, number, chosen) in enumerate(tqdm(plan, unit="pair", mininterval=1)):
+    pairs = []
+    for index, (kind, scene, number, chosen) in enumerate(plan):
         folder = arguments.out / "bursts" / f"{kind}_{scene}_{number}"
         folder.mkdir(parents=True, exist_ok=True)
+        pair = {"kind": kind, "pair": f"{scene} #{number}"}
         for view, drawn in enumerate(chosen, 1):
             write_scene(folder / f"scene{view}.yaml", base, walls[scene], trace_path, exposures, drawn, rng,
                         seed=1000 * arguments.seed + 10 * index + view)
-        run(arguments.program, "simulate", folder / "scene1.yaml", folder / "scene2.yaml", folder)
-        run(arguments.program, "evaluate", folder, "--json", folder / "report.json")
-        pair = {"kind": kind, "pair": f"{scene} #{number}"}
-        for view, drawn in enumerate(chosen, 1):
             pair.update({f"start{view}_s": drawn["start"], f"turn{view}_deg": math.degrees(drawn["turn"]),
                          f"extent{view}_px": drawn["extent"], f"change{view}": drawn["change"]})
-        rows.extend(rows_of(json.loads((folder / "report.json").read_text()), pair))
+        pairs.append((folder, pair))
+
+    def measure(folder_and_pair):
+        folder, pair = folder_and_pair
+        run(arguments.program, "simulate", folder / "scene1.yaml", folder / "scene2.yaml", folder)
+        run(arguments.program, "evaluate", folder, "--json", folder / "report.json")
         if not arguments.keep_bursts:
             for view in ("first", "second"):
                 shutil.rmtree(folder / view)
+        return list(rows_of(json.loads((folder / "report.json").read_text()), pair))
+
+    # A pair on each core: detectors use one core most of the time.
+    with ThreadPoolExecutor(arguments.jobs) as pool:
+        rows = [row for rows_of_pair in tqdm(pool.map(measure, pairs), total=len(pairs), unit="pair", mininterval=1)
+                for row in rows_of_pair]
 
     with open(arguments.out / "real_world.csv", "w", newline="") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))

@@ -46,7 +46,8 @@ VARIANTS = {
 BASELINE, OURS = "blurred", "deblurred_rectified"
 PAPER = {"points": (5888, 10620), "unregistered": (3, 0)}
 
-OVERLAP = 6  # successors that each frame is matched with; COLMAP adds those at the powers of two up to 2^(OVERLAP - 1)
+SUCCESSORS = (1, 2, 3, 4, 8, 16, 32)  # frames that each frame is matched with
+MIN_START_ANGLE_DEG = 3  # between the rays of the first two frames; COLMAP wants 16, which neighbours in a video lack
 MIN_TRACK = 3  # images in which a point that counts is visible, as in the paper
 PLANE_RANSAC_M = 0.02
 PLANE_TRIALS = 500
@@ -111,10 +112,13 @@ def require(success, command, log):
         sys.exit(f"reconstruction.py: colmap {command} failed; see {log}")
 
 
-def match(database, log, seed):
-    require(colmap("sequential_matcher", log, database_path=database, random_seed=seed, SiftMatching__use_gpu=0,
-                   SequentialMatching__overlap=OVERLAP, SequentialMatching__quadratic_overlap=1),
-            "sequential_matcher", log)
+def match(database, names, log, seed):
+    """Matches each frame with its SUCCESSORS and verifies; matches that the database has are only verified."""
+    pairs = database.with_suffix(".pairs")
+    pairs.write_text("".join(f"{name} {names[i + step]}\n" for i, name in enumerate(names) for step in SUCCESSORS
+                             if i + step < len(names)))
+    require(colmap("matches_importer", log, database_path=database, match_list_path=pairs, match_type="pairs",
+                   random_seed=seed, SiftMatching__use_gpu=0), "matches_importer", log)
 
 
 def reconstruct(database, folder, log, seed):
@@ -122,7 +126,8 @@ def reconstruct(database, folder, log, seed):
     folder.mkdir(parents=True, exist_ok=True)
     # Fails where it finds no pair of images to begin with.
     if not colmap("mapper", log, database_path=database, image_path=folder, output_path=folder, random_seed=seed,
-                  Mapper__ba_refine_focal_length=0, Mapper__ba_refine_extra_params=0, Mapper__extract_colors=0):
+                  Mapper__ba_refine_focal_length=0, Mapper__ba_refine_extra_params=0, Mapper__extract_colors=0,
+                  Mapper__init_min_tri_angle=MIN_START_ANGLE_DEG):
         return None
     best = None
     for model in sorted(p for p in folder.iterdir() if p.name.isdigit()):
@@ -359,7 +364,7 @@ def main():
             set_descriptors(database, features)
             matched[folder] = database
         set_keypoints(database, features)
-        match(database, log, arguments.seed)
+        match(database, list(truth), log, arguments.seed)
         model = reconstruct(database, work / variant, log, arguments.seed)
         if model is None or len(model[0]) < 3:
             tqdm.write(f"  {label}: no reconstruction")

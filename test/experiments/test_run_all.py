@@ -2,8 +2,10 @@
 """experiments/run_all.sh --quick from end to end: everything is written, and the paper's claims hold."""
 
 import argparse
+import csv
 import json
 import pathlib
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -48,6 +50,24 @@ class RunAll(unittest.TestCase):
         for wrong in (name for name in methods if "eps" in name):
             self.assertLess(methods[wrong][500]["repeatability"], methods["proposed"][500]["repeatability"], wrong)
         self.assertGreater(methods["sharp"][500]["repeatability"], methods["proposed"][500]["repeatability"])
+
+    def test_real_world_table(self):
+        with open(self.out / "real_world" / "real_world.csv") as file:
+            rows = {row["method"]: row for row in csv.DictReader(file) if row["ground_truth"] == "truth"}
+        self.assertEqual(set(rows), {"dog", "pretto", "proposed"})
+        self.assertGreater(float(rows["proposed"]["repeatability"]), 1.5 * float(rows["dog"]["repeatability"]))
+        self.assertLess(float(rows["proposed"]["error_px"]), float(rows["dog"]["error_px"]))
+        # The protocol takes motion for even over two frames, which shake is not.
+        self.assertLess(float(rows["proposed"]["protocol_error_px"]), 25)
+
+    def test_reconstruction(self):
+        if shutil.which("colmap") is None:
+            self.skipTest("there is no COLMAP")
+        with open(self.out / "reconstruction" / "reconstruction.csv") as file:
+            rows = [row for row in csv.DictReader(file) if row["variant"] == "deblurred_rectified"]
+        self.assertEqual(len(rows), 12)  # every frame
+        errors = sorted(float(row["reprojection_px"]) for row in rows)
+        self.assertLess(errors[len(errors) // 2], 1.5)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,124 @@
+#!/usr/bin/env python3
+"""The importer and the measurements of experiments/reconstruction.py against known features, poses and planes."""
+
+import pathlib
+import shutil
+import sqlite3
+import sys
+import tempfile
+import unittest
+
+import numpy
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "experiments"))
+import reconstruction  # noqa: E402
+
+COUNT = 60
+
+
+def rotation(axis, degrees):
+    half = numpy.radians(degrees) / 2
+    return reconstruction.rotation_matrix(numpy.append(numpy.cos(half), numpy.sin(half) * numpy.array(axis)))
+
+
+class Measurements(unittest.TestCase):
+    def setUp(self):
+        self.rng = numpy.random.default_rng(3)
+
+    def test_similarity_comes_back_in_spite_of_wrong_cameras(self):
+        source = self.rng.uniform(-1, 1, (40, 3))
+        R, scale, t = rotation([0.6, 0, 0.8], 50), 2.5, numpy.array([1.0, -2, 3])
+        target = scale * source @ R.T + t
+        target[::9] += 0.5
+        found_scale, found_R, found_t = reconstruction.robust_similarity(source, target, self.rng)
+        self.assertAlmostEqual(found_scale, scale, 6)
+        numpy.testing.assert_allclose(found_R, R, atol=1e-6)
+        numpy.testing.assert_allclose(found_t, t, atol=1e-6)
+
+    def test_plane_comes_back_in_spite_of_wrong_points(self):
+        R = rotation([1, 0, 0], 20)
+        points = numpy.column_stack([self.rng.uniform(-1, 1, (200, 2)), self.rng.normal(0, 0.002, 200)]) @ R.T + R[:, 2] * 2
+        points[::5] += self.rng.uniform(-1, 1, (40, 3))
+        normal, offset = reconstruction.fit_plane(points, self.rng)
+        sign = numpy.sign(normal @ R[:, 2])
+        numpy.testing.assert_allclose(sign * normal, R[:, 2], atol=5e-3)
+        self.assertAlmostEqual(sign * offset, 2, 2)
+
+    def test_a_perfect_model_has_no_errors_in_any_scale(self):
+        # Two cameras over a plane, as COLMAP would have them: another origin, rotation and scale.
+        camera = {"fx_px": 500, "fy_px": 500, "cx_px": 319.5, "cy_px": 239.5}
+        world = numpy.column_stack([self.rng.uniform(-1, 1, (COUNT, 2)), numpy.full(COUNT, 2.0)])
+        scale, R, t = 0.3, rotation([0, 1, 0], 35), numpy.array([5.0, 1, -2])
+        truth, poses = {}, {}
+        for k, x in enumerate((-0.4, -0.1, 0.1, 0.3, 0.5)):
+            R_world_cam, position = rotation([0, 1, 0], 8 * k), numpy.array([x, 0.1 * x * x, 0])
+            local = (world - position) @ R_world_cam
+            pixels = local[:, :2] / local[:, 2:] * 500 + [319.5 + 0.5, 239.5 + 0.5]
+            name = f"frame_{k:04d}"
+            truth[name] = {"position": position, "R_world_cam": R_world_cam, "t_s": k, "extent_px": 0}
+            # camera = R_cam_world (world - position), and model = scale R world + t
+            pose = reconstruction.Pose(numpy.array([1.0, 0, 0, 0]), numpy.zeros(3), pixels, numpy.arange(COUNT))
+            pose.R = R_world_cam.T @ R.T
+            pose.center = scale * R @ position + t
+            pose.t = -pose.R @ pose.center
+            poses[name] = pose
+        points = {i: (scale * R @ p + t, 5) for i, p in enumerate(world)}
+        points[COUNT] = (numpy.array([9.0, 9, 9]), 2)  # seen in two images only: does not count
+        frames, totals = reconstruction.measure((poses, points), truth, camera, self.rng)
+        self.assertEqual((totals["registered"], totals["points"], totals["observations"]), (5, COUNT, 5 * COUNT))
+        for key in ("reprojection_px", "plane_rmse_m", "position_rmse_m"):
+            self.assertLess(totals[key], 1e-9, key)
+        self.assertLess(max(row["rotation_error_deg"] for row in frames.values()), 1e-4)
+
+
+class Importer(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory()
+        self.path = pathlib.Path(self.folder.name)
+        rng = numpy.random.default_rng(5)
+        raw = numpy.column_stack([rng.uniform(0, [640, 480], (COUNT, 2)), rng.uniform(2, 20, COUNT),
+                                  rng.uniform(0, 360, COUNT), rng.uniform(0, [640, 480], (COUNT, 2))])
+        descriptors = rng.exponential(1, (COUNT, 128))
+        descriptors = descriptors / numpy.linalg.norm(descriptors, axis=1, keepdims=True) * 512  # OpenCV's length
+        self.order = rng.permutation(COUNT)
+        self.raw = raw.astype(numpy.float32)
+        for name, order in (("a", numpy.arange(COUNT)), ("b", self.order)):
+            numpy.save(self.path / f"{name}_keypoints.npy", self.raw[order])
+            numpy.save(self.path / f"{name}_descriptors.npy", numpy.minimum(descriptors, 255).astype(numpy.uint8)[order])
+
+    def tearDown(self):
+        self.folder.cleanup()
+
+    def test_colmap_has_and_matches_what_was_imported(self):
+        camera = {"width_px": 640, "height_px": 480, "fx_px": 500, "fy_px": 501, "cx_px": 319.5, "cy_px": 239.5}
+        database = self.path / "a.db"
+        features = [reconstruction.load_features(self.path / name, False) for name in ("a", "b")]
+        reconstruction.create_database(database, camera, ["a", "b"])
+        reconstruction.set_descriptors(database, features)
+        reconstruction.set_keypoints(database, features)
+        reconstruction.match(database, ["a", "b"], self.path / "log", 1)
+        with sqlite3.connect(database) as connection:
+            parameters, = connection.execute("SELECT params FROM cameras").fetchone()
+            rows, columns, keypoints = connection.execute(
+                "SELECT rows, cols, data FROM keypoints WHERE image_id = 1").fetchone()
+            count, matches = connection.execute("SELECT rows, data FROM matches").fetchone()
+        numpy.testing.assert_array_equal(numpy.frombuffer(parameters), [500, 501, 320, 240])
+        self.assertEqual((rows, columns), (COUNT, 4))
+        keypoints = numpy.frombuffer(keypoints, numpy.float32).reshape(rows, columns)
+        numpy.testing.assert_allclose(keypoints[:, :2], self.raw[:, :2] + 0.5)
+        numpy.testing.assert_allclose(keypoints[:, 2:], self.raw[:, 2:4] * [0.5, numpy.pi / 180], rtol=1e-6)
+        self.assertEqual(count, COUNT)
+        matches = numpy.frombuffer(matches, numpy.uint32).reshape(count, 2)
+        numpy.testing.assert_array_equal(self.order[matches[:, 1]], matches[:, 0])
+
+    def test_rectified_coordinates_replace_the_raw_ones(self):
+        keypoints, _ = reconstruction.load_features(self.path / "a", True)
+        numpy.testing.assert_allclose(keypoints[:, :2], self.raw[:, 4:6] + 0.5)
+
+
+if __name__ == "__main__":
+    if "Importer" in sys.argv and shutil.which("colmap") is None:
+        print("SKIPPED:\nthere is no COLMAP")
+        sys.exit(reconstruction.SKIPPED)
+    unittest.main()
