@@ -27,9 +27,6 @@ constexpr int kMaxTileSide = 64;
 constexpr int kTileStride = (kMaxTileSide + 31) / 32 * 32;
 constexpr int kCoarseGuard = 3;  ///< zeros that the caller puts on either side of TwoScaleFilter::coarse
 
-/// Largest size of an exact weight: its parts above and below 2^7 fit signed bytes.
-constexpr std::int32_t kMaxExactWeight = 127 * 128;
-
 /// Exact taps: at step `m` along the line the two neighbours across, with weights as a pair of int16.
 struct PairTap {
   int m, n;              ///< input relative to the output
@@ -41,7 +38,7 @@ struct ExactFilter {
   int count;
   int radius_m;      ///< max |tap.m|
   int n_min, n_max;  ///< over taps
-  int shift;         ///< weights are scaled by 2^shift
+  float scale;       ///< grey levels in a sum of weights times pixels
 };
 
 /// Two scales (see TwoScaleWeights). Applies to correlation order: output(m) = sum weight[k] input(m + k).
@@ -67,7 +64,8 @@ constexpr int kRowGroup = 16;
 /// receives m_count rows of kTileStride pixels.
 struct BlockKernels {
   const char* name;
-  int lanes;  ///< floats in a vector
+  int lanes;             ///< floats in a vector
+  int max_exact_weight;  ///< largest size of a weight in PairTap
   std::size_t (*exact_scratch_floats)(const TileGeometry&, const ExactFilter&);
   void (*exact_u8)(const SourcePlane<std::uint8_t>&, const TileGeometry&, const ExactFilter&, float* scratch,
                    std::uint8_t* tile);

@@ -124,19 +124,6 @@ struct ExactLayout {
         first_n(tile.n_begin + filter.n_min) {}
 };
 
-/// Rounds, clips and stores a vector of scaled sums.
-inline void store_exact(std::uint8_t* to, IntVector sum, const ExactFilter& filter) {
-  const IntVector zero = {}, top = zero + 255;
-  sum = (sum + (filter.shift > 0 ? 1 << (filter.shift - 1) : 0)) >> filter.shift;
-  sum = sum > zero ? sum : zero;
-  sum = sum < top ? sum : top;
-#if defined(__AVX512F__)
-  _mm_storeu_si128((__m128i*)to, _mm512_cvtepi32_epi8((__m512i)sum));
-#else
-  for (int k = 0; k < kLanes; ++k) to[k] = static_cast<std::uint8_t>(sum[k]);
-#endif
-}
-
 /// Walks over the tile's outputs, kExactRows by kExactVectors, and lets sum(at, vectors, sums) fill the sums for the
 /// outputs whose first one is at offset `at` of the neighbourhood, whose rows are `stride` apart.
 template <typename Sum>
@@ -148,7 +135,8 @@ inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filte
       sum((m + filter.radius_m) * stride + n - filter.n_min, sums);
       for (int row = 0; row < kExactRows && m + row < tile.m_count; ++row) {
         for (int v = 0; v < kExactVectors && n + v * kLanes < tile.n_count; ++v) {
-          store_exact(out + (m + row) * kTileStride + n + v * kLanes, sums[row][v], filter);
+          store_pixels(out + (m + row) * kTileStride + n + v * kLanes,
+                       __builtin_convertvector(sums[row][v], Vector) * filter.scale, 255.0f);
         }
       }
     }
@@ -158,11 +146,13 @@ inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filte
 #if defined(__AVX512VBMI__) && defined(__AVX512VNNI__)
 
 // Two steps of the line at once: bytes (m, n), (m, n + 1) of one and (m', n'), (m', n' + 1) of the next are put side by
-// side for 16 outputs by one permutation, and multiplied by one dot product. Weights are split in two so that they fit
+// side for 16 outputs by one permutation, and multiplied by one dot product with weights in
 // bytes.
+constexpr int kMaxExactWeight = 127;
+
 struct Quad {
-  int lower, upper;        // places of the first byte of either step in the neighbourhood, relative to the output
-  std::int32_t high, low;  // weights / 128 and the rest, a byte each
+  int lower, upper;      // places of the first byte of either step in the neighbourhood, relative to the output
+  std::int32_t weights;  // a byte each
 };
 
 /// The neighbourhood's rows as bytes, with room for whole vectors.
@@ -199,15 +189,14 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
   for (int t = 0; t < filter.count; t += 2) {
     const PairTap& lower = filter.taps[t];
     std::int32_t w[4] = {low_half(lower.weights), lower.weights >> 16, 0, 0};
-    Quad quad{lower.m * stride + lower.n, lower.m * stride + lower.n, 0, 0};
+    Quad quad{lower.m * stride + lower.n, lower.m * stride + lower.n, 0};
     if (t + 1 < filter.count) {
       const PairTap& upper = filter.taps[t + 1];
       quad.upper = upper.m * stride + upper.n;
       w[2] = low_half(upper.weights);
       w[3] = upper.weights >> 16;
     }
-    quad.high = pack_bytes(w[0] >> 7, w[1] >> 7, w[2] >> 7, w[3] >> 7);
-    quad.low = pack_bytes(w[0] & 127, w[1] & 127, w[2] & 127, w[3] & 127);
+    quad.weights = pack_bytes(w[0], w[1], w[2], w[3]);
     list[count++] = quad;
   }
 
@@ -223,10 +212,10 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
   for (int v = 1; v < kReached; ++v) order[v] = _mm512_add_epi8(order[v - 1], group_step);
 
   for_exact_outputs(tile, filter, out, stride, [&](int at, IntVector sums[kExactRows][kExactVectors]) {
-    __m512i high[kExactRows][kExactVectors] = {}, low[kExactRows][kExactVectors] = {};
+    __m512i acc[kExactRows][kExactVectors] = {};
     for (int q = 0; q < count; ++q) {
       const std::uint8_t *lower = bytes + at + list[q].lower, *upper = bytes + at + list[q].upper;
-      const __m512i high_weights = _mm512_set1_epi32(list[q].high), low_weights = _mm512_set1_epi32(list[q].low);
+      const __m512i weights = _mm512_set1_epi32(list[q].weights);
       for (int row = 0; row < kExactRows; ++row, lower += stride, upper += stride) {
         const __m512i first = _mm512_loadu_si512(lower), second = _mm512_loadu_si512(upper);
         const __m512i first_beyond =
@@ -236,20 +225,20 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
         for (int v = 0; v < kExactVectors; ++v) {
           const __m512i pixels = v < kReached ? _mm512_permutex2var_epi8(first, order[v], second)
                                               : _mm512_permutex2var_epi8(first_beyond, order[0], second_beyond);
-          high[row][v] = _mm512_dpbusd_epi32(high[row][v], pixels, high_weights);
-          low[row][v] = _mm512_dpbusd_epi32(low[row][v], pixels, low_weights);
+          acc[row][v] = _mm512_dpbusd_epi32(acc[row][v], pixels, weights);
         }
       }
     }
     for (int row = 0; row < kExactRows; ++row) {
-      for (int v = 0; v < kExactVectors; ++v) {
-        sums[row][v] = (IntVector)_mm512_add_epi32(_mm512_slli_epi32(high[row][v], 7), low[row][v]);
-      }
+      for (int v = 0; v < kExactVectors; ++v) sums[row][v] = (IntVector)acc[row][v];
     }
   });
 }
 
 #else
+
+// int16 would hold twice as much; with this, sums of 2000 taps at full brightness still fit int32.
+constexpr int kMaxExactWeight = 1 << 12;
 
 std::size_t exact_scratch_floats(const TileGeometry& tile, const ExactFilter& filter) {
   const ExactLayout layout(tile, filter);
@@ -804,6 +793,7 @@ void combine_columns(const float* columns, const float* factors, int count, floa
 extern const BlockKernels kKernels;
 const BlockKernels kKernels = {GYRO_DEBLUR_ISA_NAME,
                                kLanes,
+                               kMaxExactWeight,
                                exact_scratch_floats,
                                exact_u8,
                                two_scale_scratch_floats<std::uint8_t>,

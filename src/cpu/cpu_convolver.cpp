@@ -34,6 +34,12 @@ constexpr double kMaxBoxGain = 128.0;
 constexpr int kMaxExactRadius = 128;
 constexpr int kAlignFloats = 16;
 
+/// Two int16 in one int32.
+std::int32_t pack_int16(std::int32_t low, std::int32_t high) {
+  return static_cast<std::int32_t>((static_cast<std::uint32_t>(high) << 16) |
+                                   (static_cast<std::uint32_t>(low) & 0xffffu));
+}
+
 }  // namespace
 
 CpuConvolver::CpuConvolver(int threads, const BlockKernels& kernels)
@@ -68,43 +74,39 @@ void CpuConvolver::plan_exact(const LineKernel& kernel, double angle_rad, Plan& 
   rotate_kernel(kernel, angle_rad, plan.taps, plan.on_axis);
   float largest = 0;
   for (const KernelTap& tap : taps) largest = std::max(largest, std::abs(tap.weight));
-  // As many bits as there is room for.
-  constexpr int kMaxShift = 14;
-  int shift = kMaxShift;
-  while (shift > 0 && largest * (1 << shift) > kMaxExactWeight - 1) --shift;
-
-  std::vector<std::int32_t>& weights = plan.fixed_weights;
-  weights.resize(taps.size());
   double sum = 0;
-  std::int32_t fixed_sum = 0;
-  std::size_t strongest = 0;
-  for (std::size_t i = 0; i < taps.size(); ++i) {
-    const float scaled = taps[i].weight * static_cast<float>(1 << shift);
-    weights[i] = static_cast<std::int32_t>(scaled < 0 ? scaled - 0.5f : scaled + 0.5f);
-    sum += taps[i].weight;
-    fixed_sum += weights[i];
-    if (std::abs(weights[i]) > std::abs(weights[strongest])) strongest = i;
-  }
-  // Rounding must not change the brightness. What is missing is a few units of the largest weight.
-  const std::int32_t missing = static_cast<std::int32_t>(std::lround(sum * (1 << shift))) - fixed_sum;
-  weights[strongest] = std::clamp(weights[strongest] + missing, -kMaxExactWeight, kMaxExactWeight);
+  for (const KernelTap& tap : taps) sum += tap.weight;
+  // As large as there is room for, one unit left for errors of neighbours; and such that the sum, which decides the
+  // brightness, is a whole number.
+  double unit = (kernels_.max_exact_weight - 1) / std::max<double>(largest, std::numeric_limits<float>::min());
+  if (std::abs(sum) * unit >= 1) unit = std::floor(std::abs(sum) * unit) / std::abs(sum);
 
   plan.pair_taps.clear();
   ExactFilter& filter = plan.exact;
   filter = {};
-  filter.shift = shift;
+  filter.scale = static_cast<float>(1 / unit);
   filter.n_min = std::numeric_limits<int>::max();
   filter.n_max = std::numeric_limits<int>::min();
   const auto m_of = [&](const KernelTap& tap) { return plan.major_is_y ? tap.dy : tap.dx; };
   const auto n_of = [&](const KernelTap& tap) { return plan.major_is_y ? tap.dx : tap.dy; };
+  // Rounding errors are passed on along the line, which is blurred in that direction and hardly sees their alternation:
+  // that of a step's sum, and that of how it is shared between two neighbours.
+  double sum_error = 0, share_error = 0;
+  const auto round_with = [](double exact, double& error) {
+    exact += error;
+    const std::int32_t rounded = static_cast<std::int32_t>(exact < 0 ? exact - 0.5 : exact + 0.5);
+    error = exact - rounded;
+    return rounded;
+  };
   for (std::size_t i = 0; i < taps.size(); ++i) {
     // Convolution: output at p takes input at p - tap. Two neighbours across make one pair.
     const bool paired =
         i + 1 < taps.size() && m_of(taps[i + 1]) == m_of(taps[i]) && n_of(taps[i + 1]) == n_of(taps[i]) + 1;
-    const std::int32_t low = paired ? weights[i + 1] : weights[i], high = paired ? weights[i] : 0;
-    const PairTap pair{-m_of(taps[i]), -n_of(taps[i]) - (paired ? 1 : 0),
-                       static_cast<std::int32_t>((static_cast<std::uint32_t>(high) << 16) |
-                                                 (static_cast<std::uint32_t>(low) & 0xffffu))};
+    const double low = (paired ? taps[i + 1].weight : taps[i].weight) * unit;
+    const double high = paired ? taps[i].weight * unit : 0.0;
+    const std::int32_t both = round_with(low + high, sum_error);
+    const std::int32_t fixed_low = paired ? round_with(low, share_error) : both;
+    const PairTap pair{-m_of(taps[i]), -n_of(taps[i]) - (paired ? 1 : 0), pack_int16(fixed_low, both - fixed_low)};
     filter.radius_m = std::max(filter.radius_m, std::abs(pair.m));
     filter.n_min = std::min(filter.n_min, pair.n);
     filter.n_max = std::max(filter.n_max, pair.n);
@@ -150,18 +152,14 @@ void CpuConvolver::fix_coarse_weights(Plan& plan) {
   filter.inner_box +=
       static_cast<float>((wanted - filter.coarse_sum) / unit * filter.decimation / (2 * filter.box_half + 1));
 
-  const auto pack = [](std::int32_t low, std::int32_t high) {
-    return static_cast<std::int32_t>((static_cast<std::uint32_t>(high) << 16) |
-                                     (static_cast<std::uint32_t>(low) & 0xffffu));
-  };
   const int pairs = radius + 3;  // from pair -1
   plan.coarse_pairs.resize(2 * pairs);
   std::int32_t* even = plan.coarse_pairs.data() + 1;
   std::int32_t* odd = even + pairs;
   for (int i = -1; i <= radius + 1; ++i) {
     const std::int32_t* at = fixed - radius + 2 * i;
-    even[i] = pack(at[0], at[1]);
-    odd[i] = pack(at[-1], at[0]);
+    even[i] = pack_int16(at[0], at[1]);
+    odd[i] = pack_int16(at[-1], at[0]);
   }
   filter.coarse_even = even;
   filter.coarse_odd = odd;
