@@ -91,16 +91,6 @@ std::string baseline_of(const std::string& engine) {
   return "reference";
 }
 
-std::vector<BlockFilter> filters_of(const BlurField& field, const KernelBank& bank) {
-  std::vector<BlockFilter> blocks;
-  for (int i = 0; i < field.grid.size(); ++i) {
-    const BlockBlur& blur = field.blocks[i];
-    blocks.push_back({field.grid.rect(i), blur.angle_rad,
-                      blur.status == BlockStatus::DEBLURRED ? &bank.kernel(blur.extent_px) : nullptr});
-  }
-  return blocks;
-}
-
 nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBank& bank) {
   nlohmann::json records;
   for (const std::string& size_text : arguments.sizes) {
@@ -115,7 +105,7 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBan
       for (const double extent_px : arguments.extents_px) {
         const BlurField field =
             test::Roll::about_center(size.width, size.height, extent_px).field(size.width, size.height, wide_options());
-        const std::vector<BlockFilter> blocks = filters_of(field, bank);
+        const FilterGrid grid = make_filter_grid(field, bank);
         std::vector<std::unique_ptr<LineConvolver>> engines;
         for (const std::string& name : arguments.engines) engines.push_back(make_engine(name, threads));
         std::map<std::string, std::vector<double>> times_ms;
@@ -148,7 +138,7 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBan
           const bool is_reference = name.compare(0, 9, "reference") == 0;
           if (is_reference || name.compare(0, 4, "cpu-") == 0) {
             const BlockKernels* kernels = is_reference ? nullptr : find_block_kernels(name.c_str() + 4);
-            const Work work = is_reference ? work_of_reference(blocks) : work_of_cpu(blocks, kernels->lanes);
+            const Work work = is_reference ? work_of_reference(grid) : work_of_cpu(grid, kernels->lanes);
             record["work"] = {{"float_gmac", work.float_macs / 1e9},
                               {"int16_gmac", work.int16_macs / 1e9},
                               {"load_gb", work.load_bytes / 1e9}};
@@ -250,7 +240,7 @@ nlohmann::json measure_memory(const Arguments& arguments, const KernelBank& bank
       test::Roll::about_center(size.width, size.height, 90).field(size.width, size.height, wide_options());
   const cv::Mat image(size, CV_8UC1, cv::Scalar(100));
   cv::Mat dst(size, CV_8UC1, cv::Scalar(0));
-  filters_of(field, bank);
+  make_filter_grid(field, bank);  // makes the kernels
   nlohmann::json result;
   const double without = peak_mib([] {});
   std::printf("Memory at 1920x1080, 90 px, %d threads: peak MiB above the images and kernels\n", kThreads);

@@ -16,11 +16,13 @@
 
 namespace gyro_deblur::benchmark {
 
-void Filter2dConvolver::convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) {
+void Filter2dConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) {
   CV_Assert(src.type() == CV_8UC1);
   dst.create(src.size(), src.type());
   const int threads = threads_ > 0 ? threads_ : omp_get_max_threads();
+  const std::vector<BlockFilter>& blocks = grid.blocks;
   const int count = static_cast<int>(blocks.size());
+  seams_.plan(grid, src.type());
   std::vector<cv::Mat> kernels(count);
   int pad = 0;
 #pragma omp parallel for num_threads(threads) schedule(dynamic) reduction(max : pad)
@@ -39,24 +41,26 @@ void Filter2dConvolver::convolve(const cv::Mat& src, const std::vector<BlockFilt
   }
   cv::Mat padded;
   cv::copyMakeBorder(src, padded, pad, pad, pad, pad, cv::BORDER_REPLICATE);
-  cv::Mat result;
-#pragma omp parallel for num_threads(float_result_ ? 1 : threads) schedule(dynamic) firstprivate(result)
+  cv::Mat result, block_result;
+#pragma omp parallel for num_threads(float_result_ ? 1 : threads) schedule(dynamic) firstprivate(result, block_result)
   for (int i = 0; i < count; ++i) {
-    const cv::Rect& rect = blocks[i].rect;
-    cv::Mat to = dst(rect);
     if (kernels[i].empty()) {
-      src(rect).copyTo(to);
-    } else {
-      // A region of a larger image: the filter takes neighbours from outside the region.
-      const cv::Mat from = padded(rect + cv::Point(pad, pad));
-      if (float_result_) {
-        cv::filter2D(from, result, CV_32F, kernels[i]);
-        result.convertTo(to, CV_8U);
-      } else {
-        cv::filter2D(from, to, CV_8U, kernels[i]);
-      }
+      src(grid.rect(i)).copyTo(dst(grid.rect(i)));
+      continue;
     }
+    // A region of a larger image: the filter takes neighbours from outside the region.
+    const cv::Rect rect = seams_.reach(i);
+    const cv::Mat from = padded(rect + cv::Point(pad, pad));
+    block_result.create(rect.size(), CV_8U);
+    if (float_result_) {
+      cv::filter2D(from, result, CV_32F, kernels[i]);
+      result.convertTo(block_result, CV_8U);
+    } else {
+      cv::filter2D(from, block_result, CV_8U, kernels[i]);
+    }
+    seams_.store(i, block_result.data, dst);
   }
+  seams_.blend(src, float_result_ ? 1 : threads, dst);
 }
 
 std::unique_ptr<LineConvolver> make_engine(const std::string& name, int threads) {

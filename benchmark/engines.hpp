@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "core/seam_blender.hpp"
 #include "gyro_deblur/deconvolution.hpp"
 
 namespace gyro_deblur::benchmark {
@@ -16,12 +17,13 @@ class Filter2dConvolver : public LineConvolver {
   ///                      called when values outside [0, 255] matter: CV_32F result, one block after another, with
   ///                      whatever threads OpenCV uses itself.
   Filter2dConvolver(int threads, bool float_result) : threads_(threads), float_result_(float_result) {}
-  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override;
+  void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
   std::string name() const override { return float_result_ ? "filter2d-float" : "filter2d"; }
 
  private:
   int threads_;
   bool float_result_;
+  SeamBlender seams_;
 };
 
 /// Engine by name, on `threads` OpenMP threads:

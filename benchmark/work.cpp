@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/seam_blender.hpp"
 #include "cpu/block_kernels.hpp"
 
 namespace gyro_deblur::benchmark {
@@ -18,13 +19,13 @@ constexpr int kCoarseOutputs = kCoarseGuard + 1;
 
 double round_up(double n, double step) { return std::ceil(n / step) * step; }
 
-void add_two_scale(const BlockFilter& block, int lanes_of_vector, Work& work) {
+void add_two_scale(const BlockFilter& block, cv::Size size, int lanes_of_vector, Work& work) {
   const double dx = std::cos(block.angle_rad), dy = std::sin(block.angle_rad);
   const double stretch = std::max(std::abs(dx), std::abs(dy));
   const double slope = std::min(std::abs(dx), std::abs(dy)) / stretch;
   const bool major_is_y = std::abs(dy) > std::abs(dx);
-  const double along = major_is_y ? block.rect.height : block.rect.width;
-  const double across = major_is_y ? block.rect.width : block.rect.height;
+  const double along = major_is_y ? size.height : size.width;
+  const double across = major_is_y ? size.width : size.height;
 
   const double extent = block.kernel->box_extent_px * stretch;
   const double d = extent < kMinCoarseExtentPx ? 1.0 : std::round(extent / kCoarseSamplesPerExtent);
@@ -46,7 +47,7 @@ void add_two_scale(const BlockFilter& block, int lanes_of_vector, Work& work) {
   work.load_bytes += along * ((across + 3) * (4 + edge_weights) + across * 4) * sizeof(float);
 }
 
-void add_exact(const BlockFilter& block, Work& work) {
+void add_exact(const BlockFilter& block, cv::Size size, Work& work) {
   const std::vector<KernelTap> taps = rotate_kernel(*block.kernel, block.angle_rad);
   const bool major_is_y = std::abs(std::sin(block.angle_rad)) > std::abs(std::cos(block.angle_rad));
   const auto step = [&](const KernelTap& tap) { return major_is_y ? tap.dy : tap.dx; };
@@ -55,33 +56,41 @@ void add_exact(const BlockFilter& block, Work& work) {
   for (std::size_t i = 0; i < taps.size(); ++i, ++pairs) {
     if (i + 1 < taps.size() && step(taps[i + 1]) == step(taps[i])) ++i;
   }
-  work.int16_macs += 2 * pairs * block.rect.area();
-  work.load_bytes += pairs * block.rect.area() * sizeof(std::int32_t);
+  work.int16_macs += 2 * pairs * size.area();
+  work.load_bytes += pairs * size.area() * sizeof(std::int32_t);
+}
+
+/// Calls add(block, what is computed of it) for every filtered block.
+template <typename Add>
+void for_each_filtered(const FilterGrid& grid, const Add& add) {
+  SeamBlender seams;
+  seams.plan(grid, CV_8UC1);
+  for (int i = 0; i < static_cast<int>(grid.blocks.size()); ++i) {
+    if (grid.blocks[i].kernel != nullptr) add(grid.blocks[i], seams.reach(i).size());
+  }
 }
 
 }  // namespace
 
-Work work_of_reference(const std::vector<BlockFilter>& blocks) {
+Work work_of_reference(const FilterGrid& grid) {
   Work work;
-  for (const BlockFilter& block : blocks) {
-    if (block.kernel == nullptr) continue;
-    const double macs = static_cast<double>(rotate_kernel(*block.kernel, block.angle_rad).size()) * block.rect.area();
+  for_each_filtered(grid, [&](const BlockFilter& block, cv::Size size) {
+    const double macs = static_cast<double>(rotate_kernel(*block.kernel, block.angle_rad).size()) * size.area();
     work.float_macs += macs;
     work.load_bytes += macs * sizeof(float);  // sums stay in registers, pixels do not
-  }
+  });
   return work;
 }
 
-Work work_of_cpu(const std::vector<BlockFilter>& blocks, int lanes) {
+Work work_of_cpu(const FilterGrid& grid, int lanes) {
   Work work;
-  for (const BlockFilter& block : blocks) {
-    if (block.kernel == nullptr) continue;
+  for_each_filtered(grid, [&](const BlockFilter& block, cv::Size size) {
     if (block.kernel->box_extent_px >= kMinTwoScaleExtentPx) {
-      add_two_scale(block, lanes, work);
+      add_two_scale(block, size, lanes, work);
     } else {
-      add_exact(block, work);
+      add_exact(block, size, work);
     }
-  }
+  });
   return work;
 }
 

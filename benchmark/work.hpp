@@ -8,7 +8,8 @@
 
 namespace gyro_deblur::benchmark {
 
-/// Of one CV_8UC1 image. Loads that reach the load ports, whatever level they come from; stores are left out.
+/// Of one CV_8UC1 image, the margins of blocks included and their blending left out. Loads that reach the load ports,
+/// whatever level they come from; stores are left out.
 struct Work {
   double float_macs = 0;  ///< multiply-adds, and additions and multiplications that stand alone
   double int16_macs = 0;
@@ -16,9 +17,9 @@ struct Work {
 };
 
 /// Work of the straightforward engine.
-Work work_of_reference(const std::vector<BlockFilter>& blocks);
+Work work_of_reference(const FilterGrid& grid);
 
 /// Work of the cpu engine. Follows the loops of src/cpu/block_kernels_impl.hpp with vectors of `lanes` floats.
-Work work_of_cpu(const std::vector<BlockFilter>& blocks, int lanes);
+Work work_of_cpu(const FilterGrid& grid, int lanes);
 
 }  // namespace gyro_deblur::benchmark

@@ -15,22 +15,34 @@ namespace gyro_deblur {
 
 /// What to do with one block of an image.
 struct BlockFilter {
-  cv::Rect rect;                       ///< inside the image
   double angle_rad = 0;                ///< direction of the line, x right, y down
   const LineKernel* kernel = nullptr;  ///< not owned; null: copy the block bit for bit
 };
 
-/// Convolves every block of an image along its own line with its own kernel.
+/// A grid of blocks that covers an image, each with its own filter.
+struct FilterGrid {
+  std::vector<int> x, y;            ///< borders between columns and rows [px], rising from 0 to the image's size
+  std::vector<BlockFilter> blocks;  ///< row by row
+
+  int cols() const { return x.empty() ? 0 : static_cast<int>(x.size()) - 1; }
+  int rows() const { return y.empty() ? 0 : static_cast<int>(y.size()) - 1; }
+  /// Precondition: 0 <= index < cols() * rows().
+  cv::Rect rect(int index) const;
+};
+
+/// Convolves every block of an image along its own line with its own kernel. So that the borders of blocks do not show,
+/// neighbours with different filters are cross-faded over up to 4 px on either side, and a filtered block fades into
+/// the input within as much of a copied one (the rule: src/core/seam_blender.hpp).
 class LineConvolver {
  public:
   virtual ~LineConvolver() = default;
 
   /// @param src    CV_8U or CV_16U, 1 to 4 channels, at least 1x1; every channel is filtered
-  /// @param blocks disjoint rectangles that cover src
+  /// @param grid   covers src exactly
   /// @param dst    (re)allocated to src's size and type when needed; must not share memory with src
   /// Neighbours are taken across block borders; outside the image the edge pixel is replicated. Results are rounded and
-  /// clipped to the pixel type. Throws std::invalid_argument for unsupported types.
-  virtual void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) = 0;
+  /// clipped to the pixel type. Throws std::invalid_argument for unsupported types and grids that do not fit.
+  virtual void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) = 0;
 
   /// Short name for diagnostics, e.g. "reference". Any thread may ask, also during convolve().
   virtual std::string name() const = 0;
@@ -67,8 +79,12 @@ void rotate_kernel(const LineKernel& kernel, double angle_rad, std::vector<Kerne
 /// @param on_axis  set to steps -n .. n, n = ceil(radius * |major|)
 void kernel_on_major_axis(const LineKernel& kernel, double major, std::vector<float>& on_axis);
 
-/// Throws std::invalid_argument unless `src` is a non-empty CV_8U or CV_16U with 1 to 4 channels.
-void require_convolvable(const cv::Mat& src);
+/// Throws std::invalid_argument unless `src` is a non-empty CV_8U or CV_16U with 1 to 4 channels, and `grid` covers it.
+void require_convolvable(const cv::Mat& src, const FilterGrid& grid);
+
+/// The filters that deblur `field`: the bank's kernels for DEBLURRED blocks of at least kMinKernelExtentPx, none for
+/// the others. Lives no longer than the bank.
+FilterGrid make_filter_grid(const BlurField& field, const KernelBank& bank);
 
 /// Deblurs the DEBLURRED blocks of `field` and copies the rest bit for bit; alpha is copied; Bayer mosaics are filtered
 /// plane by plane with half the extent.

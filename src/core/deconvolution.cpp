@@ -1,6 +1,8 @@
 #include "gyro_deblur/deconvolution.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <functional>
 #include <stdexcept>
 #include <utility>
 
@@ -38,12 +40,23 @@ const LineKernel* kernel_of(const BlockBlur& blur, double extent_px, const Kerne
   return &bank.kernel(extent_px);
 }
 
-bool filters_anything(const std::vector<BlockFilter>& blocks) {
-  for (const BlockFilter& block : blocks) {
-    if (block.kernel != nullptr) return true;
-  }
-  return false;
+bool filters_anything(const FilterGrid& grid) {
+  return std::any_of(grid.blocks.begin(), grid.blocks.end(),
+                     [](const BlockFilter& block) { return block.kernel != nullptr; });
 }
+
+/// Columns, or rows, of a grid: borders, and which block's number each has there.
+struct Divisions {
+  std::vector<int> borders = {0};
+  std::vector<int> indices;
+
+  /// Appends division `index`, which ends at `end`, unless it is empty.
+  void add(int index, int end) {
+    if (end == borders.back()) return;
+    borders.push_back(end);
+    indices.push_back(index);
+  }
+};
 
 /// The OpenCL engine with the CPU engine behind it.
 std::unique_ptr<LineConvolver> make_opencl_with_fallback(const std::string& device, int threads) {
@@ -69,17 +82,22 @@ void deconvolve_bayer(const cv::Mat& mosaic, const BlurField& field, const Kerne
       const cv::Size size(samples_before(mosaic.cols, px), samples_before(mosaic.rows, py));
       if (size.empty()) continue;
 
-      std::vector<BlockFilter> blocks;
-      blocks.reserve(field.blocks.size());
-      for (int i = 0; i < field.grid.size(); ++i) {
-        const cv::Rect rect = field.grid.rect(i);
-        const cv::Point from(samples_before(rect.x, px), samples_before(rect.y, py));
-        const cv::Point to(samples_before(rect.br().x, px), samples_before(rect.br().y, py));
-        if (to.x == from.x || to.y == from.y) continue;
-        const BlockBlur& blur = field.blocks[i];
-        blocks.push_back({cv::Rect(from, to), blur.angle_rad, kernel_of(blur, blur.extent_px / 2, bank)});
+      // The last column and row of blocks may have no sample of this plane.
+      const int block_cols = field.grid.cols();
+      Divisions cols, rows;
+      for (int col = 0; col < block_cols; ++col) cols.add(col, samples_before(field.grid.rect(col).br().x, px));
+      for (int row = 0; row < field.grid.rows(); ++row) {
+        rows.add(row, samples_before(field.grid.rect(row * block_cols).br().y, py));
       }
-      if (!filters_anything(blocks)) continue;
+      FilterGrid grid{cols.borders, rows.borders, {}};
+      grid.blocks.reserve(field.blocks.size());
+      for (const int row : rows.indices) {
+        for (const int col : cols.indices) {
+          const BlockBlur& blur = field.blocks[row * block_cols + col];
+          grid.blocks.push_back({blur.angle_rad, kernel_of(blur, blur.extent_px / 2, bank)});
+        }
+      }
+      if (!filters_anything(grid)) continue;
 
       plane.create(size, mosaic.type());
       for (int y = 0; y < size.height; ++y) {
@@ -87,7 +105,7 @@ void deconvolve_bayer(const cv::Mat& mosaic, const BlurField& field, const Kerne
         uchar* to = plane.ptr(y);
         for (int x = 0; x < size.width; ++x) std::copy_n(from + 2 * x * pixel_bytes, pixel_bytes, to + x * pixel_bytes);
       }
-      engine.convolve(plane, blocks, filtered);
+      engine.convolve(plane, grid, filtered);
       for (int y = 0; y < size.height; ++y) {
         const uchar* from = filtered.ptr(y);
         uchar* to = dst.ptr(2 * y + py) + px * pixel_bytes;
@@ -186,9 +204,27 @@ void kernel_on_major_axis(const LineKernel& kernel, double major, std::vector<fl
   on_axis.pop_back();
 }
 
-void require_convolvable(const cv::Mat& src) {
+cv::Rect FilterGrid::rect(int index) const {
+  const int col = index % cols(), row = index / cols();
+  return {x[col], y[row], x[col + 1] - x[col], y[row + 1] - y[row]};
+}
+
+void require_convolvable(const cv::Mat& src, const FilterGrid& grid) {
   if ((src.depth() != CV_8U && src.depth() != CV_16U) || src.channels() > 4 || src.empty()) {
     throw std::invalid_argument("the convolver takes CV_8U or CV_16U with 1 to 4 channels, at least 1x1");
+  }
+  const auto covers = [](const std::vector<int>& borders, int length) {
+    return borders.size() >= 2 && borders.front() == 0 && borders.back() == length &&
+           std::adjacent_find(borders.begin(), borders.end(), std::greater_equal<>()) == borders.end();
+  };
+  if (!covers(grid.x, src.cols) || !covers(grid.y, src.rows)) {
+    throw std::invalid_argument("the borders of a grid must rise from 0 to the image's " + std::to_string(src.cols) +
+                                "x" + std::to_string(src.rows) + " px");
+  }
+  const std::size_t needed = static_cast<std::size_t>(grid.cols()) * grid.rows();
+  if (grid.blocks.size() != needed) {
+    throw std::invalid_argument("a grid of " + std::to_string(needed) + " blocks has " +
+                                std::to_string(grid.blocks.size()) + " filters");
   }
 }
 
@@ -204,6 +240,18 @@ std::unique_ptr<LineConvolver> make_line_convolver(const std::string& backend, i
   }
   throw OptionError("backend = \"" + backend +
                     "\" is unknown; available: auto, cpu, reference, opencl, opencl:INDEX, opencl:NAME");
+}
+
+FilterGrid make_filter_grid(const BlurField& field, const KernelBank& bank) {
+  const int cols = field.grid.cols();
+  FilterGrid grid{{0}, {0}, {}};
+  for (int col = 0; col < cols; ++col) grid.x.push_back(field.grid.rect(col).br().x);
+  for (int row = 0; row < field.grid.rows(); ++row) grid.y.push_back(field.grid.rect(row * cols).br().y);
+  grid.blocks.reserve(field.blocks.size());
+  for (const BlockBlur& blur : field.blocks) {
+    grid.blocks.push_back({blur.angle_rad, kernel_of(blur, blur.extent_px, bank)});
+  }
+  return grid;
 }
 
 void deconvolve(const cv::Mat& image, PixelLayout layout, const BlurField& field, const KernelBank& bank,
@@ -226,20 +274,16 @@ void deconvolve(const cv::Mat& image, PixelLayout layout, const BlurField& field
     return;
   }
 
-  std::vector<BlockFilter> blocks(field.blocks.size());
-  for (int i = 0; i < field.grid.size(); ++i) {
-    const BlockBlur& blur = field.blocks[i];
-    blocks[i] = {field.grid.rect(i), blur.angle_rad, kernel_of(blur, blur.extent_px, bank)};
-  }
+  const FilterGrid grid = make_filter_grid(field, bank);
   if (image.channels() < 4) {
-    engine.convolve(image, blocks, dst);
+    engine.convolve(image, grid, dst);
     return;
   }
   // Alpha is no light: filter the three colours and put the input's alpha beside them.
   cv::Mat color(image.size(), CV_MAKETYPE(image.depth(), 3)), filtered;
   const int colors[] = {0, 0, 1, 1, 2, 2}, alpha[] = {3, 3};
   cv::mixChannels({image}, {color}, colors, 3);
-  engine.convolve(color, blocks, filtered);
+  engine.convolve(color, grid, filtered);
   dst.create(image.size(), image.type());
   cv::mixChannels({filtered}, {dst}, colors, 3);
   cv::mixChannels({image}, {dst}, alpha, 1);

@@ -20,16 +20,16 @@ void FallbackConvolver::give_up(const std::string& primary_name, const DeviceErr
   primary_.reset();
 }
 
-void FallbackConvolver::convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) {
+void FallbackConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) {
   if (primary_) {
     try {
-      primary_->convolve(src, blocks, dst);
+      primary_->convolve(src, grid, dst);
       return;
     } catch (const DeviceError& error) {
       give_up(primary_->name(), error);
     }
   }
-  secondary_->convolve(src, blocks, dst);
+  secondary_->convolve(src, grid, dst);
 }
 
 std::string FallbackConvolver::name() const {

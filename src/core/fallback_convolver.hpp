@@ -28,7 +28,7 @@ class FallbackConvolver : public LineConvolver {
   FallbackConvolver(const std::string& primary_name, const DeviceError& error,
                     std::unique_ptr<LineConvolver> secondary);
 
-  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override;
+  void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
 
   /// The primary's name, or "SECONDARY (PRIMARY failed: reason)". Any thread may ask, also during convolve().
   std::string name() const override;

@@ -22,7 +22,7 @@ struct SourcePlane {
   int rows;
 };
 
-constexpr int kMaxTileSide = 64;
+constexpr int kMaxTileSide = 72;  ///< a block of 64 px and its margins
 /// Pixels from row to row of a finished tile: whole vectors are written.
 constexpr int kTileStride = (kMaxTileSide + 31) / 32 * 32;
 constexpr int kCoarseGuard = 3;  ///< zeros that the caller puts on either side of TwoScaleFilter::coarse

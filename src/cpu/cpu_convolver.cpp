@@ -52,7 +52,9 @@ void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.major_is_y = std::abs(dy) > std::abs(dx);
   const double major = plan.major_is_y ? dy : dx;
   plan.slope = (plan.major_is_y ? dx : dy) / major;
-  if (block.kernel->box_height * block.kernel->box_extent_px > kMaxBoxGain) {
+  const std::vector<float>& taps = block.kernel->taps;
+  const bool is_zero = std::all_of(taps.begin(), taps.end(), [](float tap) { return tap == 0; });
+  if (is_zero || block.kernel->box_height * block.kernel->box_extent_px > kMaxBoxGain) {
     plan.method = Method::REFERENCE;
     return;
   }
@@ -303,64 +305,75 @@ SourcePlane<Pixel> pad_transposed(const cv::Mat& channel, int pad, int threads, 
   return {storage.data() + pad, stride, channel.cols};
 }
 
-/// Stores a tile, given in line order, into channel `channel` of `dst`.
+/// Stores one channel of the part of a tile, given in line order, that lies in `part`.
 template <typename Pixel>
-void store_tile(const Pixel* line_order, const cv::Rect& rect, bool major_is_y, int channel, cv::Mat& dst) {
-  const int channels = dst.channels();
+void store_tile(const Pixel* line_order, const cv::Rect& tile, bool major_is_y, int channel, int channels,
+                const SeamBlender::Part<Pixel>& part) {
+  const cv::Rect rect = tile & part.rect;
+  if (rect.empty()) return;
+  const cv::Point at = rect.tl() - tile.tl(), in_part = rect.tl() - part.rect.tl();
+  Pixel* to = part.to + in_part.y * part.stride + static_cast<std::ptrdiff_t>(in_part.x) * channels + channel;
+  const Pixel* from = line_order + (major_is_y ? at.y * kTileStride + at.x : at.x * kTileStride + at.y);
   if (channels == 1 && major_is_y) {
-    for (int y = 0; y < rect.height; ++y) {
-      std::copy_n(line_order + y * kTileStride, rect.width, dst.ptr<Pixel>(rect.y + y) + rect.x);
-    }
+    for (int y = 0; y < rect.height; ++y) std::copy_n(from + y * kTileStride, rect.width, to + y * part.stride);
     return;
   }
   if (channels == 1) {
-    transpose(line_order, kTileStride, rect.width, rect.height, dst.ptr<Pixel>(rect.y) + rect.x, dst.step1());
+    transpose(from, kTileStride, rect.width, rect.height, to, part.stride);
     return;
   }
   for (int y = 0; y < rect.height; ++y) {
-    Pixel* to = dst.ptr<Pixel>(rect.y + y) + static_cast<std::ptrdiff_t>(rect.x) * channels + channel;
     for (int x = 0; x < rect.width; ++x) {
-      to[x * channels] = major_is_y ? line_order[y * kTileStride + x] : line_order[x * kTileStride + y];
+      to[y * part.stride + x * channels] = major_is_y ? from[y * kTileStride + x] : from[x * kTileStride + y];
     }
+  }
+}
+
+/// Calls work(begin, length) for the fewest, equally long parts of [begin, end) that are no longer than kMaxTileSide.
+template <typename Work>
+void for_each_part(int begin, int end, const Work& work) {
+  const int parts = (end - begin + kMaxTileSide - 1) / kMaxTileSide;
+  for (int i = 0; i < parts; ++i) {
+    const int from = begin + (end - begin) * i / parts, to = begin + (end - begin) * (i + 1) / parts;
+    work(from, to - from);
   }
 }
 
 }  // namespace
 
 template <typename Pixel>
-void CpuConvolver::convolve_as(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst,
-                               Planes<Pixel>& planes) {
+void CpuConvolver::convolve_as(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst, Planes<Pixel>& planes) {
   const int threads = threads_ > 0 ? threads_ : omp_get_max_threads();
-  const int count = static_cast<int>(blocks.size());
-  plans_.resize(std::max(plans_.size(), blocks.size()));
+  const int count = static_cast<int>(grid.blocks.size());
+  plans_.resize(std::max(plans_.size(), grid.blocks.size()));
 #pragma omp parallel for num_threads(threads) schedule(dynamic)
-  for (int i = 0; i < count; ++i) plan_block(blocks[i], src.depth(), plans_[i]);
+  for (int i = 0; i < count; ++i) plan_block(grid.blocks[i], src.depth(), plans_[i]);
+  seams_.plan(grid, src.type());
 
   tiles_.clear();
-  left_to_reference_.assign(blocks.begin(), blocks.end());
-  bool need_reference = false, need_upright = false, need_transposed = false;
+  left_to_reference_.clear();
+  bool need_upright = false, need_transposed = false;
   double border_upright = 0, border_transposed = 0;
   std::size_t scratch_floats = 0;
   for (int i = 0; i < count; ++i) {
     const Plan& plan = plans_[i];
-    if (plan.method == Method::REFERENCE) need_reference = true;
+    if (plan.method == Method::COPY) src(grid.rect(i)).copyTo(dst(grid.rect(i)));
+    if (plan.method == Method::REFERENCE) left_to_reference_.push_back(i);
     if (plan.method != Method::EXACT && plan.method != Method::TWO_SCALE) continue;
-    left_to_reference_[i].kernel = nullptr;
-    const cv::Rect& rect = blocks[i].rect;
-    for (int y = rect.y; y < rect.br().y; y += kMaxTileSide) {
-      for (int x = rect.x; x < rect.br().x; x += kMaxTileSide) {
-        const cv::Rect part(x, y, std::min(kMaxTileSide, rect.br().x - x), std::min(kMaxTileSide, rect.br().y - y));
-        Tile tile{{}, part, i};
-        tile.geometry = plan.major_is_y ? TileGeometry{part.y, part.height, part.x, part.width, plan.slope}
-                                        : TileGeometry{part.x, part.width, part.y, part.height, plan.slope};
+    const cv::Rect reach = seams_.reach(i);
+    for_each_part(reach.y, reach.br().y, [&](int y, int height) {
+      for_each_part(reach.x, reach.br().x, [&](int x, int width) {
+        Tile tile{{}, {x, y, width, height}, i};
+        tile.geometry = plan.major_is_y ? TileGeometry{y, height, x, width, plan.slope}
+                                        : TileGeometry{x, width, y, height, plan.slope};
         const auto two_scale_scratch_floats =
             sizeof(Pixel) == 1 ? kernels_.two_scale_u8_scratch_floats : kernels_.two_scale_u16_scratch_floats;
         scratch_floats = std::max(scratch_floats, plan.method == Method::EXACT
                                                       ? kernels_.exact_scratch_floats(tile.geometry, plan.exact)
                                                       : two_scale_scratch_floats(tile.geometry, plan.two_scale));
         tiles_.push_back(tile);
-      }
-    }
+      });
+    });
     // Lines leave the tile sideways by their slope; whole vectors are read beyond, up to eight of outputs and some of
     // rounding.
     const double pad = std::abs(plan.slope) * (plan.reach_m + kMaxTileSide) + 12 * kernels_.lanes + 8;
@@ -372,27 +385,21 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const std::vector<BlockFilter
   // Tiles that follow each other along m read nearly the same rows, which are then still in the second-level cache.
   std::sort(tiles_.begin(), tiles_.end(), [&](const Tile& a, const Tile& b) {
     const auto key = [&](const Tile& tile) {
-      return std::make_tuple(plans_[tile.plan].major_is_y, tile.geometry.n_begin, tile.geometry.m_begin);
+      return std::make_tuple(plans_[tile.block].major_is_y, tile.geometry.n_begin, tile.geometry.m_begin);
     };
     return key(a) < key(b);
   });
 
-  if (need_reference) {
-    reference_.convolve(src, left_to_reference_, dst);
-  } else {
-    for (int i = 0; i < count; ++i) {
-      if (plans_[i].method == Method::COPY) src(blocks[i].rect).copyTo(dst(blocks[i].rect));
-    }
-  }
-  if (tiles_.empty()) return;
+  reference_.filter(src, grid, left_to_reference_, seams_, dst);
 
   scratch_.resize(threads);
   for (std::vector<float>& scratch : scratch_) {
     if (scratch.size() < scratch_floats + kAlignFloats) scratch.resize(scratch_floats + kAlignFloats);
   }
-  for (int channel = 0; channel < src.channels(); ++channel) {
+  const int channels = tiles_.empty() ? 0 : src.channels();
+  for (int channel = 0; channel < channels; ++channel) {
     cv::Mat plane = src;
-    if (src.channels() > 1) {
+    if (channels > 1) {
       cv::extractChannel(src, channel_, channel);
       plane = channel_;
     }
@@ -407,24 +414,27 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const std::vector<BlockFilter
 #pragma omp parallel for num_threads(threads) schedule(dynamic, 8)
     for (int i = 0; i < tile_count; ++i) {
       const Tile& tile = tiles_[i];
-      const Plan& plan = plans_[tile.plan];
+      const Plan& plan = plans_[tile.block];
       alignas(64) Pixel line_order[kMaxTileSide * kTileStride];
       float* scratch = scratch_[omp_get_thread_num()].data();
       const std::uintptr_t past_line = reinterpret_cast<std::uintptr_t>(scratch) % 64;
       if (past_line != 0) scratch += (64 - past_line) / sizeof(float);
       run_tile(tile, plan, planes, scratch, line_order);
-      store_tile(line_order, tile.rect, plan.major_is_y, channel, dst);
+      for (const SeamBlender::Part<Pixel>& part : seams_.parts<Pixel>(tile.block, dst)) {
+        store_tile(line_order, tile.rect, plan.major_is_y, channel, channels, part);
+      }
     }
   }
+  seams_.blend(src, threads, dst);
 }
 
-void CpuConvolver::convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) {
-  require_convolvable(src);
+void CpuConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) {
+  require_convolvable(src, grid);
   dst.create(src.size(), src.type());
   if (src.depth() == CV_8U) {
-    convolve_as(src, blocks, dst, planes8_);
+    convolve_as(src, grid, dst, planes8_);
   } else {
-    convolve_as(src, blocks, dst, planes16_);
+    convolve_as(src, grid, dst, planes16_);
   }
 }
 

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "core/seam_blender.hpp"
 #include "cpu/block_kernels.hpp"
 #include "cpu/reference_convolver.hpp"
 #include "cpu/two_scale_design.hpp"
@@ -20,17 +21,17 @@ class CpuConvolver : public LineConvolver {
   /// @param kernels  inner loops of one instruction set
   explicit CpuConvolver(int threads, const BlockKernels& kernels = best_block_kernels());
 
-  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override;
+  void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
   std::string name() const override { return std::string("cpu-") + kernels_.name; }
 
  private:
   enum class Method { COPY, EXACT, TWO_SCALE, REFERENCE };
 
-  /// One tile (at most kMaxTileSide square) of a block.
+  /// One tile (at most kMaxTileSide square) of what is computed of a block.
   struct Tile {
     TileGeometry geometry;
     cv::Rect rect;
-    int plan;
+    int block;
   };
 
   /// What is the same for all tiles of a block.
@@ -60,7 +61,7 @@ class CpuConvolver : public LineConvolver {
   void plan_two_scale(const LineKernel& kernel, double major, int depth, Plan& plan);
   static void fix_coarse_weights(Plan& plan);
   template <typename Pixel>
-  void convolve_as(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst, Planes<Pixel>& planes);
+  void convolve_as(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst, Planes<Pixel>& planes);
   template <typename Pixel>
   void run_tile(const Tile& tile, const Plan& plan, const Planes<Pixel>& planes, float* scratch,
                 Pixel* line_order) const;
@@ -71,7 +72,8 @@ class CpuConvolver : public LineConvolver {
   TwoScaleDesigns designs_;
   std::vector<Plan> plans_;
   std::vector<Tile> tiles_;
-  std::vector<BlockFilter> left_to_reference_;
+  SeamBlender seams_;
+  std::vector<int> left_to_reference_;  // blocks
   Planes<std::uint8_t> planes8_;
   Planes<std::uint16_t> planes16_;
   cv::Mat channel_;

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "core/seam_blender.hpp"
 #include "gyro_deblur/deconvolution.hpp"
 
 namespace gyro_deblur {
@@ -14,18 +15,27 @@ class ReferenceConvolver : public LineConvolver {
   /// @param threads OpenMP threads, >= 0; 0: OpenMP's default
   explicit ReferenceConvolver(int threads);
 
-  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override;
+  void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
+
+  /// Filters `blocks` of the grid (indices; each has a kernel) and leaves the results with `seams`, which has planned
+  /// for the grid. Preconditions as require_convolvable(); dst has src's size and type.
+  void filter(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, SeamBlender& seams,
+              cv::Mat& dst);
+
   std::string name() const override { return "reference"; }
 
  private:
   template <typename Pixel>
-  void convolve_as(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst);
+  void filter_as(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, SeamBlender& seams,
+                 cv::Mat& dst);
   template <typename Pixel>
   void load_channel(const cv::Mat& src, int channel);
 
   int threads_;
   // Kept between frames: their allocation would cost more than their use.
-  std::vector<std::vector<KernelTap>> taps_;  // by block
+  SeamBlender seams_;
+  std::vector<int> filtered_;                 // blocks
+  std::vector<std::vector<KernelTap>> taps_;  // of the blocks that are filtered
   std::vector<float> padded_;                 // one channel with its replicated border
   std::ptrdiff_t stride_ = 0;                 // of padded_, in floats
   int pad_x_ = 0, pad_y_ = 0;                 // border of padded_

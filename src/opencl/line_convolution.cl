@@ -52,6 +52,7 @@ typedef struct {
   int u, v, cols, rows;            // outputs of the tile, in the plane without its border
   int first_step, steps, first_m;  // steps have consecutive m
   int transposed;
+  int to, step_y;  // where the first output goes, and the distance of the next row of the result there
 } Tile;
 
 // Plane geometry: pixel (u, v) of the image is at (v + border_v) * stride + u + border_u.
@@ -116,22 +117,21 @@ static inline __attribute__((always_inline)) void store(floatN sums[ROWS][VECTOR
   }
 }
 
-// One work-group a tile. step_x and step_y: distance of neighbouring pixels of the result in memory.
+// One work-group a tile. step_x: distance of neighbouring pixels of the result in memory.
 __kernel __attribute__((reqd_work_group_size(GROUP_COLS, GROUP_ROWS, 1))) void convolve_tiles(
     __global const Tile* restrict tiles, __global const Step* restrict all_steps, __global const float* restrict upright,
     const int upright_stride, const int upright_border_u, const int upright_border_v,
     __global const float* restrict transposed, const int transposed_stride, const int transposed_border_u,
-    const int transposed_border_v, __global PIXEL* restrict result, const int channel, const int step_x,
-    const int step_y) {
+    const int transposed_border_v, __global PIXEL* restrict result, const int channel, const int step_x) {
   const Tile tile = tiles[get_group_id(0)];
   __global const float* plane = tile.transposed ? transposed : upright;
   const int stride = tile.transposed ? transposed_stride : upright_stride;
   const int border_u = tile.transposed ? transposed_border_u : upright_border_u;
   const int border_v = tile.transposed ? transposed_border_v : upright_border_v;
-  const int step_u = tile.transposed ? step_y : step_x;
-  const int step_v = tile.transposed ? step_x : step_y;
+  const int step_u = tile.transposed ? tile.step_y : step_x;
+  const int step_v = tile.transposed ? step_x : tile.step_y;
   __global const Step* steps = all_steps + tile.first_step;
-  __global PIXEL* to = result + channel + tile.v * step_v + tile.u * step_u;
+  __global PIXEL* to = result + channel + tile.to;
   __global const float* origin = plane + (tile.v + border_v) * stride + tile.u + border_u;
   const int local_u = (int)get_local_id(0), local_v = (int)get_local_id(1);
 

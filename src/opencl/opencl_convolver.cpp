@@ -21,6 +21,7 @@
 
 #include "core/fallback_convolver.hpp"
 #include "core/parallel.hpp"
+#include "core/seam_blender.hpp"
 #include "opencl/opencl_factory.hpp"
 
 namespace gyro_deblur {
@@ -36,7 +37,7 @@ struct Step {
   cl_float lower, upper;
 };
 struct Tile {
-  cl_int u, v, cols, rows, first_step, steps, first_m, transposed;
+  cl_int u, v, cols, rows, first_step, steps, first_m, transposed, to, step_y;
 };
 
 /// The steps of one block's line: of m, m + 1, ...
@@ -295,7 +296,7 @@ class OpenClConvolver::Engine {
     program(CV_8U);
   }
 
-  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst);
+  void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst);
   const std::string& name() const { return name_; }
   const OpenClTimes& times() const { return times_; }
 
@@ -314,7 +315,9 @@ class OpenClConvolver::Engine {
 
   Program& program(int depth);
   int threads() const { return threads_ > 0 ? threads_ : omp_get_max_threads(); }
-  void plan(const cv::Mat& src, const std::vector<BlockFilter>& blocks);
+  void plan(const cv::Mat& src, const FilterGrid& grid);
+  template <typename Pixel>
+  void store_results(const FilterGrid& grid, const void* results, cv::Mat& dst);
   void load(Program& program, const cv::Mat& src, int channel, Plane& plane, bool transposed);
 
   cl::Device device_;
@@ -328,7 +331,10 @@ class OpenClConvolver::Engine {
   TransferBuffer image_, steps_, tiles_, result_;
   Plane upright_, transposed_;
   // Of the frame at hand; kept for their memory.
-  std::vector<Line> lines_;  // by block
+  SeamBlender seams_;
+  std::vector<Line> lines_;                 // by block
+  std::vector<std::size_t> result_starts_;  // by block, in result_ [values]
+  std::size_t result_values_ = 0;
   std::vector<Tile> tile_list_;
   std::size_t step_count_ = 0;
   std::vector<cl::Event> upload_events_, kernel_events_, download_events_;
@@ -359,9 +365,13 @@ OpenClConvolver::Engine::Program& OpenClConvolver::Engine::program(int depth) {
 }
 
 /// Lines, tiles and the planes that they need.
-void OpenClConvolver::Engine::plan(const cv::Mat& src, const std::vector<BlockFilter>& blocks) {
+void OpenClConvolver::Engine::plan(const cv::Mat& src, const FilterGrid& grid) {
+  const std::vector<BlockFilter>& blocks = grid.blocks;
   const int count = static_cast<int>(blocks.size());
   lines_.resize(std::max(lines_.size(), blocks.size()));
+  seams_.plan(grid, src.type());
+  result_starts_.resize(blocks.size());
+  result_values_ = 0;
   run_parallel(count, threads(), 1, [&](int i) {
     if (blocks[i].kernel != nullptr) set_line(blocks[i], &lines_[i]);
   });
@@ -384,14 +394,19 @@ void OpenClConvolver::Engine::plan(const cv::Mat& src, const std::vector<BlockFi
         plane.border_v = std::max(plane.border_v, std::abs(n) + 1);  // the upper weight's pixel is one further
       }
     }
-    const cv::Rect& rect = blocks[i].rect;
+    const cv::Rect rect = seams_.reach(i);
+    const int channels = src.channels(), step_y = rect.width * channels;
+    const int step_u = line.major_is_y ? step_y : channels, step_v = line.major_is_y ? channels : step_y;
+    const int start = static_cast<int>(result_values_);
+    result_starts_[i] = result_values_;
+    result_values_ += static_cast<std::size_t>(rect.area()) * channels;
     const int u0 = line.major_is_y ? rect.y : rect.x, cols = line.major_is_y ? rect.height : rect.width;
     const int v0 = line.major_is_y ? rect.x : rect.y, rows = line.major_is_y ? rect.width : rect.height;
     for (int v = 0; v < rows; v += shape_.tile_rows) {
       for (int u = 0; u < cols; u += shape_.tile_cols) {
         tile_list_.push_back({u0 + u, v0 + v, std::min(shape_.tile_cols, cols - u),
                               std::min(shape_.tile_rows, rows - v), static_cast<cl_int>(step_count_), steps,
-                              line.first_m, line.major_is_y ? 1 : 0});
+                              line.first_m, line.major_is_y ? 1 : 0, start + v * step_v + u * step_u, step_y});
       }
     }
     step_count_ += line.steps.size();
@@ -423,13 +438,25 @@ void OpenClConvolver::Engine::load(Program& program, const cv::Mat& src, int cha
                               cl::NDRange(shape_.patch_group, shape_.patch_group), nullptr, &kernel_events_.back());
 }
 
-void OpenClConvolver::Engine::convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) {
+template <typename Pixel>
+void OpenClConvolver::Engine::store_results(const FilterGrid& grid, const void* results, cv::Mat& dst) {
+  const int count = static_cast<int>(grid.blocks.size());
+#pragma omp parallel for num_threads(threads()) schedule(static)
+  for (int i = 0; i < count; ++i) {
+    if (grid.blocks[i].kernel == nullptr) continue;
+    seams_.store(i, static_cast<const Pixel*>(results) + result_starts_[i], dst);
+  }
+}
+
+void OpenClConvolver::Engine::convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) {
+  const std::vector<BlockFilter>& blocks = grid.blocks;
   dst.create(src.size(), src.type());
   times_ = {};
-  plan(src, blocks);
+  plan(src, grid);
   const auto copy_unfiltered = [&] {
-    for (const BlockFilter& block : blocks) {
-      if (block.kernel == nullptr) src(block.rect).copyTo(dst(block.rect));
+    for (std::size_t i = 0; i < blocks.size(); ++i) {
+      const cv::Rect rect = grid.rect(static_cast<int>(i));
+      if (blocks[i].kernel == nullptr) src(rect).copyTo(dst(rect));
     }
   };
   if (tile_list_.empty()) return copy_unfiltered();
@@ -446,7 +473,8 @@ void OpenClConvolver::Engine::convolve(const cv::Mat& src, const std::vector<Blo
   });
   tiles_.upload(tile_list_.size() * sizeof(Tile), &upload_events_,
                 [&](void* host) { std::memcpy(host, tile_list_.data(), tile_list_.size() * sizeof(Tile)); });
-  result_.reserve(image_bytes);
+  const std::size_t result_bytes = result_values_ * src.elemSize1();
+  result_.reserve(result_bytes);
 
   for (int channel = 0; channel < src.channels(); ++channel) {
     if (upright_.used) load(kernels, src, channel, upright_, false);
@@ -460,7 +488,7 @@ void OpenClConvolver::Engine::convolve(const cv::Mat& src, const std::vector<Blo
       for (const cl_int argument : {plane->stride, plane->border_u, plane->border_v}) kernel.setArg(index++, argument);
     }
     kernel.setArg(index++, result_.device());
-    for (const cl_int argument : {channel, src.channels(), src.cols * src.channels()}) kernel.setArg(index++, argument);
+    for (const cl_int argument : {channel, src.channels()}) kernel.setArg(index++, argument);
     kernel_events_.emplace_back();
     queue_.enqueueNDRangeKernel(kernel, cl::NullRange,
                                 cl::NDRange(tile_list_.size() * shape_.group_cols, shape_.group_rows),
@@ -468,12 +496,14 @@ void OpenClConvolver::Engine::convolve(const cv::Mat& src, const std::vector<Blo
   }
   queue_.flush();
   copy_unfiltered();
-  result_.download(image_bytes, &download_events_, [&](void* host) {
-    const cv::Mat filtered(src.size(), src.type(), host);
-    for (const BlockFilter& block : blocks) {
-      if (block.kernel != nullptr) filtered(block.rect).copyTo(dst(block.rect));
+  result_.download(result_bytes, &download_events_, [&](const void* host) {
+    if (src.depth() == CV_8U) {
+      store_results<cl_uchar>(grid, host, dst);
+    } else {
+      store_results<cl_ushort>(grid, host, dst);
     }
   });
+  seams_.blend(src, threads(), dst);
   times_ = {duration_ms(upload_events_), duration_ms(kernel_events_), duration_ms(download_events_)};
 }
 
@@ -487,10 +517,10 @@ OpenClConvolver::OpenClConvolver(const std::string& device, int threads, OpenClT
 
 OpenClConvolver::~OpenClConvolver() = default;
 
-void OpenClConvolver::convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) {
-  require_convolvable(src);
+void OpenClConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) {
+  require_convolvable(src, grid);
   try {
-    engine_->convolve(src, blocks, dst);
+    engine_->convolve(src, grid, dst);
   } catch (const cl::Error& error) {
     throw device_error(error);
   }

@@ -40,7 +40,7 @@ class OpenClConvolver : public LineConvolver {
   ~OpenClConvolver() override;
 
   /// Throws DeviceError when the device fails; dst is undefined then.
-  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override;
+  void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
 
   /// "opencl (DEVICE)".
   std::string name() const override;

@@ -187,9 +187,8 @@ TEST_P(CpuConvolverTest, FiltersKernelsOfAnyShape) {
   for (const int depth : {CV_8U, CV_16U}) {
     cv::Mat src;
     image.convertTo(src, depth, depth == CV_8U ? 1 : 257);
-    const std::vector<BlockFilter> blocks = {{cv::Rect(0, 0, 160, 50), 2.5, &lopsided},
-                                             {cv::Rect(0, 50, 80, 70), 0.7, nullptr},
-                                             {cv::Rect(80, 50, 80, 70), 0.7, &lopsided}};
+    const FilterGrid blocks = {
+        {0, 80, 160}, {0, 50, 120}, {{2.5, &lopsided}, {2.5, &lopsided}, {0.7, nullptr}, {0.7, &lopsided}}};
     cv::Mat expected, actual;
     ReferenceConvolver(2).convolve(src, blocks, expected);
     CpuConvolver(2, *kernels_).convolve(src, blocks, actual);

@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "cpu/reference_convolver.hpp"
+#include "filter_grids.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {
@@ -20,8 +21,8 @@ class FailingConvolver : public LineConvolver {
  public:
   FailingConvolver(int good_frames, int* calls) : good_frames_(good_frames), calls_(calls) {}
 
-  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override {
-    if (++*calls_ <= good_frames_) return engine_.convolve(src, blocks, dst);
+  void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override {
+    if (++*calls_ <= good_frames_) return engine_.convolve(src, grid, dst);
     dst = cv::Mat(3, 3, CV_8UC1, cv::Scalar(7));
     throw Error("out of order");
   }
@@ -51,7 +52,7 @@ class FallbackConvolverTest : public testing::Test {
   int calls_ = 0;
   const cv::Mat image_ = test::textured_image(80, 60, 50);
   const LineKernel kernel_ = wiener_kernel(9, {});
-  const std::vector<BlockFilter> blocks_ = {{cv::Rect(0, 0, 80, 60), 0.4, &kernel_}};
+  const FilterGrid blocks_ = test::one_block({80, 60}, 0.4, kernel_);
 };
 
 TEST_F(FallbackConvolverTest, LosesNoFrameWhenTheDeviceFailsInMidRun) {

@@ -11,6 +11,7 @@
 
 #include "core/fallback_convolver.hpp"
 #include "cpu/reference_convolver.hpp"
+#include "filter_grids.hpp"
 #include "opencl/opencl_factory.hpp"
 #include "synthetic_blur.hpp"
 
@@ -20,19 +21,12 @@ namespace {
 constexpr int kThreads = 2;
 
 /// Blocks with angles all around and extents near `extent_px`; every seventh has no kernel.
-std::vector<BlockFilter> varied_blocks(int width_px, int height_px, int block_px, double extent_px,
-                                       const KernelBank& bank) {
-  std::vector<BlockFilter> blocks;
-  for (int y = 0; y < height_px; y += block_px) {
-    for (int x = 0; x < width_px; x += block_px) {
-      const cv::Rect rect(x, y, std::min(block_px, width_px - x), std::min(block_px, height_px - y));
-      const int i = static_cast<int>(blocks.size());
-      const bool filtered = i % 7 != 6;
-      const double angle_rad = (23 * i % 180) * CV_PI / 180;
-      blocks.push_back({rect, angle_rad, filtered ? &bank.kernel(extent_px * (1 + 0.03 * (i % 5))) : nullptr});
-    }
-  }
-  return blocks;
+FilterGrid varied_blocks(int width_px, int height_px, int block_px, double extent_px, const KernelBank& bank) {
+  return test::make_grid({width_px, height_px}, block_px, [&](int i) -> BlockFilter {
+    const bool filtered = i % 7 != 6;
+    const double angle_rad = (23 * i % 180) * CV_PI / 180;
+    return {angle_rad, filtered ? &bank.kernel(extent_px * (1 + 0.03 * (i % 5))) : nullptr};
+  });
 }
 
 cv::Mat textured(int width_px, int height_px, int channels, int depth) {
@@ -57,13 +51,13 @@ class OpenClConvolverTest : public testing::TestWithParam<OpenClTuning> {
     engine_ = std::make_unique<OpenClConvolver>("", kThreads, GetParam());
   }
 
-  cv::Mat expected(const cv::Mat& src, const std::vector<BlockFilter>& blocks) {
+  cv::Mat expected(const cv::Mat& src, const FilterGrid& blocks) {
     cv::Mat dst;
     reference_.convolve(src, blocks, dst);
     return dst;
   }
 
-  cv::Mat actual(const cv::Mat& src, const std::vector<BlockFilter>& blocks) {
+  cv::Mat actual(const cv::Mat& src, const FilterGrid& blocks) {
     cv::Mat dst;
     engine_->convolve(src, blocks, dst);
     return dst;
@@ -78,8 +72,7 @@ TEST_P(OpenClConvolverTest, AgreesAtEveryAngleAndExtent) {
   const cv::Mat image = textured(200, 150, 1, CV_8U);
   for (const double extent_px : {2.0, 5.0, 11.3, 30.0, 90.0, 130.0}) {
     for (int degrees = 0; degrees < 180; degrees += 15) {
-      const std::vector<BlockFilter> blocks = {
-          {cv::Rect(0, 0, 200, 150), degrees * CV_PI / 180, &bank_.kernel(extent_px)}};
+      const FilterGrid blocks = test::one_block(image.size(), degrees * CV_PI / 180, bank_.kernel(extent_px));
       ASSERT_LE(largest_difference(expected(image, blocks), actual(image, blocks)), 1)
           << extent_px << " px, " << degrees << " deg";
     }
@@ -96,7 +89,7 @@ TEST_P(OpenClConvolverTest, TakesEverySizeTypeAndBorder) {
     const cv::Mat image = textured(c.width, c.height, c.channels, c.depth);
     for (const double extent_px : {8.0, 35.0, 110.0, 400.0}) {
       for (const int block_px : {64, 37, 150}) {
-        const std::vector<BlockFilter> blocks = varied_blocks(c.width, c.height, block_px, extent_px, bank_);
+        const FilterGrid blocks = varied_blocks(c.width, c.height, block_px, extent_px, bank_);
         const cv::Mat result = actual(image, blocks);
         ASSERT_EQ(result.size(), image.size());
         ASSERT_EQ(result.type(), image.type());
@@ -113,25 +106,26 @@ TEST_P(OpenClConvolverTest, KeepsAConstantImageAndCopiesBlocksWithoutKernel) {
   EXPECT_EQ(largest_difference(constant, actual(constant, varied_blocks(200, 150, 50, 80, bank_))), 0);
 
   const cv::Mat image = textured(200, 150, 1, CV_8U);
-  std::vector<BlockFilter> blocks = varied_blocks(200, 150, 50, 12, bank_);
+  FilterGrid blocks = varied_blocks(200, 150, 50, 12, bank_);
   cv::Mat result = actual(image, blocks);
-  for (const BlockFilter& block : blocks) {
-    const double difference = largest_difference(image(block.rect), result(block.rect));
-    if (block.kernel == nullptr) {
+  for (std::size_t i = 0; i < blocks.blocks.size(); ++i) {
+    const cv::Rect rect = blocks.rect(static_cast<int>(i));
+    const double difference = largest_difference(image(rect), result(rect));
+    if (blocks.blocks[i].kernel == nullptr) {
       EXPECT_EQ(difference, 0);
     } else {
       EXPECT_GT(difference, 0);
     }
   }
-  for (BlockFilter& block : blocks) block.kernel = nullptr;
+  for (BlockFilter& block : blocks.blocks) block.kernel = nullptr;
   EXPECT_EQ(largest_difference(image, actual(image, blocks)), 0);
 }
 
 // Buffers of an earlier, larger frame must not shine through.
 TEST_P(OpenClConvolverTest, DoesNotDependOnEarlierFrames) {
   const cv::Mat small = textured(120, 90, 1, CV_8U), large = textured(300, 200, 3, CV_16U);
-  const std::vector<BlockFilter> small_blocks = varied_blocks(120, 90, 64, 20, bank_);
-  const std::vector<BlockFilter> large_blocks = varied_blocks(300, 200, 64, 90, bank_);
+  const FilterGrid small_blocks = varied_blocks(120, 90, 64, 20, bank_);
+  const FilterGrid large_blocks = varied_blocks(300, 200, 64, 90, bank_);
   const cv::Mat small_first = actual(small, small_blocks), large_first = actual(large, large_blocks);
   EXPECT_EQ(largest_difference(small_first, actual(small, small_blocks)), 0);
   EXPECT_EQ(largest_difference(large_first, actual(large, large_blocks)), 0);
@@ -140,7 +134,7 @@ TEST_P(OpenClConvolverTest, DoesNotDependOnEarlierFrames) {
 TEST_P(OpenClConvolverTest, TakesImagesWithGapsBetweenRows) {
   const cv::Mat frame = textured(200, 150, 3, CV_8U);
   const cv::Mat part = frame(cv::Rect(20, 10, 101, 77));
-  const std::vector<BlockFilter> blocks = varied_blocks(part.cols, part.rows, 64, 20, bank_);
+  const FilterGrid blocks = varied_blocks(part.cols, part.rows, 64, 20, bank_);
   EXPECT_EQ(largest_difference(actual(part.clone(), blocks), actual(part, blocks)), 0);
 }
 
@@ -153,10 +147,8 @@ TEST_P(OpenClConvolverTest, FiltersKernelsOfAnyShape) {
   zero.taps.assign(5, 0.0f);
   for (const int depth : {CV_8U, CV_16U}) {
     const cv::Mat image = textured(160, 120, 1, depth);
-    const std::vector<BlockFilter> blocks = {{cv::Rect(0, 0, 160, 50), 2.5, &lopsided},
-                                             {cv::Rect(0, 50, 80, 40), 0.7, &sparse},
-                                             {cv::Rect(80, 50, 80, 40), 1.7, &sparse},
-                                             {cv::Rect(0, 90, 160, 30), 1.2, &zero}};
+    const FilterGrid blocks = {
+        {0, 80, 160}, {0, 60, 120}, {{2.5, &lopsided}, {0.7, &sparse}, {1.7, &sparse}, {1.2, &zero}}};
     EXPECT_LE(largest_difference(expected(image, blocks), actual(image, blocks)), 1);
   }
 }
@@ -180,9 +172,9 @@ TEST_P(OpenClConvolverTest, ReportsWhatTheDeviceCannotDo) {
   endless.taps.assign(80001, 1.0f / 80001);
   const cv::Mat image = textured(8, 8, 1, CV_8U);
   cv::Mat dst;
-  EXPECT_THROW(engine_->convolve(image, {{cv::Rect(0, 0, 8, 8), CV_PI / 4, &endless}}, dst), DeviceError);
+  EXPECT_THROW(engine_->convolve(image, test::one_block(image.size(), CV_PI / 4, endless), dst), DeviceError);
   // The engine is none the worse for it.
-  const std::vector<BlockFilter> blocks = varied_blocks(8, 8, 64, 5, bank_);
+  const FilterGrid blocks = varied_blocks(8, 8, 64, 5, bank_);
   EXPECT_LE(largest_difference(expected(image, blocks), actual(image, blocks)), 1);
 }
 
