@@ -66,6 +66,10 @@ class CpuConvolverTest : public testing::TestWithParam<const char*> {
 
 // Short kernels are exact but for the rounding of their weights to int16.
 TEST_P(CpuConvolverTest, ShortKernelsDifferByRoundingAlone) {
+  // Weights of 12 bits, or of 7 where they have to be bytes.
+  const bool bytes = kernels_->max_exact_weight < 128;
+  const double least_db = bytes ? 55 : 60;
+  const int most_levels = bytes ? 3 : 1;
   const cv::Mat sharp = test::textured_image(230, 170, 1);
   for (const double extent_px : {2.0, 5.0, 11.3, 20.0, 29.8}) {
     double pooled = 0;
@@ -76,10 +80,10 @@ TEST_P(CpuConvolverTest, ShortKernelsDifferByRoundingAlone) {
       const BlurField field = uniform_blur_field(230, 170, angle_rad, extent_px, wide_options());
       cv::Mat expected, actual;
       run(blurred, PixelLayout::GRAY, field, expected, actual);
-      EXPECT_LE(cv::norm(expected, actual, cv::NORM_INF), 1) << extent_px << " px, " << degrees << " deg";
+      EXPECT_LE(cv::norm(expected, actual, cv::NORM_INF), most_levels) << extent_px << " px, " << degrees << " deg";
       pooled += mean_square(expected, actual);
     }
-    EXPECT_GE(psnr_db(pooled / angles), 60) << extent_px << " px";
+    EXPECT_GE(psnr_db(pooled / angles), least_db) << extent_px << " px";
   }
 }
 
