@@ -111,34 +111,48 @@ struct CubicWeights {
 // -----------------------------------------------------------------------------------------------------
 
 // Outputs that are summed together: enough independent sums to hide the latency of a multiply-add.
-constexpr int kExactRows = 2;
-constexpr int kExactVectors = GYRO_DEBLUR_VECTOR_BYTES == 64 ? 4 : 2;
+constexpr int kExactRows = GYRO_DEBLUR_VECTOR_BYTES == 64 ? 4 : 2;
+constexpr int kExactVectors = GYRO_DEBLUR_VECTOR_BYTES == 64 ? 3 : 2;
 
 struct ExactLayout {
   int rows, width, first_m, first_n;
   ExactLayout(const TileGeometry& tile, const ExactFilter& filter)
-      : rows(tile.m_count + 2 * filter.radius_m + 1),
+      : rows(round_up(tile.m_count, kExactRows) + 2 * filter.radius_m),
         // Whole vectors are read for the last outputs.
-        width(round_up(round_up(tile.n_count, kExactVectors * kLanes) + filter.n_max - filter.n_min, kLanes) + kLanes),
+        width(round_up(round_up(tile.n_count, kLanes) + filter.n_max - filter.n_min, kLanes) + kLanes),
         first_m(tile.m_begin - filter.radius_m),
         first_n(tile.n_begin + filter.n_min) {}
 };
 
-/// Walks over the tile's outputs, kExactRows by kExactVectors, and lets sum(at, vectors, sums) fill the sums for the
-/// outputs whose first one is at offset `at` of the neighbourhood, whose rows are `stride` apart.
+/// Lets `sum` fill the sums for kExactRows by kVectors outputs from (m, n) on, and stores those inside the tile.
+template <int kVectors, typename Sum>
+inline void store_exact_outputs(const TileGeometry& tile, const ExactFilter& filter, std::uint8_t* out, int stride,
+                                int m, int n, Sum sum) {
+  IntVector sums[kExactRows][kVectors];
+  sum((m + filter.radius_m) * stride + n - filter.n_min, sums);
+  for (int row = 0; row < kExactRows && m + row < tile.m_count; ++row) {
+    for (int v = 0; v < kVectors; ++v) {
+      store_pixels(out + (m + row) * kTileStride + n + v * kLanes,
+                   __builtin_convertvector(sums[row][v], Vector) * filter.scale, 255.0f);
+    }
+  }
+}
+
+/// Walks over the tile's outputs, kExactRows by at most kExactVectors, and lets sum(at, sums) fill the sums, which are
+/// 0, for the outputs whose first one is at offset `at` of the neighbourhood, whose rows are `stride` apart.
 template <typename Sum>
 inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filter, std::uint8_t* out, int stride,
                               Sum sum) {
+  static_assert(kExactVectors == 2 || kExactVectors == 3, "");
   for (int m = 0; m < tile.m_count; m += kExactRows) {
-    for (int n = 0; n < tile.n_count; n += kExactVectors * kLanes) {
-      IntVector sums[kExactRows][kExactVectors];
-      sum((m + filter.radius_m) * stride + n - filter.n_min, sums);
-      for (int row = 0; row < kExactRows && m + row < tile.m_count; ++row) {
-        for (int v = 0; v < kExactVectors && n + v * kLanes < tile.n_count; ++v) {
-          store_pixels(out + (m + row) * kTileStride + n + v * kLanes,
-                       __builtin_convertvector(sums[row][v], Vector) * filter.scale, 255.0f);
-        }
-      }
+    int n = 0;
+    for (; n + (kExactVectors - 1) * kLanes < tile.n_count; n += kExactVectors * kLanes) {
+      store_exact_outputs<kExactVectors>(tile, filter, out, stride, m, n, sum);
+    }
+    if (n + kLanes < tile.n_count) {
+      store_exact_outputs<kExactVectors - 1>(tile, filter, out, stride, m, n, sum);
+    } else if (n < tile.n_count) {
+      store_exact_outputs<1>(tile, filter, out, stride, m, n, sum);
     }
   }
 }
@@ -146,8 +160,7 @@ inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filte
 #if defined(__AVX512VBMI__) && defined(__AVX512VNNI__)
 
 // Two steps of the line at once: bytes (m, n), (m, n + 1) of one and (m', n'), (m', n' + 1) of the next are put side by
-// side for 16 outputs by one permutation, and multiplied by one dot product with weights in
-// bytes.
+// side for 16 outputs by one permutation, and multiplied by one dot product with weights in bytes.
 constexpr int kMaxExactWeight = 127;
 
 struct Quad {
@@ -200,37 +213,31 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
     list[count++] = quad;
   }
 
-  // From two vectors of bytes, i, i + 1 of the first and i, i + 1 of the second for i = 16 v .. 16 v + 15. A vector
-  // reaches three such groups; the fourth is the first of another vector 48 bytes on.
-  constexpr int kReached = 3;
-  static_assert(kExactVectors == kReached + 1, "");
+  // From two vectors of bytes, i, i + 1 of the first and i, i + 1 of the second for i = 16 v .. 16 v + 15.
+  static_assert(kExactVectors * 16 < 64, "a vector of bytes reaches three groups of 16 and the byte after");
   const __m512i group_step = _mm512_set1_epi8(16);
   const __m512i counting = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
-  __m512i order[kReached];
+  __m512i order[kExactVectors];
   order[0] =
       _mm512_add_epi32(_mm512_mullo_epi32(counting, _mm512_set1_epi32(0x01010101)), _mm512_set1_epi32(0x41400100));
-  for (int v = 1; v < kReached; ++v) order[v] = _mm512_add_epi8(order[v - 1], group_step);
+  for (int v = 1; v < kExactVectors; ++v) order[v] = _mm512_add_epi8(order[v - 1], group_step);
 
-  for_exact_outputs(tile, filter, out, stride, [&](int at, IntVector sums[kExactRows][kExactVectors]) {
-    __m512i acc[kExactRows][kExactVectors] = {};
+  for_exact_outputs(tile, filter, out, stride, [&](int at, auto& sums) {
+    constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
+    IntVector acc[kExactRows][kVectors] = {};  // local, so that it stays in registers
     for (int q = 0; q < count; ++q) {
       const std::uint8_t *lower = bytes + at + list[q].lower, *upper = bytes + at + list[q].upper;
       const __m512i weights = _mm512_set1_epi32(list[q].weights);
       for (int row = 0; row < kExactRows; ++row, lower += stride, upper += stride) {
         const __m512i first = _mm512_loadu_si512(lower), second = _mm512_loadu_si512(upper);
-        const __m512i first_beyond =
-            _mm512_castsi256_si512(_mm256_loadu_si256((const __m256i*)(lower + 16 * kReached)));
-        const __m512i second_beyond =
-            _mm512_castsi256_si512(_mm256_loadu_si256((const __m256i*)(upper + 16 * kReached)));
-        for (int v = 0; v < kExactVectors; ++v) {
-          const __m512i pixels = v < kReached ? _mm512_permutex2var_epi8(first, order[v], second)
-                                              : _mm512_permutex2var_epi8(first_beyond, order[0], second_beyond);
-          acc[row][v] = _mm512_dpbusd_epi32(acc[row][v], pixels, weights);
+        for (int v = 0; v < kVectors; ++v) {
+          const __m512i pixels = _mm512_permutex2var_epi8(first, order[v], second);
+          acc[row][v] = (IntVector)_mm512_dpbusd_epi32((__m512i)acc[row][v], pixels, weights);
         }
       }
     }
     for (int row = 0; row < kExactRows; ++row) {
-      for (int v = 0; v < kExactVectors; ++v) sums[row][v] = (IntVector)acc[row][v];
+      for (int v = 0; v < kVectors; ++v) sums[row][v] = acc[row][v];
     }
   });
 }
@@ -255,20 +262,21 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
     std::int32_t* to = pairs + r * layout.width;
     for (int i = 0; i < layout.width; ++i) to[i] = from[i] | (from[i + 1] << 16);
   }
-  for_exact_outputs(tile, filter, out, layout.width, [&](int at, IntVector sums[kExactRows][kExactVectors]) {
-    IntVector acc[kExactRows][kExactVectors] = {};
+  for_exact_outputs(tile, filter, out, layout.width, [&](int at, auto& sums) {
+    constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
+    IntVector acc[kExactRows][kVectors] = {};  // local, so that it stays in registers
     for (int t = 0; t < filter.count; ++t) {
       const PairTap& tap = filter.taps[t];
       const std::int32_t* from = pairs + at + tap.m * layout.width + tap.n;
       const IntVector weights = IntVector{} + tap.weights;
       for (int row = 0; row < kExactRows; ++row) {
-        for (int v = 0; v < kExactVectors; ++v) {
+        for (int v = 0; v < kVectors; ++v) {
           acc[row][v] = multiply_pairs(acc[row][v], load(from + row * layout.width + v * kLanes), weights);
         }
       }
     }
     for (int row = 0; row < kExactRows; ++row) {
-      for (int v = 0; v < kExactVectors; ++v) sums[row][v] = acc[row][v];
+      for (int v = 0; v < kVectors; ++v) sums[row][v] = acc[row][v];
     }
   });
 }
