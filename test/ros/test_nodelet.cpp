@@ -16,16 +16,20 @@
 #include <diagnostic_msgs/DiagnosticArray.h>
 #include <dynamic_reconfigure/Reconfigure.h>
 #include <gtest/gtest.h>
+#include <nav_msgs/Odometry.h>
 #include <nodelet/NodeletList.h>
 #include <nodelet/NodeletLoad.h>
 #include <nodelet/NodeletUnload.h>
 #include <ros/ros.h>
 #include <rosgraph_msgs/Log.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
+#include <sensor_msgs/PointCloud.h>
 #include <std_srvs/Trigger.h>
 #include <tf2_msgs/TFMessage.h>
 #include <visualization_msgs/MarkerArray.h>
+#include <opencv2/imgcodecs.hpp>
 
 #include "message_builders.hpp"
 #include "ros/messages.hpp"
@@ -330,6 +334,7 @@ TEST_F(NodeletTest, CameraIsSubscribedWhileSomebodyListens) {
   listens(ignore<BlurFieldMessage>("blur_field"));
   listens(ignore<sensor_msgs::Image>("blur_overlay"));
   listens(ignore<visualization_msgs::MarkerArray>("blur_markers"));
+  listens(ignore<sensor_msgs::PointCloud>("feature_tracks"));
   EXPECT_EQ(imu_publisher_.getNumSubscribers(), 1u);
 }
 
@@ -432,6 +437,83 @@ TEST_F(NodeletTest, RefusedParameterIsStillRefusedAfterReloading) {
   publish_frame(kStart);
   expect_frames(1);
   expect_reason(0, PassThroughReason::BAD_CONFIGURATION);
+}
+
+TEST_F(NodeletTest, TracksGoOnFromFrameToFrame) {
+  start();
+  std::vector<sensor_msgs::PointCloudConstPtr> tracks;
+  const ros::Subscriber subscriber = nh_.subscribe<sensor_msgs::PointCloud>(
+      ns_ + "/feature_tracks", 100,
+      [&](const sensor_msgs::PointCloudConstPtr& m) { mailbox_.put([&] { tracks.push_back(m); }); });
+  ASSERT_TRUE(poll_until([&] { return subscriber.getNumPublishers() > 0; }));
+  publish_imu(kStart - 50 * kMs, kStart + 4 * kSecond, 0.0);
+  // The publisher may learn of its subscriber later than this does: frames go on until three have come.
+  for (TimeNs t_ns = kStart; t_ns < kStart + 3900 * kMs; t_ns += 100 * kMs) {
+    publish_frame(t_ns);
+    expect_frames(static_cast<std::size_t>((t_ns - kStart) / (100 * kMs)) + 1);
+    if (mailbox_.look([&] { return tracks.size() >= 3; })) break;
+  }
+  ASSERT_TRUE(mailbox_.wait([&] { return tracks.size() >= 3; }));
+  EXPECT_TRUE(tracks[0]->points.empty()) << "nothing has been seen twice yet";
+  ASSERT_FALSE(tracks[2]->points.empty());
+  ASSERT_EQ(tracks[2]->channels.size(), 5u);
+  EXPECT_EQ(tracks[2]->header.frame_id, kCameraFrame);
+  // The same image: the same corners, and perhaps some that were found later.
+  const std::vector<float>&before = tracks[1]->channels[0].values, &after = tracks[2]->channels[0].values;
+  ASSERT_GE(after.size(), before.size());
+  EXPECT_TRUE(std::equal(before.begin(), before.end(), after.begin()));
+}
+
+TEST_F(NodeletTest, OdometryAddsItsTranslation) {
+  set("scene_depth", 2.0);
+  start();
+  const ros::Publisher publisher = nh_.advertise<nav_msgs::Odometry>(ns_ + "/odometry", 100);
+  ASSERT_TRUE(poll_until([&] { return publisher.getNumSubscribers() == 1; }));
+  publish_imu(kStart - kSecond, kStart + 4 * kSecond, 0.0);
+  bool translated = false;
+  // Frames do not wait for odometry: they go on until it has come.
+  for (std::size_t i = 0; i < 39 && !translated; ++i) {
+    const TimeNs t_ns = kStart + static_cast<TimeNs>(i) * 100 * kMs;
+    nav_msgs::Odometry odometry;
+    odometry.header.frame_id = "world";
+    odometry.child_frame_id = kImuFrame;
+    odometry.pose.pose.orientation.w = 1;
+    odometry.twist.twist.linear.x = 2.4;
+    for (const TimeNs stamp_ns : {t_ns - 60 * kMs, t_ns - 10 * kMs}) {
+      odometry.header.stamp = to_ros_time(stamp_ns);
+      publisher.publish(odometry);
+    }
+    publish_frame(t_ns);
+    expect_frames(i + 1);
+    translated = fields_[i]->extent.at(0) > 1;
+    if (translated) {
+      EXPECT_NEAR(fields_[i]->extent[0], kFocalPx * 2.4 * to_seconds(kExposure) / 2, 0.01);
+    }
+  }
+  EXPECT_TRUE(translated);
+}
+
+TEST_F(NodeletTest, CompressedImagesNeedNoPlugin) {
+  set("image_transport", std::string("compressed"));
+  const ros::Publisher publisher = nh_.advertise<sensor_msgs::CompressedImage>(ns_ + "/image_raw/compressed", 10);
+  load();
+  const ros::Subscriber subscriber = nh_.subscribe<sensor_msgs::Image>(
+      ns_ + "/deblurred/image_raw", 10,
+      [this](const sensor_msgs::ImageConstPtr& m) { mailbox_.put([&] { images_.push_back(m); }); });
+  ASSERT_TRUE(poll_until([&] {
+    return subscriber.getNumPublishers() > 0 && publisher.getNumSubscribers() == 1 &&
+           info_publisher_.getNumSubscribers() == 1 && imu_publisher_.getNumSubscribers() == 1;
+  }));
+  publish_imu(kStart - 50 * kMs, kStart + 200 * kMs, 0.0);
+  const auto image = image_message(kStart);
+  sensor_msgs::CompressedImage compressed;
+  compressed.header = image->header;
+  compressed.format = "mono8; png compressed ";
+  cv::imencode(".png", view_image(*image).image, compressed.data);
+  info_publisher_.publish(camera_info(kStart));
+  publisher.publish(compressed);
+  ASSERT_TRUE(mailbox_.wait([&] { return !images_.empty(); }));
+  expect_identical(0, *image);
 }
 
 TEST_F(NodeletTest, UnknownTransportLeavesTheManagerAlive) {
