@@ -49,6 +49,10 @@ struct Arguments {
   std::string json;
 };
 
+/// OpenMP's threads spin for some milliseconds after their work, which would count against the engine whose turn is
+/// next, most of all against OpenCL on the processor, which has threads of its own.
+void let_threads_rest() { std::this_thread::sleep_for(std::chrono::milliseconds(10)); }
+
 /// Time [ms] on the clock of the wall, or of the processors while they run this process.
 double ms_of(bool processor_time, const std::function<void()>& work) {
   const auto now_ms = [processor_time] {
@@ -115,6 +119,7 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBan
           for (std::size_t e = 0; e < engines.size(); ++e) {
             const std::string& name = arguments.engines[e];
             if (name.compare(0, 8, "filter2d") == 0 && (round < 0 || round >= kFilter2dRounds)) continue;
+            let_threads_rest();
             const double ms = ms_of(arguments.processor_time,
                                     [&] { deconvolve(image, PixelLayout::GRAY, field, bank, *engines[e], dst); });
             if (round >= 0) times_ms[name].push_back(ms);
