@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # Runs the paper's experiments: installs what is missing, builds the programs in build/run_all, measures, draws. Tables,
-# CSV, JSON and plots go to build/run_all/results. A few minutes on two cores (--quick: one
-# minute, less of everything).
+# CSV, JSON and plots go to build/run_all/results. --quick: less of everything.
 #
 #   experiments/run_all.sh [--quick] [--seed N] [--out DIR] [--data DIR] [--programs DIR]
 #
