@@ -5,17 +5,17 @@
 
 #include "core/seam_blender.hpp"
 #include "cpu/block_kernels.hpp"
+#include "cpu/cpu_convolver.hpp"
+#include "cpu/two_scale_design.hpp"
 
 namespace gyro_deblur::benchmark {
 namespace {
 
-// As in src/cpu: from which extent on lanes are used, and on them two scales; samples of the smooth part in an extent;
-// weights of running sums (five at either end of the box).
-constexpr double kMinTwoScaleExtentPx = 30;
-constexpr double kMinCoarseExtentPx = 48;
-constexpr double kCoarseSamplesPerExtent = 20;
-constexpr int kEdgeWeights = 10;
+// As in src/cpu/block_kernels_impl.hpp: coarse outputs that are summed together, and lanes in a group of int16 samples.
 constexpr int kCoarseOutputs = kCoarseGuard + 1;
+constexpr int kLaneGroup = 32;
+// Instruction sets with vectors of at least so many floats filter 8-bit lanes in int16.
+constexpr int kLeastFloatsOfIntegerLanes = 8;
 
 double round_up(double n, double step) { return std::ceil(n / step) * step; }
 
@@ -27,24 +27,29 @@ void add_two_scale(const BlockFilter& block, cv::Size size, int lanes_of_vector,
   const double along = major_is_y ? size.height : size.width;
   const double across = major_is_y ? size.width : size.height;
 
-  const double extent = block.kernel->box_extent_px * stretch;
-  const double d = extent < kMinCoarseExtentPx ? 1.0 : std::round(extent / kCoarseSamplesPerExtent);
-  const double radius = std::ceil(block.kernel->radius() * stretch / d);
-  const double lanes = round_up(across + slope * (along - 1) + 6, lanes_of_vector);
-  const double coarse_outputs = round_up(along / d + 5, kCoarseOutputs);
+  const bool integers = lanes_of_vector >= kLeastFloatsOfIntegerLanes;
+  const int box_half = static_cast<int>(std::floor((block.kernel->box_extent_px * stretch - 1) / 2));
+  const double d = TwoScaleDesign::decimation_for(box_half);
+  const double radius = std::ceil(std::ceil(block.kernel->radius() * stretch) / d);
+  const double lanes = round_up(across + slope * along + 5, integers ? kLaneGroup : 2 * lanes_of_vector);
+  const double coarse_outputs = round_up(std::floor((along - 1) / d) + 3, kCoarseOutputs);
   const double nodes = coarse_outputs + 2 * radius;
-  const double edge_weights = d > 1 ? kEdgeWeights : 0;
+  const double sample_bytes = integers ? sizeof(std::int16_t) : sizeof(float);
+  double& macs = integers ? work.int16_macs : work.float_macs;
 
-  // Shear: two pixels in; difference, product and sum, and the running sums near the tile.
-  work.float_macs += nodes * d * lanes * 3;
+  // Shear: two pixels in, one product of two in int16 or difference and product in float.
+  macs += nodes * d * lanes * 2;
   work.load_bytes += nodes * d * lanes * 2;
   // Smooth part: every node that is loaded goes into kCoarseOutputs sums.
   const double coarse_macs = coarse_outputs * lanes * (2 * radius + kCoarseOutputs);
-  work.float_macs += coarse_macs;
-  work.load_bytes += coarse_macs / kCoarseOutputs * sizeof(float);
-  // Sum of the parts for three more pixels than come out, and the cubic across.
-  work.float_macs += along * ((across + 3) * (4 + edge_weights) + across * 4);
-  work.load_bytes += along * ((across + 3) * (4 + edge_weights) + across * 4) * sizeof(float);
+  macs += coarse_macs;
+  work.load_bytes += coarse_macs / kCoarseOutputs * sample_bytes;
+  // Boxes: two products and four additions with two samples, in float; their first sums.
+  work.float_macs += along * lanes * 6;
+  work.load_bytes += (2 * along + 2 * box_half) * lanes * sample_bytes;
+  // The cubic across.
+  macs += along * across * 4;
+  work.load_bytes += along * across * 4 * sample_bytes;
 }
 
 void add_exact(const BlockFilter& block, cv::Size size, Work& work) {
@@ -85,7 +90,9 @@ Work work_of_reference(const FilterGrid& grid) {
 Work work_of_cpu(const FilterGrid& grid, int lanes) {
   Work work;
   for_each_filtered(grid, [&](const BlockFilter& block, cv::Size size) {
-    if (block.kernel->box_extent_px >= kMinTwoScaleExtentPx) {
+    const double dx = std::cos(block.angle_rad), dy = std::sin(block.angle_rad);
+    const double slope = std::abs(dy) > std::abs(dx) ? dx / dy : dy / dx;
+    if (CpuConvolver::takes_two_scales(*block.kernel, slope, CV_8U)) {
       add_two_scale(block, size, lanes, work);
     } else {
       add_exact(block, size, work);

@@ -34,6 +34,10 @@ constexpr double kMaxBoxGain = 128.0;
 constexpr int kMaxExactRadius = 128;
 constexpr int kAlignFloats = 16;
 
+bool exact_is_possible(const LineKernel& kernel, int depth) {
+  return depth == CV_8U && kernel.radius() <= kMaxExactRadius;
+}
+
 /// Two int16 in one int32.
 std::int32_t pack_int16(std::int32_t low, std::int32_t high) {
   return static_cast<std::int32_t>((static_cast<std::uint32_t>(high) << 16) |
@@ -58,16 +62,18 @@ void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) {
     plan.method = Method::REFERENCE;
     return;
   }
-  const bool exact_is_possible = depth == CV_8U && block.kernel->radius() <= kMaxExactRadius;
-  const double least_extent_px =
-      exact_is_possible && std::abs(plan.slope) < kNearAxisSlope ? kMinTwoScaleExtentNearAxisPx : kMinTwoScaleExtentPx;
-  if (block.kernel->box_extent_px >= least_extent_px) {
+  if (takes_two_scales(*block.kernel, plan.slope, depth)) {
     plan_two_scale(*block.kernel, major, depth, plan);
-  } else if (exact_is_possible) {
+  } else if (exact_is_possible(*block.kernel, depth)) {
     plan_exact(*block.kernel, block.angle_rad, plan);
   } else {
     plan.method = Method::REFERENCE;
   }
+}
+
+bool CpuConvolver::takes_two_scales(const LineKernel& kernel, double slope, int depth) {
+  const bool near_axis = std::abs(slope) < kNearAxisSlope && exact_is_possible(kernel, depth);
+  return kernel.box_extent_px >= (near_axis ? kMinTwoScaleExtentNearAxisPx : kMinTwoScaleExtentPx);
 }
 
 void CpuConvolver::plan_exact(const LineKernel& kernel, double angle_rad, Plan& plan) const {

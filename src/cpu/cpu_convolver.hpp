@@ -22,6 +22,11 @@ class CpuConvolver : public LineConvolver {
   explicit CpuConvolver(int threads, const BlockKernels& kernels = best_block_kernels());
 
   void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
+  /// Whether a kernel whose shape is known is filtered on two scales rather than with exact taps.
+  /// @param slope  of the line along its major axis, [-1, 1]
+  /// @param depth  CV_8U or CV_16U
+  static bool takes_two_scales(const LineKernel& kernel, double slope, int depth);
+
   std::string name() const override { return std::string("cpu-") + kernels_.name; }
 
  private:
