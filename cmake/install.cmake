@@ -1,6 +1,6 @@
 # What a user of the package needs; the nodelet's and deblur_bag's rules stand beside their targets.
 install(TARGETS gyro_deblur_core LIBRARY DESTINATION ${CATKIN_PACKAGE_LIB_DESTINATION})
-foreach(tool deblur_image evaluate_features make_bag simulate_bag)
+foreach(tool calibrate_timing deblur_image evaluate_features make_bag simulate_bag)
   if(TARGET ${tool})
     install(TARGETS ${tool} RUNTIME DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
   endif()
@@ -12,7 +12,7 @@ install(DIRECTORY config launch rviz workflow
   DESTINATION ${CATKIN_PACKAGE_SHARE_DESTINATION}
   USE_SOURCE_PERMISSIONS
   PATTERN __pycache__ EXCLUDE)
-catkin_install_python(PROGRAMS scripts/play_through.py scripts/report.py
+catkin_install_python(PROGRAMS scripts/play_through.py scripts/plot_timing.py scripts/report.py
   DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
 
 # Not below the source: a devel space of a workspace, which rosrun finds as it is.

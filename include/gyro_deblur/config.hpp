@@ -7,6 +7,7 @@
 
 #include <Eigen/Core>
 
+#include "gyro_deblur/calibration.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/pipeline.hpp"
@@ -22,6 +23,11 @@ enum class OdometryClock { CAMERA, IMU };
 /// The axes of an odometry's twist: those of its child frame (nav_msgs/Odometry's definition), or of its parent frame,
 /// as some stacks publish it.
 enum class TwistFrame { CHILD, PARENT };
+/// What to do when camera_info or tf say something else than the parameters and the calibration file.
+enum class OnCalibrationConflict {
+  ERROR,       ///< pass the frame through, and print both values
+  CONFIGURED,  ///< the parameters and the file hold
+};
 
 /// Every parameter; config/default.yaml documents the keys.
 struct Config {
@@ -35,6 +41,8 @@ struct Config {
   TrackerOptions tracker;
   OdometryClock odometry_clock = OdometryClock::CAMERA;
   TwistFrame odometry_twist_frame = TwistFrame::CHILD;
+  std::optional<SensorCalibration> calibration;  ///< of calibration_file; what it says has gone into the fields above
+  OnCalibrationConflict on_calibration_conflict = OnCalibrationConflict::ERROR;
   TimeNs gyro_timeout_ns = 500'000'000;   ///< how long a frame waits for gyroscope, exposure and tf; [0, 10 s]
   int frame_queue_size = 30;              ///< frames that may wait; [1, 1000]
   TimeNs bias_window_ns = 1'000'000'000;  ///< of ~estimate_gyro_bias; [0.1 s, 10 s]
@@ -46,10 +54,14 @@ struct Config {
 
 /// Reads a map of keys (nothing: all defaults) and validates the result. Keys that are not known are appended to
 /// `unknown` (when given) and otherwise ignored.
-/// Throws OptionError that names the key, its value and what is allowed.
-Config parse_config(const YAML::Node& node, std::vector<std::string>* unknown = nullptr);
+/// Throws OptionError that names the key, its value and what is allowed, and for a calibration file that contradicts
+/// another or a key both values. A key that has its default says nothing, and leaves it to the file.
+/// @param folder  calibration files are relative to it; empty: to the working folder
+Config parse_config(const YAML::Node& node, std::vector<std::string>* unknown = nullptr,
+                    const std::string& folder = "");
 
-/// Reads a YAML file. Throws OptionError with the path when it cannot be read or parsed.
+/// Reads a YAML file; calibration files are relative to its folder. Throws OptionError with the path when it cannot be
+/// read or parsed.
 Config load_config(const std::string& path, std::vector<std::string>* unknown = nullptr);
 
 }  // namespace gyro_deblur

@@ -1,6 +1,9 @@
 // When each row of a frame was exposed (paper section III-C).
 #pragma once
 
+#include <deque>
+#include <optional>
+
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/types.hpp"
 
@@ -20,6 +23,24 @@ struct ShutterTiming {
   StampPhase stamp_phase = StampPhase::START;
 
   void validate() const;  ///< throws OptionError
+};
+
+/// Throws OptionError "NAME = ... s is longer than the frame period ..." when rows would still be read while the next
+/// frame is: a wrong unit, most likely. Jitter of stamps is allowed for.
+/// @param frame_period_ns  > 0
+void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns);
+
+/// The time from frame to frame, from the stamps as they come. Lost frames and single bad stamps do not disturb it.
+class FramePeriod {
+ public:
+  void add(TimeNs stamp_ns);
+  void clear();
+  /// Median of the last intervals [ns], > 0; nothing before there are enough of them.
+  std::optional<TimeNs> get() const;
+
+ private:
+  std::optional<TimeNs> last_stamp_ns_;
+  std::deque<TimeNs> intervals_ns_;
 };
 
 /// Exposure of the rows of one frame, in the camera clock: row y of N is exposed from

@@ -1,50 +1,19 @@
 #include "gyro_deblur/config.hpp"
 
-#include <cmath>
+#include <filesystem>
 #include <functional>
 #include <limits>
 #include <map>
 #include <set>
+#include <sstream>
 
 #include <yaml-cpp/yaml.h>
 
+#include "core/yaml_reading.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
 namespace {
-
-/// A quoted scalar has the tag "!": it is a string, even where its text is a number.
-bool is_quoted(const YAML::Node& node) { return node.IsScalar() && node.Tag() == "!"; }
-
-/// The value on one line, shortened for messages.
-std::string describe(const YAML::Node& node) {
-  if (is_quoted(node)) return '"' + node.Scalar() + '"';
-  YAML::Emitter emitter;
-  emitter.SetSeqFormat(YAML::Flow);
-  emitter.SetMapFormat(YAML::Flow);
-  emitter << node;
-  std::string text = emitter.good() ? emitter.c_str() : "?";
-  constexpr std::size_t kLongest = 80;
-  if (text.size() > kLongest) text = text.substr(0, kLongest) + "...";
-  return text;
-}
-
-[[noreturn]] void refuse(const std::string& key, const YAML::Node& node, const std::string& allowed) {
-  throw OptionError(key + " = " + describe(node) + " is not " + allowed);
-}
-
-template <typename T>
-T read_scalar(const std::string& key, const YAML::Node& node, const std::string& allowed) {
-  T value;
-  if (!node.IsScalar() || is_quoted(node) || !YAML::convert<T>::decode(node, value)) refuse(key, node, allowed);
-  return value;
-}
-
-double read_number(const std::string& key, const YAML::Node& node, const std::string& allowed) {
-  const double value = read_scalar<double>(key, node, allowed);
-  if (!std::isfinite(value)) refuse(key, node, allowed);
-  return value;
-}
 
 void read(const std::string& key, const YAML::Node& node, double& value) {
   value = read_number(key, node, "a finite number");
@@ -61,14 +30,6 @@ void read(const std::string& key, const YAML::Node& node, bool& value) {
 void read(const std::string& key, const YAML::Node& node, std::string& value) {
   if (!node.IsScalar()) refuse(key, node, "a string");
   value = node.Scalar();
-}
-
-void read_seconds(const std::string& key, const YAML::Node& node, TimeNs& value_ns) {
-  // No duration here is longer than a minute; the bound only keeps the conversion from overflowing.
-  constexpr double kLongestS = 1e6;
-  const double seconds = read_number(key, node, "a finite number of seconds");
-  require_range(key.c_str(), seconds, -kLongestS, kLongestS, "s");
-  value_ns = to_ns(seconds);
 }
 
 void read(const std::string& key, const YAML::Node& node, Eigen::Vector3d& value) {
@@ -137,6 +98,11 @@ void read(const std::string& key, const YAML::Node& node, TwistFrame& value) {
   read_enum(key, node, {{"child", TwistFrame::CHILD}, {"parent", TwistFrame::PARENT}}, value);
 }
 
+void read(const std::string& key, const YAML::Node& node, OnCalibrationConflict& value) {
+  read_enum(key, node, {{"error", OnCalibrationConflict::ERROR}, {"configured", OnCalibrationConflict::CONFIGURED}},
+            value);
+}
+
 using Reader = std::function<void(const std::string& key, const YAML::Node& node, Config& config)>;
 
 /// Reads a value into the member that `member` picks out of a Config.
@@ -147,7 +113,7 @@ Reader into(Member member) {
 
 template <typename Member>
 Reader seconds_into(Member member) {
-  return [member](const std::string& key, const YAML::Node& node, Config& c) { read_seconds(key, node, member(c)); };
+  return [member](const std::string& key, const YAML::Node& node, Config& c) { member(c) = read_seconds(key, node); };
 }
 
 const std::map<std::string, Reader>& readers() {
@@ -159,6 +125,7 @@ const std::map<std::string, Reader>& readers() {
       {"time_offset", seconds_into([](Config& c) -> TimeNs& { return c.gyro.time_offset_ns; })},
       {"rectified_input", into([](Config & c) -> auto& { return c.rectified_input; })},
       {"R_cam_imu", into([](Config & c) -> auto& { return c.R_cam_imu; })},
+      {"on_calibration_conflict", into([](Config & c) -> auto& { return c.on_calibration_conflict; })},
       {"gyro_bias", into([](Config & c) -> auto& { return c.gyro.bias_rad_s; })},
       {"gyro_buffer_duration", seconds_into([](Config& c) -> TimeNs& { return c.gyro.buffer_ns; })},
       {"max_gyro_gap", seconds_into([](Config& c) -> TimeNs& { return c.gyro.max_gap_ns; })},
@@ -202,6 +169,58 @@ const std::map<std::string, Reader>& readers() {
   return kReaders;
 }
 
+// Keys that parse_config takes together, after the others.
+constexpr char kFileKey[] = "calibration_file";
+constexpr char kCameraKey[] = "calibration_camera";
+
+/// One path, a list of paths, or nothing.
+std::vector<std::string> read_paths(const YAML::Node& node) {
+  std::vector<std::string> paths;
+  if (node.IsScalar()) {
+    if (!node.Scalar().empty()) paths.push_back(node.Scalar());
+    return paths;
+  }
+  if (!node.IsSequence()) refuse(kFileKey, node, "a path or a list of paths");
+  for (const YAML::Node& path : node) {
+    if (!path.IsScalar()) refuse(kFileKey, node, "a path or a list of paths");
+    paths.push_back(path.Scalar());
+  }
+  return paths;
+}
+
+/// Puts what a calibration file says into the configuration, where no key has said the same already.
+void apply_calibration(const SensorCalibration& calibration, Config& config) {
+  const std::string key = "the parameter";
+  if (calibration.R_cam_imu) {
+    if (config.R_cam_imu) {
+      require_agreement(require_rotation("R_cam_imu", *config.R_cam_imu), key, *calibration.R_cam_imu,
+                        calibration.origin);
+    }
+    config.R_cam_imu = calibration.R_cam_imu;
+  }
+  if (calibration.R_cam_imu && calibration.p_imu_cam_m) {
+    const Eigen::Vector3d p_cam_imu_m = -(*calibration.R_cam_imu * *calibration.p_imu_cam_m);
+    constexpr double kAllowedM = 1e-3;
+    if (!config.p_cam_imu_m.isZero() && (config.p_cam_imu_m - p_cam_imu_m).norm() > kAllowedM) {
+      std::ostringstream text;
+      text << "p_cam_imu is [" << config.p_cam_imu_m.transpose() << "] m in " << key << ", but ["
+           << p_cam_imu_m.transpose() << "] m in " << calibration.origin;
+      throw OptionError(text.str());
+    }
+    config.p_cam_imu_m = p_cam_imu_m;
+  }
+  const auto apply_time = [&](const char* name, const std::optional<TimeNs>& value_ns, TimeNs& target_ns) {
+    if (!value_ns) return;
+    if (target_ns != 0) require_agreement(name, target_ns, key, *value_ns, calibration.origin);
+    target_ns = *value_ns;
+  };
+  apply_time("time_offset", calibration.time_offset_ns, config.gyro.time_offset_ns);
+  apply_time("readout_time", calibration.readout_ns, config.shutter.readout_ns);
+  if (calibration.frame_period_ns) {
+    require_plausible_readout("readout_time", config.shutter.readout_ns, *calibration.frame_period_ns);
+  }
+}
+
 }  // namespace
 
 void Config::validate() const {
@@ -221,8 +240,10 @@ void Config::validate() const {
   require_range("time_jump_threshold", to_seconds(time_jump_ns), 0.01, 10, "s");
 }
 
-Config parse_config(const YAML::Node& node, std::vector<std::string>* unknown) {
+Config parse_config(const YAML::Node& node, std::vector<std::string>* unknown, const std::string& folder) {
   Config config;
+  std::vector<std::string> calibration_files;
+  std::string calibration_camera = "cam0";
   if (!node.IsNull()) {
     if (!node.IsMap()) throw OptionError("the configuration is not a map of keys: " + describe(node));
     std::set<std::string> seen;
@@ -233,10 +254,23 @@ Config parse_config(const YAML::Node& node, std::vector<std::string>* unknown) {
       const auto reader = readers().find(key);
       if (reader != readers().end()) {
         reader->second(key, entry.second, config);
+      } else if (key == kFileKey) {
+        calibration_files = read_paths(entry.second);
+      } else if (key == kCameraKey) {
+        read(key, entry.second, calibration_camera);
       } else if (unknown != nullptr) {
         unknown->push_back(key);
       }
     }
+  }
+  if (!calibration_files.empty()) {
+    std::vector<SensorCalibration> sources;
+    for (const std::string& file : calibration_files) {
+      // An absolute path replaces the folder.
+      sources.push_back(load_calibration((std::filesystem::path(folder) / file).string(), calibration_camera));
+    }
+    config.calibration = merge_calibrations(sources);
+    apply_calibration(*config.calibration, config);
   }
   config.validate();
   return config;
@@ -250,7 +284,7 @@ Config load_config(const std::string& path, std::vector<std::string>* unknown) {
     throw OptionError("configuration " + path + " cannot be read: " + error.what());
   }
   try {
-    return parse_config(node, unknown);
+    return parse_config(node, unknown, std::filesystem::path(path).parent_path().string());
   } catch (const OptionError& error) {
     throw OptionError("configuration " + path + ": " + error.what());
   }

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <sstream>
+#include <vector>
 
 namespace gyro_deblur {
 namespace {
@@ -40,11 +42,55 @@ TimeNs phase_offset_ns(const ShutterTiming& timing, StampPhase phase) {
   return std::llround(static_cast<double>(timing.exposure_ns) * fraction_of(phase));
 }
 
+/// require_range, with the unit that was probably meant.
+void require_seconds(const char* name, double value_s, double min_s, double max_s) {
+  try {
+    require_range(name, value_s, min_s, max_s, "s");
+  } catch (const OptionError& error) {
+    for (const auto& [unit, per_second] : {std::pair{"milliseconds", 1e3}, std::pair{"microseconds", 1e6}}) {
+      if (std::abs(value_s) > 1 && std::abs(value_s) / per_second <= max_s) {
+        throw OptionError(std::string(error.what()) + ": is it in " + unit + "?");
+      }
+    }
+    throw;
+  }
+}
+
 }  // namespace
 
 void ShutterTiming::validate() const {
-  require_range("exposure_time", to_seconds(exposure_ns), to_seconds(1), 1, "s");
-  require_range("readout_time", to_seconds(readout_ns), -1, 1, "s");
+  require_seconds("exposure_time", to_seconds(exposure_ns), to_seconds(1), 1);
+  require_seconds("readout_time", to_seconds(readout_ns), -1, 1);
+}
+
+void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns) {
+  constexpr double kJitter = 0.1;  // of the period; drivers that stamp on arrival scatter by some milliseconds
+  const double readout_s = std::abs(to_seconds(readout_ns)), period_s = to_seconds(frame_period_ns);
+  if (readout_s <= (1 + kJitter) * period_s) return;
+  std::ostringstream text;
+  text << name << " = " << to_seconds(readout_ns) << " s is longer than the frame period " << period_s
+       << " s: is its unit right?";
+  throw OptionError(text.str());
+}
+
+void FramePeriod::add(TimeNs stamp_ns) {
+  constexpr std::size_t kKept = 15;
+  if (last_stamp_ns_ && stamp_ns > *last_stamp_ns_) {
+    intervals_ns_.push_back(stamp_ns - *last_stamp_ns_);
+    if (intervals_ns_.size() > kKept) intervals_ns_.pop_front();
+  }
+  last_stamp_ns_ = stamp_ns;
+}
+
+void FramePeriod::clear() { *this = FramePeriod(); }
+
+std::optional<TimeNs> FramePeriod::get() const {
+  constexpr std::size_t kEnough = 5;
+  if (intervals_ns_.size() < kEnough) return std::nullopt;
+  std::vector<TimeNs> sorted(intervals_ns_.begin(), intervals_ns_.end());
+  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+  std::nth_element(sorted.begin(), middle, sorted.end());
+  return *middle;
 }
 
 RowExposure::RowExposure(TimeNs stamp_ns, int rows, const ShutterTiming& timing)

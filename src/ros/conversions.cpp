@@ -7,6 +7,7 @@
 #include <sstream>
 #include <vector>
 
+#include <sensor_msgs/distortion_models.h>
 #include <sensor_msgs/image_encodings.h>
 #include <tf2/exceptions.h>
 #include <Eigen/Geometry>
@@ -147,6 +148,30 @@ CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_
   }
   calibration.validate();
   return calibration;
+}
+
+sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera) {
+  sensor_msgs::CameraInfo info;
+  info.width = static_cast<std::uint32_t>(camera.width_px);
+  info.height = static_cast<std::uint32_t>(camera.height_px);
+  info.D = camera.coefficients;
+  switch (camera.model) {
+    case DistortionModel::NONE:
+    case DistortionModel::PLUMB_BOB:
+      info.distortion_model = sensor_msgs::distortion_models::PLUMB_BOB;
+      info.D.resize(5, 0.0);  // image_geometry wants all five
+      break;
+    case DistortionModel::RATIONAL_POLYNOMIAL:
+      info.distortion_model = sensor_msgs::distortion_models::RATIONAL_POLYNOMIAL;
+      break;
+    case DistortionModel::EQUIDISTANT:
+      info.distortion_model = "equidistant";  // older sensor_msgs have no constant for it
+      break;
+  }
+  info.K = {camera.fx_px, 0, camera.cx_px, 0, camera.fy_px, camera.cy_px, 0, 0, 1};
+  info.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  info.P = {camera.fx_px, 0, camera.cx_px, 0, 0, camera.fy_px, camera.cy_px, 0, 0, 0, 1, 0};
+  return info;
 }
 
 TimeNs region_readout_ns(TimeNs full_readout_ns, const sensor_msgs::CameraInfo& info) {

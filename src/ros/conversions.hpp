@@ -53,6 +53,10 @@ std::optional<GyroSample> to_gyro_sample(const sensor_msgs::Imu& imu);
 CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_width_px, int image_height_px,
                                  bool rectified_input);
 
+/// The way back, for a raw image: P repeats K. Without distortion the model is plumb_bob with zeros. The header is left
+/// empty.
+sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera);
+
 /// Readout time of the image's region of interest when the whole sensor takes `full_readout_ns`: rows outside the
 /// region are not read. Binning does not change it: binned rows stand for the same stretch of the sensor.
 TimeNs region_readout_ns(TimeNs full_readout_ns, const sensor_msgs::CameraInfo& info);

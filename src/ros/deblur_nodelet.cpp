@@ -208,6 +208,7 @@ void DeblurNodelet::load_parameters() {
     processor_->set_config(config);
     NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu)",
                  to_seconds(config.gyro.time_offset_ns));
+    if (config.calibration) NODELET_INFO_STREAM("calibration from " << config.calibration->origin);
     if (config.shutter.exposure_ns == 0) {
       NODELET_WARN("no parameter exposure_time (0, 1] s: only frames with an exposure message can be deblurred");
     }

@@ -301,6 +301,7 @@ void Processor::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   now();
   const TimeNs stamp_ns = to_time_ns(info->header.stamp);
   note_time(Stream::CAMERA_INFO, stamp_ns);
+  info_seen_ = true;
   infos_.add(stamp_ns, info, store_size());
 }
 
@@ -336,8 +337,84 @@ void Processor::add_image(const sensor_msgs::ImageConstPtr& image) {
   frame.arrival_ns = now();
   frame.arrival_steady_ns = steady_now();
   note_time(Stream::IMAGE, frame.stamp_ns);
+  frame_period_.add(frame.stamp_ns);
   ++statistics_.frames_in;
   queue_.push(std::move(frame));
+}
+
+bool Processor::find_calibration(PendingFrame& frame, bool timed_out) {
+  const int width_px = static_cast<int>(frame.image->width), height_px = static_cast<int>(frame.image->height);
+  const std::optional<CameraCalibration> file =
+      config_->calibration ? config_->calibration->camera : std::optional<CameraCalibration>();
+  bool from_topic = true;
+  if (const sensor_msgs::CameraInfoConstPtr* info = infos_.find(frame.stamp_ns)) {
+    frame.info = *info;
+  } else if (file && !config_->rectified_input && (!info_seen_ || timed_out)) {
+    auto described = boost::make_shared<sensor_msgs::CameraInfo>(camera_info_message(*file));
+    described->header = frame.image->header;
+    frame.info = described;
+    from_topic = false;
+  } else if (timed_out) {
+    frame.settle(PassThroughReason::NO_CALIBRATION,
+                 "no camera_info with the image's stamp " + seconds_text(frame.stamp_ns) + " s");
+    return true;
+  } else {
+    return false;
+  }
+  try {
+    if (!file || !from_topic) {
+      frame.calibration = to_calibration(*frame.info, width_px, height_px, config_->rectified_input);
+      return true;
+    }
+    // The file describes the whole sensor; camera_info says which part of it the image shows.
+    sensor_msgs::CameraInfo described = camera_info_message(*file);
+    described.roi = frame.info->roi;
+    described.binning_x = frame.info->binning_x;
+    described.binning_y = frame.info->binning_y;
+    if (config_->on_calibration_conflict == OnCalibrationConflict::CONFIGURED && !config_->rectified_input) {
+      frame.calibration = to_calibration(described, width_px, height_px, false);
+      return true;
+    }
+    frame.calibration = to_calibration(*frame.info, width_px, height_px, config_->rectified_input);
+    // P and R of a rectified image have no counterpart in the file.
+    if (!config_->rectified_input) {
+      require_agreement(*frame.calibration, "camera_info", to_calibration(described, width_px, height_px, false),
+                        config_->calibration->origin);
+    }
+  } catch (const OptionError& error) {
+    frame.calibration.reset();
+    frame.settle(PassThroughReason::NO_CALIBRATION, error.what());
+  }
+  return true;
+}
+
+bool Processor::find_extrinsic(PendingFrame& frame, bool timed_out, Eigen::Matrix3d* R_cam_imu) {
+  const std::string& camera_frame = frame.image->header.frame_id;
+  const bool ask_tf = !config_->R_cam_imu || config_->on_calibration_conflict == OnCalibrationConflict::ERROR;
+  std::optional<Eigen::Matrix3d> from_tf;
+  if (ask_tf && environment_.extrinsic) from_tf = environment_.extrinsic(camera_frame, imu_frame_);
+  if (config_->R_cam_imu) {
+    *R_cam_imu = *config_->R_cam_imu;
+    try {
+      if (from_tf) {
+        const bool from_file = config_->calibration && config_->calibration->R_cam_imu;
+        require_agreement(*config_->R_cam_imu, from_file ? config_->calibration->origin : "parameter R_cam_imu",
+                          *from_tf, "tf");
+      }
+    } catch (const OptionError& error) {
+      frame.settle(PassThroughReason::NO_EXTRINSIC, error.what());
+    }
+    return true;
+  }
+  if (from_tf) {
+    *R_cam_imu = *from_tf;
+    return true;
+  }
+  if (!timed_out) return false;
+  frame.settle(PassThroughReason::NO_EXTRINSIC, "no transform from IMU frame \"" + imu_frame_ +
+                                                    "\" to camera frame \"" + camera_frame +
+                                                    "\", and no parameter R_cam_imu");
+  return true;
 }
 
 bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
@@ -347,27 +424,8 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
     return true;
   }
 
-  if (!frame.info) {
-    const sensor_msgs::CameraInfoConstPtr* info = infos_.find(frame.stamp_ns);
-    if (info) {
-      frame.info = *info;
-    } else if (timed_out) {
-      frame.settle(PassThroughReason::NO_CALIBRATION,
-                   "no camera_info with the image's stamp " + seconds_text(frame.stamp_ns) + " s");
-      return true;
-    } else {
-      return false;
-    }
-  }
-  if (!frame.calibration) {
-    try {
-      frame.calibration = to_calibration(*frame.info, static_cast<int>(frame.image->width),
-                                         static_cast<int>(frame.image->height), config_->rectified_input);
-    } catch (const OptionError& error) {
-      frame.settle(PassThroughReason::NO_CALIBRATION, error.what());
-      return true;
-    }
-  }
+  if (!frame.calibration && !find_calibration(frame, timed_out)) return false;
+  if (frame.verdict != PassThroughReason::NONE) return true;
 
   ShutterTiming timing = config_->shutter;
   timing.readout_ns = region_readout_ns(timing.readout_ns, *frame.info);
@@ -387,6 +445,14 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
       log_throttled(LogLevel::WARNING, "exposure message missing",
                     "no exposure message with the image's stamp " + seconds_text(frame.stamp_ns) +
                         " s: using parameter exposure_time = " + seconds_text(timing.exposure_ns) + " s");
+    }
+  }
+  if (const std::optional<TimeNs> period_ns = frame_period_.get()) {
+    try {
+      require_plausible_readout("readout_time", timing.readout_ns, *period_ns);
+    } catch (const OptionError& error) {
+      frame.settle(PassThroughReason::BAD_CONFIGURATION, error.what());
+      return true;
     }
   }
   try {
@@ -419,17 +485,8 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
     return true;
   }
 
-  const std::string& camera_frame = frame.image->header.frame_id;
-  std::optional<Eigen::Matrix3d> R_cam_imu = config_->R_cam_imu;
-  if (!R_cam_imu && environment_.extrinsic) R_cam_imu = environment_.extrinsic(camera_frame, imu_frame_);
-  if (!R_cam_imu) {
-    if (!timed_out) return false;
-    frame.settle(PassThroughReason::NO_EXTRINSIC, "no transform from IMU frame \"" + imu_frame_ +
-                                                      "\" to camera frame \"" + camera_frame +
-                                                      "\", and no parameter R_cam_imu");
-    return true;
-  }
-  job->R_cam_imu = *R_cam_imu;
+  if (!find_extrinsic(frame, timed_out, &job->R_cam_imu)) return false;
+  if (frame.verdict != PassThroughReason::NONE) return true;
   job->samples = gyro_.window(needed_imu);
   job->tracker = tracker_;
   job->tracker_options = config_->tracker;
@@ -439,8 +496,8 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
                       needed_imu.end_ns});
   }
   if (translation_.expected()) {
-    job->translation = translation_.around(frame_cam, *config_, camera_frame, imu_frame_, *R_cam_imu,
-                                           environment_.transform, &job->translation_text);
+    job->translation = translation_.around(frame_cam, *config_, frame.image->header.frame_id, imu_frame_,
+                                           job->R_cam_imu, environment_.transform, &job->translation_text);
   }
   if (job->translation && !job->translation->velocities.empty()) {
     const std::vector<VelocitySample>& velocities = job->translation->velocities;
@@ -671,6 +728,8 @@ void Processor::reset() {
   exposures_.clear();
   exposure_seen_ = false;
   translation_.clear();
+  info_seen_ = false;
+  frame_period_.clear();
   estimated_bias_rad_s_.reset();
   jumps_.clear();
   throttles_.clear();

@@ -206,6 +206,11 @@ class Processor {
   void advance(const Sink& sink, bool finishing);
   /// The job of the foremost frame, or nothing while it has to wait.
   std::optional<Job> next_job(bool finishing);
+  /// The frame's camera_info and calibration, from the topic or the calibration file. True when the frame needs not
+  /// wait for them; settles it when they cannot be used.
+  bool find_calibration(PendingFrame& frame, bool timed_out);
+  /// The rotation from the parameters, the calibration file or tf, by the same rule.
+  bool find_extrinsic(PendingFrame& frame, bool timed_out, Eigen::Matrix3d* R_cam_imu);
   /// True when the frame needs not wait any longer; settles it when it cannot be processed.
   bool prepare(PendingFrame& frame, bool timed_out, Job* job);
   FrameOutput process(const Job& job) const;
@@ -244,6 +249,8 @@ class Processor {
   StampedStore<sensor_msgs::CameraInfoConstPtr> infos_;
   bool exposure_seen_ = false;
   TranslationInput translation_;
+  bool info_seen_ = false;
+  FramePeriod frame_period_;
   FrameQueue queue_;
   std::shared_ptr<FeatureTracker> tracker_;  // used by the thread that holds advance_mutex_ alone
   std::size_t in_progress_ = 0;

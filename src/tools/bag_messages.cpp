@@ -3,7 +3,6 @@
 #include <stdexcept>
 
 #include <geometry_msgs/TransformStamped.h>
-#include <sensor_msgs/distortion_models.h>
 #include <Eigen/Geometry>
 
 namespace gyro_deblur {
@@ -23,30 +22,6 @@ ros::Duration bag_duration(TimeNs t_ns) {
   ros::Duration duration;
   duration.fromNSec(t_ns);
   return duration;
-}
-
-sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera) {
-  sensor_msgs::CameraInfo info;
-  info.width = static_cast<std::uint32_t>(camera.width_px);
-  info.height = static_cast<std::uint32_t>(camera.height_px);
-  info.D = camera.coefficients;
-  switch (camera.model) {
-    case DistortionModel::NONE:
-    case DistortionModel::PLUMB_BOB:
-      info.distortion_model = sensor_msgs::distortion_models::PLUMB_BOB;
-      info.D.resize(5, 0.0);  // image_geometry wants all five
-      break;
-    case DistortionModel::RATIONAL_POLYNOMIAL:
-      info.distortion_model = sensor_msgs::distortion_models::RATIONAL_POLYNOMIAL;
-      break;
-    case DistortionModel::EQUIDISTANT:
-      info.distortion_model = "equidistant";  // older sensor_msgs have no constant for it
-      break;
-  }
-  info.K = {camera.fx_px, 0, camera.cx_px, 0, camera.fy_px, camera.cy_px, 0, 0, 1};
-  info.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
-  info.P = {camera.fx_px, 0, camera.cx_px, 0, 0, camera.fy_px, camera.cy_px, 0, 0, 0, 1, 0};
-  return info;
 }
 
 sensor_msgs::Image image_message(const std_msgs::Header& header, const cv::Mat& image, const std::string& encoding) {

@@ -7,7 +7,6 @@
 #include <ros/duration.h>
 #include <ros/time.h>
 #include <rosbag/bag.h>
-#include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 #include <std_msgs/Header.h>
@@ -15,17 +14,14 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/types.hpp"
+#include "ros/conversions.hpp"
 
 namespace gyro_deblur {
 
 /// Throws std::runtime_error that begins with `what` outside (0, 4294967295] s, the times that a bag can hold.
 ros::Time bag_time(TimeNs t_ns, const std::string& what);
 ros::Duration bag_duration(TimeNs t_ns);
-
-/// Raw image: P repeats K. Without distortion the model is plumb_bob with zeros. The header is left empty.
-sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera);
 
 /// Little-endian, rows without padding.
 sensor_msgs::Image image_message(const std_msgs::Header& header, const cv::Mat& image, const std::string& encoding);

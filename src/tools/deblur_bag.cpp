@@ -39,6 +39,7 @@
 #include "ros/conversions.hpp"
 #include "ros/messages.hpp"
 #include "ros/processor.hpp"
+#include "tools/bag_topics.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -61,55 +62,12 @@ struct Arguments {
 };
 
 struct Topics {
-  std::string image, camera_info, imu;
+  std::string image, imu;
   bool compressed = false;            // the images are
-  std::string exposure;               // empty: none
+  std::string camera_info, exposure;  // empty: none
   std::string odometry, scene_depth;  // empty: none
   std::string output_namespace;
 };
-
-std::string parent_namespace(const std::string& topic) { return topic.substr(0, topic.rfind('/')); }
-
-/// Topics of a bag by name, with their type.
-std::map<std::string, std::string> topics_of(rosbag::Bag& bag) {
-  rosbag::View view(bag);
-  std::map<std::string, std::string> topics;
-  for (const rosbag::ConnectionInfo* connection : view.getConnections()) {
-    topics[connection->topic] = connection->datatype;
-  }
-  return topics;
-}
-
-std::string list_of(const std::map<std::string, std::string>& topics) {
-  std::string list;
-  for (const auto& [name, type] : topics) list += (list.empty() ? "" : ", ") + name + " (" + type + ")";
-  return list.empty() ? "no topics" : list;
-}
-
-/// The topic to use for one kind of message: the one named, else the only one of its type.
-/// @param preferred  taken, when nothing is named, if the bag has it; may be empty
-std::string choose_topic(const std::map<std::string, std::string>& topics, const std::string& kind,
-                         const std::string& type, const std::string& named, const std::string& preferred,
-                         bool required) {
-  const auto fail = [&](const std::string& problem) -> std::string {
-    throw std::runtime_error(problem + "; the bag has " + list_of(topics));
-  };
-  if (!named.empty()) {
-    const auto found = topics.find(named);
-    if (found == topics.end()) return fail("no topic " + named + " for " + kind);
-    if (found->second != type) return fail("topic " + named + " for " + kind + " is not of type " + type);
-    return named;
-  }
-  const auto sibling = topics.find(preferred);
-  if (sibling != topics.end() && sibling->second == type) return preferred;
-  std::vector<std::string> candidates;
-  for (const auto& [name, topic_type] : topics) {
-    if (topic_type == type) candidates.push_back(name);
-  }
-  if (candidates.size() == 1) return candidates.front();
-  if (candidates.empty()) return required ? fail("no topic of type " + type + " for " + kind) : std::string();
-  return fail("several topics of type " + type + ", name the one for " + kind);
-}
 
 constexpr char kCompressedType[] = "sensor_msgs/CompressedImage";
 constexpr char kCompressedSuffix[] = "/compressed";  // image_transport's name for the topic beside that of the image
@@ -131,7 +89,8 @@ std::string choose_image_topic(const Arguments& arguments, const std::map<std::s
   return choose_topic(topics, "images", compressed ? kCompressedType : "sensor_msgs/Image", named, "", true);
 }
 
-Topics choose_topics(const Arguments& arguments, const std::map<std::string, std::string>& topics) {
+/// @param info_required  the calibration file has no intrinsics
+Topics choose_topics(const Arguments& arguments, const std::map<std::string, std::string>& topics, bool info_required) {
   Topics chosen;
   chosen.image = choose_image_topic(arguments, topics);
   chosen.compressed = topics.at(chosen.image) == kCompressedType;
@@ -142,7 +101,7 @@ Topics choose_topics(const Arguments& arguments, const std::map<std::string, std
     image.resize(image.size() - suffix);
   }
   chosen.camera_info = choose_topic(topics, "camera_info", "sensor_msgs/CameraInfo", arguments.camera_info_topic,
-                                    parent_namespace(image) + "/camera_info", true);
+                                    parent_namespace(image) + "/camera_info", info_required);
   chosen.imu = choose_topic(topics, "imu", "sensor_msgs/Imu", arguments.imu_topic, "", true);
   chosen.exposure = choose_topic(topics, "exposure", "gyro_deblur/Exposure", arguments.exposure_topic,
                                  parent_namespace(image) + "/exposure", false);
@@ -154,19 +113,6 @@ Topics choose_topics(const Arguments& arguments, const std::map<std::string, std
   chosen.scene_depth = choose_named("scene depth", "sensor_msgs/Range", arguments.scene_depth_topic);
   chosen.output_namespace = arguments.output_namespace.empty() ? parent_namespace(image) : arguments.output_namespace;
   return chosen;
-}
-
-/// Throws when the bag's messages of a topic have the type's name, but the definition of another version.
-template <typename Message>
-void require_definition(rosbag::Bag& bag, const std::string& topic) {
-  rosbag::View view(bag, rosbag::TopicQuery(topic));
-  const std::string expected = ros::message_traits::md5sum<Message>();
-  for (const rosbag::ConnectionInfo* connection : view.getConnections()) {
-    if (connection->md5sum != expected) {
-      throw std::runtime_error("topic " + topic + " has another version of " + connection->datatype + " (md5 " +
-                               connection->md5sum + ", here " + expected + ")");
-    }
-  }
 }
 
 /// A line that follows the work; silent when nobody watches.
@@ -329,10 +275,10 @@ void run(const Arguments& arguments) {
   const std::map<std::string, std::string> bag_topics = topics_of(input);
   Topics topics;
   try {
-    topics = choose_topics(arguments, bag_topics);
+    topics = choose_topics(arguments, bag_topics, !config.calibration || !config.calibration->camera);
     topics.compressed ? require_definition<sensor_msgs::CompressedImage>(input, topics.image)
                       : require_definition<sensor_msgs::Image>(input, topics.image);
-    require_definition<sensor_msgs::CameraInfo>(input, topics.camera_info);
+    if (!topics.camera_info.empty()) require_definition<sensor_msgs::CameraInfo>(input, topics.camera_info);
     require_definition<sensor_msgs::Imu>(input, topics.imu);
     if (!topics.exposure.empty()) require_definition<Exposure>(input, topics.exposure);
     if (!topics.odometry.empty()) require_definition<nav_msgs::Odometry>(input, topics.odometry);

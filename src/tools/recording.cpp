@@ -17,6 +17,8 @@
 #include <yaml-cpp/yaml.h>
 #include <Eigen/LU>
 
+#include "core/yaml_reading.hpp"
+#include "gyro_deblur/calibration.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
@@ -99,29 +101,10 @@ Eigen::Vector3d parse_vector(const std::vector<std::string>& fields, std::size_t
           parse_number(field_at(fields, first + 2))};
 }
 
-YAML::Node load_yaml(const std::string& path) {
-  std::ifstream file(path);
-  std::stringstream text;
-  text << file.rdbuf();
-  if (!file) {
-    throw std::runtime_error(path + ": cannot be opened");
-  }
-  std::string content = text.str();
-  // OpenCV's writer starts its files with "%YAML:1.0", which YAML itself does not know.
-  if (content.rfind("%YAML:", 0) == 0) {
-    content.front() = '#';
-  }
-  try {
-    return YAML::Load(content);
-  } catch (const YAML::Exception& error) {
-    throw std::runtime_error(path + ": " + error.what());
-  }
-}
-
 /// A file of keys; errors name file and key.
 class Description {
  public:
-  explicit Description(const std::string& path) : path_(path), node_(load_yaml(path)) {}
+  explicit Description(const std::string& path) : path_(path), node_(load_yaml_file(path)) {}
   Description(const std::string& path, const YAML::Node& node) : path_(path), node_(node) {}
 
   bool has(const std::string& key) const { return node_.IsMap() && node_[key]; }
@@ -201,34 +184,11 @@ Recording read_euroc(const std::string& folder, const std::string& camera, TimeN
   const fs::path root = fs::is_directory(fs::path(folder) / "mav0") ? fs::path(folder) / "mav0" : fs::path(folder);
   const fs::path camera_folder = root / camera;
 
-  const Description sensor((camera_folder / "sensor.yaml").string());
+  const SensorCalibration calibration = load_calibration((camera_folder / "sensor.yaml").string());
   Recording recording;
-  CameraCalibration& calibration = recording.camera;
-  const std::vector<double> resolution = sensor.numbers("resolution", 2);
-  const std::vector<double> intrinsics = sensor.numbers("intrinsics", 4);
-  calibration.width_px = static_cast<int>(resolution[0]);
-  calibration.height_px = static_cast<int>(resolution[1]);
-  calibration.fx_px = intrinsics[0];
-  calibration.fy_px = intrinsics[1];
-  calibration.cx_px = intrinsics[2];
-  calibration.cy_px = intrinsics[3];
-  const auto model = sensor.get<std::string>("distortion_model");
-  if (model == "radial-tangential") {
-    calibration.model = DistortionModel::PLUMB_BOB;
-  } else if (model == "equidistant") {
-    calibration.model = DistortionModel::EQUIDISTANT;
-  } else {
-    throw std::runtime_error(sensor.path() + ": distortion_model '" + model +
-                             "' is neither radial-tangential nor equidistant");
-  }
-  calibration.coefficients = sensor.numbers("distortion_coefficients", 4);
-  calibration.validate();
-
-  // T_BS takes sensor coordinates to body coordinates; the body is the IMU in every EuRoC set.
-  const std::vector<double> transform = sensor.child("T_BS").numbers("data", 16);
-  const Eigen::Matrix4d T_imu_cam = Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(transform.data());
-  recording.R_cam_imu = require_rotation("T_BS", T_imu_cam.topLeftCorner<3, 3>()).transpose();
-  recording.p_imu_cam_m = T_imu_cam.topRightCorner<3, 1>();
+  recording.camera = *calibration.camera;
+  recording.R_cam_imu = *calibration.R_cam_imu;
+  recording.p_imu_cam_m = *calibration.p_imu_cam_m;
 
   for_each_line((camera_folder / "data.csv").string(), [&](const std::string& line) {
     const std::vector<std::string> fields = split(line);

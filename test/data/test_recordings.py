@@ -219,6 +219,23 @@ class PhoneSharp(Recording):
             self.assertAlmostEqual(frame["exposure_s"], 0.005, delta=0.001)
         self.assertGreater(max(f["center_extent_px"] for f in self.report["frames"]), 1)
 
+    def test_timing_is_found_in_the_footage(self):
+        """1.3 s of a phone that is walked with: little for calibrate_timing, but enough to know it by."""
+        report_path = os.path.join(self.root, "timing.json")
+        run("calibrate_timing", self.input, "--config", config(self.CONFIG), "--estimate-rotation", "--json", report_path,
+            "--quiet")
+        with open(report_path, encoding="utf-8") as file:
+            report = json.load(file)
+        known = np.array([[0, -1, 0], [-1, 0, 0], [0, 0, -1]])
+        R = np.reshape(report["R_cam_imu"], (3, 3))
+        self.assertLess(np.degrees(np.arccos((np.trace(R.T @ known) - 1) / 2)), 4)
+        self.assertLess(abs(report["time_offset_s"]["value"]), 0.01)
+        readout = report["readout_time_s"]
+        self.assertGreater(readout["value"], 0.02)
+        self.assertLess(readout["value"], 0.0333 + 2 * readout["stddev"])
+        residual = report["median_residual_px"]
+        self.assertLess(residual["estimated"], 0.5 * residual["without_gyroscope"])
+
 
 if __name__ == "__main__":
     SOURCE_DIR, DATA_DIR, TOOL_DIR = sys.argv[1:4]

@@ -137,6 +137,36 @@ TEST_F(DeblurBagTest, CompressedImagesAreDecoded) {
   EXPECT_EQ(report()["passed_through"]["BAD_IMAGE"], 1);
 }
 
+TEST_F(DeblurBagTest, CalibrationFileStandsInForCameraInfo) {
+  write_bag(kFastRadS);
+  ASSERT_EQ(run().exit_code, 0);
+  const auto with_info = read<BlurFieldMessage>("out.bag", "/cam/blur_field");
+  fs::remove(path("out.bag"));
+
+  fs::rename(path("in.bag"), path("all.bag"));
+  {
+    rosbag::Bag all(path("all.bag"), rosbag::bagmode::Read), some(path("in.bag"), rosbag::bagmode::Write);
+    rosbag::View view(all, [](const rosbag::ConnectionInfo* c) { return c->topic != "/cam/camera_info"; });
+    for (const rosbag::MessageInstance& instance : view) some.write(instance.getTopic(), instance.getTime(), instance);
+  }
+  expect_error(run(), {"no topic of type sensor_msgs/CameraInfo"});
+  const sensor_msgs::CameraInfoPtr info = camera_info(kStart);
+  std::ofstream(path("camchain.yaml")) << "cam0:\n  camera_model: pinhole\n  intrinsics: [" << info->K[0] << ", "
+                                       << info->K[4] << ", " << info->K[2] << ", " << info->K[5]
+                                       << "]\n  distortion_model: none\n  distortion_coeffs: []\n  resolution: ["
+                                       << kWidth << ", " << kHeight << "]\n";
+  std::ofstream(path("config.yaml"), std::ios::app) << "calibration_file: camchain.yaml\n";
+  const ProgramResult result = run();
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  const auto with_file = read<BlurFieldMessage>("out.bag", "/cam/blur_field");
+  ASSERT_EQ(with_file.size(), with_info.size());
+  for (std::size_t i = 0; i < with_file.size(); ++i) {
+    EXPECT_EQ(with_file[i]->reason, with_info[i]->reason) << with_file[i]->reason_text;
+    EXPECT_EQ(with_file[i]->extent, with_info[i]->extent);
+  }
+  EXPECT_EQ(read<sensor_msgs::CameraInfo>("out.bag", "/cam/deblurred/camera_info")[0]->K, info->K);
+}
+
 TEST_F(DeblurBagTest, EveryFrameComesOutInOrderWithItsReason) {
   write_bag(kFastRadS);
   const ProgramResult result = run();

@@ -392,6 +392,98 @@ TEST_F(ProcessorTest, WithoutCameraInfoImagesStillPass) {
   EXPECT_EQ(outputs_[0].camera_info->header.frame_id, kCameraFrame);
 }
 
+/// The file that describes the same camera as the tests' camera_info.
+SensorCalibration calibration_file() {
+  SensorCalibration calibration;
+  calibration.origin = "file.yaml";
+  calibration.camera = to_calibration(*camera_info(kStart), kWidth, kHeight, false);
+  return calibration;
+}
+
+TEST_F(ProcessorTest, CalibrationFileServesWhereThereIsNoCameraInfo) {
+  config_.calibration = calibration_file();
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  processor_.add_image(image_message(kStart));
+  advance();  // no waiting for what nobody sends
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].camera_info->K[0], kFocalPx);
+  EXPECT_EQ(outputs_[0].camera_info->header.frame_id, kCameraFrame);
+
+  // Somebody does: from now on each image waits for its own.
+  add_frame(kStart + 50 * kMs);
+  advance();
+  expect_deblurred(1);
+  processor_.add_image(image_message(kStart + 100 * kMs));
+  advance();
+  EXPECT_EQ(outputs_.size(), 2u);
+  time_out();
+  expect_deblurred(2);
+}
+
+TEST_F(ProcessorTest, CameraInfoThatContradictsTheFileIsPrintedWithIt) {
+  config_.calibration = calibration_file();
+  config_.calibration->camera->fx_px *= 1.5;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "fx 200");
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "fx 300");
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "file.yaml");
+
+  config_.on_calibration_conflict = OnCalibrationConflict::CONFIGURED;
+  configure();
+  add_frame(kStart + kMs);
+  advance();
+  expect_deblurred(1);
+  const BlurField& field = *outputs_[1].field;
+  const BlockBlur& center = field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))];
+  EXPECT_NEAR(center.extent_px, 1.5 * kFocalPx * kFastRadS * to_seconds(kExposure), 0.4) << "the file holds";
+}
+
+TEST_F(ProcessorTest, RegionOfInterestOfCameraInfoAppliesToTheFile) {
+  config_.calibration = calibration_file();
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  const auto info = camera_info(kStart);
+  info->roi.y_offset = 30;
+  info->roi.width = kWidth;
+  info->roi.height = kHeight / 2;
+  processor_.add_camera_info(info);
+  processor_.add_image(image_message(kStart, "mono8", kWidth, kHeight / 2));
+  advance();
+  expect_deblurred(0);
+}
+
+TEST_F(ProcessorTest, TransformThatContradictsTheParameterIsPrintedWithIt) {
+  extrinsic_ = Eigen::Matrix3d(Eigen::AngleAxisd(0.01, Eigen::Vector3d::UnitZ()));
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_EXTRINSIC, "[1, 0, 0, 0, 1, 0, 0, 0, 1] in parameter R_cam_imu");
+  expect_passed_through(0, PassThroughReason::NO_EXTRINSIC, "in tf");
+  config_.on_calibration_conflict = OnCalibrationConflict::CONFIGURED;
+  configure();
+  add_frame(kStart + kMs);
+  advance();
+  expect_deblurred(1);
+}
+
+TEST_F(ProcessorTest, ReadoutLongerThanTheFramePeriodIsNamed) {
+  add_imu(kStart - 50 * kMs, kStart + 300 * kMs);
+  constexpr TimeNs kPeriod = kReadout / 2;
+  constexpr int kFrames = 10;
+  for (int i = 0; i < kFrames; ++i) {
+    add_frame(kStart + i * kPeriod);
+    advance();
+  }
+  ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(kFrames));
+  expect_deblurred(0);  // nobody can know yet
+  expect_passed_through(kFrames - 1, PassThroughReason::BAD_CONFIGURATION,
+                        "readout_time = 0.02 s is longer than the frame period 0.01 s");
+}
+
 TEST_F(ProcessorTest, UnusableCameraInfoIsNamedAtOnce) {
   const auto pass = [this](TimeNs stamp_ns, const sensor_msgs::CameraInfoPtr& info) {
     processor_.add_image(image_message(stamp_ns));
@@ -790,7 +882,7 @@ TEST_F(ProcessorTest, ClockAloneGoingBackIsAJump) {
 
 TEST_F(ProcessorTest, ThreadsMayFeedItAtOnce) {
   constexpr int kFrames = 60;
-  constexpr TimeNs kPeriod = 10 * kMs;
+  constexpr TimeNs kPeriod = kReadout;
   const TimeNs last_imu_ns = kStart + kFrames * kPeriod + kFrameDuration;
   config_.frame_queue_size = kFrames;
   config_.gyro_timeout_ns = 10 * kSecond;

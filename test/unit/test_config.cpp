@@ -38,7 +38,8 @@ std::string dump(const Config& c) {
   s << "exposure " << c.shutter.exposure_ns << "\nreadout " << c.shutter.readout_ns << "\nstamp_row "
     << static_cast<int>(c.shutter.stamp_row) << "\nstamp_phase " << static_cast<int>(c.shutter.stamp_phase)
     << "\ntime_offset " << c.gyro.time_offset_ns << "\nbias " << c.gyro.bias_rad_s.transpose() << "\nbuffer "
-    << c.gyro.buffer_ns << "\ngap " << c.gyro.max_gap_ns << "\nrectified_input " << c.rectified_input << "\nR ";
+    << c.gyro.buffer_ns << "\ngap " << c.gyro.max_gap_ns << "\non_conflict "
+    << static_cast<int>(c.on_calibration_conflict) << "\nrectified_input " << c.rectified_input << "\nR ";
   if (c.R_cam_imu) s << *c.R_cam_imu;
   s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nbias_window " << c.bias_window_ns
     << "\nbias_max_stddev " << c.bias_max_stddev_rad_s << "\ntime_jump " << c.time_jump_ns << "\nrectify_to "
@@ -62,6 +63,7 @@ std::string dump(const Config& c) {
 /// Every key with a value that is allowed and not the default.
 const std::vector<std::pair<std::string, std::string>>& other_values() {
   static const std::vector<std::pair<std::string, std::string>> kValues{
+      {"on_calibration_conflict", "configured"},
       {"exposure_time", "0.02"},
       {"readout_time", "-0.0244944"},
       {"stamp_row", "last"},
@@ -208,6 +210,11 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("detector: [SIFT]", "detector = [SIFT] is not a string");
   expect("detector: SURF", "detector = \"SURF\" is not one of SIFT ORB");
   expect("stamp_row: top", "stamp_row = top is not one of first middle last");
+  expect("calibration_file: {path: a}", "calibration_file = {path: a} is not a path or a list of paths");
+  expect("on_calibration_conflict: warn", "on_calibration_conflict = warn is not one of error configured");
+  expect("exposure_time: 20", "exposure_time = 20 is outside [1e-09, 1] s: is it in milliseconds?");
+  expect("exposure_time: 20000", "exposure_time = 20000 is outside [1e-09, 1] s: is it in microseconds?");
+  expect("readout_time: 25", "readout_time = 25 is outside [-1, 1] s: is it in milliseconds?");
   expect("stamp_phase: 0", "stamp_phase = 0 is not one of start middle end");
   expect("rectify_to: [stamp]", "rectify_to = [stamp] is not one of middle_row first_row last_row stamp");
   expect("gyro_bias: 0", "gyro_bias = 0 is not a list of 3 finite numbers");
@@ -259,7 +266,9 @@ TEST(DefaultYaml, HasEveryKeyAndTheDefaults) {
   EXPECT_EQ(dump(load_config(path, &unknown)), dump(Config{}));
   EXPECT_TRUE(unknown.empty()) << unknown.front();
   const YAML::Node node = YAML::LoadFile(path);
-  EXPECT_EQ(node.size(), other_values().size());
+  const std::vector<std::string> together{"calibration_file", "calibration_camera"};  // see test_calibration.cpp
+  EXPECT_EQ(node.size(), other_values().size() + together.size());
+  for (const std::string& key : together) EXPECT_TRUE(node[key]) << key;
   for (const auto& entry : other_values()) EXPECT_TRUE(node[entry.first]) << entry.first;
 }
 

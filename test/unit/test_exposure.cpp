@@ -121,5 +121,32 @@ TEST(RowExposure, RefusesBadTimingByName) {
   EXPECT_EQ(message(kMs, 0, 0).rfind("rows = 0", 0), 0u);
 }
 
+TEST(FramePeriod, IsTheMedianOfTheIntervals) {
+  FramePeriod period;
+  constexpr TimeNs kPeriod = 33'000'000;
+  TimeNs stamp_ns = 1'000'000'000;
+  for (int i = 0; i < 5; ++i) {
+    EXPECT_FALSE(period.get()) << i;
+    period.add(stamp_ns += kPeriod);
+  }
+  period.add(stamp_ns += kPeriod);
+  EXPECT_EQ(period.get(), kPeriod);
+  period.add(stamp_ns += 4 * kPeriod);  // lost frames
+  period.add(stamp_ns += 1);            // a bad stamp
+  EXPECT_EQ(period.get(), kPeriod);
+  period.add(stamp_ns - 1'000'000'000);  // back in time
+  EXPECT_EQ(period.get(), kPeriod);
+  period.clear();
+  EXPECT_FALSE(period.get());
+}
+
+TEST(FramePeriod, BoundsTheReadout) {
+  constexpr TimeNs kPeriod = 50'000'000;
+  EXPECT_NO_THROW(require_plausible_readout("readout", kPeriod, kPeriod));
+  EXPECT_NO_THROW(require_plausible_readout("readout", -kPeriod, kPeriod));
+  EXPECT_THROW(require_plausible_readout("readout", 60'000'000, kPeriod), OptionError);
+  EXPECT_THROW(require_plausible_readout("readout", -60'000'000, kPeriod), OptionError);
+}
+
 }  // namespace
 }  // namespace gyro_deblur

@@ -1,0 +1,100 @@
+// Estimates clock offset, readout time, gyroscope bias and extrinsic rotation from how the image moves.
+#pragma once
+
+#include <optional>
+#include <stdexcept>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "calibrate/frame_tracker.hpp"
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/types.hpp"
+
+namespace gyro_deblur {
+
+/// The recording does not determine what was asked for; what() says why.
+class TimingError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// A frame's time, camera clock, and exposure.
+struct FrameTime {
+  TimeNs stamp_ns = 0;
+  TimeNs exposure_ns = 0;  ///< [0, 1 s]; 0 when it is not known: the time offset then contains half of it
+};
+
+/// Two frames, one after the other, and what was tracked between them.
+struct FramePair {
+  FrameTime from, to;
+  std::vector<PointPair> points;
+};
+
+struct TimingOptions {
+  StampRow stamp_row = StampRow::FIRST;        ///< that stamps refer to
+  StampPhase stamp_phase = StampPhase::START;  ///< that stamps refer to
+  TimeNs time_offset_ns = 0;                   ///< where the search begins; |.| <= 10 s
+  TimeNs search_ns = 500'000'000;              ///< [0, 5 s]: the offset lies at most this far from there; 0: no search
+  TimeNs readout_ns = 0;                       ///< where the estimation begins, or what holds
+  bool estimate_readout = true;
+  bool estimate_bias = true;
+  Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< where the estimation begins, or what holds
+  std::optional<Eigen::Matrix3d> R_cam_imu;              ///< absent: estimated from nothing
+  bool refine_rotation = false;                          ///< estimate it although it is given
+  TimeNs max_gap_ns = 50'000'000;  ///< [1 ms, 1 s]; pairs of frames across a longer hole between samples are left out
+
+  void validate() const;  ///< throws OptionError
+};
+
+/// A value with its standard deviation, which allows for errors that the points of a pair of frames and its neighbours
+/// have in common (a camera that also moves sideways), as long as they average out over the recording.
+struct Estimate {
+  double value = 0;
+  double stddev = 0;  ///< 0 when the value was not estimated
+};
+
+/// Mean rates between two frames, for a plot.
+struct RatePair {
+  TimeNs t_ns = 0;              ///< middle between the frames, camera clock
+  Eigen::Vector3d image_rad_s;  ///< of the camera, as the image moved (of a global shutter)
+  Eigen::Vector3d gyro_rad_s;   ///< of the camera, by the gyroscope with the estimated values
+};
+
+/// Where one point was found in the second frame, less where it was predicted [px].
+struct TimingResidual {
+  double row_px = 0;             ///< in the second frame
+  Eigen::Vector2d without_px;    ///< prediction: it does not move
+  Eigen::Vector2d at_start_px;   ///< with the values after the search, before the estimation
+  Eigen::Vector2d estimated_px;  ///< with the estimated values
+};
+
+struct TimingEstimate {
+  Estimate time_offset_s;  ///< t_imu = t_cam + time_offset
+  Estimate readout_s;      ///< first to one past the last row, signed
+  Estimate bias_rad_s[3];
+  Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
+  Eigen::Vector3d rotation_stddev_rad = Eigen::Vector3d::Zero();  ///< about the camera's axes; 0 when not estimated
+  double correlation = 0;  ///< [-1, 1] of the angular speeds of image and gyroscope at the offset that was searched for
+  std::size_t pairs = 0;   ///< of frames that were used
+  std::size_t points = 0;
+  double median_without_px = 0, median_at_start_px = 0, median_px = 0;  ///< of the residuals' lengths
+  std::vector<RatePair> rates;
+  std::vector<TimingResidual> residuals;
+};
+
+/// Compares the rotation by the gyroscope with the motion of points in the image. Coarse to fine: the offset where the
+/// angular speeds correlate best; the rotation between the axes in closed form (Wahba's problem, by SVD); then all
+/// values together by robust least squares (Cauchy's weights, Levenberg-Marquardt) on the points' positions, each
+/// predicted from the middle of its row's exposure in one frame to that in the other. Translation is not modelled: it
+/// adds to the residuals and to the standard deviations, and biases the result where it goes with the rotation.
+/// @param pairs    in pixels of `camera`'s image
+/// @param samples  IMU clock, strictly increasing
+/// Throws OptionError for bad options, TimingError when the recording does not determine the values: too few pairs of
+/// frames or points, no motion, no agreement of image and gyroscope, rotation about one axis only where the extrinsic
+/// is wanted.
+TimingEstimate estimate_timing(const Camera& camera, const std::vector<FramePair>& pairs,
+                               const std::vector<GyroSample>& samples, const TimingOptions& options);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,50 @@
+#include "tools/bag_topics.hpp"
+
+#include <vector>
+
+namespace gyro_deblur {
+namespace {
+
+std::string list_of(const std::map<std::string, std::string>& topics) {
+  std::string list;
+  for (const auto& [name, type] : topics) list += (list.empty() ? "" : ", ") + name + " (" + type + ")";
+  return list.empty() ? "no topics" : list;
+}
+
+}  // namespace
+
+std::string parent_namespace(const std::string& topic) { return topic.substr(0, topic.rfind('/')); }
+
+std::map<std::string, std::string> topics_of(rosbag::Bag& bag) {
+  rosbag::View view(bag);
+  std::map<std::string, std::string> topics;
+  for (const rosbag::ConnectionInfo* connection : view.getConnections()) {
+    topics[connection->topic] = connection->datatype;
+  }
+  return topics;
+}
+
+std::string choose_topic(const std::map<std::string, std::string>& topics, const std::string& kind,
+                         const std::string& type, const std::string& named, const std::string& preferred,
+                         bool required) {
+  const auto fail = [&](const std::string& problem) -> std::string {
+    throw std::runtime_error(problem + "; the bag has " + list_of(topics));
+  };
+  if (!named.empty()) {
+    const auto found = topics.find(named);
+    if (found == topics.end()) return fail("no topic " + named + " for " + kind);
+    if (found->second != type) return fail("topic " + named + " for " + kind + " is not of type " + type);
+    return named;
+  }
+  const auto sibling = topics.find(preferred);
+  if (sibling != topics.end() && sibling->second == type) return preferred;
+  std::vector<std::string> candidates;
+  for (const auto& [name, topic_type] : topics) {
+    if (topic_type == type) candidates.push_back(name);
+  }
+  if (candidates.size() == 1) return candidates.front();
+  if (candidates.empty()) return required ? fail("no topic of type " + type + " for " + kind) : std::string();
+  return fail("several topics of type " + type + ", name the one for " + kind);
+}
+
+}  // namespace gyro_deblur

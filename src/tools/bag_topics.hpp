@@ -1,0 +1,42 @@
+// Which topics of a bag a tool works on.
+#pragma once
+
+#include <map>
+#include <stdexcept>
+#include <string>
+
+#include <ros/message_traits.h>
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
+
+namespace gyro_deblur {
+
+/// "/camera" of "/camera/image_raw".
+std::string parent_namespace(const std::string& topic);
+
+/// Topics of a bag by name, with their type.
+std::map<std::string, std::string> topics_of(rosbag::Bag& bag);
+
+/// The topic to use for one kind of message: the one named, else the only one of its type.
+/// @param preferred  taken, when nothing is named, if the bag has it; may be empty
+/// @return empty when there is none and none is required
+/// Throws std::runtime_error that lists the bag's topics.
+std::string choose_topic(const std::map<std::string, std::string>& topics, const std::string& kind,
+                         const std::string& type, const std::string& named, const std::string& preferred,
+                         bool required);
+
+/// Throws std::runtime_error when the bag's messages of a topic have the type's name, but the definition of another
+/// version.
+template <typename Message>
+void require_definition(rosbag::Bag& bag, const std::string& topic) {
+  rosbag::View view(bag, rosbag::TopicQuery(topic));
+  const std::string expected = ros::message_traits::md5sum<Message>();
+  for (const rosbag::ConnectionInfo* connection : view.getConnections()) {
+    if (connection->md5sum != expected) {
+      throw std::runtime_error("topic " + topic + " has another version of " + connection->datatype + " (md5 " +
+                               connection->md5sum + ", here " + expected + ")");
+    }
+  }
+}
+
+}  // namespace gyro_deblur

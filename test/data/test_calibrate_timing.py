@@ -1,0 +1,143 @@
+#!/usr/bin/python3
+"""calibrate_timing as a program, on simulated bags with known truth.
+
+Usage: test_calibrate_timing.py TOOL_DIR PLOT_SCRIPT
+"""
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+
+import cv2
+import numpy as np
+import rosbag
+import yaml
+
+TOOL_DIR, PLOT_SCRIPT = "", ""  # from the command line
+
+SCENE = """
+frames: 50
+lead_time: 0.7
+camera: {size: [376, 240], intrinsics: [229.4, 228.7, 183.6, 124.2], distortion_model: plumb_bob,
+         distortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002], fps: 20, exposure_time: [0.008, 0.012],
+         readout_time: 0.025, noise: 2}
+imu: {rate: 200, gyro_bias: [0.01, -0.02, 0.03], gyro_noise: 0.003, time_offset: 0.123, R_cam_imu: [0, 1, 0, -1, 0, 0, 0, 0, 1]}
+planes:
+  - {texture: procedural, texture_seed: 11, texture_size: [1400, 1000], size: [8.4, 6.0], position: [0, 0, 2]}
+motion:
+  type: spline
+  rotation:
+    sines:
+      - {amplitude: [4, 7, 2], frequency: 1.1, phase: 12}
+      - {amplitude: [-3, 2, 5], frequency: 1.7, phase: 57}
+"""
+R_CAM_IMU = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+
+
+class CalibrateTiming(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = tempfile.TemporaryDirectory()
+        with open(cls.path("scene.yaml"), "w") as file:
+            file.write(SCENE)
+        subprocess.run([os.path.join(TOOL_DIR, "simulate_bag"), cls.path("in.bag"), "--scene", cls.path("scene.yaml"),
+                        "--no-truth", "--quiet"], check=True, stdout=subprocess.DEVNULL)
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.folder.cleanup()
+
+    @classmethod
+    def path(cls, name):
+        return os.path.join(cls.folder.name, name)
+
+    def calibrate(self, *arguments, bag="in.bag"):
+        return subprocess.run([os.path.join(TOOL_DIR, "calibrate_timing"), self.path(bag), "--output",
+                               self.path("out.yaml"), "--json", self.path("out.json"), "--quiet"] + list(arguments),
+                              stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True)
+
+    def results(self):
+        with open(self.path("out.yaml")) as file, open(self.path("out.json")) as report:
+            return yaml.safe_load(file), json.load(report)
+
+    def check(self, keys):
+        self.assertAlmostEqual(keys["time_offset"], 0.123, delta=0.001)
+        self.assertAlmostEqual(keys["readout_time"], 0.025, delta=0.05 * 0.025)
+        np.testing.assert_allclose(keys["gyro_bias"], [0.01, -0.02, 0.03], atol=0.005)
+
+    def test_from_nothing(self):
+        result = self.calibrate("--estimate-rotation")
+        self.assertEqual(result.returncode, 0, result.stderr)
+        keys, report = self.results()
+        self.check(keys)
+        R = np.reshape(keys["R_cam_imu"], (3, 3))
+        self.assertLess(np.degrees(np.arccos((np.trace(R.T @ R_CAM_IMU) - 1) / 2)), 0.5)
+        self.assertEqual(report["rotation_from"], "estimated")
+        self.assertLess(report["median_residual_px"]["estimated"], 0.5)
+        self.assertGreater(report["median_residual_px"]["without_gyroscope"], 3)
+        for line in ("time_offset   +0.12", "readout_time  +0.02", "gyro_bias     [+0.0", "R_cam_imu     ["):
+            self.assertIn(line, result.stdout)
+        # The simulated exposure messages bring their own readout time, which the user has to know.
+        self.assertIn("readout time of 0.025000 s of their own", result.stderr)
+
+    def test_with_the_rotation_of_tf(self):
+        self.assertEqual(self.calibrate().returncode, 0)
+        keys, report = self.results()
+        self.check(keys)
+        self.assertNotIn("R_cam_imu", keys)
+        self.assertEqual(report["rotation_from"], "tf")
+
+    def test_the_written_file_deblurs(self):
+        self.assertEqual(self.calibrate().returncode, 0)
+        result = subprocess.run([os.path.join(TOOL_DIR, "deblur_bag"), self.path("in.bag"), self.path("deblurred.bag"),
+                                 "--config", self.path("out.yaml")], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                                universal_newlines=True)
+        self.assertEqual(result.returncode, 0, result.stdout)
+        self.assertNotIn("is not known", result.stdout)
+        with rosbag.Bag(self.path("deblurred.bag")) as bag:
+            fields = [m for _, m, _ in bag.read_messages(topics=["/camera/blur_field"])]
+        self.assertEqual({field.reason for field in fields}, {0})
+
+    def test_the_plot_shows_something(self):
+        self.assertEqual(self.calibrate().returncode, 0)
+        subprocess.run([sys.executable, PLOT_SCRIPT, self.path("out.json"), self.path("out.png")], check=True)
+        picture = cv2.imread(self.path("out.png"))
+        self.assertGreater(picture.shape[0], 500)
+        self.assertGreater(picture.std(), 10)
+
+    def test_what_is_given_stays(self):
+        with open(self.path("given.yaml"), "w") as file:
+            file.write("readout_time: 0.024\ngyro_bias: [0.01, -0.02, 0.03]\ntime_offset: 0.1\n"
+                       "R_cam_imu: [0, 1, 0, -1, 0, 0, 0, 0, 1]\n")
+        result = self.calibrate("--config", self.path("given.yaml"), "--fixed-readout", "--fixed-bias", "--search", "0.05")
+        self.assertEqual(result.returncode, 0, result.stderr)
+        keys, report = self.results()
+        self.assertEqual(keys["readout_time"], 0.024)
+        self.assertEqual(keys["gyro_bias"], [0.01, -0.02, 0.03])
+        self.assertEqual(report["rotation_from"], "as configured")
+        self.assertAlmostEqual(keys["time_offset"], 0.123, delta=0.002)
+
+    def test_bad_input(self):
+        def fails(expected, *arguments, bag="in.bag"):
+            result = self.calibrate(*arguments, bag=bag)
+            self.assertEqual(result.returncode, 1, result.stderr)
+            self.assertEqual(result.stderr.count("\n"), 1, result.stderr)
+            self.assertIn(expected, result.stderr)
+
+        fails("no such file", bag="none.bag")
+        with open(self.path("no.bag"), "w") as file:
+            file.write("no bag")
+        fails("not a bag that can be read", bag="no.bag")
+        fails("no topic /left for images; the bag has", "--image-topic", "/left")
+        fails("pairs of frames have 8 tracked points or more; 10 are needed", "--end", "1.05")
+        with open(self.path("far.yaml"), "w") as file:
+            file.write("time_offset: 5\n")
+        fails("do not agree at any offset within 0.5 s of 5 s", "--config", self.path("far.yaml"))
+        self.assertEqual(self.calibrate("--search", "6").returncode, 2)
+
+
+if __name__ == "__main__":
+    TOOL_DIR, PLOT_SCRIPT = sys.argv[1:3]
+    unittest.main(argv=sys.argv[:1] + sys.argv[3:], verbosity=2)
