@@ -13,6 +13,8 @@
 
 #include <opencv2/core.hpp>
 
+#include "core/parallel.hpp"
+
 #if defined(__SSE2__)
 #include <emmintrin.h>
 #endif
@@ -352,8 +354,7 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const FilterGrid& grid, cv::M
   const int threads = threads_ > 0 ? threads_ : omp_get_max_threads();
   const int count = static_cast<int>(grid.blocks.size());
   plans_.resize(std::max(plans_.size(), grid.blocks.size()));
-#pragma omp parallel for num_threads(threads) schedule(dynamic)
-  for (int i = 0; i < count; ++i) plan_block(grid.blocks[i], src.depth(), plans_[i]);
+  run_parallel(count, threads, 1, [&](int i) { plan_block(grid.blocks[i], src.depth(), plans_[i]); });
   seams_.plan(grid, src.type());
 
   tiles_.clear();

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <limits>
 
+#include "core/parallel.hpp"
+
 // One binary for every x86-64: the compiler makes a copy of the inner loop per instruction set and the loader picks
 // one. It does so before ThreadSanitizer has started, which ends the process.
 #if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) && \
@@ -123,11 +125,12 @@ void ReferenceConvolver::filter_as(const cv::Mat& src, const FilterGrid& grid, c
   const int threads = threads_ > 0 ? threads_ : omp_get_max_threads();
   const int count = static_cast<int>(blocks.size());
   taps_.resize(std::max(taps_.size(), blocks.size()));
-  int pad_x = 0, pad_y = 0;
-#pragma omp parallel for num_threads(threads) schedule(dynamic) reduction(max : pad_x, pad_y)
-  for (int i = 0; i < count; ++i) {
+  run_parallel(count, threads, 1, [&](int i) {
     const BlockFilter& block = grid.blocks[blocks[i]];
     taps_[i] = rotate_kernel(*block.kernel, block.angle_rad);
+  });
+  int pad_x = 0, pad_y = 0;
+  for (int i = 0; i < count; ++i) {
     for (const KernelTap& tap : taps_[i]) {
       pad_x = std::max(pad_x, std::abs(tap.dx));
       pad_y = std::max(pad_y, std::abs(tap.dy));
@@ -144,24 +147,28 @@ void ReferenceConvolver::filter_as(const cv::Mat& src, const FilterGrid& grid, c
 
   for (int channel = 0; channel < src.channels(); ++channel) {
     load_channel<Pixel>(src, channel);
+    FirstException failure;
 #pragma omp parallel num_threads(threads)
     {
       std::vector<OffsetTap> offsets;
       std::vector<Pixel> result;
 #pragma omp for schedule(dynamic)
       for (int i = 0; i < count; ++i) {
-        offsets.clear();
-        for (const KernelTap& tap : taps_[i]) {
-          // Convolution: output at p takes input at p - tap.
-          offsets.push_back({-(tap.dy * stride_ + tap.dx), tap.weight});
-        }
-        const cv::Rect rect = seams.reach(blocks[i]);
-        result.resize(rect.area());
-        filter_block(padded_.data() + (rect.y + pad_y_) * stride_ + rect.x + pad_x_, stride_, offsets, rect.size(),
-                     result.data());
-        seams.store_channel(blocks[i], channel, result.data(), dst);
+        failure.guard([&] {
+          offsets.clear();
+          for (const KernelTap& tap : taps_[i]) {
+            // Convolution: output at p takes input at p - tap.
+            offsets.push_back({-(tap.dy * stride_ + tap.dx), tap.weight});
+          }
+          const cv::Rect rect = seams.reach(blocks[i]);
+          result.resize(rect.area());
+          filter_block(padded_.data() + (rect.y + pad_y_) * stride_ + rect.x + pad_x_, stride_, offsets, rect.size(),
+                       result.data());
+          seams.store_channel(blocks[i], channel, result.data(), dst);
+        });
       }
     }
+    failure.rethrow();
   }
 }
 
