@@ -38,10 +38,10 @@ class FailingConvolver : public LineConvolver {
   FailingConvolver(std::unique_ptr<LineConvolver> engine, int good_calls, bool for_good)
       : engine_(std::move(engine)), good_calls_(good_calls), for_good_(for_good) {}
 
-  void convolve(const cv::Mat& src, const std::vector<BlockFilter>& blocks, cv::Mat& dst) override {
+  void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override {
     ++calls_;
     const bool fails = for_good_ ? calls_ > good_calls_ : calls_ % (good_calls_ + 1) == 0;
-    engine_->convolve(src, blocks, dst);
+    engine_->convolve(src, grid, dst);
     if (!fails) return;
     dst.setTo(cv::Scalar::all(7));  // the result is spoilt
     throw Error();
