@@ -64,8 +64,8 @@ struct Shape {
   }
 };
 
-// 216 work-items of 8 outputs, so that a block of 64 px with its margins is three tiles; 23 KiB of staged input serve 32
-// steps, 18 multiply-adds for every float staged.
+// 216 work-items of 8 outputs, so that a block of 64 px with its margins is three tiles; 23 KiB of staged input serve
+// 32 steps, 18 multiply-adds for every float staged.
 constexpr Shape kGpuShape{1, 1, 8, 72, 3, 72, 24, 32, 1, 16, false};
 
 /// As many sums as the vector registers hold beside the pixels: 8 x 2 of 32 registers, 4 x 2 of 16.
