@@ -86,6 +86,6 @@ status=0
 ((status == 0 || status == 77)) || fail "the reconstruction failed with status ${status}"
 
 step ${STEPS} "Report"
-/usr/bin/python3 experiments/report.py "${out}"
+/usr/bin/python3 experiments/report_experiments.py "${out}"
 printf '\n'
 say "took $(((SECONDS - started) / 60)) min $(((SECONDS - started) % 60)) s; results: ${out}"

@@ -203,12 +203,12 @@ def main():
             make(results, picture)
             pictures.append(picture)
         if not parts:
-            sys.exit(f"report.py: {folder} holds neither deconvolution.json nor synthetic.json")
+            sys.exit(f"report_experiments.py: {folder} holds neither deconvolution.json nor synthetic.json")
         text = "\n\n".join(part for part in parts if part) + "\n"
         with open(os.path.join(folder, "tables.md"), "w") as file:
             file.write(text)
     except (OSError, ValueError, KeyError, StopIteration) as error:
-        sys.exit(f"report.py: {error!r}")
+        sys.exit(f"report_experiments.py: {error!r}")
     print(text)
     print("\n".join(pictures))
 
