@@ -15,6 +15,7 @@ find_package(catkin REQUIRED COMPONENTS
   std_srvs
   tf2
   tf2_msgs
+  topic_tools
   visualization_msgs
 )
 

@@ -15,7 +15,7 @@ ros_packages=(
   catkin rosbash ros-core-dev ros-core-python-dev
   libcv-bridge-dev libdiagnostic-updater-dev libdynamic-reconfigure-config-init-mutex-dev libimage-transport-dev
   libmessage-filters-dev libnav-msgs-dev libnodelet-dev libnodeletlib-dev libnodeletlib-tools librosbag-dev
-  libtf2-msgs-dev libtf2-ros-dev pluginlib-dev python3-dynamic-reconfigure
+  libtf2-msgs-dev libtf2-ros-dev libtopic-tools-dev pluginlib-dev python3-dynamic-reconfigure
 )
 test_packages=(
   catkin-lint clang clang-format libbenchmark-dev libclang-rt-14-dev libomp-dev librostest-dev pocl-opencl-icd

@@ -29,12 +29,30 @@ enum class OnCalibrationConflict {
   CONFIGURED,  ///< the parameters and the file hold
 };
 
+enum class ExposureUnit { SECONDS, MILLISECONDS, MICROSECONDS };
+
+/// The messages that exposure times are read from.
+struct ExposureSource {
+  enum class Kind {
+    MESSAGE,              ///< gyro_deblur/Exposure
+    FIELD,                ///< a field of any message
+    REALSENSE_METADATA,   ///< JSON of realsense2_camera/Metadata
+    DYNAMIC_RECONFIGURE,  ///< a parameter of dynamic_reconfigure/Config
+  };
+  Kind kind = Kind::MESSAGE;
+  ExposureUnit unit = ExposureUnit::SECONDS;  ///< of numbers; times and durations bring their own
+  std::string field;                          ///< path of the field, key or parameter; empty for MESSAGE
+};
+
 /// Every parameter; config/default.yaml documents the keys.
 struct Config {
   PipelineOptions pipeline;
   GyroOptions gyro;
-  ShutterTiming shutter;         ///< exposure_ns 0: per-frame message only; readout_ns is the default readout
-  bool rectified_input = false;  ///< the image is undistorted: use camera_info's P and R
+  ShutterTiming shutter;  ///< exposure_ns 0: per-frame message only; readout_ns is the default readout
+  ExposureSource exposure_source;
+  /// An image without an exposure of its own takes the last one before it that is no older; 0: none; [0, 60 s].
+  TimeNs exposure_max_age_ns = 0;
+  bool rectified_input = false;                           ///< the image is undistorted: use camera_info's P and R
   std::optional<Eigen::Matrix3d> R_cam_imu;               ///< absent: from tf
   Eigen::Vector3d p_cam_imu_m = Eigen::Vector3d::Zero();  ///< origin of the IMU in camera coordinates; each |.| <= 100
   TranslationOptions translation;

@@ -103,6 +103,24 @@ void read(const std::string& key, const YAML::Node& node, OnCalibrationConflict&
             value);
 }
 
+/// The unit is part of the name, so that nobody has to guess it.
+void read(const std::string& key, const YAML::Node& node, ExposureSource& value) {
+  using Kind = ExposureSource::Kind;
+  std::pair<Kind, ExposureUnit> kind;
+  read_enum(key, node,
+            {{"message", {Kind::MESSAGE, ExposureUnit::SECONDS}},
+             {"field_us", {Kind::FIELD, ExposureUnit::MICROSECONDS}},
+             {"field_ms", {Kind::FIELD, ExposureUnit::MILLISECONDS}},
+             {"field_s", {Kind::FIELD, ExposureUnit::SECONDS}},
+             {"realsense_metadata_us", {Kind::REALSENSE_METADATA, ExposureUnit::MICROSECONDS}},
+             {"dynamic_reconfigure_us", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::MICROSECONDS}},
+             {"dynamic_reconfigure_ms", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::MILLISECONDS}},
+             {"dynamic_reconfigure_s", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::SECONDS}}},
+            kind);
+  value.kind = kind.first;
+  value.unit = kind.second;
+}
+
 using Reader = std::function<void(const std::string& key, const YAML::Node& node, Config& config)>;
 
 /// Reads a value into the member that `member` picks out of a Config.
@@ -119,6 +137,9 @@ Reader seconds_into(Member member) {
 const std::map<std::string, Reader>& readers() {
   static const std::map<std::string, Reader> kReaders{
       {"exposure_time", seconds_into([](Config& c) -> TimeNs& { return c.shutter.exposure_ns; })},
+      {"exposure_source", into([](Config & c) -> auto& { return c.exposure_source; })},
+      {"exposure_field", into([](Config & c) -> auto& { return c.exposure_source.field; })},
+      {"exposure_max_age", seconds_into([](Config& c) -> TimeNs& { return c.exposure_max_age_ns; })},
       {"readout_time", seconds_into([](Config& c) -> TimeNs& { return c.shutter.readout_ns; })},
       {"stamp_row", into([](Config & c) -> auto& { return c.shutter.stamp_row; })},
       {"stamp_phase", into([](Config & c) -> auto& { return c.shutter.stamp_phase; })},
@@ -224,6 +245,12 @@ void apply_calibration(const SensorCalibration& calibration, Config& config) {
 }  // namespace
 
 void Config::validate() const {
+  require_range("exposure_max_age", to_seconds(exposure_max_age_ns), 0, 60, "s");
+  using Kind = ExposureSource::Kind;
+  if ((exposure_source.kind == Kind::FIELD || exposure_source.kind == Kind::DYNAMIC_RECONFIGURE) &&
+      exposure_source.field.empty()) {
+    throw OptionError("exposure_field = \"\" is not the name of a field: this exposure_source needs one");
+  }
   pipeline.validate();
   gyro.validate();
   ShutterTiming timing = shutter;

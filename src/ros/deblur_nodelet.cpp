@@ -178,7 +178,11 @@ void DeblurNodelet::onInit() {
   transport_ = std::make_unique<image_transport::ImageTransport>(nh);
   tf_static_subscriber_ = nh.subscribe("/tf_static", kTfQueue, &DeblurNodelet::on_transforms, this);
   tf_subscriber_ = nh.subscribe("/tf", kTfQueue, &DeblurNodelet::on_transforms, this);
-  exposure_subscriber_ = nh.subscribe("exposure", kImuQueue, &DeblurNodelet::on_exposure, this);
+  if (exposure_adapter_) {
+    exposure_subscriber_ = nh.subscribe("exposure", kImuQueue, &DeblurNodelet::on_driver_message, this);
+  } else {
+    exposure_subscriber_ = nh.subscribe("exposure", kImuQueue, &DeblurNodelet::on_exposure, this);
+  }
   odometry_subscriber_ =
       nh.subscribe("odometry", kImuQueue, &DeblurNodelet::on_odometry, this, ros::TransportHints().tcpNoDelay());
   scene_depth_subscriber_ = nh.subscribe("scene_depth", kImuQueue, &DeblurNodelet::on_scene_depth, this);
@@ -208,6 +212,9 @@ void DeblurNodelet::load_parameters() {
     processor_->set_config(config);
     NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu)",
                  to_seconds(config.gyro.time_offset_ns));
+    if (config.exposure_source.kind != ExposureSource::Kind::MESSAGE) {
+      exposure_adapter_ = std::make_unique<ExposureAdapter>(config.exposure_source);
+    }
     if (config.calibration) NODELET_INFO_STREAM("calibration from " << config.calibration->origin);
     if (config.shutter.exposure_ns == 0) {
       NODELET_WARN("no parameter exposure_time (0, 1] s: only frames with an exposure message can be deblurred");
@@ -385,6 +392,18 @@ void DeblurNodelet::on_odometry(const nav_msgs::OdometryConstPtr& odometry) {
 
 void DeblurNodelet::on_scene_depth(const sensor_msgs::RangeConstPtr& depth) {
   guarded("taking a depth of the scene in", [&] { processor_->add_scene_depth(*depth); });
+}
+
+void DeblurNodelet::on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event) {
+  guarded("reading an exposure time", [&] {
+    const topic_tools::ShapeShifter& message = *event.getConstMessage();
+    std::vector<std::uint8_t> bytes(message.size());
+    ros::serialization::OStream stream(bytes.data(), message.size());
+    message.write(stream);
+    const std::lock_guard<std::mutex> lock(exposure_adapter_mutex_);
+    exposure_adapter_->pass_on(message.getDataType(), message.getMessageDefinition(), bytes, processor_.get());
+  });
+  wake_worker();
 }
 
 void DeblurNodelet::on_transforms(const tf2_msgs::TFMessageConstPtr& message) {

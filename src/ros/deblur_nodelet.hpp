@@ -19,10 +19,12 @@
 #include <std_srvs/Trigger.h>
 #include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
+#include <topic_tools/shape_shifter.h>
 #include <xmlrpcpp/XmlRpcValue.h>
 #include <yaml-cpp/yaml.h>
 
 #include "gyro_deblur/DeblurConfig.h"
+#include "ros/exposure_adapter.hpp"
 #include "ros/processor.hpp"
 
 namespace gyro_deblur {
@@ -62,6 +64,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   void on_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
   void on_imu(const sensor_msgs::ImuConstPtr& imu);
   void on_exposure(const ExposureConstPtr& exposure);
+  void on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event);
   void on_odometry(const nav_msgs::OdometryConstPtr& odometry);
   void on_scene_depth(const sensor_msgs::RangeConstPtr& depth);
   void on_transforms(const tf2_msgs::TFMessageConstPtr& message);
@@ -94,6 +97,8 @@ class DeblurNodelet : public nodelet::Nodelet {
   std::unique_ptr<image_transport::ImageTransport> transport_;
   ros::Subscriber imu_subscriber_;
   ros::Subscriber exposure_subscriber_;
+  std::unique_ptr<ExposureAdapter> exposure_adapter_;  // null for the package's own message; for one thread at a time
+  std::mutex exposure_adapter_mutex_;
   ros::Subscriber odometry_subscriber_;
   ros::Subscriber scene_depth_subscriber_;
   std::atomic<bool> exposure_expected_{false};

@@ -296,6 +296,11 @@ void Processor::add_exposure(const Exposure& exposure) {
   exposures_.add(stamp_ns, exposure, store_size());
 }
 
+void Processor::add_exposure_setting(TimeNs exposure_ns) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  exposure_setting_ns_ = exposure_ns;
+}
+
 void Processor::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   const std::lock_guard<std::mutex> lock(mutex_);
   now();
@@ -432,16 +437,22 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
   if (const Exposure* message = exposures_.find(frame.stamp_ns)) {
     timing.exposure_ns = message->exposure_time.toNSec();
     if (!message->readout_time.isZero()) timing.readout_ns = message->readout_time.toNSec();
+  } else if (exposure_setting_ns_) {
+    timing.exposure_ns = *exposure_setting_ns_;
   } else {
     const bool expected = exposure_seen_ || (environment_.exposure_expected && environment_.exposure_expected());
     if ((expected || timing.exposure_ns == 0) && !timed_out) return false;
-    if (timing.exposure_ns == 0) {
-      frame.settle(PassThroughReason::NO_EXPOSURE_TIME, "no exposure message with the image's stamp " +
-                                                            seconds_text(frame.stamp_ns) +
-                                                            " s, and parameter exposure_time = 0 is outside (0, 1] s");
+    const TimeNs oldest_ns = frame.stamp_ns - config_->exposure_max_age_ns;
+    if (const Exposure* before = exposures_.find_before(frame.stamp_ns, oldest_ns)) {
+      timing.exposure_ns = before->exposure_time.toNSec();
+      if (!before->readout_time.isZero()) timing.readout_ns = before->readout_time.toNSec();
+    } else if (timing.exposure_ns == 0) {
+      frame.settle(PassThroughReason::NO_EXPOSURE_TIME,
+                   "no exposure message with the image's stamp " + seconds_text(frame.stamp_ns) +
+                       " s, none within exposure_max_age = " + seconds_text(config_->exposure_max_age_ns) +
+                       " s before it, and parameter exposure_time = 0 is outside (0, 1] s");
       return true;
-    }
-    if (expected) {
+    } else if (expected) {
       log_throttled(LogLevel::WARNING, "exposure message missing",
                     "no exposure message with the image's stamp " + seconds_text(frame.stamp_ns) +
                         " s: using parameter exposure_time = " + seconds_text(timing.exposure_ns) + " s");

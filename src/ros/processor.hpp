@@ -126,6 +126,8 @@ class Processor {
 
   void add_imu(const sensor_msgs::Imu& imu);
   void add_exposure(const Exposure& exposure);
+  /// A setting that holds for the images from now on, until the next.
+  void add_exposure_setting(TimeNs exposure_ns);
   void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
   /// Velocity and depth of the scene. Frames never wait for them: they may come from the frames themselves.
   void add_odometry(const nav_msgs::Odometry& odometry);
@@ -166,6 +168,15 @@ class Processor {
         if (entry->stamp_ns == stamp_ns) return &entry->value;
       }
       return nullptr;
+    }
+    /// The newest with a stamp in [oldest_ns, stamp_ns).
+    const T* find_before(TimeNs stamp_ns, TimeNs oldest_ns) const {
+      const Entry* best = nullptr;
+      for (const Entry& entry : entries_) {
+        if (entry.stamp_ns < oldest_ns || entry.stamp_ns >= stamp_ns) continue;
+        if (best == nullptr || entry.stamp_ns > best->stamp_ns) best = &entry;
+      }
+      return best == nullptr ? nullptr : &best->value;
     }
     void clear() { drop_before(epochs_.begin()); }
     /// See EpochCounter::reset.
@@ -248,6 +259,7 @@ class Processor {
   StampedStore<Exposure> exposures_;
   StampedStore<sensor_msgs::CameraInfoConstPtr> infos_;
   bool exposure_seen_ = false;
+  std::optional<TimeNs> exposure_setting_ns_;
   TranslationInput translation_;
   bool info_seen_ = false;
   FramePeriod frame_period_;

@@ -37,6 +37,7 @@
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
 #include "ros/conversions.hpp"
+#include "ros/exposure_adapter.hpp"
 #include "ros/messages.hpp"
 #include "ros/processor.hpp"
 #include "tools/bag_topics.hpp"
@@ -89,8 +90,10 @@ std::string choose_image_topic(const Arguments& arguments, const std::map<std::s
   return choose_topic(topics, "images", compressed ? kCompressedType : "sensor_msgs/Image", named, "", true);
 }
 
-/// @param info_required  the calibration file has no intrinsics
-Topics choose_topics(const Arguments& arguments, const std::map<std::string, std::string>& topics, bool info_required) {
+/// @param info_required    the calibration file has no intrinsics
+/// @param driver_messages  exposure times are read from messages of another type than the package's
+Topics choose_topics(const Arguments& arguments, const std::map<std::string, std::string>& topics, bool info_required,
+                     bool driver_messages) {
   Topics chosen;
   chosen.image = choose_image_topic(arguments, topics);
   chosen.compressed = topics.at(chosen.image) == kCompressedType;
@@ -103,8 +106,15 @@ Topics choose_topics(const Arguments& arguments, const std::map<std::string, std
   chosen.camera_info = choose_topic(topics, "camera_info", "sensor_msgs/CameraInfo", arguments.camera_info_topic,
                                     parent_namespace(image) + "/camera_info", info_required);
   chosen.imu = choose_topic(topics, "imu", "sensor_msgs/Imu", arguments.imu_topic, "", true);
-  chosen.exposure = choose_topic(topics, "exposure", "gyro_deblur/Exposure", arguments.exposure_topic,
-                                 parent_namespace(image) + "/exposure", false);
+  if (driver_messages) {
+    chosen.exposure = arguments.exposure_topic;
+    if (topics.count(chosen.exposure) == 0) {
+      throw std::runtime_error("exposure_source of the configuration needs --exposure-topic with a topic of the bag");
+    }
+  } else {
+    chosen.exposure = choose_topic(topics, "exposure", "gyro_deblur/Exposure", arguments.exposure_topic,
+                                   parent_namespace(image) + "/exposure", false);
+  }
   // Never by their type alone: a bag's odometry may be that of something else.
   const auto choose_named = [&](const std::string& kind, const std::string& type, const std::string& named) {
     return named.empty() ? named : choose_topic(topics, kind, type, named, "", false);
@@ -266,6 +276,7 @@ void run(const Arguments& arguments) {
     std::cerr << "deblur_bag: " << arguments.config << ": key " << key << " is not known, ignored\n";
   }
 
+  const bool driver_messages = config.exposure_source.kind != ExposureSource::Kind::MESSAGE;
   rosbag::Bag input;
   try {
     input.open(arguments.input, rosbag::bagmode::Read);
@@ -275,12 +286,12 @@ void run(const Arguments& arguments) {
   const std::map<std::string, std::string> bag_topics = topics_of(input);
   Topics topics;
   try {
-    topics = choose_topics(arguments, bag_topics, !config.calibration || !config.calibration->camera);
+    topics = choose_topics(arguments, bag_topics, !config.calibration || !config.calibration->camera, driver_messages);
     topics.compressed ? require_definition<sensor_msgs::CompressedImage>(input, topics.image)
                       : require_definition<sensor_msgs::Image>(input, topics.image);
     if (!topics.camera_info.empty()) require_definition<sensor_msgs::CameraInfo>(input, topics.camera_info);
     require_definition<sensor_msgs::Imu>(input, topics.imu);
-    if (!topics.exposure.empty()) require_definition<Exposure>(input, topics.exposure);
+    if (!topics.exposure.empty() && !driver_messages) require_definition<Exposure>(input, topics.exposure);
     if (!topics.odometry.empty()) require_definition<nav_msgs::Odometry>(input, topics.odometry);
     if (!topics.scene_depth.empty()) require_definition<sensor_msgs::Range>(input, topics.scene_depth);
   } catch (const std::runtime_error& error) {
@@ -360,6 +371,7 @@ void run(const Arguments& arguments) {
   };
   Processor processor(std::move(environment));
   processor.set_config(config);
+  ExposureAdapter adapter(config.exposure_source);
 
   std::deque<ros::Time> record_times;  // of the frames that have not come out yet
   nlohmann::json frames = nlohmann::json::array();
@@ -406,7 +418,14 @@ void run(const Arguments& arguments) {
           processor.add_image(message);
         }
       } else if (topic == topics.exposure) {
-        if (const auto message = instance.instantiate<Exposure>()) processor.add_exposure(*message);
+        if (driver_messages) {
+          std::vector<std::uint8_t> bytes(instance.size());
+          ros::serialization::OStream stream(bytes.data(), instance.size());
+          instance.write(stream);
+          adapter.pass_on(instance.getDataType(), instance.getMessageDefinition(), bytes, &processor);
+        } else if (const auto message = instance.instantiate<Exposure>()) {
+          processor.add_exposure(*message);
+        }
       } else if (topic == topics.odometry) {
         if (const auto message = instance.instantiate<nav_msgs::Odometry>()) processor.add_odometry(*message);
       } else if (topic == topics.scene_depth) {
@@ -485,7 +504,8 @@ int main_of(int argc, char** argv) {
   app.add_option("--camera-info-topic", arguments.camera_info_topic,
                  "sensor_msgs/CameraInfo [camera_info beside the images]");
   app.add_option("--imu-topic", arguments.imu_topic, "sensor_msgs/Imu");
-  app.add_option("--exposure-topic", arguments.exposure_topic, "gyro_deblur/Exposure [exposure beside the images]");
+  app.add_option("--exposure-topic", arguments.exposure_topic,
+                 "gyro_deblur/Exposure, or what exposure_source says [exposure beside the images]");
   app.add_option("--odometry-topic", arguments.odometry_topic, "nav_msgs/Odometry, for the translation [none]");
   app.add_option("--scene-depth-topic", arguments.scene_depth_topic,
                  "sensor_msgs/Range, the scene's median depth [none: parameter scene_depth]");

@@ -349,6 +349,45 @@ TEST_F(ProcessorTest, ExposureMessageOutOfRangeIsNamed) {
   expect_passed_through(0, PassThroughReason::NO_EXPOSURE_TIME, "-0.005");
 }
 
+TEST_F(ProcessorTest, LastExposureServesForAsLongAsItMay) {
+  config_.shutter.exposure_ns = 0;
+  config_.exposure_max_age_ns = 50 * kMs;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 300 * kMs);
+  processor_.add_exposure(exposure_message(kStart, 10 * kMs));
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  add_frame(kStart + 50 * kMs);
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u) << "its own may still come";
+  time_out();
+  expect_deblurred(1);
+  EXPECT_EQ(outputs_[1].blur_field->exposure_time.toNSec(), 10 * kMs);
+  add_frame(kStart + 51 * kMs);
+  time_out();
+  expect_passed_through(2, PassThroughReason::NO_EXPOSURE_TIME, "none within exposure_max_age = 0.050000000 s");
+}
+
+TEST_F(ProcessorTest, ExposureSettingHoldsUntilTheNext) {
+  config_.shutter.exposure_ns = 0;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 300 * kMs);
+  processor_.add_exposure_setting(15 * kMs);
+  add_frame(kStart);
+  advance();  // nothing to wait for
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].blur_field->exposure_time.toNSec(), 15 * kMs);
+  processor_.add_exposure_setting(20 * kMs);
+  add_frame(kStart + 50 * kMs);
+  advance();
+  EXPECT_EQ(outputs_[1].blur_field->exposure_time.toNSec(), 20 * kMs);
+  processor_.add_exposure_setting(33000 * kMs);  // a wrong unit
+  add_frame(kStart + 100 * kMs);
+  advance();
+  expect_passed_through(2, PassThroughReason::NO_EXPOSURE_TIME, "exposure_time = 33 is outside [1e-09, 1] s: is it in");
+}
+
 TEST_F(ProcessorTest, ExtrinsicMayComeLater) {
   config_.R_cam_imu.reset();
   configure();

@@ -35,7 +35,9 @@ std::string error_of(const std::string& yaml) {
 std::string dump(const Config& c) {
   std::ostringstream s;
   s.precision(17);
-  s << "exposure " << c.shutter.exposure_ns << "\nreadout " << c.shutter.readout_ns << "\nstamp_row "
+  s << "exposure " << c.shutter.exposure_ns << ' ' << c.exposure_max_age_ns << ' '
+    << static_cast<int>(c.exposure_source.kind) << ' ' << static_cast<int>(c.exposure_source.unit) << ' '
+    << c.exposure_source.field << "\nreadout " << c.shutter.readout_ns << "\nstamp_row "
     << static_cast<int>(c.shutter.stamp_row) << "\nstamp_phase " << static_cast<int>(c.shutter.stamp_phase)
     << "\ntime_offset " << c.gyro.time_offset_ns << "\nbias " << c.gyro.bias_rad_s.transpose() << "\nbuffer "
     << c.gyro.buffer_ns << "\ngap " << c.gyro.max_gap_ns << "\non_conflict "
@@ -65,6 +67,9 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
   static const std::vector<std::pair<std::string, std::string>> kValues{
       {"on_calibration_conflict", "configured"},
       {"exposure_time", "0.02"},
+      {"exposure_source", "realsense_metadata_us"},
+      {"exposure_field", "shutter"},
+      {"exposure_max_age", "0.5"},
       {"readout_time", "-0.0244944"},
       {"stamp_row", "last"},
       {"stamp_phase", "end"},
@@ -215,6 +220,9 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("exposure_time: 20", "exposure_time = 20 is outside [1e-09, 1] s: is it in milliseconds?");
   expect("exposure_time: 20000", "exposure_time = 20000 is outside [1e-09, 1] s: is it in microseconds?");
   expect("readout_time: 25", "readout_time = 25 is outside [-1, 1] s: is it in milliseconds?");
+  expect("exposure_source: field", "exposure_source = field is not one of message field_us field_ms field_s");
+  expect("exposure_source: field_us", "exposure_field = \"\" is not the name of a field");
+  expect("exposure_max_age: 61", "exposure_max_age = 61 is outside [0, 60] s");
   expect("stamp_phase: 0", "stamp_phase = 0 is not one of start middle end");
   expect("rectify_to: [stamp]", "rectify_to = [stamp] is not one of middle_row first_row last_row stamp");
   expect("gyro_bias: 0", "gyro_bias = 0 is not a list of 3 finite numbers");

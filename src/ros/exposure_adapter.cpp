@@ -1,0 +1,125 @@
+#include "ros/exposure_adapter.hpp"
+
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+#include <dynamic_reconfigure/Config.h>
+#include <ros/message_traits.h>
+#include <ros/serialization.h>
+#include <nlohmann/json.hpp>
+
+#include "ros/conversions.hpp"
+#include "ros/processor.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// Stamps that belong to a field, the nearest first.
+std::optional<TimeNs> stamp_of(const MessageLayout& layout, const std::string& field, const std::uint8_t* bytes,
+                               std::size_t size) {
+  const std::size_t dot = field.rfind('.');
+  const std::string beside = (dot == std::string::npos ? "" : field.substr(0, dot + 1)) + "stamp";
+  for (const std::string& path : {std::string("header.stamp"), beside}) {
+    const std::optional<FieldValue> value = layout.find(path, bytes, size);
+    if (value && std::holds_alternative<FieldTime>(*value)) return std::get<FieldTime>(*value).ns;
+  }
+  return std::nullopt;
+}
+
+std::string list_of(const std::vector<std::string>& names) {
+  std::string list;
+  for (const std::string& name : names) list += (list.empty() ? "" : ", ") + name;
+  return list;
+}
+
+}  // namespace
+
+const MessageLayout& ExposureAdapter::layout_of(const std::string& type, const std::string& definition) {
+  auto found = layouts_.find(type);
+  if (found == layouts_.end()) found = layouts_.emplace(type, MessageLayout(type, definition)).first;
+  return found->second;
+}
+
+double ExposureAdapter::seconds(double value) const {
+  switch (source_.unit) {
+    case ExposureUnit::MICROSECONDS:
+      return value * 1e-6;
+    case ExposureUnit::MILLISECONDS:
+      return value * 1e-3;
+    case ExposureUnit::SECONDS:
+      break;
+  }
+  return value;
+}
+
+std::optional<ExposureReading> ExposureAdapter::read(const std::string& type, const std::string& definition,
+                                                     const std::uint8_t* bytes, std::size_t size) {
+  double value_s = 0;
+  std::optional<TimeNs> stamp_ns;
+  const bool metadata = source_.kind == ExposureSource::Kind::REALSENSE_METADATA;
+  const std::string field = metadata && source_.field.empty() ? "actual_exposure" : source_.field;
+  if (source_.kind == ExposureSource::Kind::DYNAMIC_RECONFIGURE) {
+    using Setting = dynamic_reconfigure::Config;
+    if (type != ros::message_traits::datatype<Setting>()) {
+      throw std::runtime_error("exposure: the topic is of type " + type + ", not dynamic_reconfigure/Config");
+    }
+    Setting config;
+    // The stream takes a pointer to what it may write to, but reading does not.
+    ros::serialization::IStream stream(const_cast<std::uint8_t*>(bytes), static_cast<std::uint32_t>(size));
+    ros::serialization::deserialize(stream, config);
+    std::optional<double> value;
+    for (const auto& parameter : config.doubles) {
+      if (parameter.name == field) value = parameter.value;
+    }
+    for (const auto& parameter : config.ints) {
+      if (parameter.name == field) value = parameter.value;
+    }
+    if (!value) return std::nullopt;
+    value_s = seconds(*value);
+  } else if (metadata) {
+    const MessageLayout& layout = layout_of(type, definition);
+    const std::optional<FieldValue> text = layout.find("json_data", bytes, size);
+    if (!text || !std::holds_alternative<std::string>(*text)) {
+      throw std::runtime_error("exposure: " + type + " has no string json_data; it has " + list_of(layout.paths()));
+    }
+    const nlohmann::json json = nlohmann::json::parse(std::get<std::string>(*text), nullptr, false);
+    if (!json.is_object() || !json.contains(field) || !json[field].is_number()) {
+      throw std::runtime_error("exposure: the metadata have no number \"" + field +
+                               "\": " + std::get<std::string>(*text).substr(0, 200));
+    }
+    value_s = seconds(json[field].get<double>());
+    stamp_ns = stamp_of(layout, "json_data", bytes, size);
+  } else {
+    const MessageLayout& layout = layout_of(type, definition);
+    const std::optional<FieldValue> value = layout.find(field, bytes, size);
+    if (!value || std::holds_alternative<std::string>(*value)) {
+      throw std::runtime_error("exposure: " + type + " has no number exposure_field = \"" + field + "\"; it has " +
+                               list_of(layout.paths()));
+    }
+    value_s = std::holds_alternative<FieldTime>(*value) ? to_seconds(std::get<FieldTime>(*value).ns)
+                                                        : seconds(std::get<double>(*value));
+    stamp_ns = stamp_of(layout, field, bytes, size);
+  }
+  constexpr double kLongestS = 1e6;  // what to_ns can hold; the exposure's own range is checked where it is used
+  if (!(std::abs(value_s) < kLongestS)) {
+    throw std::runtime_error("exposure: " + field + " = " + std::to_string(value_s) + " s is not an exposure time");
+  }
+  return ExposureReading{to_ns(value_s), stamp_ns};
+}
+
+void ExposureAdapter::pass_on(const std::string& type, const std::string& definition,
+                              const std::vector<std::uint8_t>& bytes, Processor* processor) {
+  const std::optional<ExposureReading> reading = read(type, definition, bytes.data(), bytes.size());
+  if (!reading) return;
+  if (!reading->stamp_ns) {
+    processor->add_exposure_setting(reading->exposure_ns);
+    return;
+  }
+  Exposure exposure;
+  exposure.header.stamp = to_ros_time(*reading->stamp_ns);
+  exposure.exposure_time.fromNSec(reading->exposure_ns);
+  processor->add_exposure(exposure);
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,55 @@
+// Exposure times out of the messages that drivers have.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "gyro_deblur/config.hpp"
+#include "ros/message_fields.hpp"
+
+namespace gyro_deblur {
+
+class Processor;
+
+struct ExposureReading {
+  TimeNs exposure_ns = 0;
+  std::optional<TimeNs> stamp_ns;  ///< of the image it belongs to; absent: it is a setting, and holds until the next
+};
+
+/// Reads exposure times by the rule of a configuration (`exposure_source`, `exposure_field`).
+/// - field_us, field_ms, field_s: a number, time or duration anywhere in a message. Its image's stamp is the message's
+///   `header.stamp`, else the `stamp` beside the field.
+/// - realsense_metadata_us: a number in the JSON of realsense2_camera/Metadata, by default "actual_exposure"
+/// (librealsense:
+///   RS2_FRAME_METADATA_ACTUAL_EXPOSURE, microseconds).
+/// - dynamic_reconfigure_us, _ms, _s: a parameter of dynamic_reconfigure/Config, which a driver's server publishes as
+///   parameter_updates.
+/// Message packages need not be installed.
+class ExposureAdapter {
+ public:
+  explicit ExposureAdapter(const ExposureSource& source) : source_(source) {}
+
+  /// @param type, definition  of the connection the message came by
+  /// @param bytes, size       the serialised message
+  /// @return nothing when a dynamic_reconfigure message does not have the parameter
+  /// Throws std::runtime_error that names the type, the field, and what there is instead.
+  std::optional<ExposureReading> read(const std::string& type, const std::string& definition, const std::uint8_t* bytes,
+                                      std::size_t size);
+
+  /// Reads a message and gives the processor what it says. Throws as read().
+  void pass_on(const std::string& type, const std::string& definition, const std::vector<std::uint8_t>& bytes,
+               Processor* processor);
+
+ private:
+  const MessageLayout& layout_of(const std::string& type, const std::string& definition);
+  double seconds(double value) const;
+
+  ExposureSource source_;
+  std::map<std::string, MessageLayout> layouts_;  // by type
+};
+
+}  // namespace gyro_deblur

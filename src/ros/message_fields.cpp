@@ -1,0 +1,186 @@
+#include "ros/message_fields.hpp"
+
+#include <cstring>
+#include <sstream>
+#include <stdexcept>
+#include <utility>
+
+namespace gyro_deblur {
+namespace {
+
+/// Bytes of a built-in type of fixed size; 0 for others.
+std::size_t size_of(const std::string& type) {
+  static const std::map<std::string, std::size_t> kSizes{{"bool", 1},    {"byte", 1},  {"char", 1},    {"int8", 1},
+                                                         {"uint8", 1},   {"int16", 2}, {"uint16", 2},  {"int32", 4},
+                                                         {"uint32", 4},  {"int64", 8}, {"uint64", 8},  {"float32", 4},
+                                                         {"float64", 8}, {"time", 8},  {"duration", 8}};
+  const auto found = kSizes.find(type);
+  return found == kSizes.end() ? 0 : found->second;
+}
+
+bool is_builtin(const std::string& type) { return type == "string" || size_of(type) > 0; }
+
+/// The serialisation is little-endian, as are all machines that ROS 1 supports.
+template <typename T>
+T load(const std::uint8_t* bytes) {
+  T value;
+  std::memcpy(&value, bytes, sizeof(T));
+  return value;
+}
+
+FieldValue to_value(const std::string& type, const std::uint8_t* bytes) {
+  constexpr TimeNs kNsPerSecond = 1'000'000'000;
+  constexpr std::size_t kSecondPart = 4;
+  if (type == "time") {
+    return FieldTime{load<std::uint32_t>(bytes) * kNsPerSecond + load<std::uint32_t>(bytes + kSecondPart)};
+  }
+  if (type == "duration") {
+    return FieldTime{load<std::int32_t>(bytes) * kNsPerSecond + load<std::int32_t>(bytes + kSecondPart)};
+  }
+  if (type == "float32") return static_cast<double>(load<float>(bytes));
+  if (type == "float64") return load<double>(bytes);
+  if (type == "int8" || type == "byte") return static_cast<double>(load<std::int8_t>(bytes));
+  if (type == "int16") return static_cast<double>(load<std::int16_t>(bytes));
+  if (type == "uint16") return static_cast<double>(load<std::uint16_t>(bytes));
+  if (type == "int32") return static_cast<double>(load<std::int32_t>(bytes));
+  if (type == "uint32") return static_cast<double>(load<std::uint32_t>(bytes));
+  if (type == "int64") return static_cast<double>(load<std::int64_t>(bytes));
+  if (type == "uint64") return static_cast<double>(load<std::uint64_t>(bytes));
+  return static_cast<double>(*bytes);  // bool, char, uint8
+}
+
+std::string package_of(const std::string& type) { return type.substr(0, type.find('/')); }
+
+}  // namespace
+
+MessageLayout::MessageLayout(const std::string& type, const std::string& definition) : type_(type) {
+  std::istringstream lines(definition);
+  std::string current = type;
+  types_[current];
+  for (std::string line; std::getline(lines, line);) {
+    line = line.substr(0, line.find('#'));
+    if (line.rfind("====", 0) == 0) continue;
+    std::istringstream words(line);
+    std::string field_type, name;
+    if (!(words >> field_type >> name)) continue;
+    if (field_type == "MSG:") {
+      current = name;
+      types_[current];
+      continue;
+    }
+    // Constants are no fields: "uint8 A=1", "string NAME = text".
+    std::string rest;
+    std::getline(words, rest);
+    if (name.find('=') != std::string::npos || rest.find('=') != std::string::npos) continue;
+    Field field;
+    field.name = name;
+    const std::size_t bracket = field_type.find('[');
+    field.type = field_type.substr(0, bracket);
+    if (bracket != std::string::npos) {
+      field.is_array = true;
+      const std::string count = field_type.substr(bracket + 1, field_type.find(']') - bracket - 1);
+      if (!count.empty()) field.count = static_cast<std::size_t>(std::stoul(count));
+    }
+    types_[current].push_back(field);
+  }
+  // Names without a package are of the same one, and Header is that of std_msgs.
+  for (auto& [name, fields] : types_) {
+    for (Field& field : fields) {
+      if (is_builtin(field.type)) continue;
+      if (field.type == "Header") field.type = "std_msgs/Header";
+      if (field.type.find('/') == std::string::npos) field.type = package_of(name) + "/" + field.type;
+      if (types_.count(field.type) == 0) {
+        throw std::runtime_error("the definition of " + type + " lacks that of " + field.type);
+      }
+    }
+  }
+}
+
+/// Goes through the bytes of a message until the field that is wanted.
+class MessageLayout::Walk {
+ public:
+  Walk(const MessageLayout& layout, const std::string& wanted, const std::uint8_t* bytes, std::size_t size)
+      : layout_(layout), wanted_(wanted), next_(bytes), left_(size) {}
+
+  /// True when the field was found.
+  bool message(const std::string& type, const std::string& prefix) {
+    for (const Field& field : layout_.types_.at(type)) {
+      const std::string path = prefix + field.name;
+      if (!field.is_array) {
+        if (element(field.type, path)) return true;
+        continue;
+      }
+      const std::size_t count = field.count > 0 ? field.count : load<std::uint32_t>(take(sizeof(std::uint32_t)));
+      const std::size_t bytes_each = size_of(field.type);
+      if (bytes_each > 0 && wanted_.rfind(path + "[", 0) != 0) {  // pixels, most likely
+        if (count > left_ / bytes_each) fail();
+        take(count * bytes_each);
+        continue;
+      }
+      for (std::size_t i = 0; i < count; ++i) {
+        if (element(field.type, path + "[" + std::to_string(i) + "]")) return true;
+      }
+    }
+    return false;
+  }
+
+  const std::optional<FieldValue>& value() const { return value_; }
+
+ private:
+  [[noreturn]] void fail() const {
+    throw std::runtime_error("a message of type " + layout_.type_ + " ends before its definition does");
+  }
+  const std::uint8_t* take(std::size_t count) {
+    if (count > left_) fail();
+    const std::uint8_t* bytes = next_;
+    next_ += count;
+    left_ -= count;
+    return bytes;
+  }
+  bool element(const std::string& type, const std::string& path) {
+    if (!is_builtin(type)) return message(type, path + ".");
+    if (type == "string") {
+      const std::size_t length = load<std::uint32_t>(take(sizeof(std::uint32_t)));
+      const auto* text = reinterpret_cast<const char*>(take(length));
+      if (path != wanted_) return false;
+      value_ = std::string(text, length);
+      return true;
+    }
+    const std::uint8_t* bytes = take(size_of(type));
+    if (path != wanted_) return false;
+    value_ = to_value(type, bytes);
+    return true;
+  }
+
+  const MessageLayout& layout_;
+  const std::string& wanted_;
+  const std::uint8_t* next_;
+  std::size_t left_;
+  std::optional<FieldValue> value_;
+};
+
+std::optional<FieldValue> MessageLayout::find(const std::string& path, const std::uint8_t* bytes,
+                                              std::size_t size) const {
+  Walk walk(*this, path, bytes, size);
+  walk.message(type_, "");
+  return walk.value();
+}
+
+void MessageLayout::list(const std::string& type, const std::string& prefix, std::vector<std::string>* result) const {
+  for (const Field& field : types_.at(type)) {
+    const std::string path = prefix + field.name + (field.is_array ? "[0]" : "");
+    if (is_builtin(field.type)) {
+      result->push_back(path);
+    } else {
+      list(field.type, path + ".", result);
+    }
+  }
+}
+
+std::vector<std::string> MessageLayout::paths() const {
+  std::vector<std::string> result;
+  list(type_, "", &result);
+  return result;
+}
+
+}  // namespace gyro_deblur
