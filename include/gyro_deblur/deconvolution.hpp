@@ -75,7 +75,7 @@ void rotate_kernel(const LineKernel& kernel, double angle_rad, std::vector<Kerne
                    std::vector<float>& on_axis);
 
 /// The kernel on unit steps of a line's major axis: each tap, at position * major, is weighted onto the two nearest
-/// steps. major: cosine or sine of the line's angle, whichever is larger in size, in [-1, 1] and not 0.
+/// steps. major: cosine or sine of the line's angle, whichever is larger in size: 0.7 to 1, or the negative of it.
 /// @param on_axis  set to steps -n .. n, n = ceil(radius * |major|)
 void kernel_on_major_axis(const LineKernel& kernel, double major, std::vector<float>& on_axis);
 

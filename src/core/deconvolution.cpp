@@ -159,49 +159,42 @@ std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad)
 
 namespace {
 
-/// Adds taps at positions `start` + i * step, 0 < step <= 1, start >= 0, each weighted onto the two nearest elements of
-/// `out`. Sums stay in registers until their element is passed.
+/// Sum over taps i, which are `step` pixels apart, 1/2 < step <= 1, of their linear weight at `position` >= 0, which is
+/// in units of taps. At most four taps are less than a pixel from it.
 template <typename Tap>
-void splat_taps(Tap tap, int count, double start, double step, float* out) {
-  int index = static_cast<int>(start);
-  float here = 0, next = 0;
-  for (int i = 0; i < count; ++i) {
-    const double position = start + i * step;
-    const int below = static_cast<int>(position);
-    if (below != index) {
-      out[index] += here;
-      here = next;
-      next = 0;
-      index = below;
-    }
-    const float upper = static_cast<float>(position - below), value = tap(i);
-    here += value * (1 - upper);
-    next += value * upper;
-  }
-  out[index] += here;
-  out[index + 1] += next;
+inline float splat_at(double position, float step, Tap tap) {
+  const int i = static_cast<int>(position);
+  const float before = static_cast<float>(position - i) * step, after = step - before;
+  return (tap(i) * (1 - before) + tap(i + 1) * (1 - after)) +
+         (tap(i - 1) * std::max(1 - step - before, 0.0f) + tap(i + 2) * std::max(1 - step - after, 0.0f));
 }
 
 }  // namespace
 
 void kernel_on_major_axis(const LineKernel& kernel, double major, std::vector<float>& on_axis) {
   const int radius = kernel.radius();
-  const double step = std::abs(major);
-  const int steps = static_cast<int>(std::ceil(radius * step));
-  on_axis.assign(2 * steps + 2, 0.0f);  // one more for the upper share of the last
-  float* middle = on_axis.data() + steps;
-  const float* taps = kernel.taps.data();
-  if (kernel.box_extent_px > 0) {
-    // Symmetric: one half, mirrored. Taps less than a step from the centre reach it from both sides.
-    splat_taps([&](int i) { return taps[radius + i]; }, radius + 1, 0.0, step, middle);
-    middle[0] = 2 * middle[0] - taps[radius];
-    for (int m = 1; m <= steps; ++m) middle[-m] = middle[m];
-  } else {
-    const int last = 2 * radius;
-    splat_taps([&](int i) { return taps[major > 0 ? i : last - i]; }, last + 1, steps - radius * step, step,
-               on_axis.data());
+  const float step = static_cast<float>(std::abs(major));
+  const double taps_a_pixel = 1 / std::abs(major);
+  const int steps = static_cast<int>(std::ceil(radius * std::abs(major)));
+  on_axis.resize(2 * steps + 1);
+  float* out = on_axis.data() + steps;
+  const float* taps = kernel.taps.data() + radius;
+  const auto in_direction = [&](int direction) {
+    return [=](int i) { return std::abs(i) > radius ? 0.0f : taps[i * direction]; };
+  };
+  const int direction = major > 0 ? 1 : -1;
+  if (kernel.box_extent_px <= 0) {
+    for (int m = 0; m <= steps; ++m) {
+      out[m] = splat_at(m * taps_a_pixel, step, in_direction(direction));
+      out[-m] = splat_at(m * taps_a_pixel, step, in_direction(-direction));
+    }
+    return;
   }
-  on_axis.pop_back();
+  // Symmetric: one half, mirrored, nearly all of it far from the end.
+  const int inner = std::max(0, static_cast<int>((radius - 3) * std::abs(major)));
+  for (int m = 0; m < inner; ++m) out[m] = splat_at(m * taps_a_pixel, step, [taps](int i) { return taps[i]; });
+  for (int m = inner; m <= steps; ++m) out[m] = splat_at(m * taps_a_pixel, step, in_direction(1));
+  for (int m = 1; m <= steps; ++m) out[-m] = out[m];
 }
 
 cv::Rect FilterGrid::rect(int index) const {

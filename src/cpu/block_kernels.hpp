@@ -14,12 +14,25 @@ struct TileGeometry {
   double slope;
 };
 
-/// A plane of pixels: rows outside [0, rows) repeat the edge; columns are padded by the caller.
+/// A plane of pixels, at least 1x1, that goes on with its edge pixels outside: rows [0, rows) of columns [0, cols), and
+/// the columns around its edges again, with `pad` columns more. Nothing changes farther out than that, so that a pad as
+/// wide as what is read at a time is enough.
 template <typename Pixel>
 struct SourcePlane {
   const Pixel* origin;    ///< pixel (m, n) = (0, 0)
   std::ptrdiff_t stride;  ///< pixels from row to row
-  int rows;
+  int rows, cols;
+  /// Pixel (m, n) is at left[m * edge_stride + n] for n in [-pad, pad) and at right[m * edge_stride + n] for n in
+  /// [cols - pad, cols + pad).
+  const Pixel *left, *right;
+  std::ptrdiff_t edge_stride;
+  int pad;
+};
+
+/// What the inner loops need for a tile.
+struct TileNeeds {
+  std::size_t scratch_floats;  ///< 64-byte aligned
+  int columns;                 ///< read at a time: least `pad` of the source
 };
 
 constexpr int kMaxTileSide = 72;  ///< a block of 64 px and its margins
@@ -60,17 +73,17 @@ struct TwoScaleFilter {
 /// Rows of a matrix that combine_columns takes at a time: floats in the widest vector.
 constexpr int kRowGroup = 16;
 
-/// The functions of one instruction set. `scratch` holds at least *_scratch_floats() floats, 64-byte aligned. `tile`
+/// The functions of one instruction set. Source and `scratch` are as *_needs() of the same arguments says. `tile`
 /// receives m_count rows of kTileStride pixels.
 struct BlockKernels {
   const char* name;
   int lanes;             ///< floats in a vector
   int max_exact_weight;  ///< largest size of a weight in PairTap
-  std::size_t (*exact_scratch_floats)(const TileGeometry&, const ExactFilter&);
+  TileNeeds (*exact_needs)(const TileGeometry&, const ExactFilter&);
   void (*exact_u8)(const SourcePlane<std::uint8_t>&, const TileGeometry&, const ExactFilter&, float* scratch,
                    std::uint8_t* tile);
-  std::size_t (*two_scale_u8_scratch_floats)(const TileGeometry&, const TwoScaleFilter&);
-  std::size_t (*two_scale_u16_scratch_floats)(const TileGeometry&, const TwoScaleFilter&);
+  TileNeeds (*two_scale_u8_needs)(const TileGeometry&, const TwoScaleFilter&);
+  TileNeeds (*two_scale_u16_needs)(const TileGeometry&, const TwoScaleFilter&);
   void (*two_scale_u8)(const SourcePlane<std::uint8_t>&, const TileGeometry&, const TwoScaleFilter&, float* scratch,
                        std::uint8_t* tile);
   void (*two_scale_u16)(const SourcePlane<std::uint16_t>&, const TileGeometry&, const TwoScaleFilter&, float* scratch,

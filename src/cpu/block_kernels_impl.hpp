@@ -32,7 +32,7 @@ inline IntVector load(const std::int32_t* from) {
 }
 
 inline int round_up(int n, int step) { return (n + step - 1) / step * step; }
-inline int clamp_row(int row, int rows) { return row < 0 ? 0 : (row >= rows ? rows - 1 : row); }
+inline int clamp_to(int i, int count) { return i < 0 ? 0 : (i >= count ? count - 1 : i); }
 inline int floor_to_int(double x) {
   const int i = static_cast<int>(x);
   return x < i ? i - 1 : i;
@@ -94,6 +94,18 @@ inline void store_pixels(Pixel* to, Vector v, float max_value) {
   const IntVector i = __builtin_convertvector(v, IntVector);
   for (int k = 0; k < kLanes; ++k) to[k] = static_cast<Pixel>(i[k]);
 #endif
+}
+
+/// Where row m has `count` pixels from column n on, count <= source.pad.
+template <typename Pixel>
+inline const Pixel* read_row(const SourcePlane<Pixel>& source, int m, int n, int count) {
+  m = clamp_to(m, source.rows);
+  if (n < 0) return source.left + m * source.edge_stride + (n < -source.pad ? -source.pad : n);
+  if (n + count > source.cols) {
+    const int last = source.cols + source.pad - count;
+    return source.right + m * source.edge_stride + (n > last ? last : n);
+  }
+  return source.origin + m * source.stride + n;
 }
 
 /// Catmull-Rom weights of the four samples around a position `t` past the second.
@@ -171,10 +183,13 @@ struct Quad {
 /// The neighbourhood's rows as bytes, with room for whole vectors.
 inline int quad_stride(const ExactLayout& layout) { return round_up(layout.width, 64) + 64; }
 
-std::size_t exact_scratch_floats(const TileGeometry& tile, const ExactFilter& filter) {
+/// Bytes of a row that are copied: whole vectors.
+inline int quad_columns(const ExactLayout& layout) { return round_up(layout.width, 64); }
+
+TileNeeds exact_needs(const TileGeometry& tile, const ExactFilter& filter) {
   const ExactLayout layout(tile, filter);
-  return static_cast<std::size_t>(layout.rows) * quad_stride(layout) / sizeof(float) +
-         static_cast<std::size_t>(filter.count) * sizeof(Quad) / sizeof(float);
+  const std::size_t bytes = static_cast<std::size_t>(layout.rows) * quad_stride(layout);
+  return {(bytes + filter.count * sizeof(Quad)) / sizeof(float), quad_columns(layout)};
 }
 
 inline std::int32_t pack_bytes(std::int32_t a, std::int32_t b, std::int32_t c, std::int32_t d) {
@@ -187,9 +202,8 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
   const int stride = quad_stride(layout);
   std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(scratch);
   for (int r = 0; r < layout.rows; ++r) {
-    const std::uint8_t* from =
-        source.origin + clamp_row(layout.first_m + r, source.rows) * source.stride + layout.first_n;
-    for (int i = 0; i < layout.width; i += 64) {
+    const std::uint8_t* from = read_row(source, layout.first_m + r, layout.first_n, quad_columns(layout));
+    for (int i = 0; i < quad_columns(layout); i += 64) {
       _mm512_storeu_si512(bytes + r * stride + i, _mm512_loadu_si512(from + i));
     }
   }
@@ -247,9 +261,9 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
 // int16 would hold twice as much; with this, sums of 2000 taps at full brightness still fit int32.
 constexpr int kMaxExactWeight = 1 << 12;
 
-std::size_t exact_scratch_floats(const TileGeometry& tile, const ExactFilter& filter) {
+TileNeeds exact_needs(const TileGeometry& tile, const ExactFilter& filter) {
   const ExactLayout layout(tile, filter);
-  return static_cast<std::size_t>(layout.rows) * layout.width;
+  return {static_cast<std::size_t>(layout.rows) * layout.width, layout.width + 1};
 }
 
 void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
@@ -257,8 +271,7 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
   const ExactLayout layout(tile, filter);
   std::int32_t* pairs = reinterpret_cast<std::int32_t*>(scratch);
   for (int r = 0; r < layout.rows; ++r) {
-    const std::uint8_t* from =
-        source.origin + clamp_row(layout.first_m + r, source.rows) * source.stride + layout.first_n;
+    const std::uint8_t* from = read_row(source, layout.first_m + r, layout.first_n, layout.width + 1);
     std::int32_t* to = pairs + r * layout.width;
     for (int i = 0; i < layout.width; ++i) to[i] = from[i] | (from[i + 1] << 16);
   }
@@ -394,7 +407,7 @@ struct TwoScaleLayout {
     kept_rows = tile.m_count + 2 * (filter.box_half + 1);
     const int floats_of_kept = round_up(kept_rows * lanes * sample_bytes, kCacheLineBytes) / 4;
     rows_at = 0;
-    parts_at = rows_at + nodes * d * static_cast<int>(sizeof(std::ptrdiff_t) / sizeof(float));
+    parts_at = rows_at + nodes * d * static_cast<int>(sizeof(void*) / sizeof(float));
     kept_at = round_up(parts_at + nodes * d, kCacheLineBytes / 4);
     nodes_at = kept_at + floats_of_kept;
     coarse_at = nodes_at + nodes * lanes;
@@ -402,6 +415,8 @@ struct TwoScaleLayout {
     // Whole vectors are read past the last result.
     total = result_at + tile.m_count * lanes + 4 * kLanes;
   }
+  /// Pixels read of a row: each lane lies between two.
+  int columns() const { return lanes + 1; }
   template <typename Pixel>
   static TwoScaleLayout of(const TileGeometry& tile, const TwoScaleFilter& filter) {
     return TwoScaleLayout(tile, filter, LaneFormat<Pixel>::kGroup, sizeof(typename LaneFormat<Pixel>::Sample));
@@ -409,26 +424,25 @@ struct TwoScaleLayout {
 };
 
 template <typename Pixel>
-std::size_t two_scale_scratch_floats(const TileGeometry& tile, const TwoScaleFilter& filter) {
-  return static_cast<std::size_t>(TwoScaleLayout::of<Pixel>(tile, filter).total);
+TileNeeds two_scale_needs(const TileGeometry& tile, const TwoScaleFilter& filter) {
+  const TwoScaleLayout layout = TwoScaleLayout::of<Pixel>(tile, filter);
+  return {static_cast<std::size_t>(layout.total), layout.columns()};
 }
 
-/// Where a tile's samples come from: for sample row i, the offset of lane 0's pixel from the source's origin, and how
-/// far the lanes are between pixels.
+/// Where a tile's samples come from: for sample row i, the pixel at or below lane 0, and how far the lanes are between
+/// pixels.
 template <typename Pixel>
 struct SampleRows {
   static constexpr int kPartBits = 32;
   static constexpr double kOnePixel = 4294967296.0;
 
-  const Pixel* origin;
-  std::ptrdiff_t* offsets;
+  const Pixel** pixels;
   std::uint32_t* parts;  // of 2^kPartBits
   int keep_begin, keep_end;
 
   SampleRows(const SourcePlane<Pixel>& source, const TileGeometry& tile, const TwoScaleFilter& filter,
              const TwoScaleLayout& layout, float* scratch)
-      : origin(source.origin),
-        offsets(reinterpret_cast<std::ptrdiff_t*>(scratch + layout.rows_at)),
+      : pixels(reinterpret_cast<const Pixel**>(scratch + layout.rows_at)),
         parts(reinterpret_cast<std::uint32_t*>(scratch + layout.parts_at)),
         keep_begin(layout.kept_first - layout.first_node * filter.decimation),
         keep_end(keep_begin + layout.kept_rows) {
@@ -439,7 +453,8 @@ struct SampleRows {
     std::int64_t across = step * (first_m - layout.center);
     for (int i = 0; i < samples; ++i, across += step) {
       parts[i] = static_cast<std::uint32_t>(across);
-      offsets[i] = clamp_row(first_m + i, source.rows) * source.stride + layout.first_lane + (across >> kPartBits);
+      const int first = layout.first_lane + static_cast<int>(across >> kPartBits);
+      pixels[i] = read_row(source, first_m + i, first, layout.columns());
     }
   }
 };
@@ -449,7 +464,7 @@ template <typename Pixel, bool kKeep>
 inline void sum_samples(const SampleRows<Pixel>& rows, int begin, int end, int lane, int lanes, Vector* sum,
                         float* kept) {
   for (int i = begin; i < end; ++i) {
-    const Pixel* from = rows.origin + rows.offsets[i] + lane;
+    const Pixel* from = rows.pixels[i] + lane;
     const float part = static_cast<float>(rows.parts[i]) * static_cast<float>(1 / SampleRows<Pixel>::kOnePixel);
     for (int v = 0; v < 2; ++v) {
       const Vector below = load_pixels(from + v * kLanes);
@@ -492,7 +507,7 @@ template <int kGroups, bool kKeep>
 inline void sum_samples(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights, int begin, int end, int lane,
                         int lanes, __m256i sum[][2], std::int16_t* kept) {
   for (int i = begin; i < end; ++i) {
-    const std::uint8_t* from = rows.origin + rows.offsets[i] + lane;
+    const std::uint8_t* from = rows.pixels[i] + lane;
     const __m256i weight = _mm256_set1_epi32(weights[i]);
     for (int g = 0; g < kGroups; ++g) {
       for (int odd = 0; odd < 2; ++odd) {
@@ -802,10 +817,10 @@ extern const BlockKernels kKernels;
 const BlockKernels kKernels = {GYRO_DEBLUR_ISA_NAME,
                                kLanes,
                                kMaxExactWeight,
-                               exact_scratch_floats,
+                               exact_needs,
                                exact_u8,
-                               two_scale_scratch_floats<std::uint8_t>,
-                               two_scale_scratch_floats<std::uint16_t>,
+                               two_scale_needs<std::uint8_t>,
+                               two_scale_needs<std::uint16_t>,
                                two_scale<std::uint8_t>,
                                two_scale<std::uint16_t>,
                                combine_columns};

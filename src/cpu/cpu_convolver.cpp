@@ -40,6 +40,9 @@ bool exact_is_possible(const LineKernel& kernel, int depth) {
   return depth == CV_8U && kernel.radius() <= kMaxExactRadius;
 }
 
+/// std::lround, which is a call.
+std::int32_t round_to_int(double x) { return static_cast<std::int32_t>(x < 0 ? x - 0.5 : x + 0.5); }
+
 /// Two int16 in one int32.
 std::int32_t pack_int16(std::int32_t low, std::int32_t high) {
   return static_cast<std::int32_t>((static_cast<std::uint32_t>(high) << 16) |
@@ -104,7 +107,7 @@ void CpuConvolver::plan_exact(const LineKernel& kernel, double angle_rad, Plan& 
   double sum_error = 0, share_error = 0;
   const auto round_with = [](double exact, double& error) {
     exact += error;
-    const std::int32_t rounded = static_cast<std::int32_t>(exact < 0 ? exact - 0.5 : exact + 0.5);
+    const std::int32_t rounded = round_to_int(exact);
     error = exact - rounded;
     return rounded;
   };
@@ -125,7 +128,6 @@ void CpuConvolver::plan_exact(const LineKernel& kernel, double angle_rad, Plan& 
   }
   filter.taps = plan.pair_taps.data();
   filter.count = static_cast<int>(plan.pair_taps.size());
-  plan.reach_m = filter.radius_m + 1;
 }
 
 // Rounding errors are passed on to the next weight inwards: their sum over neighbours, which is what a blurred image
@@ -153,7 +155,7 @@ void CpuConvolver::fix_coarse_weights(Plan& plan) {
   double error = 0, wanted = 0;
   for (int k = radius; k >= 0; --k) {
     const double exact = weights[k] * unit;
-    fixed[k] = fixed[-k] = static_cast<std::int32_t>(std::lround(exact + (k == 0 ? 2 : 1) * error));
+    fixed[k] = fixed[-k] = round_to_int(exact + (k == 0 ? 2 : 1) * error);
     error += exact - fixed[k];
     wanted += (k == 0 ? 1 : 2) * exact;
   }
@@ -203,13 +205,11 @@ void CpuConvolver::plan_two_scale(const LineKernel& kernel, double major, int de
   filter.decimation = d;
   filter.max_value = depth == CV_8U ? 255.0f : 65535.0f;
   if (depth == CV_8U) fix_coarse_weights(plan);
-  plan.reach_m = (radius + kCoarseGuard + 5) * d;
 }
 
 template <typename Pixel>
-void CpuConvolver::run_tile(const Tile& tile, const Plan& plan, const Planes<Pixel>& planes, float* scratch,
+void CpuConvolver::run_tile(const SourcePlane<Pixel>& source, const Tile& tile, const Plan& plan, float* scratch,
                             Pixel* line_order) const {
-  const SourcePlane<Pixel> source = planes.view(plan.major_is_y);
   if constexpr (sizeof(Pixel) == 1) {
     if (plan.method == Method::EXACT) {
       kernels_.exact_u8(source, tile.geometry, plan.exact, scratch, line_order);
@@ -268,49 +268,58 @@ void transpose(const Pixel* from, std::ptrdiff_t from_stride, int rows, int cols
   }
 }
 
-/// Makes room for `rows` rows of `cols` pixels with `pad` more on either side. Returns the distance between rows: an
-/// odd number of cache lines, so that rows do not compete for the same cache set.
+/// Makes room for `rows` rows of `cols` pixels. Returns the distance between rows: an odd number of cache lines, so
+/// that rows do not compete for the same cache set.
 template <typename Pixel>
-std::ptrdiff_t reserve_padded(int rows, int cols, int pad, std::vector<Pixel>& storage) {
+std::ptrdiff_t reserve_rows(int rows, int cols, std::vector<Pixel>& storage) {
   constexpr int kPixelsPerLine = 64 / sizeof(Pixel);
-  const std::ptrdiff_t stride = (((cols + 2 * pad) / kPixelsPerLine + 1) | 1) * kPixelsPerLine;
+  const std::ptrdiff_t stride = ((cols / kPixelsPerLine + 1) | 1) * kPixelsPerLine;
   const std::size_t needed = stride * rows;
   if (storage.size() < needed) storage.resize(needed);
   return stride;
 }
 
-/// Copies `channel` into `storage` with `pad` replicated pixels left and right, and returns its view.
+/// The channel itself, with copies of its left and right edges in `edges`.
 template <typename Pixel>
-SourcePlane<Pixel> pad_columns(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& storage) {
-  const std::ptrdiff_t stride = reserve_padded(channel.rows, channel.cols, pad, storage);
+SourcePlane<Pixel> upright_plane(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& edges) {
+  const std::ptrdiff_t stride = reserve_rows(channel.rows, 4 * pad, edges);
+  const int cols = channel.cols, copied = std::min(pad, cols);
 #pragma omp parallel for num_threads(threads) schedule(static)
   for (int y = 0; y < channel.rows; ++y) {
-    const Pixel* from = channel.ptr<Pixel>(y);
-    Pixel* to = storage.data() + y * stride;
-    std::fill_n(to, pad, from[0]);
-    std::copy_n(from, channel.cols, to + pad);
-    std::fill_n(to + pad + channel.cols, pad, from[channel.cols - 1]);
+    const Pixel *from = channel.ptr<Pixel>(y), first = from[0], last = from[cols - 1];
+    Pixel* to = std::fill_n(edges.data() + y * stride, pad, first);
+    to = std::fill_n(std::copy_n(from, copied, to), pad - copied, last);
+    to = std::copy_n(from + cols - copied, copied, std::fill_n(to, pad - copied, first));
+    std::fill_n(to, pad, last);
   }
-  return {storage.data() + pad, stride, channel.rows};
+  return {channel.ptr<Pixel>(),
+          static_cast<std::ptrdiff_t>(channel.step1()),
+          channel.rows,
+          cols,
+          edges.data() + pad,
+          edges.data() + 3 * pad - cols,
+          stride,
+          pad};
 }
 
-/// The same of the transposed channel.
+/// Copies the transposed channel into `storage`, with its edges repeated.
 template <typename Pixel>
-SourcePlane<Pixel> pad_transposed(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& storage) {
-  const std::ptrdiff_t stride = reserve_padded(channel.cols, channel.rows, pad, storage);
+SourcePlane<Pixel> transposed_plane(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& storage) {
+  const std::ptrdiff_t stride = reserve_rows(channel.cols, channel.rows + 2 * pad, storage);
   constexpr int kBand = 64;  // columns of the channel that one thread transposes at a time
 #pragma omp parallel for num_threads(threads) schedule(static)
   for (int x = 0; x < channel.cols; x += kBand) {
     const int band = std::min(kBand, channel.cols - x);
     transpose(channel.ptr<Pixel>(0) + x, channel.step1(), channel.rows, band, storage.data() + x * stride + pad,
               stride);
-    for (int i = 0; i < band; ++i) {
-      Pixel* row = storage.data() + (x + i) * stride;
+    for (int i = x; i < x + band; ++i) {
+      Pixel* row = storage.data() + i * stride;
       std::fill_n(row, pad, row[pad]);
       std::fill_n(row + pad + channel.rows, pad, row[pad + channel.rows - 1]);
     }
   }
-  return {storage.data() + pad, stride, channel.cols};
+  const Pixel* origin = storage.data() + pad;
+  return {origin, stride, channel.cols, channel.rows, origin, origin, stride, pad};
 }
 
 /// Stores one channel of the part of a tile, given in line order, that lies in `part`.
@@ -350,18 +359,18 @@ void for_each_part(int begin, int end, const Work& work) {
 }  // namespace
 
 template <typename Pixel>
-void CpuConvolver::convolve_as(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst, Planes<Pixel>& planes) {
+void CpuConvolver::convolve_as(const cv::Mat& src, const FilterGrid& grid, Buffers<Pixel>& buffers, cv::Mat& dst) {
   const int threads = threads_ > 0 ? threads_ : omp_get_max_threads();
   const int count = static_cast<int>(grid.blocks.size());
   plans_.resize(std::max(plans_.size(), grid.blocks.size()));
-  run_parallel(count, threads, 1, [&](int i) { plan_block(grid.blocks[i], src.depth(), plans_[i]); });
+  constexpr int kBlocksAtATime = 8;
+  run_parallel(count, threads, kBlocksAtATime, [&](int i) { plan_block(grid.blocks[i], src.depth(), plans_[i]); });
   seams_.plan(grid, src.type());
 
   tiles_.clear();
   left_to_reference_.clear();
   bool need_upright = false, need_transposed = false;
-  double border_upright = 0, border_transposed = 0;
-  std::size_t scratch_floats = 0;
+  TileNeeds needs{};
   for (int i = 0; i < count; ++i) {
     const Plan& plan = plans_[i];
     if (plan.method == Method::COPY) src(grid.rect(i)).copyTo(dst(grid.rect(i)));
@@ -373,20 +382,15 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const FilterGrid& grid, cv::M
         Tile tile{{}, {x, y, width, height}, i};
         tile.geometry = plan.major_is_y ? TileGeometry{y, height, x, width, plan.slope}
                                         : TileGeometry{x, width, y, height, plan.slope};
-        const auto two_scale_scratch_floats =
-            sizeof(Pixel) == 1 ? kernels_.two_scale_u8_scratch_floats : kernels_.two_scale_u16_scratch_floats;
-        scratch_floats = std::max(scratch_floats, plan.method == Method::EXACT
-                                                      ? kernels_.exact_scratch_floats(tile.geometry, plan.exact)
-                                                      : two_scale_scratch_floats(tile.geometry, plan.two_scale));
+        const auto two_scale_needs = sizeof(Pixel) == 1 ? kernels_.two_scale_u8_needs : kernels_.two_scale_u16_needs;
+        const TileNeeds of_tile = plan.method == Method::EXACT ? kernels_.exact_needs(tile.geometry, plan.exact)
+                                                               : two_scale_needs(tile.geometry, plan.two_scale);
+        needs.scratch_floats = std::max(needs.scratch_floats, of_tile.scratch_floats);
+        needs.columns = std::max(needs.columns, of_tile.columns);
         tiles_.push_back(tile);
       });
     });
-    // Lines leave the tile sideways by their slope; whole vectors are read beyond, up to eight of outputs and some of
-    // rounding.
-    const double pad = std::abs(plan.slope) * (plan.reach_m + kMaxTileSide) + 12 * kernels_.lanes + 8;
     (plan.major_is_y ? need_upright : need_transposed) = true;
-    (plan.major_is_y ? border_upright : border_transposed) =
-        std::max(plan.major_is_y ? border_upright : border_transposed, pad);
   }
 
   // Tiles that follow each other along m read nearly the same rows, which are then still in the second-level cache.
@@ -401,7 +405,7 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const FilterGrid& grid, cv::M
 
   scratch_.resize(threads);
   for (std::vector<float>& scratch : scratch_) {
-    if (scratch.size() < scratch_floats + kAlignFloats) scratch.resize(scratch_floats + kAlignFloats);
+    scratch.resize(std::max(scratch.size(), needs.scratch_floats + kAlignFloats));
   }
   const int channels = tiles_.empty() ? 0 : src.channels();
   for (int channel = 0; channel < channels; ++channel) {
@@ -410,13 +414,9 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const FilterGrid& grid, cv::M
       cv::extractChannel(src, channel_, channel);
       plane = channel_;
     }
-    if (need_upright) {
-      planes.upright_view = pad_columns(plane, static_cast<int>(std::ceil(border_upright)), threads, planes.upright);
-    }
-    if (need_transposed) {
-      planes.transposed_view =
-          pad_transposed(plane, static_cast<int>(std::ceil(border_transposed)), threads, planes.transposed);
-    }
+    SourcePlane<Pixel> upright{}, transposed{};
+    if (need_upright) upright = upright_plane(plane, needs.columns, threads, buffers.edges);
+    if (need_transposed) transposed = transposed_plane(plane, needs.columns, threads, buffers.transposed);
     const int tile_count = static_cast<int>(tiles_.size());
 #pragma omp parallel for num_threads(threads) schedule(dynamic, 8)
     for (int i = 0; i < tile_count; ++i) {
@@ -426,7 +426,7 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const FilterGrid& grid, cv::M
       float* scratch = scratch_[omp_get_thread_num()].data();
       const std::uintptr_t past_line = reinterpret_cast<std::uintptr_t>(scratch) % 64;
       if (past_line != 0) scratch += (64 - past_line) / sizeof(float);
-      run_tile(tile, plan, planes, scratch, line_order);
+      run_tile(plan.major_is_y ? upright : transposed, tile, plan, scratch, line_order);
       for (const SeamBlender::Part<Pixel>& part : seams_.parts<Pixel>(tile.block, dst)) {
         store_tile(line_order, tile.rect, plan.major_is_y, channel, channels, part);
       }
@@ -439,9 +439,9 @@ void CpuConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat&
   require_convolvable(src, grid);
   dst.create(src.size(), src.type());
   if (src.depth() == CV_8U) {
-    convolve_as(src, grid, dst, planes8_);
+    convolve_as(src, grid, buffers8_, dst);
   } else {
-    convolve_as(src, grid, dst, planes16_);
+    convolve_as(src, grid, buffers16_, dst);
   }
 }
 

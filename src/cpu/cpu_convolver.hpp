@@ -51,14 +51,12 @@ class CpuConvolver : public LineConvolver {
     std::vector<KernelTap> taps;
     std::vector<std::int32_t> fixed_weights, coarse_pairs;
     TwoScaleWeights weights;
-    int reach_m = 0;  ///< rows before and after a tile that are read
   };
 
+  /// What is kept of a channel beside the channel itself (see SourcePlane).
   template <typename Pixel>
-  struct Planes {
-    std::vector<Pixel> upright, transposed;  // with borders left and right
-    SourcePlane<Pixel> view(bool major_is_y) const { return major_is_y ? upright_view : transposed_view; }
-    SourcePlane<Pixel> upright_view{}, transposed_view{};
+  struct Buffers {
+    std::vector<Pixel> edges, transposed;
   };
 
   void plan_block(const BlockFilter& block, int depth, Plan& plan);
@@ -66,9 +64,9 @@ class CpuConvolver : public LineConvolver {
   void plan_two_scale(const LineKernel& kernel, double major, int depth, Plan& plan);
   static void fix_coarse_weights(Plan& plan);
   template <typename Pixel>
-  void convolve_as(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst, Planes<Pixel>& planes);
+  void convolve_as(const cv::Mat& src, const FilterGrid& grid, Buffers<Pixel>& buffers, cv::Mat& dst);
   template <typename Pixel>
-  void run_tile(const Tile& tile, const Plan& plan, const Planes<Pixel>& planes, float* scratch,
+  void run_tile(const SourcePlane<Pixel>& source, const Tile& tile, const Plan& plan, float* scratch,
                 Pixel* line_order) const;
 
   int threads_;
@@ -79,8 +77,8 @@ class CpuConvolver : public LineConvolver {
   std::vector<Tile> tiles_;
   SeamBlender seams_;
   std::vector<int> left_to_reference_;  // blocks
-  Planes<std::uint8_t> planes8_;
-  Planes<std::uint16_t> planes16_;
+  Buffers<std::uint8_t> buffers8_;
+  Buffers<std::uint16_t> buffers16_;
   cv::Mat channel_;
   std::vector<std::vector<float>> scratch_;  // by thread
 };
