@@ -88,6 +88,9 @@ struct BlockKernels {
                        std::uint8_t* tile);
   void (*two_scale_u16)(const SourcePlane<std::uint16_t>&, const TileGeometry&, const TwoScaleFilter&, float* scratch,
                         std::uint16_t* tile);
+  /// What kernel_on_major_axis() gives for steps 0 .. steps of a symmetric kernel, 2 radius + 1 taps around taps[0],
+  /// whose taps are `step` apart in [0.7, 1]. Writes whole groups of kRowGroup.
+  void (*resample_kernel)(const float* taps, int radius, double step, int steps, float* on_axis);
   /// sums[i] = sum of factors[m] * columns[m * kRowGroup + i] over m < count, for i < kRowGroup.
   void (*combine_columns)(const float* columns, const float* factors, int count, float* sums);
 };

@@ -33,7 +33,7 @@ inline IntVector load(const std::int32_t* from) {
 
 inline int round_up(int n, int step) { return (n + step - 1) / step * step; }
 inline int clamp_to(int i, int count) { return i < 0 ? 0 : (i >= count ? count - 1 : i); }
-inline int floor_to_int(double x) {
+constexpr int floor_to_int(double x) {
   const int i = static_cast<int>(x);
   return x < i ? i - 1 : i;
 }
@@ -111,7 +111,7 @@ inline const Pixel* read_row(const SourcePlane<Pixel>& source, int m, int n, int
 /// Catmull-Rom weights of the four samples around a position `t` past the second.
 struct CubicWeights {
   float w[4];
-  explicit CubicWeights(double t) {
+  constexpr explicit CubicWeights(double t) : w{} {
     w[0] = static_cast<float>((-t + 2 * t * t - t * t * t) / 2);
     w[1] = static_cast<float>((2 - 5 * t * t + 3 * t * t * t) / 2);
     w[2] = static_cast<float>((t + 4 * t * t - 3 * t * t * t) / 2);
@@ -382,6 +382,10 @@ struct LaneFormat<std::uint8_t> {
 
 #endif
 
+struct Range {
+  int begin, end;
+};
+
 /// Where things are in scratch. Lane v of row m holds the image at n = first_lane + v + slope (m - center).
 struct TwoScaleLayout {
   // m at which lanes are at integer n: an integer, so that a slope of 1 needs no interpolation anywhere.
@@ -417,6 +421,31 @@ struct TwoScaleLayout {
   }
   /// Pixels read of a row: each lane lies between two.
   int columns() const { return lanes + 1; }
+
+  /// Output rows that need some of the lanes [lane, lane + count): those outside only fill the lanes up to whole
+  /// vectors, or cross the tile in other rows.
+  Range rows_of_lanes(const TileGeometry& tile, int lane, int count) const {
+    // The line through lane 0 is at `above` or more, and the one through the last at `below` or less, when a row needs
+    // them; two lanes more for the cubic, and one for rounding.
+    const double above = tile.n_begin - first_lane - (lane + count - 1) - 3;
+    const double below = tile.n_begin - first_lane + tile.n_count - 1 - lane + 3;
+    constexpr double kLevel = 1e-3;  // hardly moves within a tile
+    Range rows{0, tile.m_count};
+    if (tile.slope > -kLevel && tile.slope < kLevel) return rows;
+    const double a = above / tile.slope, b = below / tile.slope;
+    const int first = floor_to_int(tile.slope > 0 ? a : b) + center - tile.m_begin;
+    const int last = floor_to_int(tile.slope > 0 ? b : a) + 1 + center - tile.m_begin;
+    if (first > rows.begin) rows.begin = first;
+    if (last + 1 < rows.end) rows.end = last + 1;
+    return rows;
+  }
+
+  /// Coarse outputs, in whole groups of kCoarseOutputs, for output rows.
+  static Range coarse_of_rows(Range rows, int decimation) {
+    if (rows.begin >= rows.end) return {0, 0};
+    return {rows.begin / decimation / kCoarseOutputs * kCoarseOutputs,
+            round_up((rows.end - 1) / decimation + 3, kCoarseOutputs)};
+  }
   template <typename Pixel>
   static TwoScaleLayout of(const TileGeometry& tile, const TwoScaleFilter& filter) {
     return TwoScaleLayout(tile, filter, LaneFormat<Pixel>::kGroup, sizeof(typename LaneFormat<Pixel>::Sample));
@@ -483,7 +512,8 @@ inline void shear(const SourcePlane<Pixel>& source, const TileGeometry& tile, co
   const SampleRows<Pixel> rows(source, tile, filter, layout, scratch);
   const int d = filter.decimation, lanes = layout.lanes;
   for (int lane = 0; lane < lanes; lane += 2 * kLanes) {
-    for (int j = 0; j < layout.nodes; ++j) {
+    const Range outputs = layout.coarse_of_rows(layout.rows_of_lanes(tile, lane, 2 * kLanes), d);
+    for (int j = outputs.begin; j < outputs.end + 2 * filter.coarse_radius; ++j) {
       const int begin = j * d, end = begin + d;
       const int from = begin > rows.keep_begin ? begin : rows.keep_begin,
                 to = end < rows.keep_end ? end : rows.keep_end;
@@ -540,7 +570,7 @@ inline int node_shift(const TwoScaleFilter& filter) {
 }
 
 template <int kGroups>
-inline void shear_groups(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights,
+inline void shear_groups(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights, const TileGeometry& tile,
                          const TwoScaleFilter& filter, const TwoScaleLayout& layout, int lane, std::int32_t* nodes,
                          std::int16_t* kept) {
   using Format = LaneFormat<std::uint8_t>;
@@ -548,7 +578,8 @@ inline void shear_groups(const SampleRows<std::uint8_t>& rows, const std::int32_
   const int shift = node_shift(filter);
   const __m256i half = _mm256_set1_epi16(static_cast<short>(shift > 0 ? 1 << (shift - 1) : 0));
   __m256i before[kGroups][2] = {};  // the node before an odd one
-  for (int j = 0; j < layout.nodes; ++j) {
+  const Range outputs = layout.coarse_of_rows(layout.rows_of_lanes(tile, lane, kGroups * Format::kGroup), d);
+  for (int j = outputs.begin; j < outputs.end + 2 * filter.coarse_radius; ++j) {
     __m256i node[kGroups][2];
     for (int g = 0; g < kGroups; ++g) node[g][0] = node[g][1] = _mm256_setzero_si256();
     for (int begin = j * d; begin < (j + 1) * d; begin += Format::kSummands) {
@@ -597,19 +628,21 @@ inline void shear(const SourcePlane<std::uint8_t>& source, const TileGeometry& t
   std::int32_t* nodes = reinterpret_cast<std::int32_t*>(scratch + layout.nodes_at);
   int lane = 0;
   for (; lane + 64 <= layout.lanes; lane += 64) {
-    shear_groups<2>(rows, weights, filter, layout, lane, nodes, kept);
+    shear_groups<2>(rows, weights, tile, filter, layout, lane, nodes, kept);
   }
-  for (; lane < layout.lanes; lane += 32) shear_groups<1>(rows, weights, filter, layout, lane, nodes, kept);
+  for (; lane < layout.lanes; lane += 32) shear_groups<1>(rows, weights, tile, filter, layout, lane, nodes, kept);
 }
 
 #endif
 
 template <int kVectors>
-inline void filter_coarse_lanes(const TwoScaleFilter& filter, const TwoScaleLayout& layout, int lane, float* scratch) {
+inline void filter_coarse_lanes(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
+                                int lane, float* scratch) {
   const int taps = 2 * filter.coarse_radius + 1, lanes = layout.lanes;
   // Weights have kCoarseGuard zeros on either side, so that every output sees every node of the span.
   const float* weights = filter.coarse;
-  for (int j = 0; j < layout.coarse_outputs; j += kCoarseOutputs) {
+  const Range outputs = layout.coarse_of_rows(layout.rows_of_lanes(tile, lane, kVectors * kLanes), filter.decimation);
+  for (int j = outputs.begin; j < outputs.end; j += kCoarseOutputs) {
     Vector acc[kCoarseOutputs][kVectors] = {};
     const float* from = scratch + layout.nodes_at + j * lanes + lane;
     for (int k = 0; k < taps + kCoarseOutputs - 1; ++k, from += lanes) {
@@ -627,24 +660,29 @@ inline void filter_coarse_lanes(const TwoScaleFilter& filter, const TwoScaleLayo
 
 /// Filters the sums over nodes with the coarse weights.
 template <typename Pixel>
-inline void filter_coarse(const TwoScaleFilter& filter, const TwoScaleLayout& layout, float* scratch) {
+inline void filter_coarse(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
+                          float* scratch) {
   for (int lane = 0; lane < layout.lanes; lane += kLaneVectors * kLanes) {
-    filter_coarse_lanes<kLaneVectors>(filter, layout, lane, scratch);
+    filter_coarse_lanes<kLaneVectors>(tile, filter, layout, lane, scratch);
   }
 }
 
 #if defined(__AVX2__)
 
 template <>
-inline void filter_coarse<std::uint8_t>(const TwoScaleFilter& filter, const TwoScaleLayout& layout, float* scratch) {
+inline void filter_coarse<std::uint8_t>(const TileGeometry& tile, const TwoScaleFilter& filter,
+                                        const TwoScaleLayout& layout, float* scratch) {
   using Format = LaneFormat<std::uint8_t>;
   static_assert(kCoarseOutputs == 4 && kCoarseGuard == 3, "outputs 0 .. 3 take the pairs of weights below");
   const int lanes = layout.lanes, pairs = filter.coarse_radius + 2;  // of 2 radius + 1 nodes for each of 4 outputs
   const float unit = Format::kResultScale / Format::kSampleScale * static_cast<float>(1 << node_shift(filter)) /
                      static_cast<float>(1 << filter.coarse_shift);
   const float offset = unit * 32768.0f * static_cast<float>(filter.coarse_sum);
-  for (int j = 0; j < layout.coarse_outputs; j += kCoarseOutputs) {
-    for (int lane = 0; lane < lanes; lane += kLaneVectors * kLanes) {
+  for (int lane = 0; lane < lanes; lane += kLaneVectors * kLanes) {
+    static_assert(Format::kGroup % (kLaneVectors * kLanes) == 0, "vectors are of one group, whose lanes are mixed");
+    const Range rows = layout.rows_of_lanes(tile, lane / Format::kGroup * Format::kGroup, Format::kGroup);
+    const Range outputs = layout.coarse_of_rows(rows, filter.decimation);
+    for (int j = outputs.begin; j < outputs.end; j += kCoarseOutputs) {
       IntVector acc[kCoarseOutputs][kLaneVectors] = {};
       const std::int32_t* from =
           reinterpret_cast<const std::int32_t*>(scratch + layout.nodes_at) + j / 2 * lanes + lane;
@@ -680,14 +718,17 @@ inline void add_scales(const TileGeometry& tile, const TwoScaleFilter& filter, c
   // The spline over one node is a parabola, which is followed by its differences.
   const float step = 1.0f / static_cast<float>(d), first_u = -0.5f * static_cast<float>(d - 1) * step;
   for (int group = 0; group < lanes; group += Format::kGroup) {
+    const Range rows = layout.rows_of_lanes(tile, group, Format::kGroup);
+    const int first_node = rows.begin / d, first_m = first_node * d;
     for (int part = 0; part < Format::kGroup / (2 * kLanes); ++part) {
       const int at[2] = {group + part * kLanes, group + part * kLanes + Format::kGroup / 2};
       Vector box[2], leaving[2];  // samples of the inner box, and the one before it
       for (int p = 0; p < 2; ++p) {
-        box[p] = Format::sum_samples(kept + lanes + at[p], 2 * filter.box_half + 1, lanes);
-        leaving[p] = Format::load_sample(kept + at[p]);
+        const typename Format::Sample* from = kept + first_m * lanes + at[p];
+        box[p] = Format::sum_samples(from + lanes, 2 * filter.box_half + 1, lanes);
+        leaving[p] = Format::load_sample(from);
       }
-      for (int node = 0, m = 0; m < tile.m_count; ++node) {
+      for (int node = first_node, m = first_m; m < rows.end; ++node) {
         Vector value[2], slope[2], bend[2];
         for (int p = 0; p < 2; ++p) {
           const float* from = coarse + node * lanes + at[p];  // of the node before
@@ -697,7 +738,7 @@ inline void add_scales(const TileGeometry& tile, const TwoScaleFilter& filter, c
           slope[p] = step * (linear + (2 * first_u + step) * square);
           bend[p] = (2 * step * step) * square;
         }
-        const int last = m + d < tile.m_count ? m + d : tile.m_count;
+        const int last = m + d < rows.end ? m + d : rows.end;
         for (; m < last; ++m) {
           const typename Format::Sample* entering_row = kept + (m + 2 * filter.box_half + 2) * lanes;
           const typename Format::Sample* leaving_row = kept + (m + 1) * lanes;
@@ -746,25 +787,45 @@ inline void unshear(const TileGeometry& tile, const TwoScaleFilter& filter, cons
 
 #if defined(__AVX2__)
 
+/// Weights of the cubic in fixed point, two in one int32, for positions in steps of 1 / kPlaces lane: the error, of at
+/// most half a step, is that of an image 1 / 512 px away.
+struct CubicTable {
+  static constexpr int kPlaceBits = 8, kPlaces = 1 << kPlaceBits;
+  static constexpr int kWeightBits = 14;
+  std::int32_t first[kPlaces], second[kPlaces];
+  constexpr CubicTable() : first{}, second{} {
+    for (int i = 0; i < kPlaces; ++i) {
+      const CubicWeights across(i / static_cast<double>(kPlaces));
+      std::int32_t w[4] = {};
+      std::int32_t rest = 1 << kWeightBits;
+      for (int q = 0; q < 4; ++q) {
+        w[q] = floor_to_int(across.w[q] * (1 << kWeightBits) + 0.5);
+        rest -= w[q];
+      }
+      w[i < kPlaces / 2 ? 1 : 2] += rest;
+      first[i] = w[1] * (1 << 16) | (w[0] & 0xffff);
+      second[i] = w[3] * (1 << 16) | (w[2] & 0xffff);
+    }
+  }
+};
+constexpr CubicTable kCubicTable;
+
 inline void unshear(const TileGeometry& tile, const TwoScaleFilter&, const TwoScaleLayout& layout,
                     const std::int16_t* result, std::uint8_t* out) {
-  // Weights have 14 bits, results 4 below the grey level.
-  constexpr int kWeightBits = 14, kShift = kWeightBits + 4;
-  static_assert(1 << (kShift - kWeightBits) == static_cast<int>(LaneFormat<std::uint8_t>::kResultScale), "");
+  constexpr int kShift = CubicTable::kWeightBits + 4;  // results have 4 bits below the grey level
+  static_assert(1 << (kShift - CubicTable::kWeightBits) == static_cast<int>(LaneFormat<std::uint8_t>::kResultScale),
+                "");
   const __m256i half = _mm256_set1_epi32(1 << (kShift - 1));
-  for (int m = 0; m < tile.m_count; ++m) {
-    const LanePosition position(tile, layout, m);
-    const CubicWeights across(position.part);
-    std::int32_t w[4], sum = 0;
-    for (int q = 0; q < 4; ++q) {
-      w[q] = floor_to_int(across.w[q] * (1 << kWeightBits) + 0.5);
-      sum += w[q];
-    }
-    w[position.part < 0.5 ? 1 : 2] += (1 << kWeightBits) - sum;
-    const __m256i first = _mm256_set1_epi32((w[0] & 0xffff) | w[1] << 16);
-    const __m256i second =
-        _mm256_set1_epi32((w[2] & 0xffff) | static_cast<std::int32_t>(static_cast<std::uint32_t>(w[3]) << 16));
-    const std::int16_t* row = result + m * layout.lanes + position.below - 1;
+  constexpr int kOneBits = 32;
+  const std::int64_t step = static_cast<std::int64_t>(tile.slope * (std::int64_t{1} << kOneBits));
+  std::int64_t lane = static_cast<std::int64_t>(tile.n_begin - layout.first_lane) * (std::int64_t{1} << kOneBits) -
+                      step * (tile.m_begin - layout.center) +
+                      (std::int64_t{1} << (kOneBits - CubicTable::kPlaceBits - 1));
+  for (int m = 0; m < tile.m_count; ++m, lane -= step) {
+    const int place = static_cast<int>(lane >> (kOneBits - CubicTable::kPlaceBits)) & (CubicTable::kPlaces - 1);
+    const __m256i first = _mm256_set1_epi32(kCubicTable.first[place]);
+    const __m256i second = _mm256_set1_epi32(kCubicTable.second[place]);
+    const std::int16_t* row = result + m * layout.lanes + static_cast<int>(lane >> kOneBits) - 1;
     for (int n = 0; n < tile.n_count; n += 16) {
       const auto at = [&](int i) { return _mm256_loadu_si256((const __m256i*)(row + n + i)); };
       const __m256i even =
@@ -789,9 +850,57 @@ void two_scale(const SourcePlane<Pixel>& source, const TileGeometry& tile, const
   auto* kept = reinterpret_cast<typename Format::Sample*>(scratch + layout.kept_at);
   auto* result = reinterpret_cast<typename Format::Result*>(scratch + layout.result_at);
   shear(source, tile, filter, layout, scratch, kept);
-  filter_coarse<Pixel>(filter, layout, scratch);
+  filter_coarse<Pixel>(tile, filter, layout, scratch);
   add_scales<Format>(tile, filter, layout, scratch + layout.coarse_at, kept, result);
   unshear(tile, filter, layout, result, out);
+}
+
+/// Elements of a window by their index.
+#if defined(__AVX512F__)
+inline Vector pick(const float* window, IntVector index) {
+  return (Vector)_mm512_permutex2var_ps((__m512)load(window), (__m512i)index, (__m512)load(window + kLanes));
+}
+#elif defined(__AVX2__)
+inline Vector pick(const float* window, IntVector index) {
+  const __m256 low = _mm256_permutevar8x32_ps((__m256)load(window), (__m256i)index);
+  const __m256 high = _mm256_permutevar8x32_ps((__m256)load(window + kLanes), (__m256i)index);
+  return (Vector)_mm256_blendv_ps(low, high, (__m256)(index << 28));  // by bit 3
+}
+#else
+inline Vector pick(const float* window, IntVector index) {
+  Vector v;
+  for (int i = 0; i < kLanes; ++i) v[i] = window[index[i]];
+  return v;
+}
+#endif
+
+void resample_kernel(const float* taps, int radius, double step, int steps, float* on_axis) {
+  // kLanes steps lie between at most 1.5 times as many taps, and the outermost see one more before and two behind.
+  constexpr int kWindow = 2 * kLanes + 4;
+  const double taps_a_step = 1 / step;
+  const float s = static_cast<float>(step);
+  const Vector zero = {};
+  Vector in_taps;
+  for (int i = 0; i < kLanes; ++i) in_taps[i] = static_cast<float>(i * taps_a_step);
+  for (int m = 0; m <= steps; m += kLanes) {
+    const double first = m * taps_a_step;
+    const int begin = static_cast<int>(first);
+    const float* window = taps + begin - 1;
+    const int available = radius - begin + 2;
+    float copy[kWindow];
+    if (available < kWindow) {
+      for (int i = 0; i < kWindow; ++i) copy[i] = i < available ? window[i] : 0.0f;
+      window = copy;
+    }
+    const Vector position = in_taps + static_cast<float>(first - begin);
+    const IntVector index = __builtin_convertvector(position, IntVector);
+    const Vector before = (position - __builtin_convertvector(index, Vector)) * s, after = s - before;
+    const Vector far_before = 1 - s - before, far_after = 1 - s - after;
+    const Vector sum = pick(window, index + 1) * (1 - before) + pick(window, index + 2) * (1 - after) +
+                       pick(window, index) * (far_before > zero ? far_before : zero) +
+                       pick(window, index + 3) * (far_after > zero ? far_after : zero);
+    store(on_axis + m, sum);
+  }
 }
 
 void combine_columns(const float* columns, const float* factors, int count, float* sums) {
@@ -823,6 +932,7 @@ const BlockKernels kKernels = {GYRO_DEBLUR_ISA_NAME,
                                two_scale_needs<std::uint16_t>,
                                two_scale<std::uint8_t>,
                                two_scale<std::uint16_t>,
+                               resample_kernel,
                                combine_columns};
 
 }  // namespace GYRO_DEBLUR_ISA

@@ -185,12 +185,12 @@ void CpuConvolver::plan_two_scale(const LineKernel& kernel, double major, int de
   // A box that covers the samples -b .. b ends at b + 1 / 2: the box's end lies between those of the two boxes.
   const int box_half = static_cast<int>(std::floor((kernel.box_extent_px * stretch - 1) / 2));
   const int d = TwoScaleDesign::decimation_for(box_half);
-  const int radius = (static_cast<int>(std::ceil(kernel.radius() * stretch)) + d - 1) / d;
+  const int steps = static_cast<int>(std::ceil(kernel.radius() * stretch)), radius = (steps + d - 1) / d;
   const TwoScaleDesign& design = designs_.get(box_half, radius);
 
-  kernel_on_major_axis(kernel, stretch, plan.on_axis);
-  const std::size_t steps = plan.on_axis.size() / 2;
-  design.fit(plan.on_axis.data() + steps, static_cast<int>(steps), kernels_, plan.weights);
+  plan.on_axis.resize(steps + kRowGroup);
+  kernels_.resample_kernel(kernel.taps.data() + kernel.radius(), kernel.radius(), stretch, steps, plan.on_axis.data());
+  design.fit(plan.on_axis.data(), steps, kernels_, plan.weights);
   plan.coarse.assign(2 * radius + 1 + 2 * kCoarseGuard, 0.0f);
   float* middle = plan.coarse.data() + kCoarseGuard + radius;
   for (int k = 0; k <= radius; ++k) middle[k] = middle[-k] = plan.weights.coarse[k];
@@ -322,6 +322,18 @@ SourcePlane<Pixel> transposed_plane(const cv::Mat& channel, int pad, int threads
   return {origin, stride, channel.cols, channel.rows, origin, origin, stride, pad};
 }
 
+/// Copies fewer than a hundred pixels without a call: in pieces, the last of which may overlap the one before.
+template <typename Pixel>
+void copy_pixels(const Pixel* from, int count, Pixel* to) {
+  constexpr int kPiece = 16 / sizeof(Pixel);
+  if (count < kPiece) {
+    std::copy_n(from, count, to);
+    return;
+  }
+  for (int i = 0; i + kPiece < count; i += kPiece) std::memcpy(to + i, from + i, 16);
+  std::memcpy(to + count - kPiece, from + count - kPiece, 16);
+}
+
 /// Stores one channel of the part of a tile, given in line order, that lies in `part`.
 template <typename Pixel>
 void store_tile(const Pixel* line_order, const cv::Rect& tile, bool major_is_y, int channel, int channels,
@@ -332,7 +344,7 @@ void store_tile(const Pixel* line_order, const cv::Rect& tile, bool major_is_y, 
   Pixel* to = part.to + in_part.y * part.stride + static_cast<std::ptrdiff_t>(in_part.x) * channels + channel;
   const Pixel* from = line_order + (major_is_y ? at.y * kTileStride + at.x : at.x * kTileStride + at.y);
   if (channels == 1 && major_is_y) {
-    for (int y = 0; y < rect.height; ++y) std::copy_n(from + y * kTileStride, rect.width, to + y * part.stride);
+    for (int y = 0; y < rect.height; ++y) copy_pixels(from + y * kTileStride, rect.width, to + y * part.stride);
     return;
   }
   if (channels == 1) {

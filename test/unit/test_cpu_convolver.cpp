@@ -87,6 +87,24 @@ TEST_P(CpuConvolverTest, ShortKernelsDifferByRoundingAlone) {
   }
 }
 
+TEST_P(CpuConvolverTest, ResamplesKernelsLikeTheReference) {
+  for (const double extent_px : {2.0, 31.7, 34.0, 90.0, 251.3, 500.0}) {
+    const LineKernel& kernel = bank_->kernel(extent_px);
+    for (const double step : {std::sqrt(0.5), 0.71, 0.8, 0.9, 0.999, 1.0}) {
+      std::vector<float> expected;
+      kernel_on_major_axis(kernel, step, expected);
+      const int steps = static_cast<int>(expected.size() / 2);
+      std::vector<float> actual(steps + kRowGroup, 100.0f);
+      kernels_->resample_kernel(kernel.taps.data() + kernel.radius(), kernel.radius(), step, steps, actual.data());
+      float largest = 0;
+      for (const float element : expected) largest = std::max(largest, std::abs(element));
+      for (int m = 0; m <= steps; ++m) {
+        ASSERT_NEAR(actual[m], expected[steps + m], 1e-5 * largest) << extent_px << " px, " << step << ", step " << m;
+      }
+    }
+  }
+}
+
 TEST_P(CpuConvolverTest, LongKernelsStayCloseAndRestoreAsWell) {
   const cv::Mat sharp = test::textured_image(256, 192, 2);
   for (const double extent_px : {30.0, 45.0, 70.0, 90.0, 130.0}) {
