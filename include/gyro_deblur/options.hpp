@@ -87,6 +87,9 @@ struct GyroOptions {
   TimeNs time_offset_ns = 0;         ///< t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu); |.| <= 10 s
   TimeNs buffer_ns = 5'000'000'000;  ///< (0.1 s, 60 s]: how much is kept
   TimeNs max_gap_ns = 50'000'000;    ///< [1 ms, 1 s]; a longer hole between samples is not integrated across
+  /// [0, 400] rad/s: what the sensor can measure on each axis, before the bias is subtracted; 0: not known. A sample
+  /// that reaches it tells no rate, see is_saturated.
+  double range_rad_s = 0;
 
   void validate() const;  ///< throws OptionError
 };

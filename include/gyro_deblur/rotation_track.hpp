@@ -28,8 +28,13 @@ class CameraMotion {
   virtual Eigen::Matrix3d rotation_map(TimeNs from_ns, TimeNs to_ns) const { return direction_map(from_ns, to_ns); }
 };
 
+/// True when the sample reaches options.range_rad_s on an axis, or all but reaches it: the true rate may be any beyond
+/// it. Never when the range is not known.
+bool is_saturated(const GyroSample& sample, const GyroOptions& options);
+
 /// Orientation of the camera by integration of the gyroscope (paper section III-A): rates linear between samples,
-/// integrated on SO(3); SLERP between the resulting orientations (paper section III-B). Never extrapolates.
+/// integrated on SO(3); SLERP between the resulting orientations (paper section III-B). Never extrapolates, and knows
+/// nothing between a saturated sample and its neighbours.
 class RotationTrack : public CameraMotion {
  public:
   /// @param samples    strictly increasing in time (IMU clock), finite; may be empty
@@ -57,7 +62,7 @@ class RotationTrack : public CameraMotion {
     Eigen::Quaterniond R_0_cam;  // camera(t) -> camera(first knot)
   };
   std::vector<Knot> knots_;
-  std::vector<TimeRange> holes_;  // intervals longer than max_gap_ns, camera clock
+  std::vector<TimeRange> holes_;  // intervals longer than max_gap_ns or with a saturated end, camera clock
 };
 
 /// Exp: rotation vector [rad] to quaternion; exact for small angles.

@@ -39,7 +39,7 @@ enum class BlockStatus : std::uint8_t {
   DEBLURRED = 1,  ///< deconvolved (before validation: to be deconvolved)
   REJECTED = 2,   ///< the image contradicts the predicted blur: copied unchanged, keypoints not rectified
   TOO_LARGE = 3,  ///< extent above max_extent_px: copied unchanged
-  NO_GYRO = 4,    ///< the gyroscope does not cover this block's exposure: copied unchanged
+  NO_GYRO = 4,    ///< no usable gyroscope samples for this block's exposure: copied unchanged
 };
 
 /// Why a whole frame was passed through unchanged. Values equal the constants of gyro_deblur/BlurField.msg.
@@ -55,6 +55,7 @@ enum class PassThroughReason : std::uint8_t {
   OVERLOAD = 8,              ///< the frame queue was full
   TIME_JUMP = 9,             ///< the clock was reset while the frame waited
   INTERNAL_ERROR = 10,       ///< an exception while processing; the log has its text
+  GYRO_SATURATED = 11,       ///< no block's exposure is free of samples at the gyroscope's limit
 };
 
 /// Name of the status, e.g. "DEBLURRED". Never null.

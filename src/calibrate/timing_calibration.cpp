@@ -73,6 +73,7 @@ class Problem {
     gyro.bias_rad_s = state.bias_rad_s;
     gyro.time_offset_ns = to_ns(state.time_offset_s);
     gyro.max_gap_ns = options_.max_gap_ns;
+    gyro.range_rad_s = options_.gyro_range_rad_s;
     return {samples_, gyro, state.R_cam_imu};
   }
 
@@ -510,6 +511,7 @@ void TimingOptions::validate() const {
   GyroOptions gyro;
   gyro.bias_rad_s = bias_rad_s;
   gyro.max_gap_ns = max_gap_ns;
+  gyro.range_rad_s = gyro_range_rad_s;
   gyro.validate();
   if (R_cam_imu) require_rotation("R_cam_imu", *R_cam_imu);
 }

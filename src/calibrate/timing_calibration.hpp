@@ -44,6 +44,7 @@ struct TimingOptions {
   std::optional<Eigen::Matrix3d> R_cam_imu;              ///< absent: estimated from nothing
   bool refine_rotation = false;                          ///< estimate it although it is given
   TimeNs max_gap_ns = 50'000'000;  ///< [1 ms, 1 s]; pairs of frames across a longer hole between samples are left out
+  double gyro_range_rad_s = 0;     ///< [0, 400]; so are those across a saturated sample; 0: not known
 
   void validate() const;  ///< throws OptionError
 };

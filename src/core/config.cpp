@@ -150,6 +150,7 @@ const std::map<std::string, Reader>& readers() {
       {"gyro_bias", into([](Config & c) -> auto& { return c.gyro.bias_rad_s; })},
       {"gyro_buffer_duration", seconds_into([](Config& c) -> TimeNs& { return c.gyro.buffer_ns; })},
       {"max_gyro_gap", seconds_into([](Config& c) -> TimeNs& { return c.gyro.max_gap_ns; })},
+      {"gyro_range", into([](Config & c) -> auto& { return c.gyro.range_rad_s; })},
       {"gyro_timeout", seconds_into([](Config& c) -> TimeNs& { return c.gyro_timeout_ns; })},
       {"frame_queue_size", into([](Config & c) -> auto& { return c.frame_queue_size; })},
       {"bias_window", seconds_into([](Config& c) -> TimeNs& { return c.bias_window_ns; })},

@@ -77,6 +77,7 @@ void GyroOptions::validate() const {
   require_range("time_offset", to_seconds(time_offset_ns), -10, 10, "s");
   require_range("gyro_buffer_duration", to_seconds(buffer_ns), to_seconds(100'000'001), 60, "s");
   require_range("max_gyro_gap", to_seconds(max_gap_ns), 1e-3, 1, "s");
+  require_range("gyro_range", range_rad_s, 0, 400, "rad/s");  // beyond the fastest sensors, 20000 degrees/s
 }
 
 void TranslationOptions::validate() const {

@@ -56,12 +56,19 @@ Eigen::Matrix3d require_rotation(const char* name, const Eigen::Matrix3d& R) {
   throw OptionError(message.str());
 }
 
+bool is_saturated(const GyroSample& sample, const GyroOptions& options) {
+  // Room for rounding, and for a clipped value of one count less than full scale (16 bit: 0.003 %).
+  constexpr double kSaturatedPart = 0.999;
+  return options.range_rad_s > 0 && sample.rate_rad_s.cwiseAbs().maxCoeff() >= kSaturatedPart * options.range_rad_s;
+}
+
 RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroOptions& options,
                              const Eigen::Matrix3d& R_cam_imu) {
   options.validate();
   const Eigen::Matrix3d R = require_rotation("R_cam_imu", R_cam_imu);
   knots_.reserve(samples.size());
   Eigen::Vector3d previous_rate_rad_s = Eigen::Vector3d::Zero();
+  bool previous_saturated = false;
   for (const GyroSample& sample : samples) {
     if (!sample.rate_rad_s.allFinite()) {
       throw std::invalid_argument("RotationTrack: the gyroscope sample at " + std::to_string(sample.t_ns) +
@@ -69,6 +76,7 @@ RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroO
     }
     // Rates in camera axes give the rotation of the camera: R Exp(v) R^T = Exp(R v).
     const Eigen::Vector3d rate_rad_s = R * (sample.rate_rad_s - options.bias_rad_s);
+    const bool saturated = is_saturated(sample, options);
     Knot knot{sample.t_ns - options.time_offset_ns, Eigen::Quaterniond::Identity()};
     if (!knots_.empty()) {
       const Knot& previous = knots_.back();
@@ -77,7 +85,7 @@ RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroO
                                     std::to_string(sample.t_ns) + " ns follows " +
                                     std::to_string(previous.t_ns + options.time_offset_ns) + " ns");
       }
-      if (knot.t_ns - previous.t_ns > options.max_gap_ns) {
+      if (knot.t_ns - previous.t_ns > options.max_gap_ns || saturated || previous_saturated) {
         // Nobody may ask across a hole, so only orientations relative to each other on one side of it matter.
         holes_.push_back({previous.t_ns, knot.t_ns});
         knot.R_0_cam = previous.R_0_cam;
@@ -89,6 +97,7 @@ RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroO
     }
     knots_.push_back(knot);
     previous_rate_rad_s = rate_rad_s;
+    previous_saturated = saturated;
   }
 }
 

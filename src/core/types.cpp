@@ -52,6 +52,8 @@ const char* to_string(PassThroughReason reason) {
       return "TIME_JUMP";
     case PassThroughReason::INTERNAL_ERROR:
       return "INTERNAL_ERROR";
+    case PassThroughReason::GYRO_SATURATED:
+      return "GYRO_SATURATED";
   }
   return "UNKNOWN";
 }

@@ -64,6 +64,8 @@ const char* remedy(PassThroughReason reason) {
       return "expected when a bag loops; otherwise synchronise the clocks";
     case PassThroughReason::INTERNAL_ERROR:
       return "the log has the error";
+    case PassThroughReason::GYRO_SATURATED:
+      return "the camera turns faster than the gyroscope measures: set a larger range in its driver and in gyro_range";
   }
   return "";
 }
@@ -534,6 +536,7 @@ void DeblurNodelet::fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper
   status.add("imu dropped, out of order", now.imu_out_of_order);
   status.add("imu dropped, stray stamp", now.imu_stray);
   status.add("imu dropped, without gyroscope", now.imu_without_gyroscope);
+  status.add("imu saturated", now.imu_saturated);
   status.add("time jumps", now.time_jumps);
   if (now.frames_translated + now.frames_not_translated > 0) {
     status.add("frames with translation", now.frames_translated);

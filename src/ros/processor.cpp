@@ -54,10 +54,23 @@ double elapsed_ms(std::chrono::steady_clock::time_point since) {
   return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - since).count();
 }
 
+/// What is wrong with saturated samples among `samples`; empty when there is none.
+std::string saturation_text(const std::vector<GyroSample>& samples, const GyroOptions& options) {
+  const auto saturated = [&options](const GyroSample& sample) { return is_saturated(sample, options); };
+  const auto first = std::find_if(samples.begin(), samples.end(), saturated);
+  if (first == samples.end()) return {};
+  char range[40];
+  std::snprintf(range, sizeof(range), "%g", options.range_rad_s);
+  return std::to_string(std::count_if(first, samples.end(), saturated)) + " of the " + std::to_string(samples.size()) +
+         " gyroscope samples that the frame needs reach gyro_range = " + range + " rad/s, the first is " +
+         vector_text(first->rate_rad_s) + " rad/s at " + seconds_text(first->t_ns) + " s of the IMU clock";
+}
+
 LogLevel level_of(PassThroughReason reason) {
   // The rest comes and goes by itself; these need somebody to act.
   switch (reason) {
     case PassThroughReason::NO_GYRO:
+    case PassThroughReason::GYRO_SATURATED:
     case PassThroughReason::OVERLOAD:
       return LogLevel::WARNING;
     default:
@@ -235,6 +248,7 @@ void Processor::add_gyro_sample(const GyroSample& sample) {
   switch (gyro_.add(sample)) {
     case GyroBuffer::AddResult::ACCEPTED:
       ++statistics_.imu_accepted;
+      if (is_saturated(sample, (config_ ? *config_ : kDefaults).gyro)) ++statistics_.imu_saturated;
       if (!late_samples_.empty()) {
         // Only now it is sure that they were late, and not the first of a new epoch.
         log_throttled(LogLevel::WARNING, "imu out of order",
@@ -603,11 +617,16 @@ void Processor::run_pipeline(const Job& job, FrameOutput* output) const {
   output->blur_field = to_message(result.field, header);
   const std::size_t uncovered = result.field.count(BlockStatus::NO_GYRO);
   const bool gyro_covers = motion.covers(job.exposure->frame());
+  const std::string saturation = gyro_covers ? "" : saturation_text(job.samples, job.gyro);
   if (uncovered > 0) {
-    output->reason_text = gyro_covers ? "blocks lie beyond the range of the lens model" : job.coverage_text;
+    output->reason_text = gyro_covers          ? "blocks lie beyond the range of the lens model"
+                          : saturation.empty() ? job.coverage_text
+                                               : saturation;
   }
   if (uncovered == result.field.blocks.size()) {
-    output->reason = gyro_covers ? PassThroughReason::NO_CALIBRATION : PassThroughReason::NO_GYRO;
+    output->reason = gyro_covers          ? PassThroughReason::NO_CALIBRATION
+                     : saturation.empty() ? PassThroughReason::NO_GYRO
+                                          : PassThroughReason::GYRO_SATURATED;
     output->blur_field = pass_through_message(output->reason, output->reason_text, *job.frame.image);
   }
   if (output->reason_text.empty() && !output->translation_text.empty()) {

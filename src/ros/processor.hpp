@@ -79,6 +79,7 @@ struct ProcessorStatistics {
   std::size_t imu_out_of_order = 0;
   std::size_t imu_stray = 0;  ///< stamp far from those around it
   std::size_t imu_without_gyroscope = 0;
+  std::size_t imu_saturated = 0;  ///< of those accepted
   std::size_t odometry_refused = 0;
   std::size_t frames_translated = 0;      ///< whose blur field has the odometry's translation
   std::size_t frames_not_translated = 0;  ///< without, though an odometry is there

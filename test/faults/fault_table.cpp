@@ -90,7 +90,7 @@ class Table {
 
   void make(bool quiet) {
     const Stream streams[] = {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE};
-    constexpr std::size_t kOthers = 22;
+    constexpr std::size_t kOthers = 24;
     Progress progress(std::size(kFaults) * std::size(streams) * std::size(kRates) + kOthers, "faults", quiet);
     std::size_t done = 0;
     const auto add = [&](Row row) {
@@ -133,6 +133,12 @@ class Table {
       unplugged = silence(unplugged, stream, third_ns, two_thirds_ns);
     }
     one("unplugged and plugged in", "camera", unplugged, options_);
+    constexpr double kClippedRadS = 1.5;  // the scene turns at up to 2.3 rad/s about an axis
+    ReplayOptions clipping = options_;
+    clipping.config.gyro.range_rad_s = kClippedRadS;
+    one("range is 1.5 rad/s", "imu", clip_gyro(all, kClippedRadS), clipping);
+    clipping.config.gyro.range_rad_s = 0;
+    one("range is 1.5 rad/s, `gyro_range` not set", "imu", clip_gyro(all, kClippedRadS), clipping);
     one("image without camera_info", "camera_info", silence(all, Stream::CAMERA_INFO, 0, begin_ns + 2 * length_ns),
         options_);
     for (const TimeNs step_s : {10, -10, 1, -1}) {

@@ -18,7 +18,7 @@ constexpr TimeNs kSecond = 1'000'000'000;
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr double kInf = std::numeric_limits<double>::infinity();
 
-/// Full scale of a common gyroscope, 2000 degrees a second [rad/s].
+/// Full scale of a common gyroscope, 2000 degrees a second [rad/s]; gyro_range in config.yaml.
 constexpr double kFullScaleRadS = 34.9;
 
 using Random = std::mt19937_64;
@@ -236,6 +236,20 @@ std::vector<Delivery> step_clock(const std::vector<Delivery>& deliveries, TimeNs
     if (delivery.at_ns < from_ns) continue;
     delivery.clock_ns += step_ns;
     shift_stamp(&delivery, step_ns);
+  }
+  return result;
+}
+
+std::vector<Delivery> clip_gyro(const std::vector<Delivery>& deliveries, double range_rad_s) {
+  std::vector<Delivery> result = deliveries;
+  for (Delivery& delivery : result) {
+    auto* imu = std::get_if<sensor_msgs::ImuConstPtr>(&delivery.message);
+    if (imu == nullptr) continue;
+    auto clipped = copy_of(*imu);
+    for (double* rate : {&clipped->angular_velocity.x, &clipped->angular_velocity.y, &clipped->angular_velocity.z}) {
+      *rate = std::clamp(*rate, -range_rad_s, range_rad_s);
+    }
+    *imu = clipped;
   }
   return result;
 }

@@ -27,6 +27,9 @@ std::vector<Delivery> silence(const std::vector<Delivery>& deliveries, Stream st
 /// The clock of the whole machine is set by `step_ns` at `from_ns`: stamps and the node's clock.
 std::vector<Delivery> step_clock(const std::vector<Delivery>& deliveries, TimeNs from_ns, TimeNs step_ns);
 
+/// A gyroscope that can measure up to `range_rad_s` (> 0) on each axis, and says that where there is more.
+std::vector<Delivery> clip_gyro(const std::vector<Delivery>& deliveries, double range_rad_s);
+
 /// `action` every `period_ns`.
 std::vector<Delivery> with_action(const std::vector<Delivery>& deliveries, TimeNs period_ns, const Action& action);
 

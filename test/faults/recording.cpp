@@ -17,6 +17,20 @@ Stream stream_of(const Delivery& delivery) {
   return kStreamOfKind[delivery.message.index()];
 }
 
+void deliver(const Delivery& delivery, Processor* processor) {
+  if (const auto* imu = std::get_if<sensor_msgs::ImuConstPtr>(&delivery.message)) {
+    processor->add_imu(**imu);
+  } else if (const auto* image = std::get_if<sensor_msgs::ImageConstPtr>(&delivery.message)) {
+    processor->add_image(*image);
+  } else if (const auto* info = std::get_if<sensor_msgs::CameraInfoConstPtr>(&delivery.message)) {
+    processor->add_camera_info(*info);
+  } else if (const auto* exposure = std::get_if<ExposureConstPtr>(&delivery.message)) {
+    processor->add_exposure(**exposure);
+  } else {
+    (*std::get<ActionConstPtr>(delivery.message))(*processor);
+  }
+}
+
 Recording::Recording(const std::string& scene_path, double seconds) {
   sim::Scene scene = sim::load_scene(scene_path);
   scene.frames = std::clamp(static_cast<int>(std::lround(seconds * scene.camera.fps)), 1, scene.frames);

@@ -39,7 +39,10 @@ struct Delivery {
 /// The stream that a delivery belongs to; CLOCK for actions.
 Stream stream_of(const Delivery& delivery);
 
-/// The message's stamp, through a copy that may be changed.
+/// Gives the message to the processor, or does the action.
+void deliver(const Delivery& delivery, Processor* processor);
+
+/// The message, as a copy that may be changed.
 template <typename Message>
 boost::shared_ptr<Message> copy_of(const boost::shared_ptr<const Message>& message) {
   return boost::make_shared<Message>(*message);

@@ -119,17 +119,11 @@ nlohmann::json soak(const Recording& recording, const Config& config, double sec
     }
     for (Delivery& delivery : deliveries) {
       clock_ns = delivery.at_ns + static_cast<TimeNs>(round) * length_ns;
-      if (const auto* imu = std::get_if<sensor_msgs::ImuConstPtr>(&delivery.message)) {
-        processor.add_imu(**imu);
-      } else if (const auto* image = std::get_if<sensor_msgs::ImageConstPtr>(&delivery.message)) {
+      if (const auto* image = std::get_if<sensor_msgs::ImageConstPtr>(&delivery.message)) {
         ++frames_in;
         expected.push_back(image->get());
-        processor.add_image(*image);
-      } else if (const auto* info = std::get_if<sensor_msgs::CameraInfoConstPtr>(&delivery.message)) {
-        processor.add_camera_info(*info);
-      } else if (const auto* exposure = std::get_if<ExposureConstPtr>(&delivery.message)) {
-        processor.add_exposure(**exposure);
       }
+      deliver(delivery, &processor);
       if (processor.waiting() == 0) continue;
       const double before_ms = thread_time_ms();
       const std::size_t out_before = frames_out;

@@ -225,7 +225,8 @@ TEST(BlurFieldMessage, ConstantsEqualTheCores) {
       {BlurFieldMessage::REASON_BAD_CONFIGURATION, PassThroughReason::BAD_CONFIGURATION},
       {BlurFieldMessage::REASON_OVERLOAD, PassThroughReason::OVERLOAD},
       {BlurFieldMessage::REASON_TIME_JUMP, PassThroughReason::TIME_JUMP},
-      {BlurFieldMessage::REASON_INTERNAL_ERROR, PassThroughReason::INTERNAL_ERROR}};
+      {BlurFieldMessage::REASON_INTERNAL_ERROR, PassThroughReason::INTERNAL_ERROR},
+      {BlurFieldMessage::REASON_GYRO_SATURATED, PassThroughReason::GYRO_SATURATED}};
   for (const auto& [constant, reason] : reasons) EXPECT_EQ(constant, static_cast<int>(reason)) << to_string(reason);
 }
 

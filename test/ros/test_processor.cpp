@@ -221,6 +221,59 @@ TEST_F(ProcessorTest, PartlyCoveredFrameIsProcessedWhereCovered) {
                          outputs_[0].input->data.begin() + static_cast<std::ptrdiff_t>(bottom)));
 }
 
+TEST_F(ProcessorTest, FrameWithSaturatedSamplesAloneHasAReasonOfItsOwn) {
+  config_.gyro.range_rad_s = kFastRadS;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::GYRO_SATURATED, "reach gyro_range = 1.5 rad/s, the first is [0.0");
+  EXPECT_EQ(processor_.statistics().imu_saturated, 31u);
+  EXPECT_EQ(processor_.statistics().imu_accepted, 31u);
+  EXPECT_EQ(logged("GYRO_SATURATED"), 1u);
+
+  config_.gyro.range_rad_s = 1.01 * kFastRadS;
+  configure();
+  add_imu(kStart + 105 * kMs, kStart + 200 * kMs);
+  add_frame(kStart + 100 * kMs);
+  advance();
+  expect_deblurred(1);
+}
+
+TEST_F(ProcessorTest, RowsWithASaturatedSamplePassThrough) {
+  config_.gyro.range_rad_s = 10;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 35 * kMs);
+  processor_.add_imu(imu_message(kStart + 40 * kMs, -10));  // rows of the lower part are exposed then
+  add_imu(kStart + 45 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].reason, PassThroughReason::NONE);
+  const BlurField& field = *outputs_[0].field;
+  for (int i = 0; i < field.grid.size(); ++i) {
+    // Row y is exposed from 20 ms * y / 128 on for 30 ms; nothing is known from 35 to 45 ms.
+    const double end_ms = 20 * field.grid.center(i).y() / kHeight + 30;
+    EXPECT_EQ(field.blocks[static_cast<std::size_t>(i)].status,
+              end_ms > 35 ? BlockStatus::NO_GYRO : BlockStatus::DEBLURRED)
+        << i;
+  }
+  EXPECT_GT(field.count(BlockStatus::DEBLURRED), 0u);
+  EXPECT_GT(field.count(BlockStatus::NO_GYRO), 0u);
+  EXPECT_NE(outputs_[0].blur_field->reason_text.find("1 of the "), std::string::npos) << outputs_[0].reason_text;
+  EXPECT_NE(outputs_[0].blur_field->reason_text.find("[0.000000, -10.000000, 0.000000] rad/s at 100.040000000 s"),
+            std::string::npos)
+      << outputs_[0].reason_text;
+}
+
+TEST_F(ProcessorTest, WithoutGyroRangeNothingIsSaturated) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs, 5 * kFastRadS);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(processor_.statistics().imu_saturated, 0u);
+}
+
 TEST_F(ProcessorTest, SimulatedTimeThatStopsDoesNotKeepFrames) {
   add_frame(kStart);
   steady_ns_ = 10 * config_.gyro_timeout_ns - 1;

@@ -40,7 +40,7 @@ std::string dump(const Config& c) {
     << c.exposure_source.field << "\nreadout " << c.shutter.readout_ns << "\nstamp_row "
     << static_cast<int>(c.shutter.stamp_row) << "\nstamp_phase " << static_cast<int>(c.shutter.stamp_phase)
     << "\ntime_offset " << c.gyro.time_offset_ns << "\nbias " << c.gyro.bias_rad_s.transpose() << "\nbuffer "
-    << c.gyro.buffer_ns << "\ngap " << c.gyro.max_gap_ns << "\non_conflict "
+    << c.gyro.buffer_ns << "\ngap " << c.gyro.max_gap_ns << "\ngyro_range " << c.gyro.range_rad_s << "\non_conflict "
     << static_cast<int>(c.on_calibration_conflict) << "\nrectified_input " << c.rectified_input << "\nR ";
   if (c.R_cam_imu) s << *c.R_cam_imu;
   s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nbias_window " << c.bias_window_ns
@@ -79,6 +79,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"gyro_bias", "[-0.002, 0.021, 0.078]"},
       {"gyro_buffer_duration", "10"},
       {"max_gyro_gap", "0.02"},
+      {"gyro_range", "34.9066"},
       {"gyro_timeout", "0"},
       {"frame_queue_size", "3"},
       {"bias_window", "2"},
@@ -149,6 +150,7 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.gyro.bias_rad_s, Eigen::Vector3d(-0.002, 0.021, 0.078));
   EXPECT_EQ(c.gyro.buffer_ns, 10'000 * kMs);
   EXPECT_EQ(c.gyro.max_gap_ns, 20 * kMs);
+  EXPECT_DOUBLE_EQ(c.gyro.range_rad_s, 34.9066);
   EXPECT_EQ(c.gyro_timeout_ns, 0);
   EXPECT_EQ(c.frame_queue_size, 3);
   EXPECT_EQ(c.bias_window_ns, 2000 * kMs);
@@ -250,6 +252,7 @@ TEST(ParseConfig, RefusesValuesOutOfRange) {
       {"time_offset", {"-10", "10"}, {"-10.001", "10.001"}},
       {"gyro_buffer_duration", {"0.101", "60"}, {"0.1", "60.001"}},
       {"max_gyro_gap", {"0.001", "1"}, {"0.0009", "1.001"}},
+      {"gyro_range", {"0", "400"}, {"-0.001", "2000"}},
       {"gyro_timeout", {"0", "10"}, {"-0.001", "10.001"}},
       {"frame_queue_size", {"1", "1000"}, {"0", "1001"}},
       {"bias_window", {"0.1", "10"}, {"0.0999", "10.001"}},

@@ -189,6 +189,48 @@ TEST(RotationTrack, DoesNotIntegrateAcrossAHole) {
   EXPECT_LT(rotation_distance(across.direction_map(0, 251 * kMs), motion.direction_map(0, 251 * kMs)), 1e-12);
 }
 
+TEST(RotationTrack, SaturatedSampleReachesTheRangeOnOneAxis) {
+  GyroOptions options;
+  options.range_rad_s = 10;
+  for (int axis = 0; axis < 3; ++axis) {
+    for (const double sign : {-1.0, 1.0}) {
+      GyroSample sample{0, Eigen::Vector3d::Constant(0.5)};
+      sample.rate_rad_s[axis] = sign * 9.98;
+      EXPECT_FALSE(is_saturated(sample, options)) << axis;
+      for (const double magnitude : {9.991, 10.0, 12.0}) {
+        sample.rate_rad_s[axis] = sign * magnitude;
+        EXPECT_TRUE(is_saturated(sample, options)) << axis << ' ' << magnitude;
+        EXPECT_FALSE(is_saturated(sample, {})) << "the range is not known";
+      }
+    }
+  }
+  // Each axis has the range, not the length of the vector.
+  EXPECT_FALSE(is_saturated({0, Eigen::Vector3d::Constant(9)}, options));
+}
+
+TEST(RotationTrack, KnowsNothingBesideASaturatedSample) {
+  const AnalyticMotion motion = AnalyticMotion::constant_rate({0.3, 1, -0.2});
+  std::vector<GyroSample> samples = motion.sample({0, 200 * kMs}, 10 * kMs);
+  GyroOptions options;
+  options.range_rad_s = 2;
+  options.bias_rad_s = {0, 0.5, 0};  // the sensor clips what it reads, bias included
+  for (GyroSample& sample : samples) sample.rate_rad_s += options.bias_rad_s;
+  samples[10].rate_rad_s.y() = -2;
+  const RotationTrack track(samples, options, kIdentity);
+  EXPECT_TRUE(track.covers({0, 90 * kMs}));
+  EXPECT_TRUE(track.covers({110 * kMs, 200 * kMs}));
+  EXPECT_FALSE(track.covers({80 * kMs, 90 * kMs + 1}));
+  EXPECT_FALSE(track.covers({110 * kMs - 1, 120 * kMs}));
+  EXPECT_FALSE(track.covers({95 * kMs, 99 * kMs}));
+  EXPECT_FALSE(track.covers({0, 200 * kMs}));
+  EXPECT_THROW(track.direction_map(50 * kMs, 150 * kMs), std::out_of_range);
+  EXPECT_LT(rotation_distance(track.direction_map(110 * kMs, 200 * kMs), motion.direction_map(110 * kMs, 200 * kMs)),
+            1e-12);
+  GyroOptions unchecked = options;
+  unchecked.range_rad_s = 0;
+  EXPECT_TRUE(RotationTrack(samples, unchecked, kIdentity).covers({0, 200 * kMs}));
+}
+
 TEST(RotationTrack, RefusesBadInput) {
   const Eigen::Vector3d w = Eigen::Vector3d::Zero();
   EXPECT_THROW(RotationTrack({{1, w}, {1, w}}, {}, kIdentity), std::invalid_argument);

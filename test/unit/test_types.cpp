@@ -69,7 +69,7 @@ TEST(Names, AgreeWithTheMessage) {
     }
   }
   EXPECT_EQ(statuses, 5);
-  EXPECT_EQ(reasons, 11);
+  EXPECT_EQ(reasons, 12);
 }
 
 /// The text of the OptionError that `action` throws; empty when it throws none.
@@ -154,6 +154,7 @@ TEST(Options, GyroLimits) {
   expect_limits(&O::time_offset_ns, "time_offset", {-10 * s, 10 * s}, {-10 * s - 1, 10 * s + 1});
   expect_limits(&O::buffer_ns, "gyro_buffer_duration", {100 * ms + 1, 60 * s}, {100 * ms, 60 * s + 1, TimeNs{0}, -s});
   expect_limits(&O::max_gap_ns, "max_gyro_gap", {ms, s}, {ms - 1, s + 1, TimeNs{0}});
+  expect_limits(&O::range_rad_s, "gyro_range", {0.0, 34.9, 400.0}, {-0.001, 400.001, 2000.0, kNan});
   for (int axis = 0; axis < 3; ++axis) {
     for (const double bad : {1.001, -1.001, kNan}) {
       O options;
