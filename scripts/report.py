@@ -78,11 +78,26 @@ def to_bgr(image):
     return image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
 
 
+def messages_of(bag, topic):
+    """The messages of a topic, in the order of their recording; none for no topic. Ends with one line at a damaged one."""
+    reader = bag.read_messages(topics=[topic]) if topic else iter(())
+    last = "the first one"
+    while True:
+        try:
+            _, message, time = next(reader)
+        except StopIteration:
+            return
+        except Exception as error:  # rosbag and genpy raise nearly anything for damaged bytes
+            fail("%s: topic %s: %s cannot be read: %s" % (bag.filename, topic, last, error or type(error).__name__))
+        last = "the message after the one recorded at %.9f s" % time.to_sec()
+        yield message
+
+
 class Stream:
     """Messages of one topic in order of their stamps, asked for by stamp."""
 
     def __init__(self, bag, topic):
-        self._messages = (m for _, m, _ in bag.read_messages(topics=[topic])) if topic else iter(())
+        self._messages = messages_of(bag, topic)
         self._next = next(self._messages, None)
 
     def at(self, ns):
@@ -224,7 +239,7 @@ def rectification_errors(message, sharp, global_shutter):
 def read_diagnostics(bag, topic):
     """The last values of gyro_deblur's diagnostics; of rates and latencies the means or maxima over all periods."""
     latest, periods = {}, {}
-    for _, message, _ in bag.read_messages(topics=[topic]) if topic else ():
+    for message in messages_of(bag, topic):
         for status in message.status:
             values = {v.key: v.value for v in status.values}
             if "frames out" not in values:
@@ -360,21 +375,21 @@ def analyse(arguments):
     global_topic = find_topic(types_in, "truth/global_shutter", image_type, arguments.input, False)
 
     os.makedirs(arguments.folder, exist_ok=True)
-    stamps_out = [stamp_ns(m) for _, m, _ in result.read_messages(topics=[deblurred_topic])]
-    info_stamps = [stamp_ns(m) for _, m, _ in result.read_messages(topics=[info_topic])] if info_topic else []
+    stamps_out = [stamp_ns(m) for m in messages_of(result, deblurred_topic)]
+    info_stamps = [stamp_ns(m) for m in messages_of(result, info_topic)]
 
     deblurred, fields = Stream(result, deblurred_topic), Stream(result, field_topic)
     keypoints, overlays = Stream(result, keypoint_topic), Stream(result, overlay_topic)
     sharps = Stream(source, sharp_topic)
     # The global-shutter truth carries the reference time: it belongs to the frame beside it in the bag.
-    globals_ = (m for _, m, _ in source.read_messages(topics=[global_topic])) if global_topic else iter(())
+    globals_ = messages_of(source, global_topic)
 
     pictures = Pictures(arguments.folder, arguments.pictures)
     rows, errors_raw, errors_rectified, stamps_in = [], [], [], []
     previous = None
     total = types_in and source.get_message_count(image_topic)
-    for index, (_, message, _) in enumerate(tqdm(source.read_messages(topics=[image_topic]), total=total,
-                                                 desc="report", unit="frame", disable=not sys.stderr.isatty())):
+    for index, message in enumerate(tqdm(messages_of(source, image_topic), total=total, desc="report", unit="frame",
+                                         disable=not sys.stderr.isatty())):
         ns = stamp_ns(message)
         stamps_in.append(ns)
         sharp_message, global_message = sharps.at(ns), next(globals_, None)
@@ -471,7 +486,7 @@ def throughput(bag_path, json_path):
     with rosbag.Bag(bag_path) as bag:
         types = topic_types(bag)
         topic = find_topic(types, "blur_field", "gyro_deblur/BlurField", bag_path)
-        messages = [m for _, m, _ in bag.read_messages(topics=[topic])]
+        messages = list(messages_of(bag, topic))
         diagnostics = find_topic(types, "diagnostics", "diagnostic_msgs/DiagnosticArray", bag_path, False)
         result["diagnostics"] = read_diagnostics(bag, diagnostics)
     fields = [Field(m) for m in messages]

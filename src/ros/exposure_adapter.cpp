@@ -6,10 +6,10 @@
 
 #include <dynamic_reconfigure/Config.h>
 #include <ros/message_traits.h>
-#include <ros/serialization.h>
 #include <nlohmann/json.hpp>
 
 #include "ros/conversions.hpp"
+#include "ros/deserialization.hpp"
 #include "ros/processor.hpp"
 
 namespace gyro_deblur {
@@ -65,9 +65,7 @@ std::optional<ExposureReading> ExposureAdapter::read(const std::string& type, co
       throw std::runtime_error("exposure: the topic is of type " + type + ", not dynamic_reconfigure/Config");
     }
     Setting config;
-    // The stream takes a pointer to what it may write to, but reading does not.
-    ros::serialization::IStream stream(const_cast<std::uint8_t*>(bytes), static_cast<std::uint32_t>(size));
-    ros::serialization::deserialize(stream, config);
+    deserialize_checked(bytes, size, &config);
     std::optional<double> value;
     for (const auto& parameter : config.doubles) {
       if (parameter.name == field) value = parameter.value;

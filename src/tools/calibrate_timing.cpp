@@ -28,6 +28,7 @@
 #include "gyro_deblur/overlay.hpp"
 #include "ros/conversions.hpp"
 #include "ros/messages.hpp"
+#include "tools/bag_reading.hpp"
 #include "tools/bag_topics.hpp"
 #include "tools/progress.hpp"
 
@@ -84,7 +85,7 @@ std::map<TimeNs, Exposure> read_exposures(rosbag::Bag& bag, const std::string& t
   if (topic.empty()) return exposures;
   rosbag::View view(bag, rosbag::TopicQuery(topic));
   for (const rosbag::MessageInstance& instance : view) {
-    if (const auto message = instance.instantiate<Exposure>()) {
+    if (const auto message = read_message<Exposure>(instance)) {
       exposures[to_time_ns(message->header.stamp)] = *message;
     }
   }
@@ -95,7 +96,7 @@ std::vector<GyroSample> read_gyro(rosbag::Bag& bag, const std::string& topic, st
   std::vector<GyroSample> samples;
   rosbag::View view(bag, rosbag::TopicQuery(topic));
   for (const rosbag::MessageInstance& instance : view) {
-    const auto imu = instance.instantiate<sensor_msgs::Imu>();
+    const auto imu = read_message<sensor_msgs::Imu>(instance);
     if (!imu) continue;
     const std::optional<GyroSample> sample = to_gyro_sample(*imu);
     if (!sample || !sample->rate_rad_s.allFinite()) continue;
@@ -119,7 +120,7 @@ CameraCalibration camera_of(const sensor_msgs::Image& image, rosbag::Bag& bag, c
   if (from_file) info = camera_info_message(*config.calibration->camera);
   if (!topics.camera_info.empty()) {
     rosbag::View view(bag, rosbag::TopicQuery(topics.camera_info));
-    const auto first = view.size() == 0 ? nullptr : view.begin()->instantiate<sensor_msgs::CameraInfo>();
+    const auto first = view.size() == 0 ? nullptr : read_message<sensor_msgs::CameraInfo>(*view.begin());
     if (first && !from_file) info = *first;
     if (first && from_file) {
       info.roi = first->roi;
@@ -149,7 +150,7 @@ Footage read_footage(rosbag::Bag& bag, const Topics& topics, const Arguments& ar
   FrameTracker tracker(tracker_options);
   std::optional<FrameTime> last;
   for (const rosbag::MessageInstance& instance : view) {
-    const auto image = instance.instantiate<sensor_msgs::Image>();
+    const auto image = read_message<sensor_msgs::Image>(instance);
     if (!image) continue;
     const ImageView pixels = view_image(*image);
     if (footage.frames == 0) {
@@ -179,7 +180,7 @@ Footage read_footage(rosbag::Bag& bag, const Topics& topics, const Arguments& ar
   tf2::BufferCore tf_buffer;
   rosbag::View transforms(bag, rosbag::TopicQuery(std::vector<std::string>{"/tf", "/tf_static"}));
   for (const rosbag::MessageInstance& instance : transforms) {
-    if (const auto message = instance.instantiate<tf2_msgs::TFMessage>()) add_transforms(*message, &tf_buffer);
+    if (const auto message = read_message<tf2_msgs::TFMessage>(instance)) add_transforms(*message, &tf_buffer);
   }
   footage.R_cam_imu = lookup_R_cam_imu(tf_buffer, camera_frame, imu_frame);
   return footage;
@@ -300,6 +301,7 @@ void run(const Arguments& arguments) {
     options.estimate_bias = !arguments.fixed_bias;
     options.bias_rad_s = config.gyro.bias_rad_s;
     options.max_gap_ns = config.gyro.max_gap_ns;
+    options.gyro_range_rad_s = config.gyro.range_rad_s;
     if (!arguments.estimate_rotation) {
       options.R_cam_imu = config.R_cam_imu ? config.R_cam_imu : footage.R_cam_imu;
       if (options.R_cam_imu) rotation_from = config.R_cam_imu ? "as configured" : "tf";

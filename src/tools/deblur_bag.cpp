@@ -40,6 +40,7 @@
 #include "ros/exposure_adapter.hpp"
 #include "ros/messages.hpp"
 #include "ros/processor.hpp"
+#include "tools/bag_reading.hpp"
 #include "tools/bag_topics.hpp"
 
 namespace gyro_deblur {
@@ -210,7 +211,7 @@ Eigen::Vector3d bias_of_first(rosbag::Bag& bag, const std::string& imu_topic, do
   std::vector<GyroSample> samples;
   rosbag::View view(bag, rosbag::TopicQuery(imu_topic));
   for (const rosbag::MessageInstance& instance : view) {
-    const auto imu = instance.instantiate<sensor_msgs::Imu>();
+    const auto imu = read_message<sensor_msgs::Imu>(instance);
     if (!imu) continue;
     const std::optional<GyroSample> sample = to_gyro_sample(*imu);
     if (!sample || !sample->rate_rad_s.allFinite()) continue;
@@ -330,7 +331,7 @@ void run(const Arguments& arguments) {
     // Latched: a node would have them from the start.
     rosbag::View statics(input, rosbag::TopicQuery("/tf_static"));
     for (const rosbag::MessageInstance& instance : statics) {
-      if (const auto message = instance.instantiate<tf2_msgs::TFMessage>()) add_transforms(*message, &tf_buffer);
+      if (const auto message = read_message<tf2_msgs::TFMessage>(instance)) add_transforms(*message, &tf_buffer);
     }
   }
 
@@ -339,7 +340,7 @@ void run(const Arguments& arguments) {
   if (arguments.start_s > 0) {
     rosbag::View before(input, rosbag::TopicQuery("/tf"), ros::TIME_MIN, read_from);
     for (const rosbag::MessageInstance& instance : before) {
-      if (const auto message = instance.instantiate<tf2_msgs::TFMessage>()) add_transforms(*message, &tf_buffer);
+      if (const auto message = read_message<tf2_msgs::TFMessage>(instance)) add_transforms(*message, &tf_buffer);
     }
   }
   TimeNs bag_time_ns = 0;
@@ -402,16 +403,16 @@ void run(const Arguments& arguments) {
       if (arguments.keep_all_topics && inside)
         output.write(topic, instance.getTime(), instance, instance.getConnectionHeader());
       if (topic == topics.imu) {
-        if (const auto message = instance.instantiate<sensor_msgs::Imu>()) processor.add_imu(*message);
+        if (const auto message = read_message<sensor_msgs::Imu>(instance)) processor.add_imu(*message);
       } else if (topic == topics.camera_info) {
-        if (const auto message = instance.instantiate<sensor_msgs::CameraInfo>()) processor.add_camera_info(message);
+        if (const auto message = read_message<sensor_msgs::CameraInfo>(instance)) processor.add_camera_info(message);
       } else if (topic == topics.image && inside) {
         sensor_msgs::ImageConstPtr message;
         if (topics.compressed) {
-          const auto compressed = instance.instantiate<sensor_msgs::CompressedImage>();
+          const auto compressed = read_message<sensor_msgs::CompressedImage>(instance);
           if (compressed) message = decode_image(*compressed);
         } else {
-          message = instance.instantiate<sensor_msgs::Image>();
+          message = read_message<sensor_msgs::Image>(instance);
         }
         if (message) {
           record_times.push_back(instance.getTime());
@@ -419,19 +420,21 @@ void run(const Arguments& arguments) {
         }
       } else if (topic == topics.exposure) {
         if (driver_messages) {
-          std::vector<std::uint8_t> bytes(instance.size());
-          ros::serialization::OStream stream(bytes.data(), instance.size());
-          instance.write(stream);
-          adapter.pass_on(instance.getDataType(), instance.getMessageDefinition(), bytes, &processor);
-        } else if (const auto message = instance.instantiate<Exposure>()) {
+          const std::vector<std::uint8_t> bytes = read_bytes(instance);
+          try {
+            adapter.pass_on(instance.getDataType(), instance.getMessageDefinition(), bytes, &processor);
+          } catch (const std::exception& error) {
+            throw MessageError(instance, error.what());
+          }
+        } else if (const auto message = read_message<Exposure>(instance)) {
           processor.add_exposure(*message);
         }
       } else if (topic == topics.odometry) {
-        if (const auto message = instance.instantiate<nav_msgs::Odometry>()) processor.add_odometry(*message);
+        if (const auto message = read_message<nav_msgs::Odometry>(instance)) processor.add_odometry(*message);
       } else if (topic == topics.scene_depth) {
-        if (const auto message = instance.instantiate<sensor_msgs::Range>()) processor.add_scene_depth(*message);
+        if (const auto message = read_message<sensor_msgs::Range>(instance)) processor.add_scene_depth(*message);
       } else if (topic == "/tf") {
-        if (const auto message = instance.instantiate<tf2_msgs::TFMessage>()) add_transforms(*message, &tf_buffer);
+        if (const auto message = read_message<tf2_msgs::TFMessage>(instance)) add_transforms(*message, &tf_buffer);
       }
       if (processor.waiting() > 0) processor.advance(sink);
       progress.update(++done, frames.size());
@@ -462,7 +465,8 @@ void run(const Arguments& arguments) {
   for (const auto& [reason, count] : statistics.passed_through) report["passed_through"][to_string(reason)] = count;
   report["imu"] = {{"accepted", statistics.imu_accepted},   {"not_finite", statistics.imu_not_finite},
                    {"duplicate", statistics.imu_duplicate}, {"out_of_order", statistics.imu_out_of_order},
-                   {"stray", statistics.imu_stray},         {"without_gyroscope", statistics.imu_without_gyroscope}};
+                   {"stray", statistics.imu_stray},         {"without_gyroscope", statistics.imu_without_gyroscope},
+                   {"saturated", statistics.imu_saturated}};
   if (!topics.odometry.empty()) {
     report["translation"] = {{"frames_with", statistics.frames_translated},
                              {"frames_without", statistics.frames_not_translated},
@@ -529,6 +533,9 @@ int main_of(int argc, char** argv) {
   }
   try {
     run(arguments);
+  } catch (const MessageError& error) {
+    std::cerr << "deblur_bag: " << arguments.input << ": " << error.what() << "\n";
+    return kBadInput;
   } catch (const std::exception& error) {
     std::cerr << "deblur_bag: " << error.what() << "\n";
     return kBadInput;

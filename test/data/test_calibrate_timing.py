@@ -107,6 +107,22 @@ class CalibrateTiming(unittest.TestCase):
         self.assertGreater(picture.shape[0], 500)
         self.assertGreater(picture.std(), 10)
 
+    def test_a_damaged_message_is_named(self):
+        for damaged in ("/imu", "/camera/camera_info"):
+            with self.subTest(damaged):
+                damaged_at = None
+                with rosbag.Bag(self.path("in.bag")) as source, rosbag.Bag(self.path("damaged.bag"), "w") as target:
+                    for topic, (kind, data, *rest), time in source.read_messages(raw=True):
+                        if topic == damaged and damaged_at is None:
+                            data, damaged_at = data[:len(data) // 2], time
+                        target.write(topic, (kind, data, *rest), time, raw=True)
+                result = self.calibrate(bag="damaged.bag")
+                self.assertEqual(result.returncode, 1)
+                self.assertEqual(result.stderr.count("\n"), 1, result.stderr)
+                self.assertIn("%s: topic %s, " % (self.path("damaged.bag"), damaged), result.stderr)
+                self.assertIn(" recorded at %d.%09d s: cannot be read: " % (damaged_at.secs, damaged_at.nsecs),
+                              result.stderr)
+
     def test_what_is_given_stays(self):
         with open(self.path("given.yaml"), "w") as file:
             file.write("readout_time: 0.024\ngyro_bias: [0.01, -0.02, 0.03]\ntime_offset: 0.1\n"

@@ -2,6 +2,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <map>
 #include <string>
 #include <vector>
@@ -19,6 +20,7 @@
 #include "ros/messages.hpp"
 #include "ros/processor.hpp"
 #include "run_program.hpp"
+#include "spoilt_message.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -317,6 +319,44 @@ TEST_F(DeblurBagTest, MessagesOfAnotherVersionAreRefused) {
     bag.write("/cam/exposure", to_ros_time(kStart), older);
   }
   expect_error(run(), {"/cam/exposure", "another version", "0123456789abcdef"});
+}
+
+TEST_F(DeblurBagTest, DamagedMessageIsNamed) {
+  struct Damage {
+    const char *topic, *type;
+    std::vector<std::string> arguments;
+    std::function<void()> add;
+  };
+  const TimeNs at_ns = kStart + 50 * kMs;
+  const auto add = [&](const std::string& topic, const auto& message, const Spoil& spoil) {
+    rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Append);
+    bag.write(topic, to_ros_time(at_ns), spoilt(message, spoil));
+  };
+  Exposure exposure;
+  tf2_msgs::TFMessage transforms;
+  transforms.transforms.resize(1);
+  const Spoil cut = [](std::vector<std::uint8_t>* bytes) { bytes->resize(bytes->size() / 2); };
+  const Damage damages[] = {
+      {"/cam/camera_info",
+       "sensor_msgs/CameraInfo",
+       {},
+       [&] { add("/cam/camera_info", *camera_info(at_ns), announce<double>(5, 1u << 30)); }},
+      {"/cam/image_raw",
+       "sensor_msgs/Image",
+       {},
+       [&] { add("/cam/image_raw", *image_message(at_ns), announce<std::uint8_t>(kWidth * kHeight, 0xffffffff)); }},
+      {"/imu", "sensor_msgs/Imu", {}, [&] { add("/imu", imu_message(at_ns, 1), cut); }},
+      {"/imu", "sensor_msgs/Imu", {"--estimate-bias-first", "5"}, [&] { add("/imu", imu_message(at_ns, 1), cut); }},
+      {"/cam/exposure", "gyro_deblur/Exposure", {}, [&] { add("/cam/exposure", exposure, cut); }},
+      {"/tf_static", "tf2_msgs/TFMessage", {}, [&] { add("/tf_static", transforms, cut); }},
+      {"/tf", "tf2_msgs/TFMessage", {}, [&] { add("/tf", transforms, announce<char>(1, 1u << 31)); }},
+  };
+  for (const Damage& damage : damages) {
+    write_bag(kFastRadS);
+    damage.add();
+    expect_error(run(damage.arguments), {"deblur_bag: " + path("in.bag") + ": topic " + damage.topic + ", " +
+                                         damage.type + " recorded at 100.050000000 s: cannot be read: "});
+  }
 }
 
 TEST_F(DeblurBagTest, SeveralCandidatesHaveToBeNamed) {

@@ -1,0 +1,60 @@
+// Messages of a bag that may be damaged.
+#pragma once
+
+#include <cstdint>
+#include <cstdio>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include <ros/message_traits.h>
+#include <rosbag/message_instance.h>
+#include <boost/make_shared.hpp>
+#include <boost/shared_ptr.hpp>
+
+#include "ros/deserialization.hpp"
+
+namespace gyro_deblur {
+
+/// A message that cannot be used; what() names its topic, the time at which it was recorded and its type, but not the
+/// bag, which rosbag does not tell.
+class MessageError : public std::runtime_error {
+ public:
+  MessageError(const rosbag::MessageInstance& instance, const std::string& problem)
+      : std::runtime_error(where(instance) + ": " + problem) {}
+
+ private:
+  static std::string where(const rosbag::MessageInstance& instance) {
+    char seconds[40];
+    std::snprintf(seconds, sizeof(seconds), "%u.%09u", instance.getTime().sec, instance.getTime().nsec);
+    return "topic " + instance.getTopic() + ", " + instance.getDataType() + " recorded at " + seconds + " s";
+  }
+};
+
+/// The serialised message. Throws MessageError.
+inline std::vector<std::uint8_t> read_bytes(const rosbag::MessageInstance& instance) {
+  try {
+    std::vector<std::uint8_t> bytes(instance.size());
+    ros::serialization::OStream stream(bytes.data(), static_cast<std::uint32_t>(bytes.size()));
+    instance.write(stream);
+    return bytes;
+  } catch (const std::exception& error) {
+    throw MessageError(instance, std::string("cannot be read: ") + error.what());
+  }
+}
+
+/// The message; null when it is of another type. Throws MessageError.
+template <typename Message>
+boost::shared_ptr<Message> read_message(const rosbag::MessageInstance& instance) {
+  if (instance.getMD5Sum() != ros::message_traits::md5sum<Message>()) return nullptr;
+  const std::vector<std::uint8_t> bytes = read_bytes(instance);
+  auto message = boost::make_shared<Message>();
+  try {
+    deserialize_checked(bytes.data(), bytes.size(), message.get());
+  } catch (const std::exception& error) {
+    throw MessageError(instance, std::string("cannot be read: ") + error.what());
+  }
+  return message;
+}
+
+}  // namespace gyro_deblur
