@@ -1,8 +1,6 @@
 // The nodelet in a manager, and the node, as their users see them. Waits for messages and conditions with a deadline;
 // time never decides.
 #include <algorithm>
-#include <chrono>
-#include <condition_variable>
 #include <functional>
 #include <limits>
 #include <map>
@@ -31,6 +29,7 @@
 #include <visualization_msgs/MarkerArray.h>
 #include <opencv2/imgcodecs.hpp>
 
+#include "camera_topics.hpp"
 #include "message_builders.hpp"
 #include "ros/messages.hpp"
 
@@ -39,59 +38,12 @@ namespace {
 
 using namespace test;
 
-constexpr std::chrono::seconds kDeadline{30};
-constexpr TimeNs kStart = 100 * kSecond;
-constexpr TimeNs kImuPeriod = 5 * kMs;
 constexpr char kManager[] = "/manager";
-/// Long enough that a frame that leaves did not leave for it.
-constexpr double kLongTimeoutS = 10, kShortTimeoutS = 0.2;
+constexpr double kShortTimeoutS = 0.2;
 
-/// What has arrived, and a way to wait for more.
-class Mailbox {
- public:
-  template <typename Function>
-  void put(Function function) {
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      function();
-    }
-    changed_.notify_all();
-  }
-  /// False when the deadline passes first.
-  bool wait(const std::function<bool()>& condition) {
-    std::unique_lock<std::mutex> lock(mutex_);
-    return changed_.wait_for(lock, kDeadline, condition);
-  }
-  template <typename Function>
-  auto look(Function function) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    return function();
-  }
-
- private:
-  std::mutex mutex_;
-  std::condition_variable changed_;
-};
-
-/// For conditions of ROS's graph, which tells nobody when it changes.
-bool poll_until(const std::function<bool()>& condition) {
-  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > deadline || !ros::ok()) return false;
-    std::this_thread::sleep_for(std::chrono::milliseconds(5));
-  }
-  return true;
-}
-
-class NodeletTest : public testing::Test {
+class NodeletTest : public CameraTopicsTest {
  protected:
-  NodeletTest() {
-    static int count = 0;
-    ns_ = "/test" + std::to_string(++count);
-    name_ = ns_ + "/deblur";
-    image_publisher_ = nh_.advertise<sensor_msgs::Image>(ns_ + "/image_raw", 100);
-    info_publisher_ = nh_.advertise<sensor_msgs::CameraInfo>(ns_ + "/camera_info", 100);
-    imu_publisher_ = nh_.advertise<sensor_msgs::Imu>(ns_ + "/imu", 10000);
+  NodeletTest() : CameraTopicsTest("/test", 10000) {
     log_subscriber_ = nh_.subscribe<rosgraph_msgs::Log>("/rosout", 1000, [this](const rosgraph_msgs::LogConstPtr& log) {
       mailbox_.put([&] {
         if (log->name == kManager) log_.push_back(log->msg);
@@ -99,27 +51,12 @@ class NodeletTest : public testing::Test {
     });
     // The manager and the node: lines that are logged before they are connected are lost.
     EXPECT_TRUE(poll_until([this] { return log_subscriber_.getNumPublishers() >= 2; }));
-    // As the launch files do: the parameters are there before the nodelet.
-    set("exposure_time", to_seconds(kExposure));
-    set("readout_time", to_seconds(kReadout));
-    set("R_cam_imu", std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, 1});
-    set("block_size", 32);
-    set("validate", false);
-    set("detector", std::string("FAST"));
-    set("descriptor", std::string("ORB"));
-    set("gyro_timeout", kLongTimeoutS);
-    set("frame_queue_size", 100);
   }
 
   ~NodeletTest() override {
     if (loaded_) unload();
     nodelet::NodeletList list;
     EXPECT_TRUE(ros::service::call(std::string(kManager) + "/list", list)) << "the manager has to survive everything";
-  }
-
-  template <typename T>
-  void set(const std::string& parameter, const T& value) {
-    nh_.setParam(name_ + "/" + parameter, value);
   }
 
   void load() {
@@ -158,8 +95,7 @@ class NodeletTest : public testing::Test {
     ASSERT_TRUE(poll_until([this] {
       return image_subscriber_.getNumPublishers() > 0 && info_subscriber_.getNumPublishers() > 0 &&
              field_subscriber_.getNumPublishers() > 0 && keypoint_subscriber_.getNumPublishers() > 0 &&
-             image_publisher_.getNumSubscribers() > 0 && info_publisher_.getNumSubscribers() > 0 &&
-             imu_publisher_.getNumSubscribers() > 0;
+             inputs_connected();
     }));
   }
 
@@ -173,17 +109,6 @@ class NodeletTest : public testing::Test {
   void start() {
     load();
     connect();
-  }
-
-  void publish_imu(TimeNs from_ns, TimeNs to_ns, double rate_rad_s = kFastRadS) {
-    for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod)
-      imu_publisher_.publish(imu_message(t_ns, rate_rad_s));
-  }
-  sensor_msgs::ImagePtr publish_frame(TimeNs stamp_ns, const std::string& encoding = "mono8") {
-    const auto image = image_message(stamp_ns, encoding);
-    info_publisher_.publish(camera_info(stamp_ns));
-    image_publisher_.publish(image);
-    return image;
   }
 
   /// Waits until `count` frames have come out on all topics.
@@ -232,8 +157,6 @@ class NodeletTest : public testing::Test {
         log_.begin(), log_.end(), [&](const std::string& line) { return line.find(part) != std::string::npos; }));
   }
 
-  ros::NodeHandle nh_;
-  std::string ns_, name_;
   bool loaded_ = false;
   Mailbox mailbox_;
   std::vector<sensor_msgs::ImageConstPtr> images_;
@@ -241,7 +164,6 @@ class NodeletTest : public testing::Test {
   std::vector<BlurFieldMessageConstPtr> fields_;
   std::vector<KeypointArrayConstPtr> keypoints_;
   std::vector<std::string> log_;
-  ros::Publisher image_publisher_, info_publisher_, imu_publisher_;
   ros::Subscriber image_subscriber_, info_subscriber_, field_subscriber_, keypoint_subscriber_, log_subscriber_;
 };
 

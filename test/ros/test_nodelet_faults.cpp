@@ -2,9 +2,6 @@
 // it. Waits for messages and conditions with a deadline; time never decides.
 #include <algorithm>
 #include <atomic>
-#include <chrono>
-#include <condition_variable>
-#include <functional>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -19,6 +16,7 @@
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 
+#include "camera_topics.hpp"
 #include "message_builders.hpp"
 #include "process_memory.hpp"
 #include "ros/messages.hpp"
@@ -28,92 +26,39 @@ namespace {
 
 using namespace test;
 
-constexpr std::chrono::seconds kDeadline{60};
-constexpr TimeNs kStart = 100 * kSecond;
-constexpr TimeNs kImuPeriod = 5 * kMs;
 constexpr TimeNs kFramePeriod = 33 * kMs;
 constexpr std::uint32_t kNoLimit = 100000;
 
-/// For conditions of ROS's graph, which tells nobody when it changes.
-bool poll_until(const std::function<bool()>& condition) {
-  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > deadline || !ros::ok()) return false;
-    std::this_thread::sleep_for(std::chrono::milliseconds(2));
-  }
-  return true;
-}
-
-class NodeletFaultTest : public testing::Test {
+class NodeletFaultTest : public CameraTopicsTest {
  protected:
-  NodeletFaultTest() {
-    static int count = 0;
-    ns_ = "/faults" + std::to_string(++count);
-    name_ = ns_ + "/deblur";
-    image_publisher_ = nh_.advertise<sensor_msgs::Image>(ns_ + "/image_raw", kNoLimit);
-    info_publisher_ = nh_.advertise<sensor_msgs::CameraInfo>(ns_ + "/camera_info", kNoLimit);
-    imu_publisher_ = nh_.advertise<sensor_msgs::Imu>(ns_ + "/imu", kNoLimit);
-    set("exposure_time", to_seconds(kExposure));
-    set("readout_time", to_seconds(kReadout));
-    set("R_cam_imu", std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, 1});
-    set("block_size", 32);
-    set("validate", false);
-    set("detector", std::string("FAST"));
-    set("descriptor", std::string("ORB"));
-    set("gyro_timeout", 10.0);
-    set("frame_queue_size", 100);
+  NodeletFaultTest() : CameraTopicsTest("/faults", kNoLimit) {
     image_subscriber_ = nh_.subscribe<sensor_msgs::Image>(
         ns_ + "/deblurred/image_raw", kNoLimit,
-        [this](const sensor_msgs::ImageConstPtr& image) { put([&] { images_.push_back(image); }); });
+        [this](const sensor_msgs::ImageConstPtr& image) { mailbox_.put([&] { images_.push_back(image); }); });
     field_subscriber_ = nh_.subscribe<BlurFieldMessage>(
         ns_ + "/blur_field", kNoLimit,
-        [this](const BlurFieldMessageConstPtr& field) { put([&] { fields_.push_back(field); }); });
-  }
-
-  template <typename T>
-  void set(const std::string& parameter, const T& value) {
-    nh_.setParam(name_ + "/" + parameter, value);
+        [this](const BlurFieldMessageConstPtr& field) { mailbox_.put([&] { fields_.push_back(field); }); });
   }
 
   /// Loads the nodelet, and waits until everything is connected.
   void load() {
     ASSERT_TRUE(loader_.load(name_, "gyro_deblur/DeblurNodelet", {}, {}));
     ASSERT_TRUE(poll_until([this] {
-      return image_publisher_.getNumSubscribers() > 0 && info_publisher_.getNumSubscribers() > 0 &&
-             imu_publisher_.getNumSubscribers() > 0 && image_subscriber_.getNumPublishers() > 0 &&
-             field_subscriber_.getNumPublishers() > 0;
+      return inputs_connected() && image_subscriber_.getNumPublishers() > 0 && field_subscriber_.getNumPublishers() > 0;
     }));
   }
   void unload() { ASSERT_TRUE(loader_.unload(name_)); }
 
-  void publish_imu(TimeNs from_ns, TimeNs to_ns) {
-    for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod) {
-      imu_publisher_.publish(boost::make_shared<sensor_msgs::Imu>(imu_message(t_ns, kFastRadS)));
-    }
-  }
-  void publish_frame(TimeNs stamp_ns) {
-    info_publisher_.publish(camera_info(stamp_ns));
-    image_publisher_.publish(image_message(stamp_ns));
-  }
-
-  template <typename Function>
-  void put(Function function) {
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      function();
-    }
-    changed_.notify_all();
-  }
   bool wait_for_frames(std::size_t count) {
-    std::unique_lock<std::mutex> lock(mutex_);
-    return changed_.wait_for(lock, kDeadline, [&] { return std::min(images_.size(), fields_.size()) >= count; });
+    return mailbox_.wait([&] { return std::min(images_.size(), fields_.size()) >= count; });
   }
   /// Each stamp is later than the one before: nothing twice, nothing out of order.
   void expect_in_order() {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    for (std::size_t i = 1; i < images_.size(); ++i) {
-      ASSERT_LT(images_[i - 1]->header.stamp, images_[i]->header.stamp) << i;
-    }
+    mailbox_.look([this] {
+      for (std::size_t i = 1; i < images_.size(); ++i) {
+        ASSERT_LT(images_[i - 1]->header.stamp, images_[i]->header.stamp) << i;
+      }
+    });
   }
   void expect_all_in_order(std::size_t count) {
     ASSERT_TRUE(wait_for_frames(count)) << images_.size() << " of " << count << " frames came out";
@@ -125,13 +70,9 @@ class NodeletFaultTest : public testing::Test {
     }
   }
 
-  ros::NodeHandle nh_;
-  std::string ns_, name_;
-  std::mutex mutex_;
-  std::condition_variable changed_;
+  Mailbox mailbox_;
   std::vector<sensor_msgs::ImageConstPtr> images_;
   std::vector<BlurFieldMessageConstPtr> fields_;
-  ros::Publisher image_publisher_, info_publisher_, imu_publisher_;
   ros::Subscriber image_subscriber_, field_subscriber_;
   nodelet::Loader loader_{false};  // without services
 };
@@ -151,15 +92,12 @@ TEST_F(NodeletFaultTest, TwoHundredReloadsWhileFramesFlow) {
     }
     ASSERT_NO_FATAL_FAILURE(unload());
     ASSERT_TRUE(poll_until([this] { return image_publisher_.getNumSubscribers() == 0; })) << "reload " << i;
-    {
-      // Nothing is kept here, so that what grows is the nodelet's.
-      const std::lock_guard<std::mutex> lock(mutex_);
-      for (std::size_t k = 1; k < images_.size(); ++k) {
-        ASSERT_LT(images_[k - 1]->header.stamp, images_[k]->header.stamp) << "reload " << i;
-      }
+    ASSERT_NO_FATAL_FAILURE(expect_in_order()) << "reload " << i;
+    // Nothing is kept here, so that what grows is the nodelet's.
+    mailbox_.look([this] {
       images_.clear();
       fields_.clear();
-    }
+    });
     if (i == kReloads / 4) memory_mib = process_memory_mib();
   }
   constexpr double kAllowedGrowthMib = 15;  // of the allocator and of ROS, which keeps some record of each connection
