@@ -50,6 +50,11 @@ def stamp_ns(message):
     return message.header.stamp.to_nsec()
 
 
+def is_whole(message):
+    """True when a sensor_msgs/Image has the bytes that its header announces; genpy does not look."""
+    return message.height > 0 and message.step >= message.width > 0 and len(message.data) == message.height * message.step
+
+
 def decode(message):
     """sensor_msgs/Image to an 8-bit grey or BGR array."""
     encoding = message.encoding
@@ -394,7 +399,7 @@ def analyse(arguments):
         stamps_in.append(ns)
         sharp_message, global_message = sharps.at(ns), next(globals_, None)
         out_message, field_message = deblurred.at(ns), fields.at(ns)
-        if out_message is None or field_message is None:
+        if out_message is None or field_message is None or not is_whole(message):
             previous = None
             continue
         field = Field(field_message)
