@@ -1,6 +1,7 @@
 // The paper's real-world protocol (section V-B): simulates pairs of bursts sharp - blurred - sharp, and evaluates
 // features on any such pair.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -18,12 +19,14 @@
 #include "burst.hpp"
 #include "evaluation.hpp"
 #include "gyro_deblur/pipeline.hpp"
+#include "gyro_deblur/rectification.hpp"
 #include "sim/simulator.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {
 
 constexpr char kTruthFile[] = "truth.csv";
+constexpr char kShutterFile[] = "shutter.csv";
 
 struct SimulateArguments {
   std::string scene1, scene2, output;
@@ -33,13 +36,45 @@ struct SimulateArguments {
 struct EvaluateArguments {
   std::string folder, json;
   int detections = 0;
+  bool only_dog = false;
   ProtocolOptions protocol;
 };
 
-/// A point of the scene in the middle frames of both bursts.
+/// A point of the scene in the middle frames of both bursts: where they show it, and where a global shutter at the
+/// middle of the middle row's exposure would show it.
 struct TruthPoint {
-  cv::Point2d first_px, second_px;
+  cv::Point2d first_px, second_px, first_global_px, second_global_px;
 };
+
+/// What the rolling shutter did to a frame, at the nodes of a grid from corner to corner of the image.
+class ShutterTruth {
+ public:
+  static constexpr int kColumns = 65, kRows = 37;  // 30 px at 1920x1080: linear in between errs by less than 0.1 px
+
+  explicit ShutterTruth(const cv::Size& size) : size_(size), shift_px_(kRows, kColumns) {}
+
+  cv::Point2d node_px(int row, int column) const {
+    return {(size_.width - 1.0) * column / (kColumns - 1), (size_.height - 1.0) * row / (kRows - 1)};
+  }
+  cv::Vec2d& shift_px(int row, int column) { return shift_px_(row, column); }
+  const cv::Vec2d& shift_px(int row, int column) const { return shift_px_(row, column); }
+
+  /// The pixel at which a global shutter would show what this pixel shows. Precondition: inside the image.
+  cv::Point2d global(const cv::Point2d& pixel) const {
+    const double c = pixel.x * (kColumns - 1) / (size_.width - 1), r = pixel.y * (kRows - 1) / (size_.height - 1);
+    const int c0 = std::clamp(static_cast<int>(c), 0, kColumns - 2), r0 = std::clamp(static_cast<int>(r), 0, kRows - 2);
+    const cv::Vec2d above = (c0 + 1 - c) * shift_px_(r0, c0) + (c - c0) * shift_px_(r0, c0 + 1);
+    const cv::Vec2d below = (c0 + 1 - c) * shift_px_(r0 + 1, c0) + (c - c0) * shift_px_(r0 + 1, c0 + 1);
+    const cv::Vec2d shift = (r0 + 1 - r) * above + (r - r0) * below;
+    return pixel + cv::Point2d(shift[0], shift[1]);
+  }
+
+ private:
+  cv::Size size_;
+  cv::Mat_<cv::Vec2d> shift_px_;
+};
+
+cv::Point2d as_point(const Eigen::Vector2d& v) { return {v.x(), v.y()}; }
 
 Burst simulate_burst(sim::Simulator& middle, sim::Simulator& sharp) {
   Burst burst;
@@ -70,9 +105,42 @@ std::vector<TruthPoint> true_correspondences(const sim::Simulator& first, const 
       const Eigen::Vector2d seen = second.pixel_of(MIDDLE, *point);
       const bool inside = seen.x() >= 0 && seen.y() >= 0 && seen.x() <= other.width_px - 1 &&
                           seen.y() <= other.height_px - 1;  // false for NaN
-      if (inside) truth.push_back({{pixel.x(), pixel.y()}, {seen.x(), seen.y()}});
+      if (!inside) continue;
+      truth.push_back({as_point(pixel), as_point(seen),
+                       as_point(first.truth_rectified(MIDDLE, pixel, first.reference_time(MIDDLE))),
+                       as_point(second.truth_rectified(MIDDLE, seen, second.reference_time(MIDDLE)))});
     }
   }
+  return truth;
+}
+
+void save_shutter_truth(const std::string& path, const sim::Simulator& simulator) {
+  const CameraCalibration& camera = simulator.scene().camera.calibration;
+  const ShutterTruth grid(cv::Size(camera.width_px, camera.height_px));
+  std::ofstream file(path);
+  file.precision(10);
+  for (int r = 0; r < ShutterTruth::kRows; ++r) {
+    for (int c = 0; c < ShutterTruth::kColumns; ++c) {
+      const cv::Point2d node = grid.node_px(r, c);
+      const Eigen::Vector2d global =
+          simulator.truth_rectified(MIDDLE, {node.x, node.y}, simulator.reference_time(MIDDLE));
+      file << global.x() - node.x << ',' << global.y() - node.y << '\n';
+    }
+  }
+  if (!file) throw std::runtime_error(path + ": cannot be written");
+}
+
+ShutterTruth read_shutter_truth(const std::string& path, const cv::Size& size) {
+  ShutterTruth truth(size);
+  std::ifstream file(path);
+  char comma = ',';
+  for (int r = 0; r < ShutterTruth::kRows; ++r) {
+    for (int c = 0; c < ShutterTruth::kColumns; ++c) {
+      cv::Vec2d& shift = truth.shift_px(r, c);
+      file >> shift[0] >> comma >> shift[1];
+    }
+  }
+  if (!file) throw std::runtime_error(path + ": does not hold the lines dx,dy of the grid");
   return truth;
 }
 
@@ -92,10 +160,14 @@ void simulate(const SimulateArguments& arguments) {
   std::filesystem::create_directories(output / "second");
   save_burst((output / "first").string(), simulate_burst(first, first_sharp));
   save_burst((output / "second").string(), simulate_burst(second, second_sharp));
+  save_shutter_truth((output / "first" / kShutterFile).string(), first);
+  save_shutter_truth((output / "second" / kShutterFile).string(), second);
   std::ofstream file(output / kTruthFile);
   file.precision(10);
   for (const TruthPoint& p : true_correspondences(first, second)) {
-    file << p.first_px.x << ',' << p.first_px.y << ',' << p.second_px.x << ',' << p.second_px.y << '\n';
+    file << p.first_px.x << ',' << p.first_px.y << ',' << p.second_px.x << ',' << p.second_px.y << ','
+         << p.first_global_px.x << ',' << p.first_global_px.y << ',' << p.second_global_px.x << ','
+         << p.second_global_px.y << '\n';
   }
   if (!file) throw std::runtime_error((output / kTruthFile).string() + ": cannot be written");
 }
@@ -104,12 +176,13 @@ void simulate(const SimulateArguments& arguments) {
 std::vector<TruthPoint> read_truth(const std::string& path) {
   std::vector<TruthPoint> truth;
   std::ifstream file(path);
-  TruthPoint p;
-  char comma = ',';
-  while (file >> p.first_px.x >> comma >> p.first_px.y >> comma >> p.second_px.x >> comma >> p.second_px.y) {
-    truth.push_back(p);
+  std::array<double, 8> v;
+  while (file >> v[0]) {
+    for (std::size_t i = 1; i < v.size(); ++i) file.ignore(1) >> v[i];
+    if (!file) throw std::runtime_error(path + ": does not hold lines of eight numbers");
+    truth.push_back({{v[0], v[1]}, {v[2], v[3]}, {v[4], v[5]}, {v[6], v[7]}});
   }
-  if (file.is_open() && !file.eof()) throw std::runtime_error(path + ": does not hold lines x1,y1,x2,y2");
+  if (file.is_open() && !file.eof()) throw std::runtime_error(path + ": does not hold lines of eight numbers");
   return truth;
 }
 
@@ -124,11 +197,12 @@ nlohmann::json homography_errors(const Homography& H, const std::vector<TruthPoi
   return {{"median_px", errors[errors.size() / 2]}, {"p95_px", errors[errors.size() * 95 / 100]}};
 }
 
-Homography fitted_homography(const std::vector<TruthPoint>& truth) {
+/// The homography that fits best between what the frames show, or between what global shutters would show.
+Homography fitted_homography(const std::vector<TruthPoint>& truth, bool global) {
   std::vector<cv::Point2d> from, to;
   for (const TruthPoint& p : truth) {
-    from.push_back(p.first_px);
-    to.push_back(p.second_px);
+    from.push_back(global ? p.first_global_px : p.first_px);
+    to.push_back(global ? p.second_global_px : p.second_px);
   }
   const cv::Mat H = cv::findHomography(from, to, 0);
   if (H.empty()) throw std::runtime_error(std::string(kTruthFile) + ": no homography fits");
@@ -140,10 +214,11 @@ struct Detected {
   std::vector<cv::KeyPoint> first, second;
 };
 
-/// What the gyroscope says of the middle frame.
+/// What the package makes of a middle frame.
 struct DeblurredMiddle {
-  cv::Mat image;       ///< as the package deblurs it
+  cv::Mat image;
   LineBlur mean_blur;  ///< over the blocks, for methods that take one blur for the whole frame
+  PipelineResult result;
 };
 
 LineBlur mean_blur(const BlurField& field) {
@@ -157,15 +232,18 @@ LineBlur mean_blur(const BlurField& field) {
   return {std::atan2(y, x) / 2, extent / static_cast<double>(field.blocks.size())};
 }
 
+RotationTrack rotation_track(const Burst& burst) {
+  return RotationTrack(burst.gyro, burst.config.gyro, *burst.config.R_cam_imu);
+}
+
 DeblurredMiddle deblurred_middle(const Burst& burst, nlohmann::json& report) {
   Pipeline pipeline(burst.config.pipeline);
   pipeline.set_calibration(burst.calibration);
-  const RotationTrack track(burst.gyro, burst.config.gyro, *burst.config.R_cam_imu);
   PipelineRequest request;
   request.keypoints = false;
   const BurstFrame& middle = burst.frames[MIDDLE];
-  const PipelineResult result =
-      pipeline.process(middle.image, PixelLayout::GRAY, track, burst.exposure(MIDDLE), request);
+  PipelineResult result =
+      pipeline.process(middle.image, PixelLayout::GRAY, rotation_track(burst), burst.exposure(MIDDLE), request);
   std::vector<float> extents;
   for (const BlockBlur& block : result.field.blocks) extents.push_back(block.extent_px);
   std::nth_element(extents.begin(), extents.begin() + extents.size() / 2, extents.end());
@@ -173,7 +251,35 @@ DeblurredMiddle deblurred_middle(const Burst& burst, nlohmann::json& report) {
                     {"blocks", result.field.grid.size()},
                     {"deblurred", result.field.count(BlockStatus::DEBLURRED)},
                     {"rejected", result.field.count(BlockStatus::REJECTED)}});
-  return {result.image.empty() ? middle.image : result.image, mean_blur(result.field)};
+  const cv::Mat image = result.image.empty() ? middle.image : result.image;
+  const LineBlur blur = mean_blur(result.field);
+  return {image, blur, std::move(result)};
+}
+
+/// Keypoints where `move` takes them; those that leave the image are dropped.
+template <typename Move>
+std::vector<cv::KeyPoint> moved(const std::vector<cv::KeyPoint>& keypoints, const cv::Size& size, const Move& move) {
+  std::vector<cv::KeyPoint> result;
+  for (cv::KeyPoint keypoint : keypoints) {
+    keypoint.pt = move(keypoint.pt);
+    const bool inside =
+        keypoint.pt.x >= 0 && keypoint.pt.y >= 0 && keypoint.pt.x <= size.width - 1 && keypoint.pt.y <= size.height - 1;
+    if (inside) result.push_back(keypoint);
+  }
+  return result;
+}
+
+/// As the package rectifies them, with the rotation and the blocks' status alone.
+std::vector<cv::KeyPoint> rectified(const std::vector<cv::KeyPoint>& keypoints, const Burst& burst,
+                                    const DeblurredMiddle& middle) {
+  const Camera camera(burst.calibration);
+  const RotationTrack track = rotation_track(burst);
+  const RowExposure exposure = burst.exposure(MIDDLE);
+  return moved(keypoints, middle.image.size(), [&](const cv::Point2f& pixel) {
+    const RectifiedPoint point = rectify_points({Eigen::Vector2d(pixel.x, pixel.y)}, middle.result.field, camera, track,
+                                                exposure, middle.result.reference_ns)[0];
+    return cv::Point2f(as_point(point.rectified_px));
+  });
 }
 
 nlohmann::json evaluate_methods(const std::vector<std::pair<std::string, Detected>>& methods, const Homography& H,
@@ -193,33 +299,50 @@ nlohmann::json evaluate_methods(const std::vector<std::pair<std::string, Detecte
 void evaluate(const EvaluateArguments& arguments) {
   const std::filesystem::path folder(arguments.folder);
   const Burst first = load_burst((folder / "first").string()), second = load_burst((folder / "second").string());
-  const PairHomography H =
-      estimate_pair_homography(interpolated_points(first, arguments.protocol),
-                               interpolated_points(second, arguments.protocol), arguments.protocol);
   nlohmann::json report;
-  report["homography"] = {{"matches", H.matches},
-                          {"inliers", H.inliers},
-                          {"residual_px", H.residual_px},
-                          {"H_2_1", std::vector<double>(H.H_2_1.val, H.H_2_1.val + 9)}};
-
   const cv::Mat &blurred1 = first.frames[MIDDLE].image, &blurred2 = second.frames[MIDDLE].image;
   nlohmann::json frames = nlohmann::json::array();
-  const DeblurredMiddle middle1 = deblurred_middle(first, frames), middle2 = deblurred_middle(second, frames);
+  std::vector<std::pair<std::string, Detected>> methods = {{"dog", {detect_dog(blurred1), detect_dog(blurred2)}}};
+  std::vector<std::pair<std::string, Detected>> rectified_methods;
+  if (!arguments.only_dog) {
+    const DeblurredMiddle middle1 = deblurred_middle(first, frames), middle2 = deblurred_middle(second, frames);
+    methods.push_back({"pretto",
+                       {detect_motion_adapted_dog(blurred1, middle1.mean_blur),
+                        detect_motion_adapted_dog(blurred2, middle2.mean_blur)}});
+    methods.push_back({"proposed", {detect_dog(middle1.image), detect_dog(middle2.image)}});
+    for (const auto& [name, detected] : methods) {
+      rectified_methods.push_back(
+          {name, {rectified(detected.first, first, middle1), rectified(detected.second, second, middle2)}});
+    }
+  }
   report["frames"] = frames;
-  const std::vector<std::pair<std::string, Detected>> methods = {
-      {"dog", {detect_dog(blurred1), detect_dog(blurred2)}},
-      {"pretto",
-       {detect_motion_adapted_dog(blurred1, middle1.mean_blur),
-        detect_motion_adapted_dog(blurred2, middle2.mean_blur)}},
-      {"proposed", {detect_dog(middle1.image), detect_dog(middle2.image)}},
-  };
-  report["protocol"] = evaluate_methods(methods, H.H_2_1, blurred1.size(), blurred2.size(), arguments.detections);
+  const cv::Size size1 = blurred1.size(), size2 = blurred2.size();
   const std::vector<TruthPoint> truth = read_truth((folder / kTruthFile).string());
+  if (!arguments.only_dog) {
+    const PairHomography H =
+        estimate_pair_homography(interpolated_points(first, arguments.protocol),
+                                 interpolated_points(second, arguments.protocol), arguments.protocol);
+    report["homography"] = {{"matches", H.matches},
+                            {"inliers", H.inliers},
+                            {"residual_px", H.residual_px},
+                            {"H_2_1", std::vector<double>(H.H_2_1.val, H.H_2_1.val + 9)}};
+    if (!truth.empty()) report["homography"]["error"] = homography_errors(H.H_2_1, truth);
+    report["protocol"] = evaluate_methods(methods, H.H_2_1, size1, size2, arguments.detections);
+  }
   if (!truth.empty()) {
-    const Homography fitted = fitted_homography(truth);
-    report["homography"]["error"] = homography_errors(H.H_2_1, truth);
+    const Homography fitted = fitted_homography(truth, false), global = fitted_homography(truth, true);
     report["homography"]["error_of_best_homography"] = homography_errors(fitted, truth);
-    report["truth"] = evaluate_methods(methods, fitted, blurred1.size(), blurred2.size(), arguments.detections);
+    report["best_homography"] = evaluate_methods(methods, fitted, size1, size2, arguments.detections);
+    const ShutterTruth shutter1 = read_shutter_truth((folder / "first" / kShutterFile).string(), size1);
+    const ShutterTruth shutter2 = read_shutter_truth((folder / "second" / kShutterFile).string(), size2);
+    for (auto& [name, detected] : methods) {
+      detected.first =
+          moved(detected.first, size1, [&](const cv::Point2f& p) { return cv::Point2f(shutter1.global(p)); });
+      detected.second =
+          moved(detected.second, size2, [&](const cv::Point2f& p) { return cv::Point2f(shutter2.global(p)); });
+    }
+    report["truth"] = evaluate_methods(methods, global, size1, size2, arguments.detections);
+    report["rectified"] = evaluate_methods(rectified_methods, global, size1, size2, arguments.detections);
   }
 
   const std::string text = report.dump(2);
@@ -258,6 +381,8 @@ int main(int argc, char** argv) {
   evaluate_command->add_option("--json", evaluate_arguments.json, "write here instead of to standard output");
   evaluate_command->add_option("--detections", evaluate_arguments.detections, "keypoints of each image [500]")
       ->check(CLI::Range(10, 100000));
+  evaluate_command->add_flag("--only-dog", evaluate_arguments.only_dog,
+                             "the baseline DoG alone, without the protocol's homography");
   CLI11_PARSE(app, argc, argv);
   try {
     if (*simulate_command) simulate(simulate_arguments);

@@ -67,20 +67,21 @@ fi
 
 mkdir -p "${out}"
 started="${SECONDS}"
+TIMEFORMAT='  took %lR (%lU of processor time)'
 
 step ${STEPS} "Figure: deconvolution in space and in the frequency domain"
-"${programs}/deconvolution_figure" --out "${out}" --data "${data}" --seed "${seed}" "${quick[@]}"
+time "${programs}/deconvolution_figure" --out "${out}" --data "${data}" --seed "${seed}" "${quick[@]}"
 
 step ${STEPS} "Figure: synthetic blur"
-"${programs}/synthetic" --out "${out}" --data "${data}" --seed "${seed}" "${quick[@]}"
+time "${programs}/synthetic" --out "${out}" --data "${data}" --seed "${seed}" "${quick[@]}"
 
 step ${STEPS} "Table: bursts with real hand-shake"
-/usr/bin/python3 experiments/real_world.py "${out}/real_world" --program "${programs}/real_world" --data "${data}" \
+time /usr/bin/python3 experiments/real_world.py "${out}/real_world" --program "${programs}/real_world" --data "${data}" \
   --seed "${seed}" "${quick[@]}"
 
 step ${STEPS} "Figure: reconstruction"
 status=0
-/usr/bin/python3 experiments/reconstruction.py "${out}/reconstruction" --program "${programs}/reconstruction" \
+time /usr/bin/python3 experiments/reconstruction.py "${out}/reconstruction" --program "${programs}/reconstruction" \
   --seed "${seed}" "${quick[@]}" || status=$?
 # 77: there is no COLMAP, and the program has said so.
 ((status == 0 || status == 77)) || fail "the reconstruction failed with status ${status}"
