@@ -26,8 +26,11 @@ def main():
     for axes, prefix, label in ((latency, "", "latency of a frame [ms]"), (processor, "processor_", "processor time [ms]")):
         for percentile, color in (("p50", "tab:green"), ("p95", "tab:orange"), ("p99", "tab:red")):
             axes.plot(minutes, [window[f"{prefix}{percentile}_ms"] for window in windows], color=color, label=percentile)
+        if prefix:
+            axes.plot(minutes, [window["yardstick_ms"] for window in windows], color="grey", linestyle="--",
+                      label="the same work always")
         axes.set_ylabel(label)
-        axes.legend(loc="upper right", ncol=3)
+        axes.legend(loc="upper right", ncol=4)
     for axes in (memory, latency, processor):
         axes.set_ylim(bottom=0, top=1.25 * axes.get_ylim()[1])
         axes.grid(alpha=0.3)
