@@ -32,21 +32,29 @@ void add_two_scale(const BlockFilter& block, cv::Size size, int lanes_of_vector,
   const double d = TwoScaleDesign::decimation_for(box_half);
   const double radius = std::ceil(std::ceil(block.kernel->radius() * stretch) / d);
   const double lanes = round_up(across + slope * along + 5, integers ? kLaneGroup : 2 * lanes_of_vector);
-  const double coarse_outputs = round_up(std::floor((along - 1) / d) + 3, kCoarseOutputs);
-  const double nodes = coarse_outputs + 2 * radius;
   const double sample_bytes = integers ? sizeof(std::int16_t) : sizeof(float);
+  const double group = integers ? kLaneGroup : 2 * lanes_of_vector;
   double& macs = integers ? work.int16_macs : work.float_macs;
-
-  // Shear: two pixels in, one product of two in int16 or difference and product in float.
-  macs += nodes * d * lanes * 2;
-  work.load_bytes += nodes * d * lanes * 2;
-  // Smooth part: every node that is loaded goes into kCoarseOutputs sums.
-  const double coarse_macs = coarse_outputs * lanes * (2 * radius + kCoarseOutputs);
-  macs += coarse_macs;
-  work.load_bytes += coarse_macs / kCoarseOutputs * sample_bytes;
-  // Boxes: two products and four additions with two samples, in float; their first sums.
-  work.float_macs += along * lanes * 6;
-  work.load_bytes += (2 * along + 2 * box_half) * lanes * sample_bytes;
+  for (double lane = 0; lane < lanes; lane += group) {
+    // The line through the first pixel of a row goes from lane slope * along down to 0; two lanes more for the cubic.
+    double rows = 0;
+    for (double m = 0; m < along; ++m) {
+      const double first = slope * (along - m);
+      rows += lane <= first + across + 5 && lane + group > first ? 1 : 0;
+    }
+    const double coarse_outputs = round_up(std::floor(std::max(rows - 1, 0.0) / d) + 3, kCoarseOutputs);
+    const double nodes = coarse_outputs + 2 * radius;
+    // Shear: two pixels in, one product of two in int16 or difference and product in float.
+    macs += nodes * d * group * 2;
+    work.load_bytes += nodes * d * group * 2;
+    // Smooth part: every node that is loaded goes into kCoarseOutputs sums.
+    const double coarse_macs = coarse_outputs * group * (2 * radius + kCoarseOutputs);
+    macs += coarse_macs;
+    work.load_bytes += coarse_macs / kCoarseOutputs * sample_bytes;
+    // Boxes: two products and four additions with two samples, in float; their first sums.
+    work.float_macs += rows * group * 6;
+    work.load_bytes += (2 * rows + 2 * box_half) * group * sample_bytes;
+  }
   // The cubic across.
   macs += along * across * 4;
   work.load_bytes += along * across * 4 * sample_bytes;

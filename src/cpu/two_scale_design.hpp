@@ -28,7 +28,7 @@ class TwoScaleDesign {
   /// @param radius    coarse weights on either side of the centre; radius * decimation > box_half
   TwoScaleDesign(int box_half, int radius);
 
-  /// Samples in a node. A sixteenth of the box: at 1 grey level of noise the coarse part then errs by 52 dB or less.
+  /// Samples in a node: a fifteenth of the box.
   static int decimation_for(int box_half);
 
   int decimation() const { return decimation_; }
