@@ -36,6 +36,17 @@ std::vector<Eigen::Vector2d> positions(const std::vector<cv::KeyPoint>& keypoint
   return points;
 }
 
+/// The features whose contrast is that of SIFT in VisualSFM and COLMAP (SiftGPU's peak threshold, 0.02 over the three
+/// layers of an octave). They are sorted by it.
+void drop_weak(Features& features) {
+  constexpr float kPeakThreshold = 0.02f / 3;
+  std::vector<cv::KeyPoint>& keypoints = features.keypoints;
+  const auto end = std::find_if(keypoints.begin(), keypoints.end(),
+                                [](const cv::KeyPoint& keypoint) { return keypoint.response < kPeakThreshold; });
+  keypoints.erase(end, keypoints.end());
+  features.descriptors.resize(keypoints.size());
+}
+
 double median_extent_px(const BlurField& field) {
   std::vector<double> extents;
   for (const BlockBlur& block : field.blocks) extents.push_back(block.extent_px);
@@ -91,10 +102,13 @@ void run(const Arguments& arguments) {
   for (const int i : frames) {
     const sim::Frame frame = simulator.frame(i);
     const RowExposure exposure = simulator.exposure(i);
-    const PipelineResult result = pipeline.process(frame.image, PixelLayout::GRAY, track, exposure, PipelineRequest{});
+    PipelineResult result = pipeline.process(frame.image, PixelLayout::GRAY, track, exposure, PipelineRequest{});
+    drop_weak(result.features);
+    result.points.resize(result.features.keypoints.size());
     const std::string name = frame_name(i);
     write_features((output / "deblurred" / name).string(), result.features, result.points);
-    const Features blurred = extractor.extract(frame.image);
+    Features blurred = extractor.extract(frame.image);
+    drop_weak(blurred);
     write_features((output / "blurred" / name).string(), blurred,
                    rectify_points(positions(blurred.keypoints), result.field, simulator.camera(), track, exposure,
                                   result.reference_ns));
@@ -124,14 +138,14 @@ int main(int argc, char** argv) {
   CLI::App app{"SIFT features of a simulated sequence, blurred and deblurred, raw and rectified, and the true poses.",
                "reconstruction"};
   Arguments arguments;
-  arguments.max_features = 2000;
+  arguments.max_features = 8192;  // SiftGPU's limit
   app.add_option("SCENE", arguments.scene, "YAML scene; config/scenes/handheld.yaml documents the keys")->required();
   app.add_option("OUT", arguments.output, "folder to write: blurred/, deblurred/, images/, truth.csv, camera.csv")
       ->required();
   app.add_option("--frames", arguments.frames, "how many [all]")->check(CLI::Range(1, 1000000));
   app.add_option("--first-frame", arguments.first_frame, "of the scene [0]")->check(CLI::Range(0, 1000000));
   app.add_option("--step", arguments.step, "from frame to frame [1]")->check(CLI::Range(1, 1000000));
-  app.add_option("--max-features", arguments.max_features, "of each frame [2000]")->check(CLI::Range(10, 100000));
+  app.add_option("--max-features", arguments.max_features, "of each frame [8192]")->check(CLI::Range(10, 100000));
   app.add_option("--image-period", arguments.image_period, "write every n-th image [none]")
       ->check(CLI::Range(1, 1000000));
   app.add_flag("--quiet", arguments.quiet, "no progress on stderr");

@@ -46,8 +46,14 @@ VARIANTS = {
 BASELINE, OURS = "blurred", "deblurred_rectified"
 PAPER = {"points": (5888, 10620), "unregistered": (3, 0)}
 
-SUCCESSORS = (1, 2, 3, 4, 8, 16, 32)  # frames that each frame is matched with
+SUCCESSORS = (1, 2, 4, 8, 16)  # frames that each frame is matched with
+# Every fourth frame is matched with these, too: only they see the wall from places far enough apart to begin with.
+FAR_SUCCESSORS, FAR_PERIOD = (32, 64), 4
+PAIRS_AT_A_TIME = 40  # for the progress to move
 MIN_START_ANGLE_DEG = 3  # between the rays of the first two frames; COLMAP wants 16, which neighbours in a video lack
+# The whole model is adjusted after it has grown by 40 % instead of 10 %, as COLMAP's automatic reconstruction does with
+# videos: that takes most of the time.
+VIDEO_MAPPER = {"Mapper__ba_global_images_ratio": 1.4, "Mapper__ba_global_points_ratio": 1.4}
 MIN_TRACK = 3  # images in which a point that counts is visible, as in the paper
 PLANE_RANSAC_M = 0.02
 PLANE_TRIALS = 500
@@ -112,13 +118,18 @@ def require(success, command, log):
         sys.exit(f"reconstruction.py: colmap {command} failed; see {log}")
 
 
-def match(database, names, log, seed):
-    """Matches each frame with its SUCCESSORS and verifies; matches that the database has are only verified."""
-    pairs = database.with_suffix(".pairs")
-    pairs.write_text("".join(f"{name} {names[i + step]}\n" for i, name in enumerate(names) for step in SUCCESSORS
-                             if i + step < len(names)))
-    require(colmap("matches_importer", log, database_path=database, match_list_path=pairs, match_type="pairs",
-                   random_seed=seed, SiftMatching__use_gpu=0), "matches_importer", log)
+def match(database, names, log, seed, label="matching"):
+    """Matches each frame with its successors and verifies; matches that the database has are only verified."""
+    pairs = [f"{name} {names[i + step]}\n" for i, name in enumerate(names)
+             for step in SUCCESSORS + (FAR_SUCCESSORS if i % FAR_PERIOD == 0 else ()) if i + step < len(names)]
+    path = database.with_suffix(".pairs")
+    with tqdm(total=len(pairs), desc=f"  {label}", unit="pair", mininterval=1) as progress:
+        for start in range(0, len(pairs), PAIRS_AT_A_TIME):
+            chunk = pairs[start:start + PAIRS_AT_A_TIME]
+            path.write_text("".join(chunk))
+            require(colmap("matches_importer", log, database_path=database, match_list_path=path, match_type="pairs",
+                           random_seed=seed, SiftMatching__use_gpu=0), "matches_importer", log)
+            progress.update(len(chunk))
 
 
 def reconstruct(database, folder, log, seed):
@@ -127,7 +138,7 @@ def reconstruct(database, folder, log, seed):
     # Fails where it finds no pair of images to begin with.
     if not colmap("mapper", log, database_path=database, image_path=folder, output_path=folder, random_seed=seed,
                   Mapper__ba_refine_focal_length=0, Mapper__ba_refine_extra_params=0, Mapper__extract_colors=0,
-                  Mapper__init_min_tri_angle=MIN_START_ANGLE_DEG):
+                  Mapper__init_min_tri_angle=MIN_START_ANGLE_DEG, **VIDEO_MAPPER):
         return None
     best = None
     for model in sorted(p for p in folder.iterdir() if p.name.isdigit()):
@@ -322,23 +333,8 @@ def read_truth(folder):
     return truth, camera
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=pathlib.Path, help="folder for the results")
-    parser.add_argument("--program", type=pathlib.Path, required=True, help="the built reconstruction")
-    parser.add_argument("--seed", type=int, default=1, help="of noise and of RANSAC [1]")
-    parser.add_argument("--max-features", type=int, default=2000, help="of each frame [2000]")
-    parser.add_argument("--quick", action="store_true", help="12 frames, raw blurred and rectified deblurred only")
-    parser.add_argument("--keep", action="store_true", help="leave features, databases and models")
-    arguments = parser.parse_args()
-    if shutil.which("colmap") is None:
-        print("SKIPPED:\nthere is no COLMAP: install the package colmap to run the reconstruction")
-        sys.exit(SKIPPED)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    work = arguments.out / "work"
-    shutil.rmtree(work, ignore_errors=True)
-    work.mkdir()
-
+def extract(arguments, work):
+    """Simulates the sequence and writes the features, images and truth; returns the names of absent photographs."""
     scene = yaml.safe_load((ROOT / "experiments" / "scenes" / "reconstruction.yaml").read_text())
     texture = (work / "wall.png").resolve()
     absent = photo_wall.compose([OPENCV_DOC / name for name in WALL], COLUMNS, texture, arguments.seed)
@@ -348,30 +344,12 @@ def main():
     frames = ["--frames", "12", "--first-frame", "40", "--step", "6"] if arguments.quick else []
     subprocess.run([str(arguments.program), str(work / "scene.yaml"), str(work), "--max-features",
                     str(arguments.max_features), "--image-period", "5", *frames], check=True)
-    truth, camera = read_truth(work)
+    return absent
 
-    variants = [BASELINE, OURS] if arguments.quick else list(VARIANTS)
-    results, matched = {}, {}
-    for variant in tqdm(variants, unit="model", mininterval=1):
-        folder, rectified, label = VARIANTS[variant]
-        log = work / f"{variant}.log"
-        features = [load_features(work / folder / name, rectified) for name in truth]
-        database = work / f"{variant}.db"
-        if folder in matched:  # matches of descriptors are the same; only the geometry is verified anew
-            shutil.copy(matched[folder], database)
-        else:
-            create_database(database, camera, list(truth))
-            set_descriptors(database, features)
-            matched[folder] = database
-        set_keypoints(database, features)
-        match(database, list(truth), log, arguments.seed)
-        model = reconstruct(database, work / variant, log, arguments.seed)
-        if model is None or len(model[0]) < 3:
-            tqdm.write(f"  {label}: no reconstruction")
-            continue
-        results[variant] = measure(model, truth, camera, numpy.random.default_rng(arguments.seed))
 
-    with open(arguments.out / "reconstruction.csv", "w", newline="") as file:
+def write_results(out, truth, results, absent):
+    """CSV, table and plot of the variants' frames and totals (see measure)."""
+    with open(out / "reconstruction.csv", "w", newline="") as file:
         keys = ["height_m", "position_error_m", "rotation_error_deg", "points", "reprojection_px", "plane_rmse_m"]
         writer = csv.writer(file)
         writer.writerow(["variant", "frame", "t_s", "median_extent_px", *keys])
@@ -388,9 +366,55 @@ def main():
                  f"{PAPER['points'][1] / PAPER['points'][0]:.2f})", ""]
     if absent:
         text.append("Photographs that are absent, with rectangles in their place: " + ", ".join(absent))
-    (arguments.out / "reconstruction.md").write_text("\n".join(text).rstrip() + "\n")
-    plot(truth, results, arguments.out / "reconstruction.png")
+    (out / "reconstruction.md").write_text("\n".join(text).rstrip() + "\n")
+    plot(truth, results, out / "reconstruction.png")
     print("\n".join(text))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=pathlib.Path, help="folder for the results")
+    parser.add_argument("--program", type=pathlib.Path, required=True, help="the built reconstruction")
+    parser.add_argument("--seed", type=int, default=1, help="of noise and of RANSAC [1]")
+    parser.add_argument("--max-features", type=int, default=8192, help="of each frame [8192, SiftGPU's limit]")
+    parser.add_argument("--quick", action="store_true", help="12 frames, raw blurred and rectified deblurred only")
+    parser.add_argument("--features", type=pathlib.Path, help="folder work/ of an earlier run with --keep")
+    parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS), help="[all]")
+    parser.add_argument("--keep", action="store_true", help="leave features, databases and models")
+    arguments = parser.parse_args()
+    if shutil.which("colmap") is None:
+        print("SKIPPED:\nthere is no COLMAP: install the package colmap to run the reconstruction")
+        sys.exit(SKIPPED)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    work = arguments.out / "work"
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir()
+    source = arguments.features or work
+    absent = [] if arguments.features else extract(arguments, work)
+    truth, camera = read_truth(source)
+
+    variants = [BASELINE, OURS] if arguments.quick else arguments.variants
+    results, matched = {}, {}
+    for variant in variants:
+        folder, rectified, label = VARIANTS[variant]
+        log = work / f"{variant}.log"
+        features = [load_features(source / folder / name, rectified) for name in truth]
+        database = work / f"{variant}.db"
+        if folder in matched:  # matches of descriptors are the same; only the geometry is verified anew
+            shutil.copy(matched[folder], database)
+        else:
+            create_database(database, camera, list(truth))
+            set_descriptors(database, features)
+            matched[folder] = database
+        set_keypoints(database, features)
+        match(database, list(truth), log, arguments.seed, label)
+        model = reconstruct(database, work / variant, log, arguments.seed)
+        if model is None or len(model[0]) < 3:
+            print(f"  {label}: no reconstruction")
+            continue
+        results[variant] = measure(model, truth, camera, numpy.random.default_rng(arguments.seed))
+
+    write_results(arguments.out, truth, results, absent)
     if not arguments.keep:
         shutil.rmtree(work)
     if OURS not in results:
