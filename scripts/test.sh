@@ -1,11 +1,19 @@
 #!/usr/bin/env bash
-# Installs what is missing, builds, checks format and package, and runs every test. Arguments go to ctest.
-# Ends with the line 'N passed, N failed, N skipped'.
+# Installs what is missing, builds, checks format and package, and runs every test. Ends with the line
+# 'N passed, N failed, N skipped'. --proof, first: sanitizers and fuzzers too (scripts/proof.sh --quick), which counts as
+# one check more. Further arguments go to ctest.
 set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
 cd "${GYRO_DEBLUR_ROOT}"
-readonly STEPS=5
+proof=false
+if [[ "${1:-}" == --proof ]]; then
+  proof=true
+  shift
+fi
+STEPS=5
+"${proof}" && STEPS=6
+readonly STEPS
 
 step ${STEPS} "Packages"
 scripts/install_dependencies.sh
@@ -42,6 +50,12 @@ if command -v catkin_lint > /dev/null; then
   fi
 else
   say "SKIPPED: there is no catkin_lint"
+fi
+
+if "${proof}"; then
+  step ${STEPS} "Proof by tools"
+  # The soak is among the tests.
+  scripts/proof.sh --quick --only asan --only tsan --only fuzz || failed_checks=$((failed_checks + 1))
 fi
 
 step ${STEPS} "Tests"
