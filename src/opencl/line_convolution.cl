@@ -72,7 +72,14 @@ __kernel void load_plane(__global const PIXEL* restrict image, const int channel
     if (inside && step_u == 1) {
       for (int i = 0; i < cols; ++i) to[i] = from[from_u + i];
     } else if (inside) {
-      for (int i = 0; i < cols; ++i) to[i] = from[(from_u + i) * step_u];
+      int i = 0;
+      // Written out, since compilers leave a loop of strided loads in scalars.
+      for (; i + 8 <= cols; i += 8) {
+        __global const PIXEL* at = from + (from_u + i) * step_u;
+        vstore8((float8)(at[0], at[step_u], at[2 * step_u], at[3 * step_u], at[4 * step_u], at[5 * step_u],
+                         at[6 * step_u], at[7 * step_u]), 0, to + i);
+      }
+      for (; i < cols; ++i) to[i] = from[(from_u + i) * step_u];
     } else {
       for (int i = 0; i < cols; ++i) to[i] = from[clamp(from_u + i, 0, size_u - 1) * step_u];
     }
@@ -80,8 +87,8 @@ __kernel void load_plane(__global const PIXEL* restrict image, const int channel
 }
 
 // Adds one step to the sums; `from` is the input of the first output's `upper` weight.
-static inline __attribute__((always_inline)) void add_step(floatN sums[ROWS][VECTORS], SOURCE_SPACE const float* from, const int stride, const float lower,
-                     const float upper) {
+static inline __attribute__((always_inline)) void add_step(floatN sums[ROWS][VECTORS], SOURCE_SPACE const float* from,
+                                                           const int stride, const float lower, const float upper) {
 #pragma unroll
   for (int vector = 0; vector < VECTORS; ++vector) {
     floatN above = LOAD(from + vector * LANES);
@@ -94,9 +101,26 @@ static inline __attribute__((always_inline)) void add_step(floatN sums[ROWS][VEC
   }
 }
 
+static inline __attribute__((always_inline)) void copy_out(PIXEL rounded[ROWS][SPAN], const int cols, const int rows,
+                                                           __global PIXEL* to, const int step_u, const int step_v) {
+  if (step_u == 1) {
+    for (int row = 0; row < rows; ++row) {
+      for (int col = 0; col < cols; ++col) to[row * step_v + col] = rounded[row][col];
+    }
+  } else if (step_v == 1) {
+    for (int col = 0; col < cols; ++col) {
+      for (int row = 0; row < rows; ++row) to[row + col * step_u] = rounded[row][col];
+    }
+  } else {
+    for (int row = 0; row < rows; ++row) {
+      for (int col = 0; col < cols; ++col) to[row * step_v + col * step_u] = rounded[row][col];
+    }
+  }
+}
+
 // Rounds, clips and stores the wanted part of the sums.
-static inline __attribute__((always_inline)) void store(floatN sums[ROWS][VECTORS], const int cols, const int rows, __global PIXEL* to, const int step_u,
-                  const int step_v) {
+static inline __attribute__((always_inline)) void store(floatN sums[ROWS][VECTORS], const int cols, const int rows,
+                                                        __global PIXEL* to, const int step_u, const int step_v) {
   PIXEL rounded[ROWS][SPAN];
 #pragma unroll
   for (int row = 0; row < ROWS; ++row) {
@@ -106,21 +130,19 @@ static inline __attribute__((always_inline)) void store(floatN sums[ROWS][VECTOR
       STORE(TO_PIXEL(clipped), rounded[row] + vector * LANES);
     }
   }
-  if (step_u < step_v) {
-    for (int row = 0; row < min(rows, ROWS); ++row) {
-      for (int col = 0; col < min(cols, SPAN); ++col) to[row * step_v + col * step_u] = rounded[row][col];
-    }
+  // Loops of known length, where nothing is cut off, become vectors.
+  if (cols >= SPAN && rows >= ROWS) {
+    copy_out(rounded, SPAN, ROWS, to, step_u, step_v);
   } else {
-    for (int col = 0; col < min(cols, SPAN); ++col) {
-      for (int row = 0; row < min(rows, ROWS); ++row) to[row * step_v + col * step_u] = rounded[row][col];
-    }
+    copy_out(rounded, min(cols, SPAN), min(rows, ROWS), to, step_u, step_v);
   }
 }
 
 // One work-group a tile. step_x: distance of neighbouring pixels of the result in memory.
 __kernel __attribute__((reqd_work_group_size(GROUP_COLS, GROUP_ROWS, 1))) void convolve_tiles(
-    __global const Tile* restrict tiles, __global const Step* restrict all_steps, __global const float* restrict upright,
-    const int upright_stride, const int upright_border_u, const int upright_border_v,
+    __global const Tile* restrict tiles, __global const Step* restrict all_steps,
+    __global const float* restrict upright, const int upright_stride, const int upright_border_u,
+    const int upright_border_v,
     __global const float* restrict transposed, const int transposed_stride, const int transposed_border_u,
     const int transposed_border_v, __global PIXEL* restrict result, const int channel, const int step_x) {
   const Tile tile = tiles[get_group_id(0)];

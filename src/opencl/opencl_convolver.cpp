@@ -68,12 +68,13 @@ struct Shape {
 // 32 steps, 18 multiply-adds for every float staged.
 constexpr Shape kGpuShape{1, 1, 8, 72, 3, 72, 24, 32, 1, 16, false};
 
-/// As many sums as the vector registers hold beside the pixels: 8 x 2 of 32 registers, 4 x 2 of 16.
+/// As many sums as the vector registers hold beside the pixels: 8 x 3 of 32 registers, 4 x 3 of 16. Three vectors of 8
+/// divide the 72 px of a block and its margins.
 Shape cpu_shape(const cl::Device& device) {
   const int native = static_cast<int>(device.getInfo<CL_DEVICE_NATIVE_VECTOR_WIDTH_FLOAT>());
   const bool has_fma = (device.getInfo<CL_DEVICE_SINGLE_FP_CONFIG>() & CL_FP_FMA) != 0;
-  const int lanes = native >= 16 ? 16 : native >= 8 ? 8 : 4;
-  return {lanes, 2, lanes == 16 ? 8 : 4, 1, 1, 64, 64, 0, 32, 1, has_fma};
+  const int lanes = native >= 8 ? 8 : 4;
+  return {lanes, 3, native >= 16 ? 8 : 4, 1, 1, 72, 72, 0, 32, 1, has_fma};
 }
 
 std::string one_line(std::string text) {
