@@ -29,10 +29,6 @@ while (($# > 0)); do
       esac
       shift
       ;;
-    -h | --help)
-      sed -n '2,/^set /{/^set /d;s/^# \{0,1\}//p}' "${BASH_SOURCE[0]}"
-      exit 0
-      ;;
     *) fail "unknown argument $1; see --help" ;;
   esac
   shift

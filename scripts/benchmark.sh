@@ -21,10 +21,6 @@ for argument in "$@"; do
     --update-doc) update_doc=true ;;
     --skip-suite) suite=false ;;
     --skip-fidelity) fidelity=false ;;
-    -h | --help)
-      sed -n '2,/^set /{/^set /d;s/^# \{0,1\}//p}' "${BASH_SOURCE[0]}"
-      exit 0
-      ;;
     *) fail "unknown argument ${argument}; see --help" ;;
   esac
 done

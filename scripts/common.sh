@@ -40,3 +40,11 @@ source_devel_space() {
   source "${setup}"
   set -u
 }
+
+# Every script: -h or --help first prints the comment at its head.
+case "${1:-}" in
+  -h | --help)
+    sed -n '2,/^set /{/^set /d;s/^# \{0,1\}//p}' "$0"
+    exit 0
+    ;;
+esac

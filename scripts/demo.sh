@@ -5,6 +5,7 @@ set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
 cd "${GYRO_DEBLUR_ROOT}"
+(($# == 0)) || fail "takes no arguments"
 readonly STEPS=7
 readonly OUT="${GYRO_DEBLUR_ROOT}/demo_output"
 readonly CONFIG="${GYRO_DEBLUR_ROOT}/config/demo.yaml"
