@@ -199,6 +199,7 @@ void SeamBlender::store(int block, const Pixel* result, cv::Mat& dst) {
   const cv::Rect whole = reach(block);
   const std::ptrdiff_t stride = static_cast<std::ptrdiff_t>(whole.width) * channels_;
   for (const Part<Pixel>& part : parts<Pixel>(block, dst)) {
+    if (part.rect.empty()) continue;  // has no place in memory either
     const Pixel* from =
         result + (part.rect.y - whole.y) * stride + static_cast<std::ptrdiff_t>(part.rect.x - whole.x) * channels_;
     for (int y = 0; y < part.rect.height; ++y) {
@@ -215,6 +216,7 @@ void SeamBlender::store_channel(int block, int channel, const Pixel* result, cv:
   if (channels_ == 1) return store(block, result, dst);
   const cv::Rect whole = reach(block);
   for (const Part<Pixel>& part : parts<Pixel>(block, dst)) {
+    if (part.rect.empty()) continue;  // has no place in memory either
     const Pixel* from =
         result + static_cast<std::ptrdiff_t>(part.rect.y - whole.y) * whole.width + part.rect.x - whole.x;
     for (int y = 0; y < part.rect.height; ++y) {
