@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <limits>
 #include <regex>
 #include <sstream>
 
@@ -369,7 +370,9 @@ void require_agreement(const CameraCalibration& a, const std::string& name_a, co
       const Eigen::Vector3d ray_a = camera_a.ray(pixel);
       if (!ray_a.allFinite() && !camera_b.ray(pixel).allFinite()) continue;
       const double distance_px = (camera_b.project(ray_a) - pixel).norm();
-      if (!(distance_px <= largest_px)) largest_px = distance_px;
+      // One model reaches this place and the other does not.
+      largest_px =
+          std::max(largest_px, std::isfinite(distance_px) ? distance_px : std::numeric_limits<double>::infinity());
     }
   }
   if (!(largest_px <= kAllowedPx)) {

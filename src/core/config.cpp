@@ -210,17 +210,19 @@ std::vector<std::string> read_paths(const YAML::Node& node) {
   return paths;
 }
 
-/// Puts what a calibration file says into the configuration, where no key has said the same already.
+/// Puts what a calibration file says into the configuration, where no key has said the same already. Keys hold against
+/// the file with on_calibration_conflict: configured, and must not contradict it otherwise.
 void apply_calibration(const SensorCalibration& calibration, Config& config) {
   const std::string key = "the parameter";
-  if (calibration.R_cam_imu) {
+  const bool key_holds = config.on_calibration_conflict == OnCalibrationConflict::CONFIGURED;
+  if (calibration.R_cam_imu && !(key_holds && config.R_cam_imu)) {
     if (config.R_cam_imu) {
       require_agreement(require_rotation("R_cam_imu", *config.R_cam_imu), key, *calibration.R_cam_imu,
                         calibration.origin);
     }
     config.R_cam_imu = calibration.R_cam_imu;
   }
-  if (calibration.R_cam_imu && calibration.p_imu_cam_m) {
+  if (calibration.R_cam_imu && calibration.p_imu_cam_m && !(key_holds && !config.p_cam_imu_m.isZero())) {
     const Eigen::Vector3d p_cam_imu_m = -(*calibration.R_cam_imu * *calibration.p_imu_cam_m);
     constexpr double kAllowedM = 1e-3;
     if (!config.p_cam_imu_m.isZero() && (config.p_cam_imu_m - p_cam_imu_m).norm() > kAllowedM) {
@@ -232,7 +234,7 @@ void apply_calibration(const SensorCalibration& calibration, Config& config) {
     config.p_cam_imu_m = p_cam_imu_m;
   }
   const auto apply_time = [&](const char* name, const std::optional<TimeNs>& value_ns, TimeNs& target_ns) {
-    if (!value_ns) return;
+    if (!value_ns || (key_holds && target_ns != 0)) return;
     if (target_ns != 0) require_agreement(name, target_ns, key, *value_ns, calibration.origin);
     target_ns = *value_ns;
   };

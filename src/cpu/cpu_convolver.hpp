@@ -13,7 +13,7 @@
 
 namespace gyro_deblur {
 
-/// Chooses a method for every block: exact taps in int16 for short kernels, two scales along sheared lanes for long
+/// Chooses a method for every block: exact taps for short kernels, two scales along sheared lanes for long
 /// ones whose shape is known, and the reference engine for whatever is left. Keeps its buffers between frames.
 class CpuConvolver : public LineConvolver {
  public:

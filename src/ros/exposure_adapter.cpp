@@ -15,14 +15,16 @@
 namespace gyro_deblur {
 namespace {
 
-/// Stamps that belong to a field, the nearest first.
+/// The stamp that belongs to a field: the header's, or the one beside the field. A stamp of 0 was never set.
 std::optional<TimeNs> stamp_of(const MessageLayout& layout, const std::string& field, const std::uint8_t* bytes,
                                std::size_t size) {
   const std::size_t dot = field.rfind('.');
   const std::string beside = (dot == std::string::npos ? "" : field.substr(0, dot + 1)) + "stamp";
   for (const std::string& path : {std::string("header.stamp"), beside}) {
     const std::optional<FieldValue> value = layout.find(path, bytes, size);
-    if (value && std::holds_alternative<FieldTime>(*value)) return std::get<FieldTime>(*value).ns;
+    if (value && std::holds_alternative<FieldTime>(*value) && std::get<FieldTime>(*value).ns != 0) {
+      return std::get<FieldTime>(*value).ns;
+    }
   }
   return std::nullopt;
 }
@@ -67,13 +69,19 @@ std::optional<ExposureReading> ExposureAdapter::read(const std::string& type, co
     Setting config;
     deserialize_checked(bytes, size, &config);
     std::optional<double> value;
-    for (const auto& parameter : config.doubles) {
-      if (parameter.name == field) value = parameter.value;
+    std::vector<std::string> names;
+    const auto look_through = [&](const auto& parameters) {
+      for (const auto& parameter : parameters) {
+        names.push_back(parameter.name);
+        if (parameter.name == field) value = parameter.value;
+      }
+    };
+    look_through(config.doubles);
+    look_through(config.ints);
+    if (!value) {
+      throw std::runtime_error("exposure: no number of the parameters is called exposure_field = \"" + field +
+                               "\"; there are " + list_of(names));
     }
-    for (const auto& parameter : config.ints) {
-      if (parameter.name == field) value = parameter.value;
-    }
-    if (!value) return std::nullopt;
     value_s = seconds(*value);
   } else if (metadata) {
     const MessageLayout& layout = layout_of(type, definition);

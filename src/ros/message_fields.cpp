@@ -79,6 +79,11 @@ MessageLayout::MessageLayout(const std::string& type, const std::string& definit
     if (bracket != std::string::npos) {
       field.is_array = true;
       const std::string count = field_type.substr(bracket + 1, field_type.find(']') - bracket - 1);
+      constexpr std::size_t kMostDigits = 9;
+      if (count.size() > kMostDigits || count.find_first_not_of("0123456789") != std::string::npos) {
+        throw std::runtime_error("the definition of " + type + " has an array \"" + field_type + " " + name +
+                                 "\" whose length is not a number");
+      }
       if (!count.empty()) field.count = static_cast<std::size_t>(std::stoul(count));
     }
     types_[current].push_back(field);
@@ -94,6 +99,29 @@ MessageLayout::MessageLayout(const std::string& type, const std::string& definit
       }
     }
   }
+  std::map<std::string, std::size_t> counts;
+  count_fields(type, &counts);
+}
+
+std::size_t MessageLayout::count_fields(const std::string& type, std::map<std::string, std::size_t>* counts) const {
+  const auto fields = types_.find(type);
+  if (fields == types_.end()) return 1;
+  constexpr std::size_t kUnderWay = 0;
+  const auto [known, is_new] = counts->emplace(type, kUnderWay);
+  if (!is_new) {
+    if (known->second == kUnderWay) {
+      throw std::runtime_error("in the definition of " + type_ + ", " + type + " contains itself");
+    }
+    return known->second;
+  }
+  std::size_t count = 1;
+  for (const Field& field : fields->second) count += count_fields(field.type, counts);
+  constexpr std::size_t kMostFields = 10000;
+  if (count > kMostFields) {
+    throw std::runtime_error("the definition of " + type_ + " has more than " + std::to_string(kMostFields) +
+                             " fields");
+  }
+  return (*counts)[type] = count;
 }
 
 /// Goes through the bytes of a message until the field that is wanted.
@@ -118,7 +146,9 @@ class MessageLayout::Walk {
         continue;
       }
       for (std::size_t i = 0; i < count; ++i) {
+        const std::size_t left_before = left_;
         if (element(field.type, path + "[" + std::to_string(i) + "]")) return true;
+        if (left_ == left_before) break;  // messages without fields, as are all that follow
       }
     }
     return false;

@@ -47,6 +47,9 @@ class MessageLayout {
     std::size_t count = 0;  // of an array of fixed size; 0: any
   };
   class Walk;
+  /// Fields of a type and of what it contains. Throws when it contains itself, or more than anybody would send: what
+  /// walks through it could not come to an end.
+  std::size_t count_fields(const std::string& type, std::map<std::string, std::size_t>* counts) const;
   void list(const std::string& type, const std::string& prefix, std::vector<std::string>* result) const;
 
   std::string type_;

@@ -89,7 +89,12 @@ void TranslationInput::add(const sensor_msgs::Imu& imu) {
   const auto& a = imu.linear_acceleration;
   const ForceSample sample{to_time_ns(imu.header.stamp), {a.x, a.y, a.z}};
   if (imu.linear_acceleration_covariance[0] == -1 || !sample.force_m_s2.allFinite()) return;
-  if (!forces_.empty() && sample.t_ns <= forces_.back().t_ns) return;
+  // Farther back than that is no swapped message: the stamps themselves have jumped, or the newest one was a stray.
+  constexpr TimeNs kSwappedNs = 1'000'000'000;
+  if (!forces_.empty() && sample.t_ns <= forces_.back().t_ns) {
+    if (forces_.back().t_ns - sample.t_ns <= kSwappedNs) return;
+    forces_.clear();
+  }
   forces_.push_back(sample);
   if (forces_.size() > kMaxVelocities) forces_.pop_front();
 }
@@ -131,28 +136,30 @@ std::optional<TranslationJob> TranslationInput::around(const TimeRange& frame, c
       if (std::abs(force.t_ns - middle_ns) <= reach_ns) job.forces.push_back(force);
     }
   }
-  if (body_frame_.empty() || (body_frame_ == imu_frame && config.R_cam_imu)) {
+  const std::string& body_frame = body_frame_.empty() ? imu_frame : body_frame_;
+  if (body_frame == imu_frame && config.R_cam_imu) {
     job.R_cam_body = R_cam_imu;
     job.p_cam_body_m = config.p_cam_imu_m;
   } else {
-    const std::optional<Eigen::Isometry3d> T_cam_body = transform ? transform(camera_frame, body_frame_) : std::nullopt;
+    const std::optional<Eigen::Isometry3d> T_cam_body = transform ? transform(camera_frame, body_frame) : std::nullopt;
     if (!T_cam_body) {
-      return refuse("no transform from the odometry's child frame \"" + body_frame_ + "\" to camera frame \"" +
-                    camera_frame + "\"");
+      return refuse("no transform from the odometry's frame \"" + body_frame + "\" to camera frame \"" + camera_frame +
+                    "\"");
     }
     job.R_cam_body = T_cam_body->linear();
     job.p_cam_body_m = T_cam_body->translation();
   }
 
   const TimeNs to_camera_ns = config.odometry_clock == OdometryClock::IMU ? -config.gyro.time_offset_ns : 0;
+  std::optional<VelocitySample> nearest;
   for (VelocitySample sample : velocities_) {
     sample.t_ns += to_camera_ns;
-    // The newest in any case, so that its age can be told.
-    if (std::abs(sample.t_ns - middle_ns) <= reach_ns || job.velocities.empty())
-      job.velocities.push_back(sample);
-    else if (std::abs(job.velocities.front().t_ns - middle_ns) > reach_ns)
-      job.velocities.front() = sample;
+    const TimeNs away_ns = std::abs(sample.t_ns - middle_ns);
+    if (away_ns <= reach_ns) job.velocities.push_back(sample);
+    if (!nearest || away_ns < std::abs(nearest->t_ns - middle_ns)) nearest = sample;
   }
+  // So that its age can be told.
+  if (job.velocities.empty() && nearest) job.velocities.push_back(*nearest);
   return job;
 }
 

@@ -7,6 +7,7 @@
 #include <iostream>
 #include <map>
 #include <optional>
+#include <set>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -19,6 +20,7 @@
 #include <sensor_msgs/Imu.h>
 #include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
+#include <yaml-cpp/yaml.h>
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
@@ -79,7 +81,7 @@ Topics choose_topics(const Arguments& arguments, const std::map<std::string, std
   return chosen;
 }
 
-/// IMU samples and exposure times of the whole bag, by stamp.
+/// Exposure times of the whole bag, by stamp.
 std::map<TimeNs, Exposure> read_exposures(rosbag::Bag& bag, const std::string& topic) {
   std::map<TimeNs, Exposure> exposures;
   if (topic.empty()) return exposures;
@@ -234,17 +236,19 @@ std::string text_of(const char* format, double a, double b) {
   return text;
 }
 
-/// The configuration that the launch files and deblur_bag read.
-std::string yaml_of(const Arguments& arguments, const Config& config, const TimingEstimate& e, double sensor_readout_s,
-                    const std::string& rotation_from) {
+/// The configuration that the launch files and deblur_bag read: that of --config, with what was estimated.
+std::string yaml_of(const Arguments& arguments, const Config& config, const TimingEstimate& e,
+                    const Estimate& sensor_readout_s, const std::string& rotation_from) {
   std::string yaml = "# By calibrate_timing from " + arguments.bag +
                      ".\n# Keys that are not here have the defaults of config/default.yaml.\n";
-  const auto add = [&yaml](const std::string& key, const std::string& value, const std::string& comment) {
+  std::set<std::string> written;
+  const auto add = [&](const std::string& key, const std::string& value, const std::string& comment) {
     yaml += key + ": " + value + (comment.empty() ? "" : "  # " + comment) + "\n";
+    written.insert(key);
   };
   add("time_offset", text_of("%.6f", e.time_offset_s.value, 0), text_of("[s] +- %.6f", e.time_offset_s.stddev, 0));
-  add("readout_time", text_of("%.6f", sensor_readout_s, 0),
-      e.readout_s.stddev > 0 ? text_of("[s] +- %.6f", e.readout_s.stddev, 0) : "[s] as given");
+  add("readout_time", text_of("%.6f", sensor_readout_s.value, 0),
+      sensor_readout_s.stddev > 0 ? text_of("[s] +- %.6f", sensor_readout_s.stddev, 0) : "[s] as given");
   std::string bias, stddev;
   for (const Estimate& axis : e.bias_rad_s) {
     bias += (bias.empty() ? "[" : ", ") + text_of("%.5f", axis.value, 0);
@@ -263,6 +267,27 @@ std::string yaml_of(const Arguments& arguments, const Config& config, const Timi
   add("stamp_phase", phases[static_cast<int>(config.shutter.stamp_phase)], "");
   if (config.shutter.exposure_ns > 0) {
     add("exposure_time", text_of("%.6f", to_seconds(config.shutter.exposure_ns), 0), "[s] as given");
+  }
+  if (arguments.config.empty()) return yaml;
+  YAML::Node given = YAML::LoadFile(arguments.config);
+  if (YAML::Node files = given["calibration_file"]; files && !files.IsNull()) {
+    const std::filesystem::path folder = std::filesystem::absolute(arguments.config).parent_path();
+    const auto make_absolute = [&folder](YAML::Node path) {
+      if (path.IsScalar() && !path.Scalar().empty()) path = (folder / path.Scalar()).lexically_normal().string();
+    };
+    if (files.IsSequence()) {
+      for (YAML::Node file : files) make_absolute(file);
+    } else {
+      make_absolute(files);
+    }
+    add("on_calibration_conflict", "configured", "what was estimated holds against calibration_file");
+  }
+  yaml += "\n# From " + arguments.config + "\n";
+  for (const auto& entry : given) {
+    if (written.count(entry.first.Scalar()) != 0) continue;
+    YAML::Node single;
+    single[entry.first.Scalar()] = entry.second;
+    yaml += YAML::Dump(single) + "\n";
   }
   return yaml;
 }
@@ -312,11 +337,12 @@ void run(const Arguments& arguments) {
   } catch (const std::exception& error) {
     throw std::runtime_error(arguments.bag + ": " + error.what());
   }
-  const double sensor_readout_s = estimate.readout_s.value / footage.readout_part;
+  const Estimate sensor_readout_s{estimate.readout_s.value / footage.readout_part,
+                                  estimate.readout_s.stddev / footage.readout_part};
 
   std::printf("time_offset   %+.6f +- %.6f s   (t_imu = t_cam + time_offset)\n", estimate.time_offset_s.value,
               estimate.time_offset_s.stddev);
-  std::printf("readout_time  %+.6f +- %.6f s\n", sensor_readout_s, estimate.readout_s.stddev / footage.readout_part);
+  std::printf("readout_time  %+.6f +- %.6f s\n", sensor_readout_s.value, sensor_readout_s.stddev);
   std::printf("gyro_bias     [%+.5f, %+.5f, %+.5f] +- [%.5f, %.5f, %.5f] rad/s\n", estimate.bias_rad_s[0].value,
               estimate.bias_rad_s[1].value, estimate.bias_rad_s[2].value, estimate.bias_rad_s[0].stddev,
               estimate.bias_rad_s[1].stddev, estimate.bias_rad_s[2].stddev);

@@ -240,7 +240,9 @@ Slice slice_of(rosbag::Bag& bag, const Arguments& arguments, const Config& confi
   }
   const TimeNs bag_begin_ns = all.size() == 0 ? 0 : to_time_ns(all.getBeginTime());
   // What a frame may need from before its image came: its gyroscope samples, and messages that overtook it.
-  const TimeNs lead_ns = config.gyro.buffer_ns + std::abs(config.gyro.time_offset_ns) + config.gyro_timeout_ns;
+  const TimeNs lead_ns = config.gyro.buffer_ns + std::abs(config.gyro.time_offset_ns) + config.gyro_timeout_ns +
+                         std::max({config.exposure_max_age_ns, config.translation.depth_max_age_ns,
+                                   velocity_reach_ns(config.translation)});
   return {bag_begin_ns + to_ns(arguments.start_s),
           arguments.end_s ? bag_begin_ns + to_ns(*arguments.end_s) : std::numeric_limits<TimeNs>::max(), lead_ns};
 }
@@ -348,7 +350,7 @@ void run(const Arguments& arguments) {
   ProgressBar progress(view.size());
   Processor::Environment environment;
   environment.clock = [&bag_time_ns] { return bag_time_ns; };
-  environment.log = [&progress](LogLevel level, const std::string& text) {
+  const auto log = [&progress](LogLevel level, const std::string& text) {
     progress.clear();
     std::cerr << "deblur_bag: "
               << (level == LogLevel::INFO      ? ""
@@ -356,6 +358,7 @@ void run(const Arguments& arguments) {
                                                : "error: ")
               << text << "\n";
   };
+  environment.log = log;
   environment.extrinsic = [&tf_buffer](const std::string& camera_frame, const std::string& imu_frame) {
     return lookup_R_cam_imu(tf_buffer, camera_frame, imu_frame);
   };
@@ -392,6 +395,33 @@ void run(const Arguments& arguments) {
     return true;
   };
 
+  std::size_t refused_exposures = 0;
+  // As in the nodelet: a driver's message without an exposure time costs its frame, not the run.
+  const auto pass_on_exposure = [&](const rosbag::MessageInstance& instance) {
+    const std::vector<std::uint8_t> bytes = read_bytes(instance);
+    try {
+      adapter.pass_on(instance.getDataType(), instance.getMessageDefinition(), bytes, &processor);
+    } catch (const std::exception& error) {
+      if (refused_exposures++ > 0) return;
+      log(LogLevel::WARNING, MessageError(instance, error.what()).what());
+    }
+  };
+  if (driver_messages && arguments.start_s > 0 && !topics.exposure.empty()) {
+    // A setting is published when it changes, which may be long before the slice.
+    rosbag::View before(input, rosbag::TopicQuery(topics.exposure), ros::TIME_MIN, read_from);
+    for (const rosbag::MessageInstance& instance : before) {
+      const std::vector<std::uint8_t> bytes = read_bytes(instance);
+      try {
+        const std::optional<ExposureReading> reading =
+            adapter.read(instance.getDataType(), instance.getMessageDefinition(), bytes.data(), bytes.size());
+        if (reading && reading->stamp_ns) break;  // of single frames, not a setting
+        if (reading) processor.add_exposure_setting(reading->exposure_ns);
+      } catch (const std::exception&) {
+        continue;  // said by the slice that it belongs to
+      }
+    }
+  }
+
   const auto start = std::chrono::steady_clock::now();
   std::size_t done = 0;
   try {
@@ -420,12 +450,7 @@ void run(const Arguments& arguments) {
         }
       } else if (topic == topics.exposure) {
         if (driver_messages) {
-          const std::vector<std::uint8_t> bytes = read_bytes(instance);
-          try {
-            adapter.pass_on(instance.getDataType(), instance.getMessageDefinition(), bytes, &processor);
-          } catch (const std::exception& error) {
-            throw MessageError(instance, error.what());
-          }
+          pass_on_exposure(instance);
         } else if (const auto message = read_message<Exposure>(instance)) {
           processor.add_exposure(*message);
         }

@@ -124,9 +124,12 @@ class CalibrateTiming(unittest.TestCase):
                               result.stderr)
 
     def test_what_is_given_stays(self):
+        with open(self.path("extrinsic.yaml"), "w") as file:
+            file.write("%YAML:1.0\nbody_T_cam0: [0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\ntd: 0.1\n"
+                       .replace("[", "{rows: 4, cols: 4, dt: d, data: [").replace("]", "]}"))
         with open(self.path("given.yaml"), "w") as file:
-            file.write("readout_time: 0.024\ngyro_bias: [0.01, -0.02, 0.03]\ntime_offset: 0.1\n"
-                       "R_cam_imu: [0, 1, 0, -1, 0, 0, 0, 0, 1]\n")
+            file.write("readout_time: 0.024\ngyro_bias: [0.01, -0.02, 0.03]\ngamma: 0.02\nrectified_input: false\n"
+                       "calibration_file: extrinsic.yaml\n")
         result = self.calibrate("--config", self.path("given.yaml"), "--fixed-readout", "--fixed-bias", "--search", "0.05")
         self.assertEqual(result.returncode, 0, result.stderr)
         keys, report = self.results()
@@ -134,6 +137,14 @@ class CalibrateTiming(unittest.TestCase):
         self.assertEqual(keys["gyro_bias"], [0.01, -0.02, 0.03])
         self.assertEqual(report["rotation_from"], "as configured")
         self.assertAlmostEqual(keys["time_offset"], 0.123, delta=0.002)
+        # What calibrate_timing does not estimate is handed on, and what it does holds against the file.
+        self.assertEqual(keys["gamma"], 0.02)
+        self.assertEqual(keys["calibration_file"], self.path("extrinsic.yaml"))
+        self.assertEqual(keys["on_calibration_conflict"], "configured")
+        result = subprocess.run([os.path.join(TOOL_DIR, "deblur_bag"), self.path("in.bag"), self.path("given.bag"),
+                                 "--config", self.path("out.yaml")], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                                universal_newlines=True)
+        self.assertEqual(result.returncode, 0, result.stdout)
 
     def test_bad_input(self):
         def fails(expected, *arguments, bag="in.bag"):

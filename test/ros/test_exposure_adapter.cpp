@@ -161,7 +161,9 @@ TEST(ExposureAdapter, ReadsAParameterOfDynamicReconfigure) {
   EXPECT_FALSE(of_int->stamp_ns) << "it holds until the next";
   const ExposureSource ms{Kind::DYNAMIC_RECONFIGURE, ExposureUnit::MILLISECONDS, "exposure_ms"};
   EXPECT_EQ(read(ms, type, "", bytes)->exposure_ns, 6'500'000);
-  EXPECT_FALSE(read({Kind::DYNAMIC_RECONFIGURE, ExposureUnit::SECONDS, "shutter"}, type, "", bytes));
+  EXPECT_NE(error_of({Kind::DYNAMIC_RECONFIGURE, ExposureUnit::SECONDS, "shutter"}, type, "", bytes)
+                .find("called exposure_field = \"shutter\"; there are gain, exposure_ms, exposure"),
+            std::string::npos);
   EXPECT_NE(error_of(ms, "a/B", "", bytes).find("of type a/B, not dynamic_reconfigure/Config"), std::string::npos);
 }
 
@@ -179,6 +181,34 @@ TEST(ExposureAdapter, NamesWhatIsNotThere) {
             std::string::npos);
   EXPECT_NE(error_of({Kind::FIELD, ExposureUnit::SECONDS, "header.frame_id"}, type, kSequence, bytes).find("no number"),
             std::string::npos);
+}
+
+TEST(ExposureAdapter, AStampThatWasNeverSetIsNone) {
+  const Bytes bytes = Bytes().add<std::uint32_t>(0).add<std::uint32_t>(0).add(7000.0);
+  const ExposureSource source{Kind::FIELD, ExposureUnit::MICROSECONDS, "exposure"};
+  EXPECT_FALSE(read(source, "a/B", "time stamp\nfloat64 exposure\n", bytes)->stamp_ns);
+}
+
+TEST(MessageLayout, RefusesDefinitionsThatDoNotEnd) {
+  const auto error = [](const std::string& definition) -> std::string {
+    try {
+      MessageLayout("p/A", definition).find("x", nullptr, 0);
+      return "accepted";
+    } catch (const std::exception& failure) {
+      return failure.what();
+    }
+  };
+  EXPECT_EQ(error("A a\n"), "in the definition of p/A, p/A contains itself");
+  EXPECT_EQ(error("B b\nMSG: p/B\nA[] a\n"), "in the definition of p/A, p/A contains itself");
+  EXPECT_NE(error("uint8[x] a\n").find("array \"uint8[x] a\" whose length is not a number"), std::string::npos);
+  EXPECT_NE(error("uint8[99999999999999999999] a\n").find("is not a number"), std::string::npos);
+  std::string doubling = "B0 b\n";
+  for (int i = 0; i < 40; ++i) {
+    const std::string next = "B" + std::to_string(i + 1);
+    doubling += "MSG: p/B" + std::to_string(i) + "\n" + next + " a\n" + next + " b\n";
+  }
+  EXPECT_NE(error(doubling + "MSG: p/B40\n").find("more than 10000 fields"), std::string::npos);
+  EXPECT_EQ(error("Empty[999999999] e\nMSG: p/Empty\n"), "accepted") << "at once";
 }
 
 TEST(MessageLayout, SkipsPixels) {

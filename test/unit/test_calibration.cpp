@@ -321,6 +321,12 @@ TEST(CalibrationFileInTheConfiguration, FillsWhatNoKeySays) {
                                                       kFolder + "vins_mono.yaml (they differ by 0.000190 s)");
   EXPECT_EQ(error(file + "readout_time: 0.02").rfind("readout_time is 0.020000 s in the parameter", 0), 0u);
   EXPECT_EQ(error(file + "R_cam_imu: [1, 0, 0, 0, 1, 0, 0, 0, 1]").rfind("R_cam_imu is [1, 0, 0", 0), 0u);
+  const Config keys_hold = parse(file +
+                                 "time_offset: -0.0075\nR_cam_imu: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
+                                 "on_calibration_conflict: configured");
+  EXPECT_EQ(keys_hold.gyro.time_offset_ns, -7'500'000);
+  EXPECT_EQ(*keys_hold.R_cam_imu, Eigen::Matrix3d(Eigen::Matrix3d::Identity()));
+  EXPECT_EQ(keys_hold.shutter.readout_ns, 21'000'000) << "no key says it";
   EXPECT_EQ(error("calibration_file: [" + kFolder + "kalibr.yaml, " + kFolder + "mav0]"), "accepted");
   EXPECT_NE(error("calibration_file: [" + kFolder + "mav0]\nreadout_time: 0.5").find("longer than the frame period"),
             std::string::npos);
