@@ -147,7 +147,7 @@ TEST_F(FeatureTrackerTest, AnObjectThatMovesOnItsOwnIsAnOutlier) {
     if (track.length == 1) continue;
     (on_patch.count(track.id) > 0 ? kept : others) += 1;
   }
-  EXPECT_LT(kept, on_patch.size() / 2);
+  EXPECT_LT(2 * kept, on_patch.size());
   EXPECT_GT(others, 15u);
 }
 
