@@ -125,8 +125,10 @@ class CalibrateTiming(unittest.TestCase):
 
     def test_what_is_given_stays(self):
         with open(self.path("extrinsic.yaml"), "w") as file:
-            file.write("%YAML:1.0\nbody_T_cam0: [0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\ntd: 0.1\n"
-                       .replace("[", "{rows: 4, cols: 4, dt: d, data: [").replace("]", "]}"))
+            file.write("%YAML:1.0\nmodel_type: PINHOLE\nimage_width: 376\nimage_height: 240\n"
+                       "distortion_parameters: {k1: -0.28, k2: 0.07, p1: 0.0002, p2: 0.00002}\n"
+                       "projection_parameters: {fx: 229.4, fy: 228.7, cx: 183.6, cy: 124.2}\ntd: 0.1\nbody_T_cam0: "
+                       "{rows: 4, cols: 4, dt: d, data: [0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}\n")
         with open(self.path("given.yaml"), "w") as file:
             file.write("readout_time: 0.024\ngyro_bias: [0.01, -0.02, 0.03]\ngamma: 0.02\nrectified_input: false\n"
                        "calibration_file: extrinsic.yaml\n")
