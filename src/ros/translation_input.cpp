@@ -143,8 +143,9 @@ std::optional<TranslationJob> TranslationInput::around(const TimeRange& frame, c
   } else {
     const std::optional<Eigen::Isometry3d> T_cam_body = transform ? transform(camera_frame, body_frame) : std::nullopt;
     if (!T_cam_body) {
-      return refuse("no transform from the odometry's frame \"" + body_frame + "\" to camera frame \"" + camera_frame +
-                    "\"");
+      return refuse(std::string("no transform from the ") +
+                    (body_frame_.empty() ? "IMU's frame \"" : "odometry's child frame \"") + body_frame +
+                    "\" to camera frame \"" + camera_frame + "\"");
     }
     job.R_cam_body = T_cam_body->linear();
     job.p_cam_body_m = T_cam_body->translation();
