@@ -1,6 +1,8 @@
 // The blur field as a picture. Colours by status are decided here, for overlay and rviz markers alike.
 #pragma once
 
+#include <vector>
+
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
@@ -17,9 +19,13 @@ struct BlurSegment {
 };
 BlurSegment blur_segment(const BlurField& field, int index);
 
-/// `luminance` (CV_8UC1, the field's size) as CV_8UC3 BGR with the blur path of every block drawn in its status's
-/// colour, and a legend: the median extent, what became of how many blocks, and a bar of 50 px for scale. Too small
-/// images have no legend.
+/// Which blocks' paths to draw so that none comes nearer to another than `gap_px` (>= 0): 1 for those, else 0, row by
+/// row. Of paths in each other's way the first is drawn. Where all are far enough apart all are drawn.
+std::vector<char> paths_apart(const BlurField& field, double gap_px);
+
+/// `luminance` (CV_8UC1, the field's size) as CV_8UC3 BGR with a dot in the colour of its status on every block, the
+/// blur paths in true length of as many blocks as can be told apart, and a legend: the median extent, what became of
+/// how many blocks, how many paths are drawn, and a bar of 50 px for scale. Too small images have no legend.
 cv::Mat draw_overlay(const cv::Mat& luminance, const BlurField& field);
 
 }  // namespace gyro_deblur

@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <opencv2/imgproc.hpp>
@@ -67,7 +68,30 @@ const char* fate(BlockStatus status) {
 /// Length of the scale bar [px].
 constexpr int kScaleBarPx = 50;
 
-void draw_legend(cv::Mat& image, const BlurField& field, double scale) {
+/// Squared distance of a point from a segment.
+double distance2(const Eigen::Vector2d& p, const BlurSegment& s) {
+  const Eigen::Vector2d along = s.to_px - s.from_px;
+  const double length2 = along.squaredNorm();
+  const double t = length2 > 0 ? std::clamp(along.dot(p - s.from_px) / length2, 0.0, 1.0) : 0;
+  return (s.from_px + t * along - p).squaredNorm();
+}
+
+double cross(const Eigen::Vector2d& a, const Eigen::Vector2d& b) { return a.x() * b.y() - a.y() * b.x(); }
+
+bool come_near(const BlurSegment& a, const BlurSegment& b, double gap_px) {
+  const double gap2 = gap_px * gap_px;
+  if (distance2(a.from_px, b) < gap2 || distance2(a.to_px, b) < gap2 || distance2(b.from_px, a) < gap2 ||
+      distance2(b.to_px, a) < gap2) {
+    return true;
+  }
+  // Apart from that segments are only near where they cross.
+  const auto side = [](const BlurSegment& s, const Eigen::Vector2d& p) {
+    return cross(s.to_px - s.from_px, p - s.from_px);
+  };
+  return side(a, b.from_px) * side(a, b.to_px) < 0 && side(b, a.from_px) * side(b, a.to_px) < 0;
+}
+
+void draw_legend(cv::Mat& image, const BlurField& field, int paths, double scale) {
   std::vector<LegendLine> lines;
   char median[64];
   std::snprintf(median, sizeof(median), "median blur %.1f px", median_extent_px(field));
@@ -75,6 +99,10 @@ void draw_legend(cv::Mat& image, const BlurField& field, double scale) {
   for (const BlockStatus status : kStatuses) {
     const std::size_t count = field.count(status);
     if (count > 0) lines.push_back({std::to_string(count) + " " + fate(status), color_bgr(status)});
+  }
+  if (paths < field.grid.size()) {
+    const std::string drawn = "paths of " + std::to_string(paths) + " of " + std::to_string(field.grid.size());
+    lines.push_back({drawn, cv::Scalar::all(255)});
   }
 
   const int font = cv::FONT_HERSHEY_SIMPLEX;
@@ -137,6 +165,23 @@ BlurSegment blur_segment(const BlurField& field, int index) {
   return {center_px - half_px, center_px + half_px};
 }
 
+std::vector<char> paths_apart(const BlurField& field, double gap_px) {
+  std::vector<char> chosen(field.blocks.size(), 0);
+  std::vector<std::pair<int, BlurSegment>> paths;
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const BlurSegment own = blur_segment(field, i);
+    const bool apart = std::none_of(paths.begin(), paths.end(), [&](const auto& other) {
+      const double reach_px = 0.5 * (field.blocks[i].extent_px + field.blocks[other.first].extent_px) + gap_px;
+      const double between_px = (field.grid.center(i) - field.grid.center(other.first)).norm();
+      return between_px < reach_px && come_near(own, other.second, gap_px);
+    });
+    if (!apart) continue;
+    chosen[i] = 1;
+    paths.emplace_back(i, own);
+  }
+  return chosen;
+}
+
 cv::Mat draw_overlay(const cv::Mat& luminance, const BlurField& field) {
   if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
       luminance.rows != field.grid.height_px()) {
@@ -150,19 +195,28 @@ cv::Mat draw_overlay(const cv::Mat& luminance, const BlurField& field) {
   // 1 at VGA height, so that lines and text keep their share of the picture.
   const double scale = std::max(1.0, std::min(luminance.cols, luminance.rows) / 480.0);
   const int thickness = std::max(1, static_cast<int>(std::lround(scale)));
-  const auto draw = [&](int index, const cv::Scalar& color, int extra_px) {
+  constexpr double kGapPx = 8;  // at VGA
+  const std::vector<char> has_path = paths_apart(field, kGapPx * scale);
+  const auto draw_path = [&](int index, const cv::Scalar& color, int extra_px) {
     const BlurSegment segment = blur_segment(field, index);
     cv::line(image, fixed_point(segment.from_px), fixed_point(segment.to_px), color, thickness + extra_px, cv::LINE_AA,
              kShift);
-    // The dot shows blocks whose path is too short to see.
+  };
+  const auto draw_dot = [&](int index, const cv::Scalar& color, int extra_px) {
     cv::circle(image, fixed_point(field.grid.center(index)),
                static_cast<int>(std::lround((1.5 * thickness + 0.5 * extra_px) * (1 << kShift))), color, cv::FILLED,
                cv::LINE_AA, kShift);
   };
   // A dark rim first keeps the colours legible on bright ground; later blocks must not be rimmed over earlier ones.
-  for (int i = 0; i < field.grid.size(); ++i) draw(i, cv::Scalar::all(0), 2);
-  for (int i = 0; i < field.grid.size(); ++i) draw(i, color_bgr(field.blocks[i].status), 0);
-  draw_legend(image, field, scale);
+  constexpr int kRimPx = 2;
+  for (const int rim_px : {kRimPx, 0}) {
+    for (int i = 0; i < field.grid.size(); ++i) {
+      const cv::Scalar color = rim_px > 0 ? cv::Scalar::all(0) : color_bgr(field.blocks[i].status);
+      if (has_path[i]) draw_path(i, color, rim_px);
+      draw_dot(i, color, rim_px);
+    }
+  }
+  draw_legend(image, field, static_cast<int>(std::count(has_path.begin(), has_path.end(), 1)), scale);
   return image;
 }
 

@@ -1,7 +1,9 @@
 #include "ros/conversions.hpp"
 
 #include <algorithm>
+#include <cinttypes>
 #include <cmath>
+#include <cstdio>
 #include <cstring>
 #include <limits>
 #include <sstream>
@@ -22,6 +24,8 @@ namespace {
 
 constexpr TimeNs kNsPerSecond = 1'000'000'000;
 constexpr char kMarkerNamespace[] = "blur";
+/// At the depth of the lines.
+constexpr double kMarkerWidthPx = 2, kMarkerGapPx = 8;
 
 bool host_is_big_endian() {
   const std::uint16_t probe = 1;
@@ -90,6 +94,22 @@ ros::Time to_ros_time(TimeNs time_ns) {
   ros::Time time;
   time.fromNSec(static_cast<std::uint64_t>(std::clamp<TimeNs>(time_ns, 0, latest_ns)));
   return time;
+}
+
+std::string seconds_text(TimeNs time_ns) {
+  constexpr TimeNs kNsPerSecond = 1'000'000'000;
+  char text[40];
+  const std::uint64_t magnitude =
+      time_ns < 0 ? std::uint64_t{0} - static_cast<std::uint64_t>(time_ns) : static_cast<std::uint64_t>(time_ns);
+  std::snprintf(text, sizeof(text), "%s%" PRIu64 ".%09" PRIu64, time_ns < 0 ? "-" : "", magnitude / kNsPerSecond,
+                magnitude % kNsPerSecond);
+  return text;
+}
+
+std::string vector_text(const Eigen::Vector3d& v) {
+  char text[80];
+  std::snprintf(text, sizeof(text), "[%.6f, %.6f, %.6f]", v.x(), v.y(), v.z());
+  return text;
 }
 
 std::optional<GyroSample> to_gyro_sample(const sensor_msgs::Imu& imu) {
@@ -401,13 +421,17 @@ visualization_msgs::MarkerArrayPtr to_markers(const BlurField& field, const Came
   marker.action = visualization_msgs::Marker::ADD;
   marker.pose.orientation.w = 1;
   marker.color.a = 1;
-  // Two pixels wide at the depth of the lines.
-  marker.scale.x = 2.0 / camera.calibration().fx_px;
+  marker.scale.x = kMarkerWidthPx / camera.calibration().fx_px;
 
   std::vector<Eigen::Vector2d> ends_px;
   ends_px.reserve(2 * field.blocks.size());
+  const std::vector<char> has_path = paths_apart(field, kMarkerGapPx);
+  const Eigen::Vector2d half_dot_px(kMarkerWidthPx, 0);
   for (int i = 0; i < field.grid.size(); ++i) {
-    const BlurSegment segment = blur_segment(field, i);
+    const Eigen::Vector2d center_px = field.grid.center(i);
+    const BlurSegment segment = has_path[static_cast<std::size_t>(i)]
+                                    ? blur_segment(field, i)
+                                    : BlurSegment{center_px - half_dot_px, center_px + half_dot_px};
     ends_px.push_back(segment.from_px);
     ends_px.push_back(segment.to_px);
   }

@@ -40,6 +40,10 @@ class FrameError : public std::runtime_error {
 TimeNs to_time_ns(const ros::Time& time);
 ros::Time to_ros_time(TimeNs time_ns);
 
+/// Seconds with all nine digits: doubles have too few for stamps.
+std::string seconds_text(TimeNs time_ns);
+std::string vector_text(const Eigen::Vector3d& v);
+
 /// Body rate and stamp of an IMU message; nothing when its covariance says that it has no gyroscope
 /// (sensor_msgs/Imu: first element -1).
 std::optional<GyroSample> to_gyro_sample(const sensor_msgs::Imu& imu);
@@ -102,8 +106,9 @@ KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions&
 /// does.
 sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const std_msgs::Header& header);
 
-/// The blur paths as lines at a depth of 1 m in the camera's frame, in the colours of the overlay. One marker with a
-/// fixed namespace and id, so that each image's replaces the one before.
+/// The blur paths as lines at a depth of 1 m in the camera's frame, in the colours of the overlay; short ones for
+/// blocks whose path would cover another's. One marker with a fixed namespace and id, so that each image's replaces the
+/// one before.
 visualization_msgs::MarkerArrayPtr to_markers(const BlurField& field, const Camera& camera,
                                               const std_msgs::Header& header);
 

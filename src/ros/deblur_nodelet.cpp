@@ -20,8 +20,8 @@ namespace {
 /// Callbacks only store, so these queues are short in practice; a burst must not be lost here, where nobody would count
 /// it.
 constexpr std::uint32_t kImageQueue = 100;
-/// A second of a 1 kHz IMU.
-constexpr std::uint32_t kImuQueue = 1000;
+/// Of odometry, exposures and the like, which may come at the rate of an IMU.
+constexpr std::uint32_t kFastQueue = 1000;
 constexpr std::uint32_t kTfQueue = 100;
 constexpr std::uint32_t kOutputQueue = 10;
 
@@ -98,7 +98,7 @@ void DeblurNodelet::Latency::add(double ms) {
 
 DeblurNodelet::~DeblurNodelet() {
   // Shutting a subscription down waits for its callback in progress; after this no callback runs any more.
-  imu_subscriber_.shutdown();
+  if (imu_) imu_->stop_listening(this);
   exposure_subscriber_.shutdown();
   odometry_subscriber_.shutdown();
   scene_depth_subscriber_.shutdown();
@@ -170,25 +170,40 @@ void DeblurNodelet::onInit() {
   };
   environment.exposure_expected = [this] { return exposure_expected_.load(); };
   environment.request = [this] { return request(); };
-  processor_ = std::make_unique<Processor>(std::move(environment));
-
-  load_parameters();
-  start_reconfigure();
 
   ros::NodeHandle& nh = getNodeHandle();
   ros::NodeHandle& private_nh = getPrivateNodeHandle();
+  std::string error;
+  const std::optional<Config> config = load_parameters(&error);
+  const std::string imu_topic = nh.resolveName("imu");
+  imu_ = config ? SharedImu::get(imu_topic, GyroSource::options_of(*config))
+                : SharedImu::unshared(imu_topic, GyroSource::options_of(Config()));
+  environment.gyro = imu_->source();
+  processor_ = std::make_unique<Processor>(std::move(environment));
+  try {
+    if (config) processor_->set_config(*config);
+  } catch (const std::exception& refused) {
+    error = refused.what();
+  }
+  if (!error.empty()) {
+    NODELET_ERROR_STREAM("parameters cannot be used, frames pass through unchanged: " << error);
+    processor_->set_config_error(error);
+  }
+  start_reconfigure();
+
   transport_ = std::make_unique<image_transport::ImageTransport>(nh);
   tf_static_subscriber_ = nh.subscribe("/tf_static", kTfQueue, &DeblurNodelet::on_transforms, this);
   tf_subscriber_ = nh.subscribe("/tf", kTfQueue, &DeblurNodelet::on_transforms, this);
   if (exposure_adapter_) {
-    exposure_subscriber_ = nh.subscribe("exposure", kImuQueue, &DeblurNodelet::on_driver_message, this);
+    exposure_subscriber_ = nh.subscribe("exposure", kFastQueue, &DeblurNodelet::on_driver_message, this);
   } else {
-    exposure_subscriber_ = nh.subscribe("exposure", kImuQueue, &DeblurNodelet::on_exposure, this);
+    exposure_subscriber_ = nh.subscribe("exposure", kFastQueue, &DeblurNodelet::on_exposure, this);
   }
   odometry_subscriber_ =
-      nh.subscribe("odometry", kImuQueue, &DeblurNodelet::on_odometry, this, ros::TransportHints().tcpNoDelay());
-  scene_depth_subscriber_ = nh.subscribe("scene_depth", kImuQueue, &DeblurNodelet::on_scene_depth, this);
-  imu_subscriber_ = nh.subscribe("imu", kImuQueue, &DeblurNodelet::on_imu, this, ros::TransportHints().tcpNoDelay());
+      nh.subscribe("odometry", kFastQueue, &DeblurNodelet::on_odometry, this, ros::TransportHints().tcpNoDelay());
+  scene_depth_subscriber_ = nh.subscribe("scene_depth", kFastQueue, &DeblurNodelet::on_scene_depth, this);
+  imu_->listen(this, [this](const sensor_msgs::Imu& imu) { on_imu(imu); });
+  last_statistics_ = processor_->statistics();  // the IMU may have been counted for others before
   advertise();
   worker_ = std::thread(&DeblurNodelet::work, this);
   reset_service_ = private_nh.advertiseService("reset", &DeblurNodelet::on_reset, this);
@@ -200,7 +215,7 @@ void DeblurNodelet::onInit() {
   diagnostics_timer_ = nh.createWallTimer(ros::WallDuration(1.0), &DeblurNodelet::on_diagnostics_timer, this);
 }
 
-void DeblurNodelet::load_parameters() {
+std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
   parameters_ = YAML::Node(YAML::NodeType::Map);
   if (getPrivateNodeHandle().getParam("", given_parameters_) &&
       given_parameters_.getType() == XmlRpc::XmlRpcValue::TypeStruct) {
@@ -209,27 +224,28 @@ void DeblurNodelet::load_parameters() {
   for (const char* other : kOtherParameters) parameters_.remove(other);
 
   std::vector<std::string> unknown;
+  std::optional<Config> config;
   try {
-    const Config config = parse_config(parameters_, &unknown);
-    processor_->set_config(config);
+    config = parse_config(parameters_, &unknown);
     NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu)",
-                 to_seconds(config.gyro.time_offset_ns));
-    if (config.exposure_source.kind != ExposureSource::Kind::MESSAGE) {
-      exposure_adapter_ = std::make_unique<ExposureAdapter>(config.exposure_source);
+                 to_seconds(config->gyro.time_offset_ns));
+    if (config->exposure_source.kind != ExposureSource::Kind::MESSAGE) {
+      exposure_adapter_ = std::make_unique<ExposureAdapter>(config->exposure_source);
     }
-    if (config.calibration) NODELET_INFO_STREAM("calibration from " << config.calibration->origin);
-    if (config.shutter.exposure_ns == 0) {
+    if (config->calibration) NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
+    if (config->shutter.exposure_ns == 0) {
       NODELET_WARN("no parameter exposure_time (0, 1] s: only frames with an exposure message can be deblurred");
     }
-  } catch (const std::exception& error) {
-    NODELET_ERROR_STREAM("parameters cannot be used, frames pass through unchanged: " << error.what());
-    processor_->set_config_error(error.what());
+  } catch (const std::exception& refused) {
+    *error = refused.what();
+    config.reset();
   }
   for (const std::string& key : unknown) {
     // Namespaces below the node belong to others, to plugins of image_transport for example.
     const YAML::Node& parameters = parameters_;
     if (!parameters[key].IsMap()) NODELET_WARN_STREAM("parameter ~" << key << " is not known, ignored");
   }
+  return config;
 }
 
 void DeblurNodelet::start_reconfigure() {
@@ -378,8 +394,8 @@ void DeblurNodelet::on_camera_info(const sensor_msgs::CameraInfoConstPtr& info) 
   wake_worker();
 }
 
-void DeblurNodelet::on_imu(const sensor_msgs::ImuConstPtr& imu) {
-  guarded("taking an IMU sample in", [&] { processor_->add_imu(*imu); });
+void DeblurNodelet::on_imu(const sensor_msgs::Imu& imu) {
+  guarded("taking an IMU sample in", [&] { processor_->notice_imu(imu); });
   wake_worker();
 }
 
@@ -531,6 +547,7 @@ void DeblurNodelet::fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper
                            remedy(reason));
     }
   }
+  status.add("cameras on this gyroscope", imu_->listeners());
   status.add("imu dropped, not finite", now.imu_not_finite);
   status.add("imu dropped, duplicate", now.imu_duplicate);
   status.add("imu dropped, out of order", now.imu_out_of_order);

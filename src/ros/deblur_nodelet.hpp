@@ -7,6 +7,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 
@@ -26,11 +27,13 @@
 #include "gyro_deblur/DeblurConfig.h"
 #include "ros/exposure_adapter.hpp"
 #include "ros/processor.hpp"
+#include "ros/shared_imu.hpp"
 
 namespace gyro_deblur {
 
 /// Deblurs the images of one camera. Callbacks only store messages; frames are processed and published, in order, by
-/// one worker thread, so that a slow frame never delays an IMU sample.
+/// one worker thread, so that a slow frame never delays an IMU sample. Nodelets of a process that listen to the same
+/// IMU share its subscription and its samples.
 ///
 /// image_raw and camera_info are matched by stamp here rather than by an image_transport::CameraSubscriber, because
 /// that one keeps back images without camera_info, and every frame has to come out.
@@ -48,7 +51,8 @@ class DeblurNodelet : public nodelet::Nodelet {
   };
 
   void onInit() override;
-  void load_parameters();
+  /// The configuration, or nothing with the reason in `error`.
+  std::optional<Config> load_parameters(std::string* error);
   void start_reconfigure();
   void on_reconfigure(DeblurConfig& dynamic);
   void advertise();
@@ -62,7 +66,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   void on_image(const sensor_msgs::ImageConstPtr& image);
   void on_compressed_image(const sensor_msgs::CompressedImageConstPtr& image);
   void on_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
-  void on_imu(const sensor_msgs::ImuConstPtr& imu);
+  void on_imu(const sensor_msgs::Imu& imu);
   void on_exposure(const ExposureConstPtr& exposure);
   void on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event);
   void on_odometry(const nav_msgs::OdometryConstPtr& odometry);
@@ -95,7 +99,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   ros::Subscriber tf_static_subscriber_;
 
   std::unique_ptr<image_transport::ImageTransport> transport_;
-  ros::Subscriber imu_subscriber_;
+  std::shared_ptr<SharedImu> imu_;
   ros::Subscriber exposure_subscriber_;
   std::unique_ptr<ExposureAdapter> exposure_adapter_;  // null for the package's own message; for one thread at a time
   std::mutex exposure_adapter_mutex_;

@@ -1,8 +1,6 @@
 #include "ros/processor.hpp"
 
 #include <algorithm>
-#include <cinttypes>
-#include <cstdio>
 #include <utility>
 
 #include <boost/make_shared.hpp>
@@ -14,41 +12,11 @@
 namespace gyro_deblur {
 namespace {
 
-/// Late samples in a row, in order among themselves, that show a clock that was set back by less than the threshold:
-/// a bag shorter than it that loops. Jitter of a driver does not deliver that many.
-constexpr std::size_t kLateSamplesOfReset = 10;
-
-/// Samples in a row that fit each other, but not those before: an IMU that was silent, or whose clock was set. Fewer
-/// are wrong stamps, which must not empty the buffer.
-constexpr std::size_t kStraySamplesOfReset = 5;
-
 /// The samples have to span this part of the window.
 constexpr double kMinBiasCoverage = 0.8;
 
 /// Simulated time can stop, at the end of a bag for example: after this many timeouts of real time frames leave anyway.
 constexpr TimeNs kSteadyTimeoutFactor = 10;
-
-constexpr std::chrono::seconds kLogPeriod{5};
-
-/// In force before there is a configuration.
-const Config kDefaults;
-
-/// Seconds with all nine digits: doubles have too few for stamps.
-std::string seconds_text(TimeNs time_ns) {
-  constexpr TimeNs kNsPerSecond = 1'000'000'000;
-  char text[40];
-  const std::uint64_t magnitude =
-      time_ns < 0 ? std::uint64_t{0} - static_cast<std::uint64_t>(time_ns) : static_cast<std::uint64_t>(time_ns);
-  std::snprintf(text, sizeof(text), "%s%" PRIu64 ".%09" PRIu64, time_ns < 0 ? "-" : "", magnitude / kNsPerSecond,
-                magnitude % kNsPerSecond);
-  return text;
-}
-
-std::string vector_text(const Eigen::Vector3d& v) {
-  char text[80];
-  std::snprintf(text, sizeof(text), "[%.6f, %.6f, %.6f]", v.x(), v.y(), v.z());
-  return text;
-}
 
 double elapsed_ms(std::chrono::steady_clock::time_point since) {
   return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - since).count();
@@ -82,8 +50,12 @@ LogLevel level_of(PassThroughReason reason) {
 
 Processor::Processor(Environment environment)
     : environment_(std::move(environment)),
+      log_(environment_.log),
+      gyro_source_(environment_.gyro
+                       ? environment_.gyro
+                       : std::make_shared<GyroSource>(GyroSource::options_of(Config()), environment_.log)),
       jumps_(Config().time_jump_ns),
-      gyro_(Config().gyro.buffer_ns),
+      gyro_(gyro_source_),
       queue_(static_cast<std::size_t>(Config().frame_queue_size)),
       tracker_(std::make_shared<FeatureTracker>(TrackerOptions{})) {}
 
@@ -101,16 +73,10 @@ void Processor::set_config(const Config& config) {
     pipeline = std::make_shared<Pipeline>(config.pipeline,
                                           environment_.make_engine ? environment_.make_engine : make_line_convolver);
   }
-  const TimeNs capacity_ns = std::max(config.gyro.buffer_ns, config.bias_window_ns);
+  // Options of a shared source are what those who share it agree on.
+  if (!environment_.gyro) gyro_source_->set_options(GyroSource::options_of(config));
 
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!config_ || std::max(config_->gyro.buffer_ns, config_->bias_window_ns) != capacity_ns) {
-    GyroBuffer resized(capacity_ns);
-    if (!gyro_.empty()) {
-      for (const GyroSample& sample : gyro_.window(gyro_.available())) resized.add(sample);
-    }
-    gyro_ = std::move(resized);
-  }
   config_ = config;
   config_error_.clear();
   pipeline_ = std::move(pipeline);
@@ -131,27 +97,13 @@ std::size_t Processor::store_size() const {
   return kMargin + 2 * static_cast<std::size_t>(config_ ? config_->frame_queue_size : Config().frame_queue_size);
 }
 
-void Processor::log_throttled(LogLevel level, const std::string& key, const std::string& text) {
-  const auto now = std::chrono::steady_clock::now();
-  const auto found = throttles_.find(key);
-  if (found != throttles_.end() && now - found->second.last < kLogPeriod) {
-    ++found->second.suppressed;
-    return;
-  }
-  Throttle& throttle = throttles_[key];
-  const std::string more =
-      throttle.suppressed == 0 ? "" : " (and " + std::to_string(throttle.suppressed) + " more of the kind)";
-  throttle = {now, 0};
-  environment_.log(level, text + more);
-}
-
 void Processor::forget(Stream stream, ShownBy shown_by) {
   const bool itself = shown_by == ShownBy::ITSELF;
   constexpr char kText[] = "time went backwards while the frame waited";
   switch (stream) {
     case Stream::IMU:
-      gyro_.clear();
-      late_samples_.clear();
+      if (!itself) gyro_.forget();  // else the source has
+      translation_.forget_forces();
       break;
     case Stream::IMAGE:
       itself ? queue_.settle_all(PassThroughReason::TIME_JUMP, kText)
@@ -196,6 +148,7 @@ void Processor::note_time(Stream stream, TimeNs stamp_ns) {
 TimeNs Processor::now() {
   const TimeNs now_ns = environment_.clock();
   note_time(Stream::CLOCK, now_ns);
+  note_imu();
   for (PendingFrame& frame : queue_.frames()) {
     // Simulated time is 0 until its first message, and it can be set back: waiting starts anew then.
     if (frame.arrival_ns == 0 || frame.arrival_ns > now_ns) frame.arrival_ns = now_ns;
@@ -203,102 +156,28 @@ TimeNs Processor::now() {
   return now_ns;
 }
 
-void Processor::drop_stray_samples() {
-  if (stray_samples_.empty()) return;
-  statistics_.imu_stray += stray_samples_.size();
-  log_throttled(
-      LogLevel::WARNING, "imu stray",
-      "imu sample dropped: its stamp " + seconds_text(stray_samples_.back().t_ns) + " s is far from those around it");
-  stray_samples_.clear();
-}
-
-void Processor::take_gyro_sample(const GyroSample& sample) {
-  const auto accept = [this](const GyroSample& accepted) {
-    note_time(Stream::IMU, accepted.t_ns);
-    add_gyro_sample(accepted);
-  };
-  const Config& config = config_ ? *config_ : kDefaults;
-  const auto fits = [&](TimeNs before_ns) {
-    return sample.t_ns >= before_ns - config.time_jump_ns && sample.t_ns <= before_ns + config.gyro.max_gap_ns;
-  };
-  const std::optional<TimeNs> newest_ns = jumps_.newest_ns(Stream::IMU);
-  if (!newest_ns || fits(*newest_ns)) {
-    drop_stray_samples();
-    accept(sample);
-    return;
+void Processor::note_imu() {
+  const GyroReader::News news = gyro_.update();
+  // Whoever has seen no sample from before cannot miss one.
+  if (news.restarted && jumps_.newest_ns(Stream::IMU)) {
+    handle(jumps_.went_back(Stream::IMU, news.to_ns), Stream::IMU, news.from_ns, news.to_ns);
   }
-  if (!stray_samples_.empty()) {
-    const TimeNs last_ns = stray_samples_.back().t_ns;
-    if (!fits(last_ns)) {
-      drop_stray_samples();
-    } else if (sample.t_ns <= last_ns) {
-      ++(sample.t_ns == last_ns ? statistics_.imu_duplicate : statistics_.imu_out_of_order);
-      return;
-    }
-  }
-  stray_samples_.push_back(sample);
-  // Where another stream has shown the reset already, one sample is enough.
-  const bool expected = jumps_.is_stale(Stream::IMU) && sample.t_ns < *newest_ns;
-  if (stray_samples_.size() < kStraySamplesOfReset && !expected) return;
-  const std::vector<GyroSample> agreeing = std::exchange(stray_samples_, {});
-  for (const GyroSample& each : agreeing) accept(each);
-}
-
-void Processor::add_gyro_sample(const GyroSample& sample) {
-  switch (gyro_.add(sample)) {
-    case GyroBuffer::AddResult::ACCEPTED:
-      ++statistics_.imu_accepted;
-      if (is_saturated(sample, (config_ ? *config_ : kDefaults).gyro)) ++statistics_.imu_saturated;
-      if (!late_samples_.empty()) {
-        // Only now it is sure that they were late, and not the first of a new epoch.
-        log_throttled(LogLevel::WARNING, "imu out of order",
-                      "imu sample dropped: its stamp " + seconds_text(late_samples_.back().t_ns) +
-                          " s is before that of the one before it");
-      }
-      late_samples_.clear();
-      return;
-    case GyroBuffer::AddResult::NOT_FINITE:
-      ++statistics_.imu_not_finite;
-      log_throttled(LogLevel::WARNING, "imu not finite",
-                    "imu sample at " + seconds_text(sample.t_ns) + " s dropped: its angular velocity " +
-                        vector_text(sample.rate_rad_s) + " rad/s is not finite");
-      return;
-    case GyroBuffer::AddResult::DUPLICATE:
-      ++statistics_.imu_duplicate;
-      log_throttled(LogLevel::WARNING, "imu duplicate",
-                    "imu sample dropped: a second one with the stamp " + seconds_text(sample.t_ns) + " s");
-      return;
-    case GyroBuffer::AddResult::OUT_OF_ORDER:
-      break;
-  }
-  ++statistics_.imu_out_of_order;
-  const TimeNs newest_ns = gyro_.available().end_ns;
-  if (!late_samples_.empty() && late_samples_.back().t_ns >= sample.t_ns) late_samples_.clear();
-  late_samples_.push_back(sample);
-  if (late_samples_.size() < kLateSamplesOfReset) return;
-  const std::vector<GyroSample> restart = std::move(late_samples_);
-  late_samples_.clear();
-  handle(jumps_.went_back(Stream::IMU, sample.t_ns), Stream::IMU, newest_ns, restart.front().t_ns);
-  for (const GyroSample& late : restart) add_gyro_sample(late);
+  if (news.samples > 0 && news.newest_ns) jumps_.update(Stream::IMU, *news.newest_ns, news.samples);
 }
 
 void Processor::add_imu(const sensor_msgs::Imu& imu) {
-  const std::optional<GyroSample> sample = to_gyro_sample(imu);
+  if (gyro_source_->add(imu)) {
+    notice_imu(imu);
+  } else {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    now();
+  }
+}
+
+void Processor::notice_imu(const sensor_msgs::Imu& imu) {
   const std::lock_guard<std::mutex> lock(mutex_);
   now();
-  if (!sample) {
-    ++statistics_.imu_without_gyroscope;
-    log_throttled(LogLevel::ERROR, "imu without gyroscope",
-                  "imu message dropped: angular_velocity_covariance[0] = -1 says that it has no angular velocity");
-    return;
-  }
-  imu_frame_ = imu.header.frame_id;
-  if (sample->rate_rad_s.allFinite()) {
-    take_gyro_sample(*sample);
-    translation_.add(imu);
-  } else {
-    add_gyro_sample(*sample);  // counts it; the stamp of such a message tells nothing
-  }
+  translation_.add(imu);
 }
 
 void Processor::add_exposure(const Exposure& exposure) {
@@ -329,8 +208,8 @@ void Processor::add_odometry(const nav_msgs::Odometry& odometry) {
   now();
   if (const auto refused = translation_.add(odometry, config_.value_or(Config()))) {
     ++statistics_.odometry_refused;
-    log_throttled(LogLevel::WARNING, "odometry refused",
-                  "odometry at " + seconds_text(to_time_ns(odometry.header.stamp)) + " s ignored: " + *refused);
+    log_(LogLevel::WARNING, "odometry refused",
+         "odometry at " + seconds_text(to_time_ns(odometry.header.stamp)) + " s ignored: " + *refused);
   }
 }
 
@@ -338,8 +217,8 @@ void Processor::add_scene_depth(const sensor_msgs::Range& depth) {
   const std::lock_guard<std::mutex> lock(mutex_);
   now();
   if (const auto refused = translation_.add(depth, config_.value_or(Config()))) {
-    log_throttled(LogLevel::WARNING, "scene depth refused",
-                  "scene_depth at " + seconds_text(to_time_ns(depth.header.stamp)) + " s ignored: " + *refused);
+    log_(LogLevel::WARNING, "scene depth refused",
+         "scene_depth at " + seconds_text(to_time_ns(depth.header.stamp)) + " s ignored: " + *refused);
   }
 }
 
@@ -409,9 +288,10 @@ bool Processor::find_calibration(PendingFrame& frame, bool timed_out) {
 
 bool Processor::find_extrinsic(PendingFrame& frame, bool timed_out, Eigen::Matrix3d* R_cam_imu) {
   const std::string& camera_frame = frame.image->header.frame_id;
+  const std::string imu_frame = gyro_source_->frame_id();
   const bool ask_tf = !config_->R_cam_imu || config_->on_calibration_conflict == OnCalibrationConflict::ERROR;
   std::optional<Eigen::Matrix3d> from_tf;
-  if (ask_tf && environment_.extrinsic) from_tf = environment_.extrinsic(camera_frame, imu_frame_);
+  if (ask_tf && environment_.extrinsic) from_tf = environment_.extrinsic(camera_frame, imu_frame);
   if (config_->R_cam_imu) {
     *R_cam_imu = *config_->R_cam_imu;
     try {
@@ -430,9 +310,8 @@ bool Processor::find_extrinsic(PendingFrame& frame, bool timed_out, Eigen::Matri
     return true;
   }
   if (!timed_out) return false;
-  frame.settle(PassThroughReason::NO_EXTRINSIC, "no transform from IMU frame \"" + imu_frame_ +
-                                                    "\" to camera frame \"" + camera_frame +
-                                                    "\", and no parameter R_cam_imu");
+  frame.settle(PassThroughReason::NO_EXTRINSIC, "no transform from IMU frame \"" + imu_frame + "\" to camera frame \"" +
+                                                    camera_frame + "\", and no parameter R_cam_imu");
   return true;
 }
 
@@ -467,9 +346,9 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
                        " s before it, and parameter exposure_time = 0 is outside (0, 1] s");
       return true;
     } else if (expected) {
-      log_throttled(LogLevel::WARNING, "exposure message missing",
-                    "no exposure message with the image's stamp " + seconds_text(frame.stamp_ns) +
-                        " s: using parameter exposure_time = " + seconds_text(timing.exposure_ns) + " s");
+      log_(LogLevel::WARNING, "exposure message missing",
+           "no exposure message with the image's stamp " + seconds_text(frame.stamp_ns) +
+               " s: using parameter exposure_time = " + seconds_text(timing.exposure_ns) + " s");
     }
   }
   if (const std::optional<TimeNs> period_ns = frame_period_.get()) {
@@ -521,7 +400,7 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
                       needed_imu.end_ns});
   }
   if (translation_.expected()) {
-    job->translation = translation_.around(frame_cam, *config_, frame.image->header.frame_id, imu_frame_,
+    job->translation = translation_.around(frame_cam, *config_, frame.image->header.frame_id, gyro_source_->frame_id(),
                                            job->R_cam_imu, environment_.transform, &job->translation_text);
   }
   if (job->translation && !job->translation->velocities.empty()) {
@@ -724,15 +603,15 @@ void Processor::advance(const Sink& sink, bool finishing) {
       if (!output.translation_text.empty()) {
         ++statistics_.frames_not_translated;
         statistics_.translation_text = output.translation_text;
-        log_throttled(LogLevel::WARNING, "translation",
-                      "frame " + seconds_text(job->frame.stamp_ns) +
-                          " is deblurred with the rotation alone: " + output.translation_text);
+        log_(LogLevel::WARNING, "translation",
+             "frame " + seconds_text(job->frame.stamp_ns) +
+                 " is deblurred with the rotation alone: " + output.translation_text);
       }
       // A jump has told its one message already.
       if (output.reason != PassThroughReason::NONE && output.reason != PassThroughReason::TIME_JUMP) {
-        log_throttled(level_of(output.reason), to_string(output.reason),
-                      "frame " + seconds_text(job->frame.stamp_ns) +
-                          " passes through unchanged: " + to_string(output.reason) + ": " + output.reason_text);
+        log_(level_of(output.reason), to_string(output.reason),
+             "frame " + seconds_text(job->frame.stamp_ns) + " passes through unchanged: " + to_string(output.reason) +
+                 ": " + output.reason_text);
       }
     }
     if (!sink(std::move(output))) return;
@@ -751,9 +630,8 @@ std::size_t Processor::waiting() const {
 void Processor::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
   queue_.settle_all(PassThroughReason::TIME_JUMP, "reset was asked for while the frame waited");
-  gyro_.clear();
-  late_samples_.clear();
-  stray_samples_.clear();
+  gyro_.update();
+  gyro_.forget();
   infos_.clear();
   exposures_.clear();
   exposure_seen_ = false;
@@ -762,7 +640,7 @@ void Processor::reset() {
   frame_period_.clear();
   estimated_bias_rad_s_.reset();
   jumps_.clear();
-  throttles_.clear();
+  log_.clear();
 }
 
 bool Processor::estimate_bias(std::string* text) {
@@ -808,6 +686,7 @@ Eigen::Vector3d Processor::bias_rad_s() const {
 ProcessorStatistics Processor::statistics() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   ProcessorStatistics statistics = statistics_;
+  static_cast<ImuStatistics&>(statistics) = gyro_source_->statistics();
   statistics.waiting = queue_.size() + in_progress_;
   statistics.gyro_available = gyro_.available();
   if (!gyro_.empty()) statistics.newest_imu_ns = gyro_.available().end_ns;

@@ -23,10 +23,11 @@
 
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
-#include "gyro_deblur/gyro_buffer.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "ros/frame_queue.hpp"
+#include "ros/gyro_source.hpp"
 #include "ros/messages.hpp"
+#include "ros/throttled_log.hpp"
 #include "ros/time_jump.hpp"
 #include "ros/translation_input.hpp"
 
@@ -34,8 +35,6 @@ namespace gyro_deblur {
 
 /// A mean of fewer samples says little about a bias.
 constexpr std::size_t kMinBiasSamples = 20;
-
-enum class LogLevel { INFO, WARNING, ERROR };
 
 /// What somebody wants of a frame; nothing else is computed.
 struct FrameRequest {
@@ -68,18 +67,11 @@ struct FrameOutput {
   double total_ms = 0;             ///< of processing, without waiting
 };
 
-/// Counters since the start.
-struct ProcessorStatistics {
+/// Counters since the start; those of the IMU since that of its source.
+struct ProcessorStatistics : ImuStatistics {
   std::size_t frames_in = 0;
   std::size_t frames_out = 0;
   std::map<PassThroughReason, std::size_t> passed_through;
-  std::size_t imu_accepted = 0;
-  std::size_t imu_not_finite = 0;
-  std::size_t imu_duplicate = 0;
-  std::size_t imu_out_of_order = 0;
-  std::size_t imu_stray = 0;  ///< stamp far from those around it
-  std::size_t imu_without_gyroscope = 0;
-  std::size_t imu_saturated = 0;  ///< of those accepted
   std::size_t odometry_refused = 0;
   std::size_t frames_translated = 0;      ///< whose blur field has the odometry's translation
   std::size_t frames_not_translated = 0;  ///< without, though an odometry is there
@@ -97,8 +89,10 @@ class Processor {
  public:
   /// Where the outside world comes in. None may call back into the processor: most are called with a lock held.
   struct Environment {
-    std::function<TimeNs()> clock;                          ///< node clock (ros::Time, or the time of a bag), required
-    std::function<void(LogLevel, const std::string&)> log;  ///< required
+    std::function<TimeNs()> clock;  ///< node clock (ros::Time, or the time of a bag), required
+    Log log;                        ///< required
+    /// Samples that others use as well; whoever adds to it calls notice_imu. Absent: one of its own, for add_imu.
+    std::shared_ptr<GyroSource> gyro;
     /// A clock that keeps going when a simulated one stops; absent: frames wait for `clock` alone.
     std::function<TimeNs()> steady_clock;
     /// R_cam_imu for (camera frame, IMU frame); absent: from the configuration only.
@@ -126,6 +120,8 @@ class Processor {
   void set_config_error(const std::string& text);
 
   void add_imu(const sensor_msgs::Imu& imu);
+  /// A shared source has taken this message in.
+  void notice_imu(const sensor_msgs::Imu& imu);
   void add_exposure(const Exposure& exposure);
   /// A setting that holds for the images from now on, until the next.
   void add_exposure_setting(TimeNs exposure_ns);
@@ -230,22 +226,21 @@ class Processor {
   /// Keypoints of a frame that passes through; an empty array when it can have none.
   KeypointArrayPtr raw_keypoints(const Job& job, PassThroughReason reason) const;
 
-  /// Takes a sample whose stamp fits those before it; others once enough of them agree with each other.
-  void take_gyro_sample(const GyroSample& sample);
-  void drop_stray_samples();
-  void add_gyro_sample(const GyroSample& sample);
   void handle(TimeJumpDetector::Verdict verdict, Stream stream, TimeNs from_ns, TimeNs to_ns);
   void note_time(Stream stream, TimeNs stamp_ns);
+  /// What the source of samples has done since.
+  void note_imu();
   /// Drops what the stream brought before time was reset: all that has come when its own next message shows the reset.
   enum class ShownBy { ITSELF, OTHER };
   void forget(Stream stream, ShownBy shown_by);
   TimeNs now();
   TimeNs steady_now() const { return environment_.steady_clock ? environment_.steady_clock() : 0; }
   std::size_t store_size() const;
-  void log_throttled(LogLevel level, const std::string& key, const std::string& text);
 
   const Environment environment_;
-  std::mutex advance_mutex_;  // one thread at a time takes frames out; taken before mutex_
+  ThrottledLog log_;
+  const std::shared_ptr<GyroSource> gyro_source_;  // locks itself; taken after mutex_
+  std::mutex advance_mutex_;                       // one thread at a time takes frames out; taken before mutex_
 
   mutable std::mutex mutex_;  // everything below
   std::optional<Config> config_;
@@ -253,10 +248,7 @@ class Processor {
   std::shared_ptr<Pipeline> pipeline_;
   std::optional<Eigen::Vector3d> estimated_bias_rad_s_;
   TimeJumpDetector jumps_;
-  GyroBuffer gyro_;
-  std::vector<GyroSample> late_samples_;   // consecutive ones, ordered among themselves
-  std::vector<GyroSample> stray_samples_;  // consecutive ones far from the others, ordered among themselves
-  std::string imu_frame_;
+  GyroReader gyro_;
   StampedStore<Exposure> exposures_;
   StampedStore<sensor_msgs::CameraInfoConstPtr> infos_;
   bool exposure_seen_ = false;
@@ -268,11 +260,6 @@ class Processor {
   std::shared_ptr<FeatureTracker> tracker_;  // used by the thread that holds advance_mutex_ alone
   std::size_t in_progress_ = 0;
   ProcessorStatistics statistics_;
-  struct Throttle {
-    std::chrono::steady_clock::time_point last;
-    std::size_t suppressed = 0;
-  };
-  std::map<std::string, Throttle> throttles_;
 };
 
 }  // namespace gyro_deblur

@@ -42,7 +42,7 @@ const char* to_string(Stream stream) {
   return "unknown";
 }
 
-TimeJumpDetector::Verdict TimeJumpDetector::update(Stream stream, TimeNs stamp_ns) {
+TimeJumpDetector::Verdict TimeJumpDetector::update(Stream stream, TimeNs stamp_ns, std::size_t messages) {
   State& own = state(stream);
   if (own.newest_ns && stamp_ns < *own.newest_ns - threshold_ns_) return went_back(stream, stamp_ns);
   // A stamp far ahead may be wrong, and would make the next right one look like a reset: the next one tells.
@@ -54,7 +54,7 @@ TimeJumpDetector::Verdict TimeJumpDetector::update(Stream stream, TimeNs stamp_n
   } else {
     own.newest_ns = own.newest_ns ? std::max(*own.newest_ns, stamp_ns) : stamp_ns;
   }
-  if (own.stragglers_left > 0) --own.stragglers_left;
+  own.stragglers_left -= static_cast<int>(std::min(messages, static_cast<std::size_t>(own.stragglers_left)));
   return Verdict::FORWARD;
 }
 

@@ -32,7 +32,8 @@ class TimeJumpDetector {
 
   void set_threshold(TimeNs threshold_ns) { threshold_ns_ = threshold_ns; }
 
-  Verdict update(Stream stream, TimeNs stamp_ns);
+  /// @param messages  that the stream has brought, of which this is the newest
+  Verdict update(Stream stream, TimeNs stamp_ns, std::size_t messages = 1);
 
   /// The stream went back to `stamp_ns`, as its owner knows by other means.
   Verdict went_back(Stream stream, TimeNs stamp_ns);

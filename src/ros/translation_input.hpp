@@ -42,6 +42,8 @@ class TranslationInput {
   void add(const sensor_msgs::Imu& imu);
 
   void clear();
+  /// Only what add has taken from messages of the IMU, whose clock was set back.
+  void forget_forces() { forces_.clear(); }
 
   /// True once an odometry has come: from then on a frame without translation has a reason.
   bool expected() const { return expected_; }

@@ -76,7 +76,12 @@ class CameraTopicsTest : public testing::Test {
     image_publisher_ = nh_.advertise<sensor_msgs::Image>(ns_ + "/image_raw", queue_size);
     info_publisher_ = nh_.advertise<sensor_msgs::CameraInfo>(ns_ + "/camera_info", queue_size);
     imu_publisher_ = nh_.advertise<sensor_msgs::Imu>(ns_ + "/imu", queue_size);
-    // As the launch files do: the parameters are there before the nodelet. Those of test_config().
+    set_camera_parameters();
+  }
+
+  /// Those of test_config(), for the nodelet `name_`.
+  void set_camera_parameters() {
+    // As the launch files do: the parameters are there before the nodelet.
     set("exposure_time", to_seconds(kExposure));
     set("readout_time", to_seconds(kReadout));
     set("R_cam_imu", std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, 1});

@@ -10,6 +10,7 @@
 #include <ros/serialization.h>
 #include <sensor_msgs/Image.h>
 
+#include "driver_messages.hpp"
 #include "message_builders.hpp"
 #include "ros/messages.hpp"
 
@@ -18,43 +19,14 @@ namespace {
 
 using namespace test;
 
-/// Bytes of a message as ROS serialises it, put together by hand: the packages are not there.
-class Bytes {
- public:
-  template <typename T>
-  Bytes& add(T value) {
-    const auto* bytes = reinterpret_cast<const std::uint8_t*>(&value);
-    data.insert(data.end(), bytes, bytes + sizeof(T));
-    return *this;
-  }
-  Bytes& text(const std::string& value) {
-    add<std::uint32_t>(static_cast<std::uint32_t>(value.size()));
-    data.insert(data.end(), value.begin(), value.end());
-    return *this;
-  }
-  Bytes& header() { return add<std::uint32_t>(7).add<std::uint32_t>(100).add<std::uint32_t>(5'000'000).text("camera"); }
-
-  std::vector<std::uint8_t> data;
-};
-
 constexpr TimeNs kStamp = 100 * kSecond + 5 * kMs;
 
-const std::string kHeader =
-    "================================================================================\nMSG: std_msgs/Header\n"
-    "# comment\nuint32 seq\ntime stamp\nstring frame_id\n";
-
-// wiki.ros.org/image_exposure_msgs, docs.ros.org/en/noetic/api/realsense2_camera.
-const std::string kSequence =
-    "Header header\nuint32[] shutter # several\nfloat32 gain\nuint16 white_balance_blue\nuint16 white_balance_red\n" +
-    kHeader;
-const std::string kMetadata = "std_msgs/Header header\nstring json_data\n" + kHeader;
+// wiki.ros.org/image_exposure_msgs.
 const std::string kStatistics =
     "ImageExposureStatistics[] exposures\nuint32 underExposed\n"
     "================================================================================\n"
     "MSG: image_exposure_msgs/ImageExposureStatistics\nint32 CONSTANT=3\ntime stamp\nstring time_reference\n"
     "float32 shutterms\nfloat32 gaindb\n";
-
-Bytes metadata(const std::string& json) { return Bytes().header().text(json); }
 
 std::optional<ExposureReading> read(const ExposureSource& source, const std::string& type,
                                     const std::string& definition, const Bytes& bytes) {
@@ -75,7 +47,7 @@ using Kind = ExposureSource::Kind;
 
 TEST(ExposureAdapter, ReadsAFieldInTheUnitOfItsName) {
   const Bytes bytes = Bytes()
-                          .header()
+                          .header(kStamp)
                           .add<std::uint32_t>(2)
                           .add<std::uint32_t>(8000)
                           .add<std::uint32_t>(12000)
@@ -128,15 +100,17 @@ TEST(ExposureAdapter, ReadsDurationsOfTheRealSerialisation) {
 
 TEST(ExposureAdapter, ReadsRealSenseMetadata) {
   const std::string type = "realsense2_camera/Metadata";
-  const Bytes bytes = metadata(R"({"frame_number":12,"actual_exposure":8333,"gain_level":16,"auto_exposure":1})");
+  const Bytes bytes =
+      metadata(kStamp, R"({"frame_number":12,"actual_exposure":8333,"gain_level":16,"auto_exposure":1})");
   const ExposureSource source{Kind::REALSENSE_METADATA, ExposureUnit::MICROSECONDS, ""};
   const auto reading = read(source, type, kMetadata, bytes);
   EXPECT_EQ(reading->exposure_ns, 8'333'000);
   EXPECT_EQ(reading->stamp_ns, kStamp);
-  EXPECT_NE(error_of(source, type, kMetadata, metadata(R"({"gain_level":16})")).find("no number \"actual_exposure\""),
-            std::string::npos);
-  EXPECT_NE(error_of(source, type, kMetadata, metadata("no json")).find("no json"), std::string::npos);
-  const Bytes other = Bytes().header().add<std::uint32_t>(0).add(3.f).add<std::uint16_t>(1).add<std::uint16_t>(2);
+  EXPECT_NE(
+      error_of(source, type, kMetadata, metadata(kStamp, R"({"gain_level":16})")).find("no number \"actual_exposure\""),
+      std::string::npos);
+  EXPECT_NE(error_of(source, type, kMetadata, metadata(kStamp, "no json")).find("no json"), std::string::npos);
+  const Bytes other = Bytes().header(kStamp).add<std::uint32_t>(0).add(3.f).add<std::uint16_t>(1).add<std::uint16_t>(2);
   EXPECT_NE(error_of(source, "a/B", kSequence, other).find("a/B has no string json_data; it has header.seq"),
             std::string::npos);
 }
@@ -168,7 +142,7 @@ TEST(ExposureAdapter, ReadsAParameterOfDynamicReconfigure) {
 }
 
 TEST(ExposureAdapter, NamesWhatIsNotThere) {
-  const Bytes bytes = Bytes().header().add<std::uint32_t>(0).add(3.f).add<std::uint16_t>(1).add<std::uint16_t>(2);
+  const Bytes bytes = Bytes().header(kStamp).add<std::uint32_t>(0).add(3.f).add<std::uint16_t>(1).add<std::uint16_t>(2);
   const ExposureSource source{Kind::FIELD, ExposureUnit::MICROSECONDS, "shutter[0]"};
   const std::string type = "image_exposure_msgs/ExposureSequence";
   EXPECT_NE(

@@ -1,6 +1,8 @@
 // The nodelet in a manager, and the node, as their users see them. Waits for messages and conditions with a deadline;
 // time never decides.
 #include <algorithm>
+#include <filesystem>
+#include <fstream>
 #include <functional>
 #include <limits>
 #include <map>
@@ -18,7 +20,11 @@
 #include <nodelet/NodeletList.h>
 #include <nodelet/NodeletLoad.h>
 #include <nodelet/NodeletUnload.h>
+#include <ros/master.h>
+#include <ros/network.h>
 #include <ros/ros.h>
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
 #include <rosgraph_msgs/Log.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/CompressedImage.h>
@@ -26,12 +32,17 @@
 #include <sensor_msgs/PointCloud.h>
 #include <std_srvs/Trigger.h>
 #include <tf2_msgs/TFMessage.h>
+#include <topic_tools/shape_shifter.h>
 #include <visualization_msgs/MarkerArray.h>
+#include <xmlrpcpp/XmlRpcClient.h>
+#include <xmlrpcpp/XmlRpcValue.h>
 #include <opencv2/imgcodecs.hpp>
 
 #include "camera_topics.hpp"
+#include "driver_messages.hpp"
 #include "message_builders.hpp"
 #include "ros/messages.hpp"
+#include "run_program.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -40,6 +51,33 @@ using namespace test;
 
 constexpr char kManager[] = "/manager";
 constexpr double kShortTimeoutS = 0.2;
+
+/// True when the node counts this one among the subscribers of the topic (wiki.ros.org/ROS/Slave_API, getBusInfo).
+bool publishes_to_us(const std::string& node, const std::string& topic) {
+  XmlRpc::XmlRpcValue request, response, uri, info;
+  request[0] = ros::this_node::getName();
+  request[1] = node;
+  std::string host;
+  std::uint32_t port = 0;
+  if (!ros::master::execute("lookupNode", request, response, uri, false) ||
+      !ros::network::splitURI(static_cast<std::string&>(uri), host, port)) {
+    return false;
+  }
+  XmlRpc::XmlRpcClient client(host.c_str(), static_cast<int>(port));
+  XmlRpc::XmlRpcValue caller;
+  caller[0] = ros::this_node::getName();
+  if (!client.execute("getBusInfo", caller, info) || info.size() < 3) return false;
+  for (int i = 0; i < info[2].size(); ++i) {
+    XmlRpc::XmlRpcValue& connection = info[2][i];
+    enum { DESTINATION = 1, DIRECTION = 2, TOPIC = 4 };
+    if (static_cast<std::string&>(connection[DESTINATION]) == ros::this_node::getName() &&
+        static_cast<std::string&>(connection[DIRECTION]) == "o" &&
+        static_cast<std::string&>(connection[TOPIC]) == topic) {
+      return true;
+    }
+  }
+  return false;
+}
 
 class NodeletTest : public CameraTopicsTest {
  protected:
@@ -97,6 +135,11 @@ class NodeletTest : public CameraTopicsTest {
              field_subscriber_.getNumPublishers() > 0 && keypoint_subscriber_.getNumPublishers() > 0 &&
              inputs_connected();
     }));
+    // A subscriber may be connected before the publisher counts it; what is published in between is lost.
+    for (const ros::Subscriber* subscriber :
+         {&image_subscriber_, &info_subscriber_, &field_subscriber_, &keypoint_subscriber_}) {
+      ASSERT_TRUE(poll_until([&] { return publishes_to_us(node_, subscriber->getTopic()); })) << subscriber->getTopic();
+    }
   }
 
   /// Somebody who listens to an output and does nothing with it.
@@ -157,6 +200,7 @@ class NodeletTest : public CameraTopicsTest {
         log_.begin(), log_.end(), [&](const std::string& line) { return line.find(part) != std::string::npos; }));
   }
 
+  std::string node_ = kManager;  // that publishes
   bool loaded_ = false;
   Mailbox mailbox_;
   std::vector<sensor_msgs::ImageConstPtr> images_;
@@ -521,6 +565,106 @@ TEST_F(NodeletTest, ExposureFromMessageElseParameterElseNone) {
   EXPECT_EQ(fields_[2]->exposure_time.toNSec(), kExposure) << "message missing: the parameter";
 }
 
+#ifdef DEBLUR_BAG
+/// A driver's message, and how it is read.
+struct DriverCase {
+  std::string name, source, field, type, md5, definition;
+  std::function<Bytes(TimeNs stamp_ns, std::uint32_t exposure_us)> message;
+};
+
+void PrintTo(const DriverCase& driver, std::ostream* stream) { *stream << driver.name; }
+
+class DriverExposureTest : public NodeletTest, public testing::WithParamInterface<DriverCase> {};
+
+TEST_P(DriverExposureTest, DrivesTheNodeletAndTheBagToolAlike) {
+  const DriverCase& driver = GetParam();
+  set("exposure_time", 0.0);  // without the driver's there is none
+  set("exposure_source", driver.source);
+  set("exposure_field", driver.field);
+  topic_tools::ShapeShifter shape;
+  shape.morph(driver.md5, driver.type, driver.definition, "");
+  ros::Publisher publisher = shape.advertise(nh_, ns_ + "/exposure", 10);
+  start();
+  ASSERT_TRUE(poll_until([&] { return publisher.getNumSubscribers() > 0; }));
+
+  namespace fs = std::filesystem;
+  std::string pattern = (fs::temp_directory_path() / "driver_exposure_XXXXXX").string();
+  ASSERT_NE(mkdtemp(pattern.data()), nullptr);
+  const fs::path folder = pattern;
+  const auto path = [&folder](const std::string& file) { return (folder / file).string(); };
+  rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Write);
+  constexpr TimeNs kPeriod = 100 * kMs;
+  const std::vector<std::uint32_t> exposures_us{8000, 15000, 25000};
+  const TimeNs end_ns = kStart + static_cast<TimeNs>(exposures_us.size()) * kPeriod;
+  publish_imu(kStart - 50 * kMs, end_ns);
+  for (TimeNs t_ns = kStart - 50 * kMs; t_ns <= end_ns; t_ns += kImuPeriod) {
+    bag.write(ns_ + "/imu", to_ros_time(t_ns), imu_message(t_ns, kFastRadS));
+  }
+  for (std::size_t i = 0; i < exposures_us.size(); ++i) {
+    const TimeNs stamp_ns = kStart + static_cast<TimeNs>(i) * kPeriod;
+    const auto image = publish_frame(stamp_ns);
+    // Drivers send it after the image.
+    Bytes bytes = driver.message(stamp_ns, exposures_us[i]);
+    ros::serialization::OStream stream(bytes.data.data(), static_cast<std::uint32_t>(bytes.data.size()));
+    shape.read(stream);
+    publisher.publish(shape);
+    bag.write(ns_ + "/image_raw", to_ros_time(stamp_ns), *image);
+    bag.write(ns_ + "/camera_info", to_ros_time(stamp_ns), *camera_info(stamp_ns));
+    bag.write(ns_ + "/exposure", to_ros_time(stamp_ns + 60 * kMs), shape);
+  }
+  bag.close();
+  expect_frames(exposures_us.size());
+
+  std::ofstream(path("config.yaml")) << "exposure_time: 0\nreadout_time: " << to_seconds(kReadout)
+                                     << "\nR_cam_imu: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nblock_size: 32\nvalidate: false\n"
+                                        "detector: FAST\ndescriptor: ORB\nexposure_source: "
+                                     << driver.source << "\nexposure_field: '" << driver.field << "'\n";
+  const ProgramResult result = run_program({DEBLUR_BAG, path("in.bag"), path("out.bag"), "--config",
+                                            path("config.yaml"), "--exposure-topic", ns_ + "/exposure"});
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  std::vector<sensor_msgs::ImageConstPtr> images;
+  std::vector<BlurFieldMessageConstPtr> fields;
+  rosbag::Bag out(path("out.bag"), rosbag::bagmode::Read);
+  for (const rosbag::MessageInstance& instance : rosbag::View(out)) {
+    if (instance.getTopic() == ns_ + "/deblurred/image_raw")
+      images.push_back(instance.instantiate<sensor_msgs::Image>());
+    if (instance.getTopic() == ns_ + "/blur_field") fields.push_back(instance.instantiate<BlurFieldMessage>());
+  }
+  ASSERT_EQ(images.size(), exposures_us.size());
+  ASSERT_EQ(fields.size(), exposures_us.size());
+  for (std::size_t i = 0; i < images.size(); ++i) {
+    expect_reason(i, PassThroughReason::NONE);
+    EXPECT_EQ(fields_[i]->exposure_time.toNSec(), 1000 * static_cast<TimeNs>(exposures_us[i]));
+    EXPECT_EQ(fields[i]->exposure_time, fields_[i]->exposure_time);
+    EXPECT_EQ(fields[i]->extent, fields_[i]->extent);
+    expect_identical(i, *images[i]);
+  }
+  out.close();
+  fs::remove_all(folder);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Drivers, DriverExposureTest,
+    testing::Values(DriverCase{"RealSenseMetadata", "realsense_metadata_us", "", "realsense2_camera/Metadata",
+                               "4966ca002be16ee67fe4dbfb2f354787", kMetadata,
+                               [](TimeNs stamp_ns, std::uint32_t exposure_us) {
+                                 return metadata(stamp_ns, "{\"frame_number\":12,\"actual_exposure\":" +
+                                                               std::to_string(exposure_us) + ",\"gain_level\":16}");
+                               }},
+                    DriverCase{"FieldBesideAHeader", "field_us", "shutter[0]", "image_exposure_msgs/ExposureSequence",
+                               "81d98e1e20eab8beb4bd07beeba6a398", kSequence,
+                               [](TimeNs stamp_ns, std::uint32_t exposure_us) {
+                                 return Bytes()
+                                     .header(stamp_ns)
+                                     .add<std::uint32_t>(1)
+                                     .add(exposure_us)
+                                     .add(3.f)
+                                     .add<std::uint16_t>(1)
+                                     .add<std::uint16_t>(2);
+                               }}),
+    [](const auto& driver) { return driver.param.name; });
+#endif
+
 TEST_F(NodeletTest, NoExposureTime) {
   set("exposure_time", 0.0);
   set("gyro_timeout", kShortTimeoutS);
@@ -740,6 +884,7 @@ TEST_F(NodeletTest, UnloadsAndReloadsWhileFramesFlow) {
 TEST_F(NodeletTest, NodeDoesTheSame) {
   ns_ = "/standalone";
   name_ = ns_ + "/deblur";
+  node_ = name_;
   image_publisher_ = nh_.advertise<sensor_msgs::Image>(ns_ + "/image_raw", 100);
   info_publisher_ = nh_.advertise<sensor_msgs::CameraInfo>(ns_ + "/camera_info", 100);
   imu_publisher_ = nh_.advertise<sensor_msgs::Imu>(ns_ + "/imu", 10000);

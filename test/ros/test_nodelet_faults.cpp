@@ -20,6 +20,7 @@
 #include "message_builders.hpp"
 #include "process_memory.hpp"
 #include "ros/messages.hpp"
+#include "ros/shared_imu.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -177,6 +178,165 @@ TEST_F(NodeletFaultTest, UnloadedDuringWorkItLetsOutWhatHasComeIn) {
   for (std::size_t i = 0; i < kFrames; ++i) {
     EXPECT_EQ(fields_[i]->reason,
               i < kFrames - kQueue ? BlurFieldMessage::REASON_OVERLOAD : BlurFieldMessage::REASON_NO_GYRO);
+  }
+}
+
+TEST_F(NodeletFaultTest, ImagesAreHandedOnWithoutACopy) {
+  ASSERT_NO_FATAL_FAILURE(load());
+  publish_imu(kStart - 50 * kMs, kStart + kSecond, 0);
+  const sensor_msgs::ImageConstPtr sharp = publish_frame(kStart);
+  ASSERT_TRUE(wait_for_frames(1));
+  // Both ways: what the nodelet got was the camera's message, and what it published came here as it was. A deblurred
+  // image takes the same way.
+  EXPECT_EQ(images_[0].get(), sharp.get());
+
+  publish_imu(kStart + kSecond + kImuPeriod, kStart + 2 * kSecond);
+  const sensor_msgs::ImageConstPtr blurred = publish_frame(kStart + 1500 * kMs);
+  ASSERT_TRUE(wait_for_frames(2));
+  EXPECT_NE(images_[1].get(), blurred.get());
+  EXPECT_FALSE(images_[1]->data == blurred->data);
+  unload();
+}
+
+/// Two cameras and one IMU.
+class StereoTest : public NodeletFaultTest {
+ protected:
+  struct Camera {
+    std::string ns;
+    ros::Publisher image_publisher, info_publisher;
+    ros::Subscriber subscriber, field_subscriber;
+    std::vector<sensor_msgs::ImageConstPtr> inputs, images;
+    std::vector<BlurFieldMessageConstPtr> fields;
+  };
+
+  StereoTest() {
+    for (std::size_t i = 0; i < 2; ++i) {
+      Camera& camera = cameras_[i];
+      camera.ns = ns_ + "/cam" + std::to_string(i);
+      camera.image_publisher = nh_.advertise<sensor_msgs::Image>(camera.ns + "/image_raw", kNoLimit);
+      camera.info_publisher = nh_.advertise<sensor_msgs::CameraInfo>(camera.ns + "/camera_info", kNoLimit);
+      camera.subscriber = nh_.subscribe<sensor_msgs::Image>(camera.ns + "/deblurred/image_raw", kNoLimit,
+                                                            [this, &camera](const sensor_msgs::ImageConstPtr& image) {
+                                                              mailbox_.put([&] { camera.images.push_back(image); });
+                                                            });
+      camera.field_subscriber = nh_.subscribe<BlurFieldMessage>(camera.ns + "/blur_field", kNoLimit,
+                                                                [this, &camera](const BlurFieldMessageConstPtr& field) {
+                                                                  mailbox_.put([&] { camera.fields.push_back(field); });
+                                                                });
+      name_ = camera.ns + "/deblur";
+      set_camera_parameters();
+    }
+  }
+
+  void load(std::size_t i) {
+    const Camera& camera = cameras_[i];
+    ASSERT_TRUE(
+        loader_.load(camera.ns + "/deblur", "gyro_deblur/DeblurNodelet", {{camera.ns + "/imu", ns_ + "/imu"}}, {}));
+    ASSERT_TRUE(poll_until([&] {
+      return camera.image_publisher.getNumSubscribers() > 0 && camera.info_publisher.getNumSubscribers() > 0 &&
+             imu_publisher_.getNumSubscribers() > 0 && camera.subscriber.getNumPublishers() > 0 &&
+             camera.field_subscriber.getNumPublishers() > 0;
+    }));
+  }
+  void unload(std::size_t i) { ASSERT_TRUE(loader_.unload(cameras_[i].ns + "/deblur")); }
+  void publish(std::size_t i, TimeNs stamp_ns) {
+    Camera& camera = cameras_[i];
+    camera.inputs.push_back(image_message(stamp_ns));
+    camera.info_publisher.publish(camera_info(stamp_ns));
+    camera.image_publisher.publish(camera.inputs.back());
+  }
+  bool wait_for(std::size_t i, std::size_t count) {
+    const Camera& camera = cameras_[i];
+    return mailbox_.wait([&] { return std::min(camera.images.size(), camera.fields.size()) >= count; });
+  }
+
+  void expect_deblurred(std::size_t i, std::size_t count) {
+    const Camera& camera = cameras_[i];  // nothing comes any more
+    ASSERT_EQ(camera.images.size(), count);
+    ASSERT_EQ(camera.inputs.size(), count);
+    for (std::size_t k = 0; k < count; ++k) {
+      EXPECT_EQ(camera.images[k]->header.stamp, camera.inputs[k]->header.stamp);
+      EXPECT_EQ(camera.fields[k]->reason, BlurFieldMessage::REASON_NONE) << camera.fields[k]->reason_text;
+      EXPECT_FALSE(camera.images[k]->data == camera.inputs[k]->data);
+    }
+  }
+
+  static constexpr TimeNs kPeriod = 100 * kMs;  // long enough for a frame's samples before the next
+  Camera cameras_[2];
+};
+
+TEST_F(StereoTest, CamerasShareOneGyroscopeAndPairsStayInStep) {
+  ASSERT_EQ(SharedImu::count(), 0u);
+  ASSERT_NO_FATAL_FAILURE(load(0));
+  ASSERT_NO_FATAL_FAILURE(load(1));
+  EXPECT_EQ(SharedImu::count(), 1u);
+  EXPECT_EQ(imu_publisher_.getNumSubscribers(), 1u);
+  constexpr std::size_t kPairs = 20;
+  for (std::size_t k = 0; k < kPairs; ++k) {
+    const TimeNs stamp_ns = kStart + static_cast<TimeNs>(k) * kPeriod;
+    for (std::size_t i = 0; i < 2; ++i) publish(i, stamp_ns);
+    publish_imu(k == 0 ? kStart - 50 * kMs : stamp_ns + kImuPeriod, stamp_ns + kPeriod);
+    // Both wait for the same sample.
+    for (std::size_t i = 0; i < 2; ++i) ASSERT_TRUE(wait_for(i, k + 1)) << "camera " << i << ", pair " << k;
+  }
+  for (std::size_t i = 0; i < 2; ++i) expect_deblurred(i, kPairs);
+  for (std::size_t k = 0; k < kPairs; ++k) {
+    EXPECT_EQ(cameras_[0].images[k]->header.stamp, cameras_[1].images[k]->header.stamp);
+  }
+  for (std::size_t i = 0; i < 2; ++i) unload(i);
+  EXPECT_EQ(SharedImu::count(), 0u);
+}
+
+TEST_F(StereoTest, OneCameraGoesOnWhenTheOtherIsUnloaded) {
+  for (const std::size_t i : {0u, 1u}) ASSERT_NO_FATAL_FAILURE(load(i));
+  publish_imu(kStart - 50 * kMs, kStart + kPeriod);
+  for (const std::size_t i : {0u, 1u}) publish(i, kStart);
+  for (const std::size_t i : {0u, 1u}) ASSERT_TRUE(wait_for(i, 1));
+  unload(0);
+  EXPECT_EQ(SharedImu::count(), 1u);
+  publish(1, kStart + kPeriod);
+  publish_imu(kStart + kPeriod + kImuPeriod, kStart + 2 * kPeriod);
+  ASSERT_TRUE(wait_for(1, 2));
+  expect_deblurred(1, 2);
+  // And the other finds it again, with what has come meanwhile.
+  ASSERT_NO_FATAL_FAILURE(load(0));
+  EXPECT_EQ(SharedImu::count(), 1u);
+  publish(0, kStart + kPeriod);
+  ASSERT_TRUE(wait_for(0, 2));
+  expect_deblurred(0, 2);
+  for (const std::size_t i : {0u, 1u}) unload(i);
+  EXPECT_EQ(SharedImu::count(), 0u);
+}
+
+TEST_F(StereoTest, TimeJumpOfTheImuIsOneForEachCamera) {
+  for (const std::size_t i : {0u, 1u}) ASSERT_NO_FATAL_FAILURE(load(i));
+  constexpr std::size_t kLoops = 3;
+  for (std::size_t loop = 0; loop < kLoops; ++loop) {
+    publish_imu(kStart - 50 * kMs, kStart + kSecond);
+    for (const std::size_t i : {0u, 1u}) publish(i, kStart + 500 * kMs);
+    for (const std::size_t i : {0u, 1u}) publish(i, kStart + 900 * kMs);
+    for (const std::size_t i : {0u, 1u}) ASSERT_TRUE(wait_for(i, 2 * (loop + 1))) << "camera " << i;
+  }
+  for (const std::size_t i : {0u, 1u}) {
+    EXPECT_EQ(cameras_[i].images.size(), 2 * kLoops);
+    // The first of a loop may overtake the samples that show it.
+    for (std::size_t k = 1; k < 2 * kLoops; k += 2) {
+      EXPECT_EQ(cameras_[i].fields[k]->reason, BlurFieldMessage::REASON_NONE) << cameras_[i].fields[k]->reason_text;
+    }
+    unload(i);
+  }
+}
+
+TEST_F(StereoTest, OtherLimitsOfStampsAreNotShared) {
+  nh_.setParam(cameras_[1].ns + "/deblur/time_jump_threshold", 2.0);
+  for (const std::size_t i : {0u, 1u}) ASSERT_NO_FATAL_FAILURE(load(i));
+  EXPECT_EQ(SharedImu::count(), 2u);
+  publish_imu(kStart - 50 * kMs, kStart + kPeriod);
+  for (const std::size_t i : {0u, 1u}) publish(i, kStart);
+  for (const std::size_t i : {0u, 1u}) {
+    ASSERT_TRUE(wait_for(i, 1));
+    expect_deblurred(i, 1);
+    unload(i);
   }
 }
 

@@ -970,6 +970,76 @@ TEST_F(ProcessorTest, ClockAloneGoingBackIsAJump) {
   EXPECT_EQ(processor_.statistics().time_jumps, 1u);
 }
 
+// --- several cameras, one IMU ---
+
+TEST_F(ProcessorTest, CamerasShareASourceAndKeepWhatIsTheirOwn) {
+  const auto source = std::make_shared<GyroSource>(GyroSource::options_of(config_), [](LogLevel, const auto&) {});
+  Processor::Environment environments[2] = {environment(), environment()};
+  for (Processor::Environment& each : environments) each.gyro = source;
+  Processor left(environments[0]), right(environments[1]);
+  config_.R_cam_imu = Eigen::Matrix3d::Identity();
+  left.set_config(config_);
+  Config other = config_;
+  other.gyro.time_offset_ns = 100 * kMs;
+  other.R_cam_imu = Eigen::AngleAxisd(M_PI / 2, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  right.set_config(other);
+  const auto feed = [&](TimeNs from_ns, TimeNs to_ns) {
+    for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod) {
+      const sensor_msgs::Imu imu = imu_message(t_ns, kFastRadS);
+      ASSERT_TRUE(source->add(imu));
+      for (Processor* camera : {&left, &right}) camera->notice_imu(imu);
+    }
+  };
+  const auto show = [](Processor* camera, TimeNs stamp_ns) {
+    camera->add_camera_info(camera_info(stamp_ns));
+    camera->add_image(image_message(stamp_ns));
+  };
+  std::vector<FrameOutput> of_left, of_right;
+  const auto advance_both = [&] {
+    const auto into = [](std::vector<FrameOutput>* outputs) {
+      return [outputs](FrameOutput&& output) {
+        outputs->push_back(std::move(output));
+        return true;
+      };
+    };
+    left.advance(into(&of_left));
+    right.advance(into(&of_right));
+  };
+  for (Processor* camera : {&left, &right}) show(camera, kStart);
+  feed(kStart - 50 * kMs, kStart + kFrameDuration);
+  advance_both();
+  EXPECT_EQ(of_left.size(), 1u);
+  EXPECT_EQ(of_right.size(), 0u) << "its offset asks for later samples";
+  feed(kStart + kFrameDuration + kImuPeriod, kStart + kFrameDuration + 100 * kMs);
+  advance_both();
+  ASSERT_EQ(of_right.size(), 1u);
+  const auto center = [](const FrameOutput& output) {
+    return output.field->blocks[static_cast<std::size_t>(output.field->grid.size() / 2)];
+  };
+  EXPECT_NEAR(std::cos(2 * (center(of_left[0]).angle_rad - center(of_right[0]).angle_rad)), -1, 0.1)
+      << "each has its own rotation: a quarter turn apart";
+
+  // One camera is told to forget; the other has what it had.
+  left.reset();
+  EXPECT_FALSE(left.statistics().newest_imu_ns);
+  EXPECT_TRUE(right.statistics().newest_imu_ns);
+
+  // The IMU's clock is set back: each camera is told so once.
+  feed(kStart + kFrameDuration + 105 * kMs, kStart + kSecond);
+  for (Processor* camera : {&left, &right}) show(camera, kStart + kSecond);
+  feed(kStart - 50 * kMs, kStart + kSecond);
+  for (Processor* camera : {&left, &right}) show(camera, kStart);
+  advance_both();
+  EXPECT_EQ(left.statistics().time_jumps, 1u);
+  EXPECT_EQ(right.statistics().time_jumps, 1u);
+  ASSERT_EQ(of_left.size(), 3u);
+  ASSERT_EQ(of_right.size(), 3u);
+  for (const auto* outputs : {&of_left, &of_right}) {
+    EXPECT_STREQ(to_string((*outputs)[1].reason), "TIME_JUMP");
+    EXPECT_STREQ(to_string((*outputs)[2].reason), "NONE");
+  }
+}
+
 // --- threads ---
 
 TEST_F(ProcessorTest, ThreadsMayFeedItAtOnce) {

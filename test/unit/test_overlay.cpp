@@ -1,9 +1,12 @@
 #include "gyro_deblur/overlay.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <set>
 #include <stdexcept>
 #include <tuple>
+#include <utility>
+#include <vector>
 
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
@@ -46,6 +49,44 @@ TEST(BlurSegment, IsThePathCentredOnTheBlock) {
   const BlurSegment segment = blur_segment(field, 11);  // second row, second column
   EXPECT_LT((segment.from_px - Eigen::Vector2d(95.5 - 15, 95.5 - 20)).norm(), 1e-4);
   EXPECT_LT((segment.to_px - Eigen::Vector2d(95.5 + 15, 95.5 + 20)).norm(), 1e-4);
+}
+
+TEST(PathsApart, AreAllWhereThereIsRoomAndFewerWhereThereIsNot) {
+  // 10 x 7 blocks of 64 px, the last row half cut off.
+  const auto count = [](double angle_rad, double extent_px, double gap_px) {
+    const std::vector<char> chosen = paths_apart(field_of(640, 448, angle_rad, extent_px), gap_px);
+    EXPECT_EQ(chosen.size(), 70u);
+    EXPECT_EQ(chosen[0], 1);
+    return std::count(chosen.begin(), chosen.end(), 1);
+  };
+  EXPECT_EQ(count(0, 50, 8), 70);
+  EXPECT_EQ(count(0, 62, 8), 35) << "every other column";
+  EXPECT_EQ(count(0, 150, 8), 28) << "every third";
+  EXPECT_EQ(count(M_PI / 2, 150, 8), 30) << "every third row";
+  EXPECT_EQ(count(M_PI / 4, 80, 8), 70) << "neighbours of the diagonal are 90 px apart";
+}
+
+TEST(PathsApart, NeverComeNearerThanTheGap) {
+  constexpr double kGapPx = 8;
+  for (const double angle_rad : {0.0, 0.3, 0.8, 1.2, 2.0, 2.9}) {
+    BlurField field = field_of(640, 480, angle_rad, 120);
+    for (int i = 0; i < field.grid.size(); ++i) field.blocks[i].angle_rad += 0.05f * static_cast<float>(i % 7);
+    const std::vector<char> chosen = paths_apart(field, kGapPx);
+    std::vector<std::pair<int, Eigen::Vector2d>> points;  // along each path
+    for (int i = 0; i < field.grid.size(); ++i) {
+      if (!chosen[i]) continue;
+      const BlurSegment path = blur_segment(field, i);
+      for (int k = 0; k <= 30; ++k) points.emplace_back(i, path.from_px + (path.to_px - path.from_px) * k / 30.0);
+    }
+    double nearest_px = 1e9;
+    for (const auto& a : points) {
+      for (const auto& b : points) {
+        if (a.first < b.first) nearest_px = std::min(nearest_px, (a.second - b.second).norm());
+      }
+    }
+    EXPECT_GE(nearest_px, kGapPx - 1e-6) << angle_rad;
+    EXPECT_GT(std::count(chosen.begin(), chosen.end(), 1), 5) << angle_rad;
+  }
 }
 
 TEST(DrawOverlay, DrawsEachBlockInTheColourOfItsStatus) {

@@ -1,0 +1,202 @@
+#include "ros/gyro_source.hpp"
+
+#include <algorithm>
+#include <limits>
+#include <utility>
+
+#include "ros/conversions.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// Late samples in a row, in order among themselves, that show a clock that was set back by less than the threshold:
+/// a bag shorter than it that loops. Jitter of a driver does not deliver that many.
+constexpr std::size_t kLateSamplesOfReset = 10;
+
+/// Samples in a row that fit each other, but not those before: an IMU that was silent, or whose clock was set. Fewer
+/// are wrong stamps, which must not empty the buffer.
+constexpr std::size_t kStraySamplesOfReset = 5;
+
+}  // namespace
+
+GyroSource::Options GyroSource::options_of(const Config& config) {
+  return {std::max(config.gyro.buffer_ns, config.bias_window_ns), config.time_jump_ns, config.gyro};
+}
+
+GyroSource::GyroSource(const Options& options, Log log)
+    : log_(std::move(log)), options_(options), buffer_(options.capacity_ns) {}
+
+void GyroSource::resize(TimeNs capacity_ns) {
+  if (capacity_ns == options_.capacity_ns) return;
+  GyroBuffer resized(capacity_ns);
+  if (!buffer_.empty()) {
+    for (const GyroSample& sample : buffer_.window(buffer_.available())) resized.add(sample);
+  }
+  buffer_ = std::move(resized);
+  options_.capacity_ns = capacity_ns;
+}
+
+void GyroSource::set_options(const Options& options) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  resize(options.capacity_ns);
+  options_ = options;
+}
+
+void GyroSource::require_capacity(TimeNs capacity_ns) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  resize(std::max(options_.capacity_ns, capacity_ns));
+}
+
+bool GyroSource::add(const sensor_msgs::Imu& imu) {
+  const std::optional<GyroSample> sample = to_gyro_sample(imu);
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!sample) {
+    ++statistics_.imu_without_gyroscope;
+    log_(LogLevel::ERROR, "imu without gyroscope",
+         "imu message dropped: angular_velocity_covariance[0] = -1 says that it has no angular velocity");
+    return false;
+  }
+  frame_id_ = imu.header.frame_id;
+  if (!sample->rate_rad_s.allFinite()) {
+    store(*sample);  // counts it; the stamp of such a message tells nothing
+    return false;
+  }
+  take(*sample);
+  return true;
+}
+
+void GyroSource::drop_stray_samples() {
+  if (stray_samples_.empty()) return;
+  statistics_.imu_stray += stray_samples_.size();
+  log_(LogLevel::WARNING, "imu stray",
+       "imu sample dropped: its stamp " + seconds_text(stray_samples_.back().t_ns) + " s is far from those around it");
+  stray_samples_.clear();
+}
+
+void GyroSource::take(const GyroSample& sample) {
+  const auto fits = [&](TimeNs before_ns) {
+    return sample.t_ns >= before_ns - options_.time_jump_ns && sample.t_ns <= before_ns + options_.gyro.max_gap_ns;
+  };
+  if (buffer_.empty() || fits(buffer_.available().end_ns)) {
+    drop_stray_samples();
+    store(sample);
+    return;
+  }
+  if (!stray_samples_.empty()) {
+    const TimeNs last_ns = stray_samples_.back().t_ns;
+    if (!fits(last_ns)) {
+      drop_stray_samples();
+    } else if (sample.t_ns <= last_ns) {
+      ++(sample.t_ns == last_ns ? statistics_.imu_duplicate : statistics_.imu_out_of_order);
+      return;
+    }
+  }
+  stray_samples_.push_back(sample);
+  if (stray_samples_.size() < kStraySamplesOfReset) return;
+  const std::vector<GyroSample> agreeing = std::exchange(stray_samples_, {});
+  if (agreeing.front().t_ns < buffer_.available().end_ns) restart(agreeing.front().t_ns);
+  for (const GyroSample& each : agreeing) store(each);
+}
+
+void GyroSource::store(const GyroSample& sample) {
+  switch (buffer_.add(sample)) {
+    case GyroBuffer::AddResult::ACCEPTED:
+      ++statistics_.imu_accepted;
+      if (is_saturated(sample, options_.gyro)) ++statistics_.imu_saturated;
+      if (!late_samples_.empty()) {
+        // Only now it is sure that they were late, and not the first of a new epoch.
+        log_(LogLevel::WARNING, "imu out of order",
+             "imu sample dropped: its stamp " + seconds_text(late_samples_.back().t_ns) +
+                 " s is before that of the one before it");
+      }
+      late_samples_.clear();
+      return;
+    case GyroBuffer::AddResult::NOT_FINITE:
+      ++statistics_.imu_not_finite;
+      log_(LogLevel::WARNING, "imu not finite",
+           "imu sample at " + seconds_text(sample.t_ns) + " s dropped: its angular velocity " +
+               vector_text(sample.rate_rad_s) + " rad/s is not finite");
+      return;
+    case GyroBuffer::AddResult::DUPLICATE:
+      ++statistics_.imu_duplicate;
+      log_(LogLevel::WARNING, "imu duplicate",
+           "imu sample dropped: a second one with the stamp " + seconds_text(sample.t_ns) + " s");
+      return;
+    case GyroBuffer::AddResult::OUT_OF_ORDER:
+      break;
+  }
+  ++statistics_.imu_out_of_order;
+  if (!late_samples_.empty() && late_samples_.back().t_ns >= sample.t_ns) late_samples_.clear();
+  late_samples_.push_back(sample);
+  if (late_samples_.size() < kLateSamplesOfReset) return;
+  const std::vector<GyroSample> first = std::exchange(late_samples_, {});
+  restart(first.front().t_ns);
+  for (const GyroSample& each : first) store(each);
+}
+
+void GyroSource::restart(TimeNs to_ns) {
+  ++epoch_;
+  restarted_from_ns_ = buffer_.available().end_ns;
+  restarted_at_ns_ = to_ns;
+  buffer_.clear();
+  late_samples_.clear();
+}
+
+ImuStatistics GyroSource::statistics() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return statistics_;
+}
+
+std::string GyroSource::frame_id() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return frame_id_;
+}
+
+GyroReader::GyroReader(std::shared_ptr<GyroSource> source) : source_(std::move(source)) {
+  const std::lock_guard<std::mutex> lock(source_->mutex_);
+  // A restart that nobody here has seen the time before of is none.
+  seen_.epoch = source_->epoch_;
+  forgotten_.epoch = seen_.epoch;
+}
+
+GyroReader::News GyroReader::update() {
+  const std::lock_guard<std::mutex> lock(source_->mutex_);
+  News news;
+  news.restarted = source_->epoch_ != seen_.epoch;
+  news.from_ns = source_->restarted_from_ns_;
+  news.to_ns = source_->restarted_at_ns_;
+  news.samples = source_->statistics_.imu_accepted - seen_.accepted;
+  if (!source_->buffer_.empty()) news.newest_ns = source_->buffer_.available().end_ns;
+  seen_ = {source_->epoch_, source_->statistics_.imu_accepted, news.newest_ns};
+  return news;
+}
+
+TimeNs GyroReader::horizon_ns() const {
+  // Within an epoch samples are in order, so that those up to a time are those that had come then.
+  if (forgotten_.epoch != source_->epoch_ || !forgotten_.newest_ns) return std::numeric_limits<TimeNs>::min();
+  return *forgotten_.newest_ns + 1;
+}
+
+bool GyroReader::empty() const { return available().empty(); }
+
+TimeRange GyroReader::available() const {
+  const std::lock_guard<std::mutex> lock(source_->mutex_);
+  const TimeRange all = source_->buffer_.available();
+  const TimeNs horizon = horizon_ns();
+  if (all.empty() || all.begin_ns >= horizon) return all;
+  for (const GyroSample& sample : source_->buffer_.window({horizon, horizon})) {
+    if (sample.t_ns >= horizon) return {sample.t_ns, all.end_ns};
+  }
+  return {};
+}
+
+std::vector<GyroSample> GyroReader::window(const TimeRange& requested) const {
+  const std::lock_guard<std::mutex> lock(source_->mutex_);
+  std::vector<GyroSample> samples = source_->buffer_.window(requested);
+  const TimeNs horizon = horizon_ns();
+  samples.erase(samples.begin(), std::find_if(samples.begin(), samples.end(),
+                                              [=](const GyroSample& sample) { return sample.t_ns >= horizon; }));
+  return samples;
+}
+
+}  // namespace gyro_deblur

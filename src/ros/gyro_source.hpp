@@ -1,0 +1,118 @@
+// The samples of one IMU, taken in once for all cameras that use it.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <sensor_msgs/Imu.h>
+
+#include "gyro_deblur/config.hpp"
+#include "gyro_deblur/gyro_buffer.hpp"
+#include "gyro_deblur/types.hpp"
+#include "ros/throttled_log.hpp"
+
+namespace gyro_deblur {
+
+/// What became of the messages of an IMU since its source was made.
+struct ImuStatistics {
+  std::size_t imu_accepted = 0;
+  std::size_t imu_not_finite = 0;
+  std::size_t imu_duplicate = 0;
+  std::size_t imu_out_of_order = 0;
+  std::size_t imu_stray = 0;  ///< stamp far from those around it
+  std::size_t imu_without_gyroscope = 0;
+  std::size_t imu_saturated = 0;  ///< of those accepted
+};
+
+/// Takes the messages of one IMU in and keeps their samples as the sensor gave them: bias, time offset and rotation are
+/// those of each camera, and applied by it. Messages that cannot be used are dropped, counted and logged. When the
+/// IMU's clock was set back, everything from before is forgotten. Thread-safe.
+class GyroSource {
+ public:
+  struct Options {
+    TimeNs capacity_ns;   ///< how much is kept; > 0
+    TimeNs time_jump_ns;  ///< a sample further back does not fit those before it
+    GyroOptions gyro;     ///< max_gap_ns: nor does one further ahead; range_rad_s: what counts as saturated
+  };
+  static Options options_of(const Config& config);
+
+  GyroSource(const Options& options, Log log);
+
+  void set_options(const Options& options);
+  /// Keeps at least this much from now on.
+  void require_capacity(TimeNs capacity_ns);
+
+  /// Takes a message in. False when it has no rate that could be one: what else it has is of no use either.
+  bool add(const sensor_msgs::Imu& imu);
+
+  ImuStatistics statistics() const;
+  /// Frame of the newest message.
+  std::string frame_id() const;
+
+ private:
+  friend class GyroReader;
+
+  /// Takes a sample whose stamp fits those before it; others once enough of them agree with each other.
+  void take(const GyroSample& sample);
+  void store(const GyroSample& sample);
+  /// Forgets everything, because the clock was set back.
+  void restart(TimeNs to_ns);
+  void drop_stray_samples();
+  void resize(TimeNs capacity_ns);
+
+  ThrottledLog log_;
+
+  mutable std::mutex mutex_;  // everything below
+  Options options_;
+  GyroBuffer buffer_;
+  std::vector<GyroSample> late_samples_;   // consecutive ones, ordered among themselves
+  std::vector<GyroSample> stray_samples_;  // consecutive ones far from the others, ordered among themselves
+  std::string frame_id_;
+  ImuStatistics statistics_;
+  int epoch_ = 0;  // grows when the clock was set back
+  TimeNs restarted_from_ns_ = 0, restarted_at_ns_ = 0;
+};
+
+/// What one camera sees of a source: what has come since the camera last forgot. Its owner serialises access; the
+/// source goes on by itself, so that samples may come, or vanish by a restart, between two calls.
+class GyroReader {
+ public:
+  /// Sees what the source has already. Precondition: not null.
+  explicit GyroReader(std::shared_ptr<GyroSource> source);
+
+  struct News {
+    std::size_t samples = 0;          ///< that were accepted
+    std::optional<TimeNs> newest_ns;  ///< IMU clock
+    bool restarted = false;           ///< the IMU's clock was set back, once or more
+    TimeNs from_ns = 0, to_ns = 0;    ///< when it was so last
+  };
+  /// What has happened since the last call.
+  News update();
+
+  /// From now on nothing is seen of what had come at the last update().
+  void forget() { forgotten_ = seen_; }
+
+  bool empty() const;
+  /// As GyroBuffer's, of what is seen.
+  TimeRange available() const;
+  std::vector<GyroSample> window(const TimeRange& requested) const;
+
+ private:
+  struct Position {
+    int epoch = 0;
+    std::size_t accepted = 0;
+    std::optional<TimeNs> newest_ns;  // nothing: before the first sample of the epoch
+  };
+  /// Oldest time that is seen. The source is locked.
+  TimeNs horizon_ns() const;
+
+  std::shared_ptr<GyroSource> source_;
+  Position seen_;       // at the last update
+  Position forgotten_;  // everything up to here
+};
+
+}  // namespace gyro_deblur

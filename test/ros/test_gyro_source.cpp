@@ -1,0 +1,153 @@
+#include "ros/gyro_source.hpp"
+
+#include <limits>
+#include <memory>
+#include <thread>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "message_builders.hpp"
+#include "ros/conversions.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using namespace test;
+
+constexpr TimeNs kStart = 100 * kSecond;
+constexpr TimeNs kImuPeriod = 5 * kMs;
+
+class GyroSourceTest : public testing::Test {
+ protected:
+  static std::shared_ptr<GyroSource> make_source(TimeNs capacity_ns = 2 * kSecond) {
+    return std::make_shared<GyroSource>(GyroSource::Options{capacity_ns, 500 * kMs, GyroOptions()},
+                                        [](LogLevel, const std::string&) {});
+  }
+  void add(TimeNs from_ns, TimeNs to_ns) {
+    for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod) source_->add(imu_message(t_ns, kFastRadS));
+  }
+  static void expect_range(const GyroReader& reader, TimeNs begin_ns, TimeNs end_ns) {
+    EXPECT_FALSE(reader.empty());
+    EXPECT_EQ(reader.available().begin_ns, begin_ns);
+    EXPECT_EQ(reader.available().end_ns, end_ns);
+    const std::vector<GyroSample> samples = reader.window({0, std::numeric_limits<TimeNs>::max()});
+    ASSERT_FALSE(samples.empty());
+    EXPECT_EQ(samples.front().t_ns, begin_ns);
+    EXPECT_EQ(samples.back().t_ns, end_ns);
+  }
+
+  std::shared_ptr<GyroSource> source_ = make_source();
+};
+
+TEST_F(GyroSourceTest, ReadersSeeTheSameSamplesAndEachItsOwnNews) {
+  GyroReader first(source_), second(source_);
+  EXPECT_TRUE(first.empty());
+  EXPECT_FALSE(first.update().newest_ns);
+  add(kStart, kStart + 100 * kMs);
+  expect_range(first, kStart, kStart + 100 * kMs);
+  expect_range(second, kStart, kStart + 100 * kMs);
+  EXPECT_EQ(first.update().samples, 21u);
+  EXPECT_EQ(first.update().samples, 0u);
+  const GyroReader::News news = second.update();
+  EXPECT_EQ(news.samples, 21u);
+  EXPECT_EQ(news.newest_ns, kStart + 100 * kMs);
+  EXPECT_FALSE(news.restarted);
+  EXPECT_EQ(source_->statistics().imu_accepted, 21u) << "taken in once";
+  EXPECT_EQ(source_->frame_id(), kImuFrame);
+}
+
+TEST_F(GyroSourceTest, OneThatComesLaterSeesWhatIsThere) {
+  add(kStart, kStart + 100 * kMs);
+  GyroReader reader(source_);
+  expect_range(reader, kStart, kStart + 100 * kMs);
+}
+
+TEST_F(GyroSourceTest, ForgettingIsTheReadersOwnAndEndsAtItsLastUpdate) {
+  GyroReader first(source_), second(source_);
+  add(kStart, kStart + 50 * kMs);
+  first.update();
+  add(kStart + 55 * kMs, kStart + 100 * kMs);
+  first.forget();
+  expect_range(first, kStart + 55 * kMs, kStart + 100 * kMs);
+  expect_range(second, kStart, kStart + 100 * kMs);
+  first.update();
+  first.forget();
+  EXPECT_TRUE(first.empty());
+  EXPECT_TRUE(first.window({kStart, kStart + kSecond}).empty());
+  EXPECT_FALSE(second.empty());
+}
+
+TEST_F(GyroSourceTest, ClockSetBackIsNoticedOnceByTheSourceAndByEachReader) {
+  GyroReader first(source_), second(source_);
+  add(kStart, kStart + kSecond);
+  first.update();
+  second.update();
+  first.forget();
+  add(kStart - 10 * kSecond, kStart - 10 * kSecond + 15 * kMs);
+  EXPECT_FALSE(first.update().restarted) << "four stamps may be wrong";
+  add(kStart - 10 * kSecond + 20 * kMs, kStart - 9 * kSecond);
+  for (GyroReader* reader : {&first, &second}) {
+    const GyroReader::News news = reader->update();
+    EXPECT_TRUE(news.restarted);
+    EXPECT_EQ(news.from_ns, kStart + kSecond);
+    EXPECT_EQ(news.to_ns, kStart - 10 * kSecond);
+    EXPECT_EQ(news.newest_ns, kStart - 9 * kSecond);
+    EXPECT_FALSE(reader->update().restarted);
+    expect_range(*reader, kStart - 10 * kSecond, kStart - 9 * kSecond);
+  }
+}
+
+TEST_F(GyroSourceTest, BagShorterThanTheThresholdRestartsIt) {
+  GyroReader reader(source_);
+  add(kStart, kStart + 300 * kMs);
+  add(kStart, kStart + 40 * kMs);
+  EXPECT_FALSE(reader.update().restarted);
+  add(kStart + 45 * kMs, kStart + 100 * kMs);
+  EXPECT_TRUE(reader.update().restarted);
+  expect_range(reader, kStart, kStart + 100 * kMs);
+}
+
+TEST_F(GyroSourceTest, CapacityGrowsToWhatIsRequired) {
+  source_ = make_source(100 * kMs);
+  GyroReader reader(source_);
+  add(kStart, kStart + kSecond);
+  expect_range(reader, kStart + 900 * kMs, kStart + kSecond);
+  source_->require_capacity(300 * kMs);
+  source_->require_capacity(200 * kMs);
+  add(kStart + kSecond + kImuPeriod, kStart + 2 * kSecond);
+  expect_range(reader, kStart + 1700 * kMs, kStart + 2 * kSecond);
+}
+
+TEST_F(GyroSourceTest, TellsWhetherAMessageIsOfUse) {
+  EXPECT_TRUE(source_->add(imu_message(kStart, 1)));
+  EXPECT_FALSE(source_->add(imu_message(kStart + kMs, std::numeric_limits<double>::quiet_NaN())));
+  sensor_msgs::Imu without = imu_message(kStart + 2 * kMs, 1);
+  without.angular_velocity_covariance[0] = -1;
+  EXPECT_FALSE(source_->add(without));
+  EXPECT_EQ(source_->statistics().imu_not_finite, 1u);
+  EXPECT_EQ(source_->statistics().imu_without_gyroscope, 1u);
+}
+
+TEST_F(GyroSourceTest, ReadersMayReadWhileItIsFed) {
+  constexpr int kLoops = 20;
+  std::thread imu([this] {
+    for (int loop = 0; loop < kLoops; ++loop) add(kStart, kStart + kSecond);
+  });
+  std::vector<std::thread> cameras;
+  for (int camera = 0; camera < 2; ++camera) {
+    cameras.emplace_back([this] {
+      GyroReader reader(source_);
+      while (source_->statistics().imu_accepted < kLoops * 201) {
+        if (reader.update().restarted) reader.forget();
+        const std::vector<GyroSample> samples = reader.window(reader.available());
+        for (std::size_t i = 1; i < samples.size(); ++i) ASSERT_LT(samples[i - 1].t_ns, samples[i].t_ns);
+      }
+    });
+  }
+  imu.join();
+  for (std::thread& camera : cameras) camera.join();
+}
+
+}  // namespace
+}  // namespace gyro_deblur
