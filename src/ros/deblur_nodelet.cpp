@@ -49,9 +49,12 @@ const char* remedy(PassThroughReason reason) {
     case PassThroughReason::NO_EXPOSURE_TIME:
       return "set exposure_time, or publish an Exposure message with each image's stamp";
     case PassThroughReason::NO_CALIBRATION:
-      return "publish camera_info with each image's stamp, calibrated for the image's size";
+      return "publish camera_info with each image's stamp, calibrated for the image's size; where it contradicts "
+             "calibration_file, correct one of them or set on_calibration_conflict: configured";
     case PassThroughReason::NO_EXTRINSIC:
-      return "set R_cam_imu, or publish a static transform between the frames of images and IMU";
+      return "set R_cam_imu, or publish a static transform between the frames of images and IMU; where these "
+             "contradict "
+             "each other, correct one of them or set on_calibration_conflict: configured";
     case PassThroughReason::UNSUPPORTED_ENCODING:
       return "have the driver publish mono8, bgr8, rgb8 or a Bayer encoding";
     case PassThroughReason::BAD_IMAGE:
@@ -128,12 +131,15 @@ DeblurNodelet::~DeblurNodelet() {
   if (worker_.joinable()) worker_.join();
   // What has come in goes out, with what is there.
   if (processor_ && ros::ok()) {
-    guarded("processing the last frames", [this] {
-      processor_->finish([this](FrameOutput&& output) {
-        publish(output);
-        return true;
+    // A frame whose processing or publishing fails must not keep those behind it from leaving.
+    for (std::size_t tries = processor_->waiting() + 1; tries > 0 && processor_->waiting() > 0; --tries) {
+      guarded("processing the last frames", [this] {
+        processor_->finish([this](FrameOutput&& output) {
+          publish(output);
+          return true;
+        });
       });
-    });
+    }
   }
   image_publisher_.shutdown();
   overlay_publisher_.shutdown();
@@ -194,11 +200,8 @@ void DeblurNodelet::onInit() {
   transport_ = std::make_unique<image_transport::ImageTransport>(nh);
   tf_static_subscriber_ = nh.subscribe("/tf_static", kTfQueue, &DeblurNodelet::on_transforms, this);
   tf_subscriber_ = nh.subscribe("/tf", kTfQueue, &DeblurNodelet::on_transforms, this);
-  if (exposure_adapter_) {
-    exposure_subscriber_ = nh.subscribe("exposure", kFastQueue, &DeblurNodelet::on_driver_message, this);
-  } else {
-    exposure_subscriber_ = nh.subscribe("exposure", kFastQueue, &DeblurNodelet::on_exposure, this);
-  }
+  exposure_source_known_ = config.has_value();
+  subscribe_exposure(config ? config->exposure_source : ExposureSource());
   odometry_subscriber_ =
       nh.subscribe("odometry", kFastQueue, &DeblurNodelet::on_odometry, this, ros::TransportHints().tcpNoDelay());
   scene_depth_subscriber_ = nh.subscribe("scene_depth", kFastQueue, &DeblurNodelet::on_scene_depth, this);
@@ -229,9 +232,6 @@ std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
     config = parse_config(parameters_, &unknown);
     NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu)",
                  to_seconds(config->gyro.time_offset_ns));
-    if (config->exposure_source.kind != ExposureSource::Kind::MESSAGE) {
-      exposure_adapter_ = std::make_unique<ExposureAdapter>(config->exposure_source);
-    }
     if (config->calibration) NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
     if (config->shutter.exposure_ns == 0) {
       NODELET_WARN("no parameter exposure_time (0, 1] s: only frames with an exposure message can be deblurred");
@@ -290,13 +290,33 @@ void DeblurNodelet::on_reconfigure(DeblurConfig& dynamic) {
   try {
     YAML::Node merged = YAML::Clone(parameters_);
     for_each_dynamic([&merged](const char* key, const auto& value) { merged[key] = value; }, dynamic);
-    processor_->set_config(parse_config(merged));
+    const Config config = parse_config(merged);
+    processor_->set_config(config);
+    if (!exposure_source_known_) subscribe_exposure(config.exposure_source);
+    exposure_source_known_ = true;
     dynamic_ = dynamic;
     NODELET_INFO_THROTTLE(1.0, "parameters changed");
   } catch (const std::exception& error) {
     NODELET_ERROR_STREAM("parameters not changed: " << error.what());
     dynamic = dynamic_;
   }
+}
+
+void DeblurNodelet::subscribe_exposure(const ExposureSource& source) {
+  ros::NodeHandle& nh = getNodeHandle();
+  const bool of_driver = source.kind != ExposureSource::Kind::MESSAGE;
+  ros::Subscriber before;
+  {
+    const std::lock_guard<std::mutex> lock(exposure_mutex_);
+    std::swap(before, exposure_subscriber_);
+    exposure_adapter_ = of_driver ? std::make_unique<ExposureAdapter>(source) : nullptr;
+  }
+  before.shutdown();  // waits for its callback, which takes the lock
+  const ros::Subscriber subscriber = of_driver
+                                         ? nh.subscribe("exposure", kFastQueue, &DeblurNodelet::on_driver_message, this)
+                                         : nh.subscribe("exposure", kFastQueue, &DeblurNodelet::on_exposure, this);
+  const std::lock_guard<std::mutex> lock(exposure_mutex_);
+  exposure_subscriber_ = subscriber;
 }
 
 void DeblurNodelet::advertise() {
@@ -418,7 +438,7 @@ void DeblurNodelet::on_driver_message(const ros::MessageEvent<topic_tools::Shape
     std::vector<std::uint8_t> bytes(message.size());
     ros::serialization::OStream stream(bytes.data(), message.size());
     message.write(stream);
-    const std::lock_guard<std::mutex> lock(exposure_adapter_mutex_);
+    const std::lock_guard<std::mutex> lock(exposure_mutex_);
     exposure_adapter_->pass_on(message.getDataType(), message.getMessageDefinition(), bytes, processor_.get());
   });
   wake_worker();
@@ -471,7 +491,10 @@ void DeblurNodelet::work() {
     if (worker_stops_) break;
     lock.unlock();
     guarded("processing", [&] {
-      exposure_expected_ = exposure_subscriber_.getNumPublishers() > 0;
+      {
+        const std::lock_guard<std::mutex> exposure_lock(exposure_mutex_);
+        exposure_expected_ = exposure_subscriber_.getNumPublishers() > 0;
+      }
       processor_->advance(sink);
     });
     lock.lock();

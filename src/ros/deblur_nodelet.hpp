@@ -57,6 +57,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   void on_reconfigure(DeblurConfig& dynamic);
   void advertise();
 
+  void subscribe_exposure(const ExposureSource& source);
   /// Subscribes to the camera while somebody listens to an output, as image_proc does.
   void on_connection_change();
   void subscribe_on_demand();
@@ -100,9 +101,10 @@ class DeblurNodelet : public nodelet::Nodelet {
 
   std::unique_ptr<image_transport::ImageTransport> transport_;
   std::shared_ptr<SharedImu> imu_;
+  std::mutex exposure_mutex_;  // for the next two
   ros::Subscriber exposure_subscriber_;
-  std::unique_ptr<ExposureAdapter> exposure_adapter_;  // null for the package's own message; for one thread at a time
-  std::mutex exposure_adapter_mutex_;
+  std::unique_ptr<ExposureAdapter> exposure_adapter_;  // null for the package's own message
+  bool exposure_source_known_ = false;                 // not when the first configuration was refused for any key
   ros::Subscriber odometry_subscriber_;
   ros::Subscriber scene_depth_subscriber_;
   std::atomic<bool> exposure_expected_{false};
