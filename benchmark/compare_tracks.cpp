@@ -40,6 +40,8 @@ constexpr double kRatioTest = 0.8;  // Lowe 2004
 
 struct Arguments {
   int frames = 40;
+  int scenes = 2;
+  std::vector<double> extents_px{5, 10, 20, 40};
   double gamma = KernelOptions{}.gamma;
   double noise = 1.5;
   std::string csv;
@@ -53,20 +55,22 @@ double median(std::vector<double> values) {
 
 /// 752x480 at 20 Hz, 30 ms exposures, 15 ms readout, a distorting lens; a wall 2 m away.
 /// @param amplitude  of the shake; the median blur is about 40 px at 1
-Simulator shaken_camera(double amplitude, int frames, double noise, const std::string& window) {
+/// @param scene      0, 1, ...: each has its own texture, noise and phases of the shake
+Simulator shaken_camera(double amplitude, int frames, double noise, const std::string& window, int scene = 0) {
   std::ostringstream yaml;
-  yaml << "frames: " << frames << "\nseed: 5\n"
+  yaml << "frames: " << frames << "\nseed: " << 5 + scene << "\n"
        << "camera: {size: [752, 480], intrinsics: [458.7, 457.3, 367.2, 248.4], distortion_model: plumb_bob,\n"
        << "  distortion_coefficients: [-0.2834, 0.0740, 0.0002, 0.0000176], fps: 20, exposure_time: 0.030,\n"
        << "  readout_time: 0.015, noise: " << noise << "}\n"
        << "imu: {rate: 200, gyro_noise: 0.003, R_cam_imu: [0, 1, 0, -1, 0, 0, 0, 0, 1]}\n"
-       << "planes: [{texture: procedural, texture_seed: 11, texture_size: [3600, 2800], size: [10.8, 8.4], "
+       << "planes: [{texture: procedural, texture_seed: " << 11 + scene
+       << ", texture_size: [3600, 2800], size: [10.8, 8.4], "
        << "position: [0, 0, 2]}]\n"
        << "motion:\n  type: spline\n  rotation:\n    sines:\n"
        << "      - {amplitude: [" << 6 * amplitude << ", " << 14 * amplitude << ", " << 2 * amplitude
-       << "], frequency: 2.1, phase: 20" << window << "}\n"
+       << "], frequency: 2.1, phase: " << 20 + 70 * scene << window << "}\n"
        << "      - {amplitude: [" << 7 * amplitude << ", " << -3 * amplitude << ", " << 3 * amplitude
-       << "], frequency: 2.7, phase: 100" << window << "}\n"
+       << "], frequency: 2.7, phase: " << 100 + 130 * scene << window << "}\n"
        << "  position:\n    sines:\n      - {amplitude: [0.03, 0.02, 0.01], frequency: 0.7}\n";
   return Simulator(sim::parse_scene(YAML::Load(yaml.str()), "", "compare_tracks"));
 }
@@ -133,11 +137,31 @@ Footage render(Simulator& simulator, const RotationTrack& rotation, double gamma
   return footage;
 }
 
+//// What became of the corners of one sequence or more.
 struct TrackScore {
-  double median_error_px = 0;    ///< of all corners in all images, against what they were in their first
-  double survival = 0;           ///< part of the correct corners that is still there, and correct, one image later
-  double mean_length = 0;        ///< images for which a corner is followed correctly
-  double correct_per_frame = 0;  ///< corners followed from an earlier image, and correct
+  std::vector<double> errors_px;  ///< of all corners in all images, against what they were in their first
+  std::size_t could_survive = 0;  ///< correct corners whose place is in view one image later
+  std::size_t survived = 0;       ///< of them: still there, and correct
+  std::size_t corners = 0;
+  double length_sum = 0;   ///< over corners: images for which it is followed correctly
+  double in_view_sum = 0;  ///< over corners: that, as a part of the images until its place has left the view
+  int steps = 0;           ///< from image to image
+
+  void add(const TrackScore& other) {
+    errors_px.insert(errors_px.end(), other.errors_px.begin(), other.errors_px.end());
+    could_survive += other.could_survive;
+    survived += other.survived;
+    corners += other.corners;
+    length_sum += other.length_sum;
+    in_view_sum += other.in_view_sum;
+    steps += other.steps;
+  }
+  double median_error_px() const { return median(errors_px); }
+  double survival() const { return static_cast<double>(survived) / static_cast<double>(could_survive); }
+  double mean_length() const { return length_sum / static_cast<double>(corners); }
+  double part_of_view() const { return in_view_sum / static_cast<double>(corners); }
+  /// Corners followed from an earlier image, and correct.
+  double correct_per_frame() const { return static_cast<double>(survived) / steps; }
 };
 
 struct Birth {
@@ -155,9 +179,8 @@ struct Tracked {
 Tracked follow(const Simulator& simulator, const RotationTrack& rotation, const std::vector<cv::Mat>& images) {
   FeatureTracker tracker{TrackerOptions{}};
   std::map<std::int32_t, Birth> births;
-  std::vector<double> errors;
   Tracked result;
-  std::size_t could_survive = 0, survived = 0, correct_sum = 0;
+  TrackScore& score = result.score;
   for (int i = 0; i < simulator.frames(); ++i) {
     const std::size_t n = static_cast<std::size_t>(i);
     std::set<std::int32_t> correct;
@@ -167,7 +190,7 @@ Tracked follow(const Simulator& simulator, const RotationTrack& rotation, const 
         const double error_px =
             (track.pixel_px - truth(simulator, birth->second.frame, birth->second.pixel_px, i)).norm();
         // Beyond the image there is no truth: a corner that is followed there is wrong.
-        errors.push_back(std::isfinite(error_px) ? error_px : simulator.camera().calibration().width_px);
+        score.errors_px.push_back(std::isfinite(error_px) ? error_px : simulator.camera().calibration().width_px);
         if (!(error_px <= kCorrectPx) || birth->second.correct_until != i - 1) continue;
         birth->second.correct_until = i;
       }
@@ -177,18 +200,21 @@ Tracked follow(const Simulator& simulator, const RotationTrack& rotation, const 
       for (const std::int32_t id : result.correct.back()) {
         const Birth& birth = births.at(id);
         if (!truth(simulator, birth.frame, birth.pixel_px, i).allFinite()) continue;  // left the view
-        ++could_survive;
-        survived += correct.count(id);
-        correct_sum += correct.count(id);
+        ++score.could_survive;
+        score.survived += correct.count(id);
       }
     }
     result.correct.push_back(std::move(correct));
   }
-  double length_sum = 0;
-  for (const auto& [id, birth] : births) length_sum += birth.correct_until - birth.frame + 1;
-  result.score = {median(errors), static_cast<double>(survived) / static_cast<double>(could_survive),
-                  length_sum / static_cast<double>(births.size()),
-                  static_cast<double>(correct_sum) / (simulator.frames() - 1)};
+  score.steps = simulator.frames() - 1;
+  score.corners = births.size();
+  for (const auto& [id, birth] : births) {
+    const int length = birth.correct_until - birth.frame + 1;
+    int end = birth.correct_until + 1;  // it was in view until here
+    while (end < simulator.frames() && truth(simulator, birth.frame, birth.pixel_px, end).allFinite()) ++end;
+    score.length_sum += length;
+    score.in_view_sum += static_cast<double>(length) / (end - birth.frame);
+  }
   return result;
 }
 
@@ -211,26 +237,39 @@ std::size_t correct_matches(const Simulator& simulator, const Features& from, in
 }
 
 void run_constant(const Arguments& arguments, std::ostream& csv) {
-  std::cout << "| blur (median) | images | median error | survival | correct length | correct corners a frame |\n"
-            << "| --- | --- | --- | --- | --- | --- |\n";
-  for (const double target_px : {5.0, 10.0, 20.0, 40.0}) {
-    const double probe_px = median_extent_px(shaken_camera(target_px / 40, arguments.frames, 0, ""));
-    Simulator simulator = shaken_camera(target_px / 40 * target_px / probe_px, arguments.frames, arguments.noise, "");
-    const RotationTrack rotation = rotation_of(simulator);
-    const Footage footage = render(simulator, rotation, arguments.gamma);
-    const double extent_px = median_extent_px(simulator);
-    const std::pair<const char*, const std::vector<cv::Mat>*> versions[] = {
-        {"sharp", &footage.sharp}, {"blurred", &footage.blurred}, {"deblurred", &footage.deblurred}};
-    for (const auto& [name, images] : versions) {
-      const TrackScore score = follow(simulator, rotation, *images).score;
-      char line[200];
-      std::snprintf(line, sizeof(line), "| %.0f px | %s | %.2f px | %.1f %% | %.1f | %.0f |\n", extent_px, name,
-                    score.median_error_px, 100 * score.survival, score.mean_length, score.correct_per_frame);
-      std::cout << line << std::flush;
-      csv << "constant," << extent_px << ',' << name << ",median_error_px," << score.median_error_px << '\n'
-          << "constant," << extent_px << ',' << name << ",survival," << score.survival << '\n'
-          << "constant," << extent_px << ',' << name << ",mean_length," << score.mean_length << '\n'
-          << "constant," << extent_px << ',' << name << ",correct_per_frame," << score.correct_per_frame << '\n';
+  std::cout << "| blur (median) | images | median error | survival | of its time in view | correct length | correct "
+               "corners a frame "
+               "|\n| --- | --- | --- | --- | --- | --- | --- |\n";
+  constexpr const char* kVersions[] = {"sharp", "blurred", "deblurred"};
+  for (const double target_px : arguments.extents_px) {
+    TrackScore scores[3];
+    for (int scene = 0; scene < arguments.scenes; ++scene) {
+      const double probe_px = median_extent_px(shaken_camera(target_px / 40, arguments.frames, 0, "", scene));
+      Simulator simulator =
+          shaken_camera(target_px / 40 * target_px / probe_px, arguments.frames, arguments.noise, "", scene);
+      const RotationTrack rotation = rotation_of(simulator);
+      const Footage footage = render(simulator, rotation, arguments.gamma);
+      const std::vector<cv::Mat>* versions[] = {&footage.sharp, &footage.blurred, &footage.deblurred};
+      for (std::size_t v = 0; v < 3; ++v) {
+        const TrackScore score = follow(simulator, rotation, *versions[v]).score;
+        const auto line = [&](const char* measure, double value) {
+          csv << "constant," << target_px << ',' << scene << ',' << kVersions[v] << ',' << measure << ',' << value
+              << '\n';
+        };
+        line("median_error_px", score.median_error_px());
+        line("survival", score.survival());
+        line("part_of_view", score.part_of_view());
+        line("mean_length", score.mean_length());
+        line("correct_per_frame", score.correct_per_frame());
+        scores[v].add(score);
+      }
+    }
+    for (std::size_t v = 0; v < 3; ++v) {
+      const TrackScore& score = scores[v];
+      std::cout << cv::format("| %.0f px | %s | %.2f px | %.2f %% | %.1f %% | %.1f | %.0f |\n", target_px, kVersions[v],
+                              score.median_error_px(), 100 * score.survival(), 100 * score.part_of_view(),
+                              score.mean_length(), score.correct_per_frame())
+                << std::flush;
     }
   }
 }
@@ -263,7 +302,7 @@ void run_change(const Arguments& arguments, std::ostream& csv) {
     std::snprintf(line, sizeof(line), "| %s | %.1f | %.1f | %s |\n", what.c_str(), blurred, deblurred,
                   blurred > 0 ? cv::format("%.2f", deblurred / blurred).c_str() : "-");
     std::cout << line << std::flush;
-    csv << "change,," << what << ",blurred," << blurred << "\nchange,," << what << ",deblurred," << deblurred << '\n';
+    csv << "change,,,blurred," << what << ',' << blurred << "\nchange,,,deblurred," << what << ',' << deblurred << '\n';
   };
   for (const char* detector : {"SIFT", "ORB"}) {
     KeypointOptions options;
@@ -310,6 +349,10 @@ int main_of(int argc, char** argv) {
                "compare_tracks"};
   app.add_option("--frames", arguments.frames, "images of each sequence of constant shake [40]")
       ->check(CLI::Range(5, 1000));
+  app.add_option("--scenes", arguments.scenes, "scenes whose corners are counted together [2]")
+      ->check(CLI::Range(1, 100));
+  app.add_option("--extents", arguments.extents_px, "median blur of the sequences, px [5 10 20 40]")
+      ->check(CLI::Range(1.0, 100.0));
   app.add_option("--gamma", arguments.gamma, "of the Wiener filter [0.01]")->check(CLI::Range(1e-5, 1.0));
   app.add_option("--noise", arguments.noise, "standard deviation of each pixel, grey levels [1.5]")
       ->check(CLI::Range(0.0, 64.0));
@@ -318,7 +361,7 @@ int main_of(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
   try {
     std::ostringstream csv;
-    csv << "part,extent_px,images,measure,value\n";
+    csv << "part,extent_px,scene,images,measure,value\n";
     if (part != "change") run_constant(arguments, csv);
     if (part != "constant") run_change(arguments, csv);
     if (!arguments.csv.empty()) {

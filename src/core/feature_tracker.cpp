@@ -175,16 +175,22 @@ void FeatureTracker::add_corners(const cv::Mat& luminance, const Camera& camera)
   std::stable_sort(tracks_.begin(), tracks_.end(), [](const Track& a, const Track& b) { return a.length > b.length; });
   cv::Mat allowed(luminance.size(), CV_8UC1, cv::Scalar(255));
   const int radius_px = cvRound(options_.min_distance_px);
+  cv::Mat met(luminance.size(), CV_8UC1, cv::Scalar(0));
   std::size_t kept = 0;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
     const cv::Point at(cvRound(tracks_[i].pixel_px.x()), cvRound(tracks_[i].pixel_px.y()));
-    if (allowed.at<uchar>(at) == 0) continue;  // two tracks have met: the longer one stays
+    if (met.at<uchar>(at) != 0) continue;  // two tracks have met: the longer one stays
+    // Not at the distance of new ones already, of which many would fall below it by the slightest change of view.
+    cv::circle(met, at, radius_px / 2, cv::Scalar(255), cv::FILLED);
     cv::circle(allowed, at, radius_px, cv::Scalar(0), cv::FILLED);
     tracks_[kept++] = tracks_[i];
   }
   tracks_.resize(std::min(kept, static_cast<std::size_t>(options_.max_tracks)));
   const int missing = options_.max_tracks - static_cast<int>(tracks_.size());
   if (missing <= 0) return;
+  // A corner whose window is cut is about to leave, or has just come.
+  const int margin_px = options_.window_px / 2;
+  cv::rectangle(allowed, {0, 0}, {allowed.cols - 1, allowed.rows - 1}, cv::Scalar(0), 2 * margin_px);
   std::vector<cv::Point2f> corners;
   cv::goodFeaturesToTrack(luminance, corners, missing, kCornerQuality, options_.min_distance_px, allowed);
   for (const cv::Point2f& corner : corners) {

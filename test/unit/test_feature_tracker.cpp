@@ -178,6 +178,21 @@ TEST_F(FeatureTrackerTest, WithoutGyroscopeItLooksWhereTheCornersWere) {
   EXPECT_GT(followed, 20u);  // the same image: nothing has moved
 }
 
+TEST_F(FeatureTrackerTest, CornersStartWhereTheirWholeWindowIsInTheImage) {
+  FeatureTracker tracker(options_);
+  options_.max_tracks = 1000;
+  tracker.set_options(options_);
+  const double margin_px = options_.window_px / 2;
+  const std::vector<Track>& tracks = tracker.track(images_[0], simulator_.camera(), motion_, simulator_.exposure(0));
+  ASSERT_GT(tracks.size(), 50u);
+  for (const Track& track : tracks) {
+    EXPECT_GT(track.pixel_px.x(), margin_px);
+    EXPECT_GT(track.pixel_px.y(), margin_px);
+    EXPECT_LT(track.pixel_px.x(), 319 - margin_px);
+    EXPECT_LT(track.pixel_px.y(), 239 - margin_px);
+  }
+}
+
 TEST_F(FeatureTrackerTest, RefusesWhatDoesNotFit) {
   FeatureTracker tracker(options_);
   EXPECT_THROW(tracker.track(cv::Mat(10, 10, CV_8UC1), simulator_.camera(), motion_, simulator_.exposure(0)),
