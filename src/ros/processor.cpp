@@ -22,6 +22,20 @@ double elapsed_ms(std::chrono::steady_clock::time_point since) {
   return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - since).count();
 }
 
+/// Which of the samples that a frame needs are missing. What came after them is not mentioned: that depends on how fast
+/// messages arrive, and the same recording shall give the same text.
+std::string coverage_text(const TimeRange& needed, const std::optional<TimeRange>& available,
+                          const GyroOptions& options) {
+  std::string text = "frame needs gyroscope samples from " + seconds_text(needed.begin_ns) + " to " +
+                     seconds_text(needed.end_ns) + " s of the IMU clock, ";
+  if (!available) return text + "there are none";
+  const bool begins_late = available->begin_ns > needed.begin_ns, ends_early = available->end_ns < needed.end_ns;
+  if (begins_late) text += "the oldest is of " + seconds_text(available->begin_ns) + " s";
+  if (ends_early) text += (begins_late ? ", " : "") + ("the newest of " + seconds_text(available->end_ns) + " s");
+  if (begins_late || ends_early) return text;
+  return text + "some of which are farther apart than max_gyro_gap = " + seconds_text(options.max_gap_ns) + " s";
+}
+
 /// What is wrong with saturated samples among `samples`; empty when there is none.
 std::string saturation_text(const std::vector<GyroSample>& samples, const GyroOptions& options) {
   const auto saturated = [&options](const GyroSample& sample) { return is_saturated(sample, options); };
@@ -378,12 +392,7 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
     // After a jump late samples of the old epoch say nothing about frames of the new one.
     if (jumps_.is_stale(Stream::IMU) && needed_imu.end_ns < available.begin_ns) return false;
   }
-  job->coverage_text =
-      "frame needs gyroscope samples from " + seconds_text(needed_imu.begin_ns) + " to " +
-      seconds_text(needed_imu.end_ns) + " s of the IMU clock, " +
-      (gyro_.empty() ? std::string("there are none")
-                     : "available are " + seconds_text(available.begin_ns) + " to " + seconds_text(available.end_ns) +
-                           " s, less holes longer than max_gyro_gap = " + seconds_text(job->gyro.max_gap_ns) + " s");
+  job->coverage_text = coverage_text(needed_imu, gyro_.empty() ? std::nullopt : std::optional(available), job->gyro);
   if (gyro_.empty()) {  // nor is the IMU's frame known then
     frame.settle(PassThroughReason::NO_GYRO, job->coverage_text);
     return true;
