@@ -3,6 +3,7 @@
 
 import argparse
 import csv
+import io
 import json
 import os
 import sys
@@ -13,6 +14,7 @@ matplotlib.use("Agg")
 import cv2  # noqa: E402
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
+from PIL import Image  # noqa: E402
 
 TABLE_DETECTIONS = 500  # the paper's table has this number
 # Color, line and marker of a method; wrong estimates share the proposed method's color.
@@ -26,6 +28,7 @@ STYLES = {
     "beyond the paper": ("#ff7f0e", "-", "P"),
 }
 WRONG_LINES = ["-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1))]
+PALETTE_COLORS = 128
 # Files of deconvolution_figure and their titles.
 PICTURES = [("blurred", "blurred"), ("frequency", "frequency domain"),
             ("frequency_tapered", "frequency domain, tapered"), ("spatial", "in space")]
@@ -132,6 +135,14 @@ def deconvolution_table(deconvolution):
               f"({100 * share:.1f} %) are not zero.")
 
 
+def save_with_palette(figure, path):
+    """As PNG with PALETTE_COLORS colours: a third of the size where photographs are in it, and it looks the same."""
+    pixels = io.BytesIO()
+    figure.savefig(pixels, format="png")
+    picture = Image.open(pixels).convert("RGB").quantize(PALETTE_COLORS, method=Image.MAXCOVERAGE, dither=Image.NONE)
+    picture.save(path, optimize=True)
+
+
 def plot_deconvolution(deconvolution, folder, path):
     def read(name):
         file = os.path.join(folder, f"deconvolution_{name}.png")
@@ -177,7 +188,7 @@ def plot_deconvolution(deconvolution, folder, path):
     panel.set_title("(f) kernel in the plane; grey: zero", fontsize=9)
     panel.tick_params(labelsize=7)
     figure.tight_layout()
-    figure.savefig(path)
+    save_with_palette(figure, path)
     plt.close(figure)
 
 

@@ -40,7 +40,8 @@ step ${STEPS} "Packages"
 if [[ -n "${programs}" ]]; then
   say "skipped"
 else
-  scripts/install_dependencies.sh colmap
+  # OpenBLAS matches features for the reconstruction.
+  scripts/install_dependencies.sh colmap libopenblas0-pthread
 fi
 
 step ${STEPS} "Build"
@@ -63,26 +64,51 @@ fi
 
 mkdir -p "${out}"
 started="${SECONDS}"
-TIMEFORMAT='  took %lR (%lU of processor time)'
+times="${out}/times.md"
+printf '| stage | time | processor time |\n| --- | --- | --- |\n' > "${times}"
+ticks="$(getconf CLK_TCK)"
+
+# Processor time of the ended children of this shell, user and system, in seconds; see proc(5).
+processor_s() {
+  local stat fields
+  read -r stat < "/proc/$$/stat"
+  read -ra fields <<< "${stat##*) }"
+  echo $(((fields[13] + fields[14]) / ticks))
+}
+
+# timed NAME COMMAND...: runs it; a line on the screen and in times.md says what it took.
+timed() {
+  local name="$1" begin="${SECONDS}" processor_begin status=0 wall processor
+  processor_begin="$(processor_s)"
+  shift
+  "$@" || status=$?
+  wall=$((SECONDS - begin))
+  processor=$(($(processor_s) - processor_begin))
+  say "took ${wall} s, ${processor} s of processor time"
+  printf '| %s | %d min %02d s | %d s |\n' "${name}" $((wall / 60)) $((wall % 60)) "${processor}" >> "${times}"
+  return "${status}"
+}
 
 step ${STEPS} "Figure: deconvolution in space and in the frequency domain"
-time "${programs}/deconvolution_figure" --out "${out}" --data "${data}" --seed "${seed}" "${quick[@]}"
+timed deconvolution "${programs}/deconvolution_figure" --out "${out}" --data "${data}" --seed "${seed}" "${quick[@]}"
 
 step ${STEPS} "Figure: synthetic blur"
-time "${programs}/synthetic" --out "${out}" --data "${data}" --seed "${seed}" "${quick[@]}"
+timed "synthetic blur" "${programs}/synthetic" --out "${out}" --data "${data}" --seed "${seed}" "${quick[@]}"
 
 step ${STEPS} "Table: bursts with real hand-shake"
-time /usr/bin/python3 experiments/real_world.py "${out}/real_world" --program "${programs}/real_world" --data "${data}" \
-  --seed "${seed}" "${quick[@]}"
+timed "real-world table" /usr/bin/python3 experiments/real_world.py "${out}/real_world" \
+  --program "${programs}/real_world" --data "${data}" --seed "${seed}" "${quick[@]}"
 
 step ${STEPS} "Figure: reconstruction"
 status=0
-time /usr/bin/python3 experiments/reconstruction.py "${out}/reconstruction" --program "${programs}/reconstruction" \
-  --seed "${seed}" "${quick[@]}" || status=$?
+timed reconstruction /usr/bin/python3 experiments/reconstruction.py "${out}/reconstruction" \
+  --program "${programs}/reconstruction" --seed "${seed}" "${quick[@]}" || status=$?
 # 77: there is no COLMAP, and the program has said so.
 ((status == 0 || status == 77)) || fail "the reconstruction failed with status ${status}"
 
 step ${STEPS} "Report"
-/usr/bin/python3 experiments/report_experiments.py "${out}"
+timed report /usr/bin/python3 experiments/report_experiments.py "${out}"
+printf '\n'
+cat "${times}"
 printf '\n'
 say "took $(((SECONDS - started) / 60)) min $(((SECONDS - started) % 60)) s; results: ${out}"

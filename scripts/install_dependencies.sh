@@ -23,8 +23,8 @@ test_packages=(
 )
 # The simulator's textures come from opencv-doc; rviz is drawn by Mesa in software on a virtual display.
 demo_packages=(
-  imagemagick libgl1-mesa-dri opencv-doc procps python3-matplotlib python3-numpy python3-opencv python3-rosbag
-  python3-tqdm rviz x11-apps xauth xvfb
+  imagemagick libgl1-mesa-dri opencv-doc procps python3-matplotlib python3-numpy python3-opencv python3-pil
+  python3-rosbag python3-tqdm rviz x11-apps xauth xvfb
 )
 
 as_root() {

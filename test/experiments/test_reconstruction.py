@@ -9,6 +9,7 @@ import tempfile
 import unittest
 
 import numpy
+from tqdm import tqdm
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "experiments"))
@@ -45,6 +46,26 @@ class Measurements(unittest.TestCase):
         numpy.testing.assert_allclose(sign * normal, R[:, 2], atol=5e-3)
         self.assertAlmostEqual(sign * offset, 2, 2)
 
+    def test_descriptors_match_as_pair_by_pair(self):
+        a = self.rng.integers(0, 60, (150, 128)).astype(float)
+        b = numpy.vstack([a[20:110] + self.rng.normal(0, 12, (90, 128)), self.rng.integers(0, 60, (30, 128)),
+                          a[20:40] + self.rng.normal(0, 13, (20, 128))])  # the last ones make the first ambiguous
+        a, b = (512 * d / numpy.linalg.norm(d, axis=1, keepdims=True) for d in (a, b))
+        a, b = (d.clip(0, 255).astype(numpy.uint8) for d in (a, b))
+        angles = numpy.array([[numpy.arccos(min(1, float(x @ y) / 512 ** 2)) for y in b.astype(float)]
+                              for x in a.astype(float)])
+
+        def nearest(rows):
+            order = numpy.argsort(rows, axis=1)[:, :2]
+            first, second = numpy.take_along_axis(rows, order, 1).T
+            return {i: order[i, 0] for i in range(len(rows)) if first[i] < min(0.7, 0.8 * second[i])}
+
+        forth, back = nearest(angles), nearest(angles.T)
+        expected = [(i, j) for i, j in sorted(forth.items()) if back.get(j) == i]
+        self.assertGreater(len(expected), 30)
+        self.assertLess(len(expected), 90)
+        numpy.testing.assert_array_equal(reconstruction.match_descriptors(a, b), expected)
+
     def test_a_perfect_model_has_no_errors_in_any_scale(self):
         # Two cameras over a plane, as COLMAP would have them: another origin, rotation and scale.
         camera = {"fx_px": 500, "fy_px": 500, "cx_px": 319.5, "cy_px": 239.5}
@@ -72,6 +93,31 @@ class Measurements(unittest.TestCase):
         self.assertLess(max(row["rotation_error_deg"] for row in frames.values()), 1e-4)
 
 
+class Run(unittest.TestCase):
+    def test_a_stage_is_done_once_and_again_where_it_failed(self):
+        done = []
+
+        def fails():
+            done.append("fails")
+            raise RuntimeError
+
+        with tempfile.TemporaryDirectory() as folder:
+            for _ in range(2):  # as an interrupted run and the one that goes on with it
+                stages = reconstruction.Stages(pathlib.Path(folder))
+                stages.once("first", lambda: done.append("first"))
+                with self.assertRaises(RuntimeError):
+                    stages.once("second", fails)
+        self.assertEqual(done, ["first", "fails", "fails"])
+
+    def test_pairs_lie_within_the_sequence(self):
+        self.assertEqual(reconstruction.pairs_to_match(3), [(0, 1), (0, 2), (1, 2)])
+        pairs = reconstruction.pairs_to_match(150)
+        self.assertEqual(len(pairs), len(set(pairs)))
+        self.assertIn((4, 68), pairs)
+        self.assertNotIn((5, 69), pairs)
+        self.assertTrue(all(0 <= i < j < 150 for i, j in pairs))
+
+
 class Importer(unittest.TestCase):
     def setUp(self):
         self.folder = tempfile.TemporaryDirectory()
@@ -97,12 +143,14 @@ class Importer(unittest.TestCase):
         reconstruction.create_database(database, camera, ["a", "b"])
         reconstruction.set_descriptors(database, features)
         reconstruction.set_keypoints(database, features)
-        reconstruction.match(database, ["a", "b"], self.path / "log", 1)
+        reconstruction.match(database, features)
+        reconstruction.verify(database, ["a", "b"], self.path / "log", 1, tqdm(disable=True))
         with sqlite3.connect(database) as connection:
             parameters, = connection.execute("SELECT params FROM cameras").fetchone()
             rows, columns, keypoints = connection.execute(
                 "SELECT rows, cols, data FROM keypoints WHERE image_id = 1").fetchone()
             count, matches = connection.execute("SELECT rows, data FROM matches").fetchone()
+            pairs = connection.execute("SELECT pair_id, rows FROM two_view_geometries").fetchall()
         numpy.testing.assert_array_equal(numpy.frombuffer(parameters), [500, 501, 320, 240])
         self.assertEqual((rows, columns), (COUNT, 4))
         keypoints = numpy.frombuffer(keypoints, numpy.float32).reshape(rows, columns)
@@ -111,6 +159,8 @@ class Importer(unittest.TestCase):
         self.assertEqual(count, COUNT)
         matches = numpy.frombuffer(matches, numpy.uint32).reshape(count, 2)
         numpy.testing.assert_array_equal(self.order[matches[:, 1]], matches[:, 0])
+        # The id is COLMAP's own way to name the pair, and the geometry of an image with itself fits every match.
+        self.assertEqual(pairs, [(reconstruction.PAIR_BASE + 2, COUNT)])
 
     def test_rectified_coordinates_replace_the_raw_ones(self):
         keypoints, _ = reconstruction.load_features(self.path / "a", True)
