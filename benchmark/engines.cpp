@@ -3,6 +3,7 @@
 #include <omp.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdlib>
 #include <exception>
 #include <string>
@@ -15,11 +16,47 @@
 #endif
 
 namespace gyro_deblur::benchmark {
+namespace {
+
+/// Taps of a kernel along a line, with Lanczos' kernel of three lobes across.
+std::vector<KernelTap> lanczos_taps(const LineKernel& kernel, double angle_rad) {
+  constexpr int kLobes = 3;
+  const double dx = std::cos(angle_rad), dy = std::sin(angle_rad);
+  const bool major_is_y = std::abs(dy) > std::abs(dx);
+  const double slope = major_is_y ? dx / dy : dy / dx;
+  std::vector<float> on_axis;
+  kernel_on_major_axis(kernel, major_is_y ? dy : dx, on_axis);
+  const int steps = static_cast<int>(on_axis.size() / 2);
+  const auto sinc = [](double x) { return x == 0 ? 1 : std::sin(CV_PI * x) / (CV_PI * x); };
+  std::vector<KernelTap> taps;
+  for (int m = -steps; m <= steps; ++m) {
+    const double across = m * slope;
+    const int first = static_cast<int>(std::floor(across)) - kLobes + 1;
+    double weights[2 * kLobes], sum = 0;
+    for (int i = 0; i < 2 * kLobes; ++i) {
+      const double x = first + i - across;
+      weights[i] = std::abs(x) < kLobes ? sinc(x) * sinc(x / kLobes) : 0;
+      sum += weights[i];
+    }
+    for (int i = 0; i < 2 * kLobes; ++i) {
+      const float weight = static_cast<float>(on_axis[m + steps] * weights[i] / sum);
+      taps.push_back(major_is_y ? KernelTap{first + i, m, weight} : KernelTap{m, first + i, weight});
+    }
+  }
+  return taps;
+}
+
+}  // namespace
+
+std::string Filter2dConvolver::name() const {
+  return kind_ == Kind::BYTES ? "filter2d" : (kind_ == Kind::FLOATS ? "filter2d-float" : "filter2d-lanczos");
+}
 
 void Filter2dConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) {
   CV_Assert(src.type() == CV_8UC1);
   dst.create(src.size(), src.type());
   const int threads = threads_ > 0 ? threads_ : omp_get_max_threads();
+  const bool float_result = kind_ != Kind::BYTES;
   const std::vector<BlockFilter>& blocks = grid.blocks;
   const int count = static_cast<int>(blocks.size());
   seams_.plan(grid, src.type());
@@ -28,7 +65,8 @@ void Filter2dConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv:
 #pragma omp parallel for num_threads(threads) schedule(dynamic) reduction(max : pad)
   for (int i = 0; i < count; ++i) {
     if (blocks[i].kernel == nullptr) continue;
-    const std::vector<KernelTap> taps = rotate_kernel(*blocks[i].kernel, blocks[i].angle_rad);
+    const std::vector<KernelTap> taps = kind_ == Kind::LANCZOS ? lanczos_taps(*blocks[i].kernel, blocks[i].angle_rad)
+                                                               : rotate_kernel(*blocks[i].kernel, blocks[i].angle_rad);
     int reach_x = 0, reach_y = 0;
     for (const KernelTap& tap : taps) {
       reach_x = std::max(reach_x, std::abs(tap.dx));
@@ -42,7 +80,7 @@ void Filter2dConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv:
   cv::Mat padded;
   cv::copyMakeBorder(src, padded, pad, pad, pad, pad, cv::BORDER_REPLICATE);
   cv::Mat result, block_result;
-#pragma omp parallel for num_threads(float_result_ ? 1 : threads) schedule(dynamic) firstprivate(result, block_result)
+#pragma omp parallel for num_threads(float_result ? 1 : threads) schedule(dynamic) firstprivate(result, block_result)
   for (int i = 0; i < count; ++i) {
     if (kernels[i].empty()) {
       src(grid.rect(i)).copyTo(dst(grid.rect(i)));
@@ -52,7 +90,7 @@ void Filter2dConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv:
     const cv::Rect rect = seams_.reach(i);
     const cv::Mat from = padded(rect + cv::Point(pad, pad));
     block_result.create(rect.size(), CV_8U);
-    if (float_result_) {
+    if (float_result) {
       cv::filter2D(from, result, CV_32F, kernels[i]);
       result.convertTo(block_result, CV_8U);
     } else {
@@ -60,12 +98,14 @@ void Filter2dConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv:
     }
     seams_.store(i, block_result.data, dst);
   }
-  seams_.blend(src, float_result_ ? 1 : threads, dst);
+  seams_.blend(src, float_result ? 1 : threads, dst);
 }
 
 std::unique_ptr<LineConvolver> make_engine(const std::string& name, int threads) {
-  if (name == "filter2d" || name == "filter2d-float") {
-    return std::make_unique<Filter2dConvolver>(threads, name == "filter2d-float");
+  for (const auto kind :
+       {Filter2dConvolver::Kind::BYTES, Filter2dConvolver::Kind::FLOATS, Filter2dConvolver::Kind::LANCZOS}) {
+    auto engine = std::make_unique<Filter2dConvolver>(threads, kind);
+    if (engine->name() == name) return engine;
   }
   const std::string prefix = "cpu-";
   if (name.compare(0, prefix.size(), prefix) == 0) {

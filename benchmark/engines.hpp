@@ -13,16 +13,20 @@ namespace gyro_deblur::benchmark {
 /// cv::filter2D with each block's rotated kernel as a matrix (its bounding box). CV_8UC1 only.
 class Filter2dConvolver : public LineConvolver {
  public:
-  /// @param float_result  false: 8-bit result, OpenMP over blocks, the most that can be had from it. true: as it is
-  ///                      called when values outside [0, 255] matter: CV_32F result, one block after another, with
-  ///                      whatever threads OpenCV uses itself.
-  Filter2dConvolver(int threads, bool float_result) : threads_(threads), float_result_(float_result) {}
+  enum class Kind {
+    BYTES,    ///< 8-bit result, OpenMP over blocks: the most that can be had from it
+    FLOATS,   ///< as it is called when values outside [0, 255] matter: CV_32F result, one block after another, with
+              ///< whatever threads OpenCV uses itself
+    LANCZOS,  ///< FLOATS, but between neighbours across the line the image is interpolated by six taps of Lanczos'
+              ///< kernel instead of two of the linear one: what nearly ideal sampling gives
+  };
+  Filter2dConvolver(int threads, Kind kind) : threads_(threads), kind_(kind) {}
   void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
-  std::string name() const override { return float_result_ ? "filter2d-float" : "filter2d"; }
+  std::string name() const override;
 
  private:
   int threads_;
-  bool float_result_;
+  Kind kind_;
   SeamBlender seams_;
 };
 
@@ -30,12 +34,12 @@ class Filter2dConvolver : public LineConvolver {
 ///   reference                         the straightforward engine as released (instruction set chosen by the loader)
 ///   reference-avx2, reference-avx512  its source compiled for that instruction set alone
 ///   cpu-baseline, cpu-avx2, cpu-avx512
-///   filter2d, filter2d-float
+///   filter2d, filter2d-float, filter2d-lanczos
 ///   anything else                     make_line_convolver
 /// Null where this build or processor does not have it.
 std::unique_ptr<LineConvolver> make_engine(const std::string& name, int threads);
 
-/// Names of all engines that can run here, slowest last.
+/// Names of all engines whose speed matters and that can run here, slowest last.
 std::vector<std::string> available_engines();
 
 }  // namespace gyro_deblur::benchmark

@@ -99,9 +99,17 @@ Work work_of_cpu(const FilterGrid& grid, int lanes) {
   Work work;
   for_each_filtered(grid, [&](const BlockFilter& block, cv::Size size) {
     const double dx = std::cos(block.angle_rad), dy = std::sin(block.angle_rad);
-    const double slope = std::abs(dy) > std::abs(dx) ? dx / dy : dy / dx;
+    const bool major_is_y = std::abs(dy) > std::abs(dx);
+    const double slope = major_is_y ? dx / dy : dy / dx;
     if (CpuConvolver::takes_two_scales(*block.kernel, slope, CV_8U)) {
-      add_two_scale(block, size, lanes, work);
+      const int along = major_is_y ? size.height : size.width;
+      const int longest = CpuConvolver::max_two_scale_rows(*block.kernel, slope);
+      const int tiles = (along + longest - 1) / longest;
+      for (int i = 0; i < tiles; ++i) {
+        cv::Size tile = size;
+        (major_is_y ? tile.height : tile.width) = along * (i + 1) / tiles - along * i / tiles;
+        add_two_scale(block, tile, lanes, work);
+      }
     } else {
       add_exact(block, size, work);
     }

@@ -22,13 +22,20 @@
 namespace gyro_deblur {
 namespace {
 
-// Below this the interpolation between lanes and pixels shows (against exact taps 47 dB at 30 px, less below), and
-// exact taps are cheap.
-constexpr double kMinTwoScaleExtentPx = 34.0;
-// Nearly along an axis the lanes lie between pixels over whole stretches of a line, where exact taps do not: 41 dB at 3
-// degrees and 35 to 45 px, 45 dB from here on.
+// Exact taps are cheap below this, and further down the interpolation between lanes and pixels shows: on single
+// photographs 0.12 dB of restored quality at 34 px and 7 degrees, 0.08 dB at most from here on.
+constexpr double kMinTwoScaleExtentPx = 36.0;
+// Nearly along an axis the lanes lie between pixels over whole stretches of a line, where exact taps do not, and the
+// interpolation shows up to longer extents.
 constexpr double kMinTwoScaleExtentNearAxisPx = 57.0;
-constexpr double kNearAxisSlope = 0.12;
+constexpr double kNearAxisSlope = 0.15;
+// Still nearer to an axis and up to this extent, tiles are cut so short that lanes drift by no more than this between
+// the middle row, where they lie on pixels, and the ends; 0.10 dB are lost at 58 px and 2 degrees without. But not
+// shorter than this many rows: the neighbourhood that the kernel needs comes on top for every tile.
+constexpr double kMaxShortTileExtentPx = 75.0;
+constexpr double kMaxShortTileSlope = 0.08;
+constexpr double kMaxLaneDriftPx = 0.2;
+constexpr int kMinTileRows = 9;
 // Box and smooth rest cancel each other from this gain (1 / gamma) down to one, so that their errors grow with it: 0.7
 // grey levels at gamma = 0.01, 2 at 0.005, 38 at 0.001. Kernels of a smaller gamma are left to the reference engine.
 constexpr double kMaxBoxGain = 128.0;
@@ -56,6 +63,7 @@ CpuConvolver::CpuConvolver(int threads, const BlockKernels& kernels)
 
 void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.method = Method::COPY;
+  plan.max_rows = kMaxTileSide;
   if (block.kernel == nullptr) return;
   const double dx = std::cos(block.angle_rad), dy = std::sin(block.angle_rad);
   plan.major_is_y = std::abs(dy) > std::abs(dx);
@@ -68,6 +76,7 @@ void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) {
     return;
   }
   if (takes_two_scales(*block.kernel, plan.slope, depth)) {
+    plan.max_rows = max_two_scale_rows(*block.kernel, plan.slope);
     plan_two_scale(*block.kernel, major, depth, plan);
   } else if (exact_is_possible(*block.kernel, depth)) {
     plan_exact(*block.kernel, block.angle_rad, plan);
@@ -79,6 +88,14 @@ void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) {
 bool CpuConvolver::takes_two_scales(const LineKernel& kernel, double slope, int depth) {
   const bool near_axis = std::abs(slope) < kNearAxisSlope && exact_is_possible(kernel, depth);
   return kernel.box_extent_px >= (near_axis ? kMinTwoScaleExtentNearAxisPx : kMinTwoScaleExtentPx);
+}
+
+int CpuConvolver::max_two_scale_rows(const LineKernel& kernel, double slope) {
+  const double steepness = std::abs(slope);
+  if (kernel.box_extent_px > kMaxShortTileExtentPx || steepness > kMaxShortTileSlope) return kMaxTileSide;
+  // Also where the slope is 0.
+  if (steepness * kMaxTileSide <= 2 * kMaxLaneDriftPx) return kMaxTileSide;
+  return std::max(static_cast<int>(2 * kMaxLaneDriftPx / steepness), kMinTileRows);
 }
 
 void CpuConvolver::plan_exact(const LineKernel& kernel, double angle_rad, Plan& plan) const {
@@ -358,10 +375,10 @@ void store_tile(const Pixel* line_order, const cv::Rect& tile, bool major_is_y, 
   }
 }
 
-/// Calls work(begin, length) for the fewest, equally long parts of [begin, end) that are no longer than kMaxTileSide.
+/// Calls work(begin, length) for the fewest, equally long parts of [begin, end) that are no longer than `longest`.
 template <typename Work>
-void for_each_part(int begin, int end, const Work& work) {
-  const int parts = (end - begin + kMaxTileSide - 1) / kMaxTileSide;
+void for_each_part(int begin, int end, int longest, const Work& work) {
+  const int parts = (end - begin + longest - 1) / longest;
   for (int i = 0; i < parts; ++i) {
     const int from = begin + (end - begin) * i / parts, to = begin + (end - begin) * (i + 1) / parts;
     work(from, to - from);
@@ -389,8 +406,10 @@ void CpuConvolver::convolve_as(const cv::Mat& src, const FilterGrid& grid, Buffe
     if (plan.method == Method::REFERENCE) left_to_reference_.push_back(i);
     if (plan.method != Method::EXACT && plan.method != Method::TWO_SCALE) continue;
     const cv::Rect reach = seams_.reach(i);
-    for_each_part(reach.y, reach.br().y, [&](int y, int height) {
-      for_each_part(reach.x, reach.br().x, [&](int x, int width) {
+    const int max_height = plan.major_is_y ? plan.max_rows : kMaxTileSide;
+    const int max_width = plan.major_is_y ? kMaxTileSide : plan.max_rows;
+    for_each_part(reach.y, reach.br().y, max_height, [&](int y, int height) {
+      for_each_part(reach.x, reach.br().x, max_width, [&](int x, int width) {
         Tile tile{{}, {x, y, width, height}, i};
         tile.geometry = plan.major_is_y ? TileGeometry{y, height, x, width, plan.slope}
                                         : TileGeometry{x, width, y, height, plan.slope};

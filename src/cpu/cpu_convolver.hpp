@@ -26,6 +26,8 @@ class CpuConvolver : public LineConvolver {
   /// @param slope  of the line along its major axis, [-1, 1]
   /// @param depth  CV_8U or CV_16U
   static bool takes_two_scales(const LineKernel& kernel, double slope, int depth);
+  /// Rows along the major axis that one tile may have where it does, at most kMaxTileSide.
+  static int max_two_scale_rows(const LineKernel& kernel, double slope);
 
   std::string name() const override { return std::string("cpu-") + kernels_.name; }
 
@@ -44,6 +46,7 @@ class CpuConvolver : public LineConvolver {
     Method method = Method::COPY;
     bool major_is_y = true;
     double slope = 0;
+    int max_rows = 0;  // of a tile, along the major axis
     ExactFilter exact{};
     std::vector<PairTap> pair_taps;
     TwoScaleFilter two_scale{};

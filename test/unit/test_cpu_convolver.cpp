@@ -124,6 +124,23 @@ TEST_P(CpuConvolverTest, LongKernelsStayCloseAndRestoreAsWell) {
   }
 }
 
+// Where lanes lie between pixels over long stretches.
+TEST_P(CpuConvolverTest, StaysCloseNearAnAxis) {
+  const cv::Mat sharp = test::textured_image(256, 256, 2);
+  for (const double extent_px : {36.0, 45.0, 58.0, 66.0, 75.0, 90.0, 110.0}) {
+    for (const int degrees : {2, 5, 9, 80, 85, 88, 91, 93, 98, 101, 176, 179}) {
+      const double angle_rad = degrees * CV_PI / 180;
+      const cv::Mat blurred = test::expose(test::blur_along_line(sharp, angle_rad, extent_px), 1, degrees);
+      const BlurField field = uniform_blur_field(256, 256, angle_rad, extent_px, wide_options());
+      cv::Mat expected, actual;
+      run(blurred, PixelLayout::GRAY, field, expected, actual);
+      EXPECT_GE(psnr_db(mean_square(expected, actual)), 42) << extent_px << " px, " << degrees << " deg";
+      const double loss_db = psnr_db(mean_square(expected, sharp)) - psnr_db(mean_square(actual, sharp));
+      EXPECT_LE(loss_db, 0.1) << extent_px << " px, " << degrees << " deg";
+    }
+  }
+}
+
 // Box and rest nearly cancel where gamma is small; whatever the engine does about it must not show.
 TEST_P(CpuConvolverTest, FollowsTheReferenceAtAnyGamma) {
   const cv::Mat sharp = test::textured_image(200, 150, 7);
