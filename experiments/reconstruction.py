@@ -466,6 +466,11 @@ def create_matches(database, camera, folder, names):
     match(database, features, folder.name)
 
 
+def model_folder(work, variant):
+    """Apart from the features, whose folders have the names of variants."""
+    return work / f"models_{variant}"
+
+
 def create_models(stages, variants, work, names, seed):
     """Verifies and reconstructs every variant, several at a time."""
 
@@ -473,13 +478,14 @@ def create_models(stages, variants, work, names, seed):
         database, log = work / f"{variant}.db", work / f"{variant}.log"
 
         def verify_anew():
-            folder, rectified, _ = VARIANTS[variant]
-            shutil.copy(work / f"matches_{folder}.db", database)
-            set_keypoints(database, [load_features(work / folder / name, rectified) for name in names])
+            source, rectified, _ = VARIANTS[variant]
+            shutil.copy(work / f"matches_{source}.db", database)
+            set_keypoints(database, [load_features(work / source / name, rectified) for name in names])
             verify(database, names, log, seed, verified)
 
         stages.once(f"verified_{variant}", verify_anew)
-        stages.once(f"model_{variant}", lambda: reconstruct(database, work / variant, log, seed, registered))
+        folder = model_folder(work, variant)
+        stages.once(f"model_{variant}", lambda: reconstruct(database, folder, log, seed, registered))
 
     pairs, images = len(variants) * len(pairs_to_match(len(names))), len(variants) * len(names)
     with tqdm(desc="  verifying", unit="pair", total=pairs, mininterval=1) as verified, \
@@ -578,7 +584,7 @@ def main():
 
     results = {}
     for variant in variants:
-        model = largest_model(work / variant)
+        model = largest_model(model_folder(work, variant))
         if model is None or len(model[0]) < MIN_TRACK:
             print(f"  {VARIANTS[variant][2]}: no reconstruction")
             continue
