@@ -195,13 +195,14 @@ void DeblurNodelet::onInit() {
     NODELET_ERROR_STREAM("parameters cannot be used, frames pass through unchanged: " << error);
     processor_->set_config_error(error);
   }
+  // Before somebody can mend what was refused, which does both again.
+  configured_ = config.has_value();
+  subscribe_exposure(config ? config->exposure_source : ExposureSource());
   start_reconfigure();
 
   transport_ = std::make_unique<image_transport::ImageTransport>(nh);
   tf_static_subscriber_ = nh.subscribe("/tf_static", kTfQueue, &DeblurNodelet::on_transforms, this);
   tf_subscriber_ = nh.subscribe("/tf", kTfQueue, &DeblurNodelet::on_transforms, this);
-  exposure_source_known_ = config.has_value();
-  subscribe_exposure(config ? config->exposure_source : ExposureSource());
   odometry_subscriber_ =
       nh.subscribe("odometry", kFastQueue, &DeblurNodelet::on_odometry, this, ros::TransportHints().tcpNoDelay());
   scene_depth_subscriber_ = nh.subscribe("scene_depth", kFastQueue, &DeblurNodelet::on_scene_depth, this);
@@ -292,8 +293,12 @@ void DeblurNodelet::on_reconfigure(DeblurConfig& dynamic) {
     for_each_dynamic([&merged](const char* key, const auto& value) { merged[key] = value; }, dynamic);
     const Config config = parse_config(merged);
     processor_->set_config(config);
-    if (!exposure_source_known_) subscribe_exposure(config.exposure_source);
-    exposure_source_known_ = true;
+    if (!configured_) {
+      // What is decided once was decided without a configuration.
+      imu_->source()->set_options(GyroSource::options_of(config));
+      subscribe_exposure(config.exposure_source);
+    }
+    configured_ = true;
     dynamic_ = dynamic;
     NODELET_INFO_THROTTLE(1.0, "parameters changed");
   } catch (const std::exception& error) {

@@ -104,7 +104,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   std::mutex exposure_mutex_;  // for the next two
   ros::Subscriber exposure_subscriber_;
   std::unique_ptr<ExposureAdapter> exposure_adapter_;  // null for the package's own message
-  bool exposure_source_known_ = false;                 // not when the first configuration was refused for any key
+  bool configured_ = false;                            // not while the first configuration is refused for any key
   ros::Subscriber odometry_subscriber_;
   ros::Subscriber scene_depth_subscriber_;
   std::atomic<bool> exposure_expected_{false};

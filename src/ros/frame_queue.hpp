@@ -20,6 +20,7 @@ struct PendingFrame {
   sensor_msgs::ImageConstPtr image;              ///< never null
   sensor_msgs::CameraInfoConstPtr info;          ///< null until known
   std::optional<CameraCalibration> calibration;  ///< of info
+  bool described_by_topic = false;               ///< info came with the image, and not from a file
   TimeNs stamp_ns = 0;                           ///< camera clock
   TimeNs arrival_ns = 0;                         ///< node clock (may be simulated time)
   TimeNs arrival_steady_ns = 0;                  ///< steady clock

@@ -61,8 +61,7 @@ bool GyroSource::add(const sensor_msgs::Imu& imu) {
     store(*sample);  // counts it; the stamp of such a message tells nothing
     return false;
   }
-  take(*sample);
-  return true;
+  return take(*sample);
 }
 
 void GyroSource::drop_stray_samples() {
@@ -73,14 +72,13 @@ void GyroSource::drop_stray_samples() {
   stray_samples_.clear();
 }
 
-void GyroSource::take(const GyroSample& sample) {
+bool GyroSource::take(const GyroSample& sample) {
   const auto fits = [&](TimeNs before_ns) {
     return sample.t_ns >= before_ns - options_.time_jump_ns && sample.t_ns <= before_ns + options_.gyro.max_gap_ns;
   };
   if (buffer_.empty() || fits(buffer_.available().end_ns)) {
     drop_stray_samples();
-    store(sample);
-    return;
+    return store(sample);
   }
   if (!stray_samples_.empty()) {
     const TimeNs last_ns = stray_samples_.back().t_ns;
@@ -88,17 +86,18 @@ void GyroSource::take(const GyroSample& sample) {
       drop_stray_samples();
     } else if (sample.t_ns <= last_ns) {
       ++(sample.t_ns == last_ns ? statistics_.imu_duplicate : statistics_.imu_out_of_order);
-      return;
+      return false;
     }
   }
   stray_samples_.push_back(sample);
-  if (stray_samples_.size() < kStraySamplesOfReset) return;
+  if (stray_samples_.size() < kStraySamplesOfReset) return false;
   const std::vector<GyroSample> agreeing = std::exchange(stray_samples_, {});
   if (agreeing.front().t_ns < buffer_.available().end_ns) restart(agreeing.front().t_ns);
   for (const GyroSample& each : agreeing) store(each);
+  return true;
 }
 
-void GyroSource::store(const GyroSample& sample) {
+bool GyroSource::store(const GyroSample& sample) {
   switch (buffer_.add(sample)) {
     case GyroBuffer::AddResult::ACCEPTED:
       ++statistics_.imu_accepted;
@@ -110,28 +109,29 @@ void GyroSource::store(const GyroSample& sample) {
                  " s is before that of the one before it");
       }
       late_samples_.clear();
-      return;
+      return true;
     case GyroBuffer::AddResult::NOT_FINITE:
       ++statistics_.imu_not_finite;
       log_(LogLevel::WARNING, "imu not finite",
            "imu sample at " + seconds_text(sample.t_ns) + " s dropped: its angular velocity " +
                vector_text(sample.rate_rad_s) + " rad/s is not finite");
-      return;
+      return false;
     case GyroBuffer::AddResult::DUPLICATE:
       ++statistics_.imu_duplicate;
       log_(LogLevel::WARNING, "imu duplicate",
            "imu sample dropped: a second one with the stamp " + seconds_text(sample.t_ns) + " s");
-      return;
+      return false;
     case GyroBuffer::AddResult::OUT_OF_ORDER:
       break;
   }
   ++statistics_.imu_out_of_order;
   if (!late_samples_.empty() && late_samples_.back().t_ns >= sample.t_ns) late_samples_.clear();
   late_samples_.push_back(sample);
-  if (late_samples_.size() < kLateSamplesOfReset) return;
+  if (late_samples_.size() < kLateSamplesOfReset) return false;
   const std::vector<GyroSample> first = std::exchange(late_samples_, {});
   restart(first.front().t_ns);
   for (const GyroSample& each : first) store(each);
+  return true;
 }
 
 void GyroSource::restart(TimeNs to_ns) {

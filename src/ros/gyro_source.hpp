@@ -46,7 +46,8 @@ class GyroSource {
   /// Keeps at least this much from now on.
   void require_capacity(TimeNs capacity_ns);
 
-  /// Takes a message in. False when it has no rate that could be one: what else it has is of no use either.
+  /// Takes a message in. False when it is not used, or not yet, for want of a rate or of a stamp that fits: what else
+  /// it has is of no use either.
   bool add(const sensor_msgs::Imu& imu);
 
   ImuStatistics statistics() const;
@@ -57,8 +58,9 @@ class GyroSource {
   friend class GyroReader;
 
   /// Takes a sample whose stamp fits those before it; others once enough of them agree with each other.
-  void take(const GyroSample& sample);
-  void store(const GyroSample& sample);
+  /// True when the newest sample in store is this one.
+  bool take(const GyroSample& sample);
+  bool store(const GyroSample& sample);
   /// Forgets everything, because the clock was set back.
   void restart(TimeNs to_ns);
   void drop_stray_samples();

@@ -223,7 +223,7 @@ void Processor::add_odometry(const nav_msgs::Odometry& odometry) {
   if (const auto refused = translation_.add(odometry, config_.value_or(Config()))) {
     ++statistics_.odometry_refused;
     log_(LogLevel::WARNING, "odometry refused",
-         "odometry at " + seconds_text(to_time_ns(odometry.header.stamp)) + " s ignored: " + *refused);
+         "odometry at " + seconds_text(refused->stamp_ns) + " s ignored: " + refused->why);
   }
 }
 
@@ -232,7 +232,7 @@ void Processor::add_scene_depth(const sensor_msgs::Range& depth) {
   now();
   if (const auto refused = translation_.add(depth, config_.value_or(Config()))) {
     log_(LogLevel::WARNING, "scene depth refused",
-         "scene_depth at " + seconds_text(to_time_ns(depth.header.stamp)) + " s ignored: " + *refused);
+         "scene_depth at " + seconds_text(refused->stamp_ns) + " s ignored: " + refused->why);
   }
 }
 
@@ -258,14 +258,17 @@ bool Processor::find_calibration(PendingFrame& frame, bool timed_out) {
   const int width_px = static_cast<int>(frame.image->width), height_px = static_cast<int>(frame.image->height);
   const std::optional<CameraCalibration> file =
       config_->calibration ? config_->calibration->camera : std::optional<CameraCalibration>();
-  bool from_topic = true;
+  // Only camera_info can tell which part of the sensor an image of another size shows.
+  const bool file_fits = file && file->width_px == width_px && file->height_px == height_px;
   if (const sensor_msgs::CameraInfoConstPtr* info = infos_.find(frame.stamp_ns)) {
     frame.info = *info;
-  } else if (file && !config_->rectified_input && (!info_seen_ || timed_out)) {
+    frame.described_by_topic = true;
+  } else if (frame.calibration) {
+    return true;  // the file's, from before anybody sent camera_info
+  } else if (file && !config_->rectified_input && ((!info_seen_ && file_fits) || timed_out)) {
     auto described = boost::make_shared<sensor_msgs::CameraInfo>(camera_info_message(*file));
     described->header = frame.image->header;
     frame.info = described;
-    from_topic = false;
   } else if (timed_out) {
     frame.settle(PassThroughReason::NO_CALIBRATION,
                  "no camera_info with the image's stamp " + seconds_text(frame.stamp_ns) + " s");
@@ -274,7 +277,7 @@ bool Processor::find_calibration(PendingFrame& frame, bool timed_out) {
     return false;
   }
   try {
-    if (!file || !from_topic) {
+    if (!file || !frame.described_by_topic) {
       frame.calibration = to_calibration(*frame.info, width_px, height_px, config_->rectified_input);
       return true;
     }
@@ -336,7 +339,8 @@ bool Processor::prepare(PendingFrame& frame, bool timed_out, Job* job) {
     return true;
   }
 
-  if (!frame.calibration && !find_calibration(frame, timed_out)) return false;
+  // A frame that goes by the file, and still waits, goes by its camera_info as soon as that has come.
+  if (!frame.described_by_topic && !find_calibration(frame, timed_out)) return false;
   if (frame.verdict != PassThroughReason::NONE) return true;
 
   ShutterTiming timing = config_->shutter;

@@ -18,17 +18,6 @@ constexpr std::size_t kMaxDepths = 2000;
 /// Unit quaternions are printed and summed with errors of this size.
 constexpr double kQuaternionTolerance = 1e-2;
 
-/// Orders the stamps of a stream. Returns why the message is refused, or nothing; clears the store when time was reset.
-template <typename Store, typename Stamp>
-std::optional<std::string> require_newer(Store& store, Stamp stamp_of, TimeNs stamp_ns, const Config& config) {
-  if (store.empty() || stamp_ns > stamp_of(store.back())) return std::nullopt;
-  if (stamp_of(store.back()) - stamp_ns > config.time_jump_ns) {
-    store.clear();
-    return std::nullopt;
-  }
-  return "its stamp is not after that of the one before";
-}
-
 /// Largest standard deviation [m/s] of the linear velocity; 0 when it is not told, nothing when it makes no sense.
 std::optional<double> stddev_m_s(const nav_msgs::Odometry& odometry) {
   double variance = 0;
@@ -42,59 +31,46 @@ std::optional<double> stddev_m_s(const nav_msgs::Odometry& odometry) {
 
 }  // namespace
 
-std::optional<std::string> TranslationInput::add(const nav_msgs::Odometry& odometry, const Config& config) {
+std::optional<RefusedMessage> TranslationInput::add(const nav_msgs::Odometry& odometry, const Config& config) {
   expected_ = true;
   VelocitySample sample;
   sample.t_ns = to_time_ns(odometry.header.stamp);
+  const auto refuse = [&sample](const char* why) { return RefusedMessage{sample.t_ns, why}; };
   const auto& v = odometry.twist.twist.linear;
   sample.velocity_m_s = {v.x, v.y, v.z};
-  if (!sample.velocity_m_s.allFinite()) return "its linear velocity is not finite";
+  if (!sample.velocity_m_s.allFinite()) return refuse("its linear velocity is not finite");
   const std::optional<double> stddev = stddev_m_s(odometry);
-  if (!stddev) return "the covariance of its linear velocity is negative or not finite";
+  if (!stddev) return refuse("the covariance of its linear velocity is negative or not finite");
   sample.stddev_m_s = *stddev;
   if (config.odometry_twist_frame == TwistFrame::PARENT) {
     const auto& q = odometry.pose.pose.orientation;
     const Eigen::Quaterniond R_parent_body(q.w, q.x, q.y, q.z);
-    if (!(std::abs(R_parent_body.norm() - 1) < kQuaternionTolerance)) return "its orientation is not a unit quaternion";
+    if (!(std::abs(R_parent_body.norm() - 1) < kQuaternionTolerance)) {
+      return refuse("its orientation is not a unit quaternion");
+    }
     sample.velocity_m_s = R_parent_body.normalized().conjugate() * sample.velocity_m_s;
-  }
-  if (const auto refused = require_newer(
-          velocities_, [](const VelocitySample& s) { return s.t_ns; }, sample.t_ns, config)) {
-    return refused;
   }
   // Some stacks name the world in both places; what they estimate is the pose of the IMU.
   body_frame_ = odometry.child_frame_id == odometry.header.frame_id ? std::string() : odometry.child_frame_id;
-  velocities_.push_back(sample);
-  if (velocities_.size() > kMaxVelocities) velocities_.pop_front();
-  return std::nullopt;
+  return velocities_.add(sample, config.time_jump_ns, kMaxVelocities);
 }
 
-std::optional<std::string> TranslationInput::add(const sensor_msgs::Range& depth, const Config& config) {
-  const double depth_m = static_cast<double>(depth.range);
-  if (!std::isfinite(depth_m) || !(depth_m > 0)) return "its range is not a finite number above 0";
-  if (depth.max_range > 0 && (depth.range < depth.min_range || depth.range > depth.max_range)) {
-    return "its range is outside [min_range, max_range]";
-  }
+std::optional<RefusedMessage> TranslationInput::add(const sensor_msgs::Range& depth, const Config& config) {
   const TimeNs stamp_ns = to_time_ns(depth.header.stamp);
-  if (const auto refused = require_newer(
-          depths_, [](const Depth& d) { return d.stamp_ns; }, stamp_ns, config)) {
-    return refused;
+  const auto refuse = [stamp_ns](const char* why) { return RefusedMessage{stamp_ns, why}; };
+  const double depth_m = static_cast<double>(depth.range);
+  if (!std::isfinite(depth_m) || !(depth_m > 0)) return refuse("its range is not a finite number above 0");
+  if (depth.max_range > 0 && (depth.range < depth.min_range || depth.range > depth.max_range)) {
+    return refuse("its range is outside [min_range, max_range]");
   }
-  depths_.push_back({stamp_ns, depth_m});
-  if (depths_.size() > kMaxDepths) depths_.pop_front();
-  return std::nullopt;
+  return depths_.add({stamp_ns, depth_m}, config.time_jump_ns, kMaxDepths);
 }
 
 void TranslationInput::add(const sensor_msgs::Imu& imu) {
   const auto& a = imu.linear_acceleration;
   const ForceSample sample{to_time_ns(imu.header.stamp), {a.x, a.y, a.z}};
   if (imu.linear_acceleration_covariance[0] == -1 || !sample.force_m_s2.allFinite()) return;
-  // Farther back than that is no swapped message: the stamps themselves have jumped, or the newest one was a stray.
-  constexpr TimeNs kSwappedNs = 1'000'000'000;
-  if (!forces_.empty() && sample.t_ns <= forces_.back().t_ns) {
-    if (forces_.back().t_ns - sample.t_ns <= kSwappedNs) return;
-    forces_.clear();
-  }
+  if (!forces_.empty() && sample.t_ns <= forces_.back().t_ns) return;
   forces_.push_back(sample);
   if (forces_.size() > kMaxVelocities) forces_.pop_front();
 }
@@ -120,9 +96,9 @@ std::optional<TranslationJob> TranslationInput::around(const TimeRange& frame, c
   job.depth_m = config.translation.scene_depth_m;
   if (!depths_.empty()) {
     const auto nearest = std::min_element(depths_.begin(), depths_.end(), [middle_ns](const Depth& a, const Depth& b) {
-      return std::abs(a.stamp_ns - middle_ns) < std::abs(b.stamp_ns - middle_ns);
+      return std::abs(a.t_ns - middle_ns) < std::abs(b.t_ns - middle_ns);
     });
-    if (std::abs(nearest->stamp_ns - middle_ns) <= config.translation.depth_max_age_ns) job.depth_m = nearest->depth_m;
+    if (std::abs(nearest->t_ns - middle_ns) <= config.translation.depth_max_age_ns) job.depth_m = nearest->depth_m;
   }
   if (job.depth_m <= 0) {
     return refuse(depths_.empty() ? "no depth of the scene: neither a message nor parameter scene_depth"

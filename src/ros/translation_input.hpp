@@ -1,10 +1,12 @@
 // What an odometry and a depth of the scene say about the camera's translation during a frame.
 #pragma once
 
+#include <cstddef>
 #include <deque>
 #include <functional>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <nav_msgs/Odometry.h>
@@ -29,16 +31,79 @@ struct TranslationJob {
   std::vector<GyroSample> samples;  ///< of the gyroscope: over the frame and all velocities
 };
 
+/// A message that is not used.
+struct RefusedMessage {
+  TimeNs stamp_ns;
+  std::string why;  ///< one line
+};
+
+/// The newest messages of one stream, in the order of their stamps. A single stamp that is wrong changes nothing for
+/// the messages around it: one that is not newer than the newest is kept back until the next shows which of the two was
+/// wrong. Two in a row that are not newer either show that the newest was ahead, and it is dropped, or that time was
+/// set back, and everything from before is. Not thread-safe.
+/// @tparam Message  has a member t_ns
+template <typename Message>
+class StampedStream {
+ public:
+  /// Takes a message in. Returns nothing, or which message is refused for its stamp: this one, the one before it, or
+  /// the one that was the newest.
+  /// @param time_jump_ns  going back by more is a reset of time; > 0
+  std::optional<RefusedMessage> add(const Message& message, TimeNs time_jump_ns, std::size_t capacity) {
+    const auto not_after = [](const Message& refused) {
+      return RefusedMessage{refused.t_ns, "its stamp is not after that of the one before"};
+    };
+    if (messages_.empty() || message.t_ns > messages_.back().t_ns) {
+      push(message, capacity);
+      const std::optional<Message> stray = std::exchange(late_, std::nullopt);
+      return stray ? std::optional(not_after(*stray)) : std::nullopt;
+    }
+    if (message.t_ns == messages_.back().t_ns) return not_after(message);
+    const std::optional<Message> first = std::exchange(late_, message);
+    if (!first) return std::nullopt;
+    if (message.t_ns <= first->t_ns) return not_after(*first);
+    std::optional<RefusedMessage> refused;
+    if (messages_.size() > 1 && first->t_ns > messages_[messages_.size() - 2].t_ns) {
+      refused = RefusedMessage{messages_.back().t_ns, "its stamp is ahead of those that came after it"};
+      messages_.pop_back();
+    } else if (messages_.back().t_ns - first->t_ns > time_jump_ns) {
+      messages_.clear();
+    } else {
+      return not_after(*first);
+    }
+    late_.reset();
+    push(*first, capacity);
+    push(message, capacity);
+    return refused;
+  }
+
+  void clear() {
+    messages_.clear();
+    late_.reset();
+  }
+  bool empty() const { return messages_.empty(); }
+  typename std::deque<Message>::const_iterator begin() const { return messages_.begin(); }
+  typename std::deque<Message>::const_iterator end() const { return messages_.end(); }
+
+ private:
+  void push(const Message& message, std::size_t capacity) {
+    messages_.push_back(message);
+    if (messages_.size() > capacity) messages_.pop_front();
+  }
+  std::deque<Message> messages_;
+  std::optional<Message> late_;  // the last one, when it was not newer than the newest
+};
+
 /// Keeps the newest messages of an odometry and of a depth. Not thread-safe.
 class TranslationInput {
  public:
-  /// Takes a message in. Returns nothing, or one line that says why it is refused: not finite, an invalid covariance or
-  /// orientation, or not newer than the one before. A stamp that goes back by more than time_jump_ns starts anew.
-  std::optional<std::string> add(const nav_msgs::Odometry& odometry, const Config& config);
+  /// Takes a message in. Returns nothing, or which message is refused: this one when it is not finite or has an invalid
+  /// covariance or orientation, and whichever has a wrong stamp, see StampedStream.
+  std::optional<RefusedMessage> add(const nav_msgs::Odometry& odometry, const Config& config);
   /// The same; a depth that is not in the message's own range is refused as well (REP 117).
-  std::optional<std::string> add(const sensor_msgs::Range& depth, const Config& config);
+  std::optional<RefusedMessage> add(const sensor_msgs::Range& depth, const Config& config);
 
-  /// Takes the acceleration of an IMU message in, where it has one.
+  /// Takes the acceleration of an IMU message in, where it has one. Precondition: GyroSource has taken the message,
+  /// which it does not where the stamp is far from those around it; when the clock was set back, forget_forces first.
   void add(const sensor_msgs::Imu& imu);
 
   void clear();
@@ -62,13 +127,13 @@ class TranslationInput {
 
  private:
   struct Depth {
-    TimeNs stamp_ns;
+    TimeNs t_ns;
     double depth_m;
   };
-  std::deque<VelocitySample> velocities_;  // t_ns: as stamped, in the odometry's clock
-  std::deque<ForceSample> forces_;         // t_ns: IMU clock, body axes: the IMU's
-  std::deque<Depth> depths_;               // camera clock
-  std::string body_frame_;                 // empty: the IMU
+  StampedStream<VelocitySample> velocities_;  // t_ns: as stamped, in the odometry's clock
+  std::deque<ForceSample> forces_;            // t_ns: IMU clock, body axes: the IMU's
+  StampedStream<Depth> depths_;               // camera clock
+  std::string body_frame_;                    // empty: the IMU
   bool expected_ = false;
 };
 

@@ -120,6 +120,7 @@ TEST_F(GyroSourceTest, CapacityGrowsToWhatIsRequired) {
 }
 
 TEST_F(GyroSourceTest, TellsWhetherAMessageIsOfUse) {
+  int good = 0;
   EXPECT_TRUE(source_->add(imu_message(kStart, 1)));
   EXPECT_FALSE(source_->add(imu_message(kStart + kMs, std::numeric_limits<double>::quiet_NaN())));
   sensor_msgs::Imu without = imu_message(kStart + 2 * kMs, 1);
@@ -127,6 +128,10 @@ TEST_F(GyroSourceTest, TellsWhetherAMessageIsOfUse) {
   EXPECT_FALSE(source_->add(without));
   EXPECT_EQ(source_->statistics().imu_not_finite, 1u);
   EXPECT_EQ(source_->statistics().imu_without_gyroscope, 1u);
+  for (const TimeNs stray_ns : {kStart + 1000 * kSecond, kStart + kSecond, kStart - kMs, kStart, TimeNs{0}}) {
+    EXPECT_FALSE(source_->add(imu_message(stray_ns, 1))) << stray_ns;
+    EXPECT_TRUE(source_->add(imu_message(kStart + 3 * kMs + (++good) * kMs, 1))) << stray_ns;
+  }
 }
 
 TEST_F(GyroSourceTest, ReadersMayReadWhileItIsFed) {

@@ -6,12 +6,15 @@
 #include <mutex>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <dynamic_reconfigure/Reconfigure.h>
 #include <gtest/gtest.h>
+#include <nav_msgs/Odometry.h>
 #include <nodelet/loader.h>
 #include <ros/callback_queue.h>
+#include <ros/console.h>
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
@@ -182,6 +185,85 @@ TEST_F(NodeletFaultTest, UnloadedDuringWorkItLetsOutWhatHasComeIn) {
     EXPECT_EQ(fields_[i]->reason,
               i < kFrames - kQueue ? BlurFieldMessage::REASON_OVERLOAD : BlurFieldMessage::REASON_NO_GYRO);
   }
+}
+
+/// Holds up the thread that logs a line, and with it whatever it does, until it is told to let it go.
+class LogGate : public ros::console::LogAppender {
+ public:
+  explicit LogGate(std::string part) : part_(std::move(part)) { ros::console::register_appender(this); }
+  ~LogGate() override {
+    open();
+    ros::console::deregister_appender(this);
+  }
+  LogGate(const LogGate&) = delete;
+  LogGate& operator=(const LogGate&) = delete;
+
+  /// True when somebody came to the line before the deadline.
+  bool wait_for_somebody() {
+    return mailbox_.wait([this] { return came_; });
+  }
+  void open() {
+    mailbox_.put([this] { open_ = true; });
+  }
+
+ private:
+  void log(ros::console::Level /*level*/, const char* text, const char* /*file*/, const char* /*function*/,
+           int /*line*/) override {
+    if (std::string(text).find(part_) == std::string::npos) return;
+    mailbox_.put([this] { came_ = true; });
+    mailbox_.wait([this] { return open_; });
+  }
+
+  const std::string part_;
+  Mailbox mailbox_;
+  bool came_ = false, open_ = false;
+};
+
+class UnloadTest : public NodeletFaultTest {
+ protected:
+  UnloadTest() { odometry_publisher_ = nh_.advertise<nav_msgs::Odometry>(ns_ + "/odometry", 1); }
+
+  void load() {
+    ASSERT_NO_FATAL_FAILURE(NodeletFaultTest::load());
+    ASSERT_TRUE(poll_until([this] { return odometry_publisher_.getNumSubscribers() > 0; }));
+  }
+  /// Unloads the nodelet while its worker is at the gate, which opens when unloading has begun.
+  void unload_through(LogGate* gate) {
+    ASSERT_TRUE(gate->wait_for_somebody());
+    std::thread unloader([this] { unload(); });
+    // Given up before the nodelet waits for its worker.
+    EXPECT_TRUE(poll_until([this] { return odometry_publisher_.getNumSubscribers() == 0; }));
+    gate->open();
+    unloader.join();
+  }
+
+  ros::Publisher odometry_publisher_;
+};
+
+TEST_F(UnloadTest, WhileAFrameIsInWorkItWaitsForItAndLetsOutTheRest) {
+  constexpr std::size_t kQueue = 5, kFrames = 7;
+  set("frame_queue_size", static_cast<int>(kQueue));
+  set("backend", std::string("opencl:no such device"));  // said while the first frame is processed
+  ASSERT_NO_FATAL_FAILURE(load());
+  for (std::size_t i = 0; i < kFrames; ++i) publish_frame(kStart + static_cast<TimeNs>(i) * kFramePeriod);
+  ASSERT_TRUE(wait_for_frames(kFrames - kQueue)) << "all have come in then";
+  LogGate gate("OpenCL failed");
+  publish_imu(kStart - 50 * kMs, kStart + kSecond);
+  ASSERT_NO_FATAL_FAILURE(unload_through(&gate));
+  expect_all_in_order(kFrames);
+  EXPECT_EQ(fields_[kFrames - kQueue]->reason, BlurFieldMessage::REASON_NONE) << "the one in work";
+}
+
+TEST_F(UnloadTest, WhileAFrameFailsItStillLetsItOut) {
+  ASSERT_NO_FATAL_FAILURE(load());
+  LogGate gate("UNSUPPORTED_ENCODING");  // said with the processor's lock held
+  const sensor_msgs::ImagePtr image = image_message(kStart);
+  image->encoding = "nonsense";
+  image_publisher_.publish(image);
+  ASSERT_NO_FATAL_FAILURE(unload_through(&gate));
+  expect_all_in_order(1);
+  EXPECT_EQ(images_[0].get(), image.get());
+  EXPECT_EQ(fields_[0]->reason, BlurFieldMessage::REASON_UNSUPPORTED_ENCODING);
 }
 
 TEST_F(NodeletFaultTest, ImagesAreHandedOnWithoutACopy) {

@@ -513,6 +513,63 @@ TEST_F(ProcessorTest, CalibrationFileServesWhereThereIsNoCameraInfo) {
   expect_deblurred(2);
 }
 
+TEST_F(ProcessorTest, FrameThatStillWaitsGoesByCameraInfoThatComesAfterIt) {
+  config_.calibration = calibration_file();
+  config_.calibration->camera->fx_px *= 1.5;
+  configure();
+  processor_.add_image(image_message(kStart));
+  processor_.add_image(image_message(kStart + kMs));
+  advance();  // both go by the file, and wait for samples
+  EXPECT_TRUE(outputs_.empty());
+  processor_.add_camera_info(camera_info(kStart + kMs));
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u) << "none waits for a camera_info from before there was any";
+  expect_deblurred(0);
+  const BlurField& field = *outputs_[0].field;
+  const BlockBlur& center = field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))];
+  EXPECT_NEAR(center.extent_px, 1.5 * kFocalPx * kFastRadS * to_seconds(kExposure), 0.4);
+  EXPECT_EQ(outputs_[0].camera_info->K[0], 1.5 * kFocalPx);
+  expect_passed_through(1, PassThroughReason::NO_CALIBRATION, "fx 300");
+  EXPECT_EQ(outputs_[1].camera_info->K[0], kFocalPx);
+}
+
+TEST_F(ProcessorTest, ImageOfAnotherSizeThanTheFileWaitsForItsCameraInfo) {
+  config_.calibration = calibration_file();
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 2 * kSecond);
+  processor_.add_image(image_message(kStart, "mono8", kWidth, kHeight / 2));
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, std::to_string(kHeight / 2));
+
+  const TimeNs second_ns = kStart + 33 * kMs;
+  processor_.add_image(image_message(second_ns, "mono8", kWidth, kHeight / 2));
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u);
+  const auto info = camera_info(second_ns);
+  info->roi.y_offset = 30;
+  info->roi.width = kWidth;
+  info->roi.height = kHeight / 2;
+  processor_.add_camera_info(info);
+  advance();
+  expect_deblurred(1);
+}
+
+TEST_F(ProcessorTest, UsableCameraInfoServesAfterUnusableOnes) {
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  const auto info = camera_info(kStart);
+  info->K.fill(0);
+  processor_.add_image(image_message(kStart));
+  processor_.add_camera_info(info);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "K");
+  add_frame(kStart + 33 * kMs);
+  advance();
+  expect_deblurred(1);
+}
+
 TEST_F(ProcessorTest, CameraInfoThatContradictsTheFileIsPrintedWithIt) {
   config_.calibration = calibration_file();
   config_.calibration->camera->fx_px *= 1.5;
@@ -986,7 +1043,7 @@ TEST_F(ProcessorTest, CamerasShareASourceAndKeepWhatIsTheirOwn) {
   const auto feed = [&](TimeNs from_ns, TimeNs to_ns) {
     for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod) {
       const sensor_msgs::Imu imu = imu_message(t_ns, kFastRadS);
-      ASSERT_TRUE(source->add(imu));
+      if (!source->add(imu)) continue;  // nobody is told, as SharedImu does it
       for (Processor* camera : {&left, &right}) camera->notice_imu(imu);
     }
   };
@@ -1412,6 +1469,46 @@ TEST_F(ProcessorTranslationTest, RefusedMessagesAreCountedAndATimeJumpStartsAnew
   EXPECT_EQ(processor_.statistics().odometry_refused, 2u);
   process(0);
   EXPECT_TRUE(outputs_[0].translated) << outputs_[0].reason_text;
+}
+
+TEST_F(ProcessorTranslationTest, TheAccelerometerGoesOnAfterStrayStamps) {
+  config_.translation.scene_depth_m = 2;
+  // A swing sideways that only the accelerometer can follow from the odometry, which is late, to the frame.
+  constexpr double kAmplitudeM = 0.1, kRateRadS = 2 * M_PI;
+  constexpr TimeNs kLatency = 150 * kMs;
+  const auto feed = [&](const std::vector<TimeNs>& strays) {
+    outputs_.clear();
+    processor_.reset();
+    configure();
+    for (TimeNs t_ns = kStart - 1500 * kMs; t_ns <= kStart + 100 * kMs; t_ns += kImuPeriod) {
+      sensor_msgs::Imu imu = imu_message(t_ns, 0);
+      imu.linear_acceleration.x =
+          -kAmplitudeM * kRateRadS * kRateRadS * std::sin(kRateRadS * to_seconds(t_ns - kStart));
+      imu.linear_acceleration.y = -9.81;
+      processor_.add_imu(imu);
+      if (t_ns == kStart - 300 * kMs) {
+        for (const TimeNs stray_ns : strays) {
+          imu.header.stamp = to_ros_time(stray_ns);
+          processor_.add_imu(imu);
+        }
+      }
+      if (t_ns <= kStart - kLatency && (kStart - t_ns) % (50 * kMs) == 0) {
+        const double speed_m_s = kAmplitudeM * kRateRadS * std::cos(kRateRadS * to_seconds(t_ns - kStart));
+        processor_.add_odometry(odometry(t_ns, speed_m_s));
+      }
+    }
+    add_frame(kStart);
+    advance();
+    EXPECT_EQ(outputs_.size(), 1u);
+    EXPECT_TRUE(outputs_.at(0).translated) << outputs_[0].reason_text;
+    return center_extent_px();
+  };
+  const double expected_px = feed({});
+  const double speed_m_s = kAmplitudeM * kRateRadS * std::cos(kRateRadS * to_seconds((kExposure + kReadout) / 2));
+  EXPECT_NEAR(expected_px, kFocalPx * speed_m_s * to_seconds(kExposure) / 2, 0.01);
+  for (const TimeNs stray_ns : {kStart + 1000 * kSecond, kStart + 500 * kMs, kStart - kSecond, TimeNs{0}}) {
+    EXPECT_EQ(feed({stray_ns}), expected_px) << seconds_text(stray_ns);
+  }
 }
 
 TEST_F(ProcessorTranslationTest, ADepthOutOfItsRangeIsRefused) {
