@@ -46,12 +46,18 @@ struct PairTap {
   std::int32_t weights;  ///< weight of n in the low half, of n + 1 in the high half
 };
 
+/// Largest size of a weight. int16 would hold eight times as much; with this, sums of 2000 taps at full brightness
+/// still fit int32.
+constexpr int kMaxPairWeight = 1 << 12;
+constexpr int kMaxByteWeight = 127;  ///< where weights_are_bytes
+
 struct ExactFilter {
   const PairTap* taps;
   int count;
-  int radius_m;      ///< max |tap.m|
-  int n_min, n_max;  ///< over taps
-  float scale;       ///< grey levels in a sum of weights times pixels
+  bool weights_are_bytes;  ///< twice as fast, and coarser; for sets with has_byte_weights
+  int radius_m;            ///< max |tap.m|
+  int n_min, n_max;        ///< over taps
+  float scale;             ///< grey levels in a sum of weights times pixels
 };
 
 /// Two scales (see TwoScaleWeights). Applies to correlation order: output(m) = sum weight[k] input(m + k).
@@ -77,8 +83,8 @@ constexpr int kRowGroup = 16;
 /// receives m_count rows of kTileStride pixels.
 struct BlockKernels {
   const char* name;
-  int lanes;             ///< floats in a vector
-  int max_exact_weight;  ///< largest size of a weight in PairTap
+  int lanes;              ///< floats in a vector
+  bool has_byte_weights;  ///< see ExactFilter
   TileNeeds (*exact_needs)(const TileGeometry&, const ExactFilter&);
   void (*exact_u8)(const SourcePlane<std::uint8_t>&, const TileGeometry&, const ExactFilter&, float* scratch,
                    std::uint8_t* tile);

@@ -169,11 +169,44 @@ inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filte
   }
 }
 
+TileNeeds exact_pairs_needs(const TileGeometry& tile, const ExactFilter& filter) {
+  const ExactLayout layout(tile, filter);
+  return {static_cast<std::size_t>(layout.rows) * layout.width, layout.width + 1};
+}
+
+void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+                    float* scratch, std::uint8_t* out) {
+  const ExactLayout layout(tile, filter);
+  std::int32_t* pairs = reinterpret_cast<std::int32_t*>(scratch);
+  for (int r = 0; r < layout.rows; ++r) {
+    const std::uint8_t* from = read_row(source, layout.first_m + r, layout.first_n, layout.width + 1);
+    std::int32_t* to = pairs + r * layout.width;
+    for (int i = 0; i < layout.width; ++i) to[i] = from[i] | (from[i + 1] << 16);
+  }
+  for_exact_outputs(tile, filter, out, layout.width, [&](int at, auto& sums) {
+    constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
+    IntVector acc[kExactRows][kVectors] = {};  // local, so that it stays in registers
+    for (int t = 0; t < filter.count; ++t) {
+      const PairTap& tap = filter.taps[t];
+      const std::int32_t* from = pairs + at + tap.m * layout.width + tap.n;
+      const IntVector weights = IntVector{} + tap.weights;
+      for (int row = 0; row < kExactRows; ++row) {
+        for (int v = 0; v < kVectors; ++v) {
+          acc[row][v] = multiply_pairs(acc[row][v], load(from + row * layout.width + v * kLanes), weights);
+        }
+      }
+    }
+    for (int row = 0; row < kExactRows; ++row) {
+      for (int v = 0; v < kVectors; ++v) sums[row][v] = acc[row][v];
+    }
+  });
+}
+
 #if defined(__AVX512VBMI__) && defined(__AVX512VNNI__)
 
 // Two steps of the line at once: bytes (m, n), (m, n + 1) of one and (m', n'), (m', n' + 1) of the next are put side by
 // side for 16 outputs by one permutation, and multiplied by one dot product with weights in bytes.
-constexpr int kMaxExactWeight = 127;
+constexpr bool kHasByteWeights = true;
 
 struct Quad {
   int lower, upper;      // places of the first byte of either step in the neighbourhood, relative to the output
@@ -186,7 +219,7 @@ inline int quad_stride(const ExactLayout& layout) { return round_up(layout.width
 /// Bytes of a row that are copied: whole vectors.
 inline int quad_columns(const ExactLayout& layout) { return round_up(layout.width, 64); }
 
-TileNeeds exact_needs(const TileGeometry& tile, const ExactFilter& filter) {
+TileNeeds exact_quads_needs(const TileGeometry& tile, const ExactFilter& filter) {
   const ExactLayout layout(tile, filter);
   const std::size_t bytes = static_cast<std::size_t>(layout.rows) * quad_stride(layout);
   return {(bytes + filter.count * sizeof(Quad)) / sizeof(float), quad_columns(layout)};
@@ -196,8 +229,8 @@ inline std::int32_t pack_bytes(std::int32_t a, std::int32_t b, std::int32_t c, s
   return (a & 0xff) | (b & 0xff) << 8 | (c & 0xff) << 16 | static_cast<std::int32_t>((d & 0xffu) << 24);
 }
 
-void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
-              float* scratch, std::uint8_t* out) {
+void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+                    float* scratch, std::uint8_t* out) {
   const ExactLayout layout(tile, filter);
   const int stride = quad_stride(layout);
   std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(scratch);
@@ -256,42 +289,28 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
   });
 }
 
-#else
-
-// int16 would hold twice as much; with this, sums of 2000 taps at full brightness still fit int32.
-constexpr int kMaxExactWeight = 1 << 12;
-
 TileNeeds exact_needs(const TileGeometry& tile, const ExactFilter& filter) {
-  const ExactLayout layout(tile, filter);
-  return {static_cast<std::size_t>(layout.rows) * layout.width, layout.width + 1};
+  return filter.weights_are_bytes ? exact_quads_needs(tile, filter) : exact_pairs_needs(tile, filter);
 }
 
 void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
               float* scratch, std::uint8_t* out) {
-  const ExactLayout layout(tile, filter);
-  std::int32_t* pairs = reinterpret_cast<std::int32_t*>(scratch);
-  for (int r = 0; r < layout.rows; ++r) {
-    const std::uint8_t* from = read_row(source, layout.first_m + r, layout.first_n, layout.width + 1);
-    std::int32_t* to = pairs + r * layout.width;
-    for (int i = 0; i < layout.width; ++i) to[i] = from[i] | (from[i + 1] << 16);
+  if (filter.weights_are_bytes) {
+    exact_quads_u8(source, tile, filter, scratch, out);
+  } else {
+    exact_pairs_u8(source, tile, filter, scratch, out);
   }
-  for_exact_outputs(tile, filter, out, layout.width, [&](int at, auto& sums) {
-    constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
-    IntVector acc[kExactRows][kVectors] = {};  // local, so that it stays in registers
-    for (int t = 0; t < filter.count; ++t) {
-      const PairTap& tap = filter.taps[t];
-      const std::int32_t* from = pairs + at + tap.m * layout.width + tap.n;
-      const IntVector weights = IntVector{} + tap.weights;
-      for (int row = 0; row < kExactRows; ++row) {
-        for (int v = 0; v < kVectors; ++v) {
-          acc[row][v] = multiply_pairs(acc[row][v], load(from + row * layout.width + v * kLanes), weights);
-        }
-      }
-    }
-    for (int row = 0; row < kExactRows; ++row) {
-      for (int v = 0; v < kVectors; ++v) sums[row][v] = acc[row][v];
-    }
-  });
+}
+
+#else
+
+constexpr bool kHasByteWeights = false;
+
+TileNeeds exact_needs(const TileGeometry& tile, const ExactFilter& filter) { return exact_pairs_needs(tile, filter); }
+
+void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+              float* scratch, std::uint8_t* out) {
+  exact_pairs_u8(source, tile, filter, scratch, out);
 }
 
 #endif
@@ -925,7 +944,7 @@ void combine_columns(const float* columns, const float* factors, int count, floa
 extern const BlockKernels kKernels;
 const BlockKernels kKernels = {GYRO_DEBLUR_ISA_NAME,
                                kLanes,
-                               kMaxExactWeight,
+                               kHasByteWeights,
                                exact_needs,
                                exact_u8,
                                two_scale_needs<std::uint8_t>,
