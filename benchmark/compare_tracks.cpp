@@ -4,6 +4,7 @@
 // Part 1: constant shake with a median blur of 5, 10, 20 and 40 px. Part 2: a sequence that goes from sharp to blurred
 // and back; SIFT and ORB matches between the sharp image before the shake and those within, and tracks across it.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <fstream>
@@ -40,10 +41,11 @@ constexpr double kRatioTest = 0.8;  // Lowe 2004
 
 struct Arguments {
   int frames = 40;
-  int scenes = 2;
+  int scenes = 4;
   std::vector<double> extents_px{5, 10, 20, 40};
   double gamma = KernelOptions{}.gamma;
   double noise = 1.5;
+  std::vector<int> borders_px{TrackerOptions{}.border_px};
   std::string csv;
 };
 
@@ -176,8 +178,9 @@ struct Tracked {
   std::vector<std::set<std::int32_t>> correct;  // ids by frame
 };
 
-Tracked follow(const Simulator& simulator, const RotationTrack& rotation, const std::vector<cv::Mat>& images) {
-  FeatureTracker tracker{TrackerOptions{}};
+Tracked follow(const Simulator& simulator, const RotationTrack& rotation, const std::vector<cv::Mat>& images,
+               const TrackerOptions& options = {}) {
+  FeatureTracker tracker(options);
   std::map<std::int32_t, Birth> births;
   Tracked result;
   TrackScore& score = result.score;
@@ -236,13 +239,69 @@ std::size_t correct_matches(const Simulator& simulator, const Features& from, in
   return correct;
 }
 
+/// The versions of the images, in the order of the tables.
+constexpr const char* kVersions[] = {"sharp", "blurred", "deblurred"};
+using Scores = std::array<TrackScore, 3>;
+
+struct Measure {
+  const char* name;
+  double (TrackScore::*value)() const;
+  double factor;         // of the printed value
+  const char* format;    // of a value
+  const char* decimals;  // of a difference and its error
+};
+constexpr Measure kMeasures[] = {
+    {"median error", &TrackScore::median_error_px, 1, "%.2f px", "%+.3f +- %.3f px"},
+    {"survival", &TrackScore::survival, 100, "%.2f %%", "%+.2f +- %.2f %%"},
+    {"of its time in view", &TrackScore::part_of_view, 100, "%.1f %%", "%+.1f +- %.1f %%"},
+    {"correct length", &TrackScore::mean_length, 1, "%.1f", "%+.2f +- %.2f"},
+    {"correct corners a frame", &TrackScore::correct_per_frame, 1, "%.0f", "%+.1f +- %.1f"}};
+
+std::string table_head(const char* second) {
+  std::string names = std::string("| blur (median) | ") + second, line = "| --- | ---";
+  for (const Measure& measure : kMeasures) {
+    names += std::string(" | ") + measure.name;
+    line += " | ---";
+  }
+  return names + " |\n" + line + " |\n";
+}
+
+/// The table of all corners, and that of the differences scene by scene, which tells what is chance.
+void print_tables(const std::map<double, std::vector<Scores>>& scenes_by_extent) {
+  std::cout << table_head("images");
+  for (const auto& [extent_px, scenes] : scenes_by_extent) {
+    for (std::size_t v = 0; v < 3; ++v) {
+      TrackScore all;
+      for (const Scores& scores : scenes) all.add(scores[v]);
+      std::cout << cv::format("| %.0f px | %s", extent_px, kVersions[v]);
+      for (const Measure& measure : kMeasures) {
+        std::cout << " | " << cv::format(measure.format, measure.factor * (all.*measure.value)());
+      }
+      std::cout << " |\n";
+    }
+  }
+  std::cout << "\nDeblurred less blurred, mean over the scenes and its standard error:\n\n" << table_head("scenes");
+  for (const auto& [extent_px, scenes] : scenes_by_extent) {
+    std::cout << cv::format("| %.0f px | %zu", extent_px, scenes.size());
+    for (const Measure& measure : kMeasures) {
+      double sum = 0, squares = 0;
+      for (const Scores& scores : scenes) {
+        const double gain = measure.factor * ((scores[2].*measure.value)() - (scores[1].*measure.value)());
+        sum += gain;
+        squares += gain * gain;
+      }
+      const auto n = static_cast<double>(scenes.size());
+      const double error = std::sqrt(std::max(squares - sum * sum / n, 0.0) / (n - 1) / n);  // NaN for one scene
+      std::cout << " | " << cv::format(measure.decimals, sum / n, error);
+    }
+    std::cout << " |\n";
+  }
+  std::cout << std::flush;
+}
+
 void run_constant(const Arguments& arguments, std::ostream& csv) {
-  std::cout << "| blur (median) | images | median error | survival | of its time in view | correct length | correct "
-               "corners a frame "
-               "|\n| --- | --- | --- | --- | --- | --- | --- |\n";
-  constexpr const char* kVersions[] = {"sharp", "blurred", "deblurred"};
+  std::map<int, std::map<double, std::vector<Scores>>> scores_by_border;
   for (const double target_px : arguments.extents_px) {
-    TrackScore scores[3];
     for (int scene = 0; scene < arguments.scenes; ++scene) {
       const double probe_px = median_extent_px(shaken_camera(target_px / 40, arguments.frames, 0, "", scene));
       Simulator simulator =
@@ -250,27 +309,25 @@ void run_constant(const Arguments& arguments, std::ostream& csv) {
       const RotationTrack rotation = rotation_of(simulator);
       const Footage footage = render(simulator, rotation, arguments.gamma);
       const std::vector<cv::Mat>* versions[] = {&footage.sharp, &footage.blurred, &footage.deblurred};
-      for (std::size_t v = 0; v < 3; ++v) {
-        const TrackScore score = follow(simulator, rotation, *versions[v]).score;
-        const auto line = [&](const char* measure, double value) {
-          csv << "constant," << target_px << ',' << scene << ',' << kVersions[v] << ',' << measure << ',' << value
-              << '\n';
-        };
-        line("median_error_px", score.median_error_px());
-        line("survival", score.survival());
-        line("part_of_view", score.part_of_view());
-        line("mean_length", score.mean_length());
-        line("correct_per_frame", score.correct_per_frame());
-        scores[v].add(score);
+      for (const int border_px : arguments.borders_px) {
+        TrackerOptions options;
+        options.border_px = border_px;
+        Scores scores;
+        for (std::size_t v = 0; v < 3; ++v) {
+          scores[v] = follow(simulator, rotation, *versions[v], options).score;
+          for (const Measure& measure : kMeasures) {
+            csv << "constant," << target_px << ',' << border_px << ',' << scene << ',' << kVersions[v] << ','
+                << measure.name << ',' << (scores[v].*measure.value)() << '\n';
+          }
+        }
+        scores_by_border[border_px][target_px].push_back(std::move(scores));
       }
+      std::cerr << target_px << " px, scene " << scene << " done\n";
     }
-    for (std::size_t v = 0; v < 3; ++v) {
-      const TrackScore& score = scores[v];
-      std::cout << cv::format("| %.0f px | %s | %.2f px | %.2f %% | %.1f %% | %.1f | %.0f |\n", target_px, kVersions[v],
-                              score.median_error_px(), 100 * score.survival(), 100 * score.part_of_view(),
-                              score.mean_length(), score.correct_per_frame())
-                << std::flush;
-    }
+  }
+  for (const auto& [border_px, scores] : scores_by_border) {
+    std::cout << "\nCorners start " << border_px << " px from the edge:\n\n";
+    print_tables(scores);
   }
 }
 
@@ -302,7 +359,8 @@ void run_change(const Arguments& arguments, std::ostream& csv) {
     std::snprintf(line, sizeof(line), "| %s | %.1f | %.1f | %s |\n", what.c_str(), blurred, deblurred,
                   blurred > 0 ? cv::format("%.2f", deblurred / blurred).c_str() : "-");
     std::cout << line << std::flush;
-    csv << "change,,,blurred," << what << ',' << blurred << "\nchange,,,deblurred," << what << ',' << deblurred << '\n';
+    csv << "change,,,,blurred," << what << ',' << blurred << "\nchange,,,,deblurred," << what << ',' << deblurred
+        << '\n';
   };
   for (const char* detector : {"SIFT", "ORB"}) {
     KeypointOptions options;
@@ -349,19 +407,22 @@ int main_of(int argc, char** argv) {
                "compare_tracks"};
   app.add_option("--frames", arguments.frames, "images of each sequence of constant shake [40]")
       ->check(CLI::Range(5, 1000));
-  app.add_option("--scenes", arguments.scenes, "scenes whose corners are counted together [2]")
+  app.add_option("--scenes", arguments.scenes, "scenes: each has its own texture, noise and shake [4]")
       ->check(CLI::Range(1, 100));
   app.add_option("--extents", arguments.extents_px, "median blur of the sequences, px [5 10 20 40]")
       ->check(CLI::Range(1.0, 100.0));
   app.add_option("--gamma", arguments.gamma, "of the Wiener filter [0.01]")->check(CLI::Range(1e-5, 1.0));
   app.add_option("--noise", arguments.noise, "standard deviation of each pixel, grey levels [1.5]")
       ->check(CLI::Range(0.0, 64.0));
+  app.add_option("--borders", arguments.borders_px,
+                 "px from the image's edge at which corners start; a table each [32]")
+      ->check(CLI::Range(0, 500));
   app.add_option("--part", part, "constant, change or all")->check(CLI::IsMember({"constant", "change", "all"}));
   app.add_option("--csv", arguments.csv, "also write every number to this file");
   CLI11_PARSE(app, argc, argv);
   try {
     std::ostringstream csv;
-    csv << "part,extent_px,scene,images,measure,value\n";
+    csv << "part,extent_px,border_px,scene,images,measure,value\n";
     if (part != "change") run_constant(arguments, csv);
     if (part != "constant") run_change(arguments, csv);
     if (!arguments.csv.empty()) {

@@ -68,7 +68,10 @@ struct KeypointOptions {
 
 /// Tracking of corners. The defaults are those of VINS-Mono's tracker for 752 x 480 px.
 struct TrackerOptions {
-  int max_tracks = 150;            ///< [8, 10000]
+  int max_tracks = 150;  ///< [8, 10000]
+  /// [0, 500]: how far from the image's edge corners are started, a quarter of the image's height or width at most.
+  /// Nearer to it a shake takes most of them out again within a few images. Tracks are followed to the edge itself.
+  int border_px = 32;
   double min_distance_px = 30;     ///< [2, 500] between two tracks
   double max_round_trip_px = 1.0;  ///< [0.05, 10]: how far from its start a corner may end up when tracked back
   double max_epipolar_px = 1.0;    ///< [0.1, 20]: distance from the epipolar line

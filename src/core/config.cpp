@@ -167,6 +167,7 @@ const std::map<std::string, Reader>& readers() {
       {"odometry_twist_frame", into([](Config & c) -> auto& { return c.odometry_twist_frame; })},
       {"max_tracks", into([](Config & c) -> auto& { return c.tracker.max_tracks; })},
       {"track_min_distance", into([](Config & c) -> auto& { return c.tracker.min_distance_px; })},
+      {"track_border", into([](Config & c) -> auto& { return c.tracker.border_px; })},
       {"track_max_round_trip", into([](Config & c) -> auto& { return c.tracker.max_round_trip_px; })},
       {"track_max_epipolar", into([](Config & c) -> auto& { return c.tracker.max_epipolar_px; })},
       {"track_window", into([](Config & c) -> auto& { return c.tracker.window_px; })},

@@ -189,7 +189,8 @@ void FeatureTracker::add_corners(const cv::Mat& luminance, const Camera& camera)
   const int missing = options_.max_tracks - static_cast<int>(tracks_.size());
   if (missing <= 0) return;
   // A corner whose window is cut is about to leave, or has just come.
-  const int margin_px = options_.window_px / 2;
+  const int margin_px =
+      std::max(options_.window_px / 2, std::min(options_.border_px, std::min(allowed.cols, allowed.rows) / 4));
   cv::rectangle(allowed, {0, 0}, {allowed.cols - 1, allowed.rows - 1}, cv::Scalar(0), 2 * margin_px);
   std::vector<cv::Point2f> corners;
   cv::goodFeaturesToTrack(luminance, corners, missing, kCornerQuality, options_.min_distance_px, allowed);

@@ -65,6 +65,7 @@ void TrackerOptions::validate() const {
   require_range("track_min_distance", min_distance_px, 2, 500, "px");
   require_range("track_max_round_trip", max_round_trip_px, 0.05, 10, "px");
   require_range("track_max_epipolar", max_epipolar_px, 0.1, 20, "px");
+  require_range("track_border", border_px, 0, 500, "px");
   require_range("track_window", window_px, 5, 101, "px");
   if (window_px % 2 == 0) {
     throw OptionError("track_window = " + std::to_string(window_px) + " is even; allowed are odd sizes in [5, 101] px");

@@ -57,8 +57,9 @@ std::string dump(const Config& c) {
     << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns << ' ' << c.translation.max_speed_m_s
     << ' ' << c.translation.max_acceleration_m_s2 << ' ' << c.translation.max_stddev_m_s << ' '
     << static_cast<int>(c.odometry_clock) << ' ' << static_cast<int>(c.odometry_twist_frame) << "\ntracker "
-    << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' ' << c.tracker.max_round_trip_px << ' '
-    << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' ' << c.tracker.levels;
+    << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' '
+    << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' '
+    << c.tracker.levels;
   return s.str();
 }
 
@@ -94,6 +95,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"odometry_max_stddev", "0.1"},
       {"max_tracks", "300"},
       {"track_min_distance", "20"},
+      {"track_border", "20"},
       {"track_max_round_trip", "0.5"},
       {"track_max_epipolar", "2"},
       {"track_window", "31"},

@@ -4,6 +4,7 @@
 #include <map>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -37,6 +38,7 @@ class FeatureTrackerTest : public ::testing::Test {
     for (int i = 0; i < simulator_.frames(); ++i) images_.push_back(simulator_.frame(i).image);
     options_.min_distance_px = 15;
     options_.max_tracks = 60;
+    options_.border_px = 0;
   }
 
   /// @param sign  -1: a gyroscope that is wired the wrong way round
@@ -178,19 +180,36 @@ TEST_F(FeatureTrackerTest, WithoutGyroscopeItLooksWhereTheCornersWere) {
   EXPECT_GT(followed, 20u);  // the same image: nothing has moved
 }
 
-TEST_F(FeatureTrackerTest, CornersStartWhereTheirWholeWindowIsInTheImage) {
-  FeatureTracker tracker(options_);
+TEST_F(FeatureTrackerTest, CornersStartAwayFromTheEdge) {
   options_.max_tracks = 1000;
-  tracker.set_options(options_);
-  const double margin_px = options_.window_px / 2;
-  const std::vector<Track>& tracks = tracker.track(images_[0], simulator_.camera(), motion_, simulator_.exposure(0));
-  ASSERT_GT(tracks.size(), 50u);
-  for (const Track& track : tracks) {
-    EXPECT_GT(track.pixel_px.x(), margin_px);
-    EXPECT_GT(track.pixel_px.y(), margin_px);
-    EXPECT_LT(track.pixel_px.x(), 319 - margin_px);
-    EXPECT_LT(track.pixel_px.y(), 239 - margin_px);
+  // Where their whole window is in the image, at the given distance, and in three quarters of a small image.
+  for (const auto& [border_px, margin_px] : {std::pair(0, options_.window_px / 2), {32, 32}, {500, 60}}) {
+    options_.border_px = border_px;
+    FeatureTracker tracker(options_);
+    const std::vector<Track>& tracks = tracker.track(images_[0], simulator_.camera(), motion_, simulator_.exposure(0));
+    ASSERT_GT(tracks.size(), 30u);
+    double nearest_px = 1000;
+    for (const Track& track : tracks) {
+      const Eigen::Vector2d& at = track.pixel_px;
+      nearest_px = std::min({nearest_px, at.x(), at.y(), 319 - at.x(), 239 - at.y()});
+    }
+    EXPECT_GT(nearest_px, margin_px);
+    EXPECT_LT(nearest_px, margin_px + 10) << "and not farther";
   }
+}
+
+TEST_F(FeatureTrackerTest, TracksThatComeToTheEdgeAreFollowed) {
+  options_.border_px = 60;
+  FeatureTracker tracker(options_);
+  double nearest_px = 1000;
+  for (int i = 0; i < simulator_.frames(); ++i) {
+    for (const Track& track :
+         tracker.track(images_[static_cast<std::size_t>(i)], simulator_.camera(), motion_, simulator_.exposure(i))) {
+      const Eigen::Vector2d& at = track.pixel_px;
+      nearest_px = std::min({nearest_px, at.x(), at.y(), 319 - at.x(), 239 - at.y()});
+    }
+  }
+  EXPECT_LT(nearest_px, 15);
 }
 
 TEST_F(FeatureTrackerTest, RefusesWhatDoesNotFit) {
