@@ -14,6 +14,7 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <opencv2/calib3d.hpp>
+#include <opencv2/imgcodecs.hpp>
 
 #include "baselines.hpp"
 #include "burst.hpp"
@@ -37,6 +38,7 @@ struct EvaluateArguments {
   std::string folder, json;
   int detections = 0;
   bool only_dog = false;
+  std::vector<std::string> given;  // two images, or none
   ProtocolOptions protocol;
 };
 
@@ -250,7 +252,8 @@ DeblurredMiddle deblurred_middle(const Burst& burst, nlohmann::json& report) {
   report.push_back({{"median_extent_px", extents[extents.size() / 2]},
                     {"blocks", result.field.grid.size()},
                     {"deblurred", result.field.count(BlockStatus::DEBLURRED)},
-                    {"rejected", result.field.count(BlockStatus::REJECTED)}});
+                    {"rejected", result.field.count(BlockStatus::REJECTED)},
+                    {"bent", result.field.count(BlockStatus::BENT)}});
   const cv::Mat image = result.image.empty() ? middle.image : result.image;
   const LineBlur blur = mean_blur(result.field);
   return {image, blur, std::move(result)};
@@ -296,6 +299,14 @@ nlohmann::json evaluate_methods(const std::vector<std::pair<std::string, Detecte
   return report;
 }
 
+cv::Mat read_like(const std::string& path, const cv::Mat& frame) {
+  const cv::Mat image = cv::imread(path, cv::IMREAD_GRAYSCALE);
+  if (image.size() == frame.size()) return image;
+  throw std::runtime_error(path + ": expected an image of " + std::to_string(frame.cols) + " x " +
+                           std::to_string(frame.rows) + " px, as the blurred frame's, found " +
+                           std::to_string(image.cols) + " x " + std::to_string(image.rows));
+}
+
 void evaluate(const EvaluateArguments& arguments) {
   const std::filesystem::path folder(arguments.folder);
   const Burst first = load_burst((folder / "first").string()), second = load_burst((folder / "second").string());
@@ -314,6 +325,11 @@ void evaluate(const EvaluateArguments& arguments) {
       rectified_methods.push_back(
           {name, {rectified(detected.first, first, middle1), rectified(detected.second, second, middle2)}});
     }
+  }
+  if (!arguments.given.empty()) {
+    methods.push_back(
+        {"given",
+         {detect_dog(read_like(arguments.given[0], blurred1)), detect_dog(read_like(arguments.given[1], blurred2))}});
   }
   report["frames"] = frames;
   const cv::Size size1 = blurred1.size(), size2 = blurred2.size();
@@ -383,6 +399,10 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(10, 100000));
   evaluate_command->add_flag("--only-dog", evaluate_arguments.only_dog,
                              "the baseline DoG alone, without the protocol's homography");
+  evaluate_command
+      ->add_option("--given", evaluate_arguments.given,
+                   "two images to compare with the rest, made from the blurred frames in another way")
+      ->expected(2);
   CLI11_PARSE(app, argc, argv);
   try {
     if (*simulate_command) simulate(simulate_arguments);

@@ -243,7 +243,8 @@ def rows_of(report, pair):
                   protocol_error_p95_px=homography["error"]["p95_px"],
                   best_homography_error_px=homography["error_of_best_homography"]["median_px"],
                   blocks=sum(f["blocks"] for f in report["frames"]),
-                  rejected=sum(f["rejected"] for f in report["frames"]))
+                  rejected=sum(f["rejected"] for f in report["frames"]),
+                  bent=sum(f["bent"] for f in report["frames"]))
     for truth in GROUND_TRUTHS:
         for method, value in report[truth].items():
             yield dict(common, ground_truth=truth, method=method, repeatability=value["repeatability"],

@@ -21,7 +21,7 @@ import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen fir
 import rosbag  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-STATUS_NAMES = ["SHARP", "DEBLURRED", "REJECTED", "TOO_LARGE", "NO_GYRO"]
+STATUS_NAMES = ["SHARP", "DEBLURRED", "REJECTED", "TOO_LARGE", "NO_GYRO", "BENT"]
 DEBLURRED = STATUS_NAMES.index("DEBLURRED")
 NO_GYRO = STATUS_NAMES.index("NO_GYRO")
 
@@ -578,15 +578,15 @@ def write_markdown(report, arguments, path):
                 if kind in names:
                     lines += ["![frame %d, %s](%s)" % (names["frame"], kind, names[kind]), ""]
     lines += ["![over time](plots.png)", "", "## Every frame", "",
-              "| frame | reason | extent at the centre | angle | blocks deblurred, rejected, not covered "
+              "| frame | reason | extent at the centre | angle | blocks deblurred, rejected, bent, not covered "
               "| keypoints before, after | matches with the frame before: before, after |",
               "| --- | --- | --- | --- | --- | --- | --- |"]
     for row in report["frames"]:
         blocks = row["blocks"]
-        lines.append("| %d | %s | %s px | %s deg | %d, %d, %d of %d | %d, %d | %s, %s |" % (
+        lines.append("| %d | %s | %s px | %s deg | %d, %d, %d, %d of %d | %d, %d | %s, %s |" % (
             row["frame"], row["reason_text"] or row["reason"], number(row.get("center_extent_px")),
-            number(row.get("center_angle_deg")), blocks["DEBLURRED"], blocks["REJECTED"], blocks["NO_GYRO"],
-            sum(blocks.values()), row["keypoints_before"], row["keypoints_after"],
+            number(row.get("center_angle_deg")), blocks["DEBLURRED"], blocks["REJECTED"], blocks["BENT"],
+            blocks["NO_GYRO"], sum(blocks.values()), row["keypoints_before"], row["keypoints_after"],
             row.get("consecutive_matches_before", "-"), row.get("consecutive_matches_after", "-")))
     with open(path, "w", encoding="utf-8") as file:
         file.write("\n".join(lines) + "\n")

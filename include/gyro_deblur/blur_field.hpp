@@ -1,6 +1,8 @@
 // Angle and extent of the motion blur of every block (paper sections III-B and III-C).
 #pragma once
 
+#include <array>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
@@ -8,6 +10,7 @@
 
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/kernel_bank.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "gyro_deblur/types.hpp"
@@ -41,11 +44,13 @@ class BlockGrid {
   int width_px_ = 0, height_px_ = 0, block_size_px_ = 1, cols_ = 0, rows_ = 0;
 };
 
-/// Linear, homogeneous blur of one block.
+/// Blur of one block along a line.
 struct BlockBlur {
   float angle_rad = 0;  ///< axial, [0, pi), x right, y down
-  float extent_px = 0;  ///< >= 0; length of the path from start to end of the exposure
+  float extent_px = 0;  ///< >= 0; length of the path from start to end of the exposure; uneven: of the line it covers
   BlockStatus status = BlockStatus::SHARP;
+  /// Where the path departs from the paper's straight one at even speed: the path along the line.
+  std::optional<LinePath> uneven_path_px = std::nullopt;
 };
 
 /// The blur of an image; `status` is the only record of what may be deblurred and rectified.
@@ -67,6 +72,15 @@ double axial_difference(double a_rad, double b_rad);
 /// Blur of one block from the displacement (dx, dy) [px] between start and end of exposure: angle, extent, and the
 /// status that the extent alone decides (SHARP, DEBLURRED, TOO_LARGE).
 BlockBlur classify_blur(double dx_px, double dy_px, const BlurFieldOptions& options);
+
+/// How far [px] a point may be from where an even speed would have it and the speed still count as even.
+constexpr double kEvenPathPx = 0.25;
+
+/// Blur of one block from the places [px] of a scene point at kPathInstants, relative to that at the middle: that of
+/// the way from the first to the last place (classify_blur) as long as the point runs along it at even speed, less the
+/// best shift, to within kEvenPathPx. Otherwise the line is the one that lies nearest to the places, extent_px is what
+/// they cover of it, and uneven_path_px is set. BENT where they lie more than max_bend_px to either side of the line.
+BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options);
 
 /// Computes blur fields for one camera; keeps the rays of the block centres, which depend only on calibration and grid.
 class BlurFieldEstimator {

@@ -13,9 +13,14 @@ namespace gyro_deblur {
 /// @param block      non-empty, inside the image
 float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double angle_rad);
 
+/// Extent [px] of the box that leaves as much of a step within a few pixels as the steepest part of this blur does:
+/// extent_px where the path is even, less where the point lingers.
+double steepest_box_px(const BlockBlur& blur);
+
 /// Returns `field` with those DEBLURRED blocks turned REJECTED whose gradient along the predicted motion exceeds
-/// options.threshold(extent), and those more than half of whose judged neighbours were rejected so; all of them when
-/// more than four in five were. Throws std::invalid_argument when luminance is not CV_8UC1 of the field's size.
+/// options.threshold(steepest_box_px), and those more than half of whose judged neighbours were rejected so; all of
+/// them when more than four in five were. Throws std::invalid_argument when luminance is not CV_8UC1 of the field's
+/// size.
 BlurField validate_blur_field(const BlurField& field, const cv::Mat& luminance, const ValidationOptions& options);
 
 }  // namespace gyro_deblur

@@ -23,6 +23,8 @@ struct BlockFilter {
 struct FilterGrid {
   std::vector<int> x, y;            ///< borders between columns and rows [px], rising from 0 to the image's size
   std::vector<BlockFilter> blocks;  ///< row by row
+  /// Kernels that `blocks` point to and nobody else keeps.
+  std::vector<std::shared_ptr<const LineKernel>> own_kernels = {};
 
   int cols() const { return x.empty() ? 0 : static_cast<int>(x.size()) - 1; }
   int rows() const { return y.empty() ? 0 : static_cast<int>(y.size()) - 1; }
@@ -82,8 +84,8 @@ void kernel_on_major_axis(const LineKernel& kernel, double major, std::vector<fl
 /// Throws std::invalid_argument unless `src` is a non-empty CV_8U or CV_16U with 1 to 4 channels, and `grid` covers it.
 void require_convolvable(const cv::Mat& src, const FilterGrid& grid);
 
-/// The filters that deblur `field`: the bank's kernels for DEBLURRED blocks of at least kMinKernelExtentPx, none for
-/// the others. Lives no longer than the bank.
+/// The filters that deblur `field`: for DEBLURRED blocks of at least kMinKernelExtentPx the bank's kernels, or own ones
+/// where the path is uneven; none for the others. Lives no longer than the bank.
 FilterGrid make_filter_grid(const BlurField& field, const KernelBank& bank);
 
 /// Deblurs the DEBLURRED blocks of `field` and copies the rest bit for bit; alpha is copied; Bayer mosaics are filtered

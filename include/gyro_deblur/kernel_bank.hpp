@@ -1,6 +1,7 @@
 // Wiener inverses of the box blur (paper section IV-A), one per extent.
 #pragma once
 
+#include <array>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -27,14 +28,35 @@ struct LineKernel {
 /// extent_px > 0, length odd and >= extent_px.
 std::vector<double> box_blur_kernel(double extent_px, int length);
 
+/// Instants at which a path is known, evenly from the start to the end of the exposure.
+constexpr int kPathInstants = 9;
+
+/// How a scene point runs along the line of its blur: its places [px] at kPathInstants, in the line's direction from
+/// where it is at the middle of the exposure. Even in between.
+using LinePath = std::array<float, kPathInstants>;
+
+/// From the lowest to the highest place [px].
+double extent_of(const LinePath& path_px);
+
+/// Share of the exposure, 0 to 1, that the path spends in [begin_px, end_px).
+double share_within(const LinePath& path_px, double begin_px, double end_px);
+
+/// The blur of a point that runs along `path_px`: the share of the exposure that it spends in each pixel, as `length`
+/// taps (odd), the middle of the exposure at the middle one. Precondition: the path stays inside the taps.
+std::vector<double> path_blur_kernel(const LinePath& path_px, int length);
+
 /// Extents [px] for which there are Wiener kernels: a box below one pixel is no blur.
 constexpr double kMinKernelExtentPx = 1.0;
 constexpr double kMaxKernelExtentPx = 500.0;
 
-/// Spatial Wiener inverse w = F^-1{H* / (|H|^2 + gamma)} of the box blur, on length_factor * extent_px taps (next odd),
-/// scaled to unit sum because W alone has a gain of 1 / (1 + gamma). Throws OptionError for bad options or
-/// extent_px outside [kMinKernelExtentPx, kMaxKernelExtentPx].
+/// Spatial Wiener inverse w = F^-1{G H* / (|H|^2 + gamma)} of the box blur, G the Gaussian of smoothing_px, on
+/// length_factor * extent_px taps (next odd), scaled to unit sum because W alone has a gain of 1 / (1 + gamma). Throws
+/// OptionError for bad options or extent_px outside [kMinKernelExtentPx, kMaxKernelExtentPx].
 LineKernel wiener_kernel(double extent_px, const KernelOptions& options);
+
+/// The same for a point that runs along its line at uneven speed. On at least length_factor * extent_of(path_px) taps,
+/// as many more as make the transform fast. Throws OptionError as above.
+LineKernel wiener_kernel(const LinePath& path_px, const KernelOptions& options);
 
 /// Kernels by extent in steps of kExtentStepPx, computed on first use and kept. Thread-safe.
 class KernelBank {

@@ -5,6 +5,8 @@
 #include <stdexcept>
 #include <string>
 
+#include <Eigen/Geometry>
+
 namespace gyro_deblur {
 namespace {
 
@@ -59,18 +61,85 @@ double axial_angle(double dx, double dy) {
 
 double axial_difference(double a_rad, double b_rad) { return std::abs(std::remainder(a_rad - b_rad, kPi)); }
 
+namespace {
+
+/// axial_angle as a float, also below the float above pi.
+float axial_float(double dx, double dy) {
+  const auto angle_rad = static_cast<float>(axial_angle(dx, dy));
+  return angle_rad < static_cast<float>(kPi) ? angle_rad : 0;
+}
+
+/// The status that the extent alone decides.
+BlockStatus status_of(double extent_px, const BlurFieldOptions& options) {
+  if (extent_px < options.min_extent_px) return BlockStatus::SHARP;
+  return extent_px > options.max_extent_px ? BlockStatus::TOO_LARGE : BlockStatus::DEBLURRED;
+}
+
+}  // namespace
+
 BlockBlur classify_blur(double dx_px, double dy_px, const BlurFieldOptions& options) {
-  BlockBlur blur;
   const double extent_px = std::hypot(dx_px, dy_px);
-  blur.extent_px = static_cast<float>(extent_px);
-  blur.angle_rad = static_cast<float>(axial_angle(dx_px, dy_px));
-  if (blur.angle_rad >= static_cast<float>(kPi)) blur.angle_rad = 0;  // float(pi) is above pi
-  if (extent_px < options.min_extent_px) {
-    blur.status = BlockStatus::SHARP;
-  } else if (extent_px > options.max_extent_px) {
-    blur.status = BlockStatus::TOO_LARGE;
-  } else {
-    blur.status = BlockStatus::DEBLURRED;
+  return {axial_float(dx_px, dy_px), static_cast<float>(extent_px), status_of(extent_px, options)};
+}
+
+namespace {
+
+/// Extent of a path along and across a line [px], and the path along it.
+struct LineFit {
+  double along_px, across_px;
+  LinePath path_px;
+};
+
+LineFit fit_to_line(const std::array<Eigen::Vector2d, kPathInstants>& path_px, double angle_rad) {
+  const Eigen::Vector2d line(std::cos(angle_rad), std::sin(angle_rad)), normal(-line.y(), line.x());
+  Eigen::AlignedBox2d covered_px;
+  LineFit fit;
+  for (int k = 0; k < kPathInstants; ++k) {
+    const double along_px = line.dot(path_px[k]);
+    fit.path_px[k] = static_cast<float>(along_px);
+    covered_px.extend(Eigen::Vector2d(along_px, normal.dot(path_px[k])));
+  }
+  fit.along_px = covered_px.diagonal().x();
+  fit.across_px = covered_px.diagonal().y();
+  return fit;
+}
+
+/// How far a path along a line departs from an even run from its first to its last place, less the best shift [px].
+double unevenness_px(const LinePath& path_px) {
+  double least = 0, most = 0;  // the ends do not depart
+  for (int k = 0; k < kPathInstants; ++k) {
+    const double even = path_px.front() + k / (kPathInstants - 1.0) * (path_px.back() - path_px.front());
+    least = std::min(least, path_px[k] - even);
+    most = std::max(most, path_px[k] - even);
+  }
+  return 0.5 * (most - least);
+}
+
+/// Angle of the line that lies nearest to the places, axial.
+float fitted_angle(const std::array<Eigen::Vector2d, kPathInstants>& path_px) {
+  Eigen::Vector2d mean_px = Eigen::Vector2d::Zero();
+  for (const Eigen::Vector2d& place_px : path_px) mean_px += place_px / kPathInstants;
+  Eigen::Matrix2d scatter_px2 = Eigen::Matrix2d::Zero();
+  for (const Eigen::Vector2d& place_px : path_px) {
+    scatter_px2 += (place_px - mean_px) * (place_px - mean_px).transpose();
+  }
+  // Of the eigenvector with the larger eigenvalue.
+  const double angle_rad = 0.5 * std::atan2(2 * scatter_px2(0, 1), scatter_px2(0, 0) - scatter_px2(1, 1));
+  return axial_float(std::cos(angle_rad), std::sin(angle_rad));
+}
+
+}  // namespace
+
+BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options) {
+  const Eigen::Vector2d chord_px = path_px.back() - path_px.front();
+  BlockBlur blur = classify_blur(chord_px.x(), chord_px.y(), options);
+  const float angle_rad = fitted_angle(path_px);
+  const LineFit fit = fit_to_line(path_px, angle_rad);
+  if (unevenness_px(fit.path_px) > kEvenPathPx) {
+    blur = {angle_rad, static_cast<float>(fit.along_px), status_of(fit.along_px, options), fit.path_px};
+  }
+  if (blur.status == BlockStatus::DEBLURRED && 0.5 * fit.across_px > options.max_bend_px) {
+    blur.status = BlockStatus::BENT;
   }
   return blur;
 }
@@ -97,20 +166,28 @@ BlurField BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
     const double y_px = grid_.center(first).y();
     const TimeNs start_ns = exposure.start(y_px), middle_ns = exposure.middle(y_px), end_ns = exposure.end(y_px);
     if (!motion.covers({start_ns, end_ns})) continue;
-    const Eigen::Matrix3d to_start = motion.direction_map(middle_ns, start_ns);
-    const Eigen::Matrix3d to_end = motion.direction_map(middle_ns, end_ns);
+    std::array<Eigen::Matrix3d, kPathInstants> maps;  // from the middle of the exposure
+    for (int k = 0; k < kPathInstants; ++k) {
+      maps[k] = motion.direction_map(middle_ns, start_ns + (end_ns - start_ns) * k / (kPathInstants - 1));
+    }
+    const Eigen::Matrix3d &to_start = maps.front(), &to_end = maps.back();
     const Eigen::Matrix3d rotation_to_start = motion.rotation_map(middle_ns, start_ns);
     const Eigen::Matrix3d rotation_to_end = motion.rotation_map(middle_ns, end_ns);
+    const bool translates = rotation_to_start != to_start || rotation_to_end != to_end;
     for (int i = first; i < first + grid_.cols(); ++i) {
-      const Eigen::Vector2d path_px = camera_.project(to_end * rays_[i]) - camera_.project(to_start * rays_[i]);
-      if (!path_px.allFinite()) continue;
+      const Eigen::Vector2d center_px = grid_.center(i);
+      std::array<Eigen::Vector2d, kPathInstants> path_px;
+      for (int k = 0; k < kPathInstants; ++k) path_px[k] = camera_.project(maps[k] * rays_[i]) - center_px;
+      if (!std::all_of(path_px.begin(), path_px.end(), [](const auto& place_px) { return place_px.allFinite(); })) {
+        continue;
+      }
       BlockBlur& block = field.blocks[i];
-      block = classify_blur(path_px.x(), path_px.y(), options_);
-      if (rotation_to_start == to_start && rotation_to_end == to_end) continue;
+      block = classify_path(path_px, options_);
+      if (!translates) continue;
       const Eigen::Vector2d rotation_px =
           camera_.project(rotation_to_end * rays_[i]) - camera_.project(rotation_to_start * rays_[i]);
-      const double uncertainty_px = kTranslationUncertainty * (path_px - rotation_px).norm();
-      if (path_px.norm() - uncertainty_px < options_.min_extent_px) block.status = BlockStatus::SHARP;
+      const double uncertainty_px = kTranslationUncertainty * (path_px.back() - path_px.front() - rotation_px).norm();
+      if (block.extent_px - uncertainty_px < options_.min_extent_px) block.status = BlockStatus::SHARP;
     }
   }
   return field;

@@ -89,6 +89,19 @@ BlurField reject_outvoted(const BlurField& judged) {
 
 }  // namespace
 
+double steepest_box_px(const BlockBlur& blur) {
+  if (!blur.uneven_path_px) return blur.extent_px;
+  // The Sobel pair sees what is left of a step over two pixels; a box of r leaves 2 / r of it there.
+  constexpr double kWindowPx = 2;
+  double most = 0;
+  for (const double place_px : *blur.uneven_path_px) {
+    // The share of the exposure spent in a window is largest where the window begins or ends at a place.
+    most = std::max({most, share_within(*blur.uneven_path_px, place_px, place_px + kWindowPx),
+                     share_within(*blur.uneven_path_px, place_px - kWindowPx, place_px)});
+  }
+  return std::min<double>(blur.extent_px, kWindowPx / most);
+}
+
 BlurField validate_blur_field(const BlurField& field, const cv::Mat& luminance, const ValidationOptions& options) {
   options.validate();
   if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
@@ -102,7 +115,8 @@ BlurField validate_blur_field(const BlurField& field, const cv::Mat& luminance, 
   run_parallel(field.grid.size(), kDefaultThreads, kBlocksAtATime, [&](int i) {
     BlockBlur& block = validated.blocks[i];
     if (block.status != BlockStatus::DEBLURRED) return;
-    if (max_gradient_along(luminance, field.grid.rect(i), block.angle_rad) > options.threshold(block.extent_px)) {
+    if (max_gradient_along(luminance, field.grid.rect(i), block.angle_rad) >
+        options.threshold(steepest_box_px(block))) {
       block.status = BlockStatus::REJECTED;
     }
   });

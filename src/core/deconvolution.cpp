@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "core/fallback_convolver.hpp"
+#include "core/parallel.hpp"
 #include "cpu/cpu_convolver.hpp"
 #include "cpu/reference_convolver.hpp"
 #include "opencl/opencl_factory.hpp"
@@ -34,10 +35,26 @@ struct LinearSplat {
   }
 };
 
-/// What becomes of a block before any pixel is touched.
-const LineKernel* kernel_of(const BlockBlur& blur, double extent_px, const KernelBank& bank) {
-  if (blur.status != BlockStatus::DEBLURRED || extent_px < kMinKernelExtentPx) return nullptr;
-  return &bank.kernel(extent_px);
+/// Sets the filters of `grid` for the blocks `blurs`, whose lengths count `scale` times.
+void set_filters(const std::vector<const BlockBlur*>& blurs, double scale, const KernelBank& bank, FilterGrid& grid) {
+  const int count = static_cast<int>(blurs.size());
+  grid.blocks.assign(count, {});
+  grid.own_kernels.assign(count, nullptr);
+  constexpr int kDefaultThreads = 0, kBlocksAtATime = 16;
+  run_parallel(count, kDefaultThreads, kBlocksAtATime, [&](int i) {
+    const BlockBlur& blur = *blurs[i];
+    grid.blocks[i].angle_rad = blur.angle_rad;
+    const double extent_px = blur.extent_px * scale;
+    if (blur.status != BlockStatus::DEBLURRED || extent_px < kMinKernelExtentPx) return;
+    if (!blur.uneven_path_px) {
+      grid.blocks[i].kernel = &bank.kernel(extent_px);
+      return;
+    }
+    LinePath path_px = *blur.uneven_path_px;
+    for (float& place_px : path_px) place_px *= static_cast<float>(scale);
+    grid.own_kernels[i] = std::make_shared<const LineKernel>(wiener_kernel(path_px, bank.options()));
+    grid.blocks[i].kernel = grid.own_kernels[i].get();
+  });
 }
 
 bool filters_anything(const FilterGrid& grid) {
@@ -90,13 +107,11 @@ void deconvolve_bayer(const cv::Mat& mosaic, const BlurField& field, const Kerne
         rows.add(row, samples_before(field.grid.rect(row * block_cols).br().y, py));
       }
       FilterGrid grid{cols.borders, rows.borders, {}};
-      grid.blocks.reserve(field.blocks.size());
+      std::vector<const BlockBlur*> blurs;
       for (const int row : rows.indices) {
-        for (const int col : cols.indices) {
-          const BlockBlur& blur = field.blocks[row * block_cols + col];
-          grid.blocks.push_back({blur.angle_rad, kernel_of(blur, blur.extent_px / 2, bank)});
-        }
+        for (const int col : cols.indices) blurs.push_back(&field.blocks[row * block_cols + col]);
       }
+      set_filters(blurs, 0.5, bank, grid);
       if (!filters_anything(grid)) continue;
 
       plane.create(size, mosaic.type());
@@ -240,10 +255,9 @@ FilterGrid make_filter_grid(const BlurField& field, const KernelBank& bank) {
   FilterGrid grid{{0}, {0}, {}};
   for (int col = 0; col < cols; ++col) grid.x.push_back(field.grid.rect(col).br().x);
   for (int row = 0; row < field.grid.rows(); ++row) grid.y.push_back(field.grid.rect(row * cols).br().y);
-  grid.blocks.reserve(field.blocks.size());
-  for (const BlockBlur& blur : field.blocks) {
-    grid.blocks.push_back({blur.angle_rad, kernel_of(blur, blur.extent_px, bank)});
-  }
+  std::vector<const BlockBlur*> blurs;
+  for (const BlockBlur& blur : field.blocks) blurs.push_back(&blur);
+  set_filters(blurs, 1.0, bank, grid);
   return grid;
 }
 

@@ -36,6 +36,7 @@ void BlurFieldOptions::validate() const {
   }
   require_range("min_extent", min_extent_px, 1, 20, "px");
   require_range("max_extent", max_extent_px, min_extent_px, 500, "px");
+  require_range("max_bend", max_bend_px, 0, 100, "px");
 }
 
 void ValidationOptions::validate() const {
@@ -46,6 +47,7 @@ void ValidationOptions::validate() const {
 void KernelOptions::validate() const {
   require_range("gamma", gamma, 1e-5, 1);
   require_range("kernel_length_factor", length_factor, 2, 8);
+  require_range("kernel_smoothing", smoothing_px, 0, 5, "px");
 }
 
 void KeypointOptions::validate() const {

@@ -14,8 +14,8 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr std::array<BlockStatus, 5> kStatuses{BlockStatus::DEBLURRED, BlockStatus::SHARP, BlockStatus::REJECTED,
-                                               BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO};
+constexpr std::array<BlockStatus, 6> kStatuses{BlockStatus::DEBLURRED, BlockStatus::SHARP,   BlockStatus::REJECTED,
+                                               BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO, BlockStatus::BENT};
 
 cv::Scalar color_bgr(BlockStatus status) {
   const cv::Vec3b rgb = status_color_rgb(status);
@@ -61,6 +61,8 @@ const char* fate(BlockStatus status) {
       return "blurred too far";
     case BlockStatus::NO_GYRO:
       return "without gyroscope";
+    case BlockStatus::BENT:
+      return "blurred along a bow";
   }
   return "";
 }
@@ -153,6 +155,8 @@ cv::Vec3b status_color_rgb(BlockStatus status) {
       return {255, 80, 255};
     case BlockStatus::NO_GYRO:
       return {255, 230, 0};
+    case BlockStatus::BENT:
+      return {70, 200, 255};
   }
   return {255, 255, 255};
 }

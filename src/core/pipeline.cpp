@@ -22,11 +22,12 @@ class Stopwatch {
 };
 
 bool same(const BlurFieldOptions& a, const BlurFieldOptions& b) {
-  return a.block_size_px == b.block_size_px && a.min_extent_px == b.min_extent_px && a.max_extent_px == b.max_extent_px;
+  return a.block_size_px == b.block_size_px && a.min_extent_px == b.min_extent_px &&
+         a.max_extent_px == b.max_extent_px && a.max_bend_px == b.max_bend_px;
 }
 
 bool same(const KernelOptions& a, const KernelOptions& b) {
-  return a.gamma == b.gamma && a.length_factor == b.length_factor;
+  return a.gamma == b.gamma && a.length_factor == b.length_factor && a.smoothing_px == b.smoothing_px;
 }
 
 bool same(const KeypointOptions& a, const KeypointOptions& b) {

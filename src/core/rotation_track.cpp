@@ -67,7 +67,6 @@ RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroO
   options.validate();
   const Eigen::Matrix3d R = require_rotation("R_cam_imu", R_cam_imu);
   knots_.reserve(samples.size());
-  Eigen::Vector3d previous_rate_rad_s = Eigen::Vector3d::Zero();
   bool previous_saturated = false;
   for (const GyroSample& sample : samples) {
     if (!sample.rate_rad_s.allFinite()) {
@@ -77,7 +76,7 @@ RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroO
     // Rates in camera axes give the rotation of the camera: R Exp(v) R^T = Exp(R v).
     const Eigen::Vector3d rate_rad_s = R * (sample.rate_rad_s - options.bias_rad_s);
     const bool saturated = is_saturated(sample, options);
-    Knot knot{sample.t_ns - options.time_offset_ns, Eigen::Quaterniond::Identity()};
+    Knot knot{sample.t_ns - options.time_offset_ns, Eigen::Quaterniond::Identity(), rate_rad_s};
     if (!knots_.empty()) {
       const Knot& previous = knots_.back();
       if (knot.t_ns <= previous.t_ns) {
@@ -91,12 +90,11 @@ RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroO
         knot.R_0_cam = previous.R_0_cam;
       } else {
         knot.R_0_cam = (previous.R_0_cam *
-                        integrate_linear_rate(previous_rate_rad_s, rate_rad_s, to_seconds(knot.t_ns - previous.t_ns)))
+                        integrate_linear_rate(previous.rate_rad_s, rate_rad_s, to_seconds(knot.t_ns - previous.t_ns)))
                            .normalized();
       }
     }
     knots_.push_back(knot);
-    previous_rate_rad_s = rate_rad_s;
     previous_saturated = saturated;
   }
 }
@@ -129,7 +127,8 @@ Eigen::Quaterniond RotationTrack::interpolate(TimeNs t_ns) const {
   if (after->t_ns == t_ns) return after->R_0_cam;
   const auto before = std::prev(after);
   const double fraction = static_cast<double>(t_ns - before->t_ns) / static_cast<double>(after->t_ns - before->t_ns);
-  return before->R_0_cam.slerp(fraction, after->R_0_cam);
+  const Eigen::Vector3d rate_rad_s = before->rate_rad_s + fraction * (after->rate_rad_s - before->rate_rad_s);
+  return before->R_0_cam * integrate_linear_rate(before->rate_rad_s, rate_rad_s, to_seconds(t_ns - before->t_ns));
 }
 
 Eigen::Quaterniond RotationTrack::orientation(TimeNs t_ns) const {

@@ -24,6 +24,8 @@ const char* to_string(BlockStatus status) {
       return "TOO_LARGE";
     case BlockStatus::NO_GYRO:
       return "NO_GYRO";
+    case BlockStatus::BENT:
+      return "BENT";
   }
   return "UNKNOWN";
 }

@@ -80,6 +80,7 @@ void for_each_dynamic(Function apply, Configs&... configs) {
   apply("block_size", configs.block_size...);
   apply("min_extent", configs.min_extent...);
   apply("max_extent", configs.max_extent...);
+  apply("max_bend", configs.max_bend...);
   apply("gamma", configs.gamma...);
   apply("validate", configs.validate...);
   apply("tau", configs.tau...);

@@ -193,7 +193,7 @@ nlohmann::json frame_report(const FrameOutput& output) {
     frame["exposure_s"] = to_seconds(field.exposure_ns);
     frame["readout_s"] = to_seconds(field.readout_ns);
     for (const BlockStatus status : {BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED,
-                                     BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO}) {
+                                     BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO, BlockStatus::BENT}) {
       frame["blocks"][to_string(status)] = field.count(status);
     }
   }

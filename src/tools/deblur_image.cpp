@@ -185,7 +185,7 @@ void run(const Arguments& arguments) {
 
   nlohmann::json counts;
   for (const BlockStatus status : {BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED,
-                                   BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO}) {
+                                   BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO, BlockStatus::BENT}) {
     counts[to_string(status)] = field.count(status);
   }
   if (!arguments.json.empty()) {

@@ -214,6 +214,7 @@ TEST(BlurFieldMessage, ConstantsEqualTheCores) {
   EXPECT_EQ(BlurFieldMessage::REJECTED, static_cast<int>(BlockStatus::REJECTED));
   EXPECT_EQ(BlurFieldMessage::TOO_LARGE, static_cast<int>(BlockStatus::TOO_LARGE));
   EXPECT_EQ(BlurFieldMessage::NO_GYRO, static_cast<int>(BlockStatus::NO_GYRO));
+  EXPECT_EQ(BlurFieldMessage::BENT, static_cast<int>(BlockStatus::BENT));
   const std::pair<int, PassThroughReason> reasons[] = {
       {BlurFieldMessage::REASON_NONE, PassThroughReason::NONE},
       {BlurFieldMessage::REASON_NO_GYRO, PassThroughReason::NO_GYRO},

@@ -3,18 +3,22 @@
 
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <vector>
 
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "gyro_deblur/kernel_bank.hpp"
+
 namespace gyro_deblur::test {
 
-/// The blur of a straight uniform motion, to sub-pixel accuracy: the spectrum of `image` (one channel) is multiplied by
-/// that of the line, sinc(extent * f_along). No interpolation, so nothing is lost across the line. Returns CV_64F of
-/// the image's size. The border is mirrored: crop extent / 2 and a few pixels more where the scene's edge matters.
-inline cv::Mat blur_along_line(const cv::Mat& image, double angle_rad, double extent_px) {
-  const int pad = static_cast<int>(std::ceil(extent_px)) + 32;
+/// `image` (one channel) with its spectrum multiplied by transfer(f), f in cycles per pixel along the line. No
+/// interpolation, so nothing is lost across the line. Returns CV_64F of the image's size. The border is mirrored: crop
+/// reach_px / 2 and a few pixels more where the scene's edge matters.
+template <typename Transfer>
+cv::Mat filter_along_line(const cv::Mat& image, double angle_rad, double reach_px, const Transfer& transfer) {
+  const int pad = static_cast<int>(std::ceil(reach_px)) + 32;
   const int cols = cv::getOptimalDFTSize(image.cols + 2 * pad), rows = cv::getOptimalDFTSize(image.rows + 2 * pad);
   cv::Mat real, padded, spectrum, blurred;
   image.convertTo(real, CV_64F);
@@ -25,12 +29,32 @@ inline cv::Mat blur_along_line(const cv::Mat& image, double angle_rad, double ex
     const double fy = static_cast<double>(v <= rows / 2 ? v : v - rows) / rows;
     for (int u = 0; u < cols; ++u) {
       const double fx = static_cast<double>(u <= cols / 2 ? u : u - cols) / cols;
-      const double x = CV_PI * extent_px * (fx * dx + fy * dy);
-      spectrum.at<cv::Vec2d>(v, u) *= std::abs(x) < 1e-9 ? 1.0 : std::sin(x) / x;
+      cv::Vec2d& value = spectrum.at<cv::Vec2d>(v, u);
+      const std::complex<double> product = std::complex<double>(value[0], value[1]) * transfer(fx * dx + fy * dy);
+      value = {product.real(), product.imag()};
     }
   }
   cv::dft(spectrum, blurred, cv::DFT_INVERSE | cv::DFT_SCALE | cv::DFT_REAL_OUTPUT);
   return blurred(cv::Rect(pad, pad, image.cols, image.rows)).clone();
+}
+
+inline double sinc(double x) { return std::abs(x) < 1e-9 ? 1.0 : std::sin(x) / x; }
+
+/// The blur of a straight uniform motion, to sub-pixel accuracy; see filter_along_line.
+inline cv::Mat blur_along_line(const cv::Mat& image, double angle_rad, double extent_px) {
+  return filter_along_line(image, angle_rad, extent_px, [=](double f) { return sinc(CV_PI * extent_px * f); });
+}
+
+/// The blur of a straight motion at uneven speed, to sub-pixel accuracy; see filter_along_line.
+inline cv::Mat blur_along_path(const cv::Mat& image, double angle_rad, const LinePath& path_px) {
+  return filter_along_line(image, angle_rad, extent_of(path_px), [&](double f) {
+    std::complex<double> sum = 0;
+    for (int k = 0; k + 1 < kPathInstants; ++k) {
+      const double length = path_px[k + 1] - path_px[k], middle = 0.5 * (path_px[k + 1] + path_px[k]);
+      sum += std::polar(sinc(CV_PI * length * f), -2 * CV_PI * middle * f);
+    }
+    return sum / (kPathInstants - 1.0);
+  });
 }
 
 /// `image` with Gaussian noise, rounded and clipped to 8 bit.

@@ -1,7 +1,9 @@
 #include "gyro_deblur/blur_field.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <stdexcept>
 #include <vector>
@@ -113,6 +115,82 @@ TEST(ClassifyBlur, DecidesByExtent) {
   EXPECT_EQ(classify_blur(5, -1e-8, options).angle_rad, 0);
 }
 
+std::array<Eigen::Vector2d, kPathInstants> path_of(const std::function<Eigen::Vector2d(double)>& place_at) {
+  std::array<Eigen::Vector2d, kPathInstants> path_px;
+  for (int k = 0; k < kPathInstants; ++k) path_px[k] = place_at(k / (kPathInstants - 1.0) - 0.5) - place_at(0);
+  return path_px;
+}
+
+TEST(ClassifyPath, StraightAtEvenSpeedIsTheBox) {
+  for (const Eigen::Vector2d& way : {Eigen::Vector2d(30, 0), {-12, 20}, {0, -7}, {1, 1}, {0, 0}, {200, 0}}) {
+    const BlockBlur blur = classify_path(path_of([&](double t) { return t * way; }), {});
+    const BlockBlur expected = classify_blur(way.x(), way.y(), {});
+    EXPECT_EQ(blur.angle_rad, expected.angle_rad);
+    EXPECT_FLOAT_EQ(blur.extent_px, expected.extent_px);
+    EXPECT_EQ(blur.status, expected.status);
+    EXPECT_FALSE(blur.uneven_path_px);
+  }
+}
+
+// The second half of the exposure is run through at another speed: after the best shift, half of the difference between
+// the halves' lengths lies on either side of the even run, half of that at a time.
+TEST(ClassifyPath, AStepOfTheSpeedDepartsByAQuarterOfTheDifference) {
+  for (const double degrees : {0.0, 30.0, 90.0, 150.0, 200.0, 300.0}) {
+    const Eigen::Vector2d way(std::cos(degrees * kDeg), std::sin(degrees * kDeg));
+    const auto stepped = [&](double difference_px) {
+      return classify_path(path_of([&](double t) { return 2 * t * (t < 0 ? 10 : 10 + difference_px) * way; }), {});
+    };
+    EXPECT_FALSE(stepped(3.9 * kEvenPathPx).uneven_path_px);
+    const BlockBlur blur = stepped(10);
+    EXPECT_NEAR(blur.extent_px, 30, 1e-4);
+    EXPECT_LT(axial_difference(blur.angle_rad, axial_angle(way.x(), way.y())), 1e-6);
+    EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+    ASSERT_TRUE(blur.uneven_path_px);
+    // Forwards or backwards along the axial angle.
+    const double sign = way.dot(Eigen::Vector2d(std::cos(blur.angle_rad), std::sin(blur.angle_rad)));
+    EXPECT_NEAR(std::abs(sign), 1, 1e-6);
+    const double expected[] = {-10, -7.5, -5, -2.5, 0, 5, 10, 15, 20};
+    for (int k = 0; k < kPathInstants; ++k) EXPECT_NEAR((*blur.uneven_path_px)[k], sign * expected[k], 1e-4) << k;
+    EXPECT_TRUE(stepped(4.1 * kEvenPathPx).uneven_path_px);
+  }
+}
+
+TEST(ClassifyPath, ThereAndBackCoversTheLineOnce) {
+  const BlockBlur blur = classify_path(path_of([](double t) { return Eigen::Vector2d(0, 80 * t * t); }), {});
+  EXPECT_NEAR(blur.extent_px, 20, 1e-4);
+  EXPECT_NEAR(blur.angle_rad, M_PI / 2, 1e-6);
+  EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+  EXPECT_TRUE(blur.uneven_path_px);
+}
+
+TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
+  constexpr double kRadius = 60;
+  const auto bow = [](double turn_rad) {
+    return path_of([=](double t) {
+      return Eigen::Vector2d(kRadius * std::sin(turn_rad * t), kRadius * (1 - std::cos(turn_rad * t)));
+    });
+  };
+  // An arc of a circle lies within half of its rise to either side of a line.
+  const double turn_rad = 0.9, bend_px = 0.5 * kRadius * (1 - std::cos(0.5 * turn_rad));
+  BlurFieldOptions options;
+  options.max_bend_px = 1.001 * bend_px;
+  BlockBlur blur = classify_path(bow(turn_rad), options);
+  EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+  EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
+  EXPECT_LT(axial_difference(blur.angle_rad, 0), 1e-6);
+  options.max_bend_px = 0.999 * bend_px;
+  blur = classify_path(bow(turn_rad), options);
+  EXPECT_EQ(blur.status, BlockStatus::BENT);
+  EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
+  EXPECT_EQ(classify_path(bow(2 * M_PI), {}).status, BlockStatus::BENT) << "a whole circle";
+  // What is too small or too large anyway stays that.
+  options.max_bend_px = 0;
+  options.min_extent_px = 5;
+  EXPECT_EQ(classify_path(bow(0.06), options).status, BlockStatus::SHARP);
+  options.max_extent_px = 10;
+  EXPECT_EQ(classify_path(bow(turn_rad), options).status, BlockStatus::TOO_LARGE);
+}
+
 TEST(BlurFieldEstimator, PanBlursAlongX) {
   const double rate = 2, exposure_s = 0.02, f = 500;
   const BlurFieldEstimator estimator(Camera(pinhole()), {});
@@ -126,6 +204,7 @@ TEST(BlurFieldEstimator, PanBlursAlongX) {
     const double a = std::atan((field.grid.center(i).x() - 319.5) / f), h = 0.5 * rate * exposure_s;
     const double dx = f * (std::tan(a + h) - std::tan(a - h));
     EXPECT_EQ(field.blocks[i].status, BlockStatus::DEBLURRED);
+    EXPECT_FALSE(field.blocks[i].uneven_path_px);
     EXPECT_GE(field.blocks[i].extent_px, dx - 1e-4);  // away from the middle row there is some dy as well
     EXPECT_LT(field.blocks[i].extent_px, 1.05 * dx);
   }
@@ -145,13 +224,17 @@ TEST(BlurFieldEstimator, RollBlursAtRightAnglesToTheRadius) {
   }
 }
 
-/// Displacement of the point that the block's centre sees at mid-exposure, from the closed form of the motion.
-Eigen::Vector2d true_path(const AnalyticMotion& motion, const Camera& camera, const Eigen::Vector2d& center_px,
-                          const RowExposure& exposure) {
+/// Blur by the path of the point that the block's centre sees at mid-exposure, from the closed form of the motion.
+BlockBlur true_blur(const AnalyticMotion& motion, const Camera& camera, const Eigen::Vector2d& center_px,
+                    const RowExposure& exposure) {
   const double y = center_px.y();
   const Eigen::Vector3d world = motion.R_world_cam(exposure.middle(y)) * camera.ray(center_px);
-  return camera.project(motion.R_world_cam(exposure.end(y)).transpose() * world) -
-         camera.project(motion.R_world_cam(exposure.start(y)).transpose() * world);
+  const double duration_ns = static_cast<double>(exposure.end(y) - exposure.start(y));
+  return classify_path(path_of([&](double part) {
+                         const TimeNs t_ns = exposure.middle(y) + std::llround(part * duration_ns);
+                         return camera.project(motion.R_world_cam(t_ns).transpose() * world);
+                       }),
+                       {});
 }
 
 struct FieldError {
@@ -162,9 +245,9 @@ FieldError compare(const BlurField& field, const AnalyticMotion& motion, const C
                    const RowExposure& exposure) {
   std::vector<double> angles, extents;
   for (int i = 0; i < field.grid.size(); ++i) {
-    const Eigen::Vector2d truth = true_path(motion, camera, field.grid.center(i), exposure);
-    angles.push_back(axial_difference(field.blocks[i].angle_rad, axial_angle(truth.x(), truth.y())) / kDeg);
-    extents.push_back(std::abs(field.blocks[i].extent_px - truth.norm()));
+    const BlockBlur truth = true_blur(motion, camera, field.grid.center(i), exposure);
+    angles.push_back(axial_difference(field.blocks[i].angle_rad, truth.angle_rad) / kDeg);
+    extents.push_back(std::abs(field.blocks[i].extent_px - truth.extent_px));
   }
   const auto median = [](std::vector<double>& v) {
     std::nth_element(v.begin(), v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2), v.end());
@@ -189,7 +272,6 @@ TEST(BlurFieldEstimator, RollingShutterLensAndGyroscopeAgreeWithTheTruth) {
       return compare(estimator.estimate(RotationTrack(samples, o, R_cam_imu), e), motion, camera, exposure);
     };
     const FieldError good = error(options, exposure);
-    // SLERP between samples 5 ms apart ignores up to (dw/dt) dt^2 / 8 = 60 urad here, 0.03 px in 30.
     EXPECT_LT(good.median_angle_deg, 0.1);
     EXPECT_LT(good.median_extent_px, 0.05);
     // Each convention matters: turned round, the field is wrong by far more than that.
@@ -201,6 +283,38 @@ TEST(BlurFieldEstimator, RollingShutterLensAndGyroscopeAgreeWithTheTruth) {
     EXPECT_GT(error(flipped, exposure).median_extent_px, 0.5);
     EXPECT_GT(error(options, RowExposure(150 * kMs, 480, timing(30 * kMs, -readout_ns))).median_extent_px, 0.5);
   }
+}
+
+// The gyroscope's rate rises within 1 ms in the middle of the middle row's exposure: rows before it and after it see an
+// even pan, those that it falls into see a path whose parts have the lengths of the two rates.
+TEST(BlurFieldEstimator, FindsAStepOfTheRateInTheRowsThatSeeIt) {
+  constexpr double kSlow = 1, kFast = 2.5;
+  const Camera camera(pinhole());
+  const RowExposure exposure(0, 480, timing(20 * kMs, 48 * kMs));  // 0.1 ms a row
+  const TimeNs step_ns = exposure.middle(240);
+  std::vector<GyroSample> samples;
+  for (TimeNs t = -5 * kMs; t <= 80 * kMs; t += kMs) samples.push_back({t, {0, t < step_ns ? kSlow : kFast, 0}});
+  const BlurField field =
+      BlurFieldEstimator(camera, {}).estimate(RotationTrack(samples, {}, Eigen::Matrix3d::Identity()), exposure);
+  int stepped = 0, even = 0;
+  for (int row = 0; row < field.grid.rows(); ++row) {
+    const int index = row * field.grid.cols() + field.grid.cols() / 2 - 1;  // near the centre column
+    const double y = field.grid.center(index).y();
+    const BlockBlur& blur = field.blocks[index];
+    EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+    if (exposure.end(y) < step_ns - kMs || exposure.start(y) > step_ns + kMs) {
+      EXPECT_FALSE(blur.uneven_path_px) << row;
+      ++even;
+      continue;
+    }
+    ASSERT_TRUE(blur.uneven_path_px) << row;
+    const double slow_s = to_seconds(step_ns - exposure.start(y)), fast_s = to_seconds(exposure.end(y) - step_ns);
+    // The step takes 1 ms; tan is steeper away from the centre.
+    EXPECT_NEAR(blur.extent_px, 500 * (kSlow * slow_s + kFast * fast_s), 0.6) << row;
+    ++stepped;
+  }
+  EXPECT_GE(stepped, 2);
+  EXPECT_GE(even, 2);
 }
 
 TEST(BlurFieldEstimator, UncoveredRowsAreNoGyro) {

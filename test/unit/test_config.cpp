@@ -47,8 +47,9 @@ std::string dump(const Config& c) {
     << "\nbias_max_stddev " << c.bias_max_stddev_rad_s << "\ntime_jump " << c.time_jump_ns << "\nrectify_to "
     << static_cast<int>(c.pipeline.rectify_to) << "\nbackend " << c.pipeline.backend << "\nthreads "
     << c.pipeline.threads << "\nblock_size " << c.pipeline.blur_field.block_size_px << "\nmin_extent "
-    << c.pipeline.blur_field.min_extent_px << "\nmax_extent " << c.pipeline.blur_field.max_extent_px << "\ngamma "
-    << c.pipeline.kernel.gamma << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nvalidate "
+    << c.pipeline.blur_field.min_extent_px << "\nmax_extent " << c.pipeline.blur_field.max_extent_px << "\nmax_bend "
+    << c.pipeline.blur_field.max_bend_px << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor "
+    << c.pipeline.kernel.length_factor << "\nsmoothing " << c.pipeline.kernel.smoothing_px << "\nvalidate "
     << c.pipeline.validation.enabled << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
     << c.pipeline.validation.tau_contrast << "\ndetector " << c.pipeline.keypoints.detector << "\ndescriptor "
     << c.pipeline.keypoints.descriptor << "\nmax_features " << c.pipeline.keypoints.max_features << "\ngrid "
@@ -108,8 +109,10 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"block_size", "32"},
       {"min_extent", "4"},
       {"max_extent", "100.5"},
+      {"max_bend", "2.5"},
       {"gamma", "1e-3"},
       {"kernel_length_factor", "6"},
+      {"kernel_smoothing", "1.5"},
       {"validate", "false"},
       {"tau", "12"},
       {"tau_contrast", "0"},
@@ -164,8 +167,10 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.blur_field.block_size_px, 32);
   EXPECT_EQ(c.pipeline.blur_field.min_extent_px, 4);
   EXPECT_EQ(c.pipeline.blur_field.max_extent_px, 100.5);
+  EXPECT_EQ(c.pipeline.blur_field.max_bend_px, 2.5);
   EXPECT_EQ(c.pipeline.kernel.gamma, 1e-3);
   EXPECT_EQ(c.pipeline.kernel.length_factor, 6);
+  EXPECT_EQ(c.pipeline.kernel.smoothing_px, 1.5);
   EXPECT_FALSE(c.pipeline.validation.enabled);
   EXPECT_EQ(c.pipeline.validation.tau, 12);
   EXPECT_EQ(c.pipeline.validation.tau_contrast, 0);

@@ -1,6 +1,8 @@
 #include "gyro_deblur/deconvolution.hpp"
 
 #include <cmath>
+#include <optional>
+#include <string>
 
 #include <gtest/gtest.h>
 
@@ -30,6 +32,34 @@ FilterGrid varied_blocks(int width, int height, int block_size, double max_exten
     const double extent = 2 + std::fmod(3.7 * i, max_extent - 2);
     return {radians(std::fmod(23.0 * i, 180)), i % 7 == 3 ? nullptr : &bank.kernel(extent)};
   });
+}
+
+// Asymmetric, so that a kernel turned round, or the box, shows.
+TEST(Deconvolve, FollowsAnUnevenPathInItsDirection) {
+  constexpr LinePath kPath{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15};
+  LinePath reversed;
+  for (int k = 0; k < kPathInstants; ++k) reversed[k] = -kPath[k];
+  const cv::Mat sharp = test::textured_image(256, 192, 3);
+  const cv::Rect inner(48, 48, 160, 96);
+  const KernelBank bank{KernelOptions{}};
+  const auto restored = [&](const cv::Mat& blurred, double angle_rad, const std::optional<LinePath>& path_px,
+                            const std::string& engine) {
+    BlurField field = uniform_blur_field(sharp.cols, sharp.rows, angle_rad, extent_of(kPath), {});
+    for (BlockBlur& block : field.blocks) block.uneven_path_px = path_px;
+    cv::Mat dst;
+    deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_line_convolver(engine), dst);
+    return test::psnr_db(dst(inner), sharp(inner));
+  };
+  for (const double degrees : {0.0, 35.0, 90.0, 120.0, 178.0}) {
+    const double angle_rad = radians(degrees);
+    const cv::Mat blurred = test::expose(test::blur_along_path(sharp, angle_rad, kPath), 1.0, 5);
+    for (const std::string engine : {"reference", "cpu"}) {
+      const double with_path = restored(blurred, angle_rad, kPath, engine);
+      EXPECT_GT(with_path, test::psnr_db(blurred(inner), sharp(inner)) + 5) << engine << ' ' << degrees;
+      EXPECT_GT(with_path, restored(blurred, angle_rad, reversed, engine) + 5) << engine << ' ' << degrees;
+      EXPECT_GT(with_path, restored(blurred, angle_rad, std::nullopt, engine) + 3) << engine << ' ' << degrees;
+    }
+  }
 }
 
 TEST(RotateKernel, KeepsTheSumAtEveryAngle) {

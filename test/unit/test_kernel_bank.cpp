@@ -43,6 +43,77 @@ TEST(BoxBlurKernel, WeighsEdgesByCoverage) {
   for (std::size_t i = 0; i < expected.size(); ++i) EXPECT_NEAR(even[i], expected[i], 1e-15);
 }
 
+constexpr LinePath kSpeedsUp{-5, -4, -3, -2, 0, 3, 6, 10, 14};
+
+TEST(PathBlurKernel, OfAnEvenPathIsTheBox) {
+  for (const double extent : {3.0, 10.25, 27.0}) {
+    LinePath path_px;
+    for (int k = 0; k < kPathInstants; ++k) {
+      path_px[k] = static_cast<float>((k / (kPathInstants - 1.0) - 0.5) * extent);
+    }
+    EXPECT_NEAR(extent_of(path_px), extent, 1e-6);
+    const std::vector<double> expected = box_blur_kernel(extent, 41), kernel = path_blur_kernel(path_px, 41);
+    for (std::size_t i = 0; i < expected.size(); ++i) EXPECT_NEAR(kernel[i], expected[i], 1e-6) << extent << ' ' << i;
+  }
+}
+
+TEST(PathBlurKernel, IsTheTimeInEachPixel) {
+  const std::vector<double> kernel = path_blur_kernel(kSpeedsUp, 41);
+  EXPECT_NEAR(sum(kernel), 1, 1e-12);
+  // Tap 20 is the middle of the exposure. In eighths: 1 px before an eighth covers 1, then 2, 3 and 4.
+  EXPECT_NEAR(kernel[20 - 4], 1.0 / 8, 1e-9);
+  EXPECT_NEAR(kernel[20 - 1], 0.5 / 8, 1e-9);
+  EXPECT_NEAR(kernel[20 + 1], 1.0 / 3 / 8, 1e-9);
+  EXPECT_NEAR(kernel[20 + 8], 0.25 / 8, 1e-9);
+  EXPECT_NEAR(kernel[20 + 14], 0.125 / 8, 1e-9);
+  EXPECT_EQ(kernel[20 + 15], 0);
+  // There and back counts twice; at rest all the time is in one pixel.
+  const std::vector<double> back = path_blur_kernel({-8, -6, -4, -2, 0, -2, -4, -6, -8}, 41);
+  EXPECT_NEAR(back[20 - 5], 2 * 0.5 / 8, 1e-9);
+  EXPECT_EQ(back[21], 0);
+  EXPECT_NEAR(path_blur_kernel({0, 0, 0, 0, 0, 2, 4, 6, 8}, 41)[20], 4.25 / 8, 1e-9);
+  EXPECT_NEAR(share_within(kSpeedsUp, -5, 14), 1, 1e-12);
+  EXPECT_NEAR(share_within(kSpeedsUp, -5, 0), 0.5, 1e-12);
+}
+
+TEST(WienerKernel, IsSmoothedByAGaussian) {
+  KernelOptions options, smoothed = options;
+  smoothed.smoothing_px = 1.7;
+  const LineKernel plain = wiener_kernel(20.0, options), kernel = wiener_kernel(20.0, smoothed);
+  ASSERT_EQ(plain.taps.size(), kernel.taps.size());
+  EXPECT_EQ(kernel.box_extent_px, 0) << "no jumps are left";
+  const int n = static_cast<int>(kernel.taps.size());
+  for (int k = 0; k <= n / 2; ++k) {
+    const double x = 2 * CV_PI * 1.7 * k / n;
+    EXPECT_NEAR(transform(kernel.taps, k), std::exp(-0.5 * x * x) * transform(plain.taps, k), 1e-4) << k;
+  }
+}
+
+TEST(WienerKernel, InvertsAnUnevenPath) {
+  const KernelOptions options;
+  const LineKernel kernel = wiener_kernel(kSpeedsUp, options);
+  EXPECT_EQ(kernel.taps.size() % 2, 1u);
+  EXPECT_GE(kernel.taps.size(), options.length_factor * 19);
+  EXPECT_NEAR(sum(kernel.taps), 1, 1e-4);
+  EXPECT_EQ(kernel.box_extent_px, 0);
+  const int radius = kernel.radius();
+  const std::vector<double> blur = path_blur_kernel(kSpeedsUp, 2 * radius + 1);
+  // The transform has one lag more than taps have room for.
+  const int size = 2 * radius + 2;
+  for (int k = 0; k <= size / 2; ++k) {
+    const double f = static_cast<double>(k) / size;
+    std::complex<double> H = 0, W = 0;
+    for (int i = -radius; i <= radius; ++i) {
+      const std::complex<double> wave = std::polar(1.0, -2 * CV_PI * f * i);
+      H += blur[i + radius] * wave;
+      W += static_cast<double>(kernel.taps[i + radius]) * wave;
+    }
+    const std::complex<double> expected = (1 + options.gamma) * std::conj(H) / (std::norm(H) + options.gamma);
+    EXPECT_LT(std::abs(W - expected), 0.05 * std::abs(expected) + 0.05) << f;
+  }
+  EXPECT_THROW(wiener_kernel(LinePath{}, options), OptionError);
+}
+
 TEST(WienerKernel, HasTheLengthAndUnitGain) {
   KernelOptions options;
   for (const double extent : {1.0, 2.0, 7.3, 27.0, 90.0, 500.0}) {

@@ -14,8 +14,8 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr BlockStatus kAll[] = {BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED,
-                                BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO};
+constexpr BlockStatus kAll[] = {BlockStatus::SHARP,     BlockStatus::DEBLURRED, BlockStatus::REJECTED,
+                                BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO,   BlockStatus::BENT};
 
 cv::Vec3b bgr(BlockStatus status) {
   const cv::Vec3b rgb = status_color_rgb(status);
@@ -32,7 +32,7 @@ TEST(StatusColor, IsDifferentForEveryStatusAndNamedRight) {
     const cv::Vec3b c = status_color_rgb(status);
     colors.insert({c[0], c[1], c[2]});
   }
-  EXPECT_EQ(colors.size(), 5u);
+  EXPECT_EQ(colors.size(), std::size(kAll));
   const auto is = [](BlockStatus status, bool r, bool g, bool b) {
     const cv::Vec3b c = status_color_rgb(status);
     return (c[0] > 150) == r && (c[1] > 150) == g && (c[2] > 150) == b;
@@ -42,6 +42,7 @@ TEST(StatusColor, IsDifferentForEveryStatusAndNamedRight) {
   EXPECT_TRUE(is(BlockStatus::REJECTED, true, false, false));
   EXPECT_TRUE(is(BlockStatus::TOO_LARGE, true, false, true));
   EXPECT_TRUE(is(BlockStatus::NO_GYRO, true, true, false));
+  EXPECT_TRUE(is(BlockStatus::BENT, false, true, true));
 }
 
 TEST(BlurSegment, IsThePathCentredOnTheBlock) {

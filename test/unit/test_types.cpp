@@ -68,7 +68,7 @@ TEST(Names, AgreeWithTheMessage) {
       ++statuses;
     }
   }
-  EXPECT_EQ(statuses, 5);
+  EXPECT_EQ(statuses, 6);
   EXPECT_EQ(reasons, 12);
 }
 
@@ -115,6 +115,7 @@ TEST(Options, BlurFieldLimits) {
   expect_limits(&O::block_size_px, "block_size", {8, 10, 1024}, {7, 9, 65, 1026, 0, -64});
   expect_limits(&O::min_extent_px, "min_extent", {1.0, 20.0}, {0.999, 20.001, kNan});
   expect_limits(&O::max_extent_px, "max_extent", {3.0, 500.0}, {2.999, 500.001, kNan});
+  expect_limits(&O::max_bend_px, "max_bend", {0.0, 100.0}, {-0.001, 100.001, kNan});
 }
 
 TEST(Options, ValidationLimitsAndThreshold) {
@@ -130,6 +131,7 @@ TEST(Options, ValidationLimitsAndThreshold) {
 TEST(Options, KernelLimits) {
   expect_limits(&KernelOptions::gamma, "gamma", {1e-5, 1.0}, {0.99e-5, 1.001, 0.0, -1.0, kNan});
   expect_limits(&KernelOptions::length_factor, "kernel_length_factor", {2.0, 8.0}, {1.999, 8.001, kNan});
+  expect_limits(&KernelOptions::smoothing_px, "kernel_smoothing", {0.0, 5.0}, {-0.001, 5.001, kNan});
 }
 
 TEST(Options, KeypointLimits) {
