@@ -130,15 +130,22 @@ float fitted_angle(const std::array<Eigen::Vector2d, kPathInstants>& path_px) {
 
 }  // namespace
 
+double even_path_px(double extent_px) {
+  // As measured: the loss is the same along a parabola, down to a quarter of a pixel.
+  const double share = extent_px / 40;
+  return std::max(0.25, share * share);
+}
+
 BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options) {
   const Eigen::Vector2d chord_px = path_px.back() - path_px.front();
   BlockBlur blur = classify_blur(chord_px.x(), chord_px.y(), options);
   const float angle_rad = fitted_angle(path_px);
   const LineFit fit = fit_to_line(path_px, angle_rad);
-  if (unevenness_px(fit.path_px) > kEvenPathPx) {
+  if (unevenness_px(fit.path_px) > even_path_px(fit.along_px)) {
     blur = {angle_rad, static_cast<float>(fit.along_px), status_of(fit.along_px, options), fit.path_px};
   }
-  if (blur.status == BlockStatus::DEBLURRED && 0.5 * fit.across_px > options.max_bend_px) {
+  const double max_bend_px = options.max_bend_px + kStraightPathShare * fit.along_px;
+  if (blur.status == BlockStatus::DEBLURRED && 0.5 * fit.across_px > max_bend_px) {
     blur.status = BlockStatus::BENT;
   }
   return blur;

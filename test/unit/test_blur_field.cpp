@@ -140,7 +140,8 @@ TEST(ClassifyPath, AStepOfTheSpeedDepartsByAQuarterOfTheDifference) {
     const auto stepped = [&](double difference_px) {
       return classify_path(path_of([&](double t) { return 2 * t * (t < 0 ? 10 : 10 + difference_px) * way; }), {});
     };
-    EXPECT_FALSE(stepped(3.9 * kEvenPathPx).uneven_path_px);
+    // Of an extent of 20 px and the difference, a quarter of which is the limit at 1.115 px.
+    EXPECT_FALSE(stepped(1.10).uneven_path_px);
     const BlockBlur blur = stepped(10);
     EXPECT_NEAR(blur.extent_px, 30, 1e-4);
     EXPECT_LT(axial_difference(blur.angle_rad, axial_angle(way.x(), way.y())), 1e-6);
@@ -151,7 +152,7 @@ TEST(ClassifyPath, AStepOfTheSpeedDepartsByAQuarterOfTheDifference) {
     EXPECT_NEAR(std::abs(sign), 1, 1e-6);
     const double expected[] = {-10, -7.5, -5, -2.5, 0, 5, 10, 15, 20};
     for (int k = 0; k < kPathInstants; ++k) EXPECT_NEAR((*blur.uneven_path_px)[k], sign * expected[k], 1e-4) << k;
-    EXPECT_TRUE(stepped(4.1 * kEvenPathPx).uneven_path_px);
+    EXPECT_TRUE(stepped(1.13).uneven_path_px);
   }
 }
 
@@ -172,13 +173,14 @@ TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
   };
   // An arc of a circle lies within half of its rise to either side of a line.
   const double turn_rad = 0.9, bend_px = 0.5 * kRadius * (1 - std::cos(0.5 * turn_rad));
+  const double allowed_px = kStraightPathShare * 2 * kRadius * std::sin(0.5 * turn_rad);
   BlurFieldOptions options;
-  options.max_bend_px = 1.001 * bend_px;
+  options.max_bend_px = 1.001 * bend_px - allowed_px;
   BlockBlur blur = classify_path(bow(turn_rad), options);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
   EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
   EXPECT_LT(axial_difference(blur.angle_rad, 0), 1e-6);
-  options.max_bend_px = 0.999 * bend_px;
+  options.max_bend_px = 0.999 * bend_px - allowed_px;
   blur = classify_path(bow(turn_rad), options);
   EXPECT_EQ(blur.status, BlockStatus::BENT);
   EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
