@@ -513,7 +513,21 @@ TEST_F(ProcessorTest, CalibrationFileServesWhereThereIsNoCameraInfo) {
   expect_deblurred(2);
 }
 
-TEST_F(ProcessorTest, FrameThatStillWaitsGoesByCameraInfoThatComesAfterIt) {
+TEST_F(ProcessorTest, FrameThatStillWaitsGoesByItsOwnCameraInfoThatComesAfterIt) {
+  config_.calibration = calibration_file();
+  config_.calibration->camera->fx_px *= 1.5;
+  configure();
+  processor_.add_image(image_message(kStart));
+  advance();  // goes by the file, and waits for samples
+  EXPECT_TRUE(outputs_.empty());
+  processor_.add_camera_info(camera_info(kStart));
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "fx 300");
+  EXPECT_EQ(outputs_[0].camera_info->K[0], kFocalPx);
+}
+
+TEST_F(ProcessorTest, FrameWithoutCameraInfoGoesByTheFileThoughALaterOneHasIt) {
   config_.calibration = calibration_file();
   config_.calibration->camera->fx_px *= 1.5;
   configure();
