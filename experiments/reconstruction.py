@@ -165,6 +165,8 @@ def match_descriptors(a, b):
     nearest = product.argmax(axis=1)
     best = product[rows, nearest]
     mutual = best == product.max(axis=0)[nearest]
+    # Of rows that are equally near to a column none matches; columns that are equally near to a row fail the ratio.
+    mutual &= numpy.bincount(nearest[mutual], minlength=len(b))[nearest] == 1
     product[rows, nearest] = 0
     second_of_row = product.max(axis=1)
     product[rows[~mutual], nearest[~mutual]] = best[~mutual]  # these are in the way of nobody but other rows

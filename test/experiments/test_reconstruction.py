@@ -66,6 +66,24 @@ class Measurements(unittest.TestCase):
         self.assertLess(len(expected), 90)
         numpy.testing.assert_array_equal(reconstruction.match_descriptors(a, b), expected)
 
+    def test_of_descriptors_that_are_equally_near_none_matches(self):
+        a = self.rng.integers(0, 60, (6, 128)).astype(float)
+        b = a + self.rng.normal(0, 5, a.shape)
+        a, b = (512 * d / numpy.linalg.norm(d, axis=1, keepdims=True) for d in (a, b))
+        a, b = (d.clip(0, 255).astype(numpy.uint8) for d in (a, b))
+        self.assertEqual(reconstruction.match_descriptors(a, b).tolist(), [[i, i] for i in range(6)])
+        others = [[i, i] for i in (0, 1, 3, 4, 5)]
+        # Number 2 is there two or three times on either side, then twice on both.
+        for times in (1, 2):
+            more = numpy.vstack([b, *[b[2:3]] * times])
+            self.assertEqual(reconstruction.match_descriptors(a, more).tolist(), others)
+            self.assertEqual(reconstruction.match_descriptors(more, a).tolist(), others)
+        a, b = numpy.vstack([a, a[2:3]]), numpy.vstack([b, b[2:3]])
+        self.assertEqual(reconstruction.match_descriptors(a, b).tolist(), others)
+        # Without noise between the sides.
+        self.assertEqual(reconstruction.match_descriptors(a, a[:6]).tolist(), others)
+        self.assertEqual(reconstruction.match_descriptors(a[:6], a).tolist(), others)
+
     def test_a_perfect_model_has_no_errors_in_any_scale(self):
         # Two cameras over a plane, as COLMAP would have them: another origin, rotation and scale.
         camera = {"fx_px": 500, "fy_px": 500, "cx_px": 319.5, "cy_px": 239.5}
