@@ -18,6 +18,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 
 import matplotlib
@@ -132,8 +133,8 @@ def set_descriptors(path, features):
 
 
 def colmap(command, log, progress=None, **options):
-    """Runs COLMAP; returns whether it succeeded. Its output goes to the file `log`; `progress` counts the images that
-    it registers."""
+    """Runs COLMAP; returns whether it succeeded. Raises SystemExit when a signal ended it, which says nothing of its
+    input. Its output goes to the file `log`; `progress` counts the images that it registers."""
     arguments = [part for key, value in options.items() for part in ("--" + key.replace("__", "."), str(value))]
     with open(log, "a") as output, subprocess.Popen(["colmap", command, *arguments], stdout=subprocess.PIPE, text=True,
                                                     stderr=subprocess.STDOUT, env=ONE_THREAD) as process:
@@ -141,6 +142,8 @@ def colmap(command, log, progress=None, **options):
             output.write(line)
             if progress is not None and line.startswith("Registering image"):
                 progress.update()
+    if process.returncode < 0:
+        sys.exit(f"reconstruction.py: signal {-process.returncode} ended colmap {command}; see {log}")
     return process.returncode == 0
 
 
@@ -474,7 +477,8 @@ def model_folder(work, variant):
 
 
 def create_models(stages, variants, work, names, seed):
-    """Verifies and reconstructs every variant, several at a time."""
+    """Verifies and reconstructs every variant, several at a time. When one fails, no other begins a stage."""
+    stopping = threading.Event()
 
     def create(variant):
         database, log = work / f"{variant}.db", work / f"{variant}.log"
@@ -486,6 +490,8 @@ def create_models(stages, variants, work, names, seed):
             verify(database, names, log, seed, verified)
 
         stages.once(f"verified_{variant}", verify_anew)
+        if stopping.is_set():
+            return
         folder = model_folder(work, variant)
         stages.once(f"model_{variant}", lambda: reconstruct(database, folder, log, seed, registered))
 
@@ -493,8 +499,15 @@ def create_models(stages, variants, work, names, seed):
     with tqdm(desc="  verifying", unit="pair", total=pairs, mininterval=1) as verified, \
             tqdm(desc="  registering", unit="image", total=images, mininterval=1) as registered, \
             concurrent.futures.ThreadPoolExecutor(WORKERS) as pool:
-        for done in [pool.submit(create, variant) for variant in variants]:
-            done.result()
+        futures = [pool.submit(create, variant) for variant in variants]
+        try:
+            for done in concurrent.futures.as_completed(futures):
+                done.result()
+        except BaseException:  # KeyboardInterrupt, too: the pool would begin those that wait before it ends
+            stopping.set()
+            for future in futures:
+                future.cancel()
+            raise
 
 
 def write_results(out, truth, results, absent):

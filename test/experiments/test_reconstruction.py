@@ -1,12 +1,16 @@
 #!/usr/bin/env python3
 """The importer and the measurements of experiments/reconstruction.py against known features, poses and planes."""
 
+import concurrent.futures
+import os
 import pathlib
 import shutil
 import sqlite3
 import sys
 import tempfile
+import threading
 import unittest
+from unittest import mock
 
 import numpy
 from tqdm import tqdm
@@ -112,6 +116,60 @@ class Measurements(unittest.TestCase):
 
 
 class Run(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.path = pathlib.Path(folder.name)
+
+    def colmap_that(self, script):
+        """A shell script in COLMAP's place."""
+        program = self.path / "colmap"
+        program.write_text(f"#!/bin/sh\n{script}\n")
+        program.chmod(0o755)
+        change = mock.patch.dict(reconstruction.ONE_THREAD, PATH=f"{self.path}:{os.environ['PATH']}")
+        change.start()
+        self.addCleanup(change.stop)
+
+    def test_no_model_is_a_result_and_a_signal_is_none(self):
+        mark, log = self.path / "model.done", self.path / "log"
+
+        def reconstruct():
+            reconstruction.Stages(self.path).once("model", lambda: reconstruction.reconstruct(
+                self.path / "a.db", self.path / "models", log, 1, tqdm(disable=True)))
+
+        for name in ("TERM", "KILL"):
+            self.colmap_that(f"kill -{name} $$")
+            with self.assertRaisesRegex(SystemExit, "signal [0-9]+ ended colmap mapper"):
+                reconstruct()
+            self.assertFalse(mark.exists())
+        self.colmap_that("exit 1")
+        reconstruct()
+        self.assertTrue(mark.exists())
+
+    def test_where_a_variant_fails_those_that_wait_are_not_begun(self):
+        begun, pool_ends = [], threading.Event()
+
+        class Pool(concurrent.futures.ThreadPoolExecutor):
+            def __exit__(self, *arguments):
+                pool_ends.set()
+                return super().__exit__(*arguments)
+
+        def verify(database, *_):
+            begun.append(database.stem)
+            if database.stem == "blurred":
+                raise KeyboardInterrupt
+            self.assertTrue(pool_ends.wait(60))
+
+        with mock.patch.multiple(reconstruction, WORKERS=1, verify=verify, set_keypoints=mock.DEFAULT,
+                                 reconstruct=lambda *_: begun.append("model")), \
+                mock.patch("shutil.copy"), mock.patch("concurrent.futures.ThreadPoolExecutor", Pool), \
+                self.assertRaises(KeyboardInterrupt):
+            reconstruction.create_models(reconstruction.Stages(self.path), list(reconstruction.VARIANTS), self.path,
+                                         [], 1)
+        # The one worker may begin with the second before it is seen that the first failed.
+        self.assertIn(begun, (["blurred"], ["blurred", "blurred_rectified"]))
+        self.assertFalse((self.path / "verified_blurred.done").exists())
+
     def test_a_stage_is_done_once_and_again_where_it_failed(self):
         done = []
 
