@@ -94,6 +94,17 @@ def opened(path):
         yield database
 
 
+def remove_database(path):
+    """With what SQLite leaves beside a database whose writer was killed, and would write into the next of that name."""
+    for suffix in ("", "-wal", "-shm", "-journal"):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+
+def copy_database(source, path):
+    remove_database(path)
+    shutil.copy(source, path)
+
+
 def load_features(prefix, rectified):
     """Keypoints (n, 4): x, y, scale, orientation in COLMAP's convention, float32; and descriptors (n, 128), uint8."""
     raw = numpy.load(f"{prefix}_keypoints.npy")
@@ -464,7 +475,7 @@ def extract(arguments, work):
 
 def create_matches(database, camera, folder, names):
     """A database with the features in `folder` and their matches."""
-    database.unlink(missing_ok=True)
+    remove_database(database)
     features = [load_features(folder / name, False) for name in names]
     create_database(database, camera, names)
     set_descriptors(database, features)
@@ -485,7 +496,7 @@ def create_models(stages, variants, work, names, seed):
 
         def verify_anew():
             source, rectified, _ = VARIANTS[variant]
-            shutil.copy(work / f"matches_{source}.db", database)
+            copy_database(work / f"matches_{source}.db", database)
             set_keypoints(database, [load_features(work / source / name, rectified) for name in names])
             verify(database, names, log, seed, verified)
 

@@ -2,6 +2,7 @@
 """The importer and the measurements of experiments/reconstruction.py against known features, poses and planes."""
 
 import concurrent.futures
+import contextlib
 import os
 import pathlib
 import shutil
@@ -192,6 +193,23 @@ class Run(unittest.TestCase):
         self.assertIn((4, 68), pairs)
         self.assertNotIn((5, 69), pairs)
         self.assertTrue(all(0 <= i < j < 150 for i, j in pairs))
+
+
+    def test_a_copied_database_has_nothing_of_one_that_was_interrupted(self):
+        source, path = self.path / "source.db", self.path / "copy.db"
+        with reconstruction.opened(source) as database:
+            database.execute("PRAGMA journal_mode=WAL")  # as COLMAP does
+            database.execute("CREATE TABLE t (x)")
+        shutil.copy(source, path)
+        with contextlib.closing(sqlite3.connect(path)) as database:
+            database.execute("INSERT INTO t VALUES (1)")
+            database.commit()
+            left = {suffix: (self.path / f"copy.db{suffix}").read_bytes() for suffix in ("-wal", "-shm")}
+        for suffix, content in left.items():
+            (self.path / f"copy.db{suffix}").write_bytes(content)
+        reconstruction.copy_database(source, path)
+        with contextlib.closing(sqlite3.connect(path)) as database:
+            self.assertEqual(database.execute("SELECT * FROM t").fetchall(), [])
 
 
 class Importer(unittest.TestCase):
