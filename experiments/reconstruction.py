@@ -11,6 +11,8 @@ import argparse
 import concurrent.futures
 import contextlib
 import csv
+import hashlib
+import json
 import os
 import pathlib
 import resource
@@ -559,6 +561,20 @@ class Stages:
             mark.touch()
 
 
+def same_options(work, options):
+    """Writes into `work` the options that its stages depend on; ends when they were made with others."""
+    path = work / "options.json"
+    if not path.exists() and any(work.glob("*.done")):
+        sys.exit(f"reconstruction.py: --resume cannot go on: {path} is missing, which says what {work} was made with")
+    if path.exists():
+        before = json.loads(path.read_text())
+        for name, value in options.items():
+            if before.get(name) != value:
+                sys.exit(f"reconstruction.py: --resume needs the options of the interrupted run: --{name} was "
+                         f"{before.get(name)} and is {value}")
+    path.write_text(json.dumps(options))
+
+
 @contextlib.contextmanager
 def timed(name):
     """Prints what the block took."""
@@ -582,7 +598,8 @@ def main():
     parser.add_argument("--max-features", type=int, default=8192, help="of each frame [8192, SiftGPU's limit]")
     parser.add_argument("--quick", action="store_true", help="12 frames, raw blurred and rectified deblurred only")
     parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS), help="[all]")
-    parser.add_argument("--resume", action="store_true", help="go on with an interrupted run of the same options")
+    parser.add_argument("--resume", action="store_true",
+                        help="go on with an interrupted run of the same options, --variants apart")
     parser.add_argument("--keep", action="store_true", help="leave features, databases and models")
     arguments = parser.parse_args()
     if shutil.which("colmap") is None:
@@ -592,6 +609,9 @@ def main():
     if not arguments.resume:
         shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True, exist_ok=True)
+    # Not the variants: each has stages of its own.
+    same_options(work, {"quick": arguments.quick, "seed": arguments.seed, "max-features": arguments.max_features,
+                        "program": f"sha256 {hashlib.sha256(arguments.program.read_bytes()).hexdigest()}"})
     stages = Stages(work)
     absent = [name for name in WALL if not (OPENCV_DOC / name).is_file()]
     with timed("simulation and features"):

@@ -194,6 +194,19 @@ class Run(unittest.TestCase):
         self.assertNotIn((5, 69), pairs)
         self.assertTrue(all(0 <= i < j < 150 for i, j in pairs))
 
+    def test_a_run_goes_on_with_its_own_options_only(self):
+        options = {"seed": 1, "program": "sha256 a"}
+        for _ in range(2):
+            reconstruction.same_options(self.path, options)
+        for name, value, said in (("seed", 2, "--seed was 1 and is 2"),
+                                  ("program", "sha256 b", "--program was sha256 a and is sha256 b")):
+            with self.assertRaisesRegex(SystemExit, said):
+                reconstruction.same_options(self.path, dict(options, **{name: value}))
+        reconstruction.same_options(self.path, options)
+        (self.path / "features.done").touch()
+        (self.path / "options.json").unlink()
+        with self.assertRaisesRegex(SystemExit, "options.json is missing"):
+            reconstruction.same_options(self.path, options)
 
     def test_a_copied_database_has_nothing_of_one_that_was_interrupted(self):
         source, path = self.path / "source.db", self.path / "copy.db"
