@@ -76,6 +76,7 @@ MAPPER = {"Mapper__ba_global_images_ratio": 1.4, "Mapper__ba_global_points_ratio
           "Mapper__ba_refine_focal_length": 0, "Mapper__ba_refine_extra_params": 0, "Mapper__extract_colors": 0,
           "Mapper__init_min_tri_angle": MIN_START_ANGLE_DEG}
 MIN_TRACK = 3  # images in which a point that counts is visible, as in the paper
+MIN_IMAGES = 3  # of a model that can be measured: as many positions determine its scale, rotation and translation
 PLANE_RANSAC_M = 0.02
 PLANE_TRIALS = 500
 TRAJECTORY_TRIALS = 500
@@ -631,7 +632,7 @@ def main():
     results = {}
     for variant in variants:
         model = largest_model(model_folder(work, variant))
-        if model is None or len(model[0]) < MIN_TRACK:
+        if model is None or len(model[0]) < MIN_IMAGES:
             print(f"  {VARIANTS[variant][2]}: no reconstruction")
             continue
         results[variant] = measure(model, truth, camera, numpy.random.default_rng(arguments.seed))
