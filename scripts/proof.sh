@@ -1,7 +1,9 @@
 #!/usr/bin/env bash
-# Proof by tools, in build/proof: every unit test under AddressSanitizer and UndefinedBehaviorSanitizer, the tests of
-# buffer, queue, engine and processor under ThreadSanitizer, the fuzz targets for a bounded time, the soak. Fails when one of them finds something, or a test hangs. --quick: fuzzers for 10 s each instead of
-# 60 s, the soak 1 min instead of 10 min. Half an hour on two free cores, most of it compiling; a second time, a quarter of one.
+# Proof by tools, in build/proof: every test of the package itself that needs no ROS master under AddressSanitizer and
+# UndefinedBehaviorSanitizer, those of what works with threads under ThreadSanitizer, the fuzz targets for a bounded
+# time, the soak. Fails when one of them finds something, or a test hangs. --quick: fuzzers for 10 s each instead of
+# 60 s, the soak 1 min instead of 10 min. Half an hour on two free cores, most of it compiling; a second time, a quarter
+# of one.
 #
 #   scripts/proof.sh [--quick] [--within MINUTES] [--only asan|tsan|fuzz|soak]...
 #
@@ -147,21 +149,27 @@ if wanted asan || wanted fuzz; then
   configure "${asan_folder}" -DGYRO_DEBLUR_FUZZERS=ON -DGYRO_DEBLUR_SANITIZE=address,undefined,float-cast-overflow
 fi
 
+# What the package's tests are: a new one is among them. Those of a nodelet want a master; test_deblur_bag starts
+# deblur_bag on bags, whose messages the fuzz target bag_messages goes through.
+mapfile -t test_sources < <(printf '%s\n' test/{unit,ros,faults}/test_*.cpp |
+  grep -v -E '/test_(nodelet|nodelet_faults|deblur_bag)\.cpp$')
+
 if wanted asan; then
-  step ${STEPS} "AddressSanitizer and UndefinedBehaviorSanitizer: every unit test"
-  mapfile -t unit_tests < <(cd test/unit && printf '%s\n' test_*.cpp | sed 's/\.cpp$//')
-  # Command-line tools run as processes of their own, which these tests start.
-  asan_tests=("${unit_tests[@]}" test_time_jump test_frame_queue test_conversions test_deserialization
-    test_exposure_adapter test_processor test_ledger)
+  step ${STEPS} "AddressSanitizer and UndefinedBehaviorSanitizer: every test of the package that needs no master"
+  mapfile -t asan_tests < <(basename -s .cpp "${test_sources[@]}")
   make_targets "${asan_folder}" "${asan_tests[@]}"
   run_tests "${asan_folder}" "${asan_tests[@]}"
 fi
 
 if wanted tsan; then
-  step ${STEPS} "ThreadSanitizer: buffer, queue, engines, processor"
+  step ${STEPS} "ThreadSanitizer: buffers, queue, engines, kernels, processor"
   tsan_folder="${GYRO_DEBLUR_BUILD}/proof/tsan"
-  tsan_tests=(test_gyro_buffer test_frame_queue test_time_jump test_parallel test_fallback_convolver test_cpu_convolver
-    test_processor)
+  # Of what several threads share or OpenMP divides among them, and each test that has threads of its own.
+  mapfile -t tsan_tests < <({
+    printf '%s\n' test_gyro_buffer test_frame_queue test_time_jump test_translation_input test_parallel \
+      test_fallback_convolver test_cpu_convolver test_deconvolution test_kernel_bank
+    grep -l '#include <thread>' "${test_sources[@]}" | xargs basename -s .cpp
+  } | sort -u)
   configure "${tsan_folder}" -DGYRO_DEBLUR_SANITIZE=thread
   make_targets "${tsan_folder}" "${tsan_tests[@]}" fault_table
   # Nor is OpenMP's runtime, whose barriers look like races then. LLVM's tells ThreadSanitizer what they order through
