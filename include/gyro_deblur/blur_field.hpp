@@ -51,6 +51,15 @@ struct BlockBlur {
   BlockStatus status = BlockStatus::SHARP;
   /// Where the path departs from the paper's straight one at even speed: the path along the line.
   std::optional<LinePath> uneven_path_px = std::nullopt;
+  /// Halfway between the path's ends, and its mean in time, from where the point is at the middle of the exposure.
+  Eigen::Vector2f chord_middle_px = Eigen::Vector2f::Zero();
+  Eigen::Vector2f mean_place_px = Eigen::Vector2f::Zero();
+
+  /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
+  /// point into the middle of the line that it stands for (to within 0.4 px at the limit of evenness), the kernel of an
+  /// uneven path to where the point was; across the line, and where nothing is filtered, blur stays centred on its
+  /// mean.
+  Eigen::Vector2d shown_offset_px() const;
 };
 
 /// The blur of an image; `status` is the only record of what may be deblurred and rectified.

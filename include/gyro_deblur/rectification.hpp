@@ -21,10 +21,11 @@ struct RectifiedPoint {
   bool rectified = false;        ///< was moved to the reference time
 };
 
-/// Takes points from the middle of their row's exposure (where the centred kernel leaves them) to `reference_ns`.
+/// Takes points to `reference_ns` from the middle of their row's exposure: from where the scene point was then, which
+/// is where the image shows it less BlockBlur::shown_offset_px().
 /// Points in REJECTED blocks are not rectified (paper section III-D), nor those in NO_GYRO blocks, those between whose
 /// time and the reference time the motion is not known, and those that leave the range of the lens model; other points
-/// in SHARP, DEBLURRED and TOO_LARGE blocks are.
+/// are.
 /// @param points_px  raw pixels, finite
 /// @param field      of the whole image (at least one block)
 std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& points_px, const BlurField& field,

@@ -53,6 +53,14 @@ std::size_t BlurField::count(BlockStatus status) const {
   return std::count_if(blocks.begin(), blocks.end(), [status](const BlockBlur& b) { return b.status == status; });
 }
 
+Eigen::Vector2d BlockBlur::shown_offset_px() const {
+  const Eigen::Vector2d mean_px = mean_place_px.cast<double>();
+  if (status != BlockStatus::DEBLURRED) return mean_px;
+  const Eigen::Vector2d line(std::cos(angle_rad), std::sin(angle_rad));
+  const double along_px = uneven_path_px ? 0 : line.dot(chord_middle_px.cast<double>());
+  return along_px * line + (mean_px - line.dot(mean_px) * line);
+}
+
 double axial_angle(double dx, double dy) {
   double angle_rad = std::atan2(dy, dx);
   if (angle_rad < 0) angle_rad += kPi;
@@ -115,6 +123,13 @@ double unevenness_px(const LinePath& path_px) {
   return 0.5 * (most - least);
 }
 
+/// Mean in time of a path that is even between its instants.
+Eigen::Vector2d mean_place(const std::array<Eigen::Vector2d, kPathInstants>& path_px) {
+  Eigen::Vector2d sum_px = -0.5 * (path_px.front() + path_px.back());
+  for (const Eigen::Vector2d& place_px : path_px) sum_px += place_px;
+  return sum_px / (kPathInstants - 1);
+}
+
 /// Angle of the line that lies nearest to the places, axial.
 float fitted_angle(const std::array<Eigen::Vector2d, kPathInstants>& path_px) {
   Eigen::Vector2d mean_px = Eigen::Vector2d::Zero();
@@ -140,10 +155,14 @@ BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_p
   const Eigen::Vector2d chord_px = path_px.back() - path_px.front();
   BlockBlur blur = classify_blur(chord_px.x(), chord_px.y(), options);
   const float angle_rad = fitted_angle(path_px);
-  const LineFit fit = fit_to_line(path_px, angle_rad);
+  LineFit fit = fit_to_line(path_px, angle_rad);
   if (unevenness_px(fit.path_px) > even_path_px(fit.along_px)) {
     blur = {angle_rad, static_cast<float>(fit.along_px), status_of(fit.along_px, options), fit.path_px};
+  } else {
+    fit = fit_to_line(path_px, blur.angle_rad);
   }
+  blur.chord_middle_px = (0.5 * (path_px.front() + path_px.back())).cast<float>();
+  blur.mean_place_px = mean_place(path_px).cast<float>();
   const double max_bend_px = options.max_bend_px + kStraightPathShare * fit.along_px;
   if (blur.status == BlockStatus::DEBLURRED && 0.5 * fit.across_px > max_bend_px) {
     blur.status = BlockStatus::BENT;
@@ -162,12 +181,12 @@ BlurFieldEstimator::BlurFieldEstimator(const Camera& camera, const BlurFieldOpti
 }
 
 BlurField BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExposure& exposure) const {
-  constexpr BlockBlur kUnknown{0, 0, BlockStatus::NO_GYRO};
+  const BlockBlur unknown{0, 0, BlockStatus::NO_GYRO};
   BlurField field;
   field.grid = grid_;
   field.exposure_ns = exposure.timing().exposure_ns;
   field.readout_ns = exposure.timing().readout_ns;
-  field.blocks.assign(grid_.size(), kUnknown);
+  field.blocks.assign(grid_.size(), unknown);
   for (int row = 0; row < grid_.rows(); ++row) {
     const int first = row * grid_.cols();
     const double y_px = grid_.center(first).y();
@@ -177,10 +196,12 @@ BlurField BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
     for (int k = 0; k < kPathInstants; ++k) {
       maps[k] = motion.direction_map(middle_ns, start_ns + (end_ns - start_ns) * k / (kPathInstants - 1));
     }
-    const Eigen::Matrix3d &to_start = maps.front(), &to_end = maps.back();
-    const Eigen::Matrix3d rotation_to_start = motion.rotation_map(middle_ns, start_ns);
-    const Eigen::Matrix3d rotation_to_end = motion.rotation_map(middle_ns, end_ns);
-    const bool translates = rotation_to_start != to_start || rotation_to_end != to_end;
+    const bool translates = motion.rotation_map(middle_ns, start_ns) != maps.front() ||
+                            motion.rotation_map(middle_ns, end_ns) != maps.back();
+    std::array<Eigen::Matrix3d, kPathInstants> rotation_maps;
+    for (int k = 0; translates && k < kPathInstants; ++k) {
+      rotation_maps[k] = motion.rotation_map(middle_ns, start_ns + (end_ns - start_ns) * k / (kPathInstants - 1));
+    }
     for (int i = first; i < first + grid_.cols(); ++i) {
       const Eigen::Vector2d center_px = grid_.center(i);
       std::array<Eigen::Vector2d, kPathInstants> path_px;
@@ -191,9 +212,14 @@ BlurField BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
       BlockBlur& block = field.blocks[i];
       block = classify_path(path_px, options_);
       if (!translates) continue;
-      const Eigen::Vector2d rotation_px =
-          camera_.project(rotation_to_end * rays_[i]) - camera_.project(rotation_to_start * rays_[i]);
-      const double uncertainty_px = kTranslationUncertainty * (path_px.back() - path_px.front() - rotation_px).norm();
+      // The share that translation has in the path, there and back within the exposure, too.
+      std::array<Eigen::Vector2d, kPathInstants> translation_px;
+      double longest_px = 0;
+      for (int k = 0; k < kPathInstants; ++k) {
+        translation_px[k] = path_px[k] - (camera_.project(rotation_maps[k] * rays_[i]) - center_px);
+        longest_px = std::max(longest_px, (translation_px[k] - translation_px.front()).norm());
+      }
+      const double uncertainty_px = kTranslationUncertainty * longest_px;
       if (block.extent_px - uncertainty_px < options_.min_extent_px) block.status = BlockStatus::SHARP;
     }
   }

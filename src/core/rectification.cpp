@@ -13,7 +13,8 @@ std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& p
   std::vector<RectifiedPoint> result;
   result.reserve(points_px.size());
   for (const Eigen::Vector2d& raw_px : points_px) {
-    const BlockStatus status = field.blocks.at(field.grid.index_at(raw_px.x(), raw_px.y())).status;
+    const BlockBlur& block = field.blocks.at(field.grid.index_at(raw_px.x(), raw_px.y()));
+    const BlockStatus status = block.status;
     RectifiedPoint point;
     point.deblurred = status == BlockStatus::DEBLURRED;
     point.rectified_px = raw_px;
@@ -21,7 +22,8 @@ std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& p
     const TimeNs seen_ns = exposure.middle(raw_px.y());
     if (status != BlockStatus::REJECTED && status != BlockStatus::NO_GYRO &&
         motion.covers({std::min(seen_ns, reference_ns), std::max(seen_ns, reference_ns)})) {
-      const Eigen::Vector3d moved = motion.direction_map(seen_ns, reference_ns) * direction;
+      const Eigen::Vector3d seen = camera.ray(raw_px - block.shown_offset_px());
+      const Eigen::Vector3d moved = motion.direction_map(seen_ns, reference_ns) * seen;
       const Eigen::Vector2d moved_px = camera.project(moved);
       if (moved_px.allFinite()) {
         point.rectified_px = moved_px;

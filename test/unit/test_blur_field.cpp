@@ -156,6 +156,31 @@ TEST(ClassifyPath, AStepOfTheSpeedDepartsByAQuarterOfTheDifference) {
   }
 }
 
+// A point that speeds up along a line and leaves it along a flat bow.
+TEST(ClassifyPath, SaysWhereTheImageShowsThePoint) {
+  const Eigen::Vector2d way(std::cos(0.4), std::sin(0.4)), across(-way.y(), way.x());
+  const auto blur_of = [&](double gain_px, double bow_px) {
+    return classify_path(path_of([&](double t) -> Eigen::Vector2d {
+                           return (40 * t + 4 * gain_px * t * t) * way + 4 * bow_px * t * t * across;
+                         }),
+                         {});
+  };
+  // The mean of 4 t^2 over nine instants, evenly in between, as against 1 / 3.
+  constexpr double kMean = (1 / 2.0 + 2 * (9 + 4 + 1) / 16.0 + 1 / 2.0) / 8;
+  BlockBlur even = blur_of(1.5, 0.9);
+  ASSERT_EQ(even.status, BlockStatus::DEBLURRED);
+  ASSERT_FALSE(even.uneven_path_px);
+  EXPECT_LT((even.shown_offset_px() - (1.5 * way + kMean * 0.9 * across)).norm(), 1e-4);
+  even.status = BlockStatus::SHARP;
+  EXPECT_LT((even.shown_offset_px() - kMean * (1.5 * way + 0.9 * across)).norm(), 1e-4);
+  const BlockBlur uneven = blur_of(6, 0.9);
+  ASSERT_EQ(uneven.status, BlockStatus::DEBLURRED);
+  ASSERT_TRUE(uneven.uneven_path_px);
+  // Its line is fitted to the places, so that it is a little off the way.
+  EXPECT_LT((uneven.shown_offset_px() - kMean * 0.9 * across).norm(), 0.1);
+  EXPECT_EQ(uniform_blur_field(64, 64, 1, 20, {}).blocks[0].shown_offset_px(), Eigen::Vector2d::Zero());
+}
+
 TEST(ClassifyPath, ThereAndBackCoversTheLineOnce) {
   const BlockBlur blur = classify_path(path_of([](double t) { return Eigen::Vector2d(0, 80 * t * t); }), {});
   EXPECT_NEAR(blur.extent_px, 20, 1e-4);

@@ -175,6 +175,24 @@ TEST(RectifyPointsByStatus, EachPointFollowsItsOwnBlock) {
   EXPECT_TRUE(result[1].rectified);
 }
 
+TEST(RectifyPointsByStatus, StartsWhereTheSceneWasNotWhereItIsShown) {
+  const Camera camera(euroc());
+  const RowExposure exposure(0, kRows, timing(30 * kMs));
+  const AnalyticMotion motion = AnalyticMotion::handshake();
+  const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);
+  BlurField field = field_of(BlockStatus::DEBLURRED);
+  const Eigen::Vector2d raw(100, 20), offset(3, 0);  // along the row, which keeps its time
+  const Eigen::Vector2d expected =
+      rectify_points({raw - offset}, field, camera, motion, exposure, reference_ns)[0].rectified_px;
+  BlockBlur& block = field.blocks[field.grid.index_at(raw.x(), raw.y())];
+  block.angle_rad = 0;
+  block.chord_middle_px = offset.cast<float>();
+  EXPECT_LT((rectify_points({raw}, field, camera, motion, exposure, reference_ns)[0].rectified_px - expected).norm(),
+            1e-9);
+  block.status = BlockStatus::REJECTED;
+  EXPECT_EQ(rectify_points({raw}, field, camera, motion, exposure, reference_ns)[0].rectified_px, raw);
+}
+
 TEST(RectifyPointsByStatus, UncoveredTimesLeavePointsAlone) {
   const Camera camera(euroc());
   const RowExposure exposure(0, kRows, timing(48 * kMs));  // 0.1 ms a row
