@@ -18,6 +18,9 @@ namespace {
 // Closer to a pixel than this counts as on it: cos(pi / 2) is not quite 0.
 constexpr double kOnPixel = 1e-6;
 
+// Of places within a path of 500 px as floats.
+constexpr double kRounding = 1e-3;
+
 /// Weights of the two grid points on either side of a position; they sum to one.
 struct LinearSplat {
   int index;            // of the lower point
@@ -44,14 +47,20 @@ void set_filters(const std::vector<const BlockBlur*>& blurs, double scale, const
   run_parallel(count, kDefaultThreads, kBlocksAtATime, [&](int i) {
     const BlockBlur& blur = *blurs[i];
     grid.blocks[i].angle_rad = blur.angle_rad;
-    const double extent_px = blur.extent_px * scale;
-    if (blur.status != BlockStatus::DEBLURRED || extent_px < kMinKernelExtentPx) return;
+    if (blur.status != BlockStatus::DEBLURRED) return;
     if (!blur.uneven_path_px) {
-      grid.blocks[i].kernel = &bank.kernel(extent_px);
+      const double extent_px = blur.extent_px * scale;
+      if (extent_px >= kMinKernelExtentPx) grid.blocks[i].kernel = &bank.kernel(extent_px);
       return;
     }
     LinePath path_px = *blur.uneven_path_px;
     for (float& place_px : path_px) place_px *= static_cast<float>(scale);
+    // Not extent_px: rounded on its own, it may lie on the other side of a limit.
+    const double extent_px = extent_of(path_px);
+    if (extent_px < kMinKernelExtentPx) return;
+    if (extent_px > kMaxKernelExtentPx) {
+      for (float& place_px : path_px) place_px *= static_cast<float>((kMaxKernelExtentPx - kRounding) / extent_px);
+    }
     grid.own_kernels[i] = std::make_shared<const LineKernel>(wiener_kernel(path_px, bank.options()));
     grid.blocks[i].kernel = grid.own_kernels[i].get();
   });

@@ -20,6 +20,12 @@ double smoothing(int k, int size, const KernelOptions& options) {
   return std::exp(-0.5 * x * x);
 }
 
+/// Taps that hold the inverse of a blur of `extent_px` and the Gaussian it is smoothed with, three sigma on either
+/// side.
+double needed_length(double extent_px, const KernelOptions& options) {
+  return options.length_factor * extent_px + 6 * options.smoothing_px;
+}
+
 }  // namespace
 
 std::vector<double> box_blur_kernel(double extent_px, int length) {
@@ -62,7 +68,7 @@ LineKernel wiener_kernel(double extent_px, const KernelOptions& options) {
   options.validate();
   require_range("extent", extent_px, kMinKernelExtentPx, kMaxKernelExtentPx, "px");
 
-  const int length = next_odd(options.length_factor * extent_px);
+  const int length = next_odd(needed_length(extent_px, options));
   const int radius = length / 2;
   const std::vector<double> box = box_blur_kernel(extent_px, length);
 
@@ -98,7 +104,7 @@ LineKernel wiener_kernel(const LinePath& path_px, const KernelOptions& options) 
 
   double reach_px = 0;
   for (const float place_px : path_px) reach_px = std::max<double>(reach_px, std::abs(place_px));
-  const double needed = std::max(options.length_factor * extent_px, 2 * reach_px + 3);
+  const double needed = std::max(needed_length(extent_px, options), 2 * reach_px + 3);
   const int size = cv::getOptimalDFTSize(next_odd(needed) + 1);
   const int length = size % 2 == 0 ? size - 1 : size, radius = length / 2;
   const std::vector<double> blur = path_blur_kernel(path_px, length);

@@ -1,5 +1,6 @@
 #include "gyro_deblur/deconvolution.hpp"
 
+#include <array>
 #include <cmath>
 #include <optional>
 #include <string>
@@ -58,6 +59,52 @@ TEST(Deconvolve, FollowsAnUnevenPathInItsDirection) {
       EXPECT_GT(with_path, test::psnr_db(blurred(inner), sharp(inner)) + 5) << engine << ' ' << degrees;
       EXPECT_GT(with_path, restored(blurred, angle_rad, reversed, engine) + 5) << engine << ' ' << degrees;
       EXPECT_GT(with_path, restored(blurred, angle_rad, std::nullopt, engine) + 3) << engine << ' ' << degrees;
+    }
+  }
+}
+
+// At the limit of evenness a box restores the point far from where it was at the middle of the exposure.
+TEST(Deconvolve, ShowsAPointWhereItsBlockSays) {
+  constexpr int kSide = 320;
+  constexpr double kSigmaPx = 2.5;
+  const cv::Point2d center(kSide / 2.0, kSide / 2.0);
+  cv::Mat blob(kSide, kSide, CV_64F);
+  for (int y = 0; y < kSide; ++y) {
+    for (int x = 0; x < kSide; ++x) {
+      const double r2 = std::pow(x - center.x, 2) + std::pow(y - center.y, 2);
+      blob.at<double>(y, x) = 20 + 200 * std::exp(-r2 / (2 * kSigmaPx * kSigmaPx));
+    }
+  }
+  const double angle_rad = radians(25);
+  const Eigen::Vector2d line(std::cos(angle_rad), std::sin(angle_rad));
+  for (const double extent_px : {20.0, 40.0, 60.0}) {
+    for (const double share : {0.9, 1.3}) {  // of what still counts as even
+      const double gain_px = share * 2 * even_path_px(extent_px);
+      std::array<Eigen::Vector2d, kPathInstants> path_px;
+      LinePath along_px;
+      for (int k = 0; k < kPathInstants; ++k) {
+        const double t = k / (kPathInstants - 1.0) - 0.5;
+        along_px[k] = static_cast<float>(extent_px * t + 4 * gain_px * t * t);
+        path_px[k] = along_px[k] * line;
+      }
+      const BlockBlur blur = classify_path(path_px, {});
+      ASSERT_EQ(blur.uneven_path_px.has_value(), share > 1);
+      BlurField field = uniform_blur_field(kSide, kSide, angle_rad, extent_px, {});
+      field.blocks.assign(field.blocks.size(), blur);
+      cv::Mat blurred, restored;
+      test::blur_along_path(blob, angle_rad, along_px).convertTo(blurred, CV_8U);
+      const KernelBank bank{KernelOptions{}};
+      deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_line_convolver("cpu"), restored);
+      // The peak of what is left of the blob at its own size, between pixels along the line.
+      cv::Mat smooth;
+      restored.convertTo(smooth, CV_64F);
+      cv::GaussianBlur(smooth, smooth, {}, kSigmaPx);
+      cv::Point peak;
+      cv::minMaxLoc(smooth, nullptr, nullptr, nullptr, &peak);
+      const Eigen::Vector2d shown = blur.shown_offset_px();
+      EXPECT_LT(std::hypot(peak.x - center.x - shown.x(), peak.y - center.y - shown.y()), 1.0)
+          << extent_px << ' ' << share << ": found " << peak.x - center.x << ", " << peak.y - center.y << ", expected "
+          << shown.transpose();
     }
   }
 }

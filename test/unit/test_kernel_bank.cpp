@@ -5,6 +5,7 @@
 #include <limits>
 #include <numeric>
 #include <thread>
+#include <utility>
 
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
@@ -77,15 +78,23 @@ TEST(PathBlurKernel, IsTheTimeInEachPixel) {
 }
 
 TEST(WienerKernel, IsSmoothedByAGaussian) {
-  KernelOptions options, smoothed = options;
-  smoothed.smoothing_px = 1.7;
-  const LineKernel plain = wiener_kernel(20.0, options), kernel = wiener_kernel(20.0, smoothed);
-  ASSERT_EQ(plain.taps.size(), kernel.taps.size());
-  EXPECT_EQ(kernel.box_extent_px, 0) << "no jumps are left";
-  const int n = static_cast<int>(kernel.taps.size());
-  for (int k = 0; k <= n / 2; ++k) {
-    const double x = 2 * CV_PI * 1.7 * k / n;
-    EXPECT_NEAR(transform(kernel.taps, k), std::exp(-0.5 * x * x) * transform(plain.taps, k), 1e-4) << k;
+  // The second has more of a Gaussian than of an inverse.
+  for (const auto& [extent_px, smoothing_px] : {std::pair(20.0, 1.7), std::pair(3.0, 5.0)}) {
+    KernelOptions options;
+    options.smoothing_px = smoothing_px;
+    const LineKernel kernel = wiener_kernel(extent_px, options);
+    EXPECT_EQ(kernel.box_extent_px, 0) << "no jumps are left";
+    const int n = static_cast<int>(kernel.taps.size());
+    EXPECT_GE(n, options.length_factor * extent_px + 6 * smoothing_px);
+    if (smoothing_px > extent_px) {
+      EXPECT_LT(std::abs(kernel.taps.front()), 0.02 * kernel.taps[n / 2]);
+    }
+    const std::vector<double> box = box_blur_kernel(extent_px, n);
+    for (int k = 0; k <= n / 2; ++k) {
+      const double x = 2 * CV_PI * smoothing_px * k / n, H = transform(box, k);
+      const double inverse = H * (1 + options.gamma) / (H * H + options.gamma);
+      EXPECT_NEAR(transform(kernel.taps, k), std::exp(-0.5 * x * x) * inverse, 1e-4) << extent_px << ' ' << k;
+    }
   }
 }
 
