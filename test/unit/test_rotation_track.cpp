@@ -69,6 +69,19 @@ TEST(RotationTrack, ConstantRateIsExactBetweenSamplesToo) {
   }
 }
 
+// Half-way between two samples a steady acceleration has turned by less than half of the angle.
+TEST(RotationTrack, RateIsLinearBetweenSamples) {
+  constexpr double kAcceleration = 100;  // [rad/s^2]
+  std::vector<GyroSample> samples;
+  for (int k = 0; k <= 10; ++k) samples.push_back({k * 10 * kMs, Eigen::Vector3d(0, kAcceleration * 0.01 * k, 0)});
+  const RotationTrack track(samples, {}, kIdentity);
+  for (TimeNs t = 0; t <= 100 * kMs; t += 2'500'000) {
+    const double turned_rad = 0.5 * kAcceleration * to_seconds(t) * to_seconds(t);
+    const Eigen::Matrix3d R_0_t = Eigen::AngleAxisd(turned_rad, Eigen::Vector3d::UnitY()).toRotationMatrix();
+    EXPECT_LT(rotation_distance(track.orientation(t).toRotationMatrix(), R_0_t), 1e-9) << t;
+  }
+}
+
 TEST(RotationTrack, FollowsAHandshake) {
   const AnalyticMotion motion = AnalyticMotion::handshake();
   const RotationTrack track(motion.sample({0, 1000 * kMs}, 5 * kMs), {}, kIdentity);
