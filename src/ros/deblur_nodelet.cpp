@@ -459,7 +459,7 @@ bool DeblurNodelet::on_reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Res
   processor_->reset();
   wake_worker();
   response.success = true;
-  response.message = "gyroscope samples, waiting frames and an estimated bias are forgotten";
+  response.message = "gyroscope samples and an estimated bias are forgotten, waiting frames pass through";
   NODELET_INFO_STREAM("reset: " << response.message);
   return true;
 }
@@ -575,6 +575,25 @@ void DeblurNodelet::fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper
       status.mergeSummaryf(DiagnosticStatus::WARN, "%zu frames passed through: %s; %s", fresh, to_string(reason),
                            remedy(reason));
     }
+  }
+  for (const auto& [block_status, count] : now.blocks) {
+    status.add(std::string("blocks, ") + to_string(block_status), count);
+  }
+  const auto fresh_blocks = [&](BlockStatus block_status) {
+    const auto count = [block_status](const ProcessorStatistics& statistics) {
+      const auto found = statistics.blocks.find(block_status);
+      return found == statistics.blocks.end() ? 0 : found->second;
+    };
+    return count(now) - count(last_statistics_);
+  };
+  const std::size_t rejected = fresh_blocks(BlockStatus::REJECTED),
+                    judged = rejected + fresh_blocks(BlockStatus::DEBLURRED);
+  if (2 * rejected > judged) {
+    status.mergeSummaryf(
+        DiagnosticStatus::WARN,
+        "%zu of %zu blurred blocks rejected: the images contradict the predicted blur; check R_cam_imu, "
+        "time_offset and exposure_time with blur_overlay",
+        rejected, judged);
   }
   status.add("cameras on this gyroscope", imu_->listeners());
   status.add("imu dropped, not finite", now.imu_not_finite);

@@ -612,6 +612,9 @@ void Processor::advance(const Sink& sink, bool finishing) {
       --in_progress_;
       ++statistics_.frames_out;
       if (output.reason != PassThroughReason::NONE) ++statistics_.passed_through[output.reason];
+      if (output.field) {
+        for (const BlockBlur& block : output.field->blocks) ++statistics_.blocks[block.status];
+      }
       if (output.translated) ++statistics_.frames_translated;
       if (!output.translation_text.empty()) {
         ++statistics_.frames_not_translated;

@@ -72,6 +72,7 @@ struct ProcessorStatistics : ImuStatistics {
   std::size_t frames_in = 0;
   std::size_t frames_out = 0;
   std::map<PassThroughReason, std::size_t> passed_through;
+  std::map<BlockStatus, std::size_t> blocks;  ///< of the frames that were not passed through
   std::size_t odometry_refused = 0;
   std::size_t frames_translated = 0;      ///< whose blur field has the odometry's translation
   std::size_t frames_not_translated = 0;  ///< without, though an odometry is there
