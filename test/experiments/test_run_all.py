@@ -54,8 +54,10 @@ class RunAll(unittest.TestCase):
     def test_real_world_table(self):
         with open(self.out / "real_world" / "real_world.csv") as file:
             rows = {row["method"]: row for row in csv.DictReader(file) if row["ground_truth"] == "truth"}
-        self.assertEqual(set(rows), {"dog", "pretto", "proposed"})
-        self.assertGreater(float(rows["proposed"]["repeatability"]), 1.5 * float(rows["dog"]["repeatability"]))
+        self.assertEqual(set(rows), {"dog", "pretto", "proposed", "dog_smoothed", "proposed_smoothed"})
+        for kind in ("", "_smoothed"):
+            self.assertGreater(float(rows["proposed" + kind]["repeatability"]),
+                               1.5 * float(rows["dog" + kind]["repeatability"]), kind)
         self.assertLess(float(rows["proposed"]["error_px"]), float(rows["dog"]["error_px"]))
         # The protocol takes motion for even over two frames, which shake is not.
         self.assertLess(float(rows["proposed"]["protocol_error_px"]), 25)
