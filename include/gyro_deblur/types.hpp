@@ -40,7 +40,7 @@ enum class BlockStatus : std::uint8_t {
   REJECTED = 2,   ///< the image contradicts the predicted blur: copied unchanged, keypoints not rectified
   TOO_LARGE = 3,  ///< extent above max_extent_px: copied unchanged
   NO_GYRO = 4,    ///< no usable gyroscope samples for this block's exposure: copied unchanged
-  BENT = 5,       ///< the path within the exposure leaves a straight line by more than max_bend: copied unchanged
+  BENT = 5,       ///< the path leaves a straight line by more than max_bend and 2 % of the extent: copied unchanged
 };
 
 /// Why a whole frame was passed through unchanged. Values equal the constants of gyro_deblur/BlurField.msg.
