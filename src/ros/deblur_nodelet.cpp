@@ -101,6 +101,8 @@ void DeblurNodelet::Latency::add(double ms) {
 }
 
 DeblurNodelet::~DeblurNodelet() {
+  // First of all: a change of parameters may subscribe anew.
+  reconfigure_.reset();
   // Shutting a subscription down waits for its callback in progress; after this no callback runs any more.
   if (imu_) imu_->stop_listening(this);
   exposure_subscriber_.shutdown();
@@ -109,7 +111,6 @@ DeblurNodelet::~DeblurNodelet() {
   diagnostics_timer_.stop();
   reset_service_.shutdown();
   bias_service_.shutdown();
-  reconfigure_.reset();
   tf_subscriber_.shutdown();
   tf_static_subscriber_.shutdown();
   image_transport::Subscriber image_subscriber;

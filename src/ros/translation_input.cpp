@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
+#include <iterator>
 #include <sstream>
 
 #include "ros/conversions.hpp"
@@ -50,9 +51,13 @@ std::optional<RefusedMessage> TranslationInput::add(const nav_msgs::Odometry& od
     }
     sample.velocity_m_s = R_parent_body.normalized().conjugate() * sample.velocity_m_s;
   }
-  // Some stacks name the world in both places; what they estimate is the pose of the IMU.
-  body_frame_ = odometry.child_frame_id == odometry.header.frame_id ? std::string() : odometry.child_frame_id;
-  return velocities_.add(sample, config.time_jump_ns, kMaxVelocities);
+  const std::optional<RefusedMessage> refused = velocities_.add(sample, config.time_jump_ns, kMaxVelocities);
+  // Only a message that was taken says whose velocity it is. Some stacks name the world in both places; what they
+  // estimate is the pose of the IMU.
+  if (std::prev(velocities_.end())->t_ns == sample.t_ns) {
+    body_frame_ = odometry.child_frame_id == odometry.header.frame_id ? std::string() : odometry.child_frame_id;
+  }
+  return refused;
 }
 
 std::optional<RefusedMessage> TranslationInput::add(const sensor_msgs::Range& depth, const Config& config) {

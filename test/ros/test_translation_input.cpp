@@ -19,10 +19,10 @@ class TranslationInputTest : public testing::Test {
  protected:
   TranslationInputTest() { config_.translation.scene_depth_m = 2; }
 
-  void add_odometry(TimeNs stamp_ns) {
+  void add_odometry(TimeNs stamp_ns, const std::string& body_frame = kImuFrame) {
     nav_msgs::Odometry message;
     message.header.stamp = to_ros_time(stamp_ns);
-    message.child_frame_id = kImuFrame;
+    message.child_frame_id = body_frame;
     note(input_.add(message, config_));
   }
   void add_depth(TimeNs stamp_ns, float depth_m) {
@@ -72,6 +72,12 @@ TEST_F(TranslationInputTest, AStrayStampCostsOneOdometryAlone) {
     EXPECT_EQ(refused_ns_, std::vector<TimeNs>{kStart + 10 * kPeriod + off_ns});
     EXPECT_EQ(velocity_stamps(kStart + 19 * kPeriod), right_ns) << "off by " << off_ns;
   }
+}
+
+TEST_F(TranslationInputTest, AStrayMessageDoesNotChangeTheBody) {
+  for (int i = 0; i < 20; ++i) add_odometry(kStart + i * kPeriod);
+  add_odometry(kStart, "a_body_without_transform");
+  EXPECT_EQ(velocity_stamps(kStart + 19 * kPeriod).back(), kStart + 19 * kPeriod);
 }
 
 TEST_F(TranslationInputTest, AStrayStampCostsOneDepthAlone) {
