@@ -85,13 +85,15 @@ void kernel_on_major_axis(const LineKernel& kernel, double major, std::vector<fl
 void require_convolvable(const cv::Mat& src, const FilterGrid& grid);
 
 /// The filters that deblur `field`: for DEBLURRED blocks of at least kMinKernelExtentPx the bank's kernels, or own ones
-/// where the path is uneven; none for the others. Lives no longer than the bank.
-FilterGrid make_filter_grid(const BlurField& field, const KernelBank& bank);
+/// where the path is uneven, made on `threads` OpenMP threads (0: OpenMP's default); none for the others. Lives no
+/// longer than the bank.
+FilterGrid make_filter_grid(const BlurField& field, const KernelBank& bank, int threads = 0);
 
 /// Deblurs the DEBLURRED blocks of `field` and copies the rest bit for bit; alpha is copied; Bayer mosaics are filtered
 /// plane by plane with half the extent.
-/// Preconditions: image has the field's size and a type that fits `layout`. `dst` as for LineConvolver::convolve.
+/// Preconditions: image has the field's size and a type that fits `layout`. `dst` as for LineConvolver::convolve,
+/// `threads` as for make_filter_grid.
 void deconvolve(const cv::Mat& image, PixelLayout layout, const BlurField& field, const KernelBank& bank,
-                LineConvolver& engine, cv::Mat& dst);
+                LineConvolver& engine, cv::Mat& dst, int threads = 0);
 
 }  // namespace gyro_deblur

@@ -30,7 +30,7 @@ struct PipelineOptions {
   KeypointOptions keypoints;
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
   std::string backend = "auto";  ///< see make_line_convolver
-  int threads = 0;               ///< of the engine; 0: OpenMP's default; [0, 256]
+  int threads = 0;               ///< of validation, kernels and engine; 0: OpenMP's default; [0, 256]
 
   void validate() const;  ///< throws OptionError
 };

@@ -102,7 +102,8 @@ double steepest_box_px(const BlockBlur& blur) {
   return std::min<double>(blur.extent_px, kWindowPx / most);
 }
 
-BlurField validate_blur_field(const BlurField& field, const cv::Mat& luminance, const ValidationOptions& options) {
+BlurField validate_blur_field(const BlurField& field, const cv::Mat& luminance, const ValidationOptions& options,
+                              int threads) {
   options.validate();
   if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
       luminance.rows != field.grid.height_px()) {
@@ -111,8 +112,8 @@ BlurField validate_blur_field(const BlurField& field, const cv::Mat& luminance, 
   }
   BlurField validated = field;
   if (!options.enabled) return validated;
-  constexpr int kDefaultThreads = 0, kBlocksAtATime = 8;
-  run_parallel(field.grid.size(), kDefaultThreads, kBlocksAtATime, [&](int i) {
+  constexpr int kBlocksAtATime = 8;
+  run_parallel(field.grid.size(), threads, kBlocksAtATime, [&](int i) {
     BlockBlur& block = validated.blocks[i];
     if (block.status != BlockStatus::DEBLURRED) return;
     if (max_gradient_along(luminance, field.grid.rect(i), block.angle_rad) >

@@ -39,12 +39,13 @@ struct LinearSplat {
 };
 
 /// Sets the filters of `grid` for the blocks `blurs`, whose lengths count `scale` times.
-void set_filters(const std::vector<const BlockBlur*>& blurs, double scale, const KernelBank& bank, FilterGrid& grid) {
+void set_filters(const std::vector<const BlockBlur*>& blurs, double scale, const KernelBank& bank, int threads,
+                 FilterGrid& grid) {
   const int count = static_cast<int>(blurs.size());
   grid.blocks.assign(count, {});
   grid.own_kernels.assign(count, nullptr);
-  constexpr int kDefaultThreads = 0, kBlocksAtATime = 16;
-  run_parallel(count, kDefaultThreads, kBlocksAtATime, [&](int i) {
+  constexpr int kBlocksAtATime = 16;
+  run_parallel(count, threads, kBlocksAtATime, [&](int i) {
     const BlockBlur& blur = *blurs[i];
     grid.blocks[i].angle_rad = blur.angle_rad;
     if (blur.status != BlockStatus::DEBLURRED) return;
@@ -97,7 +98,7 @@ std::unique_ptr<LineConvolver> make_opencl_with_fallback(const std::string& devi
 /// Filters the four planes of a Bayer mosaic. Each samples the image at every second pixel from (px, py), so direction
 /// stays, extent halves, and block borders (even, because block sizes are) fall between samples.
 void deconvolve_bayer(const cv::Mat& mosaic, const BlurField& field, const KernelBank& bank, LineConvolver& engine,
-                      cv::Mat& dst) {
+                      int threads, cv::Mat& dst) {
   mosaic.copyTo(dst);
   const std::size_t pixel_bytes = mosaic.elemSize();
   cv::Mat plane, filtered;
@@ -120,7 +121,7 @@ void deconvolve_bayer(const cv::Mat& mosaic, const BlurField& field, const Kerne
       for (const int row : rows.indices) {
         for (const int col : cols.indices) blurs.push_back(&field.blocks[row * block_cols + col]);
       }
-      set_filters(blurs, 0.5, bank, grid);
+      set_filters(blurs, 0.5, bank, threads, grid);
       if (!filters_anything(grid)) continue;
 
       plane.create(size, mosaic.type());
@@ -259,19 +260,19 @@ std::unique_ptr<LineConvolver> make_line_convolver(const std::string& backend, i
                     "\" is unknown; available: auto, cpu, reference, opencl, opencl:INDEX, opencl:NAME");
 }
 
-FilterGrid make_filter_grid(const BlurField& field, const KernelBank& bank) {
+FilterGrid make_filter_grid(const BlurField& field, const KernelBank& bank, int threads) {
   const int cols = field.grid.cols();
   FilterGrid grid{{0}, {0}, {}};
   for (int col = 0; col < cols; ++col) grid.x.push_back(field.grid.rect(col).br().x);
   for (int row = 0; row < field.grid.rows(); ++row) grid.y.push_back(field.grid.rect(row * cols).br().y);
   std::vector<const BlockBlur*> blurs;
   for (const BlockBlur& blur : field.blocks) blurs.push_back(&blur);
-  set_filters(blurs, 1.0, bank, grid);
+  set_filters(blurs, 1.0, bank, threads, grid);
   return grid;
 }
 
 void deconvolve(const cv::Mat& image, PixelLayout layout, const BlurField& field, const KernelBank& bank,
-                LineConvolver& engine, cv::Mat& dst) {
+                LineConvolver& engine, cv::Mat& dst, int threads) {
   if (image.cols != field.grid.width_px() || image.rows != field.grid.height_px()) {
     throw std::invalid_argument("image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
                                 " px does not fit a blur field of " + std::to_string(field.grid.width_px()) + "x" +
@@ -286,11 +287,11 @@ void deconvolve(const cv::Mat& image, PixelLayout layout, const BlurField& field
     return;
   }
   if (is_bayer(layout)) {
-    deconvolve_bayer(image, field, bank, engine, dst);
+    deconvolve_bayer(image, field, bank, engine, threads, dst);
     return;
   }
 
-  const FilterGrid grid = make_filter_grid(field, bank);
+  const FilterGrid grid = make_filter_grid(field, bank, threads);
   if (image.channels() < 4) {
     engine.convolve(image, grid, dst);
     return;

@@ -121,14 +121,14 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {
     const Stopwatch watch;
     luminance = luminance8(image, layout);
-    result.field = validate_blur_field(result.field, luminance, options_.validation);
+    result.field = validate_blur_field(result.field, luminance, options_.validation, options_.threads);
     result.times.validation_ms = watch.ms();
   }
 
   const bool anything_to_deblur = result.field.count(BlockStatus::DEBLURRED) > 0;
   if (request.image && anything_to_deblur) {
     const Stopwatch watch;
-    deconvolve(image, layout, result.field, *bank_, *engine_, result.image);
+    deconvolve(image, layout, result.field, *bank_, *engine_, result.image, options_.threads);
     result.times.deconvolution_ms = watch.ms();
   }
   if (!request.keypoints && !request.luminance) return result;
@@ -143,7 +143,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     if (anything_to_deblur) {
       const Stopwatch watch;
       cv::Mat deblurred;
-      deconvolve(luminance, PixelLayout::GRAY, result.field, *bank_, *engine_, deblurred);
+      deconvolve(luminance, PixelLayout::GRAY, result.field, *bank_, *engine_, deblurred, options_.threads);
       luminance = deblurred;
       result.times.deconvolution_ms += watch.ms();
     }
