@@ -38,33 +38,39 @@ struct LinearSplat {
   }
 };
 
-/// Sets the filters of `grid` for the blocks `blurs`, whose lengths count `scale` times.
-void set_filters(const std::vector<const BlockBlur*>& blurs, double scale, const KernelBank& bank, int threads,
-                 FilterGrid& grid) {
-  const int count = static_cast<int>(blurs.size());
-  grid.blocks.assign(count, {});
-  grid.own_kernels.assign(count, nullptr);
+using OwnKernels = std::vector<std::shared_ptr<const LineKernel>>;
+
+/// Kernels of the blocks whose path is uneven, with lengths counted `scale` times; null for the others.
+OwnKernels uneven_kernels(const BlurField& field, double scale, const KernelBank& bank, int threads) {
+  OwnKernels kernels(field.blocks.size());
   constexpr int kBlocksAtATime = 16;
-  run_parallel(count, threads, kBlocksAtATime, [&](int i) {
-    const BlockBlur& blur = *blurs[i];
-    grid.blocks[i].angle_rad = blur.angle_rad;
-    if (blur.status != BlockStatus::DEBLURRED) return;
-    if (!blur.uneven_path_px) {
-      const double extent_px = blur.extent_px * scale;
-      if (extent_px >= kMinKernelExtentPx) grid.blocks[i].kernel = &bank.kernel(extent_px);
-      return;
-    }
+  run_parallel(static_cast<int>(kernels.size()), threads, kBlocksAtATime, [&](int i) {
+    const BlockBlur& blur = field.blocks[i];
+    if (blur.status != BlockStatus::DEBLURRED || !blur.uneven_path_px) return;
     LinePath path_px = *blur.uneven_path_px;
     for (float& place_px : path_px) place_px *= static_cast<float>(scale);
-    // Not extent_px: rounded on its own, it may lie on the other side of a limit.
+    // Not blur.extent_px: rounded on its own, it may lie on the other side of a limit.
     const double extent_px = extent_of(path_px);
     if (extent_px < kMinKernelExtentPx) return;
     if (extent_px > kMaxKernelExtentPx) {
       for (float& place_px : path_px) place_px *= static_cast<float>((kMaxKernelExtentPx - kRounding) / extent_px);
     }
-    grid.own_kernels[i] = std::make_shared<const LineKernel>(wiener_kernel(path_px, bank.options()));
-    grid.blocks[i].kernel = grid.own_kernels[i].get();
+    kernels[i] = std::make_shared<const LineKernel>(wiener_kernel(path_px, bank.options()));
   });
+  return kernels;
+}
+
+/// Appends to `grid` the filter of a block of `field`, whose lengths count `scale` times.
+void add_filter(const BlurField& field, int block, double scale, const KernelBank& bank, const OwnKernels& uneven,
+                FilterGrid& grid) {
+  const BlockBlur& blur = field.blocks[block];
+  BlockFilter filter{blur.angle_rad, uneven[block].get()};
+  const double extent_px = blur.extent_px * scale;
+  if (blur.status == BlockStatus::DEBLURRED && !blur.uneven_path_px && extent_px >= kMinKernelExtentPx) {
+    filter.kernel = &bank.kernel(extent_px);
+  }
+  grid.blocks.push_back(filter);
+  grid.own_kernels.push_back(uneven[block]);
 }
 
 bool filters_anything(const FilterGrid& grid) {
@@ -101,6 +107,7 @@ void deconvolve_bayer(const cv::Mat& mosaic, const BlurField& field, const Kerne
                       int threads, cv::Mat& dst) {
   mosaic.copyTo(dst);
   const std::size_t pixel_bytes = mosaic.elemSize();
+  const OwnKernels uneven = uneven_kernels(field, 0.5, bank, threads);
   cv::Mat plane, filtered;
   for (int py = 0; py < 2; ++py) {
     for (int px = 0; px < 2; ++px) {
@@ -117,11 +124,9 @@ void deconvolve_bayer(const cv::Mat& mosaic, const BlurField& field, const Kerne
         rows.add(row, samples_before(field.grid.rect(row * block_cols).br().y, py));
       }
       FilterGrid grid{cols.borders, rows.borders, {}};
-      std::vector<const BlockBlur*> blurs;
       for (const int row : rows.indices) {
-        for (const int col : cols.indices) blurs.push_back(&field.blocks[row * block_cols + col]);
+        for (const int col : cols.indices) add_filter(field, row * block_cols + col, 0.5, bank, uneven, grid);
       }
-      set_filters(blurs, 0.5, bank, threads, grid);
       if (!filters_anything(grid)) continue;
 
       plane.create(size, mosaic.type());
@@ -265,9 +270,8 @@ FilterGrid make_filter_grid(const BlurField& field, const KernelBank& bank, int 
   FilterGrid grid{{0}, {0}, {}};
   for (int col = 0; col < cols; ++col) grid.x.push_back(field.grid.rect(col).br().x);
   for (int row = 0; row < field.grid.rows(); ++row) grid.y.push_back(field.grid.rect(row * cols).br().y);
-  std::vector<const BlockBlur*> blurs;
-  for (const BlockBlur& blur : field.blocks) blurs.push_back(&blur);
-  set_filters(blurs, 1.0, bank, threads, grid);
+  const OwnKernels uneven = uneven_kernels(field, 1.0, bank, threads);
+  for (int i = 0; i < field.grid.size(); ++i) add_filter(field, i, 1.0, bank, uneven, grid);
   return grid;
 }
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include <gtest/gtest.h>
 
@@ -363,12 +364,21 @@ TEST(Deconvolve, CopiesAlphaAndFiltersColoursAlike) {
 TEST(Deconvolve, FiltersBayerPlanesWithHalfTheExtent) {
   const KernelBank bank({});
   const auto engine = make_line_convolver("reference");
-  for (const cv::Size size : {cv::Size(128, 128), cv::Size(131, 97), cv::Size(129, 65)}) {
+  constexpr LinePath kPath{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15};
+  LinePath half_path = kPath;
+  for (float& place_px : half_path) place_px /= 2;
+  const auto blur_field = [](const cv::Size& size, double extent_px, const std::optional<LinePath>& path_px) {
+    BlurFieldOptions options;
+    options.block_size_px = 1024;
+    BlurField field = uniform_blur_field(size.width, size.height, 0.5, extent_px, options);
+    field.blocks[0].uneven_path_px = path_px;
+    return field;
+  };
+  for (const auto& [size, uneven] : {std::pair(cv::Size(128, 128), false), std::pair(cv::Size(131, 97), false),
+                                     std::pair(cv::Size(129, 65), false), std::pair(cv::Size(131, 97), true)}) {
     for (const int type : {CV_8UC1, CV_16UC1}) {
       const cv::Mat mosaic = random_image(size.width, size.height, type, 6);
-      BlurFieldOptions options;
-      options.block_size_px = 1024;
-      const BlurField field = uniform_blur_field(size.width, size.height, 0.5, 18, options);
+      const BlurField field = blur_field(size, 21, uneven ? std::optional(kPath) : std::nullopt);
       cv::Mat dst;
       deconvolve(mosaic, PixelLayout::BAYER_GRBG, field, bank, *engine, dst);
       for (int py = 0; py < 2; ++py) {
@@ -384,9 +394,10 @@ TEST(Deconvolve, FiltersBayerPlanesWithHalfTheExtent) {
           };
           const cv::Mat plane = plane_of(mosaic);
           cv::Mat expected;
-          deconvolve(plane, PixelLayout::GRAY, uniform_blur_field(plane.cols, plane.rows, 0.5, 9, options), bank,
-                     *engine, expected);
-          EXPECT_TRUE(equal(expected, plane_of(dst))) << px << py << size;
+          deconvolve(plane, PixelLayout::GRAY,
+                     blur_field(plane.size(), 10.5, uneven ? std::optional(half_path) : std::nullopt), bank, *engine,
+                     expected);
+          EXPECT_TRUE(equal(expected, plane_of(dst))) << px << py << uneven;
         }
       }
     }
