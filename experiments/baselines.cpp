@@ -52,6 +52,13 @@ cv::Mat filter_periodic(const cv::Mat& image, const Gain& gain) {
 
 }  // namespace
 
+BlurField as_blurred(BlurField field) {
+  for (BlockBlur& block : field.blocks) {
+    if (block.status == BlockStatus::DEBLURRED) block.status = BlockStatus::SHARP;
+  }
+  return field;
+}
+
 cv::Mat deblur_in_space(const cv::Mat& image, const LineBlur& blur, const KernelOptions& options) {
   require_gray8(image);
   require_range("extent", blur.extent_px, kMinKernelExtentPx, kMaxKernelExtentPx, "px");

@@ -7,6 +7,7 @@
 #include <opencv2/core.hpp>
 #include <opencv2/features2d.hpp>
 
+#include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur::experiments {
@@ -16,6 +17,10 @@ struct LineBlur {
   double angle_rad = 0;  ///< x right, y down
   double extent_px = 0;  ///< >= 0
 };
+
+/// The field of the blurred image itself, for keypoints that are found there: DEBLURRED blocks are copied (SHARP), so
+/// that their points are rectified from the middle of the smear in time.
+BlurField as_blurred(BlurField field);
 
 /// The proposed method: the package's own deconvolution with one blur in every block. Image: CV_8UC1; the result, too.
 /// Throws OptionError for extents outside [kMinKernelExtentPx, kMaxKernelExtentPx].

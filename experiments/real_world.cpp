@@ -277,14 +277,15 @@ std::vector<cv::KeyPoint> moved(const std::vector<cv::KeyPoint>& keypoints, cons
 }
 
 /// As the package rectifies them, with the rotation and the blocks' status alone.
+/// @param field  of the image that they are found in
 std::vector<cv::KeyPoint> rectified(const std::vector<cv::KeyPoint>& keypoints, const Burst& burst,
-                                    const DeblurredMiddle& middle) {
+                                    const DeblurredMiddle& middle, const BlurField& field) {
   const Camera camera(burst.calibration);
   const RotationTrack track = rotation_track(burst);
   const RowExposure exposure = burst.exposure(MIDDLE);
   return moved(keypoints, middle.image.size(), [&](const cv::Point2f& pixel) {
-    const RectifiedPoint point = rectify_points({Eigen::Vector2d(pixel.x, pixel.y)}, middle.result.field, camera, track,
-                                                exposure, middle.result.reference_ns)[0];
+    const RectifiedPoint point = rectify_points({Eigen::Vector2d(pixel.x, pixel.y)}, field, camera, track, exposure,
+                                                middle.result.reference_ns)[0];
     return cv::Point2f(as_point(point.rectified_px));
   });
 }
@@ -336,8 +337,12 @@ void evaluate(const EvaluateArguments& arguments) {
     methods.push_back({"dog_smoothed", {detect_smoothed_dog(blurred1), detect_smoothed_dog(blurred2)}});
     methods.push_back({"proposed_smoothed", {detect_smoothed_dog(middle1.image), detect_smoothed_dog(middle2.image)}});
     for (const auto& [name, detected] : methods) {
+      const bool deblurred = name.rfind("proposed", 0) == 0;
+      const BlurField &field1 = middle1.result.field, &field2 = middle2.result.field;
       rectified_methods.push_back(
-          {name, {rectified(detected.first, first, middle1), rectified(detected.second, second, middle2)}});
+          {name,
+           {rectified(detected.first, first, middle1, deblurred ? field1 : as_blurred(field1)),
+            rectified(detected.second, second, middle2, deblurred ? field2 : as_blurred(field2))}});
     }
   }
   if (!arguments.given.empty()) {

@@ -12,6 +12,7 @@
 #include <CLI/CLI.hpp>
 #include <opencv2/imgcodecs.hpp>
 
+#include "baselines.hpp"
 #include "feature_files.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "sim/simulator.hpp"
@@ -110,8 +111,8 @@ void run(const Arguments& arguments) {
     Features blurred = extractor.extract(frame.image);
     drop_weak(blurred);
     write_features((output / "blurred" / name).string(), blurred,
-                   rectify_points(positions(blurred.keypoints), result.field, simulator.camera(), track, exposure,
-                                  result.reference_ns));
+                   rectify_points(positions(blurred.keypoints), as_blurred(result.field), simulator.camera(), track,
+                                  exposure, result.reference_ns));
     if (arguments.image_period > 0 && i % arguments.image_period == 0) {
       cv::imwrite((output / "images" / (name + "_blurred.png")).string(), frame.image);
       const cv::Mat& image = result.image.empty() ? frame.image : result.image;
