@@ -374,8 +374,14 @@ TEST(Deconvolve, FiltersBayerPlanesWithHalfTheExtent) {
     field.blocks[0].uneven_path_px = path_px;
     return field;
   };
-  for (const auto& [size, uneven] : {std::pair(cv::Size(128, 128), false), std::pair(cv::Size(131, 97), false),
-                                     std::pair(cv::Size(129, 65), false), std::pair(cv::Size(131, 97), true)}) {
+  struct Case {
+    cv::Size size;
+    bool uneven;
+  };
+  for (const Case& of :
+       {Case{{128, 128}, false}, Case{{131, 97}, false}, Case{{129, 65}, false}, Case{{131, 97}, true}}) {
+    const cv::Size size = of.size;
+    const bool uneven = of.uneven;
     for (const int type : {CV_8UC1, CV_16UC1}) {
       const cv::Mat mosaic = random_image(size.width, size.height, type, 6);
       const BlurField field = blur_field(size, 21, uneven ? std::optional(kPath) : std::nullopt);
