@@ -56,9 +56,9 @@ struct BlockBlur {
   Eigen::Vector2f mean_place_px = Eigen::Vector2f::Zero();
 
   /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
-  /// point into the middle of the line that it stands for (to within 0.4 px at the limit of evenness), the kernel of an
-  /// uneven path to where the point was; across the line, and where nothing is filtered, blur stays centred on its
-  /// mean.
+  /// point into the middle of the line that it stands for (to 0.4 px up to 60 px, at the limit of evenness), the kernel
+  /// of an uneven path to where the point was; across the line, and where nothing is filtered, blur stays centred on
+  /// its mean.
   Eigen::Vector2d shown_offset_px() const;
 };
 

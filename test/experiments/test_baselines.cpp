@@ -49,6 +49,16 @@ cv::Mat as8(const cv::Mat& image) {
   return out;
 }
 
+TEST(AsBlurred, CountsDeblurredBlocksAsCopied) {
+  BlurField field = uniform_blur_field(128, 64, 0.5, 20, {});
+  field.blocks[1].status = BlockStatus::REJECTED;
+  field.blocks[0].mean_place_px = {1, 2};
+  const BlurField blurred = as_blurred(field);
+  EXPECT_EQ(blurred.count(BlockStatus::DEBLURRED), 0u);
+  EXPECT_EQ(blurred.blocks[1].status, BlockStatus::REJECTED);
+  EXPECT_EQ(blurred.blocks[0].shown_offset_px(), Eigen::Vector2d(1, 2));
+}
+
 TEST(DeblurInFrequency, UndoesAPeriodicBlur) {
   // Of a wave the filter leaves (1 + gamma) H^2 / (H^2 + gamma), H = sinc(extent * frequency along the line).
   const cv::Size size(200, 100);
