@@ -138,7 +138,11 @@ cv::Mat restore_beyond_borders(const cv::Mat& image, const LineBlur& blur, const
   };
   // Filters as spectra. W is the paper's kernel, a spatial one of limited length; its centre goes to the origin.
   cv::Mat inverse = cv::Mat::zeros(size, CV_32F);
-  const LineKernel kernel = wiener_kernel(blur.extent_px, {options.gamma, options.length_factor});
+  KernelOptions kernel_options;
+  kernel_options.gamma = options.gamma;
+  kernel_options.length_factor = options.length_factor;
+  kernel_options.design = KernelDesign::FOURIER;
+  const LineKernel kernel = wiener_kernel(blur.extent_px, kernel_options);
   for (const KernelTap& tap : rotate_kernel(kernel, blur.angle_rad)) {
     const int u = ((tap.dx % size.width) + size.width) % size.width;
     const int v = ((tap.dy % size.height) + size.height) % size.height;

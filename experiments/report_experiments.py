@@ -25,6 +25,7 @@ STYLES = {
     "frequency domain": ("#9467bd", "--", "v"),
     "frequency domain, tapered": ("#8c564b", "--", "^"),
     "proposed": ("#d62728", "-", "o"),
+    "proposed, taps of the transform": ("#e377c2", "--", "o"),
     "beyond the paper": ("#ff7f0e", "-", "P"),
 }
 WRONG_LINES = ["-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1))]
@@ -71,7 +72,7 @@ def synthetic_ratios(synthetic):
     if "DoG" not in methods:
         return ""
     lines = []
-    for name in ("proposed", "beyond the paper"):
+    for name in ("proposed", "proposed, taps of the transform", "beyond the paper"):
         if name not in methods:
             continue
         own, dog = methods[name], methods["DoG"]

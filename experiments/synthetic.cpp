@@ -40,7 +40,7 @@ struct BlurError {
 
 struct Method {
   std::string name;
-  enum { SHARP, BLURRED, ADAPTED_DETECTOR, FREQUENCY, FREQUENCY_TAPERED, PROPOSED, BEYOND } kind;
+  enum { SHARP, BLURRED, ADAPTED_DETECTOR, FREQUENCY, FREQUENCY_TAPERED, PROPOSED, TRANSFORMED, BEYOND } kind;
   BlurError error = {};
 };
 
@@ -55,7 +55,8 @@ std::vector<Method> all_methods() {
                                  {"Pretto et al.", Method::ADAPTED_DETECTOR},
                                  {"frequency domain", Method::FREQUENCY},
                                  {"frequency domain, tapered", Method::FREQUENCY_TAPERED},
-                                 {"proposed", Method::PROPOSED}};
+                                 {"proposed", Method::PROPOSED},
+                                 {"proposed, taps of the transform", Method::TRANSFORMED}};
   // The paper's, in the order of its legend.
   for (const BlurError& error : {BlurError{-5, -5}, {5, 5}, {0, 5}, {0, -5}, {5, 0}, {-5, 0}}) {
     methods.push_back({proposed_with(error), Method::PROPOSED, error});
@@ -138,6 +139,11 @@ cv::Mat restore(const Method& method, const Exposure& exposure, const LineBlur& 
     case Method::PROPOSED:
       return deblur_in_space(exposure.blurred, {truth.angle_rad + method.error.angle_deg * CV_PI / 180,
                                                 truth.extent_px + method.error.extent_px});
+    case Method::TRANSFORMED: {
+      KernelOptions options;
+      options.design = KernelDesign::FOURIER;
+      return deblur_in_space(exposure.blurred, truth, options);
+    }
     case Method::BEYOND:
       return restore_beyond_borders(exposure.blurred, truth);
   }

@@ -49,13 +49,14 @@ std::vector<double> path_blur_kernel(const LinePath& path_px, int length);
 constexpr double kMinKernelExtentPx = 1.0;
 constexpr double kMaxKernelExtentPx = 500.0;
 
-/// Spatial Wiener inverse w = F^-1{G H* / (|H|^2 + gamma)} of the box blur, G the Gaussian of smoothing_px, on
-/// length_factor * extent_px + 6 * smoothing_px taps (next odd), scaled to unit sum because W alone has a gain of 1 /
-/// (1 + gamma). Throws OptionError for bad options or extent_px outside [kMinKernelExtentPx, kMaxKernelExtentPx].
+/// Spatial Wiener inverse of the box blur on length_factor * extent_px + 6 * smoothing_px taps (next odd), by
+/// options.design, scaled to unit sum because the filter G H* / (|H|^2 + gamma) has a gain of 1 / (1 + gamma); G is the
+/// Gaussian of smoothing_px. Throws OptionError for bad options or extent_px outside [kMinKernelExtentPx,
+/// kMaxKernelExtentPx].
 LineKernel wiener_kernel(double extent_px, const KernelOptions& options);
 
-/// The same for a point that runs along its line at uneven speed. On at least as many taps for extent_of(path_px), and
-/// as many more as make the transform fast. Throws OptionError as above.
+/// The same for a point that runs along its line at uneven speed, on at least as many taps for extent_of(path_px).
+/// Throws OptionError as above.
 LineKernel wiener_kernel(const LinePath& path_px, const KernelOptions& options);
 
 /// Kernels by extent in steps of kExtentStepPx, computed on first use and kept. Thread-safe.

@@ -52,6 +52,16 @@ struct ValidationOptions {
   void validate() const;  ///< throws OptionError
 };
 
+/// How the taps of an inverse of limited length are found.
+enum class KernelDesign {
+  /// Those that restore best of all with as many: they minimise |h * w - g|^2 + gamma |w|^2, h the blur, g a unit pulse
+  /// (the Gaussian of smoothing_px). With length they become the Wiener filter, too.
+  LEAST_SQUARES,
+  /// The inverse transform of the Wiener filter on as many samples, as in the paper. What the filter has beyond them
+  /// wraps around.
+  FOURIER
+};
+
 /// Wiener kernels (paper section IV-A).
 struct KernelOptions {
   double gamma = 0.01;         ///< [1e-5, 1]; noise-to-signal ratio of the Wiener filter
@@ -61,6 +71,7 @@ struct KernelOptions {
   /// kernels have no jumps, which the fast engines make use of: extents above 36 px then take exact taps, above 64 px
   /// the reference engine.
   double smoothing_px = 0.0;
+  KernelDesign design = KernelDesign::LEAST_SQUARES;
 
   void validate() const;  ///< throws OptionError
 };

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
+#include <Eigen/Core>
 #include <opencv2/core.hpp>
 
 namespace gyro_deblur {
@@ -64,34 +66,94 @@ std::vector<double> path_blur_kernel(const LinePath& path_px, int length) {
   return taps;
 }
 
+namespace {
+
+/// Solves T x = y, T_ij = r(|i - j|) positive definite, by Levinson's recursion: O(n^2) of time, O(n) of memory. r and
+/// y have n >= 1 elements.
+Eigen::VectorXd solve_toeplitz(const Eigen::VectorXd& r, const Eigen::VectorXd& y) {
+  const Eigen::Index n = r.size();
+  // forward solves the leading m equations for an error in the first, backward (the same, turned round) for one in the
+  // last. backward begins an element earlier each time, so that all vectors below are contiguous.
+  Eigen::VectorXd x = Eigen::VectorXd::Zero(n), forward = x, backward = x, before(n);
+  const Eigen::VectorXd lags = r.reverse();
+  double error = r[0];
+  forward[0] = backward[n - 1] = 1;
+  x[0] = y[0] / error;
+  for (Eigen::Index m = 1; m < n; ++m) {
+    const auto to_next = lags.segment(n - 1 - m, m);  // r(m), .., r(1): the first m unknowns in the next equation
+    const double reflection = -to_next.dot(forward.head(m)) / error;
+    before.head(m + 1) = forward.head(m + 1);
+    forward.head(m + 1) += reflection * backward.tail(m + 1);
+    backward.tail(m + 1) += reflection * before.head(m + 1);
+    error *= 1 - reflection * reflection;
+    x.head(m + 1) += (y[m] - to_next.dot(x.head(m))) / error * backward.tail(m + 1);
+  }
+  return x;
+}
+
+/// `blur` read backwards and smoothed with the Gaussian of smoothing_px, on as many taps.
+Eigen::VectorXd matched_filter(const std::vector<double>& blur, double smoothing_px) {
+  const int n = static_cast<int>(blur.size());
+  const Eigen::VectorXd matched = Eigen::Map<const Eigen::VectorXd>(blur.data(), n).reverse();
+  if (smoothing_px <= 0) return matched;
+  Eigen::VectorXd gaussian(2 * n - 1);
+  for (int i = 0; i < 2 * n - 1; ++i) {
+    const double sigmas = (i - (n - 1)) / smoothing_px;
+    gaussian[i] = std::exp(-0.5 * sigmas * sigmas);
+  }
+  gaussian /= gaussian.sum();
+  Eigen::VectorXd smoothed(n);
+  for (int i = 0; i < n; ++i) smoothed[i] = matched.dot(gaussian.segment(n - 1 - i, n));
+  return smoothed;
+}
+
+/// See KernelDesign::LEAST_SQUARES; on as many taps as `blur` (centred, odd).
+std::vector<double> least_squares_inverse(const std::vector<double>& blur, const KernelOptions& options) {
+  const auto n = static_cast<Eigen::Index>(blur.size());
+  const Eigen::Map<const Eigen::VectorXd> h(blur.data(), n);
+  Eigen::VectorXd autocorrelation(n);
+  for (Eigen::Index lag = 0; lag < n; ++lag) autocorrelation[lag] = h.head(n - lag).dot(h.tail(n - lag));
+  autocorrelation[0] += options.gamma;
+  const Eigen::VectorXd w = solve_toeplitz(autocorrelation, matched_filter(blur, options.smoothing_px));
+  return {w.data(), w.data() + n};
+}
+
+/// See KernelDesign::FOURIER; `blur` is centred and odd, `size` >= its taps is the transform's.
+std::vector<double> fourier_inverse(const std::vector<double>& blur, int size, const KernelOptions& options) {
+  const int length = static_cast<int>(blur.size()), radius = length / 2;
+  // The transform's origin is element 0, so the centre of the blur goes there.
+  cv::Mat h(1, size, CV_64F, cv::Scalar(0)), spectrum, w;
+  for (int i = 0; i < length; ++i) h.at<double>((i + size - radius) % size) = blur[i];
+  cv::dft(h, spectrum, cv::DFT_COMPLEX_OUTPUT);
+  for (int k = 0; k < size; ++k) {
+    const cv::Vec2d H = spectrum.at<cv::Vec2d>(k);
+    const double scale = smoothing(k, size, options) / (H.dot(H) + options.gamma);
+    spectrum.at<cv::Vec2d>(k) = {H[0] * scale, -H[1] * scale};
+  }
+  cv::dft(spectrum, w, cv::DFT_INVERSE | cv::DFT_SCALE | cv::DFT_REAL_OUTPUT);
+  std::vector<double> inverse(length);
+  for (int i = 0; i < length; ++i) inverse[i] = w.at<double>((i + size - radius) % size);
+  return inverse;
+}
+
+}  // namespace
+
 LineKernel wiener_kernel(double extent_px, const KernelOptions& options) {
   options.validate();
   require_range("extent", extent_px, kMinKernelExtentPx, kMaxKernelExtentPx, "px");
 
   const int length = next_odd(needed_length(extent_px, options));
-  const int radius = length / 2;
   const std::vector<double> box = box_blur_kernel(extent_px, length);
-
-  // The DFT's origin is element 0, so the centre of the box goes there; H is then real and so is W.
-  cv::Mat h(1, length, CV_64F);
-  for (int i = 0; i < length; ++i) h.at<double>((i + length - radius) % length) = box[i];
-  cv::Mat spectrum;
-  cv::dft(h, spectrum, cv::DFT_COMPLEX_OUTPUT);
-  for (int k = 0; k < length; ++k) {
-    const double H = spectrum.at<cv::Vec2d>(k)[0];
-    spectrum.at<cv::Vec2d>(k) = {smoothing(k, length, options) * H / (H * H + options.gamma), 0.0};
-  }
-  cv::Mat w;
-  cv::dft(spectrum, w, cv::DFT_INVERSE | cv::DFT_SCALE | cv::DFT_REAL_OUTPUT);
-
-  const double sum = cv::sum(w)[0];
+  const std::vector<double> w = options.design == KernelDesign::FOURIER ? fourier_inverse(box, length, options)
+                                                                        : least_squares_inverse(box, options);
+  const double sum = std::accumulate(w.begin(), w.end(), 0.0);
   LineKernel kernel;
   kernel.taps.resize(length);
-  for (int i = 0; i < length; ++i) {
-    kernel.taps[i] = static_cast<float>(w.at<double>((i + length - radius) % length) / sum);
-  }
+  // Symmetric but for rounding.
+  for (int i = 0; i < length; ++i) kernel.taps[i] = static_cast<float>((w[i] + w[length - 1 - i]) / (2 * sum));
   if (options.smoothing_px > 0) return kernel;
-  // W = H* / gamma - H* |H|^2 / (gamma (|H|^2 + gamma)): the first term is the box again, the second falls as |H|^3.
+  // gamma w = h - (what h makes of h * w): the first term is the box again, the second is smooth. With the transforms
+  // of the Wiener filter, W = H* / gamma - H* |H|^2 / (gamma (|H|^2 + gamma)), where the second falls as |H|^3.
   kernel.box_extent_px = extent_px;
   kernel.box_height = 1 / (options.gamma * extent_px * sum);
   return kernel;
@@ -104,29 +166,15 @@ LineKernel wiener_kernel(const LinePath& path_px, const KernelOptions& options) 
 
   double reach_px = 0;
   for (const float place_px : path_px) reach_px = std::max<double>(reach_px, std::abs(place_px));
-  const double needed = std::max(needed_length(extent_px, options), 2 * reach_px + 3);
-  const int size = cv::getOptimalDFTSize(next_odd(needed) + 1);
-  const int length = size % 2 == 0 ? size - 1 : size, radius = length / 2;
+  const int length = next_odd(std::max(needed_length(extent_px, options), 2 * reach_px + 3));
   const std::vector<double> blur = path_blur_kernel(path_px, length);
-
-  cv::Mat h(1, size, CV_64F, cv::Scalar(0));
-  for (int i = 0; i < length; ++i) h.at<double>((i + size - radius) % size) = blur[i];
-  cv::Mat spectrum, w;
-  cv::dft(h, spectrum, cv::DFT_COMPLEX_OUTPUT);
-  for (int k = 0; k < size; ++k) {
-    const cv::Vec2d H = spectrum.at<cv::Vec2d>(k);
-    const double scale = smoothing(k, size, options) / (H.dot(H) + options.gamma);
-    spectrum.at<cv::Vec2d>(k) = {H[0] * scale, -H[1] * scale};
-  }
-  cv::dft(spectrum, w, cv::DFT_INVERSE | cv::DFT_SCALE | cv::DFT_REAL_OUTPUT);
-
+  const std::vector<double> w = options.design == KernelDesign::FOURIER
+                                    ? fourier_inverse(blur, cv::getOptimalDFTSize(length), options)
+                                    : least_squares_inverse(blur, options);
+  const double sum = std::accumulate(w.begin(), w.end(), 0.0);
   LineKernel kernel;
   kernel.taps.resize(length);
-  double sum = 0;
-  for (int i = 0; i < length; ++i) sum += w.at<double>((i + size - radius) % size);
-  for (int i = 0; i < length; ++i) {
-    kernel.taps[i] = static_cast<float>(w.at<double>((i + size - radius) % size) / sum);
-  }
+  for (int i = 0; i < length; ++i) kernel.taps[i] = static_cast<float>(w[i] / sum);
   return kernel;
 }
 

@@ -27,7 +27,8 @@ bool same(const BlurFieldOptions& a, const BlurFieldOptions& b) {
 }
 
 bool same(const KernelOptions& a, const KernelOptions& b) {
-  return a.gamma == b.gamma && a.length_factor == b.length_factor && a.smoothing_px == b.smoothing_px;
+  return a.gamma == b.gamma && a.length_factor == b.length_factor && a.smoothing_px == b.smoothing_px &&
+         a.design == b.design;
 }
 
 bool same(const KeypointOptions& a, const KeypointOptions& b) {

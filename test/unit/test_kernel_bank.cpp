@@ -4,10 +4,12 @@
 #include <complex>
 #include <limits>
 #include <numeric>
+#include <string>
 #include <thread>
 #include <utility>
 
 #include <gtest/gtest.h>
+#include <Eigen/Dense>
 #include <opencv2/core.hpp>
 
 namespace gyro_deblur {
@@ -77,10 +79,68 @@ TEST(PathBlurKernel, IsTheTimeInEachPixel) {
   EXPECT_NEAR(share_within(kSpeedsUp, -5, 0), 0.5, 1e-12);
 }
 
-TEST(WienerKernel, IsSmoothedByAGaussian) {
+/// Normal equations of |h * w - g|^2 + gamma |w|^2 for taps as many as the kernel's, solved by elimination; unit sum.
+Eigen::VectorXd best_taps(const std::vector<double>& blur, const KernelOptions& options) {
+  const int n = static_cast<int>(blur.size());
+  Eigen::MatrixXd h = Eigen::MatrixXd::Zero(2 * n - 1, n);  // h * w = h w, its middle element at n - 1
+  for (int i = 0; i < n; ++i) {
+    for (int k = 0; k < n; ++k) h(i + k, i) = blur[k];
+  }
+  Eigen::VectorXd g = Eigen::VectorXd::Zero(2 * n - 1);
+  if (options.smoothing_px == 0) {
+    g[n - 1] = 1;
+  } else {
+    for (int i = 0; i < 2 * n - 1; ++i) g[i] = std::exp(-0.5 * std::pow((i - n + 1) / options.smoothing_px, 2));
+  }
+  const Eigen::MatrixXd normal = h.transpose() * h + options.gamma * Eigen::MatrixXd::Identity(n, n);
+  const Eigen::VectorXd w = normal.ldlt().solve(h.transpose() * g);
+  return w / w.sum();
+}
+
+void expect_taps(const LineKernel& kernel, const Eigen::VectorXd& expected, const std::string& what) {
+  ASSERT_EQ(static_cast<Eigen::Index>(kernel.taps.size()), expected.size()) << what;
+  const Eigen::Map<const Eigen::VectorXf> taps(kernel.taps.data(), expected.size());
+  EXPECT_LT((taps.cast<double>() - expected).cwiseAbs().maxCoeff(), 1e-5 * expected.cwiseAbs().maxCoeff()) << what;
+}
+
+TEST(WienerKernel, IsTheBestOfItsLength) {
+  for (const double gamma : {0.001, 0.01, 0.2}) {
+    for (const double length_factor : {2.0, 4.0, 8.0}) {
+      for (const double smoothing_px : {0.0, 1.7}) {
+        KernelOptions options;
+        options.gamma = gamma;
+        options.length_factor = length_factor;
+        options.smoothing_px = smoothing_px;
+        const std::string what = std::to_string(gamma) + ' ' + std::to_string(length_factor) + ' ';
+        for (const double extent_px : {1.0, 2.0, 5.4, 27.0, 60.0}) {
+          const LineKernel kernel = wiener_kernel(extent_px, options);
+          const std::vector<double> box = box_blur_kernel(extent_px, static_cast<int>(kernel.taps.size()));
+          expect_taps(kernel, best_taps(box, options), what + std::to_string(extent_px));
+        }
+        const LineKernel kernel = wiener_kernel(kSpeedsUp, options);
+        const std::vector<double> blur = path_blur_kernel(kSpeedsUp, static_cast<int>(kernel.taps.size()));
+        expect_taps(kernel, best_taps(blur, options), what + "uneven");
+      }
+    }
+  }
+}
+
+TEST(WienerKernel, IsTheFilterItselfWhereThatIsShort) {
+  KernelOptions options;
+  options.gamma = 1;
+  options.length_factor = 8;
+  const LineKernel best = wiener_kernel(13, options);
+  options.design = KernelDesign::FOURIER;
+  const LineKernel transform = wiener_kernel(13, options);
+  ASSERT_EQ(best.taps.size(), transform.taps.size());
+  for (std::size_t i = 0; i < best.taps.size(); ++i) EXPECT_NEAR(best.taps[i], transform.taps[i], 1e-4) << i;
+}
+
+TEST(FourierKernel, IsSmoothedByAGaussian) {
   // The second has more of a Gaussian than of an inverse.
   for (const auto& [extent_px, smoothing_px] : {std::pair(20.0, 1.7), std::pair(3.0, 5.0)}) {
     KernelOptions options;
+    options.design = KernelDesign::FOURIER;
     options.smoothing_px = smoothing_px;
     const LineKernel kernel = wiener_kernel(extent_px, options);
     EXPECT_EQ(kernel.box_extent_px, 0) << "no jumps are left";
@@ -98,8 +158,9 @@ TEST(WienerKernel, IsSmoothedByAGaussian) {
   }
 }
 
-TEST(WienerKernel, InvertsAnUnevenPath) {
-  const KernelOptions options;
+TEST(FourierKernel, InvertsAnUnevenPath) {
+  KernelOptions options;
+  options.design = KernelDesign::FOURIER;
   const LineKernel kernel = wiener_kernel(kSpeedsUp, options);
   EXPECT_EQ(kernel.taps.size() % 2, 1u);
   EXPECT_GE(kernel.taps.size(), options.length_factor * 19);
@@ -107,8 +168,7 @@ TEST(WienerKernel, InvertsAnUnevenPath) {
   EXPECT_EQ(kernel.box_extent_px, 0);
   const int radius = kernel.radius();
   const std::vector<double> blur = path_blur_kernel(kSpeedsUp, 2 * radius + 1);
-  // The transform has one lag more than taps have room for.
-  const int size = 2 * radius + 2;
+  const int size = cv::getOptimalDFTSize(2 * radius + 1);
   for (int k = 0; k <= size / 2; ++k) {
     const double f = static_cast<double>(k) / size;
     std::complex<double> H = 0, W = 0;
@@ -125,14 +185,17 @@ TEST(WienerKernel, InvertsAnUnevenPath) {
 
 TEST(WienerKernel, HasTheLengthAndUnitGain) {
   KernelOptions options;
-  for (const double extent : {1.0, 2.0, 7.3, 27.0, 90.0, 500.0}) {
-    for (const double factor : {2.0, 4.0, 6.0}) {
-      options.length_factor = factor;
-      const LineKernel kernel = wiener_kernel(extent, options);
-      EXPECT_EQ(kernel.taps.size() % 2, 1u);
-      EXPECT_GE(kernel.taps.size(), factor * extent);
-      EXPECT_LE(kernel.taps.size(), factor * extent + 2);
-      EXPECT_NEAR(sum(kernel.taps), 1.0, 1e-4);
+  for (const KernelDesign design : {KernelDesign::LEAST_SQUARES, KernelDesign::FOURIER}) {
+    options.design = design;
+    for (const double extent : {1.0, 2.0, 7.3, 27.0, 90.0, 500.0}) {
+      for (const double factor : {2.0, 4.0, 6.0}) {
+        options.length_factor = factor;
+        const LineKernel kernel = wiener_kernel(extent, options);
+        EXPECT_EQ(kernel.taps.size() % 2, 1u);
+        EXPECT_GE(kernel.taps.size(), factor * extent);
+        EXPECT_LE(kernel.taps.size(), factor * extent + 2);
+        EXPECT_NEAR(sum(kernel.taps), 1.0, 1e-4);
+      }
     }
   }
 }
@@ -143,9 +206,10 @@ TEST(WienerKernel, IsSymmetric) {
   for (std::size_t i = 0; i < n; ++i) EXPECT_FLOAT_EQ(kernel.taps[i], kernel.taps[n - 1 - i]);
 }
 
-TEST(WienerKernel, ObeysTheDefinitionAtEveryFrequency) {
+TEST(FourierKernel, ObeysTheDefinitionAtEveryFrequency) {
   for (const double gamma : {0.001, 0.01, 0.2}) {
     KernelOptions options;
+    options.design = KernelDesign::FOURIER;
     options.gamma = gamma;
     for (const double extent : {2.0, 5.4, 27.0}) {
       const LineKernel kernel = wiener_kernel(extent, options);
