@@ -1,4 +1,4 @@
-// Wiener inverses of the box blur (paper section IV-A), one per extent.
+// Wiener inverses of blur along a line (paper section IV-A); those of the box, one per extent.
 #pragma once
 
 #include <array>
@@ -17,7 +17,8 @@ struct LineKernel {
   std::vector<float> taps;
 
   /// Where the kernel jumps, for engines that make use of it: taps are symmetric, box_height inside a centred box of
-  /// box_extent_px (its edges weighted by coverage) plus a smooth rest. 0: not known to have this shape.
+  /// box_extent_px (its edges weighted by coverage) plus a rest that is smooth up to the last tap. 0: not known to have
+  /// this shape.
   double box_extent_px = 0;
   double box_height = 0;
 
@@ -50,13 +51,12 @@ constexpr double kMinKernelExtentPx = 1.0;
 constexpr double kMaxKernelExtentPx = 500.0;
 
 /// Spatial Wiener inverse of the box blur on length_factor * extent_px + 6 * smoothing_px taps (next odd), by
-/// options.design, scaled to unit sum because the filter G H* / (|H|^2 + gamma) has a gain of 1 / (1 + gamma); G is the
-/// Gaussian of smoothing_px. Throws OptionError for bad options or extent_px outside [kMinKernelExtentPx,
-/// kMaxKernelExtentPx].
+/// options.design, scaled to unit sum because the filter has a gain of 1 / (1 + gamma). Throws OptionError for bad
+/// options or extent_px outside [kMinKernelExtentPx, kMaxKernelExtentPx].
 LineKernel wiener_kernel(double extent_px, const KernelOptions& options);
 
-/// The same for a point that runs along its line at uneven speed, on at least as many taps for extent_of(path_px).
-/// Throws OptionError as above.
+/// The same for a point that runs along its line at uneven speed; on more taps where the path reaches farther from its
+/// middle in time. Throws OptionError as above.
 LineKernel wiener_kernel(const LinePath& path_px, const KernelOptions& options);
 
 /// Kernels by extent in steps of kExtentStepPx, computed on first use and kept. Thread-safe.

@@ -68,25 +68,30 @@ std::vector<double> path_blur_kernel(const LinePath& path_px, int length) {
 
 namespace {
 
-/// Solves T x = y, T_ij = r(|i - j|) positive definite, by Levinson's recursion: O(n^2) of time, O(n) of memory. r and
-/// y have n >= 1 elements.
-Eigen::VectorXd solve_toeplitz(const Eigen::VectorXd& r, const Eigen::VectorXd& y) {
+/// Solves T x = y for every column of y, T_ij = r(|i - j|) positive definite, by Levinson's recursion: O(n^2) of time,
+/// O(n) of memory. r and y have n >= 1 rows; r(i) = 0 from i = `band` on, 1 <= band <= n.
+Eigen::MatrixXd solve_toeplitz(const Eigen::VectorXd& r, Eigen::Index band, const Eigen::MatrixXd& y) {
   const Eigen::Index n = r.size();
   // forward solves the leading m equations for an error in the first, backward (the same, turned round) for one in the
   // last. backward begins an element earlier each time, so that all vectors below are contiguous.
-  Eigen::VectorXd x = Eigen::VectorXd::Zero(n), forward = x, backward = x, before(n);
+  Eigen::MatrixXd x = Eigen::MatrixXd::Zero(n, y.cols());
+  Eigen::VectorXd forward = Eigen::VectorXd::Zero(n), backward = forward;
   const Eigen::VectorXd lags = r.reverse();
   double error = r[0];
   forward[0] = backward[n - 1] = 1;
-  x[0] = y[0] / error;
+  x.row(0) = y.row(0) / error;
   for (Eigen::Index m = 1; m < n; ++m) {
-    const auto to_next = lags.segment(n - 1 - m, m);  // r(m), .., r(1): the first m unknowns in the next equation
-    const double reflection = -to_next.dot(forward.head(m)) / error;
-    before.head(m + 1) = forward.head(m + 1);
+    // r(k), .., r(1): the last k of the first m unknowns in the next equation; the others are not in it.
+    const Eigen::Index k = std::min(m, band - 1);
+    const auto to_next = lags.segment(n - 1 - k, k);
+    const double reflection = -to_next.dot(forward.segment(m - k, k)) / error;
     forward.head(m + 1) += reflection * backward.tail(m + 1);
-    backward.tail(m + 1) += reflection * before.head(m + 1);
+    backward.tail(m + 1) = forward.head(m + 1).reverse();
     error *= 1 - reflection * reflection;
-    x.head(m + 1) += (y[m] - to_next.dot(x.head(m))) / error * backward.tail(m + 1);
+    for (Eigen::Index column = 0; column < y.cols(); ++column) {
+      const double missing = y(m, column) - to_next.dot(x.col(column).segment(m - k, k));
+      x.col(column).head(m + 1) += missing / error * backward.tail(m + 1);
+    }
   }
   return x;
 }
@@ -96,12 +101,10 @@ Eigen::VectorXd matched_filter(const std::vector<double>& blur, double smoothing
   const int n = static_cast<int>(blur.size());
   const Eigen::VectorXd matched = Eigen::Map<const Eigen::VectorXd>(blur.data(), n).reverse();
   if (smoothing_px <= 0) return matched;
+  // Shares of the Gaussian in pixels: samples would be a pulse long before smoothing_px is 0.
+  const auto below = [&](double place_px) { return 0.5 * std::erf(place_px / (std::sqrt(2.0) * smoothing_px)); };
   Eigen::VectorXd gaussian(2 * n - 1);
-  for (int i = 0; i < 2 * n - 1; ++i) {
-    const double sigmas = (i - (n - 1)) / smoothing_px;
-    gaussian[i] = std::exp(-0.5 * sigmas * sigmas);
-  }
-  gaussian /= gaussian.sum();
+  for (int i = 0; i < 2 * n - 1; ++i) gaussian[i] = below(i - n + 1.5) - below(i - n + 0.5);
   Eigen::VectorXd smoothed(n);
   for (int i = 0; i < n; ++i) smoothed[i] = matched.dot(gaussian.segment(n - 1 - i, n));
   return smoothed;
@@ -114,7 +117,15 @@ std::vector<double> least_squares_inverse(const std::vector<double>& blur, const
   Eigen::VectorXd autocorrelation(n);
   for (Eigen::Index lag = 0; lag < n; ++lag) autocorrelation[lag] = h.head(n - lag).dot(h.tail(n - lag));
   autocorrelation[0] += options.gamma;
-  const Eigen::VectorXd w = solve_toeplitz(autocorrelation, matched_filter(blur, options.smoothing_px));
+  Eigen::Index band = n;
+  while (band > 1 && autocorrelation[band - 1] == 0) --band;
+  // Lagrange: T w = what the blur matches + multiplier * 1, so that the sum is the filter's own gain, 1 / (1 + gamma).
+  Eigen::MatrixXd sides(n, 2);
+  sides.col(0) = matched_filter(blur, options.smoothing_px);
+  sides.col(1).setOnes();
+  const Eigen::MatrixXd solved = solve_toeplitz(autocorrelation, band, sides);
+  const double multiplier = (1 / (1 + options.gamma) - solved.col(0).sum()) / solved.col(1).sum();
+  const Eigen::VectorXd w = solved.col(0) + multiplier * solved.col(1);
   return {w.data(), w.data() + n};
 }
 
@@ -152,8 +163,8 @@ LineKernel wiener_kernel(double extent_px, const KernelOptions& options) {
   // Symmetric but for rounding.
   for (int i = 0; i < length; ++i) kernel.taps[i] = static_cast<float>((w[i] + w[length - 1 - i]) / (2 * sum));
   if (options.smoothing_px > 0) return kernel;
-  // gamma w = h - (what h makes of h * w): the first term is the box again, the second is smooth. With the transforms
-  // of the Wiener filter, W = H* / gamma - H* |H|^2 / (gamma (|H|^2 + gamma)), where the second falls as |H|^3.
+  // gamma w = h + a constant - (what h makes of h * w): the first is the box again, the rest is smooth up to the last
+  // tap. In the Wiener filter, W = H* / gamma - H* |H|^2 / (gamma (|H|^2 + gamma)), the second term falls as |H|^3.
   kernel.box_extent_px = extent_px;
   kernel.box_height = 1 / (options.gamma * extent_px * sum);
   return kernel;

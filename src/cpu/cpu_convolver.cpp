@@ -32,9 +32,8 @@ constexpr double kNearAxisSlope = 0.15;
 // Still nearer to an axis and up to this extent, tiles are cut so short that lanes drift by no more than this between
 // the middle row, where they lie on pixels, and the ends; 0.10 dB are lost at 58 px and 2 degrees without. But not
 // shorter than this many rows: the neighbourhood that the kernel needs comes on top for every tile.
-constexpr double kMaxShortTileExtentPx = 75.0, kMaxShortTileSlope = 0.08;
-// Within 1.5 degrees of an axis the lanes of whole tiles show at longer extents, too: 1.4 dB of parity at 90 px.
-constexpr double kMaxShortTileExtentNextToAxisPx = 100.0, kNextToAxisSlope = 0.026;
+constexpr double kMaxShortTileExtentPx = 75.0;
+constexpr double kMaxShortTileSlope = 0.08;
 constexpr double kMaxLaneDriftPx = 0.2;
 constexpr int kMinTileRows = 9;
 // Up to this radius weights have 12 bits even where bytes are faster: short blur is restored so well (to 43 dB at 2 px)
@@ -96,8 +95,7 @@ bool CpuConvolver::takes_two_scales(const LineKernel& kernel, double slope, int 
 
 int CpuConvolver::max_two_scale_rows(const LineKernel& kernel, double slope) {
   const double steepness = std::abs(slope);
-  const double max_extent_px = steepness < kNextToAxisSlope ? kMaxShortTileExtentNextToAxisPx : kMaxShortTileExtentPx;
-  if (kernel.box_extent_px > max_extent_px || steepness > kMaxShortTileSlope) return kMaxTileSide;
+  if (kernel.box_extent_px > kMaxShortTileExtentPx || steepness > kMaxShortTileSlope) return kMaxTileSide;
   // Also where the slope is 0.
   if (steepness * kMaxTileSide <= 2 * kMaxLaneDriftPx) return kMaxTileSide;
   return std::max(static_cast<int>(2 * kMaxLaneDriftPx / steepness), kMinTileRows);

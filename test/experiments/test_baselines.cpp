@@ -126,7 +126,7 @@ TEST(RestoreBeyondBorders, IsBetterThanWienerOnAPhotograph) {
     cv::GaussianBlur(image, out, cv::Size(), RestorationOptions().output_sigma_px);
     return out;
   };
-  KernelOptions begins_with;  // the filter that is iterated
+  KernelOptions begins_with;  // the paper's taps, which it iterates (on another length)
   begins_with.design = KernelDesign::FOURIER;
   const cv::Mat truth = smooth(photograph(middle).clone());
   const cv::Mat wiener = smooth(deblur_in_space(blurred, kBlur, begins_with));

@@ -79,7 +79,8 @@ TEST(PathBlurKernel, IsTheTimeInEachPixel) {
   EXPECT_NEAR(share_within(kSpeedsUp, -5, 0), 0.5, 1e-12);
 }
 
-/// Normal equations of |h * w - g|^2 + gamma |w|^2 for taps as many as the kernel's, solved by elimination; unit sum.
+/// Taps, as many as the kernel's, that minimise |h * w - g|^2 + gamma |w|^2 while their sum is 1 / (1 + gamma), by
+/// elimination; scaled to unit sum.
 Eigen::VectorXd best_taps(const std::vector<double>& blur, const KernelOptions& options) {
   const int n = static_cast<int>(blur.size());
   Eigen::MatrixXd h = Eigen::MatrixXd::Zero(2 * n - 1, n);  // h * w = h w, its middle element at n - 1
@@ -87,14 +88,19 @@ Eigen::VectorXd best_taps(const std::vector<double>& blur, const KernelOptions& 
     for (int k = 0; k < n; ++k) h(i + k, i) = blur[k];
   }
   Eigen::VectorXd g = Eigen::VectorXd::Zero(2 * n - 1);
-  if (options.smoothing_px == 0) {
-    g[n - 1] = 1;
-  } else {
-    for (int i = 0; i < 2 * n - 1; ++i) g[i] = std::exp(-0.5 * std::pow((i - n + 1) / options.smoothing_px, 2));
+  g[n - 1] = 1;
+  for (int i = 0; options.smoothing_px > 0 && i < 2 * n - 1; ++i) {
+    const double scale = std::sqrt(0.5) / options.smoothing_px;
+    g[i] = 0.5 * (std::erf((i - n + 1.5) * scale) - std::erf((i - n + 0.5) * scale));
   }
-  const Eigen::MatrixXd normal = h.transpose() * h + options.gamma * Eigen::MatrixXd::Identity(n, n);
-  const Eigen::VectorXd w = normal.ldlt().solve(h.transpose() * g);
-  return w / w.sum();
+  // The last unknown is the multiplier of the condition.
+  Eigen::MatrixXd system = Eigen::MatrixXd::Zero(n + 1, n + 1);
+  system.topLeftCorner(n, n) = h.transpose() * h + options.gamma * Eigen::MatrixXd::Identity(n, n);
+  system.rightCols(1).topRows(n).setOnes();
+  system.bottomRows(1).leftCols(n).setOnes();
+  Eigen::VectorXd side(n + 1);
+  side << h.transpose() * g, 1 / (1 + options.gamma);
+  return (1 + options.gamma) * system.partialPivLu().solve(side).head(n);
 }
 
 void expect_taps(const LineKernel& kernel, const Eigen::VectorXd& expected, const std::string& what) {
@@ -106,7 +112,7 @@ void expect_taps(const LineKernel& kernel, const Eigen::VectorXd& expected, cons
 TEST(WienerKernel, IsTheBestOfItsLength) {
   for (const double gamma : {0.001, 0.01, 0.2}) {
     for (const double length_factor : {2.0, 4.0, 8.0}) {
-      for (const double smoothing_px : {0.0, 1.7}) {
+      for (const double smoothing_px : {0.0, 0.3, 1.7}) {
         KernelOptions options;
         options.gamma = gamma;
         options.length_factor = length_factor;

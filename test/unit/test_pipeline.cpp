@@ -178,6 +178,11 @@ TEST(Pipeline, TakesNewOptions) {
   EXPECT_FALSE(equal(before.image, after.image));
   EXPECT_LE(after.features.keypoints.size(), 20u);
   EXPECT_EQ(after.reference_ns, kStampNs);
+  changed = options();
+  changed.kernel.design = KernelDesign::FOURIER;
+  p.set_options(changed);
+  EXPECT_FALSE(
+      equal(before.image, p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image));
   p.set_options(options());
   EXPECT_TRUE(
       equal(before.image, p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image));
