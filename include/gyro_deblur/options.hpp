@@ -54,9 +54,8 @@ struct ValidationOptions {
 
 /// How the taps of an inverse of limited length are found.
 enum class KernelDesign {
-  /// Those that minimise |h * w - g|^2 + gamma |w|^2, h the blur, g a unit pulse (the Gaussian of smoothing_px), the
-  /// loss
-  /// that the Wiener filter minimises without an end, under the condition that their sum is the filter's.
+  /// Those that minimise |h * w - g|^2 + gamma |w|^2, h the blur, g a unit pulse (the Gaussian of smoothing_px), under
+  /// the condition that their sum is the filter's. Without an end the Wiener filter minimises this loss.
   LEAST_SQUARES,
   /// The inverse transform of the Wiener filter on as many samples (paths: on as many more as make the transform fast),
   /// as in the paper. What the filter has beyond them wraps around.
