@@ -54,22 +54,23 @@ struct ValidationOptions {
 
 /// How the taps of an inverse of limited length are found.
 enum class KernelDesign {
-  /// Those that minimise |h * w - g|^2 + gamma |w|^2, h the blur, g a unit pulse (the Gaussian of smoothing_px), under
-  /// the condition that their sum is the filter's. Without an end the Wiener filter minimises this loss.
+  /// Those that minimise |h * w - g|^2 + gamma (|w'|^2 + kappa |w|^2), h the blur, g a unit pulse (the Gaussian of
+  /// smoothing_px), w' the differences of neighbouring taps, under the condition that their sum is the filter's. The
+  /// power of photographs falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A 4 (12), 1987), that
+  /// of noise does not, so that the noise-to-signal ratio rises with it, as |w'|^2 does. For kappa see slow_noise().
   LEAST_SQUARES,
-  /// The inverse transform of the Wiener filter on as many samples (paths: on as many more as make the transform fast),
-  /// as in the paper. What the filter has beyond them wraps around.
+  /// The inverse transform of the Wiener filter with the same noise-to-signal ratio everywhere, on as many samples
+  /// (paths: on as many more as make the transform fast), as in the paper. What the filter has beyond them wraps
+  /// around.
   FOURIER
 };
 
 /// Wiener kernels (paper section IV-A).
 struct KernelOptions {
-  double gamma = 0.01;         ///< [1e-5, 1]; noise-to-signal ratio of the Wiener filter
+  double gamma = 0.01;         ///< [1e-5, 1]; noise-to-signal ratio of the Wiener filter, at 0.1 to 0.2 cycles/px
   double length_factor = 4.0;  ///< [2, 8]; length of the inverse kernel in extents
   /// [0, 5]; standard deviation of a Gaussian that the inverse is smoothed with along the line. Where the blur has left
-  /// less than the noise, at the finest detail first, it leaves out what would be noise and ringing. Above 0 the
-  /// kernels have no jumps, which the fast engines make use of: extents above 36 px then take exact taps, above 64 px
-  /// the reference engine.
+  /// less than the noise, at the finest detail first, it leaves out what would be noise and ringing.
   double smoothing_px = 0.0;
   KernelDesign design = KernelDesign::LEAST_SQUARES;
 

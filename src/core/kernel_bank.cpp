@@ -10,6 +10,8 @@
 namespace gyro_deblur {
 namespace {
 
+constexpr double kSlowNoiseOfOnePx = 0.01;
+
 int next_odd(double value) {
   const int n = static_cast<int>(std::ceil(value));
   return n % 2 == 0 ? n + 1 : n;
@@ -66,6 +68,8 @@ std::vector<double> path_blur_kernel(const LinePath& path_px, int length) {
   return taps;
 }
 
+double slow_noise(double extent_px) { return std::min(1.0, kSlowNoiseOfOnePx * extent_px); }
+
 namespace {
 
 /// Solves T x = y for every column of y, T_ij = r(|i - j|) positive definite, by Levinson's recursion: O(n^2) of time,
@@ -111,20 +115,23 @@ Eigen::VectorXd matched_filter(const std::vector<double>& blur, double smoothing
 }
 
 /// See KernelDesign::LEAST_SQUARES; on as many taps as `blur` (centred, odd).
-std::vector<double> least_squares_inverse(const std::vector<double>& blur, const KernelOptions& options) {
+std::vector<double> least_squares_inverse(const std::vector<double>& blur, double extent_px,
+                                          const KernelOptions& options) {
   const auto n = static_cast<Eigen::Index>(blur.size());
   const Eigen::Map<const Eigen::VectorXd> h(blur.data(), n);
   Eigen::VectorXd autocorrelation(n);
   for (Eigen::Index lag = 0; lag < n; ++lag) autocorrelation[lag] = h.head(n - lag).dot(h.tail(n - lag));
-  autocorrelation[0] += options.gamma;
+  const double kappa = slow_noise(extent_px);
+  autocorrelation[0] += options.gamma * (2 + kappa);
+  autocorrelation[1] -= options.gamma;
   Eigen::Index band = n;
   while (band > 1 && autocorrelation[band - 1] == 0) --band;
-  // Lagrange: T w = what the blur matches + multiplier * 1, so that the sum is the filter's own gain, 1 / (1 + gamma).
+  // Lagrange: T w = what the blur matches + multiplier * 1, so that the sum is the filter's own gain at frequency 0.
   Eigen::MatrixXd sides(n, 2);
   sides.col(0) = matched_filter(blur, options.smoothing_px);
   sides.col(1).setOnes();
   const Eigen::MatrixXd solved = solve_toeplitz(autocorrelation, band, sides);
-  const double multiplier = (1 / (1 + options.gamma) - solved.col(0).sum()) / solved.col(1).sum();
+  const double multiplier = (1 / (1 + options.gamma * kappa) - solved.col(0).sum()) / solved.col(1).sum();
   const Eigen::VectorXd w = solved.col(0) + multiplier * solved.col(1);
   return {w.data(), w.data() + n};
 }
@@ -155,18 +162,15 @@ LineKernel wiener_kernel(double extent_px, const KernelOptions& options) {
 
   const int length = next_odd(needed_length(extent_px, options));
   const std::vector<double> box = box_blur_kernel(extent_px, length);
-  const std::vector<double> w = options.design == KernelDesign::FOURIER ? fourier_inverse(box, length, options)
-                                                                        : least_squares_inverse(box, options);
+  const std::vector<double> w = options.design == KernelDesign::FOURIER
+                                    ? fourier_inverse(box, length, options)
+                                    : least_squares_inverse(box, extent_px, options);
   const double sum = std::accumulate(w.begin(), w.end(), 0.0);
   LineKernel kernel;
   kernel.taps.resize(length);
   // Symmetric but for rounding.
   for (int i = 0; i < length; ++i) kernel.taps[i] = static_cast<float>((w[i] + w[length - 1 - i]) / (2 * sum));
-  if (options.smoothing_px > 0) return kernel;
-  // gamma w = h + a constant - (what h makes of h * w): the first is the box again, the rest is smooth up to the last
-  // tap. In the Wiener filter, W = H* / gamma - H* |H|^2 / (gamma (|H|^2 + gamma)), the second term falls as |H|^3.
   kernel.box_extent_px = extent_px;
-  kernel.box_height = 1 / (options.gamma * extent_px * sum);
   return kernel;
 }
 
@@ -181,7 +185,7 @@ LineKernel wiener_kernel(const LinePath& path_px, const KernelOptions& options) 
   const std::vector<double> blur = path_blur_kernel(path_px, length);
   const std::vector<double> w = options.design == KernelDesign::FOURIER
                                     ? fourier_inverse(blur, cv::getOptimalDFTSize(length), options)
-                                    : least_squares_inverse(blur, options);
+                                    : least_squares_inverse(blur, extent_px, options);
   const double sum = std::accumulate(w.begin(), w.end(), 0.0);
   LineKernel kernel;
   kernel.taps.resize(length);
