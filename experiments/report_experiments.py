@@ -30,6 +30,9 @@ STYLES = {
 }
 WRONG_LINES = ["-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1))]
 PALETTE_COLORS = 128
+# Designs of taps in deconvolution.json.
+DESIGNS = {"transform": "transform", "least_squares": "least squares (in use)"}
+
 # Files of deconvolution_figure and their titles.
 PICTURES = [("blurred", "blurred"), ("frequency", "frequency domain"),
             ("frequency_tapered", "frequency domain, tapered"), ("spatial", "in space")]
@@ -136,6 +139,17 @@ def deconvolution_table(deconvolution):
               f"({100 * share:.1f} %) are not zero.")
 
 
+def designs_table(deconvolution):
+    """PSNR that the designs of taps gain, a row for each noise and design, a column for each extent."""
+    records = deconvolution["designs"]
+    extents = sorted({r["extent_px"] for r in records})
+    gain = {(r["noise_grey_levels"], r["design"], r["extent_px"]): r["gain_db"] for r in records}
+    rows = [[f"{noise:g}", DESIGNS[design], *(f"{gain[noise, design, extent]:.2f}" for extent in extents)]
+            for noise, design in dict.fromkeys((r["noise_grey_levels"], r["design"]) for r in records)]
+    return ("PSNR [dB] over the blurred image, by noise [grey levels], taps and extent:\n\n"
+            + table(["noise", "taps", *(f"{extent:g} px" for extent in extents)], rows))
+
+
 def save_with_palette(figure, path):
     """As PNG with PALETTE_COLORS colours: a third of the size where photographs are in it, and it looks the same."""
     pixels = io.BytesIO()
@@ -210,7 +224,7 @@ def main():
             if name == "synthetic":
                 parts += [synthetic_table(results), synthetic_ratios(results)]
             else:
-                parts.append(deconvolution_table(results))
+                parts += [deconvolution_table(results), designs_table(results)]
             picture = os.path.join(folder, name + "_figure.png")
             make(results, picture)
             pictures.append(picture)

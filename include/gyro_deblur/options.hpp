@@ -67,7 +67,7 @@ enum class KernelDesign {
 
 /// Wiener kernels (paper section IV-A).
 struct KernelOptions {
-  double gamma = 0.01;         ///< [1e-5, 1]; noise-to-signal ratio of the Wiener filter, at 0.1 to 0.2 cycles/px
+  double gamma = 0.01;         ///< [1e-5, 1]; noise-to-signal ratio of the Wiener filter, near 0.1 cycles/px
   double length_factor = 4.0;  ///< [2, 8]; length of the inverse kernel in extents
   /// [0, 5]; standard deviation of a Gaussian that the inverse is smoothed with along the line. Where the blur has left
   /// less than the noise, at the finest detail first, it leaves out what would be noise and ringing.

@@ -11,6 +11,7 @@
 #include <stdexcept>
 #include <tuple>
 
+#include <Eigen/Core>
 #include <opencv2/core.hpp>
 
 #include "core/parallel.hpp"
@@ -43,7 +44,7 @@ constexpr int kMaxFineRadius = 12;
 // amplifies, the sum of its absolute taps at most: the difference is 52 dB below white at a sum of 11 to 14, 47 at 20,
 // 45 at 23, 38 at 35, whatever the extent, gamma and smoothing. Kernels that amplify more than this take exact taps
 // or the reference engine; with the default gamma 500 px reach 21.
-constexpr double kMaxTwoScaleGain = 24.0;
+constexpr float kMaxTwoScaleGain = 24.0f;
 // Exact taps of longer kernels would need a neighbourhood beyond any cache.
 constexpr int kMaxExactRadius = 128;
 constexpr int kAlignFloats = 16;
@@ -53,9 +54,10 @@ bool exact_is_possible(const LineKernel& kernel, int depth) {
 }
 
 /// By how much the kernel may amplify at most.
-double gain_of(const LineKernel& kernel) {
-  return std::accumulate(kernel.taps.begin(), kernel.taps.end(), 0.0,
-                         [](double sum, float tap) { return sum + std::abs(tap); });
+float gain_of(const LineKernel& kernel) {
+  return Eigen::Map<const Eigen::ArrayXf>(kernel.taps.data(), static_cast<Eigen::Index>(kernel.taps.size()))
+      .abs()
+      .sum();
 }
 
 /// std::lround, which is a call.
@@ -205,8 +207,8 @@ void CpuConvolver::fix_coarse_weights(Plan& plan) {
   filter.coarse_odd = odd;
 }
 
-// The kernel along the major axis jumps at the ends of its box and is smooth elsewhere: two boxes carry the jumps, and
-// few coarse weights the rest.
+// The kernel along the major axis bends sharply at the ends of its box (the paper's jumps) and is smooth elsewhere: two
+// boxes carry what is sharp, and few coarse weights the rest.
 void CpuConvolver::plan_two_scale(const LineKernel& kernel, double major, int depth, Plan& plan) {
   plan.method = Method::TWO_SCALE;
   const double stretch = std::abs(major);  // steps of the major axis in one pixel of the line

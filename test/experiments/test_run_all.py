@@ -42,6 +42,12 @@ class RunAll(unittest.TestCase):
         self.assertLess(space["rmse_border"], 0.8 * frequency["rmse_border"])
         self.assertLess(space["rmse_interior"], 1.1 * frequency["rmse_interior"])
 
+    def test_least_squares_taps_restore_more_than_the_transforms(self):
+        gain = {(r["noise_grey_levels"], r["extent_px"], r["design"]): r["gain_db"]
+                for r in self.load("deconvolution.json")["designs"]}
+        for noise, extent in {key[:2] for key in gain}:
+            self.assertGreaterEqual(gain[noise, extent, "least_squares"], gain[noise, extent, "transform"])
+
     def test_the_proposed_method_repeats_more_and_closer(self):
         methods = {m["method"]: {p["detections"]: p for p in m["curve"]} for m in self.load("synthetic.json")["methods"]}
         for other in ("DoG", "Pretto et al."):
