@@ -16,9 +16,11 @@ namespace gyro_deblur {
 struct LineKernel {
   std::vector<float> taps;
 
-  /// Extent of the box that the taps invert, for engines that make use of it: they are symmetric, and smooth but at the
-  /// ends of the box and of the kernel. 0: not known to have this shape.
+  /// Where the kernel jumps, for engines that make use of it: taps are symmetric, box_height inside a centred box of
+  /// box_extent_px (its edges weighted by coverage) plus a rest that is smooth up to the last tap. box_extent_px 0: not
+  /// known to be symmetric; box_height 0: nor to jump.
   double box_extent_px = 0;
+  double box_height = 0;
 
   int radius() const { return static_cast<int>(taps.size() / 2); }
 };
@@ -48,13 +50,17 @@ std::vector<double> path_blur_kernel(const LinePath& path_px, int length);
 constexpr double kMinKernelExtentPx = 1.0;
 constexpr double kMaxKernelExtentPx = 500.0;
 
-/// kappa of KernelDesign::LEAST_SQUARES: the noise-to-signal ratio of the slowest changes, in units of gamma, 0 to 1.
-/// What is unknown there is not noise but what lies beyond the border, and the estimate's error, which grow with the
-/// extent: a hundredth for each pixel, at most the paper's ratio.
-double slow_noise(double extent_px);
+/// From this extent [px] on KernelDesign::LEAST_SQUARES takes the noise-to-signal ratio for constant, as the paper
+/// does. A ratio that falls towards low frequencies restores more of longer blur as well (0.1 to 0.3 dB), but amplifies
+/// what is wrong with the estimate there, which is the larger the longer the blur: with 100 px instead keypoints of the
+/// real-world table (doc/experiments_real_world.md) repeat 6 % less often.
+constexpr double kConstantRatioExtentPx = 36.0;
+
+/// s of KernelDesign::LEAST_SQUARES: from 1 without blur down to 0 at kConstantRatioExtentPx.
+double spectral_share(double extent_px);
 
 /// Spatial Wiener inverse of the box blur on length_factor * extent_px + 6 * smoothing_px taps (next odd), by
-/// options.design, scaled to unit sum because the filter has a little less. Throws OptionError for bad
+/// options.design, scaled to unit sum because the filter's gain is less than that. Throws OptionError for bad
 /// options or extent_px outside [kMinKernelExtentPx, kMaxKernelExtentPx].
 LineKernel wiener_kernel(double extent_px, const KernelOptions& options);
 

@@ -23,8 +23,8 @@ void require_range(const char* name, double value, double min, double max, const
 /// Blur field and its division into blocks (paper section IV).
 struct BlurFieldOptions {
   int block_size_px = 64;  ///< [8, 1024], a multiple of 2 so that Bayer planes divide alike
-  /// [1, 20]; smaller blur is left alone. The paper's kernels start at 2 px, but with noise of 2 grey levels the filter
-  /// loses 2 to 4 dB there and gains only above 3 px.
+  /// [1, 20]; smaller blur is left alone. The paper's kernels start at 2 px, where the filter gains 3.5 / 1.7 / 0.2 dB
+  /// with noise of 1 / 2 / 3 grey levels; at 3 px it gains 4.2 / 2.2 / 0.7 dB (Oxford images).
   double min_extent_px = 3.0;
   double max_extent_px = 150.0;  ///< [min_extent_px, 500]; larger blur is TOO_LARGE
   /// [0, 100]; how far the path within the exposure may lie to either side of a straight line, less 2 % of the extent
@@ -54,23 +54,26 @@ struct ValidationOptions {
 
 /// How the taps of an inverse of limited length are found.
 enum class KernelDesign {
-  /// Those that minimise |h * w - g|^2 + gamma (|w'|^2 + kappa |w|^2), h the blur, g a unit pulse (the Gaussian of
-  /// smoothing_px), w' the differences of neighbouring taps, under the condition that their sum is the filter's. The
-  /// power of photographs falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A 4 (12), 1987), that
-  /// of noise does not, so that the noise-to-signal ratio rises with it, as |w'|^2 does. For kappa see slow_noise().
+  /// Those that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), h the blur, g a unit pulse (the Gaussian of
+  /// smoothing_px), w' the steps from tap to tap and from and to 0 at the ends, under the condition that their sum is
+  /// the filter's. The power of photographs falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A 4
+  /// (12), 1987), that of noise does not, so that the noise-to-signal ratio rises with it, as |w'|^2 does. For s see
+  /// spectral_share(); whatever it is, the ratio is gamma at 1/6 cycles/px.
   LEAST_SQUARES,
-  /// The inverse transform of the Wiener filter with the same noise-to-signal ratio everywhere, on as many samples
-  /// (paths: on as many more as make the transform fast), as in the paper. What the filter has beyond them wraps
-  /// around.
+  /// The inverse transform of the Wiener filter with the same noise-to-signal ratio at every frequency, on as many
+  /// samples (paths: on as many more as make the transform fast), as in the paper. What the filter has beyond them
+  /// wraps around.
   FOURIER
 };
 
 /// Wiener kernels (paper section IV-A).
 struct KernelOptions {
-  double gamma = 0.01;         ///< [1e-5, 1]; noise-to-signal ratio of the Wiener filter, near 0.1 cycles/px
+  double gamma = 0.01;         ///< [1e-5, 1]; noise-to-signal ratio of the Wiener filter at 1/6 cycles/px
   double length_factor = 4.0;  ///< [2, 8]; length of the inverse kernel in extents
   /// [0, 5]; standard deviation of a Gaussian that the inverse is smoothed with along the line. Where the blur has left
-  /// less than the noise, at the finest detail first, it leaves out what would be noise and ringing.
+  /// less than the noise, at the finest detail first, it leaves out what would be noise and ringing. Above 0 the
+  /// kernels have no jumps, which the fast engines make use of: extents above 36 px then take exact taps, above 64 px
+  /// the reference engine.
   double smoothing_px = 0.0;
   KernelDesign design = KernelDesign::LEAST_SQUARES;
 

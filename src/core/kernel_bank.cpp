@@ -10,8 +10,6 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr double kSlowNoiseOfOnePx = 0.01;
-
 int next_odd(double value) {
   const int n = static_cast<int>(std::ceil(value));
   return n % 2 == 0 ? n + 1 : n;
@@ -68,7 +66,7 @@ std::vector<double> path_blur_kernel(const LinePath& path_px, int length) {
   return taps;
 }
 
-double slow_noise(double extent_px) { return std::min(1.0, kSlowNoiseOfOnePx * extent_px); }
+double spectral_share(double extent_px) { return std::max(0.0, 1 - extent_px / kConstantRatioExtentPx); }
 
 namespace {
 
@@ -121,9 +119,9 @@ std::vector<double> least_squares_inverse(const std::vector<double>& blur, doubl
   const Eigen::Map<const Eigen::VectorXd> h(blur.data(), n);
   Eigen::VectorXd autocorrelation(n);
   for (Eigen::Index lag = 0; lag < n; ++lag) autocorrelation[lag] = h.head(n - lag).dot(h.tail(n - lag));
-  const double kappa = slow_noise(extent_px);
-  autocorrelation[0] += options.gamma * (2 + kappa);
-  autocorrelation[1] -= options.gamma;
+  const double share = spectral_share(extent_px);
+  autocorrelation[0] += options.gamma * (1 + share);
+  autocorrelation[1] -= options.gamma * share;
   Eigen::Index band = n;
   while (band > 1 && autocorrelation[band - 1] == 0) --band;
   // Lagrange: T w = what the blur matches + multiplier * 1, so that the sum is the filter's own gain at frequency 0.
@@ -131,7 +129,7 @@ std::vector<double> least_squares_inverse(const std::vector<double>& blur, doubl
   sides.col(0) = matched_filter(blur, options.smoothing_px);
   sides.col(1).setOnes();
   const Eigen::MatrixXd solved = solve_toeplitz(autocorrelation, band, sides);
-  const double multiplier = (1 / (1 + options.gamma * kappa) - solved.col(0).sum()) / solved.col(1).sum();
+  const double multiplier = (1 / (1 + options.gamma * (1 - share)) - solved.col(0).sum()) / solved.col(1).sum();
   const Eigen::VectorXd w = solved.col(0) + multiplier * solved.col(1);
   return {w.data(), w.data() + n};
 }
@@ -170,7 +168,12 @@ LineKernel wiener_kernel(double extent_px, const KernelOptions& options) {
   kernel.taps.resize(length);
   // Symmetric but for rounding.
   for (int i = 0; i < length; ++i) kernel.taps[i] = static_cast<float>((w[i] + w[length - 1 - i]) / (2 * sum));
+  if (options.smoothing_px > 0) return kernel;
   kernel.box_extent_px = extent_px;
+  if (options.design == KernelDesign::LEAST_SQUARES && extent_px < kConstantRatioExtentPx) return kernel;
+  // gamma w = h + a constant - (what h makes of h * w): the first is the box again, the rest is smooth up to the last
+  // tap. In the Wiener filter, W = H* / gamma - H* |H|^2 / (gamma (|H|^2 + gamma)), the second term falls as |H|^3.
+  kernel.box_height = 1 / (options.gamma * extent_px * sum);
   return kernel;
 }
 

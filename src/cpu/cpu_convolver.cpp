@@ -11,7 +11,6 @@
 #include <stdexcept>
 #include <tuple>
 
-#include <Eigen/Core>
 #include <opencv2/core.hpp>
 
 #include "core/parallel.hpp"
@@ -26,6 +25,7 @@ namespace {
 // Exact taps are cheap below this, and further down the interpolation between lanes and pixels shows: on single
 // photographs 0.12 dB of restored quality at 34 px and 7 degrees, 0.08 dB at most from here on.
 constexpr double kMinTwoScaleExtentPx = 36.0;
+static_assert(kMinTwoScaleExtentPx >= kConstantRatioExtentPx, "shorter kernels have no jump to take out");
 // Nearly along an axis the lanes lie between pixels over whole stretches of a line, where exact taps do not, and the
 // interpolation shows up to longer extents.
 constexpr double kMinTwoScaleExtentNearAxisPx = 57.0;
@@ -40,24 +40,15 @@ constexpr int kMinTileRows = 9;
 // Up to this radius weights have 12 bits even where bytes are faster: short blur is restored so well (to 43 dB at 2 px)
 // that the rounding to bytes shows, by up to 0.45 dB, against 0.07 dB at 5 px.
 constexpr int kMaxFineRadius = 12;
-// What two scales leave of a kernel, and how they interpolate, differs from the reference by the more the kernel
-// amplifies, the sum of its absolute taps at most: the difference is 52 dB below white at a sum of 11 to 14, 47 at 20,
-// 45 at 23, 38 at 35, whatever the extent, gamma and smoothing. Kernels that amplify more than this take exact taps
-// or the reference engine; with the default gamma 500 px reach 21.
-constexpr float kMaxTwoScaleGain = 24.0f;
+// Box and smooth rest cancel each other from this gain (1 / gamma) down to one, so that their errors grow with it: 0.7
+// grey levels at gamma = 0.01, 2 at 0.005, 38 at 0.001. Kernels of a smaller gamma are left to the reference engine.
+constexpr double kMaxBoxGain = 128.0;
 // Exact taps of longer kernels would need a neighbourhood beyond any cache.
 constexpr int kMaxExactRadius = 128;
 constexpr int kAlignFloats = 16;
 
 bool exact_is_possible(const LineKernel& kernel, int depth) {
   return depth == CV_8U && kernel.radius() <= kMaxExactRadius;
-}
-
-/// By how much the kernel may amplify at most.
-float gain_of(const LineKernel& kernel) {
-  return Eigen::Map<const Eigen::ArrayXf>(kernel.taps.data(), static_cast<Eigen::Index>(kernel.taps.size()))
-      .abs()
-      .sum();
 }
 
 /// std::lround, which is a call.
@@ -82,9 +73,13 @@ void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.major_is_y = std::abs(dy) > std::abs(dx);
   const double major = plan.major_is_y ? dy : dx;
   plan.slope = (plan.major_is_y ? dx : dy) / major;
-  if (gain_of(*block.kernel) == 0) {
+  const std::vector<float>& taps = block.kernel->taps;
+  const bool is_zero = std::all_of(taps.begin(), taps.end(), [](float tap) { return tap == 0; });
+  if (is_zero || block.kernel->box_height * block.kernel->box_extent_px > kMaxBoxGain) {
     plan.method = Method::REFERENCE;
-  } else if (takes_two_scales(*block.kernel, plan.slope, depth)) {
+    return;
+  }
+  if (takes_two_scales(*block.kernel, plan.slope, depth)) {
     plan.max_rows = max_two_scale_rows(*block.kernel, plan.slope);
     plan_two_scale(*block.kernel, major, depth, plan);
   } else if (exact_is_possible(*block.kernel, depth)) {
@@ -96,8 +91,7 @@ void CpuConvolver::plan_block(const BlockFilter& block, int depth, Plan& plan) {
 
 bool CpuConvolver::takes_two_scales(const LineKernel& kernel, double slope, int depth) {
   const bool near_axis = std::abs(slope) < kNearAxisSlope && exact_is_possible(kernel, depth);
-  return kernel.box_extent_px >= (near_axis ? kMinTwoScaleExtentNearAxisPx : kMinTwoScaleExtentPx) &&
-         gain_of(kernel) <= kMaxTwoScaleGain;
+  return kernel.box_extent_px >= (near_axis ? kMinTwoScaleExtentNearAxisPx : kMinTwoScaleExtentPx);
 }
 
 int CpuConvolver::max_two_scale_rows(const LineKernel& kernel, double slope) {
@@ -207,8 +201,8 @@ void CpuConvolver::fix_coarse_weights(Plan& plan) {
   filter.coarse_odd = odd;
 }
 
-// The kernel along the major axis bends sharply at the ends of its box (the paper's jumps) and is smooth elsewhere: two
-// boxes carry what is sharp, and few coarse weights the rest.
+// The kernel along the major axis jumps at the ends of its box and is smooth elsewhere: two boxes carry the jumps, and
+// few coarse weights the rest.
 void CpuConvolver::plan_two_scale(const LineKernel& kernel, double major, int depth, Plan& plan) {
   plan.method = Method::TWO_SCALE;
   const double stretch = std::abs(major);  // steps of the major axis in one pixel of the line

@@ -15,13 +15,13 @@ namespace gyro_deblur {
 ///
 /// Samples x[m] are summed over nodes of `decimation` samples; the sums are filtered with coarse weights, and the
 /// result between nodes is a quadratic B-spline. Two boxes, over [-box_half, box_half] and one sample more on either
-/// side, carry what the coarse part cannot follow where a kernel jumps or bends sharply.
+/// side, carry the jumps that the coarse part cannot follow.
 struct TwoScaleWeights {
   float inner_box, outer_box;
   std::vector<float> coarse;  ///< of nodes 0 .. radius; node -k has the weight of node k
 };
 
-/// The linear map from a kernel to its weights, for all kernels that are sharp at about the same place.
+/// The linear map from a kernel to its weights, for all kernels that jump at about the same place.
 class TwoScaleDesign {
  public:
   /// @param box_half  samples of the inner box on either side of its centre, >= 0

@@ -79,9 +79,9 @@ TEST(PathBlurKernel, IsTheTimeInEachPixel) {
   EXPECT_NEAR(share_within(kSpeedsUp, -5, 0), 0.5, 1e-12);
 }
 
-/// Taps, as many as the kernel's, that minimise |h * w - g|^2 + gamma (|w'|^2 + slow |w|^2) while their sum is
-/// 1 / (1 + gamma slow), by elimination; scaled to unit sum.
-Eigen::VectorXd best_taps(const std::vector<double>& blur, double slow, const KernelOptions& options) {
+/// Taps, as many as the kernel's, that minimise |h * w - g|^2 + gamma (share |w'|^2 + (1 - share) |w|^2) while their
+/// sum is 1 / (1 + gamma (1 - share)), by elimination; scaled to unit sum.
+Eigen::VectorXd best_taps(const std::vector<double>& blur, double share, const KernelOptions& options) {
   const int n = static_cast<int>(blur.size());
   Eigen::MatrixXd h = Eigen::MatrixXd::Zero(2 * n - 1, n);  // h * w = h w, its middle element at n - 1
   for (int i = 0; i < n; ++i) {
@@ -98,8 +98,9 @@ Eigen::VectorXd best_taps(const std::vector<double>& blur, double slow, const Ke
     differences(i, i) = 1;
     differences(i + 1, i) = -1;
   }
-  const Eigen::MatrixXd noise = differences.transpose() * differences + slow * Eigen::MatrixXd::Identity(n, n);
-  const double gain = 1 / (1 + options.gamma * slow);
+  const Eigen::MatrixXd noise =
+      share * differences.transpose() * differences + (1 - share) * Eigen::MatrixXd::Identity(n, n);
+  const double gain = 1 / (1 + options.gamma * (1 - share));
   // The last unknown is the multiplier of the condition.
   Eigen::MatrixXd system = Eigen::MatrixXd::Zero(n + 1, n + 1);
   system.topLeftCorner(n, n) = h.transpose() * h + options.gamma * noise;
@@ -128,30 +129,31 @@ TEST(WienerKernel, IsTheBestOfItsLength) {
         for (const double extent_px : {1.0, 2.0, 5.4, 27.0, 60.0}) {
           const LineKernel kernel = wiener_kernel(extent_px, options);
           const std::vector<double> box = box_blur_kernel(extent_px, static_cast<int>(kernel.taps.size()));
-          expect_taps(kernel, best_taps(box, slow_noise(extent_px), options), what + std::to_string(extent_px));
+          expect_taps(kernel, best_taps(box, spectral_share(extent_px), options), what + std::to_string(extent_px));
         }
         const LineKernel kernel = wiener_kernel(kSpeedsUp, options);
         const std::vector<double> blur = path_blur_kernel(kSpeedsUp, static_cast<int>(kernel.taps.size()));
-        expect_taps(kernel, best_taps(blur, slow_noise(extent_of(kSpeedsUp)), options), what + "uneven");
+        expect_taps(kernel, best_taps(blur, spectral_share(extent_of(kSpeedsUp)), options), what + "uneven");
       }
     }
   }
 }
 
-// H* / (|H|^2 + gamma (|1 - exp(-iw)|^2 + slow)), summed over all frequencies.
+// H* / (|H|^2 + gamma (share |1 - exp(-iw)|^2 + 1 - share)), summed over all frequencies.
 TEST(WienerKernel, IsTheFilterOfItsNoiseWhereThatIsShort) {
   KernelOptions options;
   options.gamma = 0.5;
   options.length_factor = 8;
   const LineKernel kernel = wiener_kernel(13, options);
   const int radius = kernel.radius(), size = 4096;
+  const double share = spectral_share(13);
   const std::vector<double> box = box_blur_kernel(13, 15);
   std::vector<double> filter(size);
   for (int k = 0; k < size; ++k) {
     const double w = 2 * CV_PI * k / size;
     double H = 0;
     for (int i = 0; i < 15; ++i) H += box[i] * std::cos(w * (i - 7));
-    filter[k] = H / (H * H + options.gamma * (2 - 2 * std::cos(w) + slow_noise(13)));
+    filter[k] = H / (H * H + options.gamma * (share * (2 - 2 * std::cos(w)) + 1 - share));
   }
   for (int i = -radius; i <= radius; ++i) {
     double tap = 0;
@@ -167,6 +169,7 @@ TEST(FourierKernel, IsSmoothedByAGaussian) {
     options.design = KernelDesign::FOURIER;
     options.smoothing_px = smoothing_px;
     const LineKernel kernel = wiener_kernel(extent_px, options);
+    EXPECT_EQ(kernel.box_extent_px, 0) << "no jumps are left";
     const int n = static_cast<int>(kernel.taps.size());
     EXPECT_GE(n, options.length_factor * extent_px + 6 * smoothing_px);
     if (smoothing_px > extent_px) {
@@ -220,6 +223,18 @@ TEST(WienerKernel, HasTheLengthAndUnitGain) {
         EXPECT_NEAR(sum(kernel.taps), 1.0, 1e-4);
       }
     }
+  }
+}
+
+TEST(WienerKernel, JumpsWhereItSaysSo) {
+  EXPECT_EQ(wiener_kernel(kConstantRatioExtentPx - 0.25, {}).box_height, 0);
+  for (const double extent_px : {36.0, 60.0, 130.0}) {
+    const LineKernel kernel = wiener_kernel(extent_px, {});
+    ASSERT_EQ(kernel.box_extent_px, extent_px);
+    // The box ends on a tap; across it, less what the rest falls by on either side.
+    const float* end = kernel.taps.data() + kernel.radius() + static_cast<int>(extent_px / 2);
+    const double step = end[-1] - end[1], beside = (end[-3] - end[-1] + end[1] - end[3]) / 2;
+    EXPECT_NEAR(step - beside, kernel.box_height, 0.1 * kernel.box_height) << extent_px;
   }
 }
 
