@@ -17,8 +17,8 @@ struct LineKernel {
   std::vector<float> taps;
 
   /// Where the kernel jumps, for engines that make use of it: taps are symmetric, box_height inside a centred box of
-  /// box_extent_px (its edges weighted by coverage) plus a rest that is smooth up to the last tap. box_extent_px 0: not
-  /// known to be symmetric; box_height 0: nor to jump.
+  /// box_extent_px (its edges weighted by coverage) plus a rest that is smooth up to the last tap. Below
+  /// kConstantRatioExtentPx the jump is spread over some pixels. 0: not known to have this shape.
   double box_extent_px = 0;
   double box_height = 0;
 

@@ -169,11 +169,12 @@ LineKernel wiener_kernel(double extent_px, const KernelOptions& options) {
   // Symmetric but for rounding.
   for (int i = 0; i < length; ++i) kernel.taps[i] = static_cast<float>((w[i] + w[length - 1 - i]) / (2 * sum));
   if (options.smoothing_px > 0) return kernel;
-  kernel.box_extent_px = extent_px;
-  if (options.design == KernelDesign::LEAST_SQUARES && extent_px < kConstantRatioExtentPx) return kernel;
   // gamma w = h + a constant - (what h makes of h * w): the first is the box again, the rest is smooth up to the last
   // tap. In the Wiener filter, W = H* / gamma - H* |H|^2 / (gamma (|H|^2 + gamma)), the second term falls as |H|^3.
-  kernel.box_height = 1 / (options.gamma * extent_px * sum);
+  // With a ratio that rises with the frequency that holds at the highest one, where it is (1 + 3 s) gamma.
+  const double share = options.design == KernelDesign::LEAST_SQUARES ? spectral_share(extent_px) : 0;
+  kernel.box_extent_px = extent_px;
+  kernel.box_height = 1 / (options.gamma * (1 + 3 * share) * extent_px * sum);
   return kernel;
 }
 

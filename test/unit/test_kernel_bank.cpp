@@ -226,8 +226,14 @@ TEST(WienerKernel, HasTheLengthAndUnitGain) {
   }
 }
 
+TEST(WienerKernel, TakesTheRatioForConstantFromALongBlurOn) {
+  EXPECT_EQ(spectral_share(0), 1);
+  EXPECT_EQ(spectral_share(kConstantRatioExtentPx / 2), 0.5);
+  EXPECT_EQ(spectral_share(kConstantRatioExtentPx), 0);
+  EXPECT_EQ(spectral_share(kMaxKernelExtentPx), 0);
+}
+
 TEST(WienerKernel, JumpsWhereItSaysSo) {
-  EXPECT_EQ(wiener_kernel(kConstantRatioExtentPx - 0.25, {}).box_height, 0);
   for (const double extent_px : {36.0, 60.0, 130.0}) {
     const LineKernel kernel = wiener_kernel(extent_px, {});
     ASSERT_EQ(kernel.box_extent_px, extent_px);
