@@ -6,6 +6,7 @@
 #include <benchmark/benchmark.h>
 
 #include "engines.hpp"
+#include "gyro_deblur/deconvolution.hpp"
 #include "roll_scene.hpp"
 #include "scene.hpp"
 
@@ -17,7 +18,7 @@ void deconvolution(::benchmark::State& state, const std::string& engine_name, cv
   static const KernelBank bank(KernelOptions{});
   static const cv::Mat photograph = natural_images().front();
   const cv::Mat image = extend(photograph, size);
-  const BlurField field =
+  const FrameBlur field =
       test::Roll::about_center(size.width, size.height, extent_px).field(size.width, size.height, wide_options());
   const auto engine = make_engine(engine_name, threads);
   cv::setNumThreads(threads);

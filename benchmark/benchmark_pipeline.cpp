@@ -24,7 +24,7 @@ void blur_field(::benchmark::State& state) {
 void validation(::benchmark::State& state) {
   const PipelineScene scene = scene_of(state);
   const PipelineOptions options = pipeline_options(1);
-  const BlurField field =
+  const FrameBlur field =
       BlurFieldEstimator(Camera(scene.calibration), options.blur_field).estimate(*scene.motion, *scene.exposure);
   for (auto _ : state) ::benchmark::DoNotOptimize(validate_blur_field(field, scene.frame, options.validation));
 }

@@ -23,8 +23,9 @@
 #include <nlohmann/json.hpp>
 #include <opencv2/features2d.hpp>
 
-#include "cpu/block_kernels.hpp"
+#include "engine/cpu/block_kernels.hpp"
 #include "engines.hpp"
+#include "gyro_deblur/deconvolution.hpp"
 #include "machine_peaks.hpp"
 #include "pipeline_scene.hpp"
 #include "roll_scene.hpp"
@@ -90,9 +91,9 @@ cv::Size parse_size(const std::string& text) {
 
 /// The straightforward engine compiled for the same instruction set.
 std::string baseline_of(const std::string& engine) {
-  if (engine == "cpu-avx512") return "reference-avx512";
-  if (engine == "cpu-avx2") return "reference-avx2";
-  return "reference";
+  if (engine == "cpu-avx512") return "float-avx512";
+  if (engine == "cpu-avx2") return "float-avx2";
+  return "float";
 }
 
 nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBank& bank) {
@@ -107,10 +108,10 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBan
       for (const std::string& name : arguments.engines) std::printf(" %16s", name.c_str());
       std::printf("\n");
       for (const double extent_px : arguments.extents_px) {
-        const BlurField field =
+        const FrameBlur field =
             test::Roll::about_center(size.width, size.height, extent_px).field(size.width, size.height, wide_options());
         const FilterGrid grid = make_filter_grid(field, bank);
-        std::vector<std::unique_ptr<LineConvolver>> engines;
+        std::vector<std::unique_ptr<Engine>> engines;
         for (const std::string& name : arguments.engines) engines.push_back(make_engine(name, threads));
         std::map<std::string, std::vector<double>> times_ms;
         cv::Mat dst;
@@ -138,10 +139,10 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBan
                                    {"min_ms", quantile(ms, 0)},
                                    {"p90_ms", quantile(ms, 0.9)}};
           for (const std::string& other :
-               {baseline_of(name), std::string("reference"), std::string("filter2d"), std::string("filter2d-float")}) {
+               {baseline_of(name), std::string("float"), std::string("filter2d"), std::string("filter2d-float")}) {
             if (times_ms.count(other) != 0) record["speedup_over"][other] = median_ratio(times_ms[other], ms);
           }
-          const bool is_reference = name.compare(0, 9, "reference") == 0;
+          const bool is_reference = name.compare(0, 9, "float") == 0;
           if (is_reference || name.compare(0, 4, "cpu-") == 0) {
             const BlockKernels* kernels = is_reference ? nullptr : find_block_kernels(name.c_str() + 4);
             const Work work = is_reference ? work_of_reference(grid) : work_of_cpu(grid, kernels->lanes);
@@ -155,7 +156,7 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBan
         std::printf("   speed-up");
         for (const std::string& name : arguments.engines) {
           const std::string base = baseline_of(name);
-          if (base == name || name.compare(0, 9, "reference") == 0 || name.compare(0, 8, "filter2d") == 0) continue;
+          if (base == name || name.compare(0, 9, "float") == 0 || name.compare(0, 8, "filter2d") == 0) continue;
           if (times_ms.count(base) == 0) continue;
           std::printf("  %s %.1f", name.c_str(), median_ratio(times_ms[base], times_ms[name]));
           if (times_ms.count("filter2d") != 0 && times_ms.count("filter2d-float") != 0) {
@@ -242,7 +243,7 @@ nlohmann::json measure_memory(const Arguments& arguments, const KernelBank& bank
   // Everything but the engine is there before the children start, so that the difference is the engine's.
   constexpr int kThreads = 2;
   const cv::Size size(1920, 1080);
-  const BlurField field =
+  const FrameBlur field =
       test::Roll::about_center(size.width, size.height, 90).field(size.width, size.height, wide_options());
   const cv::Mat image(size, CV_8UC1, cv::Scalar(100));
   cv::Mat dst(size, CV_8UC1, cv::Scalar(0));

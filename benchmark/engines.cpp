@@ -10,9 +10,10 @@
 
 #include <opencv2/imgproc.hpp>
 
-#include "cpu/cpu_convolver.hpp"
+#include "engine/cpu/cpu_engine.hpp"
 #if defined(__x86_64__)
-#include "reference_copy.hpp"
+#include "float_copy.hpp"
+#include "inverse/line_taps.hpp"
 #endif
 
 namespace gyro_deblur::benchmark {
@@ -48,11 +49,11 @@ std::vector<KernelTap> lanczos_taps(const LineKernel& kernel, double angle_rad) 
 
 }  // namespace
 
-std::string Filter2dConvolver::name() const {
+std::string Filter2dEngine::name() const {
   return kind_ == Kind::BYTES ? "filter2d" : (kind_ == Kind::FLOATS ? "filter2d-float" : "filter2d-lanczos");
 }
 
-void Filter2dConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) {
+void Filter2dEngine::filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) {
   CV_Assert(src.type() == CV_8UC1);
   dst.create(src.size(), src.type());
   const int threads = threads_ > 0 ? threads_ : omp_get_max_threads();
@@ -101,24 +102,23 @@ void Filter2dConvolver::convolve(const cv::Mat& src, const FilterGrid& grid, cv:
   seams_.blend(src, float_result ? 1 : threads, dst);
 }
 
-std::unique_ptr<LineConvolver> make_engine(const std::string& name, int threads) {
-  for (const auto kind :
-       {Filter2dConvolver::Kind::BYTES, Filter2dConvolver::Kind::FLOATS, Filter2dConvolver::Kind::LANCZOS}) {
-    auto engine = std::make_unique<Filter2dConvolver>(threads, kind);
+std::unique_ptr<Engine> make_engine(const std::string& name, int threads) {
+  for (const auto kind : {Filter2dEngine::Kind::BYTES, Filter2dEngine::Kind::FLOATS, Filter2dEngine::Kind::LANCZOS}) {
+    auto engine = std::make_unique<Filter2dEngine>(threads, kind);
     if (engine->name() == name) return engine;
   }
   const std::string prefix = "cpu-";
   if (name.compare(0, prefix.size(), prefix) == 0) {
     const BlockKernels* kernels = find_block_kernels(name.c_str() + prefix.size());
     if (kernels == nullptr) return nullptr;
-    return std::make_unique<CpuConvolver>(threads, *kernels);
+    return std::make_unique<CpuEngine>(threads, *kernels);
   }
 #if defined(__x86_64__)
-  if (name == "reference-avx2") return __builtin_cpu_supports("avx2") ? make_reference_avx2(threads) : nullptr;
-  if (name == "reference-avx512") return __builtin_cpu_supports("avx512f") ? make_reference_avx512(threads) : nullptr;
+  if (name == "float-avx2") return __builtin_cpu_supports("avx2") ? make_float_avx2(threads) : nullptr;
+  if (name == "float-avx512") return __builtin_cpu_supports("avx512f") ? make_float_avx512(threads) : nullptr;
 #endif
   try {
-    return make_line_convolver(name, threads);
+    return gyro_deblur::make_engine(name, threads);
   } catch (const std::exception&) {
     return nullptr;
   }
@@ -126,8 +126,8 @@ std::unique_ptr<LineConvolver> make_engine(const std::string& name, int threads)
 
 std::vector<std::string> available_engines() {
   std::vector<std::string> names;
-  for (const char* name : {"cpu-avx512", "cpu-avx2", "cpu-baseline", "opencl", "reference", "reference-avx512",
-                           "reference-avx2", "filter2d", "filter2d-float"}) {
+  for (const char* name : {"cpu-avx512", "cpu-avx2", "cpu-baseline", "opencl", "float", "float-avx512", "float-avx2",
+                           "filter2d", "filter2d-float"}) {
     const auto engine = make_engine(name, 1);
     // Without a device the cpu engine takes OpenCL's place.
     const bool is_replaced = std::string(name) == "opencl" && engine && engine->name().find("opencl") != 0;

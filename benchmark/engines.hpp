@@ -5,13 +5,13 @@
 #include <string>
 #include <vector>
 
-#include "core/seam_blender.hpp"
+#include "engine/seam_blender.hpp"
 #include "gyro_deblur/deconvolution.hpp"
 
 namespace gyro_deblur::benchmark {
 
 /// cv::filter2D with each block's rotated kernel as a matrix (its bounding box). CV_8UC1 only.
-class Filter2dConvolver : public LineConvolver {
+class Filter2dEngine : public Engine {
  public:
   enum class Kind {
     BYTES,    ///< 8-bit result, OpenMP over blocks: the most that can be had from it
@@ -20,8 +20,8 @@ class Filter2dConvolver : public LineConvolver {
     LANCZOS,  ///< FLOATS, but between neighbours across the line the image is interpolated by six taps of Lanczos'
               ///< kernel instead of two of the linear one: what nearly ideal sampling gives
   };
-  Filter2dConvolver(int threads, Kind kind) : threads_(threads), kind_(kind) {}
-  void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
+  Filter2dEngine(int threads, Kind kind) : threads_(threads), kind_(kind) {}
+  void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
   std::string name() const override;
 
  private:
@@ -35,9 +35,9 @@ class Filter2dConvolver : public LineConvolver {
 ///   reference-avx2, reference-avx512  its source compiled for that instruction set alone
 ///   cpu-baseline, cpu-avx2, cpu-avx512
 ///   filter2d, filter2d-float, filter2d-lanczos
-///   anything else                     make_line_convolver
+///   anything else                     make_engine
 /// Null where this build or processor does not have it.
-std::unique_ptr<LineConvolver> make_engine(const std::string& name, int threads);
+std::unique_ptr<Engine> make_engine(const std::string& name, int threads);
 
 /// Names of all engines whose speed matters and that can run here, slowest last.
 std::vector<std::string> available_engines();

@@ -17,6 +17,8 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "engines.hpp"
+#include "gyro_deblur/blur_field.hpp"
+#include "gyro_deblur/deconvolution.hpp"
 #include "roll_scene.hpp"
 #include "scene.hpp"
 #include "synthetic_blur.hpp"
@@ -92,7 +94,7 @@ void print(const char* what, const std::string& engine, double extent_px, const 
 nlohmann::json measure_uniform(const Arguments& arguments, const std::vector<cv::Mat>& photographs,
                                const KernelBank& bank) {
   nlohmann::json records;
-  const auto reference = make_engine("reference", arguments.threads);
+  const auto reference = make_engine("float", arguments.threads);
   for (const double extent_px : arguments.extents_px) {
     std::map<std::string, Comparison> comparisons;
     for (int i = 0; i < std::min<int>(arguments.uniform_images, static_cast<int>(photographs.size())); ++i) {
@@ -109,7 +111,7 @@ nlohmann::json measure_uniform(const Arguments& arguments, const std::vector<cv:
         const cv::Point at = middle.tl() - (larger & cv::Rect({}, photograph.size())).tl();
         const cv::Mat blurred =
             test::expose(wide_blurred(cv::Rect(at, middle.size())), kNoiseGreyLevels, 1000 * i + degrees);
-        const BlurField field = uniform_blur_field(blurred.cols, blurred.rows, angle_rad, extent_px, wide_options());
+        const FrameBlur field = uniform_blur_field(blurred.cols, blurred.rows, angle_rad, extent_px, wide_options());
         cv::Mat expected, actual;
         deconvolve(blurred, PixelLayout::GRAY, field, bank, *reference, expected);
         for (const std::string& name : arguments.engines) {
@@ -134,14 +136,14 @@ nlohmann::json measure_uniform(const Arguments& arguments, const std::vector<cv:
 nlohmann::json measure_roll(const Arguments& arguments, const std::vector<cv::Mat>& photographs,
                             const KernelBank& bank) {
   nlohmann::json records;
-  const auto reference = make_engine("reference", arguments.threads);
+  const auto reference = make_engine("float", arguments.threads);
   for (const double extent_px : {5, 15, 30, 60, 90, 130}) {
     std::map<std::string, Comparison> comparisons;
     for (std::size_t i = 0; i < photographs.size(); ++i) {
       const cv::Mat& sharp = photographs[i];
       const test::Roll roll = test::Roll::about_center(sharp.cols, sharp.rows, extent_px);
       const cv::Mat blurred = test::expose(roll.blur(sharp), kNoiseGreyLevels, i);
-      const BlurField field = roll.field(sharp.cols, sharp.rows, wide_options());
+      const FrameBlur field = roll.field(sharp.cols, sharp.rows, wide_options());
       cv::Mat expected, actual;
       deconvolve(blurred, PixelLayout::GRAY, field, bank, *reference, expected);
       for (const std::string& name : arguments.engines) {
@@ -166,14 +168,14 @@ nlohmann::json measure_seams(const Arguments& arguments, const std::vector<cv::M
                              const KernelBank& bank) {
   nlohmann::json records;
   std::vector<std::string> engines = arguments.engines;
-  engines.insert(engines.begin(), "reference");
+  engines.insert(engines.begin(), "float");
   for (const double extent_px : {5, 15, 30, 60, 90, 130}) {
     std::map<std::string, std::vector<double>> contrasts;
     for (std::size_t i = 0; i < photographs.size(); ++i) {
       const cv::Mat sharp = extend(photographs[i], {1920, 1080});
       const test::Roll roll = test::Roll::about_center(sharp.cols, sharp.rows, extent_px);
       const cv::Mat blurred = test::expose(roll.blur(sharp), kNoiseGreyLevels, i);
-      const BlurField field = roll.field(sharp.cols, sharp.rows, wide_options());
+      const FrameBlur field = roll.field(sharp.cols, sharp.rows, wide_options());
       const double of_sharp = test::border_contrast(sharp, field.grid);
       cv::Mat deblurred;
       for (const std::string& name : engines) {

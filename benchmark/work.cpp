@@ -3,10 +3,11 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/seam_blender.hpp"
-#include "cpu/block_kernels.hpp"
-#include "cpu/cpu_convolver.hpp"
-#include "cpu/two_scale_design.hpp"
+#include "engine/cpu/block_kernels.hpp"
+#include "engine/cpu/cpu_engine.hpp"
+#include "engine/seam_blender.hpp"
+#include "inverse/line_taps.hpp"
+#include "inverse/two_scale_design.hpp"
 
 namespace gyro_deblur::benchmark {
 namespace {
@@ -101,9 +102,9 @@ Work work_of_cpu(const FilterGrid& grid, int lanes) {
     const double dx = std::cos(block.angle_rad), dy = std::sin(block.angle_rad);
     const bool major_is_y = std::abs(dy) > std::abs(dx);
     const double slope = major_is_y ? dx / dy : dy / dx;
-    if (CpuConvolver::takes_two_scales(*block.kernel, slope, CV_8U)) {
+    if (CpuEngine::takes_two_scales(*block.kernel, slope, CV_8U)) {
       const int along = major_is_y ? size.height : size.width;
-      const int longest = CpuConvolver::max_two_scale_rows(*block.kernel, slope);
+      const int longest = CpuEngine::max_two_scale_rows(*block.kernel, slope);
       const int tiles = (along + longest - 1) / longest;
       for (int i = 0; i < tiles; ++i) {
         cv::Size tile = size;

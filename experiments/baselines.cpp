@@ -10,6 +10,7 @@
 #include "evaluation.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/deconvolution.hpp"
+#include "inverse/line_taps.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {
@@ -52,7 +53,7 @@ cv::Mat filter_periodic(const cv::Mat& image, const Gain& gain) {
 
 }  // namespace
 
-BlurField as_blurred(BlurField field) {
+FrameBlur as_blurred(FrameBlur field) {
   for (BlockBlur& block : field.blocks) {
     if (block.status == BlockStatus::DEBLURRED) block.status = BlockStatus::SHARP;
   }
@@ -66,9 +67,9 @@ cv::Mat deblur_in_space(const cv::Mat& image, const LineBlur& blur, const Kernel
   BlurFieldOptions field_options;
   field_options.min_extent_px = kMinKernelExtentPx;
   field_options.max_extent_px = kMaxKernelExtentPx;
-  const BlurField field = uniform_blur_field(image.cols, image.rows, blur.angle_rad, blur.extent_px, field_options);
+  const FrameBlur field = uniform_blur_field(image.cols, image.rows, blur.angle_rad, blur.extent_px, field_options);
   cv::Mat deblurred;
-  deconvolve(image, PixelLayout::GRAY, field, KernelBank(options), *make_line_convolver("cpu", 1), deblurred);
+  deconvolve(image, PixelLayout::GRAY, field, KernelBank(options), *make_engine("cpu", 1), deblurred);
   return deblurred;
 }
 

@@ -20,7 +20,7 @@ struct LineBlur {
 
 /// The field of the blurred image itself, for keypoints that are found there: DEBLURRED blocks are copied (SHARP), so
 /// that their points are rectified from the middle of the smear in time.
-BlurField as_blurred(BlurField field);
+FrameBlur as_blurred(FrameBlur field);
 
 /// The proposed method: the package's own deconvolution with one blur in every block. Image: CV_8UC1; the result, too.
 /// Throws OptionError for extents outside [kMinKernelExtentPx, kMaxKernelExtentPx].

@@ -13,7 +13,8 @@
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/exposure.hpp"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/gyro_buffer.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur::experiments {
 

@@ -18,6 +18,7 @@
 #include "baselines.hpp"
 #include "gyro_deblur/deconvolution.hpp"
 #include "image_pairs.hpp"
+#include "inverse/line_taps.hpp"
 #include "synthetic_blur.hpp"
 #include "tools/progress.hpp"
 

@@ -227,7 +227,7 @@ struct DeblurredMiddle {
   PipelineResult result;
 };
 
-LineBlur mean_blur(const BlurField& field) {
+LineBlur mean_blur(const FrameBlur& field) {
   // Lines have no direction: angles are doubled for the sum.
   double x = 0, y = 0, extent = 0;
   for (const BlockBlur& block : field.blocks) {
@@ -279,7 +279,7 @@ std::vector<cv::KeyPoint> moved(const std::vector<cv::KeyPoint>& keypoints, cons
 /// As the package rectifies them, with the rotation and the blocks' status alone.
 /// @param field  of the image that they are found in
 std::vector<cv::KeyPoint> rectified(const std::vector<cv::KeyPoint>& keypoints, const Burst& burst,
-                                    const DeblurredMiddle& middle, const BlurField& field) {
+                                    const DeblurredMiddle& middle, const FrameBlur& field) {
   const Camera camera(burst.calibration);
   const RotationTrack track = rotation_track(burst);
   const RowExposure exposure = burst.exposure(MIDDLE);
@@ -338,7 +338,7 @@ void evaluate(const EvaluateArguments& arguments) {
     methods.push_back({"proposed_smoothed", {detect_smoothed_dog(middle1.image), detect_smoothed_dog(middle2.image)}});
     for (const auto& [name, detected] : methods) {
       const bool deblurred = name.rfind("proposed", 0) == 0;
-      const BlurField &field1 = middle1.result.field, &field2 = middle2.result.field;
+      const FrameBlur &field1 = middle1.result.field, &field2 = middle2.result.field;
       rectified_methods.push_back(
           {name,
            {rectified(detected.first, first, middle1, deblurred ? field1 : as_blurred(field1)),

@@ -48,7 +48,7 @@ void drop_weak(Features& features) {
   features.descriptors.resize(keypoints.size());
 }
 
-double median_extent_px(const BlurField& field) {
+double median_extent_px(const FrameBlur& field) {
   std::vector<double> extents;
   for (const BlockBlur& block : field.blocks) extents.push_back(block.extent_px);
   const auto middle = extents.begin() + static_cast<std::ptrdiff_t>(extents.size() / 2);

@@ -9,6 +9,7 @@
 
 #include "gyro_deblur/config.hpp"
 #include "ros/conversions.hpp"
+#include "ros/pass_through.hpp"
 #include "ros/processor.hpp"
 
 namespace gyro_deblur::fuzz {
@@ -23,7 +24,7 @@ inline Config good_config() {
   config.shutter.readout_ns = 10 * kMs;
   config.R_cam_imu = Eigen::Matrix3d::Identity();
   config.pipeline.blur_field.block_size_px = 16;
-  config.pipeline.backend = "cpu";
+  config.pipeline.engine = "cpu";
   config.pipeline.threads = 1;
   config.pipeline.keypoints.detector = "FAST";
   config.pipeline.keypoints.descriptor = "ORB";

@@ -21,7 +21,7 @@ double steepest_box_px(const BlockBlur& blur);
 /// options.threshold(steepest_box_px), and those more than half of whose judged neighbours were rejected so; all of
 /// them when more than four in five were. On `threads` OpenMP threads (0: OpenMP's default). Throws
 /// std::invalid_argument when luminance is not CV_8UC1 of the field's size.
-BlurField validate_blur_field(const BlurField& field, const cv::Mat& luminance, const ValidationOptions& options,
+FrameBlur validate_blur_field(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
                               int threads = 0);
 
 }  // namespace gyro_deblur

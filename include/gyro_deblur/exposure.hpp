@@ -5,7 +5,7 @@
 #include <optional>
 
 #include "gyro_deblur/options.hpp"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
 

@@ -12,7 +12,7 @@
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
 

@@ -6,9 +6,17 @@
 #include <string>
 #include <vector>
 
-#include "gyro_deblur/types.hpp"
+#include <Eigen/Core>
+
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
+
+/// One gyroscope reading: body rate of the IMU frame [rad/s] at an instant of the IMU clock.
+struct GyroSample {
+  TimeNs t_ns = 0;
+  Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();
+};
 
 /// Keeps the newest samples, strictly increasing in time, no older than `capacity_ns` before the newest.
 /// Not thread-safe: its owner serialises access.

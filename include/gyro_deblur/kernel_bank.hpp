@@ -1,12 +1,12 @@
 // Wiener inverses of blur along a line (paper section IV-A); those of the box, one per extent.
 #pragma once
 
-#include <array>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <vector>
 
+#include "gyro_deblur/line_path.hpp"
 #include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {
@@ -24,27 +24,6 @@ struct LineKernel {
 
   int radius() const { return static_cast<int>(taps.size() / 2); }
 };
-
-/// Box of `extent_px` as `length` taps (odd): centred, unit sum, edges weighted by coverage. Preconditions:
-/// extent_px > 0, length odd and >= extent_px.
-std::vector<double> box_blur_kernel(double extent_px, int length);
-
-/// Instants at which a path is known, evenly from the start to the end of the exposure.
-constexpr int kPathInstants = 9;
-
-/// How a scene point runs along the line of its blur: its places [px] at kPathInstants, in the line's direction from
-/// where it is at the middle of the exposure. Even in between.
-using LinePath = std::array<float, kPathInstants>;
-
-/// From the lowest to the highest place [px].
-double extent_of(const LinePath& path_px);
-
-/// Share of the exposure, 0 to 1, that the path spends in [begin_px, end_px).
-double share_within(const LinePath& path_px, double begin_px, double end_px);
-
-/// The blur of a point that runs along `path_px`: the share of the exposure that it spends in each pixel, as `length`
-/// taps (odd), the middle of the exposure at the middle one. Precondition: the path stays inside the taps.
-std::vector<double> path_blur_kernel(const LinePath& path_px, int length);
 
 /// Extents [px] for which there are Wiener kernels: a box below one pixel is no blur.
 constexpr double kMinKernelExtentPx = 1.0;

@@ -2,23 +2,14 @@
 // config/default.yaml and cfg/Deblur.cfg repeat them, and a test compares.
 #pragma once
 
-#include <stdexcept>
 #include <string>
 
 #include <Eigen/Core>
 
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/option_error.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
-
-/// A parameter that cannot be used; what() names it, its value and the allowed range.
-class OptionError : public std::invalid_argument {
- public:
-  using std::invalid_argument::invalid_argument;
-};
-
-/// Throws OptionError "NAME = VALUE is outside [MIN, MAX] UNIT" unless min <= value <= max (NaN never passes).
-void require_range(const char* name, double value, double min, double max, const char* unit = "");
 
 /// Blur field and its division into blocks (paper section IV).
 struct BlurFieldOptions {

@@ -17,15 +17,15 @@ cv::Vec3b status_color_rgb(BlockStatus status);
 struct BlurSegment {
   Eigen::Vector2d from_px, to_px;
 };
-BlurSegment blur_segment(const BlurField& field, int index);
+BlurSegment blur_segment(const FrameBlur& field, int index);
 
 /// Which blocks' paths to draw so that none comes nearer to another than `gap_px` (>= 0): 1 for those, else 0, row by
 /// row. Of paths in each other's way the first is drawn. Where all are far enough apart all are drawn.
-std::vector<char> paths_apart(const BlurField& field, double gap_px);
+std::vector<char> paths_apart(const FrameBlur& field, double gap_px);
 
 /// `luminance` (CV_8UC1, the field's size) as CV_8UC3 BGR with a dot in the colour of its status on every block, the
 /// blur paths in true length of as many blocks as can be told apart, and a legend: the median extent, what became of
 /// how many blocks, how many paths are drawn, and a bar of 50 px for scale. Too small images have no legend.
-cv::Mat draw_overlay(const cv::Mat& luminance, const BlurField& field);
+cv::Mat draw_overlay(const cv::Mat& luminance, const FrameBlur& field);
 
 }  // namespace gyro_deblur

@@ -29,8 +29,8 @@ struct PipelineOptions {
   KernelOptions kernel;
   KeypointOptions keypoints;
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
-  std::string backend = "auto";  ///< see make_line_convolver
-  int threads = 0;               ///< of validation, kernels and engine; 0: OpenMP's default; [0, 256]
+  std::string engine = "auto";  ///< see make_engine
+  int threads = 0;              ///< of validation, kernels and engine; 0: OpenMP's default; [0, 256]
 
   void validate() const;  ///< throws OptionError
 };
@@ -51,7 +51,7 @@ struct StageTimes {
 };
 
 struct PipelineResult {
-  BlurField field;    ///< validated
+  FrameBlur field;    ///< validated
   cv::Mat image;      ///< deblurred; empty when not requested, or when no block was changed (use the input)
   cv::Mat luminance;  ///< deblurred, CV_8UC1; may share memory with the input; empty when not requested
   Features features;  ///< in pixels of the image as it arrived
@@ -60,15 +60,15 @@ struct PipelineResult {
   StageTimes times;
 };
 
-/// Makes the engine for a backend and a number of threads, as make_line_convolver does.
-using EngineFactory = std::function<std::unique_ptr<LineConvolver>(const std::string& backend, int threads)>;
+/// Makes the engine of a name and a number of threads, as make_engine does.
+using EngineFactory = std::function<std::unique_ptr<Engine>(const std::string& engine, int threads)>;
 
 /// The paper's method for one camera. Calibration and options may change between frames; what depends on them is
 /// rebuilt then. Not thread-safe, engine() aside.
 class Pipeline {
  public:
   /// Throws OptionError.
-  explicit Pipeline(const PipelineOptions& options, EngineFactory make_engine = make_line_convolver);
+  explicit Pipeline(const PipelineOptions& options, EngineFactory engine_factory = make_engine);
 
   /// Throws OptionError and keeps the former options when the new ones are not valid. Rebuilds what depends on the
   /// options that differ, and nothing else.
@@ -81,7 +81,7 @@ class Pipeline {
   /// Name of the engine in use. Any thread may ask during process().
   std::string engine() const;
 
-  /// What the engine has to tell the user, see LineConvolver::take_warning; ask after set_options and after each frame.
+  /// What the engine has to tell the user, see Engine::take_warning; ask after set_options and after each frame.
   std::string take_warning();
 
   /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
@@ -103,7 +103,7 @@ class Pipeline {
   std::unique_ptr<Camera> camera_;
   std::unique_ptr<BlurFieldEstimator> estimator_;
   std::unique_ptr<KernelBank> bank_;
-  std::unique_ptr<LineConvolver> engine_;
+  std::unique_ptr<Engine> engine_;
   std::unique_ptr<FeatureExtractor> extractor_;
 };
 

@@ -28,7 +28,7 @@ struct RectifiedPoint {
 /// are.
 /// @param points_px  raw pixels, finite
 /// @param field      of the whole image (at least one block)
-std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& points_px, const BlurField& field,
+std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& points_px, const FrameBlur& field,
                                            const Camera& camera, const CameraMotion& motion,
                                            const RowExposure& exposure, TimeNs reference_ns);
 

@@ -5,8 +5,9 @@
 
 #include <Eigen/Geometry>
 
+#include "gyro_deblur/gyro_buffer.hpp"
 #include "gyro_deblur/options.hpp"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
 
@@ -22,10 +23,10 @@ class CameraMotion {
   /// The matrix R + t n^T / d of paper eq. 1: takes the direction of a scene point in the camera frame at `from_ns` to
   /// its direction (up to scale) in the camera frame at `to_ns`. Camera clock; from may be later than to.
   /// Throws std::out_of_range with the range asked for and the range available.
-  virtual Eigen::Matrix3d direction_map(TimeNs from_ns, TimeNs to_ns) const = 0;
+  virtual Eigen::Matrix3d homography(TimeNs from_ns, TimeNs to_ns) const = 0;
 
-  /// The part of direction_map that holds at every depth: its rotation. The same where there is no translation.
-  virtual Eigen::Matrix3d rotation_map(TimeNs from_ns, TimeNs to_ns) const { return direction_map(from_ns, to_ns); }
+  /// The part of homography that holds at every depth: its rotation. The same where there is no translation.
+  virtual Eigen::Matrix3d rotation(TimeNs from_ns, TimeNs to_ns) const { return homography(from_ns, to_ns); }
 };
 
 /// True when the sample reaches options.range_rad_s on an axis, or all but reaches it: the true rate may be any beyond
@@ -45,7 +46,7 @@ class RotationTrack : public CameraMotion {
   RotationTrack(const std::vector<GyroSample>& samples, const GyroOptions& options, const Eigen::Matrix3d& R_cam_imu);
 
   bool covers(const TimeRange& range) const override;
-  Eigen::Matrix3d direction_map(TimeNs from_ns, TimeNs to_ns) const override;
+  Eigen::Matrix3d homography(TimeNs from_ns, TimeNs to_ns) const override;
 
   /// From the first to the last sample (camera clock), holes included.
   TimeRange available() const;

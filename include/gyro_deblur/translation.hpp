@@ -9,7 +9,7 @@
 
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
 
@@ -70,10 +70,8 @@ class TranslatedMotion : public CameraMotion {
                    double depth_m);
 
   bool covers(const TimeRange& range) const override;
-  Eigen::Matrix3d direction_map(TimeNs from_ns, TimeNs to_ns) const override;
-  Eigen::Matrix3d rotation_map(TimeNs from_ns, TimeNs to_ns) const override {
-    return rotation_.direction_map(from_ns, to_ns);
-  }
+  Eigen::Matrix3d homography(TimeNs from_ns, TimeNs to_ns) const override;
+  Eigen::Matrix3d rotation(TimeNs from_ns, TimeNs to_ns) const override { return rotation_.homography(from_ns, to_ns); }
 
  private:
   const RotationTrack& rotation_;

@@ -178,7 +178,7 @@ void Problem::search_offset(State& state) {
       if (!gyro.covers(range)) continue;
       const double dt_s = to_seconds(to_ns - from_ns);
       const double a = image_rotation_[i].norm() / dt_s;
-      const double b = Eigen::AngleAxisd(gyro.direction_map(range.begin_ns, range.end_ns)).angle() / dt_s;
+      const double b = Eigen::AngleAxisd(gyro.homography(range.begin_ns, range.end_ns)).angle() / dt_s;
       n += 1, sa += a, sb += b, saa += a * a, sbb += b * b, sab += a * b;
     }
     if (n < static_cast<double>(kMinPairs)) return -1.0;
@@ -218,7 +218,7 @@ void Problem::estimate_rotation(State& state) {
     const FramePair& pair = pairs_[used_[i]];
     const TimeRange range{middle_of(pair.from, state.readout_s), middle_of(pair.to, state.readout_s)};
     if (!gyro.covers(range)) continue;
-    from.push_back(-log_rotation(gyro.direction_map(range.begin_ns, range.end_ns)));
+    from.push_back(-log_rotation(gyro.homography(range.begin_ns, range.end_ns)));
     to.push_back(image_rotation_[i]);
   }
   std::vector<double> weights(from.size(), 1.0);
@@ -284,7 +284,7 @@ Eigen::VectorXd Problem::residuals(const State& state) const {
     const TimeNs to_ns = time_of(pair.to, point.to_row_px, state.readout_s);
     Eigen::Vector2d predicted = Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
     if (gyro.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) {
-      predicted = camera_.project(gyro.direction_map(from_ns, to_ns) * point.from_ray);
+      predicted = camera_.project(gyro.homography(from_ns, to_ns) * point.from_ray);
     }
     result.segment<2>(2 * static_cast<Eigen::Index>(i)) = point.to_px - predicted;
   }
@@ -496,7 +496,7 @@ TimingEstimate Problem::solve() {
     const TimeNs from_ns = middle_of(pair.from, state.readout_s), to_ns = middle_of(pair.to, state.readout_s);
     const double dt_s = to_seconds(to_ns - from_ns);
     estimate.rates.push_back({from_ns + (to_ns - from_ns) / 2, image_rotation_[i] / dt_s,
-                              -log_rotation(gyro.direction_map(from_ns, to_ns)) / dt_s});
+                              -log_rotation(gyro.homography(from_ns, to_ns)) / dt_s});
   }
   return estimate;
 }

@@ -10,7 +10,8 @@
 #include "calibrate/frame_tracker.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/gyro_buffer.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
 

@@ -309,10 +309,10 @@ sensor_msgs::CameraInfoPtr uncalibrated_camera_info(const sensor_msgs::Image& in
   return info;
 }
 
-BlurFieldMessagePtr to_message(const BlurField& field, const std_msgs::Header& header) {
-  auto message = boost::make_shared<BlurFieldMessage>();
+BlurFieldPtr to_message(const FrameBlur& field, const std_msgs::Header& header) {
+  auto message = boost::make_shared<BlurField>();
   message->header = header;
-  message->reason = BlurFieldMessage::REASON_NONE;
+  message->reason = BlurField::REASON_NONE;
   message->image_width = static_cast<std::uint32_t>(field.grid.width_px());
   message->image_height = static_cast<std::uint32_t>(field.grid.height_px());
   message->block_width = message->block_height = static_cast<std::uint32_t>(field.grid.block_size_px());
@@ -331,9 +331,8 @@ BlurFieldMessagePtr to_message(const BlurField& field, const std_msgs::Header& h
   return message;
 }
 
-BlurFieldMessagePtr pass_through_message(PassThroughReason reason, const std::string& text,
-                                         const sensor_msgs::Image& input) {
-  auto message = boost::make_shared<BlurFieldMessage>();
+BlurFieldPtr pass_through_message(PassThroughReason reason, const std::string& text, const sensor_msgs::Image& input) {
+  auto message = boost::make_shared<BlurField>();
   message->header = input.header;
   message->reason = static_cast<std::uint8_t>(reason);
   message->reason_text = text;
@@ -409,7 +408,7 @@ sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const st
   return message;
 }
 
-visualization_msgs::MarkerArrayPtr to_markers(const BlurField& field, const Camera& camera,
+visualization_msgs::MarkerArrayPtr to_markers(const FrameBlur& field, const Camera& camera,
                                               const std_msgs::Header& header) {
   auto array = boost::make_shared<visualization_msgs::MarkerArray>();
   array->markers.resize(1);

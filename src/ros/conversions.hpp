@@ -21,8 +21,9 @@
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/pipeline.hpp"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 #include "ros/messages.hpp"
+#include "ros/pass_through.hpp"
 
 namespace gyro_deblur {
 
@@ -91,11 +92,10 @@ sensor_msgs::ImagePtr decode_image(const sensor_msgs::CompressedImage& compresse
 /// What is known of a camera without camera_info: header and size, K of zeros (not calibrated).
 sensor_msgs::CameraInfoPtr uncalibrated_camera_info(const sensor_msgs::Image& input);
 
-BlurFieldMessagePtr to_message(const BlurField& field, const std_msgs::Header& header);
+BlurFieldPtr to_message(const FrameBlur& field, const std_msgs::Header& header);
 
 /// Message of an image that was passed through unchanged.
-BlurFieldMessagePtr pass_through_message(PassThroughReason reason, const std::string& text,
-                                         const sensor_msgs::Image& input);
+BlurFieldPtr pass_through_message(PassThroughReason reason, const std::string& text, const sensor_msgs::Image& input);
 
 KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions& options,
                             const std_msgs::Header& header);
@@ -109,7 +109,7 @@ sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const st
 /// The blur paths as lines at a depth of 1 m in the camera's frame, in the colours of the overlay; short ones for
 /// blocks whose path would cover another's. One marker with a fixed namespace and id, so that each image's replaces the
 /// one before.
-visualization_msgs::MarkerArrayPtr to_markers(const BlurField& field, const Camera& camera,
+visualization_msgs::MarkerArrayPtr to_markers(const FrameBlur& field, const Camera& camera,
                                               const std_msgs::Header& header);
 
 /// Takes the markers of the image before away.

@@ -337,7 +337,7 @@ void DeblurNodelet::advertise() {
                                                  on_topic_change, on_topic_change);
   overlay_publisher_ = transport_->advertise("blur_overlay", kOutputQueue, on_image_change, on_image_change);
   keypoint_publisher_ = nh.advertise<KeypointArray>("keypoints", kOutputQueue, on_topic_change, on_topic_change);
-  blur_field_publisher_ = nh.advertise<BlurFieldMessage>("blur_field", kOutputQueue, on_topic_change, on_topic_change);
+  blur_field_publisher_ = nh.advertise<BlurField>("blur_field", kOutputQueue, on_topic_change, on_topic_change);
   track_publisher_ =
       nh.advertise<sensor_msgs::PointCloud>("feature_tracks", kOutputQueue, on_topic_change, on_topic_change);
   marker_publisher_ =

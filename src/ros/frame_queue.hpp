@@ -10,7 +10,8 @@
 #include <sensor_msgs/Image.h>
 
 #include "gyro_deblur/camera.hpp"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
+#include "ros/pass_through.hpp"
 #include "ros/time_jump.hpp"
 
 namespace gyro_deblur {

@@ -12,7 +12,7 @@
 
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 #include "ros/throttled_log.hpp"
 
 namespace gyro_deblur {

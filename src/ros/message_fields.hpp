@@ -9,7 +9,7 @@
 #include <variant>
 #include <vector>
 
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
 

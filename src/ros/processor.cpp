@@ -78,14 +78,14 @@ void Processor::set_config(const Config& config) {
   std::shared_ptr<Pipeline> pipeline;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    const bool same_engine = config_ && config_->pipeline.backend == config.pipeline.backend &&
+    const bool same_engine = config_ && config_->pipeline.engine == config.pipeline.engine &&
                              config_->pipeline.threads == config.pipeline.threads;
     if (same_engine) pipeline = pipeline_;
   }
   // Making an engine can take seconds (a device compiles its program), so no lock is held.
   if (!pipeline) {
-    pipeline = std::make_shared<Pipeline>(config.pipeline,
-                                          environment_.make_engine ? environment_.make_engine : make_line_convolver);
+    pipeline =
+        std::make_shared<Pipeline>(config.pipeline, environment_.make_engine ? environment_.make_engine : make_engine);
   }
   // Options of a shared source are what those who share it agree on.
   if (!environment_.gyro) gyro_source_->set_options(GyroSource::options_of(config));

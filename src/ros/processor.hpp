@@ -50,14 +50,14 @@ struct FrameOutput {
   sensor_msgs::ImageConstPtr input;
   sensor_msgs::ImageConstPtr image;             ///< the very input message when no pixel was changed
   sensor_msgs::CameraInfoConstPtr camera_info;  ///< the input's; one that is not calibrated when there was none
-  BlurFieldMessagePtr blur_field;
+  BlurFieldPtr blur_field;
   KeypointArrayPtr keypoints;                  ///< null when not requested
   sensor_msgs::ImagePtr overlay;               ///< null when not requested, or without a blur field
   visualization_msgs::MarkerArrayPtr markers;  ///< null when not requested
   sensor_msgs::PointCloudPtr tracks;           ///< null when not requested, or when the pipeline did not run
   PassThroughReason reason = PassThroughReason::NONE;
   std::string reason_text;
-  std::optional<BlurField> field;  ///< of the core; absent when the pipeline did not run
+  std::optional<FrameBlur> field;  ///< of the core; absent when the pipeline did not run
   bool translated = false;         ///< odometry and depth were used
   std::string translation_text;    ///< why not, where an odometry is expected; else empty
   StageTimes stages;               ///< [ms]
@@ -104,7 +104,7 @@ class Processor {
     std::function<bool()> exposure_expected;
     /// What is wanted of the frame that is about to be processed; absent: image and keypoints.
     std::function<FrameRequest()> request;
-    /// Absent: make_line_convolver.
+    /// Absent: make_engine.
     EngineFactory make_engine;
   };
   /// Takes a frame; false: enough for now, the rest stays.
@@ -114,7 +114,7 @@ class Processor {
   explicit Processor(Environment environment);
 
   /// Throws OptionError and keeps the former configuration when the new one cannot be used. A bias that was estimated
-  /// stays in use. An engine is made only when backend or threads change; what else has to be rebuilt is when the next
+  /// stays in use. An engine is made only when engine or threads change; what else has to be rebuilt is when the next
   /// frame is processed, by the thread that does so: many changes in a row cost no more than one.
   void set_config(const Config& config);
   /// From now on frames pass through with BAD_CONFIGURATION and this text.

@@ -5,7 +5,7 @@
 #include <cstddef>
 #include <optional>
 
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
 

@@ -15,8 +15,8 @@
 #include <Eigen/Geometry>
 
 #include "gyro_deblur/config.hpp"
+#include "gyro_deblur/time.hpp"
 #include "gyro_deblur/translation.hpp"
-#include "gyro_deblur/types.hpp"
 
 namespace gyro_deblur {
 

@@ -6,7 +6,7 @@
 
 #include <opencv2/imgproc.hpp>
 
-#include "core/parallel.hpp"
+#include "base/parallel.hpp"
 
 namespace gyro_deblur::sim {
 namespace {

@@ -5,7 +5,7 @@
 #include <limits>
 #include <utility>
 
-#include "core/parallel.hpp"
+#include "base/parallel.hpp"
 #include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur::sim {

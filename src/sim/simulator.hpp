@@ -11,7 +11,7 @@
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/image_format.hpp"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 #include "sim/motion.hpp"
 #include "sim/renderer.hpp"
 #include "sim/scene.hpp"

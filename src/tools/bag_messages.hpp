@@ -14,7 +14,7 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 #include "ros/conversions.hpp"
 
 namespace gyro_deblur {

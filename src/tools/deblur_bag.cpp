@@ -180,7 +180,7 @@ nlohmann::json frame_report(const FrameOutput& output) {
   frame["identical"] = output.image == output.input;
   frame["keypoints"] = output.keypoints ? output.keypoints->keypoints.size() : 0;
   if (output.field) {
-    const BlurField& field = *output.field;
+    const FrameBlur& field = *output.field;
     std::vector<double> extents;
     for (const BlockBlur& block : field.blocks) {
       if (block.status != BlockStatus::NO_GYRO) extents.push_back(block.extent_px);

@@ -38,7 +38,7 @@ struct Arguments {
   BlurFieldOptions blur_field;
   ValidationOptions validation;
   KernelOptions kernel;
-  std::string backend = "auto";
+  std::string engine = "auto";
   int threads = 0;
 };
 
@@ -141,7 +141,7 @@ cv::Mat read_displacement(const std::string& path, double offset) {
   return matrix - offset;
 }
 
-double median_extent(const BlurField& field) {
+double median_extent(const FrameBlur& field) {
   std::vector<float> extents;
   for (const BlockBlur& block : field.blocks) {
     if (block.status != BlockStatus::NO_GYRO) extents.push_back(block.extent_px);
@@ -156,7 +156,7 @@ void run(const Arguments& arguments) {
   const cv::Mat image = read_image(arguments.input);
   const PixelLayout layout = layout_of(image, arguments.input);
 
-  BlurField field;
+  FrameBlur field;
   if (arguments.field.empty()) {
     if (!std::isfinite(arguments.angle_deg)) throw OptionError("--angle-deg must be finite");
     require_range("--extent-px", arguments.extent_px, 0, kMaxKernelExtentPx, "px");
@@ -171,7 +171,7 @@ void run(const Arguments& arguments) {
   field = validate_blur_field(field, luminance, arguments.validation);
 
   const KernelBank bank(arguments.kernel);
-  const auto engine = make_line_convolver(arguments.backend, arguments.threads);
+  const auto engine = make_engine(arguments.engine, arguments.threads);
   cv::Mat deblurred;
   const auto start = std::chrono::steady_clock::now();
   deconvolve(image, layout, field, bank, *engine, deblurred);
@@ -238,7 +238,7 @@ int main_of(int argc, char** argv) {
   extent->needs(angle)->excludes(field);
   app.add_option("--gamma", arguments.kernel.gamma, "noise-to-signal ratio of the Wiener filter")
       ->capture_default_str();
-  app.add_option("--backend", arguments.backend, "engine: auto, cpu, reference, opencl, opencl:INDEX, opencl:NAME")
+  app.add_option("--engine", arguments.engine, "engine: auto, cpu, reference, opencl, opencl:INDEX, opencl:NAME")
       ->capture_default_str();
   app.add_option("--threads", arguments.threads, "of the engine; 0: as many as there are cores")->capture_default_str();
   app.add_option("--block-size", arguments.blur_field.block_size_px, "side of a block [px], even")

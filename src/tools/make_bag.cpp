@@ -16,7 +16,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "gyro_deblur/Exposure.h"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 #include "tools/bag_messages.hpp"
 #include "tools/progress.hpp"
 #include "tools/recording.hpp"

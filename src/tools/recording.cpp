@@ -17,7 +17,7 @@
 #include <yaml-cpp/yaml.h>
 #include <Eigen/LU>
 
-#include "core/yaml_reading.hpp"
+#include "config/yaml_reading.hpp"
 #include "gyro_deblur/calibration.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"

@@ -8,7 +8,7 @@
 #include <Eigen/Core>
 
 #include "gyro_deblur/camera.hpp"
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
 

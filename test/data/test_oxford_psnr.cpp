@@ -66,7 +66,7 @@ Gain gain_of(const Example& example, const cv::Mat& deblurred, double extent_px)
 TEST(OxfordPsnr, GainsThreeDecibels) {
   if (!std::filesystem::exists(image_path(kSets[0]))) GTEST_SKIP() << "no data at " << image_path(kSets[0]);
   const KernelBank bank({});
-  const auto engine = make_line_convolver("auto");  // as deblur_image does
+  const auto engine = make_engine("auto");  // as deblur_image does
   const auto print = [](const char* name, const Gain& sum, double count) {
     std::printf("%-10s %8.2f %8.2f %8.2f\n", name, sum.whole / count, sum.interior / count, sum.border / count);
   };
@@ -84,7 +84,7 @@ TEST(OxfordPsnr, GainsThreeDecibels) {
       for (const double angle_deg : kAnglesDeg) {
         const Example example = make_example(photograph, angle_deg, kExtentsPx[e], ++count);
         // The steps of deblur_image with its defaults.
-        BlurField field =
+        FrameBlur field =
             uniform_blur_field(example.blurred.cols, example.blurred.rows, angle_deg * CV_PI / 180, kExtentsPx[e], {});
         field = validate_blur_field(field, example.blurred, {});
         cv::Mat deblurred;
@@ -131,9 +131,9 @@ TEST(OxfordPsnr, DeblurImageGivesTheSame) {
     ASSERT_EQ(deblurred.type(), in.type());
 
     const PixelLayout layout = in.channels() == 1 ? PixelLayout::GRAY : PixelLayout::BGR;
-    BlurField field = uniform_blur_field(in.cols, in.rows, 30 * CV_PI / 180, 27, {});
+    FrameBlur field = uniform_blur_field(in.cols, in.rows, 30 * CV_PI / 180, 27, {});
     field = validate_blur_field(field, luminance8(in, layout), {});
-    deconvolve(in, layout, field, KernelBank({}), *make_line_convolver("auto"), expected);
+    deconvolve(in, layout, field, KernelBank({}), *make_engine("auto"), expected);
     EXPECT_EQ(cv::norm(deblurred, expected, cv::NORM_INF), 0);
 
     std::vector<cv::Mat> restored;

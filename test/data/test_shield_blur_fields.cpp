@@ -89,7 +89,7 @@ TEST_P(ShieldBlurFields, ComeOutSharper) {
   EXPECT_GE(after.balance(), 1.2 * before.balance());
   EXPECT_LT(wrong.balance(), before.balance());
 
-  const BlurField field = blur_field_from_displacement(blurred_.cols, blurred_.rows, dx_, dy_, {});
+  const FrameBlur field = blur_field_from_displacement(blurred_.cols, blurred_.rows, dx_, dy_, {});
   int changed = 0;
   for (int i = 0; i < field.grid.size(); ++i) {
     const cv::Rect rect = field.grid.rect(i);
@@ -100,7 +100,7 @@ TEST_P(ShieldBlurFields, ComeOutSharper) {
 
 TEST_P(ShieldBlurFields, CsvGivesTheSameAsMaps) {
   // A cell for each block, taken from the maps as the block centres see them.
-  const BlurField field = blur_field_from_displacement(blurred_.cols, blurred_.rows, dx_, dy_, {});
+  const FrameBlur field = blur_field_from_displacement(blurred_.cols, blurred_.rows, dx_, dy_, {});
   const std::string x = testing::TempDir() + GetParam() + "_dx.csv", y = testing::TempDir() + GetParam() + "_dy.csv";
   std::ofstream x_file(x), y_file(y);
   for (int row = 0; row < field.grid.rows(); ++row) {

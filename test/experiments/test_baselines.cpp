@@ -50,10 +50,10 @@ cv::Mat as8(const cv::Mat& image) {
 }
 
 TEST(AsBlurred, CountsDeblurredBlocksAsCopied) {
-  BlurField field = uniform_blur_field(128, 64, 0.5, 20, {});
+  FrameBlur field = uniform_blur_field(128, 64, 0.5, 20, {});
   field.blocks[1].status = BlockStatus::REJECTED;
   field.blocks[0].mean_place_px = {1, 2};
-  const BlurField blurred = as_blurred(field);
+  const FrameBlur blurred = as_blurred(field);
   EXPECT_EQ(blurred.count(BlockStatus::DEBLURRED), 0u);
   EXPECT_EQ(blurred.blocks[1].status, BlockStatus::REJECTED);
   EXPECT_EQ(blurred.blocks[0].shown_offset_px(), Eigen::Vector2d(1, 2));

@@ -15,11 +15,12 @@
 
 #include <CLI/CLI.hpp>
 
-#include "core/fallback_convolver.hpp"
+#include "engine/fallback_engine.hpp"
 #include "faults.hpp"
 #include "gyro_deblur/config.hpp"
 #include "process_memory.hpp"
 #include "replay.hpp"
+#include "ros/pass_through.hpp"
 #include "tools/progress.hpp"
 
 namespace gyro_deblur::test {
@@ -33,15 +34,15 @@ constexpr int kGoodCalls = 20, kGoodCallsInARow = 9;
 
 /// A device that works for some calls and then fails: for good, or every so often.
 template <typename Error>
-class FailingConvolver : public LineConvolver {
+class FailingEngine : public Engine {
  public:
-  FailingConvolver(std::unique_ptr<LineConvolver> engine, int good_calls, bool for_good)
+  FailingEngine(std::unique_ptr<Engine> engine, int good_calls, bool for_good)
       : engine_(std::move(engine)), good_calls_(good_calls), for_good_(for_good) {}
 
-  void convolve(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override {
+  void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override {
     ++calls_;
     const bool fails = for_good_ ? calls_ > good_calls_ : calls_ % (good_calls_ + 1) == 0;
-    engine_->convolve(src, grid, dst);
+    engine_->filter(src, grid, dst);
     if (!fails) return;
     dst.setTo(cv::Scalar::all(7));  // the result is spoilt
     throw Error();
@@ -49,7 +50,7 @@ class FailingConvolver : public LineConvolver {
   std::string name() const override { return "failing"; }
 
  private:
-  std::unique_ptr<LineConvolver> engine_;
+  std::unique_ptr<Engine> engine_;
   int good_calls_, calls_ = 0;
   bool for_good_;
 };
@@ -170,14 +171,13 @@ class Table {
 
     ReplayOptions failing = options_;
     failing.make_engine = [](const std::string&, int threads) {
-      return std::make_unique<FallbackConvolver>(
-          std::make_unique<FailingConvolver<DeviceLost>>(make_line_convolver("cpu", threads), kGoodCalls, true),
-          make_line_convolver("cpu", threads));
+      return std::make_unique<FallbackEngine>(
+          std::make_unique<FailingEngine<DeviceLost>>(make_engine("cpu", threads), kGoodCalls, true),
+          make_engine("cpu", threads));
     };
     one("device fails in mid-run", "engine", all, failing);
     failing.make_engine = [](const std::string&, int threads) {
-      return std::make_unique<FailingConvolver<std::bad_alloc>>(make_line_convolver("cpu", threads), kGoodCallsInARow,
-                                                                false);
+      return std::make_unique<FailingEngine<std::bad_alloc>>(make_engine("cpu", threads), kGoodCallsInARow, false);
     };
     one("memory runs out", "engine", all, failing);
     rows_.back().rate = "10 %";

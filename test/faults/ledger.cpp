@@ -21,7 +21,7 @@ bool identical(const sensor_msgs::Image& a, const sensor_msgs::Image& b) {
 
 /// The pixels of all blocks that were not deconvolved are those of the input.
 bool identical_outside_deblurred(const sensor_msgs::Image& input, const sensor_msgs::Image& output,
-                                 const BlurField& field) {
+                                 const FrameBlur& field) {
   if (output.width != input.width || output.height != input.height || output.encoding != input.encoding) return false;
   const std::size_t pixel_bytes = output.step / output.width;
   for (int i = 0; i < field.grid.size(); ++i) {

@@ -8,6 +8,7 @@
 
 #include <sensor_msgs/Image.h>
 
+#include "ros/pass_through.hpp"
 #include "ros/processor.hpp"
 
 namespace gyro_deblur::test {

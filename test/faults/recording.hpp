@@ -15,7 +15,7 @@
 #include <boost/make_shared.hpp>
 #include <boost/shared_ptr.hpp>
 
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 #include "ros/messages.hpp"
 #include "ros/processor.hpp"
 

@@ -1,4 +1,5 @@
 #include "replay.hpp"
+#include "ros/pass_through.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -16,7 +17,7 @@ namespace {
 /// Truth and prediction are compared at the image's centre.
 bool is_mispredicted(const FrameOutput& output, double true_extent_px) {
   if (!output.field || output.reason != PassThroughReason::NONE) return false;
-  const BlurField& field = *output.field;
+  const FrameBlur& field = *output.field;
   const auto center = static_cast<std::size_t>(
       field.grid.index_at((field.grid.width_px() - 1) / 2.0, (field.grid.height_px() - 1) / 2.0));
   if (field.blocks[center].status != BlockStatus::DEBLURRED) return false;

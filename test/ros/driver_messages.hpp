@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "gyro_deblur/types.hpp"
+#include "gyro_deblur/time.hpp"
 #include "message_builders.hpp"
 #include "ros/conversions.hpp"
 

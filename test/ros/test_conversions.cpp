@@ -178,15 +178,15 @@ TEST(ImageView, ReasonsOfRefusal) {
   }
 }
 
-BlurField example_field() {
-  BlurField field = uniform_blur_field(100, 70, 0.5, 12, BlurFieldOptions());
+FrameBlur example_field() {
+  FrameBlur field = uniform_blur_field(100, 70, 0.5, 12, BlurFieldOptions());
   field.blocks[1].status = BlockStatus::REJECTED;
   field.exposure_ns = kExposure;
   field.readout_ns = -kReadout;
   return field;
 }
 
-TEST(BlurFieldMessage, CarriesEverything) {
+TEST(BlurField, CarriesEverything) {
   std_msgs::Header header;
   header.frame_id = "camera";
   header.stamp = ros::Time(12, 34);
@@ -200,34 +200,34 @@ TEST(BlurFieldMessage, CarriesEverything) {
   EXPECT_EQ(message->cols, 2u);
   EXPECT_EQ(message->rows, 2u);
   ASSERT_EQ(message->status.size(), 4u);
-  EXPECT_EQ(message->status[0], BlurFieldMessage::DEBLURRED);
-  EXPECT_EQ(message->status[1], BlurFieldMessage::REJECTED);
+  EXPECT_EQ(message->status[0], BlurField::DEBLURRED);
+  EXPECT_EQ(message->status[1], BlurField::REJECTED);
   EXPECT_FLOAT_EQ(message->angle[0], 0.5f);
   EXPECT_FLOAT_EQ(message->extent[3], 12);
   EXPECT_EQ(message->exposure_time.toNSec(), kExposure);
   EXPECT_EQ(message->readout_time.toNSec(), -kReadout);
 }
 
-TEST(BlurFieldMessage, ConstantsEqualTheCores) {
-  EXPECT_EQ(BlurFieldMessage::SHARP, static_cast<int>(BlockStatus::SHARP));
-  EXPECT_EQ(BlurFieldMessage::DEBLURRED, static_cast<int>(BlockStatus::DEBLURRED));
-  EXPECT_EQ(BlurFieldMessage::REJECTED, static_cast<int>(BlockStatus::REJECTED));
-  EXPECT_EQ(BlurFieldMessage::TOO_LARGE, static_cast<int>(BlockStatus::TOO_LARGE));
-  EXPECT_EQ(BlurFieldMessage::NO_GYRO, static_cast<int>(BlockStatus::NO_GYRO));
-  EXPECT_EQ(BlurFieldMessage::BENT, static_cast<int>(BlockStatus::BENT));
+TEST(BlurField, ConstantsEqualTheCores) {
+  EXPECT_EQ(BlurField::SHARP, static_cast<int>(BlockStatus::SHARP));
+  EXPECT_EQ(BlurField::DEBLURRED, static_cast<int>(BlockStatus::DEBLURRED));
+  EXPECT_EQ(BlurField::REJECTED, static_cast<int>(BlockStatus::REJECTED));
+  EXPECT_EQ(BlurField::TOO_LARGE, static_cast<int>(BlockStatus::TOO_LARGE));
+  EXPECT_EQ(BlurField::NO_GYRO, static_cast<int>(BlockStatus::NO_GYRO));
+  EXPECT_EQ(BlurField::BENT, static_cast<int>(BlockStatus::BENT));
   const std::pair<int, PassThroughReason> reasons[] = {
-      {BlurFieldMessage::REASON_NONE, PassThroughReason::NONE},
-      {BlurFieldMessage::REASON_NO_GYRO, PassThroughReason::NO_GYRO},
-      {BlurFieldMessage::REASON_NO_EXPOSURE_TIME, PassThroughReason::NO_EXPOSURE_TIME},
-      {BlurFieldMessage::REASON_NO_CALIBRATION, PassThroughReason::NO_CALIBRATION},
-      {BlurFieldMessage::REASON_NO_EXTRINSIC, PassThroughReason::NO_EXTRINSIC},
-      {BlurFieldMessage::REASON_UNSUPPORTED_ENCODING, PassThroughReason::UNSUPPORTED_ENCODING},
-      {BlurFieldMessage::REASON_BAD_IMAGE, PassThroughReason::BAD_IMAGE},
-      {BlurFieldMessage::REASON_BAD_CONFIGURATION, PassThroughReason::BAD_CONFIGURATION},
-      {BlurFieldMessage::REASON_OVERLOAD, PassThroughReason::OVERLOAD},
-      {BlurFieldMessage::REASON_TIME_JUMP, PassThroughReason::TIME_JUMP},
-      {BlurFieldMessage::REASON_INTERNAL_ERROR, PassThroughReason::INTERNAL_ERROR},
-      {BlurFieldMessage::REASON_GYRO_SATURATED, PassThroughReason::GYRO_SATURATED}};
+      {BlurField::REASON_NONE, PassThroughReason::NONE},
+      {BlurField::REASON_NO_GYRO, PassThroughReason::NO_GYRO},
+      {BlurField::REASON_NO_EXPOSURE_TIME, PassThroughReason::NO_EXPOSURE_TIME},
+      {BlurField::REASON_NO_CALIBRATION, PassThroughReason::NO_CALIBRATION},
+      {BlurField::REASON_NO_EXTRINSIC, PassThroughReason::NO_EXTRINSIC},
+      {BlurField::REASON_UNSUPPORTED_ENCODING, PassThroughReason::UNSUPPORTED_ENCODING},
+      {BlurField::REASON_BAD_IMAGE, PassThroughReason::BAD_IMAGE},
+      {BlurField::REASON_BAD_CONFIGURATION, PassThroughReason::BAD_CONFIGURATION},
+      {BlurField::REASON_OVERLOAD, PassThroughReason::OVERLOAD},
+      {BlurField::REASON_TIME_JUMP, PassThroughReason::TIME_JUMP},
+      {BlurField::REASON_INTERNAL_ERROR, PassThroughReason::INTERNAL_ERROR},
+      {BlurField::REASON_GYRO_SATURATED, PassThroughReason::GYRO_SATURATED}};
   for (const auto& [constant, reason] : reasons) EXPECT_EQ(constant, static_cast<int>(reason)) << to_string(reason);
 }
 
@@ -268,7 +268,7 @@ TEST(KeypointMessage, DescriptorsKeepTheirBytes) {
 }
 
 TEST(Markers, LieOnTheRaysOfTheSegmentsInTheOverlaysColours) {
-  const BlurField field = example_field();
+  const FrameBlur field = example_field();
   CameraCalibration calibration = to_calibration(*camera_info(0, 100, 70), 100, 70, false);
   const Camera camera(calibration);
   const auto array = to_markers(field, camera, std_msgs::Header());

@@ -42,6 +42,7 @@
 #include "driver_messages.hpp"
 #include "message_builders.hpp"
 #include "ros/messages.hpp"
+#include "ros/pass_through.hpp"
 #include "run_program.hpp"
 
 namespace gyro_deblur {
@@ -124,9 +125,8 @@ class NodeletTest : public CameraTopicsTest {
     info_subscriber_ = nh_.subscribe<sensor_msgs::CameraInfo>(
         ns_ + "/deblurred/camera_info", 100,
         [this](const sensor_msgs::CameraInfoConstPtr& m) { mailbox_.put([&] { infos_.push_back(m); }); });
-    field_subscriber_ = nh_.subscribe<BlurFieldMessage>(
-        ns_ + "/blur_field", 100,
-        [this](const BlurFieldMessageConstPtr& m) { mailbox_.put([&] { fields_.push_back(m); }); });
+    field_subscriber_ = nh_.subscribe<BlurField>(
+        ns_ + "/blur_field", 100, [this](const BlurFieldConstPtr& m) { mailbox_.put([&] { fields_.push_back(m); }); });
     keypoint_subscriber_ = nh_.subscribe<KeypointArray>(
         ns_ + "/keypoints", 100,
         [this](const KeypointArrayConstPtr& m) { mailbox_.put([&] { keypoints_.push_back(m); }); });
@@ -205,7 +205,7 @@ class NodeletTest : public CameraTopicsTest {
   Mailbox mailbox_;
   std::vector<sensor_msgs::ImageConstPtr> images_;
   std::vector<sensor_msgs::CameraInfoConstPtr> infos_;
-  std::vector<BlurFieldMessageConstPtr> fields_;
+  std::vector<BlurFieldConstPtr> fields_;
   std::vector<KeypointArrayConstPtr> keypoints_;
   std::vector<std::string> log_;
   ros::Subscriber image_subscriber_, info_subscriber_, field_subscriber_, keypoint_subscriber_, log_subscriber_;
@@ -320,7 +320,7 @@ TEST_F(NodeletTest, CameraIsSubscribedWhileSomebodyListens) {
   listens(ignore<sensor_msgs::Image>("deblurred/image_raw"));
   listens(ignore<sensor_msgs::CameraInfo>("deblurred/camera_info"));
   listens(ignore<KeypointArray>("keypoints"));
-  listens(ignore<BlurFieldMessage>("blur_field"));
+  listens(ignore<BlurField>("blur_field"));
   listens(ignore<sensor_msgs::Image>("blur_overlay"));
   listens(ignore<visualization_msgs::MarkerArray>("blur_markers"));
   listens(ignore<sensor_msgs::PointCloud>("feature_tracks"));
@@ -545,7 +545,7 @@ TEST_F(NodeletTest, ParametersChangeWhileRunning) {
   const auto second = publish_frame(kStart + 33 * kMs);
   expect_frames(2);
   expect_reason(1, PassThroughReason::NONE);
-  EXPECT_EQ(fields_[1]->status[0], BlurFieldMessage::TOO_LARGE);
+  EXPECT_EQ(fields_[1]->status[0], BlurField::TOO_LARGE);
   expect_identical(1, *second);
   EXPECT_EQ(value_of(reconfigure(name_, with_int("block_size", 64)).ints, "block_size"), 64);
   publish_frame(kStart + 66 * kMs);
@@ -646,12 +646,12 @@ TEST_P(DriverExposureTest, DrivesTheNodeletAndTheBagToolAlike) {
                                             path("config.yaml"), "--exposure-topic", ns_ + "/exposure"});
   ASSERT_EQ(result.exit_code, 0) << result.output;
   std::vector<sensor_msgs::ImageConstPtr> images;
-  std::vector<BlurFieldMessageConstPtr> fields;
+  std::vector<BlurFieldConstPtr> fields;
   rosbag::Bag out(path("out.bag"), rosbag::bagmode::Read);
   for (const rosbag::MessageInstance& instance : rosbag::View(out)) {
     if (instance.getTopic() == ns_ + "/deblurred/image_raw")
       images.push_back(instance.instantiate<sensor_msgs::Image>());
-    if (instance.getTopic() == ns_ + "/blur_field") fields.push_back(instance.instantiate<BlurFieldMessage>());
+    if (instance.getTopic() == ns_ + "/blur_field") fields.push_back(instance.instantiate<BlurField>());
   }
   ASSERT_EQ(images.size(), exposures_us.size());
   ASSERT_EQ(fields.size(), exposures_us.size());

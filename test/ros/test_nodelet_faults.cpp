@@ -39,9 +39,9 @@ class NodeletFaultTest : public CameraTopicsTest {
     image_subscriber_ = nh_.subscribe<sensor_msgs::Image>(
         ns_ + "/deblurred/image_raw", kNoLimit,
         [this](const sensor_msgs::ImageConstPtr& image) { mailbox_.put([&] { images_.push_back(image); }); });
-    field_subscriber_ = nh_.subscribe<BlurFieldMessage>(
-        ns_ + "/blur_field", kNoLimit,
-        [this](const BlurFieldMessageConstPtr& field) { mailbox_.put([&] { fields_.push_back(field); }); });
+    field_subscriber_ = nh_.subscribe<BlurField>(ns_ + "/blur_field", kNoLimit, [this](const BlurFieldConstPtr& field) {
+      mailbox_.put([&] { fields_.push_back(field); });
+    });
   }
 
   /// Loads the nodelet, and waits until everything is connected.
@@ -76,7 +76,7 @@ class NodeletFaultTest : public CameraTopicsTest {
 
   Mailbox mailbox_;
   std::vector<sensor_msgs::ImageConstPtr> images_;
-  std::vector<BlurFieldMessageConstPtr> fields_;
+  std::vector<BlurFieldConstPtr> fields_;
   ros::Subscriber image_subscriber_, field_subscriber_;
   nodelet::Loader loader_{false};  // without services
 };
@@ -140,8 +140,8 @@ TEST_F(NodeletFaultTest, ParametersChangeAt50Hz) {
   stop = true;
   owner.join();
   expect_all_in_order(kFrames);
-  for (const BlurFieldMessageConstPtr& field : fields_) {
-    EXPECT_EQ(field->reason, BlurFieldMessage::REASON_NONE) << field->reason_text;
+  for (const BlurFieldConstPtr& field : fields_) {
+    EXPECT_EQ(field->reason, BlurField::REASON_NONE) << field->reason_text;
   }
   EXPECT_GT(changes, kFrames / 2);
   EXPECT_EQ(refused, 0u) << "the service has to answer always";
@@ -182,8 +182,7 @@ TEST_F(NodeletFaultTest, UnloadedDuringWorkItLetsOutWhatHasComeIn) {
   unload();
   expect_all_in_order(kFrames);
   for (std::size_t i = 0; i < kFrames; ++i) {
-    EXPECT_EQ(fields_[i]->reason,
-              i < kFrames - kQueue ? BlurFieldMessage::REASON_OVERLOAD : BlurFieldMessage::REASON_NO_GYRO);
+    EXPECT_EQ(fields_[i]->reason, i < kFrames - kQueue ? BlurField::REASON_OVERLOAD : BlurField::REASON_NO_GYRO);
   }
 }
 
@@ -243,7 +242,7 @@ class UnloadTest : public NodeletFaultTest {
 TEST_F(UnloadTest, WhileAFrameIsInWorkItWaitsForItAndLetsOutTheRest) {
   constexpr std::size_t kQueue = 5, kFrames = 7;
   set("frame_queue_size", static_cast<int>(kQueue));
-  set("backend", std::string("opencl:no such device"));  // said while the first frame is processed
+  set("engine", std::string("opencl:no such device"));  // said while the first frame is processed
   ASSERT_NO_FATAL_FAILURE(load());
   for (std::size_t i = 0; i < kFrames; ++i) publish_frame(kStart + static_cast<TimeNs>(i) * kFramePeriod);
   ASSERT_TRUE(wait_for_frames(kFrames - kQueue)) << "all have come in then";
@@ -251,7 +250,7 @@ TEST_F(UnloadTest, WhileAFrameIsInWorkItWaitsForItAndLetsOutTheRest) {
   publish_imu(kStart - 50 * kMs, kStart + kSecond);
   ASSERT_NO_FATAL_FAILURE(unload_through(&gate));
   expect_all_in_order(kFrames);
-  EXPECT_EQ(fields_[kFrames - kQueue]->reason, BlurFieldMessage::REASON_NONE) << "the one in work";
+  EXPECT_EQ(fields_[kFrames - kQueue]->reason, BlurField::REASON_NONE) << "the one in work";
 }
 
 TEST_F(UnloadTest, WhileAFrameFailsItStillLetsItOut) {
@@ -263,7 +262,7 @@ TEST_F(UnloadTest, WhileAFrameFailsItStillLetsItOut) {
   ASSERT_NO_FATAL_FAILURE(unload_through(&gate));
   expect_all_in_order(1);
   EXPECT_EQ(images_[0].get(), image.get());
-  EXPECT_EQ(fields_[0]->reason, BlurFieldMessage::REASON_UNSUPPORTED_ENCODING);
+  EXPECT_EQ(fields_[0]->reason, BlurField::REASON_UNSUPPORTED_ENCODING);
 }
 
 TEST_F(NodeletFaultTest, ImagesAreHandedOnWithoutACopy) {
@@ -291,7 +290,7 @@ class StereoTest : public NodeletFaultTest {
     ros::Publisher image_publisher, info_publisher;
     ros::Subscriber subscriber, field_subscriber;
     std::vector<sensor_msgs::ImageConstPtr> inputs, images;
-    std::vector<BlurFieldMessageConstPtr> fields;
+    std::vector<BlurFieldConstPtr> fields;
   };
 
   StereoTest() {
@@ -304,10 +303,9 @@ class StereoTest : public NodeletFaultTest {
                                                             [this, &camera](const sensor_msgs::ImageConstPtr& image) {
                                                               mailbox_.put([&] { camera.images.push_back(image); });
                                                             });
-      camera.field_subscriber = nh_.subscribe<BlurFieldMessage>(camera.ns + "/blur_field", kNoLimit,
-                                                                [this, &camera](const BlurFieldMessageConstPtr& field) {
-                                                                  mailbox_.put([&] { camera.fields.push_back(field); });
-                                                                });
+      camera.field_subscriber = nh_.subscribe<BlurField>(
+          camera.ns + "/blur_field", kNoLimit,
+          [this, &camera](const BlurFieldConstPtr& field) { mailbox_.put([&] { camera.fields.push_back(field); }); });
       name_ = camera.ns + "/deblur";
       set_camera_parameters();
     }
@@ -341,7 +339,7 @@ class StereoTest : public NodeletFaultTest {
     ASSERT_EQ(camera.inputs.size(), count);
     for (std::size_t k = 0; k < count; ++k) {
       EXPECT_EQ(camera.images[k]->header.stamp, camera.inputs[k]->header.stamp);
-      EXPECT_EQ(camera.fields[k]->reason, BlurFieldMessage::REASON_NONE) << camera.fields[k]->reason_text;
+      EXPECT_EQ(camera.fields[k]->reason, BlurField::REASON_NONE) << camera.fields[k]->reason_text;
       EXPECT_FALSE(camera.images[k]->data == camera.inputs[k]->data);
     }
   }
@@ -406,7 +404,7 @@ TEST_F(StereoTest, TimeJumpOfTheImuIsOneForEachCamera) {
     EXPECT_EQ(cameras_[i].images.size(), 2 * kLoops);
     // The first of a loop may overtake the samples that show it.
     for (std::size_t k = 1; k < 2 * kLoops; k += 2) {
-      EXPECT_EQ(cameras_[i].fields[k]->reason, BlurFieldMessage::REASON_NONE) << cameras_[i].fields[k]->reason_text;
+      EXPECT_EQ(cameras_[i].fields[k]->reason, BlurField::REASON_NONE) << cameras_[i].fields[k]->reason_text;
     }
     unload(i);
   }

@@ -37,9 +37,9 @@ class ProcessorTest : public testing::Test {
     environment.clock = [this] { return now_ns_; };
     environment.steady_clock = [this] { return steady_ns_; };
     environment.log = [this](LogLevel, const std::string& text) { log_.push_back(text); };
-    environment.make_engine = [this](const std::string& backend, int threads) {
+    environment.make_engine = [this](const std::string& engine, int threads) {
       ++engines_made_;
-      return make_line_convolver(backend, threads);
+      return make_engine(engine, threads);
     };
     environment.extrinsic = [this](const std::string& camera_frame, const std::string& imu_frame) {
       if (extrinsic_fails_) throw std::runtime_error("the transforms are broken");
@@ -153,7 +153,7 @@ TEST_F(ProcessorTest, ExtentIsThatOfTheRotation) {
   add_frame(kStart);
   advance();
   expect_deblurred(0);
-  const BlurField& field = *outputs_[0].field;
+  const FrameBlur& field = *outputs_[0].field;
   const BlockBlur& center = field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))];
   // A turn of w t about y moves the centre by about f w t along x.
   EXPECT_NEAR(center.extent_px, kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
@@ -250,7 +250,7 @@ TEST_F(ProcessorTest, RowsWithASaturatedSamplePassThrough) {
   advance();
   ASSERT_EQ(outputs_.size(), 1u);
   EXPECT_EQ(outputs_[0].reason, PassThroughReason::NONE);
-  const BlurField& field = *outputs_[0].field;
+  const FrameBlur& field = *outputs_[0].field;
   for (int i = 0; i < field.grid.size(); ++i) {
     // Row y is exposed from 20 ms * y / 128 on for 30 ms; nothing is known from 35 to 45 ms.
     const double end_ms = 20 * field.grid.center(i).y() / kHeight + 30;
@@ -540,7 +540,7 @@ TEST_F(ProcessorTest, FrameWithoutCameraInfoGoesByTheFileThoughALaterOneHasIt) {
   advance();
   ASSERT_EQ(outputs_.size(), 2u) << "none waits for a camera_info from before there was any";
   expect_deblurred(0);
-  const BlurField& field = *outputs_[0].field;
+  const FrameBlur& field = *outputs_[0].field;
   const BlockBlur& center = field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))];
   EXPECT_NEAR(center.extent_px, 1.5 * kFocalPx * kFastRadS * to_seconds(kExposure), 0.4);
   EXPECT_EQ(outputs_[0].camera_info->K[0], 1.5 * kFocalPx);
@@ -600,7 +600,7 @@ TEST_F(ProcessorTest, CameraInfoThatContradictsTheFileIsPrintedWithIt) {
   add_frame(kStart + kMs);
   advance();
   expect_deblurred(1);
-  const BlurField& field = *outputs_[1].field;
+  const FrameBlur& field = *outputs_[1].field;
   const BlockBlur& center = field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))];
   EXPECT_NEAR(center.extent_px, 1.5 * kFocalPx * kFastRadS * to_seconds(kExposure), 0.4) << "the file holds";
 }
@@ -746,7 +746,7 @@ TEST_F(ProcessorTest, ConfigurationThatCannotBeUsedChangesNothing) {
 }
 
 TEST_F(ProcessorTest, AbsentDeviceIsSaidOnceAndReplaced) {
-  config_.pipeline.backend = "opencl:no such device";
+  config_.pipeline.engine = "opencl:no such device";
   configure();
   add_imu(kStart - kSecond, kStart + kSecond);
   for (int i = 0; i < 3; ++i) add_frame(kStart + i * 100 * kMs);
@@ -772,7 +772,7 @@ TEST_F(ProcessorTest, ImuSamplesThatCannotBeUsedAreCountedAndDropped) {
   add_frame(kStart);
   advance();
   expect_deblurred(0);
-  const BlurField& field = *outputs_[0].field;
+  const FrameBlur& field = *outputs_[0].field;
   EXPECT_NEAR(field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))].extent_px,
               kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
   const ProcessorStatistics statistics = processor_.statistics();
@@ -795,7 +795,7 @@ TEST_F(ProcessorTest, StrayImuStampsAreDroppedAndChangeNothing) {
   add_frame(kStart);
   advance();
   expect_deblurred(0);
-  const BlurField& field = *outputs_[0].field;
+  const FrameBlur& field = *outputs_[0].field;
   EXPECT_NEAR(field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))].extent_px,
               kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
   EXPECT_EQ(processor_.statistics().imu_stray, 5u);
@@ -1308,7 +1308,7 @@ class ProcessorTranslationTest : public ProcessorTest {
     return outputs_.at(0);
   }
   double center_extent_px() const {
-    const BlurField& field = *outputs_.at(0).field;
+    const FrameBlur& field = *outputs_.at(0).field;
     return field.blocks[field.grid.index_at(kWidth / 2.0, kHeight / 2.0)].extent_px;
   }
 };

@@ -10,6 +10,7 @@
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/deconvolution.hpp"
+#include "inverse/line_taps.hpp"
 
 namespace gyro_deblur::test {
 

@@ -29,8 +29,8 @@ struct Roll {
   double radius_px(double x, double y) const { return std::hypot(x - pivot_px.x, y - pivot_px.y); }
 
   /// The blur of every block, tangential to the circle about the pivot.
-  BlurField field(int width_px, int height_px, const BlurFieldOptions& options) const {
-    BlurField field;
+  FrameBlur field(int width_px, int height_px, const BlurFieldOptions& options) const {
+    FrameBlur field;
     field.grid = BlockGrid(width_px, height_px, options.block_size_px);
     for (int i = 0; i < field.grid.size(); ++i) {
       const Eigen::Vector2d c = field.grid.center(i);

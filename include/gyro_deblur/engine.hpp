@@ -1,0 +1,64 @@
+// Engines: every block of an image filtered along its own line with its own kernel (paper section IV-B).
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/kernel_bank.hpp"
+
+namespace gyro_deblur {
+
+/// What to do with one block of an image.
+struct BlockFilter {
+  double angle_rad = 0;                ///< direction of the line, x right, y down
+  const LineKernel* kernel = nullptr;  ///< not owned; null: copy the block bit for bit
+};
+
+/// A grid of blocks that covers an image, each with its own filter.
+struct FilterGrid {
+  std::vector<int> x, y;            ///< borders between columns and rows [px], rising from 0 to the image's size
+  std::vector<BlockFilter> blocks;  ///< row by row
+  /// Kernels that `blocks` point to and nobody else keeps.
+  std::vector<std::shared_ptr<const LineKernel>> own_kernels = {};
+
+  int cols() const { return x.empty() ? 0 : static_cast<int>(x.size()) - 1; }
+  int rows() const { return y.empty() ? 0 : static_cast<int>(y.size()) - 1; }
+  /// Precondition: 0 <= index < cols() * rows().
+  cv::Rect rect(int index) const;
+};
+
+/// Convolves every block of an image along its own line with its own kernel. So that the borders of blocks do not show,
+/// neighbours with different filters are cross-faded over up to 4 px on either side, and a filtered block fades into
+/// the input within as much of a copied one (the rule: src/core/seam_blender.hpp).
+class Engine {
+ public:
+  virtual ~Engine() = default;
+
+  /// @param src    CV_8U or CV_16U, 1 to 4 channels, at least 1x1; every channel is filtered
+  /// @param grid   covers src exactly
+  /// @param dst    (re)allocated to src's size and type when needed; must not share memory with src
+  /// Neighbours are taken across block borders; outside the image the edge pixel is replicated. Results are rounded and
+  /// clipped to the pixel type. Throws std::invalid_argument for unsupported types and grids that do not fit.
+  virtual void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) = 0;
+
+  /// Short name for diagnostics, e.g. "float". Any thread may ask, also during filter().
+  virtual std::string name() const = 0;
+
+  /// Something the user should know, such as a device that failed; each warning is returned once, empty: none.
+  virtual std::string take_warning() { return {}; }
+};
+
+/// Engine by name, on `threads` OpenMP threads (0: OpenMP's default):
+/// - "float": non-zero taps of the rotated kernel, float, OpenMP over blocks;
+/// - "cpu": the fast one for processors;
+/// - "opencl", "opencl:INDEX" or "opencl:NAME": the first GPU (else the first device), or a device by its index or a
+///   part of its platform's or its own name in any case. When it is absent or fails, also in mid-run, the "cpu" engine
+///   takes over with that very frame, and take_warning() says why;
+/// - "auto": "opencl" where there is a GPU, else "cpu".
+/// Throws OptionError that lists the names.
+std::unique_ptr<Engine> make_engine(const std::string& engine, int threads = 0);
+
+}  // namespace gyro_deblur

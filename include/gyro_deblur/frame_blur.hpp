@@ -1,0 +1,91 @@
+// The blur of one image: a grid of blocks, each blurred along a line of its own.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/line_path.hpp"
+#include "gyro_deblur/time.hpp"
+
+namespace gyro_deblur {
+
+/// What became of one block of the image. Values equal the constants of gyro_deblur/BlurField.msg.
+enum class BlockStatus : std::uint8_t {
+  SHARP = 0,      ///< extent below min_extent_px: copied unchanged
+  DEBLURRED = 1,  ///< deconvolved (before validation: to be deconvolved)
+  REJECTED = 2,   ///< the image contradicts the predicted blur: copied unchanged, keypoints not rectified
+  TOO_LARGE = 3,  ///< extent above max_extent_px: copied unchanged
+  NO_GYRO = 4,    ///< no usable gyroscope samples for this block's exposure: copied unchanged
+  BENT = 5,       ///< the path leaves a straight line by more than max_bend and 2 % of the extent: copied unchanged
+};
+
+/// Name of the status, e.g. "DEBLURRED". Never null.
+const char* to_string(BlockStatus status);
+
+/// Division of an image into blocks of block_size_px; the last column and row are what is left.
+class BlockGrid {
+ public:
+  BlockGrid() = default;
+  /// Preconditions: sizes >= 1.
+  BlockGrid(int width_px, int height_px, int block_size_px);
+
+  int width_px() const { return width_px_; }
+  int height_px() const { return height_px_; }
+  int block_size_px() const { return block_size_px_; }
+  int cols() const { return cols_; }
+  int rows() const { return rows_; }
+  int size() const { return cols_ * rows_; }
+
+  /// Blocks are numbered row by row. Precondition: 0 <= index < size().
+  cv::Rect rect(int index) const;
+  /// Centre of the block [px], pixel centres at integers.
+  Eigen::Vector2d center(int index) const;
+  /// Index of the block that holds the pixel; coordinates outside the image are clamped to it.
+  int index_at(double x_px, double y_px) const;
+
+  bool operator==(const BlockGrid& other) const;
+
+ private:
+  int width_px_ = 0, height_px_ = 0, block_size_px_ = 1, cols_ = 0, rows_ = 0;
+};
+
+/// Angle [rad] of an undirected line, folded into [0, pi). Finite input.
+double axial_angle(double dx, double dy);
+
+/// Difference of two axial angles [rad], in [0, pi/2].
+double axial_difference(double a_rad, double b_rad);
+
+/// Blur of one block along a line.
+struct BlockBlur {
+  float angle_rad = 0;  ///< axial, [0, pi), x right, y down
+  float extent_px = 0;  ///< >= 0; length of the path from start to end of the exposure; uneven: of the line it covers
+  BlockStatus status = BlockStatus::SHARP;
+  /// Where the path departs from the paper's straight one at even speed: the path along the line.
+  std::optional<LinePath> uneven_path_px = std::nullopt;
+  /// Halfway between the path's ends, and its mean in time, from where the point is at the middle of the exposure.
+  Eigen::Vector2f chord_middle_px = Eigen::Vector2f::Zero();
+  Eigen::Vector2f mean_place_px = Eigen::Vector2f::Zero();
+
+  /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
+  /// point into the middle of the line that it stands for (to 0.4 px up to 60 px, at the limit of evenness), the kernel
+  /// of an uneven path to where the point was; across the line, and where nothing is filtered, blur stays centred on
+  /// its mean.
+  Eigen::Vector2d shown_offset_px() const;
+};
+
+/// The blur of an image; `status` is the only record of what may be deblurred and rectified.
+struct FrameBlur {
+  BlockGrid grid;
+  std::vector<BlockBlur> blocks;  ///< grid.size(), row by row
+  TimeNs exposure_ns = 0;
+  TimeNs readout_ns = 0;
+
+  std::size_t count(BlockStatus status) const;
+};
+
+}  // namespace gyro_deblur

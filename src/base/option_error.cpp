@@ -1,0 +1,16 @@
+#include "gyro_deblur/option_error.hpp"
+
+#include <sstream>
+
+namespace gyro_deblur {
+
+void require_range(const char* name, double value, double min, double max, const char* unit) {
+  if (value >= min && value <= max) return;
+  std::ostringstream message;
+  message.precision(10);  // tells an open end one nanosecond from its bound
+  message << name << " = " << value << " is outside [" << min << ", " << max << "]";
+  if (*unit != '\0') message << ' ' << unit;
+  throw OptionError(message.str());
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,266 @@
+#include "gyro_deblur/blur_field.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <string>
+
+#include <Eigen/Geometry>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+
+/// Relative error of the displacement by translation: one depth stands for the whole scene, and a velocity is late.
+constexpr double kTranslationUncertainty = 0.25;
+
+}  // namespace
+
+namespace {
+
+/// axial_angle as a float, also below the float above pi.
+float axial_float(double dx, double dy) {
+  const auto angle_rad = static_cast<float>(axial_angle(dx, dy));
+  return angle_rad < static_cast<float>(kPi) ? angle_rad : 0;
+}
+
+/// The status that the extent alone decides.
+BlockStatus status_of(double extent_px, const BlurFieldOptions& options) {
+  if (extent_px < options.min_extent_px) return BlockStatus::SHARP;
+  return extent_px > options.max_extent_px ? BlockStatus::TOO_LARGE : BlockStatus::DEBLURRED;
+}
+
+}  // namespace
+
+BlockBlur classify_blur(double dx_px, double dy_px, const BlurFieldOptions& options) {
+  const double extent_px = std::hypot(dx_px, dy_px);
+  return {axial_float(dx_px, dy_px), static_cast<float>(extent_px), status_of(extent_px, options)};
+}
+
+namespace {
+
+/// Extent of a path along and across a line [px], and the path along it.
+struct LineFit {
+  double along_px, across_px;
+  LinePath path_px;
+};
+
+LineFit fit_to_line(const std::array<Eigen::Vector2d, kPathInstants>& path_px, double angle_rad) {
+  const Eigen::Vector2d line(std::cos(angle_rad), std::sin(angle_rad)), normal(-line.y(), line.x());
+  Eigen::AlignedBox2d covered_px;
+  LineFit fit;
+  for (int k = 0; k < kPathInstants; ++k) {
+    const double along_px = line.dot(path_px[k]);
+    fit.path_px[k] = static_cast<float>(along_px);
+    covered_px.extend(Eigen::Vector2d(along_px, normal.dot(path_px[k])));
+  }
+  fit.along_px = covered_px.diagonal().x();
+  fit.across_px = covered_px.diagonal().y();
+  return fit;
+}
+
+/// How far a path along a line departs from an even run from its first to its last place, less the best shift [px].
+double unevenness_px(const LinePath& path_px) {
+  double least = 0, most = 0;  // the ends do not depart
+  for (int k = 0; k < kPathInstants; ++k) {
+    const double even = path_px.front() + k / (kPathInstants - 1.0) * (path_px.back() - path_px.front());
+    least = std::min(least, path_px[k] - even);
+    most = std::max(most, path_px[k] - even);
+  }
+  return 0.5 * (most - least);
+}
+
+/// Mean in time of a path that is even between its instants.
+Eigen::Vector2d mean_place(const std::array<Eigen::Vector2d, kPathInstants>& path_px) {
+  Eigen::Vector2d sum_px = -0.5 * (path_px.front() + path_px.back());
+  for (const Eigen::Vector2d& place_px : path_px) sum_px += place_px;
+  return sum_px / (kPathInstants - 1);
+}
+
+/// Angle of the line that lies nearest to the places, axial.
+float fitted_angle(const std::array<Eigen::Vector2d, kPathInstants>& path_px) {
+  Eigen::Vector2d mean_px = Eigen::Vector2d::Zero();
+  for (const Eigen::Vector2d& place_px : path_px) mean_px += place_px / kPathInstants;
+  Eigen::Matrix2d scatter_px2 = Eigen::Matrix2d::Zero();
+  for (const Eigen::Vector2d& place_px : path_px) {
+    scatter_px2 += (place_px - mean_px) * (place_px - mean_px).transpose();
+  }
+  // Of the eigenvector with the larger eigenvalue.
+  const double angle_rad = 0.5 * std::atan2(2 * scatter_px2(0, 1), scatter_px2(0, 0) - scatter_px2(1, 1));
+  return axial_float(std::cos(angle_rad), std::sin(angle_rad));
+}
+
+}  // namespace
+
+double even_path_px(double extent_px) {
+  // As measured: the loss is the same along a parabola, down to a quarter of a pixel.
+  const double share = extent_px / 40;
+  return std::max(0.25, share * share);
+}
+
+BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options) {
+  const Eigen::Vector2d chord_px = path_px.back() - path_px.front();
+  BlockBlur blur = classify_blur(chord_px.x(), chord_px.y(), options);
+  const float angle_rad = fitted_angle(path_px);
+  LineFit fit = fit_to_line(path_px, angle_rad);
+  if (unevenness_px(fit.path_px) > even_path_px(fit.along_px)) {
+    blur = {angle_rad, static_cast<float>(fit.along_px), status_of(fit.along_px, options), fit.path_px};
+  } else {
+    fit = fit_to_line(path_px, blur.angle_rad);
+  }
+  blur.chord_middle_px = (0.5 * (path_px.front() + path_px.back())).cast<float>();
+  blur.mean_place_px = mean_place(path_px).cast<float>();
+  const double max_bend_px = options.max_bend_px + kStraightPathShare * fit.along_px;
+  if (blur.status == BlockStatus::DEBLURRED && 0.5 * fit.across_px > max_bend_px) {
+    blur.status = BlockStatus::BENT;
+  }
+  return blur;
+}
+
+BlurFieldEstimator::BlurFieldEstimator(const Camera& camera, const BlurFieldOptions& options)
+    : camera_(camera), options_(options) {
+  options.validate();
+  grid_ = BlockGrid(camera.calibration().width_px, camera.calibration().height_px, options.block_size_px);
+  std::vector<Eigen::Vector2d> centers;
+  centers.reserve(grid_.size());
+  for (int i = 0; i < grid_.size(); ++i) centers.push_back(grid_.center(i));
+  rays_ = camera_.rays(centers);
+}
+
+FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExposure& exposure) const {
+  const BlockBlur unknown{0, 0, BlockStatus::NO_GYRO};
+  FrameBlur field;
+  field.grid = grid_;
+  field.exposure_ns = exposure.timing().exposure_ns;
+  field.readout_ns = exposure.timing().readout_ns;
+  field.blocks.assign(grid_.size(), unknown);
+  for (int row = 0; row < grid_.rows(); ++row) {
+    const int first = row * grid_.cols();
+    const double y_px = grid_.center(first).y();
+    const TimeNs start_ns = exposure.start(y_px), middle_ns = exposure.middle(y_px), end_ns = exposure.end(y_px);
+    if (!motion.covers({start_ns, end_ns})) continue;
+    std::array<Eigen::Matrix3d, kPathInstants> maps;  // from the middle of the exposure
+    for (int k = 0; k < kPathInstants; ++k) {
+      maps[k] = motion.homography(middle_ns, start_ns + (end_ns - start_ns) * k / (kPathInstants - 1));
+    }
+    const bool translates =
+        motion.rotation(middle_ns, start_ns) != maps.front() || motion.rotation(middle_ns, end_ns) != maps.back();
+    std::array<Eigen::Matrix3d, kPathInstants> rotation_maps;
+    for (int k = 0; translates && k < kPathInstants; ++k) {
+      rotation_maps[k] = motion.rotation(middle_ns, start_ns + (end_ns - start_ns) * k / (kPathInstants - 1));
+    }
+    for (int i = first; i < first + grid_.cols(); ++i) {
+      const Eigen::Vector2d center_px = grid_.center(i);
+      std::array<Eigen::Vector2d, kPathInstants> path_px;
+      for (int k = 0; k < kPathInstants; ++k) path_px[k] = camera_.project(maps[k] * rays_[i]) - center_px;
+      if (!std::all_of(path_px.begin(), path_px.end(), [](const auto& place_px) { return place_px.allFinite(); })) {
+        continue;
+      }
+      BlockBlur& block = field.blocks[i];
+      block = classify_path(path_px, options_);
+      if (!translates) continue;
+      // The share that translation has in the path, there and back within the exposure, too.
+      std::array<Eigen::Vector2d, kPathInstants> translation_px;
+      double longest_px = 0;
+      for (int k = 0; k < kPathInstants; ++k) {
+        translation_px[k] = path_px[k] - (camera_.project(rotation_maps[k] * rays_[i]) - center_px);
+        longest_px = std::max(longest_px, (translation_px[k] - translation_px.front()).norm());
+      }
+      const double uncertainty_px = kTranslationUncertainty * longest_px;
+      if (block.extent_px - uncertainty_px < options_.min_extent_px) block.status = BlockStatus::SHARP;
+    }
+  }
+  return field;
+}
+
+FrameBlur uniform_blur_field(int width_px, int height_px, double angle_rad, double extent_px,
+                             const BlurFieldOptions& options) {
+  options.validate();
+  FrameBlur field;
+  field.grid = BlockGrid(width_px, height_px, options.block_size_px);
+  field.blocks.assign(field.grid.size(),
+                      classify_blur(extent_px * std::cos(angle_rad), extent_px * std::sin(angle_rad), options));
+  return field;
+}
+
+namespace {
+
+/// Cells of a row (or column) of `cells` cells that evenly cover `size_px` pixels.
+struct CellRange {
+  int first, last;         // that overlap a block or take part in the interpolation at its centre
+  int before, after;       // whose centres enclose the block's centre
+  double weight_of_after;  // [0, 1]
+};
+
+CellRange cells_of(int begin_px, int length_px, int size_px, int cells) {
+  const double cells_per_px = static_cast<double>(cells) / size_px;
+  const double last_cell = cells - 1;
+  // Pixel i covers [i, i + 1) here, so that the image covers [0, size).
+  const double at_center = std::clamp((begin_px + 0.5 * length_px) * cells_per_px - 0.5, 0.0, last_cell);
+  CellRange range;
+  range.before = static_cast<int>(at_center);
+  range.weight_of_after = at_center - range.before;
+  // A cell without weight takes no part, whatever it holds.
+  range.after = range.weight_of_after > 0 ? range.before + 1 : range.before;
+  // The margin keeps rounding from adding a cell that only shares a border with the block.
+  constexpr double kMargin = 1e-9;
+  range.first = std::min(range.before, static_cast<int>(begin_px * cells_per_px + kMargin));
+  range.last = std::min(cells - 1, static_cast<int>(std::ceil((begin_px + length_px) * cells_per_px - kMargin)) - 1);
+  if (range.weight_of_after > 0) range.last = std::max(range.last, range.after);
+  return range;
+}
+
+}  // namespace
+
+FrameBlur blur_field_from_displacement(int width_px, int height_px, const cv::Mat& dx_px, const cv::Mat& dy_px,
+                                       const BlurFieldOptions& options) {
+  options.validate();
+  const auto usable = [](const cv::Mat& m) { return m.dims == 2 && (m.type() == CV_32FC1 || m.type() == CV_64FC1); };
+  if (dx_px.empty() || dx_px.size() != dy_px.size() || !usable(dx_px) || !usable(dy_px)) {
+    throw std::invalid_argument("displacement matrices must be of one size and of floating point, but are " +
+                                std::to_string(dx_px.cols) + " x " + std::to_string(dx_px.rows) + " and " +
+                                std::to_string(dy_px.cols) + " x " + std::to_string(dy_px.rows));
+  }
+  cv::Mat dx, dy;
+  dx_px.convertTo(dx, CV_64F);
+  dy_px.convertTo(dy, CV_64F);
+
+  // Double angles make a displacement and its opposite equal.
+  const auto axial_at = [&](int row, int col) {
+    const double x = dx.at<double>(row, col), y = dy.at<double>(row, col);
+    const double extent = std::hypot(x, y), angle = std::atan2(y, x);
+    return Eigen::Vector3d(extent * std::cos(2 * angle), extent * std::sin(2 * angle), extent);
+  };
+  const auto all_finite = [&](const CellRange& cols, const CellRange& rows) {
+    for (int row = rows.first; row <= rows.last; ++row) {
+      for (int col = cols.first; col <= cols.last; ++col) {
+        if (!std::isfinite(dx.at<double>(row, col)) || !std::isfinite(dy.at<double>(row, col))) return false;
+      }
+    }
+    return true;
+  };
+
+  FrameBlur field;
+  field.grid = BlockGrid(width_px, height_px, options.block_size_px);
+  field.blocks.reserve(field.grid.size());
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const cv::Rect block = field.grid.rect(i);
+    const CellRange cols = cells_of(block.x, block.width, width_px, dx.cols);
+    const CellRange rows = cells_of(block.y, block.height, height_px, dx.rows);
+    if (!all_finite(cols, rows)) {
+      field.blocks.push_back({0, 0, BlockStatus::NO_GYRO});
+      continue;
+    }
+    const auto along_row = [&](int row) -> Eigen::Vector3d {
+      return (1 - cols.weight_of_after) * axial_at(row, cols.before) + cols.weight_of_after * axial_at(row, cols.after);
+    };
+    const Eigen::Vector3d axial =
+        (1 - rows.weight_of_after) * along_row(rows.before) + rows.weight_of_after * along_row(rows.after);
+    const double angle_rad = 0.5 * std::atan2(axial.y(), axial.x());
+    field.blocks.push_back(classify_blur(axial.z() * std::cos(angle_rad), axial.z() * std::sin(angle_rad), options));
+  }
+  return field;
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,85 @@
+#include "gyro_deblur/frame_blur.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <string>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+
+}  // namespace
+
+const char* to_string(BlockStatus status) {
+  switch (status) {
+    case BlockStatus::SHARP:
+      return "SHARP";
+    case BlockStatus::DEBLURRED:
+      return "DEBLURRED";
+    case BlockStatus::REJECTED:
+      return "REJECTED";
+    case BlockStatus::TOO_LARGE:
+      return "TOO_LARGE";
+    case BlockStatus::NO_GYRO:
+      return "NO_GYRO";
+    case BlockStatus::BENT:
+      return "BENT";
+  }
+  return "UNKNOWN";
+}
+
+BlockGrid::BlockGrid(int width_px, int height_px, int block_size_px)
+    : width_px_(width_px), height_px_(height_px), block_size_px_(block_size_px) {
+  if (width_px < 1 || height_px < 1 || block_size_px < 1) {
+    throw std::invalid_argument("BlockGrid: " + std::to_string(width_px) + " x " + std::to_string(height_px) +
+                                " px in blocks of " + std::to_string(block_size_px) + " px: sizes must be at least 1");
+  }
+  cols_ = (width_px - 1) / block_size_px + 1;
+  rows_ = (height_px - 1) / block_size_px + 1;
+}
+
+cv::Rect BlockGrid::rect(int index) const {
+  const int x = index % cols_ * block_size_px_;
+  const int y = index / cols_ * block_size_px_;
+  return {x, y, std::min(block_size_px_, width_px_ - x), std::min(block_size_px_, height_px_ - y)};
+}
+
+Eigen::Vector2d BlockGrid::center(int index) const {
+  const cv::Rect block = rect(index);
+  return {block.x + 0.5 * (block.width - 1), block.y + 0.5 * (block.height - 1)};
+}
+
+int BlockGrid::index_at(double x_px, double y_px) const {
+  // Pixel i covers [i - 0.5, i + 0.5). Clamped before the conversion: a large double has no int.
+  const int x = static_cast<int>(std::clamp(std::floor(x_px + 0.5), 0.0, width_px_ - 1.0));
+  const int y = static_cast<int>(std::clamp(std::floor(y_px + 0.5), 0.0, height_px_ - 1.0));
+  return y / block_size_px_ * cols_ + x / block_size_px_;
+}
+
+bool BlockGrid::operator==(const BlockGrid& other) const {
+  return width_px_ == other.width_px_ && height_px_ == other.height_px_ && block_size_px_ == other.block_size_px_;
+}
+
+std::size_t FrameBlur::count(BlockStatus status) const {
+  return std::count_if(blocks.begin(), blocks.end(), [status](const BlockBlur& b) { return b.status == status; });
+}
+
+Eigen::Vector2d BlockBlur::shown_offset_px() const {
+  const Eigen::Vector2d mean_px = mean_place_px.cast<double>();
+  if (status != BlockStatus::DEBLURRED) return mean_px;
+  const Eigen::Vector2d line(std::cos(angle_rad), std::sin(angle_rad));
+  const double along_px = uneven_path_px ? 0 : line.dot(chord_middle_px.cast<double>());
+  return along_px * line + (mean_px - line.dot(mean_px) * line);
+}
+
+double axial_angle(double dx, double dy) {
+  double angle_rad = std::atan2(dy, dx);
+  if (angle_rad < 0) angle_rad += kPi;
+  return angle_rad < kPi ? angle_rad : 0;
+}
+
+double axial_difference(double a_rad, double b_rad) { return std::abs(std::remainder(a_rad - b_rad, kPi)); }
+
+}  // namespace gyro_deblur

@@ -1,0 +1,227 @@
+#include "gyro_deblur/overlay.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <opencv2/imgproc.hpp>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr std::array<BlockStatus, 6> kStatuses{BlockStatus::DEBLURRED, BlockStatus::SHARP,   BlockStatus::REJECTED,
+                                               BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO, BlockStatus::BENT};
+
+cv::Scalar color_bgr(BlockStatus status) {
+  const cv::Vec3b rgb = status_color_rgb(status);
+  return {static_cast<double>(rgb[2]), static_cast<double>(rgb[1]), static_cast<double>(rgb[0])};
+}
+
+/// Fractional bits of the coordinates that the drawing functions take.
+constexpr int kShift = 4;
+
+cv::Point fixed_point(const Eigen::Vector2d& p) {
+  // Far beyond any image, yet small enough for the drawing functions' integers.
+  const Eigen::Vector2d scaled = (p * (1 << kShift)).cwiseMax(-1e6).cwiseMin(1e6);
+  return {static_cast<int>(std::lround(scaled.x())), static_cast<int>(std::lround(scaled.y()))};
+}
+
+/// Median extent of the DEBLURRED blocks; 0 when there are none.
+double median_extent_px(const FrameBlur& field) {
+  std::vector<float> extents;
+  for (const BlockBlur& blur : field.blocks) {
+    if (blur.status == BlockStatus::DEBLURRED) extents.push_back(blur.extent_px);
+  }
+  if (extents.empty()) return 0;
+  const auto middle = extents.begin() + static_cast<std::ptrdiff_t>(extents.size() / 2);
+  std::nth_element(extents.begin(), middle, extents.end());
+  return *middle;
+}
+
+struct LegendLine {
+  std::string text;
+  cv::Scalar color;
+};
+
+/// What became of blocks, in words that need no manual.
+const char* fate(BlockStatus status) {
+  switch (status) {
+    case BlockStatus::DEBLURRED:
+      return "deblurred";
+    case BlockStatus::SHARP:
+      return "sharp, left alone";
+    case BlockStatus::REJECTED:
+      return "do not fit the image";
+    case BlockStatus::TOO_LARGE:
+      return "blurred too far";
+    case BlockStatus::NO_GYRO:
+      return "without gyroscope";
+    case BlockStatus::BENT:
+      return "blurred along a bow";
+  }
+  return "";
+}
+
+/// Length of the scale bar [px].
+constexpr int kScaleBarPx = 50;
+
+/// Squared distance of a point from a segment.
+double distance2(const Eigen::Vector2d& p, const BlurSegment& s) {
+  const Eigen::Vector2d along = s.to_px - s.from_px;
+  const double length2 = along.squaredNorm();
+  const double t = length2 > 0 ? std::clamp(along.dot(p - s.from_px) / length2, 0.0, 1.0) : 0;
+  return (s.from_px + t * along - p).squaredNorm();
+}
+
+double cross(const Eigen::Vector2d& a, const Eigen::Vector2d& b) { return a.x() * b.y() - a.y() * b.x(); }
+
+bool come_near(const BlurSegment& a, const BlurSegment& b, double gap_px) {
+  const double gap2 = gap_px * gap_px;
+  if (distance2(a.from_px, b) < gap2 || distance2(a.to_px, b) < gap2 || distance2(b.from_px, a) < gap2 ||
+      distance2(b.to_px, a) < gap2) {
+    return true;
+  }
+  // Apart from that segments are only near where they cross.
+  const auto side = [](const BlurSegment& s, const Eigen::Vector2d& p) {
+    return cross(s.to_px - s.from_px, p - s.from_px);
+  };
+  return side(a, b.from_px) * side(a, b.to_px) < 0 && side(b, a.from_px) * side(b, a.to_px) < 0;
+}
+
+void draw_legend(cv::Mat& image, const FrameBlur& field, int paths, double scale) {
+  std::vector<LegendLine> lines;
+  char median[64];
+  std::snprintf(median, sizeof(median), "median blur %.1f px", median_extent_px(field));
+  lines.push_back({median, cv::Scalar::all(255)});
+  for (const BlockStatus status : kStatuses) {
+    const std::size_t count = field.count(status);
+    if (count > 0) lines.push_back({std::to_string(count) + " " + fate(status), color_bgr(status)});
+  }
+  if (paths < field.grid.size()) {
+    const std::string drawn = "paths of " + std::to_string(paths) + " of " + std::to_string(field.grid.size());
+    lines.push_back({drawn, cv::Scalar::all(255)});
+  }
+
+  const int font = cv::FONT_HERSHEY_SIMPLEX;
+  const double font_scale = 0.5 * scale;
+  const int thickness = std::max(1, static_cast<int>(std::lround(scale)));
+  const int margin_px = std::max(2, static_cast<int>(std::lround(6 * scale)));
+  int width_px = 0, line_px = 0;
+  for (const LegendLine& line : lines) {
+    int baseline_px = 0;
+    const cv::Size size = cv::getTextSize(line.text, font, font_scale, thickness, &baseline_px);
+    width_px = std::max(width_px, size.width);
+    line_px = std::max(line_px, size.height + baseline_px + 1);
+  }
+  const std::string bar_text = std::to_string(kScaleBarPx) + " px";
+  width_px = std::max(width_px,
+                      kScaleBarPx + margin_px + cv::getTextSize(bar_text, font, font_scale, thickness, nullptr).width);
+  const int rows = static_cast<int>(lines.size()) + 1;  // the scale bar is the last
+  const cv::Rect box(0, 0, width_px + 2 * margin_px, line_px * rows + margin_px);
+  if (box.width > image.cols || box.height > image.rows) return;  // would hide the image
+  image(box) *= 0.3;
+  int baseline_y_px = 0;
+  for (const LegendLine& line : lines) {
+    baseline_y_px += line_px;
+    cv::putText(image, line.text, {margin_px, baseline_y_px}, font, font_scale, line.color, thickness, cv::LINE_AA);
+  }
+  baseline_y_px += line_px;
+  const cv::Scalar white = cv::Scalar::all(255);
+  const int bar_y_px = baseline_y_px - line_px / 4, tick_px = line_px / 4;
+  cv::line(image, {margin_px, bar_y_px}, {margin_px + kScaleBarPx, bar_y_px}, white, 2 * thickness);
+  for (const int x_px : {margin_px, margin_px + kScaleBarPx}) {
+    cv::line(image, {x_px, bar_y_px - tick_px}, {x_px, bar_y_px + tick_px}, white, 2 * thickness);
+  }
+  cv::putText(image, bar_text, {2 * margin_px + kScaleBarPx, baseline_y_px}, font, font_scale, white, thickness,
+              cv::LINE_AA);
+}
+
+}  // namespace
+
+cv::Vec3b status_color_rgb(BlockStatus status) {
+  switch (status) {
+    case BlockStatus::DEBLURRED:
+      return {60, 230, 60};
+    case BlockStatus::SHARP:
+      return {200, 200, 200};
+    case BlockStatus::REJECTED:
+      return {255, 60, 60};
+    case BlockStatus::TOO_LARGE:
+      return {255, 80, 255};
+    case BlockStatus::NO_GYRO:
+      return {255, 230, 0};
+    case BlockStatus::BENT:
+      return {70, 200, 255};
+  }
+  return {255, 255, 255};
+}
+
+BlurSegment blur_segment(const FrameBlur& field, int index) {
+  const BlockBlur& blur = field.blocks.at(index);
+  const Eigen::Vector2d center_px = field.grid.center(index);
+  const Eigen::Vector2d half_px =
+      0.5 * blur.extent_px * Eigen::Vector2d(std::cos(blur.angle_rad), std::sin(blur.angle_rad));
+  return {center_px - half_px, center_px + half_px};
+}
+
+std::vector<char> paths_apart(const FrameBlur& field, double gap_px) {
+  std::vector<char> chosen(field.blocks.size(), 0);
+  std::vector<std::pair<int, BlurSegment>> paths;
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const BlurSegment own = blur_segment(field, i);
+    const bool apart = std::none_of(paths.begin(), paths.end(), [&](const auto& other) {
+      const double reach_px = 0.5 * (field.blocks[i].extent_px + field.blocks[other.first].extent_px) + gap_px;
+      const double between_px = (field.grid.center(i) - field.grid.center(other.first)).norm();
+      return between_px < reach_px && come_near(own, other.second, gap_px);
+    });
+    if (!apart) continue;
+    chosen[i] = 1;
+    paths.emplace_back(i, own);
+  }
+  return chosen;
+}
+
+cv::Mat draw_overlay(const cv::Mat& luminance, const FrameBlur& field) {
+  if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
+      luminance.rows != field.grid.height_px()) {
+    throw std::invalid_argument("draw_overlay: the image must be 8-bit grey of " +
+                                std::to_string(field.grid.width_px()) + " x " + std::to_string(field.grid.height_px()) +
+                                " px, but is " + std::to_string(luminance.cols) + " x " +
+                                std::to_string(luminance.rows));
+  }
+  cv::Mat image;
+  cv::cvtColor(luminance, image, cv::COLOR_GRAY2BGR);
+  // 1 at VGA height, so that lines and text keep their share of the picture.
+  const double scale = std::max(1.0, std::min(luminance.cols, luminance.rows) / 480.0);
+  const int thickness = std::max(1, static_cast<int>(std::lround(scale)));
+  constexpr double kGapPx = 8;  // at VGA
+  const std::vector<char> has_path = paths_apart(field, kGapPx * scale);
+  const auto draw_path = [&](int index, const cv::Scalar& color, int extra_px) {
+    const BlurSegment segment = blur_segment(field, index);
+    cv::line(image, fixed_point(segment.from_px), fixed_point(segment.to_px), color, thickness + extra_px, cv::LINE_AA,
+             kShift);
+  };
+  const auto draw_dot = [&](int index, const cv::Scalar& color, int extra_px) {
+    cv::circle(image, fixed_point(field.grid.center(index)),
+               static_cast<int>(std::lround((1.5 * thickness + 0.5 * extra_px) * (1 << kShift))), color, cv::FILLED,
+               cv::LINE_AA, kShift);
+  };
+  // A dark rim first keeps the colours legible on bright ground; later blocks must not be rimmed over earlier ones.
+  constexpr int kRimPx = 2;
+  for (const int rim_px : {kRimPx, 0}) {
+    for (int i = 0; i < field.grid.size(); ++i) {
+      const cv::Scalar color = rim_px > 0 ? cv::Scalar::all(0) : color_bgr(field.blocks[i].status);
+      if (has_path[i]) draw_path(i, color, rim_px);
+      draw_dot(i, color, rim_px);
+    }
+  }
+  draw_legend(image, field, static_cast<int>(std::count(has_path.begin(), has_path.end(), 1)), scale);
+  return image;
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,54 @@
+#include "config/yaml_reading.hpp"
+
+#include <fstream>
+#include <sstream>
+
+namespace gyro_deblur {
+
+YAML::Node load_yaml_file(const std::string& path) {
+  std::ifstream file(path);
+  std::stringstream text;
+  text << file.rdbuf();
+  if (!file) throw OptionError(path + ": cannot be opened");
+  std::string content = text.str();
+  if (content.rfind("%YAML:", 0) == 0) content.front() = '#';  // no directive that YAML itself knows
+  try {
+    return YAML::Load(content);
+  } catch (const YAML::Exception& error) {
+    throw OptionError(path + ": " + error.what());
+  }
+}
+
+bool is_quoted(const YAML::Node& node) { return node.IsScalar() && node.Tag() == "!"; }
+
+std::string describe(const YAML::Node& node) {
+  if (is_quoted(node)) return '"' + node.Scalar() + '"';
+  YAML::Emitter emitter;
+  emitter.SetSeqFormat(YAML::Flow);
+  emitter.SetMapFormat(YAML::Flow);
+  emitter << node;
+  std::string text = emitter.good() ? emitter.c_str() : "?";
+  constexpr std::size_t kLongest = 80;
+  if (text.size() > kLongest) text = text.substr(0, kLongest) + "...";
+  return text;
+}
+
+void refuse(const std::string& key, const YAML::Node& node, const std::string& allowed) {
+  throw OptionError(key + " = " + describe(node) + " is not " + allowed);
+}
+
+double read_number(const std::string& key, const YAML::Node& node, const std::string& allowed) {
+  const double value = read_scalar<double>(key, node, allowed);
+  if (!std::isfinite(value)) refuse(key, node, allowed);
+  return value;
+}
+
+TimeNs read_seconds(const std::string& key, const YAML::Node& node) {
+  // No duration here is longer than a minute; the bound only keeps the conversion from overflowing.
+  constexpr double kLongestS = 1e6;
+  const double seconds = read_number(key, node, "a finite number of seconds");
+  require_range(key.c_str(), seconds, -kLongestS, kLongestS, "s");
+  return to_ns(seconds);
+}
+
+}  // namespace gyro_deblur

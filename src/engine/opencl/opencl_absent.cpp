@@ -1,0 +1,13 @@
+// Stands in for the OpenCL engine where it was not built.
+#include "engine/fallback_engine.hpp"
+#include "engine/opencl/opencl_factory.hpp"
+
+namespace gyro_deblur {
+
+bool opencl_gpu_present() { return false; }
+
+std::unique_ptr<Engine> make_opencl_engine(const std::string&, int) {
+  throw DeviceError("gyro_deblur was built without OpenCL");
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,55 @@
+// The OpenCL engine.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "gyro_deblur/engine.hpp"
+
+namespace gyro_deblur {
+
+/// "PLATFORM: DEVICE" of every OpenCL device, in the order of their indices.
+std::vector<std::string> opencl_devices();
+
+/// Time that the device spent on the latest frame [ms], by profiling events. Where device and host share memory,
+/// upload and download are mapping alone.
+struct OpenClTimes {
+  double upload_ms = 0;
+  double kernel_ms = 0;
+  double download_ms = 0;
+};
+
+/// The kind of device that the kernels are compiled for.
+enum class OpenClTuning {
+  DEVICE,  ///< by the device's type
+  CPU,     ///< explicit vectors, one work-item a work-group, input through the caches, shared memory
+  GPU      ///< one column a work-item, input staged in local memory, transfers from and to pinned memory
+};
+
+/// Sums the non-zero taps of each block's rotated kernel in float, one work-group for each tile of a block. Buffers,
+/// queue and programs are kept between frames. Needs OpenCL 1.2 and, tuned for a GPU, work-groups of 256 work-items
+/// with 25 KiB of local memory.
+class OpenClEngine : public Engine {
+ public:
+  /// @param device   an index into opencl_devices(), a part of a name there in any case, or empty: the first GPU, else
+  ///                 the first device
+  /// @param threads  OpenMP threads that prepare the taps, >= 0; 0: OpenMP's default
+  /// Throws DeviceError when there is no such device or it cannot build the program.
+  OpenClEngine(const std::string& device, int threads, OpenClTuning tuning = OpenClTuning::DEVICE);
+  ~OpenClEngine() override;
+
+  /// Throws DeviceError when the device fails; dst is undefined then.
+  void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
+
+  /// "opencl (DEVICE)".
+  std::string name() const override;
+
+  const OpenClTimes& last_times() const;
+
+ private:
+  class Impl;  // keeps OpenCL's headers out of this one
+  std::unique_ptr<Impl> engine_;
+};
+
+}  // namespace gyro_deblur

@@ -1,0 +1,209 @@
+#include "gyro_deblur/feature_tracker.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+#include <Eigen/Geometry>
+#include <opencv2/calib3d.hpp>
+#include <opencv2/imgproc.hpp>
+#include <opencv2/video/tracking.hpp>
+
+namespace gyro_deblur {
+namespace {
+
+/// Integers up to here are exact in a float, which is what carries ids in sensor_msgs/PointCloud.
+constexpr std::int32_t kIds = 1 << 24;
+
+/// Of the strongest corner's smaller eigenvalue; VINS-Mono has 0.01 as well.
+constexpr double kCornerQuality = 0.01;
+
+/// After a longer break nothing is where it was.
+constexpr TimeNs kLongestBreakNs = 1'000'000'000;
+
+/// The fundamental matrix has seven degrees of freedom; OpenCV's RANSAC wants eight points.
+constexpr std::size_t kMinForGeometry = 8;
+constexpr double kRansacConfidence = 0.99;
+
+bool inside(const cv::Point2f& p, const cv::Size& size) {
+  return p.x >= 0 && p.y >= 0 && p.x <= static_cast<float>(size.width - 1) &&
+         p.y <= static_cast<float>(size.height - 1);
+}
+
+cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
+Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
+
+/// Direction, at the time that the pixel of the later image sees, of what the earlier image saw; nothing where the
+/// motion is not known.
+std::optional<Eigen::Vector3d> turned(const Eigen::Vector2d& pixel_px, const Camera& camera, const CameraMotion& motion,
+                                      TimeNs from_ns, TimeNs to_ns) {
+  if (!motion.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) return std::nullopt;
+  return motion.homography(from_ns, to_ns) * camera.ray(pixel_px);
+}
+
+/// Pixel in the image of `to` of what `pixel_px` shows in that of `from`.
+Eigen::Vector2d predicted(const Eigen::Vector2d& pixel_px, const Camera& camera, const CameraMotion& motion,
+                          const RowExposure& from, const RowExposure& to) {
+  const double last_row = camera.calibration().height_px - 1.0;
+  Eigen::Vector2d at_px = pixel_px;
+  // The row decides when it is seen, and that decides the row.
+  for (int iteration = 0; iteration < 3; ++iteration) {
+    const TimeNs seen_ns = to.middle(std::clamp(at_px.y(), 0.0, last_row));
+    const auto direction = turned(pixel_px, camera, motion, from.middle(pixel_px.y()), seen_ns);
+    if (!direction) return pixel_px;
+    const Eigen::Vector2d next_px = camera.project(*direction);
+    if (!next_px.allFinite()) return pixel_px;
+    at_px = next_px;
+  }
+  return at_px;
+}
+
+std::vector<cv::Mat> pyramid_of(const cv::Mat& luminance, const TrackerOptions& options) {
+  std::vector<cv::Mat> pyramid;
+  constexpr bool kWithDerivatives = true, kReuseInput = true;  // never the input's memory: it is the caller's
+  cv::buildOpticalFlowPyramid(luminance, pyramid, {options.window_px, options.window_px}, options.levels,
+                              kWithDerivatives, cv::BORDER_REFLECT_101, cv::BORDER_CONSTANT, !kReuseInput);
+  return pyramid;
+}
+
+}  // namespace
+
+FeatureTracker::FeatureTracker(const TrackerOptions& options) { set_options(options); }
+
+void FeatureTracker::set_options(const TrackerOptions& options) {
+  options.validate();
+  // The pyramid of the newest image has the former levels and borders.
+  if (options.window_px != options_.window_px || options.levels != options_.levels) reset();
+  options_ = options;
+}
+
+void FeatureTracker::reset() {
+  tracks_.clear();
+  pyramid_.clear();
+  exposure_.reset();
+}
+
+std::optional<TimeRange> FeatureTracker::newest_frame() const {
+  if (!exposure_) return std::nullopt;
+  return exposure_->frame();
+}
+
+const std::vector<Track>& FeatureTracker::track(const cv::Mat& luminance, const Camera& camera,
+                                                const CameraMotion& motion, const RowExposure& exposure) {
+  const CameraCalibration& calibration = camera.calibration();
+  if (luminance.type() != CV_8UC1 || luminance.cols != calibration.width_px ||
+      luminance.rows != calibration.height_px) {
+    throw std::invalid_argument("tracking needs 8-bit luminance of the camera's size, " +
+                                std::to_string(calibration.width_px) + "x" + std::to_string(calibration.height_px));
+  }
+  if (exposure_) {
+    const TimeNs step_ns = exposure.start(0) - exposure_->start(0);
+    if (step_ns <= 0 || step_ns > kLongestBreakNs || calibration != calibration_) reset();
+  }
+  std::vector<cv::Mat> pyramid = pyramid_of(luminance, options_);
+  if (exposure_) follow(pyramid, camera, motion, exposure);
+  add_corners(luminance, camera);
+  pyramid_ = std::move(pyramid);
+  exposure_ = exposure;
+  calibration_ = calibration;
+  return tracks_;
+}
+
+void FeatureTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
+                            const RowExposure& exposure) {
+  if (tracks_.empty()) return;
+  const cv::Size size(camera.calibration().width_px, camera.calibration().height_px);
+  const cv::Size window(options_.window_px, options_.window_px);
+  const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.01);  // OpenCV's defaults
+  std::vector<cv::Point2f> before, after, back;
+  for (const Track& track : tracks_) {
+    before.push_back(to_cv(track.pixel_px));
+    after.push_back(to_cv(predicted(track.pixel_px, camera, motion, *exposure_, exposure)));
+  }
+  const std::vector<cv::Point2f> start = after;
+  std::vector<uchar> found, found_back;
+  std::vector<float> unused;
+  cv::calcOpticalFlowPyrLK(pyramid_, pyramid, before, after, found, unused, window, options_.levels, criteria,
+                           cv::OPTFLOW_USE_INITIAL_FLOW);
+  // On the way back the search starts as far from its goal as it did on the way there.
+  for (std::size_t i = 0; i < after.size(); ++i) back.push_back(after[i] - (start[i] - before[i]));
+  cv::calcOpticalFlowPyrLK(pyramid, pyramid_, after, back, found_back, unused, window, options_.levels, criteria,
+                           cv::OPTFLOW_USE_INITIAL_FLOW);
+
+  const double dt_s = to_seconds(exposure.start(0) - exposure_->start(0));
+  const Eigen::Matrix3d& R_image_cam = camera.calibration().R_image_cam;
+  std::vector<Track> followed;
+  // For the epipolar geometry: undistorted pixels of an ideal camera, with the rotation taken out of the first.
+  std::vector<cv::Point2f> ideal_before, ideal_after;
+  const double focal_px = camera.calibration().fx_px;
+  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    if (!found[i] || !found_back[i] || !inside(after[i], size)) continue;
+    if (cv::norm(back[i] - before[i]) > options_.max_round_trip_px) continue;
+    Track track = tracks_[i];
+    const Eigen::Vector3d ray = camera.ray(to_eigen(after[i]));
+    if (!ray.allFinite()) continue;
+    const auto direction =
+        turned(track.pixel_px, camera, motion, exposure_->middle(track.pixel_px.y()), exposure.middle(after[i].y));
+    ideal_before.push_back(to_cv(focal_px * direction.value_or(camera.ray(track.pixel_px)).hnormalized()));
+    ideal_after.push_back(to_cv(focal_px * ray.hnormalized()));
+    track.pixel_px = to_eigen(after[i]);
+    const Eigen::Vector2d normalized = (R_image_cam * ray).hnormalized();
+    track.velocity_1_s = (normalized - track.normalized) / dt_s;
+    track.normalized = normalized;
+    ++track.length;
+    followed.push_back(track);
+  }
+  tracks_ = std::move(followed);
+  if (tracks_.size() < kMinForGeometry) return;
+
+  std::vector<uchar> agrees;
+  cv::setRNGSeed(1);  // the same result for the same images
+  cv::findFundamentalMat(ideal_before, ideal_after, cv::FM_RANSAC, options_.max_epipolar_px, kRansacConfidence, agrees);
+  if (agrees.size() != tracks_.size()) return;  // no matrix found: nothing to disagree with
+  std::size_t kept = 0;
+  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    // What stays where the rotation takes it is right whatever the direction of translation.
+    if (!agrees[i] && cv::norm(ideal_after[i] - ideal_before[i]) > options_.max_epipolar_px) continue;
+    tracks_[kept++] = tracks_[i];
+  }
+  tracks_.resize(kept);
+}
+
+void FeatureTracker::add_corners(const cv::Mat& luminance, const Camera& camera) {
+  std::stable_sort(tracks_.begin(), tracks_.end(), [](const Track& a, const Track& b) { return a.length > b.length; });
+  cv::Mat allowed(luminance.size(), CV_8UC1, cv::Scalar(255));
+  const int radius_px = cvRound(options_.min_distance_px);
+  cv::Mat met(luminance.size(), CV_8UC1, cv::Scalar(0));
+  std::size_t kept = 0;
+  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    const cv::Point at(cvRound(tracks_[i].pixel_px.x()), cvRound(tracks_[i].pixel_px.y()));
+    if (met.at<uchar>(at) != 0) continue;  // two tracks have met: the longer one stays
+    // Not at the distance of new ones already, of which many would fall below it by the slightest change of view.
+    cv::circle(met, at, radius_px / 2, cv::Scalar(255), cv::FILLED);
+    cv::circle(allowed, at, radius_px, cv::Scalar(0), cv::FILLED);
+    tracks_[kept++] = tracks_[i];
+  }
+  tracks_.resize(std::min(kept, static_cast<std::size_t>(options_.max_tracks)));
+  const int missing = options_.max_tracks - static_cast<int>(tracks_.size());
+  if (missing <= 0) return;
+  // A corner whose window is cut is about to leave, or has just come.
+  const int margin_px =
+      std::max(options_.window_px / 2, std::min(options_.border_px, std::min(allowed.cols, allowed.rows) / 4));
+  cv::rectangle(allowed, {0, 0}, {allowed.cols - 1, allowed.rows - 1}, cv::Scalar(0), 2 * margin_px);
+  std::vector<cv::Point2f> corners;
+  cv::goodFeaturesToTrack(luminance, corners, missing, kCornerQuality, options_.min_distance_px, allowed);
+  for (const cv::Point2f& corner : corners) {
+    const Eigen::Vector3d ray = camera.ray(to_eigen(corner));
+    if (!ray.allFinite()) continue;
+    Track track;
+    track.id = next_id_;
+    next_id_ = (next_id_ + 1) % kIds;
+    track.pixel_px = to_eigen(corner);
+    track.normalized = (camera.calibration().R_image_cam * ray).hnormalized();
+    tracks_.push_back(track);
+  }
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,112 @@
+#include "inverse/line_taps.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+
+namespace gyro_deblur {
+namespace {
+
+// Closer to a pixel than this counts as on it: cos(pi / 2) is not quite 0.
+constexpr double kOnPixel = 1e-6;
+
+/// Weights of the two grid points on either side of a position; they sum to one.
+struct LinearSplat {
+  int index;            // of the lower point
+  double lower, upper;  // weights of index and index + 1
+
+  explicit LinearSplat(double position) : index(static_cast<int>(position)) {
+    if (position < index) --index;  // std::floor, which is a call where SSE4 is not assumed
+    upper = position - index;
+    if (upper < kOnPixel) upper = 0;
+    if (upper > 1 - kOnPixel) {
+      ++index;
+      upper = 0;
+    }
+    lower = 1 - upper;
+  }
+};
+
+}  // namespace
+
+// The rotation was chosen among five by the PSNR it restores, on three Oxford images (graf, boat, leuven) with exact
+// line blur, noise of 1 and 2 grey levels and 8-bit rounding, angles 0..175 degrees. Gain over the blurred image [dB],
+// mean over angles at extents 5 / 13 / 30 / 90 px, noise 1, and worst angle at 13 px:
+//   major axis, splat on unit steps (this one)     3.06 / 4.25 / 3.82 / 3.05, worst 4.01
+//   the same on half steps                         3.13 / 4.27 / 3.84 / 3.05, worst 4.01
+//   bilinear splat of each tap on 4 pixels         3.00 / 4.26 / 3.85 / 3.05, worst 4.01
+//   nearest pixel across                           0.52 / 3.26 / 3.70 / 3.03, worst 2.06
+//   cubic weights across (4 pixels)                3.17 / 4.29 / 3.85 / 3.06, worst 4.01
+// The last has twice the taps, half steps and bilinear a quarter more, and nothing but the nearest pixel differs by
+// more than 0.11 dB. A kernel sampled four times finer gains 0.5 dB at 5 px and loses 0.3 dB at 8 px.
+void rotate_kernel(const LineKernel& kernel, double angle_rad, std::vector<KernelTap>& taps,
+                   std::vector<float>& on_axis) {
+  const double dx = std::cos(angle_rad), dy = std::sin(angle_rad);
+  const bool major_is_y = std::abs(dy) > std::abs(dx);
+  const double major = major_is_y ? dy : dx;
+  const double slope = (major_is_y ? dx : dy) / major;
+
+  kernel_on_major_axis(kernel, major, on_axis);
+  const int steps = static_cast<int>(on_axis.size() / 2);
+  taps.clear();
+  for (int m = -steps; m <= steps; ++m) {
+    const double weight = on_axis[m + steps];
+    const LinearSplat splat(m * slope);
+    const auto add = [&](int n, double share) {
+      const float w = static_cast<float>(weight * share);
+      if (w == 0) return;
+      taps.push_back(major_is_y ? KernelTap{n, m, w} : KernelTap{m, n, w});
+    };
+    add(splat.index, splat.lower);
+    add(splat.index + 1, splat.upper);
+  }
+}
+
+std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad) {
+  std::vector<KernelTap> taps;
+  std::vector<float> on_axis;
+  rotate_kernel(kernel, angle_rad, taps, on_axis);
+  return taps;
+}
+
+namespace {
+
+/// Sum over taps i, which are `step` pixels apart, 1/2 < step <= 1, of their linear weight at `position` >= 0, which is
+/// in units of taps. At most four taps are less than a pixel from it.
+template <typename Tap>
+inline float splat_at(double position, float step, Tap tap) {
+  const int i = static_cast<int>(position);
+  const float before = static_cast<float>(position - i) * step, after = step - before;
+  return (tap(i) * (1 - before) + tap(i + 1) * (1 - after)) +
+         (tap(i - 1) * std::max(1 - step - before, 0.0f) + tap(i + 2) * std::max(1 - step - after, 0.0f));
+}
+
+}  // namespace
+
+void kernel_on_major_axis(const LineKernel& kernel, double major, std::vector<float>& on_axis) {
+  const int radius = kernel.radius();
+  const float step = static_cast<float>(std::abs(major));
+  const double taps_a_pixel = 1 / std::abs(major);
+  const int steps = static_cast<int>(std::ceil(radius * std::abs(major)));
+  on_axis.resize(2 * steps + 1);
+  float* out = on_axis.data() + steps;
+  const float* taps = kernel.taps.data() + radius;
+  const auto in_direction = [&](int direction) {
+    return [=](int i) { return std::abs(i) > radius ? 0.0f : taps[i * direction]; };
+  };
+  const int direction = major > 0 ? 1 : -1;
+  if (kernel.box_extent_px <= 0) {
+    for (int m = 0; m <= steps; ++m) {
+      out[m] = splat_at(m * taps_a_pixel, step, in_direction(direction));
+      out[-m] = splat_at(m * taps_a_pixel, step, in_direction(-direction));
+    }
+    return;
+  }
+  // Symmetric: one half, mirrored, nearly all of it far from the end.
+  const int inner = std::max(0, static_cast<int>((radius - 3) * std::abs(major)));
+  for (int m = 0; m < inner; ++m) out[m] = splat_at(m * taps_a_pixel, step, [taps](int i) { return taps[i]; });
+  for (int m = inner; m <= steps; ++m) out[m] = splat_at(m * taps_a_pixel, step, in_direction(1));
+  for (int m = 1; m <= steps; ++m) out[-m] = out[m];
+}
+
+}  // namespace gyro_deblur

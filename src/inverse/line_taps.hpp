@@ -1,0 +1,28 @@
+// A kernel along a line as weights of pixels.
+#pragma once
+
+#include <vector>
+
+#include "gyro_deblur/kernel_bank.hpp"
+
+namespace gyro_deblur {
+
+/// A non-zero element of a rotated kernel.
+struct KernelTap {
+  int dx, dy;
+  float weight;
+};
+
+/// Non-zero elements of `kernel` rotated to `angle_rad` (paper section IV-B); their weights sum to the kernel's sum.
+/// Steps of the major axis in rising order, at each one or two taps, neighbours across. The second form uses the room
+/// that `taps` and `on_axis` have.
+std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad);
+void rotate_kernel(const LineKernel& kernel, double angle_rad, std::vector<KernelTap>& taps,
+                   std::vector<float>& on_axis);
+
+/// The kernel on unit steps of a line's major axis: each tap, at position * major, is weighted onto the two nearest
+/// steps. major: cosine or sine of the line's angle, whichever is larger in size: 0.7 to 1, or the negative of it.
+/// @param on_axis  set to steps -n .. n, n = ceil(radius * |major|)
+void kernel_on_major_axis(const LineKernel& kernel, double major, std::vector<float>& on_axis);
+
+}  // namespace gyro_deblur

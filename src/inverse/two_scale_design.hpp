@@ -1,0 +1,59 @@
+// How a kernel with a box in it is split into two scales, found by least squares once per length.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <mutex>
+#include <utility>
+#include <vector>
+
+#include "engine/cpu/block_kernels.hpp"
+
+namespace gyro_deblur {
+
+/// Weights of the two scales that stand for a kernel of unit steps, symmetric about 0.
+///
+/// Samples x[m] are summed over nodes of `decimation` samples; the sums are filtered with coarse weights, and the
+/// result between nodes is a quadratic B-spline. Two boxes, over [-box_half, box_half] and one sample more on either
+/// side, carry the jumps that the coarse part cannot follow.
+struct TwoScaleWeights {
+  float inner_box, outer_box;
+  std::vector<float> coarse;  ///< of nodes 0 .. radius; node -k has the weight of node k
+};
+
+/// The linear map from a kernel to its weights, for all kernels that jump at about the same place.
+class TwoScaleDesign {
+ public:
+  /// @param box_half  samples of the inner box on either side of its centre, >= 0
+  /// @param radius    coarse weights on either side of the centre; radius * decimation > box_half
+  TwoScaleDesign(int box_half, int radius);
+
+  /// Samples in a node: a fifteenth of the box.
+  static int decimation_for(int box_half);
+
+  int decimation() const { return decimation_; }
+  int radius() const { return radius_; }
+  int reach() const { return radius_ * decimation_; }  ///< taps beyond are not seen
+
+  /// Weights that come nearest to the kernel, with its sum kept exactly.
+  /// @param kernel  taps 0 .. count, count <= reach()
+  void fit(const float* kernel, int count, const BlockKernels& kernels, TwoScaleWeights& weights) const;
+
+ private:
+  int box_half_, decimation_, radius_;
+  // Rows are coarse weights, inner and outer box; a column for each tap. See BlockKernels::combine_columns.
+  int row_groups_;
+  std::vector<float> map_;
+};
+
+/// Designs by box_half and radius, made on first use (a fraction of a millisecond each) and kept. Thread-safe.
+class TwoScaleDesigns {
+ public:
+  const TwoScaleDesign& get(int box_half, int radius);
+
+ private:
+  std::mutex mutex_;
+  std::map<std::pair<int, int>, std::unique_ptr<TwoScaleDesign>> designs_;
+};
+
+}  // namespace gyro_deblur

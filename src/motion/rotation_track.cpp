@@ -1,0 +1,144 @@
+#include "gyro_deblur/rotation_track.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <iomanip>
+#include <iterator>
+#include <sstream>
+#include <stdexcept>
+#include <string>
+
+#include <Eigen/LU>
+#include <Eigen/SVD>
+
+namespace gyro_deblur {
+namespace {
+
+std::string describe(const TimeRange& range) {
+  if (range.empty()) return "nothing";
+  std::ostringstream text;
+  text << '[' << std::fixed << std::setprecision(9) << to_seconds(range.begin_ns) << ", " << to_seconds(range.end_ns)
+       << "] s";
+  return text.str();
+}
+
+}  // namespace
+
+Eigen::Quaterniond so3_exp(const Eigen::Vector3d& rotation_rad) {
+  const double half = 0.5 * rotation_rad.norm();
+  // sin(half) / half; its series is exact to double precision below 1e-4.
+  const double sinc = half < 1e-4 ? 1.0 - half * half / 6.0 : std::sin(half) / half;
+  const Eigen::Vector3d vector = 0.5 * sinc * rotation_rad;
+  return {std::cos(half), vector.x(), vector.y(), vector.z()};
+}
+
+Eigen::Quaterniond integrate_linear_rate(const Eigen::Vector3d& w0_rad_s, const Eigen::Vector3d& w1_rad_s,
+                                         double dt_s) {
+  // R' = R [w]x multiplies from the right, so the commutator term has the sign opposite to that of x' = A(t) x.
+  return so3_exp(0.5 * dt_s * (w0_rad_s + w1_rad_s) + dt_s * dt_s / 12.0 * w0_rad_s.cross(w1_rad_s));
+}
+
+Eigen::Matrix3d require_rotation(const char* name, const Eigen::Matrix3d& R) {
+  const double determinant = R.determinant();
+  std::ostringstream message;
+  message << name << " has determinant " << determinant;
+  if (R.allFinite()) {
+    const Eigen::JacobiSVD<Eigen::Matrix3d> svd(R, Eigen::ComputeFullU | Eigen::ComputeFullV);
+    Eigen::Matrix3d nearest = svd.matrixU() * svd.matrixV().transpose();
+    if ((R - nearest).cwiseAbs().maxCoeff() <= 1e-3) {
+      if (determinant > 0) return nearest;
+      message
+          << ": it mirrors (an axis has the wrong sign, or two axes are swapped); expected a rotation, determinant +1";
+      throw OptionError(message.str());
+    }
+  }
+  message << " and is not orthonormal to within 1e-3; expected a rotation, determinant +1";
+  throw OptionError(message.str());
+}
+
+bool is_saturated(const GyroSample& sample, const GyroOptions& options) {
+  // Room for rounding, and for a clipped value of one count less than full scale (16 bit: 0.003 %).
+  constexpr double kSaturatedPart = 0.999;
+  return options.range_rad_s > 0 && sample.rate_rad_s.cwiseAbs().maxCoeff() >= kSaturatedPart * options.range_rad_s;
+}
+
+RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroOptions& options,
+                             const Eigen::Matrix3d& R_cam_imu) {
+  options.validate();
+  const Eigen::Matrix3d R = require_rotation("R_cam_imu", R_cam_imu);
+  knots_.reserve(samples.size());
+  bool previous_saturated = false;
+  for (const GyroSample& sample : samples) {
+    if (!sample.rate_rad_s.allFinite()) {
+      throw std::invalid_argument("RotationTrack: the gyroscope sample at " + std::to_string(sample.t_ns) +
+                                  " ns is not finite");
+    }
+    // Rates in camera axes give the rotation of the camera: R Exp(v) R^T = Exp(R v).
+    const Eigen::Vector3d rate_rad_s = R * (sample.rate_rad_s - options.bias_rad_s);
+    const bool saturated = is_saturated(sample, options);
+    Knot knot{sample.t_ns - options.time_offset_ns, Eigen::Quaterniond::Identity(), rate_rad_s};
+    if (!knots_.empty()) {
+      const Knot& previous = knots_.back();
+      if (knot.t_ns <= previous.t_ns) {
+        throw std::invalid_argument("RotationTrack: gyroscope samples must increase in time, but " +
+                                    std::to_string(sample.t_ns) + " ns follows " +
+                                    std::to_string(previous.t_ns + options.time_offset_ns) + " ns");
+      }
+      if (knot.t_ns - previous.t_ns > options.max_gap_ns || saturated || previous_saturated) {
+        // Nobody may ask across a hole, so only orientations relative to each other on one side of it matter.
+        holes_.push_back({previous.t_ns, knot.t_ns});
+        knot.R_0_cam = previous.R_0_cam;
+      } else {
+        knot.R_0_cam = (previous.R_0_cam *
+                        integrate_linear_rate(previous.rate_rad_s, rate_rad_s, to_seconds(knot.t_ns - previous.t_ns)))
+                           .normalized();
+      }
+    }
+    knots_.push_back(knot);
+    previous_saturated = saturated;
+  }
+}
+
+TimeRange RotationTrack::available() const {
+  if (knots_.empty()) return {};
+  return {knots_.front().t_ns, knots_.back().t_ns};
+}
+
+bool RotationTrack::covers(const TimeRange& range) const {
+  if (!available().contains(range)) return false;
+  // The samples at both ends of a hole are known, so it is open.
+  const auto hole = std::partition_point(holes_.begin(), holes_.end(),
+                                         [&](const TimeRange& h) { return h.end_ns <= range.begin_ns; });
+  return hole == holes_.end() || range.end_ns <= hole->begin_ns;
+}
+
+void RotationTrack::require_covered(const TimeRange& range) const {
+  if (covers(range)) return;
+  std::string message = "gyroscope: " + describe(range) + " was asked for, " + describe(available()) + " is available";
+  for (const TimeRange& hole : holes_) {
+    if (hole.begin_ns < range.end_ns && hole.end_ns > range.begin_ns) message += ", less the hole " + describe(hole);
+  }
+  throw std::out_of_range(message);
+}
+
+Eigen::Quaterniond RotationTrack::interpolate(TimeNs t_ns) const {
+  const auto after =
+      std::lower_bound(knots_.begin(), knots_.end(), t_ns, [](const Knot& knot, TimeNs t) { return knot.t_ns < t; });
+  if (after->t_ns == t_ns) return after->R_0_cam;
+  const auto before = std::prev(after);
+  const double fraction = static_cast<double>(t_ns - before->t_ns) / static_cast<double>(after->t_ns - before->t_ns);
+  const Eigen::Vector3d rate_rad_s = before->rate_rad_s + fraction * (after->rate_rad_s - before->rate_rad_s);
+  return before->R_0_cam * integrate_linear_rate(before->rate_rad_s, rate_rad_s, to_seconds(t_ns - before->t_ns));
+}
+
+Eigen::Quaterniond RotationTrack::orientation(TimeNs t_ns) const {
+  require_covered({std::min(t_ns, available().begin_ns), t_ns});
+  return interpolate(t_ns);
+}
+
+Eigen::Matrix3d RotationTrack::homography(TimeNs from_ns, TimeNs to_ns) const {
+  require_covered({std::min(from_ns, to_ns), std::max(from_ns, to_ns)});
+  return (interpolate(to_ns).conjugate() * interpolate(from_ns)).toRotationMatrix();
+}
+
+}  // namespace gyro_deblur

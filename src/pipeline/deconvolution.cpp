@@ -1,0 +1,160 @@
+#include "gyro_deblur/deconvolution.hpp"
+
+#include <algorithm>
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+#include "base/parallel.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+// Of places within a path of 500 px as floats.
+constexpr double kRounding = 1e-3;
+
+using OwnKernels = std::vector<std::shared_ptr<const LineKernel>>;
+
+/// Kernels of the blocks whose path is uneven, with lengths counted `scale` times; null for the others.
+OwnKernels uneven_kernels(const FrameBlur& field, double scale, const KernelBank& bank, int threads) {
+  OwnKernels kernels(field.blocks.size());
+  constexpr int kBlocksAtATime = 16;
+  run_parallel(static_cast<int>(kernels.size()), threads, kBlocksAtATime, [&](int i) {
+    const BlockBlur& blur = field.blocks[i];
+    if (blur.status != BlockStatus::DEBLURRED || !blur.uneven_path_px) return;
+    LinePath path_px = *blur.uneven_path_px;
+    for (float& place_px : path_px) place_px *= static_cast<float>(scale);
+    // Not blur.extent_px: rounded on its own, it may lie on the other side of a limit.
+    const double extent_px = extent_of(path_px);
+    if (extent_px < kMinKernelExtentPx) return;
+    if (extent_px > kMaxKernelExtentPx) {
+      for (float& place_px : path_px) place_px *= static_cast<float>((kMaxKernelExtentPx - kRounding) / extent_px);
+    }
+    kernels[i] = std::make_shared<const LineKernel>(wiener_kernel(path_px, bank.options()));
+  });
+  return kernels;
+}
+
+/// Appends to `grid` the filter of a block of `field`, whose lengths count `scale` times.
+void add_filter(const FrameBlur& field, int block, double scale, const KernelBank& bank, const OwnKernels& uneven,
+                FilterGrid& grid) {
+  const BlockBlur& blur = field.blocks[block];
+  BlockFilter filter{blur.angle_rad, uneven[block].get()};
+  const double extent_px = blur.extent_px * scale;
+  if (blur.status == BlockStatus::DEBLURRED && !blur.uneven_path_px && extent_px >= kMinKernelExtentPx) {
+    filter.kernel = &bank.kernel(extent_px);
+  }
+  grid.blocks.push_back(filter);
+  grid.own_kernels.push_back(uneven[block]);
+}
+
+bool filters_anything(const FilterGrid& grid) {
+  return std::any_of(grid.blocks.begin(), grid.blocks.end(),
+                     [](const BlockFilter& block) { return block.kernel != nullptr; });
+}
+
+/// Columns, or rows, of a grid: borders, and which block's number each has there.
+struct Divisions {
+  std::vector<int> borders = {0};
+  std::vector<int> indices;
+
+  /// Appends division `index`, which ends at `end`, unless it is empty.
+  void add(int index, int end) {
+    if (end == borders.back()) return;
+    borders.push_back(end);
+    indices.push_back(index);
+  }
+};
+
+/// Filters the four planes of a Bayer mosaic. Each samples the image at every second pixel from (px, py), so direction
+/// stays, extent halves, and block borders (even, because block sizes are) fall between samples.
+void deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const KernelBank& bank, Engine& engine,
+                      int threads, cv::Mat& dst) {
+  mosaic.copyTo(dst);
+  const std::size_t pixel_bytes = mosaic.elemSize();
+  const OwnKernels uneven = uneven_kernels(field, 0.5, bank, threads);
+  cv::Mat plane, filtered;
+  for (int py = 0; py < 2; ++py) {
+    for (int px = 0; px < 2; ++px) {
+      // Number of samples of this plane before image coordinate x.
+      const auto samples_before = [](int x, int phase) { return (x - phase + 1) / 2; };
+      const cv::Size size(samples_before(mosaic.cols, px), samples_before(mosaic.rows, py));
+      if (size.empty()) continue;
+
+      // The last column and row of blocks may have no sample of this plane.
+      const int block_cols = field.grid.cols();
+      Divisions cols, rows;
+      for (int col = 0; col < block_cols; ++col) cols.add(col, samples_before(field.grid.rect(col).br().x, px));
+      for (int row = 0; row < field.grid.rows(); ++row) {
+        rows.add(row, samples_before(field.grid.rect(row * block_cols).br().y, py));
+      }
+      FilterGrid grid{cols.borders, rows.borders, {}};
+      for (const int row : rows.indices) {
+        for (const int col : cols.indices) add_filter(field, row * block_cols + col, 0.5, bank, uneven, grid);
+      }
+      if (!filters_anything(grid)) continue;
+
+      plane.create(size, mosaic.type());
+      for (int y = 0; y < size.height; ++y) {
+        const uchar* from = mosaic.ptr(2 * y + py) + px * pixel_bytes;
+        uchar* to = plane.ptr(y);
+        for (int x = 0; x < size.width; ++x) std::copy_n(from + 2 * x * pixel_bytes, pixel_bytes, to + x * pixel_bytes);
+      }
+      engine.filter(plane, grid, filtered);
+      for (int y = 0; y < size.height; ++y) {
+        const uchar* from = filtered.ptr(y);
+        uchar* to = dst.ptr(2 * y + py) + px * pixel_bytes;
+        for (int x = 0; x < size.width; ++x) std::copy_n(from + x * pixel_bytes, pixel_bytes, to + 2 * x * pixel_bytes);
+      }
+    }
+  }
+}
+
+}  // namespace
+
+FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int threads) {
+  const int cols = field.grid.cols();
+  FilterGrid grid{{0}, {0}, {}};
+  for (int col = 0; col < cols; ++col) grid.x.push_back(field.grid.rect(col).br().x);
+  for (int row = 0; row < field.grid.rows(); ++row) grid.y.push_back(field.grid.rect(row * cols).br().y);
+  const OwnKernels uneven = uneven_kernels(field, 1.0, bank, threads);
+  for (int i = 0; i < field.grid.size(); ++i) add_filter(field, i, 1.0, bank, uneven, grid);
+  return grid;
+}
+
+void deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field, const KernelBank& bank,
+                Engine& engine, cv::Mat& dst, int threads) {
+  if (image.cols != field.grid.width_px() || image.rows != field.grid.height_px()) {
+    throw std::invalid_argument("image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
+                                " px does not fit a blur field of " + std::to_string(field.grid.width_px()) + "x" +
+                                std::to_string(field.grid.height_px()) + " px");
+  }
+  if (image.channels() != channels_of(layout)) {
+    throw std::invalid_argument("image has " + std::to_string(image.channels()) + " channels where its layout has " +
+                                std::to_string(channels_of(layout)));
+  }
+  if (field.count(BlockStatus::DEBLURRED) == 0) {
+    image.copyTo(dst);
+    return;
+  }
+  if (is_bayer(layout)) {
+    deconvolve_bayer(image, field, bank, engine, threads, dst);
+    return;
+  }
+
+  const FilterGrid grid = make_filter_grid(field, bank, threads);
+  if (image.channels() < 4) {
+    engine.filter(image, grid, dst);
+    return;
+  }
+  // Alpha is no light: filter the three colours and put the input's alpha beside them.
+  cv::Mat color(image.size(), CV_MAKETYPE(image.depth(), 3)), filtered;
+  const int colors[] = {0, 0, 1, 1, 2, 2}, alpha[] = {3, 3};
+  cv::mixChannels({image}, {color}, colors, 3);
+  engine.filter(color, grid, filtered);
+  dst.create(image.size(), image.type());
+  cv::mixChannels({filtered}, {dst}, colors, 3);
+  cv::mixChannels({image}, {dst}, alpha, 1);
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,183 @@
+#include "gyro_deblur/pipeline.hpp"
+
+#include <chrono>
+#include <limits>
+#include <stdexcept>
+#include <utility>
+
+#include "gyro_deblur/blur_validation.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// Milliseconds since construction.
+class Stopwatch {
+ public:
+  double ms() const {
+    return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start_).count();
+  }
+
+ private:
+  std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
+};
+
+bool same(const BlurFieldOptions& a, const BlurFieldOptions& b) {
+  return a.block_size_px == b.block_size_px && a.min_extent_px == b.min_extent_px &&
+         a.max_extent_px == b.max_extent_px && a.max_bend_px == b.max_bend_px;
+}
+
+bool same(const KernelOptions& a, const KernelOptions& b) {
+  return a.gamma == b.gamma && a.length_factor == b.length_factor && a.smoothing_px == b.smoothing_px &&
+         a.design == b.design;
+}
+
+bool same(const KeypointOptions& a, const KeypointOptions& b) {
+  return a.detector == b.detector && a.descriptor == b.descriptor && a.max_features == b.max_features &&
+         a.grid_cols == b.grid_cols && a.grid_rows == b.grid_rows;
+}
+
+void require_fit(const cv::Mat& image, PixelLayout layout, const CameraCalibration& calibration) {
+  if (image.cols != calibration.width_px || image.rows != calibration.height_px) {
+    throw std::invalid_argument("image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
+                                " px does not fit the calibration of " + std::to_string(calibration.width_px) + "x" +
+                                std::to_string(calibration.height_px) + " px");
+  }
+  if ((image.depth() != CV_8U && image.depth() != CV_16U) || image.channels() != channels_of(layout)) {
+    throw std::invalid_argument("image must have 8 or 16 bit and " + std::to_string(channels_of(layout)) +
+                                " channels, has OpenCV depth " + std::to_string(image.depth()) + " and " +
+                                std::to_string(image.channels()) + " channels");
+  }
+}
+
+std::vector<Eigen::Vector2d> positions(const std::vector<cv::KeyPoint>& keypoints) {
+  std::vector<Eigen::Vector2d> points;
+  points.reserve(keypoints.size());
+  for (const cv::KeyPoint& keypoint : keypoints) points.emplace_back(keypoint.pt.x, keypoint.pt.y);
+  return points;
+}
+
+}  // namespace
+
+void PipelineOptions::validate() const {
+  blur_field.validate();
+  validation.validate();
+  kernel.validate();
+  keypoints.validate();
+  require_range("threads", threads, 0, 256);
+}
+
+Pipeline::Pipeline(const PipelineOptions& options, EngineFactory engine_factory)
+    : make_engine_(std::move(engine_factory)) {
+  set_options(options);
+}
+
+void Pipeline::set_options(const PipelineOptions& options) {
+  // Everything that may throw comes before the first assignment, so that a failure leaves the former state.
+  options.validate();
+  std::unique_ptr<KernelBank> bank;
+  if (!bank_ || !same(options.kernel, options_.kernel)) bank = std::make_unique<KernelBank>(options.kernel);
+  std::unique_ptr<Engine> engine;
+  if (!engine_ || options.engine != options_.engine || options.threads != options_.threads) {
+    engine = make_engine_(options.engine, options.threads);
+  }
+  std::unique_ptr<FeatureExtractor> extractor;
+  if (!extractor_ || !same(options.keypoints, options_.keypoints)) {
+    extractor = std::make_unique<FeatureExtractor>(options.keypoints);
+  }
+  std::unique_ptr<BlurFieldEstimator> estimator;
+  if (camera_ && !same(options.blur_field, options_.blur_field))
+    estimator = std::make_unique<BlurFieldEstimator>(*camera_, options.blur_field);
+  PipelineOptions copy = options;
+
+  std::swap(options_, copy);
+  if (bank) bank_ = std::move(bank);
+  if (engine) engine_ = std::move(engine);
+  if (extractor) extractor_ = std::move(extractor);
+  if (estimator) estimator_ = std::move(estimator);
+}
+
+void Pipeline::set_calibration(const CameraCalibration& calibration) {
+  if (camera_ && camera_->calibration() == calibration) return;
+  auto camera = std::make_unique<Camera>(calibration);
+  auto estimator = std::make_unique<BlurFieldEstimator>(*camera, options_.blur_field);
+  camera_ = std::move(camera);
+  estimator_ = std::move(estimator);
+}
+
+std::string Pipeline::engine() const { return engine_->name(); }
+
+std::string Pipeline::take_warning() { return engine_->take_warning(); }
+
+PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
+                                 const RowExposure& exposure, const PipelineRequest& request) {
+  if (!camera_) throw std::logic_error("Pipeline::process before set_calibration");
+  require_fit(image, layout, camera_->calibration());
+
+  PipelineResult result;
+  result.reference_ns = exposure.reference_time(options_.rectify_to);
+  const Stopwatch blur_field_watch;
+  result.field = estimator_->estimate(motion, exposure);
+  result.times.blur_field_ms = blur_field_watch.ms();
+
+  cv::Mat luminance;
+  if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {
+    const Stopwatch watch;
+    luminance = luminance8(image, layout);
+    result.field = validate_blur_field(result.field, luminance, options_.validation, options_.threads);
+    result.times.validation_ms = watch.ms();
+  }
+
+  const bool anything_to_deblur = result.field.count(BlockStatus::DEBLURRED) > 0;
+  if (request.image && anything_to_deblur) {
+    const Stopwatch watch;
+    deconvolve(image, layout, result.field, *bank_, *engine_, result.image, options_.threads);
+    result.times.deconvolution_ms = watch.ms();
+  }
+  if (!request.keypoints && !request.luminance) return result;
+
+  // The same keypoints whether or not somebody wants the image too: found on the deblurred luminance, which is not
+  // quite the luminance of the deblurred colours. With 8-bit grey they are one and the same.
+  const bool image_is_luminance = layout == PixelLayout::GRAY && image.depth() == CV_8U;
+  if (!result.image.empty() && image_is_luminance) {
+    luminance = result.image;
+  } else {
+    if (luminance.empty()) luminance = luminance8(image, layout);
+    if (anything_to_deblur) {
+      const Stopwatch watch;
+      cv::Mat deblurred;
+      deconvolve(luminance, PixelLayout::GRAY, result.field, *bank_, *engine_, deblurred, options_.threads);
+      luminance = deblurred;
+      result.times.deconvolution_ms += watch.ms();
+    }
+  }
+  if (request.luminance) result.luminance = luminance;
+  if (!request.keypoints) return result;
+  const Stopwatch watch;
+  result.features = extractor_->extract(luminance);
+  result.points = rectify_points(positions(result.features.keypoints), result.field, *camera_, motion, exposure,
+                                 result.reference_ns);
+  result.times.keypoints_ms = watch.ms();
+  return result;
+}
+
+PipelineResult Pipeline::detect(const cv::Mat& image, PixelLayout layout, TimeNs stamp_ns,
+                                const std::optional<CameraCalibration>& calibration) const {
+  PipelineResult result;
+  result.reference_ns = stamp_ns;
+  const Stopwatch watch;
+  result.features = extractor_->extract(luminance8(image, layout));
+  const std::vector<Eigen::Vector2d> points_px = positions(result.features.keypoints);
+  std::vector<Eigen::Vector3d> rays(points_px.size(),
+                                    Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN()));
+  if (calibration) rays = Camera(*calibration).rays(points_px);
+  for (std::size_t i = 0; i < points_px.size(); ++i) {
+    RectifiedPoint point;
+    point.rectified_px = points_px[i];
+    point.normalized = rays[i].head<2>();
+    result.points.push_back(point);
+  }
+  result.times.keypoints_ms = watch.ms();
+  return result;
+}
+
+}  // namespace gyro_deblur

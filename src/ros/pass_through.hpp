@@ -1,0 +1,27 @@
+// Why a frame is passed through unchanged.
+#pragma once
+
+#include <cstdint>
+
+namespace gyro_deblur {
+
+/// Why a whole frame was passed through unchanged. Values equal the constants of gyro_deblur/BlurField.msg.
+enum class PassThroughReason : std::uint8_t {
+  NONE = 0,                  ///< processed; the blocks' statuses say what happened where
+  NO_GYRO = 1,               ///< no block's exposure is covered by gyroscope samples
+  NO_EXPOSURE_TIME = 2,      ///< neither message nor parameter gave one
+  NO_CALIBRATION = 3,        ///< camera_info absent, or unusable (zero K, unknown model, other size)
+  NO_EXTRINSIC = 4,          ///< neither tf nor parameter gave the rotation between IMU and camera
+  UNSUPPORTED_ENCODING = 5,  ///< pixel format that cannot be deblurred
+  BAD_IMAGE = 6,             ///< empty, or its buffer does not fit its header
+  BAD_CONFIGURATION = 7,     ///< a parameter is out of range
+  OVERLOAD = 8,              ///< the frame queue was full
+  TIME_JUMP = 9,             ///< the clock was reset while the frame waited
+  INTERNAL_ERROR = 10,       ///< an exception while processing; the log has its text
+  GYRO_SATURATED = 11,       ///< no block's exposure is free of samples at the gyroscope's limit
+};
+
+/// Name of the reason, e.g. "NO_GYRO". Never null.
+const char* to_string(PassThroughReason reason);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,480 @@
+#include "gyro_deblur/blur_field.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <stdexcept>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "analytic_motion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using test::AnalyticMotion;
+
+constexpr TimeNs kMs = 1'000'000;
+constexpr double kDeg = M_PI / 180;
+
+CameraCalibration pinhole(int width_px = 640, int height_px = 480, double f_px = 500) {
+  CameraCalibration c;
+  c.width_px = width_px;
+  c.height_px = height_px;
+  c.fx_px = c.fy_px = f_px;
+  c.cx_px = 0.5 * (width_px - 1);
+  c.cy_px = 0.5 * (height_px - 1);
+  return c;
+}
+
+CameraCalibration euroc() {
+  CameraCalibration c = pinhole(752, 480, 458);
+  c.model = DistortionModel::PLUMB_BOB;
+  c.coefficients = {-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05};
+  return c;
+}
+
+ShutterTiming timing(TimeNs exposure_ns, TimeNs readout_ns) {
+  ShutterTiming t;
+  t.exposure_ns = exposure_ns;
+  t.readout_ns = readout_ns;
+  return t;
+}
+
+TEST(BlockGrid, LastColumnAndRowAreWhatIsLeft) {
+  const BlockGrid grid(130, 70, 64);
+  EXPECT_EQ(grid.cols(), 3);
+  EXPECT_EQ(grid.rows(), 2);
+  EXPECT_EQ(grid.size(), 6);
+  EXPECT_EQ(grid.rect(0), cv::Rect(0, 0, 64, 64));
+  EXPECT_EQ(grid.rect(2), cv::Rect(128, 0, 2, 64));
+  EXPECT_EQ(grid.rect(5), cv::Rect(128, 64, 2, 6));
+  EXPECT_EQ(grid.center(0), Eigen::Vector2d(31.5, 31.5));
+  EXPECT_EQ(grid.center(5), Eigen::Vector2d(128.5, 66.5));
+  int area = 0;
+  for (int i = 0; i < grid.size(); ++i) area += grid.rect(i).area();
+  EXPECT_EQ(area, 130 * 70);
+  EXPECT_EQ(BlockGrid(128, 64, 64).size(), 2);
+  EXPECT_EQ(BlockGrid(1, 1, 64).rect(0), cv::Rect(0, 0, 1, 1));
+  EXPECT_TRUE(grid == BlockGrid(130, 70, 64));
+  EXPECT_FALSE(grid == BlockGrid(130, 71, 64));
+  EXPECT_FALSE(grid == BlockGrid(130, 70, 62));
+  EXPECT_THROW(BlockGrid(0, 1, 8), std::invalid_argument);
+  EXPECT_THROW(BlockGrid(1, 1, 0), std::invalid_argument);
+}
+
+TEST(BlockGrid, FindsTheBlockOfAPixel) {
+  const BlockGrid grid(130, 70, 64);
+  EXPECT_EQ(grid.index_at(0, 0), 0);
+  EXPECT_EQ(grid.index_at(63.49, 63.49), 0);
+  EXPECT_EQ(grid.index_at(63.5, 0), 1);
+  EXPECT_EQ(grid.index_at(0, 63.5), 3);
+  EXPECT_EQ(grid.index_at(129.4, 69.4), 5);
+  EXPECT_EQ(grid.index_at(-1e300, -5), 0);
+  EXPECT_EQ(grid.index_at(1e300, 1e300), 5);
+  for (int i = 0; i < grid.size(); ++i) EXPECT_EQ(grid.index_at(grid.center(i).x(), grid.center(i).y()), i);
+}
+
+TEST(AxialAngle, IsFoldedIntoHalfATurn) {
+  EXPECT_DOUBLE_EQ(axial_angle(1, 0), 0);
+  EXPECT_DOUBLE_EQ(axial_angle(-1, 0), 0);
+  EXPECT_DOUBLE_EQ(axial_angle(-1, -0.0), 0);
+  EXPECT_DOUBLE_EQ(axial_angle(0, 1), M_PI / 2);
+  EXPECT_DOUBLE_EQ(axial_angle(0, -1), M_PI / 2);
+  EXPECT_DOUBLE_EQ(axial_angle(1, 1), M_PI / 4);
+  EXPECT_DOUBLE_EQ(axial_angle(-1, 1), 3 * M_PI / 4);
+  EXPECT_DOUBLE_EQ(axial_angle(0, 0), 0);
+  for (const double dy : {-1e-20, -1e-15, -1e-9}) {
+    EXPECT_GE(axial_angle(1, dy), 0);
+    EXPECT_LT(axial_angle(1, dy), M_PI);
+    EXPECT_LT(axial_difference(axial_angle(1, dy), 0), 1e-8);
+  }
+}
+
+TEST(AxialDifference, WrapsAtHalfATurn) {
+  EXPECT_NEAR(axial_difference(1 * kDeg, 179 * kDeg), 2 * kDeg, 1e-12);
+  EXPECT_NEAR(axial_difference(179 * kDeg, 1 * kDeg), 2 * kDeg, 1e-12);
+  EXPECT_NEAR(axial_difference(0, 90 * kDeg), 90 * kDeg, 1e-12);
+  EXPECT_NEAR(axial_difference(30 * kDeg, 75 * kDeg), 45 * kDeg, 1e-12);
+}
+
+TEST(ClassifyBlur, DecidesByExtent) {
+  const BlurFieldOptions options;  // 3 to 150 px
+  EXPECT_EQ(classify_blur(0, 0, options).status, BlockStatus::SHARP);
+  EXPECT_EQ(classify_blur(2.99, 0, options).status, BlockStatus::SHARP);
+  EXPECT_EQ(classify_blur(0, 3, options).status, BlockStatus::DEBLURRED);
+  EXPECT_EQ(classify_blur(90, -120, options).status, BlockStatus::DEBLURRED);
+  EXPECT_EQ(classify_blur(90, -120.1, options).status, BlockStatus::TOO_LARGE);
+  const BlockBlur blur = classify_blur(-3, 4, options);
+  EXPECT_FLOAT_EQ(blur.extent_px, 5);
+  EXPECT_NEAR(blur.angle_rad, M_PI - std::atan2(4, 3), 1e-6);
+  // In float, an angle just below pi rounds to more than pi.
+  EXPECT_EQ(classify_blur(5, -1e-8, options).angle_rad, 0);
+}
+
+std::array<Eigen::Vector2d, kPathInstants> path_of(const std::function<Eigen::Vector2d(double)>& place_at) {
+  std::array<Eigen::Vector2d, kPathInstants> path_px;
+  for (int k = 0; k < kPathInstants; ++k) path_px[k] = place_at(k / (kPathInstants - 1.0) - 0.5) - place_at(0);
+  return path_px;
+}
+
+TEST(ClassifyPath, StraightAtEvenSpeedIsTheBox) {
+  for (const Eigen::Vector2d& way : {Eigen::Vector2d(30, 0), {-12, 20}, {0, -7}, {1, 1}, {0, 0}, {200, 0}}) {
+    const BlockBlur blur = classify_path(path_of([&](double t) { return t * way; }), {});
+    const BlockBlur expected = classify_blur(way.x(), way.y(), {});
+    EXPECT_EQ(blur.angle_rad, expected.angle_rad);
+    EXPECT_FLOAT_EQ(blur.extent_px, expected.extent_px);
+    EXPECT_EQ(blur.status, expected.status);
+    EXPECT_FALSE(blur.uneven_path_px);
+  }
+}
+
+// The second half of the exposure is run through at another speed: after the best shift, half of the difference between
+// the halves' lengths lies on either side of the even run, half of that at a time.
+TEST(ClassifyPath, AStepOfTheSpeedDepartsByAQuarterOfTheDifference) {
+  for (const double degrees : {0.0, 30.0, 90.0, 150.0, 200.0, 300.0}) {
+    const Eigen::Vector2d way(std::cos(degrees * kDeg), std::sin(degrees * kDeg));
+    const auto stepped = [&](double difference_px) {
+      return classify_path(path_of([&](double t) { return 2 * t * (t < 0 ? 10 : 10 + difference_px) * way; }), {});
+    };
+    // Of an extent of 20 px and the difference, a quarter of which is the limit at 1.115 px.
+    EXPECT_FALSE(stepped(1.10).uneven_path_px);
+    const BlockBlur blur = stepped(10);
+    EXPECT_NEAR(blur.extent_px, 30, 1e-4);
+    EXPECT_LT(axial_difference(blur.angle_rad, axial_angle(way.x(), way.y())), 1e-6);
+    EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+    ASSERT_TRUE(blur.uneven_path_px);
+    // Forwards or backwards along the axial angle.
+    const double sign = way.dot(Eigen::Vector2d(std::cos(blur.angle_rad), std::sin(blur.angle_rad)));
+    EXPECT_NEAR(std::abs(sign), 1, 1e-6);
+    const double expected[] = {-10, -7.5, -5, -2.5, 0, 5, 10, 15, 20};
+    for (int k = 0; k < kPathInstants; ++k) EXPECT_NEAR((*blur.uneven_path_px)[k], sign * expected[k], 1e-4) << k;
+    EXPECT_TRUE(stepped(1.13).uneven_path_px);
+  }
+}
+
+// A point that speeds up along a line and leaves it along a flat bow.
+TEST(ClassifyPath, SaysWhereTheImageShowsThePoint) {
+  const Eigen::Vector2d way(std::cos(0.4), std::sin(0.4)), across(-way.y(), way.x());
+  const auto blur_of = [&](double gain_px, double bow_px) {
+    return classify_path(path_of([&](double t) -> Eigen::Vector2d {
+                           return (40 * t + 4 * gain_px * t * t) * way + 4 * bow_px * t * t * across;
+                         }),
+                         {});
+  };
+  // The mean of 4 t^2 over nine instants, evenly in between, as against 1 / 3.
+  constexpr double kMean = (1 / 2.0 + 2 * (9 + 4 + 1) / 16.0 + 1 / 2.0) / 8;
+  BlockBlur even = blur_of(1.5, 0.9);
+  ASSERT_EQ(even.status, BlockStatus::DEBLURRED);
+  ASSERT_FALSE(even.uneven_path_px);
+  EXPECT_LT((even.shown_offset_px() - (1.5 * way + kMean * 0.9 * across)).norm(), 1e-4);
+  even.status = BlockStatus::SHARP;
+  EXPECT_LT((even.shown_offset_px() - kMean * (1.5 * way + 0.9 * across)).norm(), 1e-4);
+  const BlockBlur uneven = blur_of(6, 0.9);
+  ASSERT_EQ(uneven.status, BlockStatus::DEBLURRED);
+  ASSERT_TRUE(uneven.uneven_path_px);
+  // Its line is fitted to the places, so that it is a little off the way.
+  EXPECT_LT((uneven.shown_offset_px() - kMean * 0.9 * across).norm(), 0.1);
+  EXPECT_EQ(uniform_blur_field(64, 64, 1, 20, {}).blocks[0].shown_offset_px(), Eigen::Vector2d::Zero());
+}
+
+TEST(ClassifyPath, ThereAndBackCoversTheLineOnce) {
+  const BlockBlur blur = classify_path(path_of([](double t) { return Eigen::Vector2d(0, 80 * t * t); }), {});
+  EXPECT_NEAR(blur.extent_px, 20, 1e-4);
+  EXPECT_NEAR(blur.angle_rad, M_PI / 2, 1e-6);
+  EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+  EXPECT_TRUE(blur.uneven_path_px);
+}
+
+TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
+  constexpr double kRadius = 60;
+  const auto bow = [](double turn_rad) {
+    return path_of([=](double t) {
+      return Eigen::Vector2d(kRadius * std::sin(turn_rad * t), kRadius * (1 - std::cos(turn_rad * t)));
+    });
+  };
+  // An arc of a circle lies within half of its rise to either side of a line.
+  const double turn_rad = 0.9, bend_px = 0.5 * kRadius * (1 - std::cos(0.5 * turn_rad));
+  const double allowed_px = kStraightPathShare * 2 * kRadius * std::sin(0.5 * turn_rad);
+  BlurFieldOptions options;
+  options.max_bend_px = 1.001 * bend_px - allowed_px;
+  BlockBlur blur = classify_path(bow(turn_rad), options);
+  EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+  EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
+  EXPECT_LT(axial_difference(blur.angle_rad, 0), 1e-6);
+  options.max_bend_px = 0.999 * bend_px - allowed_px;
+  blur = classify_path(bow(turn_rad), options);
+  EXPECT_EQ(blur.status, BlockStatus::BENT);
+  EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
+  EXPECT_EQ(classify_path(bow(2 * M_PI), {}).status, BlockStatus::BENT) << "a whole circle";
+  // What is too small or too large anyway stays that.
+  options.max_bend_px = 0;
+  options.min_extent_px = 5;
+  EXPECT_EQ(classify_path(bow(0.06), options).status, BlockStatus::SHARP);
+  options.max_extent_px = 10;
+  EXPECT_EQ(classify_path(bow(turn_rad), options).status, BlockStatus::TOO_LARGE);
+}
+
+TEST(BlurFieldEstimator, PanBlursAlongX) {
+  const double rate = 2, exposure_s = 0.02, f = 500;
+  const BlurFieldEstimator estimator(Camera(pinhole()), {});
+  const RowExposure exposure(0, 480, timing(20 * kMs, 0));
+  const FrameBlur field = estimator.estimate(AnalyticMotion::constant_rate({0, rate, 0}), exposure);
+  ASSERT_EQ(field.blocks.size(), 80u);
+  EXPECT_TRUE(field.grid == estimator.grid());
+  EXPECT_EQ(field.exposure_ns, 20 * kMs);
+  EXPECT_EQ(field.readout_ns, 0);
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const double a = std::atan((field.grid.center(i).x() - 319.5) / f), h = 0.5 * rate * exposure_s;
+    const double dx = f * (std::tan(a + h) - std::tan(a - h));
+    EXPECT_EQ(field.blocks[i].status, BlockStatus::DEBLURRED);
+    EXPECT_FALSE(field.blocks[i].uneven_path_px);
+    EXPECT_GE(field.blocks[i].extent_px, dx - 1e-4);  // away from the middle row there is some dy as well
+    EXPECT_LT(field.blocks[i].extent_px, 1.05 * dx);
+  }
+}
+
+// About its axis a camera with square pixels moves points on circles: the chord is at right angles to the radius when
+// it is centred in time, and turned by half the roll when it starts at the block's centre.
+TEST(BlurFieldEstimator, RollBlursAtRightAnglesToTheRadius) {
+  const double rate = 6, exposure_s = 0.03;
+  const BlurFieldEstimator estimator(Camera(pinhole()), {});
+  const RowExposure exposure(0, 480, timing(30 * kMs, 0));
+  const FrameBlur field = estimator.estimate(AnalyticMotion::constant_rate({0, 0, rate}), exposure);
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const Eigen::Vector2d radius = field.grid.center(i) - Eigen::Vector2d(319.5, 239.5);
+    EXPECT_NEAR(field.blocks[i].extent_px, 2 * radius.norm() * std::sin(0.5 * rate * exposure_s), 1e-4);
+    EXPECT_LT(axial_difference(field.blocks[i].angle_rad, axial_angle(-radius.y(), radius.x())), 1e-5);
+  }
+}
+
+/// Blur by the path of the point that the block's centre sees at mid-exposure, from the closed form of the motion.
+BlockBlur true_blur(const AnalyticMotion& motion, const Camera& camera, const Eigen::Vector2d& center_px,
+                    const RowExposure& exposure) {
+  const double y = center_px.y();
+  const Eigen::Vector3d world = motion.R_world_cam(exposure.middle(y)) * camera.ray(center_px);
+  const double duration_ns = static_cast<double>(exposure.end(y) - exposure.start(y));
+  return classify_path(path_of([&](double part) {
+                         const TimeNs t_ns = exposure.middle(y) + std::llround(part * duration_ns);
+                         return camera.project(motion.R_world_cam(t_ns).transpose() * world);
+                       }),
+                       {});
+}
+
+struct FieldError {
+  double median_angle_deg, median_extent_px;
+};
+
+FieldError compare(const FrameBlur& field, const AnalyticMotion& motion, const Camera& camera,
+                   const RowExposure& exposure) {
+  std::vector<double> angles, extents;
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const BlockBlur truth = true_blur(motion, camera, field.grid.center(i), exposure);
+    angles.push_back(axial_difference(field.blocks[i].angle_rad, truth.angle_rad) / kDeg);
+    extents.push_back(std::abs(field.blocks[i].extent_px - truth.extent_px));
+  }
+  const auto median = [](std::vector<double>& v) {
+    std::nth_element(v.begin(), v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2), v.end());
+    return v[v.size() / 2];
+  };
+  return {median(angles), median(extents)};
+}
+
+TEST(BlurFieldEstimator, RollingShutterLensAndGyroscopeAgreeWithTheTruth) {
+  const Camera camera(euroc());
+  const AnalyticMotion motion = AnalyticMotion::handshake();
+  const BlurFieldEstimator estimator(camera, {});
+  Eigen::Matrix3d R_cam_imu;
+  R_cam_imu << 0, -1, 0, -1, 0, 0, 0, 0, -1;
+  GyroOptions options;
+  options.time_offset_ns = 25 * kMs;
+  options.bias_rad_s = {0.05, -0.03, 0.08};
+  const auto samples = motion.sample({0, 400 * kMs}, 5 * kMs, R_cam_imu, options);
+  for (const TimeNs readout_ns : {30 * kMs, -30 * kMs}) {
+    const RowExposure exposure(150 * kMs, 480, timing(30 * kMs, readout_ns));
+    const auto error = [&](const GyroOptions& o, const RowExposure& e) {
+      return compare(estimator.estimate(RotationTrack(samples, o, R_cam_imu), e), motion, camera, exposure);
+    };
+    const FieldError good = error(options, exposure);
+    EXPECT_LT(good.median_angle_deg, 0.1);
+    EXPECT_LT(good.median_extent_px, 0.05);
+    // Each convention matters: turned round, the field is wrong by far more than that.
+    GyroOptions flipped = options;
+    flipped.time_offset_ns *= -1;
+    EXPECT_GT(error(flipped, exposure).median_extent_px, 1);
+    flipped = options;
+    flipped.bias_rad_s *= -1;
+    EXPECT_GT(error(flipped, exposure).median_extent_px, 0.5);
+    EXPECT_GT(error(options, RowExposure(150 * kMs, 480, timing(30 * kMs, -readout_ns))).median_extent_px, 0.5);
+  }
+}
+
+// The gyroscope's rate rises within 1 ms in the middle of the middle row's exposure: rows before it and after it see an
+// even pan, those that it falls into see a path whose parts have the lengths of the two rates.
+TEST(BlurFieldEstimator, FindsAStepOfTheRateInTheRowsThatSeeIt) {
+  constexpr double kSlow = 1, kFast = 2.5;
+  const Camera camera(pinhole());
+  const RowExposure exposure(0, 480, timing(20 * kMs, 48 * kMs));  // 0.1 ms a row
+  const TimeNs step_ns = exposure.middle(240);
+  std::vector<GyroSample> samples;
+  for (TimeNs t = -5 * kMs; t <= 80 * kMs; t += kMs) samples.push_back({t, {0, t < step_ns ? kSlow : kFast, 0}});
+  const FrameBlur field =
+      BlurFieldEstimator(camera, {}).estimate(RotationTrack(samples, {}, Eigen::Matrix3d::Identity()), exposure);
+  int stepped = 0, even = 0;
+  for (int row = 0; row < field.grid.rows(); ++row) {
+    const int index = row * field.grid.cols() + field.grid.cols() / 2 - 1;  // near the centre column
+    const double y = field.grid.center(index).y();
+    const BlockBlur& blur = field.blocks[index];
+    EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+    if (exposure.end(y) < step_ns - kMs || exposure.start(y) > step_ns + kMs) {
+      EXPECT_FALSE(blur.uneven_path_px) << row;
+      ++even;
+      continue;
+    }
+    ASSERT_TRUE(blur.uneven_path_px) << row;
+    const double slow_s = to_seconds(step_ns - exposure.start(y)), fast_s = to_seconds(exposure.end(y) - step_ns);
+    // The step takes 1 ms; tan is steeper away from the centre.
+    EXPECT_NEAR(blur.extent_px, 500 * (kSlow * slow_s + kFast * fast_s), 0.6) << row;
+    ++stepped;
+  }
+  EXPECT_GE(stepped, 2);
+  EXPECT_GE(even, 2);
+}
+
+TEST(BlurFieldEstimator, UncoveredRowsAreNoGyro) {
+  AnalyticMotion motion = AnalyticMotion::constant_rate({0, 2, 0});
+  const RowExposure exposure(0, 480, timing(10 * kMs, 48 * kMs));  // 0.1 ms a row
+  motion.set_range({0, exposure.end(200)});
+  const FrameBlur field = BlurFieldEstimator(Camera(pinhole()), {}).estimate(motion, exposure);
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const BlockBlur& blur = field.blocks[i];
+    if (field.grid.center(i).y() <= 200) {
+      EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+    } else {
+      EXPECT_EQ(blur.status, BlockStatus::NO_GYRO);
+      EXPECT_EQ(blur.extent_px, 0);
+    }
+  }
+  EXPECT_EQ(field.count(BlockStatus::DEBLURRED), 30u);
+  EXPECT_EQ(field.count(BlockStatus::NO_GYRO), 50u);
+  EXPECT_EQ(field.count(BlockStatus::SHARP), 0u);
+}
+
+TEST(BlurFieldEstimator, BlocksBeyondTheLensModelAreNoGyro) {
+  CameraCalibration c = pinhole(640, 480, 400);
+  c.model = DistortionModel::PLUMB_BOB;
+  c.coefficients = {-0.4, 0, 0, 0};  // reaches 243 px from the centre
+  const FrameBlur field =
+      BlurFieldEstimator(Camera(c), {})
+          .estimate(AnalyticMotion::constant_rate({0, 0.5, 0}), RowExposure(0, 480, timing(20 * kMs, 0)));
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const double radius = (field.grid.center(i) - Eigen::Vector2d(319.5, 239.5)).norm();
+    if (radius > 244) {
+      EXPECT_EQ(field.blocks[i].status, BlockStatus::NO_GYRO) << i;
+    }
+    if (radius < 200) {
+      EXPECT_EQ(field.blocks[i].status, BlockStatus::DEBLURRED) << i;
+    }
+    EXPECT_TRUE(std::isfinite(field.blocks[i].extent_px));
+  }
+}
+
+TEST(BlurFieldEstimator, RefusesBadOptions) {
+  BlurFieldOptions options;
+  options.block_size_px = 7;
+  EXPECT_THROW(BlurFieldEstimator(Camera(pinhole()), options), OptionError);
+}
+
+TEST(UniformBlurField, IsTheSameEverywhere) {
+  const FrameBlur field = uniform_blur_field(130, 70, 170 * kDeg, 27, {});
+  ASSERT_EQ(field.blocks.size(), 6u);
+  for (const BlockBlur& blur : field.blocks) {
+    EXPECT_NEAR(blur.angle_rad, 170 * kDeg, 1e-6);
+    EXPECT_FLOAT_EQ(blur.extent_px, 27);
+    EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+  }
+  EXPECT_NEAR(uniform_blur_field(10, 10, -30 * kDeg, 5, {}).blocks[0].angle_rad, 150 * kDeg, 1e-6);
+  EXPECT_EQ(uniform_blur_field(10, 10, 1, 0, {}).blocks[0].status, BlockStatus::SHARP);
+  EXPECT_EQ(uniform_blur_field(10, 10, 1, 151, {}).blocks[0].status, BlockStatus::TOO_LARGE);
+}
+
+TEST(BlurFieldFromDisplacement, OneCellCoversTheImage) {
+  for (const int type : {CV_32F, CV_64F}) {
+    const FrameBlur field = blur_field_from_displacement(130, 70, cv::Mat(1, 1, type, cv::Scalar(3)),
+                                                         cv::Mat(1, 1, type, cv::Scalar(4)), {});
+    ASSERT_EQ(field.blocks.size(), 6u);
+    for (const BlockBlur& blur : field.blocks) {
+      EXPECT_NEAR(blur.extent_px, 5, 1e-5);
+      EXPECT_NEAR(blur.angle_rad, std::atan2(4, 3), 1e-6);
+    }
+  }
+}
+
+TEST(BlurFieldFromDisplacement, CellsCoverTheImageEvenly) {
+  // Per pixel, dx = 10 + x / 10, so the value at a block's centre tells where it was read; with fewer cells the same
+  // ramp is sampled at the cells' centres.
+  for (const int cols : {640, 320, 64, 10}) {
+    cv::Mat dx(3, cols, CV_64F), dy = cv::Mat::zeros(3, cols, CV_64F);
+    const double cell_px = 640.0 / cols;
+    for (int col = 0; col < cols; ++col) dx.col(col) = 10 + ((col + 0.5) * cell_px - 0.5) / 10;
+    const FrameBlur field = blur_field_from_displacement(640, 480, dx, dy, {});
+    for (int i = 0; i < field.grid.size(); ++i) {
+      EXPECT_NEAR(field.blocks[i].extent_px, 10 + field.grid.center(i).x() / 10, 1e-4) << cols;
+      EXPECT_EQ(field.blocks[i].angle_rad, 0);
+    }
+  }
+}
+
+TEST(BlurFieldFromDisplacement, RowsInterpolateToo) {
+  cv::Mat dy(48, 1, CV_32F), dx = cv::Mat::zeros(48, 1, CV_32F);
+  for (int row = 0; row < 48; ++row) dy.at<float>(row) = static_cast<float>(20 + ((row + 0.5) * 10 - 0.5) / 10);
+  const FrameBlur field = blur_field_from_displacement(640, 480, dx, dy, {});
+  for (int i = 0; i < field.grid.size(); ++i) {
+    EXPECT_NEAR(field.blocks[i].extent_px, 20 + field.grid.center(i).y() / 10, 1e-4);
+    EXPECT_NEAR(field.blocks[i].angle_rad, M_PI / 2, 1e-6);
+  }
+}
+
+TEST(BlurFieldFromDisplacement, ADisplacementAndItsOppositeAreTheSameBlur) {
+  const cv::Mat dx = (cv::Mat_<double>(1, 2) << 30, -30), dy = (cv::Mat_<double>(1, 2) << 1, 1);
+  BlurFieldOptions options;
+  options.block_size_px = 8;
+  const FrameBlur field = blur_field_from_displacement(160, 8, dx, dy, options);
+  for (const BlockBlur& blur : field.blocks) {
+    EXPECT_NEAR(blur.extent_px, std::hypot(30, 1), 1e-4);
+    EXPECT_LT(axial_difference(blur.angle_rad, 0), std::atan2(1, 30) + 1e-6);
+  }
+}
+
+TEST(BlurFieldFromDisplacement, BlocksThatTouchAHoleAreNoGyro) {
+  for (const double bad : {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
+    cv::Mat dx(128, 192, CV_64F, cv::Scalar(10)), dy = dx.clone();
+    dy.at<double>(100, 70) = bad;  // pixel (70, 100): second column, second row of blocks
+    const FrameBlur field = blur_field_from_displacement(192, 128, dx, dy, {});
+    for (int i = 0; i < 6; ++i) {
+      EXPECT_EQ(field.blocks[i].status, i == 4 ? BlockStatus::NO_GYRO : BlockStatus::DEBLURRED) << i;
+    }
+    EXPECT_EQ(field.blocks[4].extent_px, 0);
+  }
+  // One cell a block: only that block's own cell counts.
+  cv::Mat dx(2, 3, CV_64F, cv::Scalar(10)), dy = dx.clone();
+  dx.at<double>(0, 2) = std::numeric_limits<double>::quiet_NaN();
+  const FrameBlur field = blur_field_from_displacement(192, 128, dx, dy, {});
+  EXPECT_EQ(field.count(BlockStatus::NO_GYRO), 1u);
+  EXPECT_EQ(field.blocks[2].status, BlockStatus::NO_GYRO);
+}
+
+TEST(BlurFieldFromDisplacement, RefusesMatricesThatDoNotFit) {
+  const cv::Mat ok(2, 2, CV_64F, cv::Scalar(1));
+  EXPECT_THROW(blur_field_from_displacement(64, 64, cv::Mat(), cv::Mat(), {}), std::invalid_argument);
+  EXPECT_THROW(blur_field_from_displacement(64, 64, ok, cv::Mat(2, 3, CV_64F), {}), std::invalid_argument);
+  EXPECT_THROW(blur_field_from_displacement(64, 64, ok, cv::Mat(2, 2, CV_8U), {}), std::invalid_argument);
+  EXPECT_THROW(blur_field_from_displacement(64, 64, ok, cv::Mat(2, 2, CV_64FC2), {}), std::invalid_argument);
+  EXPECT_NO_THROW(blur_field_from_displacement(64, 64, ok, ok, {}));
+}
+
+}  // namespace
+}  // namespace gyro_deblur

@@ -1,0 +1,147 @@
+#include "gyro_deblur/overlay.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+#include <stdexcept>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include <gtest/gtest.h>
+#include <opencv2/imgproc.hpp>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr BlockStatus kAll[] = {BlockStatus::SHARP,     BlockStatus::DEBLURRED, BlockStatus::REJECTED,
+                                BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO,   BlockStatus::BENT};
+
+cv::Vec3b bgr(BlockStatus status) {
+  const cv::Vec3b rgb = status_color_rgb(status);
+  return {rgb[2], rgb[1], rgb[0]};
+}
+
+FrameBlur field_of(int width_px, int height_px, double angle_rad, double extent_px) {
+  return uniform_blur_field(width_px, height_px, angle_rad, extent_px, {});
+}
+
+TEST(StatusColor, IsDifferentForEveryStatusAndNamedRight) {
+  std::set<std::tuple<int, int, int>> colors;
+  for (const BlockStatus status : kAll) {
+    const cv::Vec3b c = status_color_rgb(status);
+    colors.insert({c[0], c[1], c[2]});
+  }
+  EXPECT_EQ(colors.size(), std::size(kAll));
+  const auto is = [](BlockStatus status, bool r, bool g, bool b) {
+    const cv::Vec3b c = status_color_rgb(status);
+    return (c[0] > 150) == r && (c[1] > 150) == g && (c[2] > 150) == b;
+  };
+  EXPECT_TRUE(is(BlockStatus::DEBLURRED, false, true, false));
+  EXPECT_TRUE(is(BlockStatus::SHARP, true, true, true));
+  EXPECT_TRUE(is(BlockStatus::REJECTED, true, false, false));
+  EXPECT_TRUE(is(BlockStatus::TOO_LARGE, true, false, true));
+  EXPECT_TRUE(is(BlockStatus::NO_GYRO, true, true, false));
+  EXPECT_TRUE(is(BlockStatus::BENT, false, true, true));
+}
+
+TEST(BlurSegment, IsThePathCentredOnTheBlock) {
+  const FrameBlur field = field_of(640, 480, std::atan2(4, 3), 50);
+  const BlurSegment segment = blur_segment(field, 11);  // second row, second column
+  EXPECT_LT((segment.from_px - Eigen::Vector2d(95.5 - 15, 95.5 - 20)).norm(), 1e-4);
+  EXPECT_LT((segment.to_px - Eigen::Vector2d(95.5 + 15, 95.5 + 20)).norm(), 1e-4);
+}
+
+TEST(PathsApart, AreAllWhereThereIsRoomAndFewerWhereThereIsNot) {
+  // 10 x 7 blocks of 64 px, the last row half cut off.
+  const auto count = [](double angle_rad, double extent_px, double gap_px) {
+    const std::vector<char> chosen = paths_apart(field_of(640, 448, angle_rad, extent_px), gap_px);
+    EXPECT_EQ(chosen.size(), 70u);
+    EXPECT_EQ(chosen[0], 1);
+    return std::count(chosen.begin(), chosen.end(), 1);
+  };
+  EXPECT_EQ(count(0, 50, 8), 70);
+  EXPECT_EQ(count(0, 62, 8), 35) << "every other column";
+  EXPECT_EQ(count(0, 150, 8), 28) << "every third";
+  EXPECT_EQ(count(M_PI / 2, 150, 8), 30) << "every third row";
+  EXPECT_EQ(count(M_PI / 4, 80, 8), 70) << "neighbours of the diagonal are 90 px apart";
+}
+
+TEST(PathsApart, NeverComeNearerThanTheGap) {
+  constexpr double kGapPx = 8;
+  for (const double angle_rad : {0.0, 0.3, 0.8, 1.2, 2.0, 2.9}) {
+    FrameBlur field = field_of(640, 480, angle_rad, 120);
+    for (int i = 0; i < field.grid.size(); ++i) field.blocks[i].angle_rad += 0.05f * static_cast<float>(i % 7);
+    const std::vector<char> chosen = paths_apart(field, kGapPx);
+    std::vector<std::pair<int, Eigen::Vector2d>> points;  // along each path
+    for (int i = 0; i < field.grid.size(); ++i) {
+      if (!chosen[i]) continue;
+      const BlurSegment path = blur_segment(field, i);
+      for (int k = 0; k <= 30; ++k) points.emplace_back(i, path.from_px + (path.to_px - path.from_px) * k / 30.0);
+    }
+    double nearest_px = 1e9;
+    for (const auto& a : points) {
+      for (const auto& b : points) {
+        if (a.first < b.first) nearest_px = std::min(nearest_px, (a.second - b.second).norm());
+      }
+    }
+    EXPECT_GE(nearest_px, kGapPx - 1e-6) << angle_rad;
+    EXPECT_GT(std::count(chosen.begin(), chosen.end(), 1), 5) << angle_rad;
+  }
+}
+
+TEST(DrawOverlay, DrawsEachBlockInTheColourOfItsStatus) {
+  const cv::Mat grey(960, 1280, CV_8UC1, cv::Scalar(120));
+  FrameBlur field = field_of(1280, 960, 0, 40);
+  for (int i = 0; i < field.grid.size(); ++i) field.blocks[i].status = kAll[i % 5];
+  const cv::Mat image = draw_overlay(grey, field);
+  ASSERT_EQ(image.type(), CV_8UC3);
+  ASSERT_EQ(image.size(), grey.size());
+  EXPECT_EQ(grey.at<uchar>(500, 500), 120);  // the input is left alone
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const Eigen::Vector2d center = field.grid.center(i);
+    if (center.x() < 520 && center.y() < 320) continue;  // the legend may be there
+    const int x = static_cast<int>(center.x()), y = static_cast<int>(center.y());
+    // The line is 2 px wide, so that the pixel beside the centre is full.
+    EXPECT_LT(cv::norm(image.at<cv::Vec3b>(y, x) - bgr(field.blocks[i].status)), 40) << i;
+    EXPECT_LT(cv::norm(image.at<cv::Vec3b>(y, x + 18) - bgr(field.blocks[i].status)), 40) << i;
+    EXPECT_EQ(image.at<cv::Vec3b>(y, x + 28), cv::Vec3b(120, 120, 120)) << i;  // beyond the end
+    EXPECT_EQ(image.at<cv::Vec3b>(y + 10, x + 15), cv::Vec3b(120, 120, 120)) << i;
+  }
+}
+
+TEST(DrawOverlay, LegendTellsFieldsApart) {
+  const cv::Mat grey(480, 752, CV_8UC1, cv::Scalar(120));
+  FrameBlur a = field_of(752, 480, M_PI / 2, 40);
+  FrameBlur b = a;
+  b.blocks.back().status = BlockStatus::REJECTED;  // far from the legend
+  FrameBlur c = a;
+  for (BlockBlur& blur : c.blocks) blur.extent_px = 30;
+  const cv::Rect legend(102, 2, 50, 44);  // of the text; between the blocks' vertical lines at x = 95 and 159
+  const auto differs = [&](const FrameBlur& f, const FrameBlur& g) {
+    return cv::norm(draw_overlay(grey, f)(legend), draw_overlay(grey, g)(legend), cv::NORM_INF) > 50;
+  };
+  EXPECT_FALSE(differs(a, a));
+  EXPECT_TRUE(differs(a, b));
+  EXPECT_TRUE(differs(a, c));
+}
+
+TEST(DrawOverlay, CopesWithSmallImagesAndLongPaths) {
+  for (const cv::Size size : {cv::Size(1, 1), cv::Size(9, 3), cv::Size(64, 64), cv::Size(3, 700)}) {
+    FrameBlur field = field_of(size.width, size.height, 1, 1e5);
+    EXPECT_EQ(draw_overlay(cv::Mat(size, CV_8UC1, cv::Scalar(0)), field).size(), size);
+    for (BlockBlur& blur : field.blocks) blur = {0, 0, BlockStatus::NO_GYRO};
+    EXPECT_EQ(draw_overlay(cv::Mat(size, CV_8UC1, cv::Scalar(0)), field).size(), size);
+  }
+}
+
+TEST(DrawOverlay, RefusesImagesThatDoNotFit) {
+  const FrameBlur field = field_of(640, 480, 0, 10);
+  EXPECT_THROW(draw_overlay(cv::Mat(480, 641, CV_8UC1), field), std::invalid_argument);
+  EXPECT_THROW(draw_overlay(cv::Mat(481, 640, CV_8UC1), field), std::invalid_argument);
+  EXPECT_THROW(draw_overlay(cv::Mat(480, 640, CV_8UC3), field), std::invalid_argument);
+  EXPECT_THROW(draw_overlay(cv::Mat(), field), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace gyro_deblur

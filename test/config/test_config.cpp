@@ -1,0 +1,368 @@
+#include "gyro_deblur/config.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <regex>
+#include <set>
+#include <sstream>
+#include <string>
+
+#include <gtest/gtest.h>
+#include <yaml-cpp/yaml.h>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr TimeNs kMs = 1'000'000;
+
+Config parse(const std::string& yaml, std::vector<std::string>* unknown = nullptr) {
+  return parse_config(YAML::Load(yaml), unknown);
+}
+
+/// The text of the OptionError for a configuration; empty when it is accepted.
+std::string error_of(const std::string& yaml) {
+  try {
+    parse(yaml);
+  } catch (const OptionError& error) {
+    return error.what();
+  }
+  return {};
+}
+
+/// Every field of a configuration, so that two can be compared and their difference read.
+std::string dump(const Config& c) {
+  std::ostringstream s;
+  s.precision(17);
+  s << "exposure " << c.shutter.exposure_ns << ' ' << c.exposure_max_age_ns << ' '
+    << static_cast<int>(c.exposure_source.kind) << ' ' << static_cast<int>(c.exposure_source.unit) << ' '
+    << c.exposure_source.field << "\nreadout " << c.shutter.readout_ns << "\nstamp_row "
+    << static_cast<int>(c.shutter.stamp_row) << "\nstamp_phase " << static_cast<int>(c.shutter.stamp_phase)
+    << "\ntime_offset " << c.gyro.time_offset_ns << "\nbias " << c.gyro.bias_rad_s.transpose() << "\nbuffer "
+    << c.gyro.buffer_ns << "\ngap " << c.gyro.max_gap_ns << "\ngyro_range " << c.gyro.range_rad_s << "\non_conflict "
+    << static_cast<int>(c.on_calibration_conflict) << "\nrectified_input " << c.rectified_input << "\nR ";
+  if (c.R_cam_imu) s << *c.R_cam_imu;
+  s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nbias_window " << c.bias_window_ns
+    << "\nbias_max_stddev " << c.bias_max_stddev_rad_s << "\ntime_jump " << c.time_jump_ns << "\nrectify_to "
+    << static_cast<int>(c.pipeline.rectify_to) << "\nengine " << c.pipeline.engine << "\nthreads " << c.pipeline.threads
+    << "\nblock_size " << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px
+    << "\nmax_extent " << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
+    << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing "
+    << c.pipeline.kernel.smoothing_px << "\nvalidate " << c.pipeline.validation.enabled << "\ntau "
+    << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\ndetector "
+    << c.pipeline.keypoints.detector << "\ndescriptor " << c.pipeline.keypoints.descriptor << "\nmax_features "
+    << c.pipeline.keypoints.max_features << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
+    << c.pipeline.keypoints.grid_rows << "\np_cam_imu " << c.p_cam_imu_m.transpose() << "\nscene_depth "
+    << c.translation.scene_depth_m << ' ' << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns
+    << ' ' << c.translation.max_speed_m_s << ' ' << c.translation.max_acceleration_m_s2 << ' '
+    << c.translation.max_stddev_m_s << ' ' << static_cast<int>(c.odometry_clock) << ' '
+    << static_cast<int>(c.odometry_twist_frame) << "\ntracker " << c.tracker.max_tracks << ' '
+    << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' '
+    << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' ' << c.tracker.levels;
+  return s.str();
+}
+
+/// Every key with a value that is allowed and not the default.
+const std::vector<std::pair<std::string, std::string>>& other_values() {
+  static const std::vector<std::pair<std::string, std::string>> kValues{
+      {"on_calibration_conflict", "configured"},
+      {"exposure_time", "0.02"},
+      {"exposure_source", "realsense_metadata_us"},
+      {"exposure_field", "shutter"},
+      {"exposure_max_age", "0.5"},
+      {"readout_time", "-0.0244944"},
+      {"stamp_row", "last"},
+      {"stamp_phase", "end"},
+      {"time_offset", "-0.017552"},
+      {"rectified_input", "true"},
+      {"R_cam_imu", "[0, -1, 0, -1, 0, 0, 0, 0, -1]"},
+      {"gyro_bias", "[-0.002, 0.021, 0.078]"},
+      {"gyro_buffer_duration", "10"},
+      {"max_gyro_gap", "0.02"},
+      {"gyro_range", "34.9066"},
+      {"gyro_timeout", "0"},
+      {"frame_queue_size", "3"},
+      {"bias_window", "2"},
+      {"bias_max_stddev", "0.1"},
+      {"time_jump_threshold", "1"},
+      {"p_cam_imu", "[0.1, -0.2, 0.3]"},
+      {"scene_depth", "2.5"},
+      {"scene_depth_max_age", "0.5"},
+      {"odometry_max_age", "0.1"},
+      {"odometry_max_speed", "3"},
+      {"odometry_max_acceleration", "50"},
+      {"odometry_max_stddev", "0.1"},
+      {"max_tracks", "300"},
+      {"track_min_distance", "20"},
+      {"track_border", "20"},
+      {"track_max_round_trip", "0.5"},
+      {"track_max_epipolar", "2"},
+      {"track_window", "31"},
+      {"track_levels", "4"},
+      {"odometry_clock", "imu"},
+      {"odometry_twist_frame", "parent"},
+      {"rectify_to", "stamp"},
+      {"engine", "float"},
+      {"threads", "2"},
+      {"block_size", "32"},
+      {"min_extent", "4"},
+      {"max_extent", "100.5"},
+      {"max_bend", "2.5"},
+      {"gamma", "1e-3"},
+      {"kernel_length_factor", "6"},
+      {"kernel_smoothing", "1.5"},
+      {"validate", "false"},
+      {"tau", "12"},
+      {"tau_contrast", "0"},
+      {"detector", "ORB"},
+      {"descriptor", "ORB"},
+      {"max_features", "500"},
+      {"grid_cols", "8"},
+      {"grid_rows", "6"},
+  };
+  return kValues;
+}
+
+TEST(ParseConfig, NothingGivesTheDefaults) {
+  EXPECT_EQ(dump(parse("")), dump(Config{}));
+  EXPECT_EQ(dump(parse("{}")), dump(Config{}));
+}
+
+TEST(ParseConfig, EveryKeyReachesItsOwnField) {
+  std::set<std::string> dumps{dump(Config{})};
+  for (const auto& [key, value] : other_values()) {
+    std::vector<std::string> unknown;
+    EXPECT_TRUE(dumps.insert(dump(parse(key + ": " + value, &unknown))).second) << key << " changed nothing";
+    EXPECT_TRUE(unknown.empty()) << key;
+  }
+}
+
+TEST(ParseConfig, ReadsValuesInTheirUnits) {
+  std::string yaml;
+  for (const auto& [key, value] : other_values()) yaml += key + ": " + value + "\n";
+  const Config c = parse(yaml);
+  EXPECT_EQ(c.shutter.exposure_ns, 20 * kMs);
+  EXPECT_EQ(c.shutter.readout_ns, -24'494'400);
+  EXPECT_EQ(c.shutter.stamp_row, StampRow::LAST);
+  EXPECT_EQ(c.shutter.stamp_phase, StampPhase::END);
+  EXPECT_EQ(c.gyro.time_offset_ns, -17'552'000);
+  EXPECT_TRUE(c.rectified_input);
+  ASSERT_TRUE(c.R_cam_imu);
+  EXPECT_EQ((*c.R_cam_imu)(0, 1), -1);
+  EXPECT_EQ((*c.R_cam_imu)(2, 2), -1);
+  EXPECT_EQ(c.gyro.bias_rad_s, Eigen::Vector3d(-0.002, 0.021, 0.078));
+  EXPECT_EQ(c.gyro.buffer_ns, 10'000 * kMs);
+  EXPECT_EQ(c.gyro.max_gap_ns, 20 * kMs);
+  EXPECT_DOUBLE_EQ(c.gyro.range_rad_s, 34.9066);
+  EXPECT_EQ(c.gyro_timeout_ns, 0);
+  EXPECT_EQ(c.frame_queue_size, 3);
+  EXPECT_EQ(c.bias_window_ns, 2000 * kMs);
+  EXPECT_EQ(c.bias_max_stddev_rad_s, 0.1);
+  EXPECT_EQ(c.time_jump_ns, 1000 * kMs);
+  EXPECT_EQ(c.pipeline.rectify_to, RectifyTo::STAMP);
+  EXPECT_EQ(c.pipeline.engine, "float");
+  EXPECT_EQ(c.pipeline.threads, 2);
+  EXPECT_EQ(c.pipeline.blur_field.block_size_px, 32);
+  EXPECT_EQ(c.pipeline.blur_field.min_extent_px, 4);
+  EXPECT_EQ(c.pipeline.blur_field.max_extent_px, 100.5);
+  EXPECT_EQ(c.pipeline.blur_field.max_bend_px, 2.5);
+  EXPECT_EQ(c.pipeline.kernel.gamma, 1e-3);
+  EXPECT_EQ(c.pipeline.kernel.length_factor, 6);
+  EXPECT_EQ(c.pipeline.kernel.smoothing_px, 1.5);
+  EXPECT_FALSE(c.pipeline.validation.enabled);
+  EXPECT_EQ(c.pipeline.validation.tau, 12);
+  EXPECT_EQ(c.pipeline.validation.tau_contrast, 0);
+  EXPECT_EQ(c.pipeline.keypoints.detector, "ORB");
+  EXPECT_EQ(c.pipeline.keypoints.descriptor, "ORB");
+  EXPECT_EQ(c.pipeline.keypoints.max_features, 500);
+  EXPECT_EQ(c.pipeline.keypoints.grid_cols, 8);
+  EXPECT_EQ(c.pipeline.keypoints.grid_rows, 6);
+}
+
+TEST(ParseConfig, TheExtrinsicMayBeNestedOrAbsent) {
+  const Config nested = parse("R_cam_imu: [[0, -1, 0], [-1, 0, 0], [0, 0, -1]]");
+  EXPECT_EQ(*nested.R_cam_imu, *parse("R_cam_imu: [0, -1, 0, -1, 0, 0, 0, 0, -1]").R_cam_imu);
+  EXPECT_EQ((*parse("R_cam_imu: [0, 0, 1, 1, 0, 0, 0, 1, 0]").R_cam_imu)(0, 2), 1);  // row by row
+  EXPECT_FALSE(parse("R_cam_imu: []").R_cam_imu);
+}
+
+TEST(ParseConfig, EnumerationsTakeEveryName) {
+  EXPECT_EQ(parse("stamp_row: first").shutter.stamp_row, StampRow::FIRST);
+  EXPECT_EQ(parse("stamp_row: middle").shutter.stamp_row, StampRow::MIDDLE);
+  EXPECT_EQ(parse("stamp_phase: start").shutter.stamp_phase, StampPhase::START);
+  EXPECT_EQ(parse("stamp_phase: middle").shutter.stamp_phase, StampPhase::MIDDLE);
+  EXPECT_EQ(parse("rectify_to: middle_row").pipeline.rectify_to, RectifyTo::MIDDLE_ROW);
+  EXPECT_EQ(parse("rectify_to: first_row").pipeline.rectify_to, RectifyTo::FIRST_ROW);
+  EXPECT_EQ(parse("rectify_to: last_row").pipeline.rectify_to, RectifyTo::LAST_ROW);
+}
+
+TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
+  std::vector<std::string> unknown{"before"};
+  parse("{gama: 0.1, gamma: 0.1, exposure: 3}", &unknown);
+  EXPECT_EQ(unknown, (std::vector<std::string>{"before", "gama", "exposure"}));
+  EXPECT_NO_THROW(parse("gama: 0.1"));
+}
+
+TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
+  const auto expect = [](const std::string& yaml, const std::string& start) {
+    EXPECT_EQ(error_of(yaml).rfind(start, 0), 0u) << yaml << "\n" << error_of(yaml);
+  };
+  expect("gamma: low", "gamma = low is not a finite number");
+  expect("gamma: .nan", "gamma = .nan is not a finite number");
+  expect("gamma: .inf", "gamma = .inf is not a finite number");
+  expect("gamma: \"0.01\"", "gamma = \"0.01\" is not a finite number");
+  expect("gamma: [0.01]", "gamma = [0.01] is not a finite number");
+  expect("gamma:", "gamma = ~ is not a finite number");
+  expect("exposure_time: 20ms", "exposure_time = 20ms is not a finite number of seconds");
+  expect("exposure_time: .nan", "exposure_time = .nan is not a finite number of seconds");
+  expect("exposure_time: 1e300", "exposure_time = 1e+300 is outside");
+  expect("block_size: 64.5", "block_size = 64.5 is not an integer");
+  expect("block_size: 99999999999", "block_size = 99999999999 is not an integer");
+  expect("validate: 1", "validate = 1 is not true or false");
+  expect("detector: [SIFT]", "detector = [SIFT] is not a string");
+  expect("detector: SURF", "detector = \"SURF\" is not one of SIFT ORB");
+  expect("stamp_row: top", "stamp_row = top is not one of first middle last");
+  expect("calibration_file: {path: a}", "calibration_file = {path: a} is not a path or a list of paths");
+  expect("on_calibration_conflict: warn", "on_calibration_conflict = warn is not one of error configured");
+  expect("exposure_time: 20", "exposure_time = 20 is outside [1e-09, 1] s: is it in milliseconds?");
+  expect("exposure_time: 20000", "exposure_time = 20000 is outside [1e-09, 1] s: is it in microseconds?");
+  expect("readout_time: 25", "readout_time = 25 is outside [-1, 1] s: is it in milliseconds?");
+  expect("exposure_source: field", "exposure_source = field is not one of message field_us field_ms field_s");
+  expect("exposure_source: field_us", "exposure_field = \"\" is not the name of a field");
+  expect("exposure_max_age: 61", "exposure_max_age = 61 is outside [0, 60] s");
+  expect("stamp_phase: 0", "stamp_phase = 0 is not one of start middle end");
+  expect("rectify_to: [stamp]", "rectify_to = [stamp] is not one of middle_row first_row last_row stamp");
+  expect("gyro_bias: 0", "gyro_bias = 0 is not a list of 3 finite numbers");
+  expect("gyro_bias: [0, 0]", "gyro_bias = [0, 0] is not a list of 3 finite numbers");
+  expect("gyro_bias: [0, 0, .nan]", "gyro_bias = .nan is not a list of 3 finite numbers");
+  expect("R_cam_imu: [1, 0, 0, 0, 1, 0, 0, 0]", "R_cam_imu = [1, 0, 0, 0, 1, 0, 0, 0] is not a rotation as 9 numbers");
+  expect("R_cam_imu: [[1, 0, 0], [0, 1, 0], [0, 0]]", "R_cam_imu = [[1, 0, 0], [0, 1, 0], [0, 0]] is not a rotation");
+  expect("R_cam_imu: [1, 0, 0]", "R_cam_imu = [1, 0, 0] is not a rotation");
+  expect("R_cam_imu: identity", "R_cam_imu = identity is not a rotation");
+  expect("R_cam_imu: [1, 0, 0, 0, 1, 0, 0, 0, x]", "R_cam_imu = x is not a rotation");
+  expect("R_cam_imu: [1, 0, 0, 0, 1, 0, 0, 0, -1]", "R_cam_imu has determinant -1: it mirrors");
+  expect("[1, 2]", "the configuration is not a map of keys: [1, 2]");
+  expect("gamma", "the configuration is not a map of keys: gamma");
+  expect("{gamma: 0.1, gamma: 0.2}", "gamma = 0.2 is given a second time");
+}
+
+TEST(ParseConfig, RefusesValuesOutOfRange) {
+  struct Limits {
+    const char* key;
+    std::vector<const char*> inside, outside;
+  };
+  const std::vector<Limits> limits{
+      {"exposure_time", {"0", "1e-9", "1"}, {"-0.001", "1.001"}},
+      {"readout_time", {"-1", "1"}, {"-1.001", "1.001"}},
+      {"time_offset", {"-10", "10"}, {"-10.001", "10.001"}},
+      {"gyro_buffer_duration", {"0.101", "60"}, {"0.1", "60.001"}},
+      {"max_gyro_gap", {"0.001", "1"}, {"0.0009", "1.001"}},
+      {"gyro_range", {"0", "400"}, {"-0.001", "2000"}},
+      {"gyro_timeout", {"0", "10"}, {"-0.001", "10.001"}},
+      {"frame_queue_size", {"1", "1000"}, {"0", "1001"}},
+      {"bias_window", {"0.1", "10"}, {"0.0999", "10.001"}},
+      {"bias_max_stddev", {"1e-9", "1"}, {"0", "-1", "1.001"}},
+      {"time_jump_threshold", {"0.01", "10"}, {"0.00999", "10.001"}},
+      {"threads", {"0", "256"}, {"-1", "257"}},
+      {"kernel_length_factor", {"2", "8"}, {"1.999", "8.001"}},
+      {"gyro_bias", {"[1, -1, 0]"}, {"[1.001, 0, 0]", "[0, 0, -1.001]"}},
+  };
+  for (const Limits& limit : limits) {
+    const std::string key = limit.key;
+    for (const char* value : limit.inside) EXPECT_EQ(error_of(key + ": " + value), "") << key;
+    for (const char* value : limit.outside) {
+      EXPECT_EQ(error_of(key + ": " + value).rfind(key + " = ", 0), 0u) << key << ": " << value;
+    }
+  }
+}
+
+TEST(DefaultYaml, HasEveryKeyAndTheDefaults) {
+  const std::string path = GYRO_DEBLUR_SOURCE_DIR "/config/default.yaml";
+  std::vector<std::string> unknown;
+  EXPECT_EQ(dump(load_config(path, &unknown)), dump(Config{}));
+  EXPECT_TRUE(unknown.empty()) << unknown.front();
+  const YAML::Node node = YAML::LoadFile(path);
+  const std::vector<std::string> together{"calibration_file", "calibration_camera"};  // see test_calibration.cpp
+  EXPECT_EQ(node.size(), other_values().size() + together.size());
+  for (const std::string& key : together) EXPECT_TRUE(node[key]) << key;
+  for (const auto& entry : other_values()) EXPECT_TRUE(node[entry.first]) << entry.first;
+}
+
+/// One parameter of cfg/Deblur.cfg as YAML scalars; min and max are empty for those without.
+struct Reconfigurable {
+  std::string name, type, value, min, max;
+};
+
+std::vector<Reconfigurable> reconfigurable_parameters() {
+  std::ifstream file(GYRO_DEBLUR_SOURCE_DIR "/cfg/Deblur.cfg");
+  std::stringstream text;
+  text << file.rdbuf();
+  const std::string content = text.str();
+  const std::regex call(
+      R"re(\.add\(\s*"(\w+)",\s*(\w+),\s*\d+,\s*"[^"]*",\s*([^,)]+)(?:,\s*([^,)]+),\s*([^,)]+))?\))re");
+  std::vector<Reconfigurable> result;
+  for (std::sregex_iterator match(content.begin(), content.end(), call), end; match != end; ++match) {
+    std::string value = (*match)[3];
+    value.erase(std::remove(value.begin(), value.end(), '"'), value.end());
+    if (value == "True") value = "true";
+    if (value == "False") value = "false";
+    result.push_back({(*match)[1], (*match)[2], value, (*match)[4], (*match)[5]});
+  }
+  const std::regex any_call(R"(\.add\()");
+  const auto calls = std::distance(std::sregex_iterator(content.begin(), content.end(), any_call), {});
+  EXPECT_EQ(static_cast<std::ptrdiff_t>(result.size()), calls) << "a parameter of Deblur.cfg was not understood";
+  return result;
+}
+
+// The ranges are written down in options.hpp; the file for dynamic_reconfigure has to repeat them.
+TEST(DeblurCfg, RepeatsDefaultsAndRanges) {
+  const auto parameters = reconfigurable_parameters();
+  ASSERT_GE(parameters.size(), 12u);
+  for (const Reconfigurable& p : parameters) {
+    std::vector<std::string> unknown;
+    EXPECT_EQ(dump(parse(p.name + ": " + p.value, &unknown)), dump(Config{})) << p.name << " has another default";
+    EXPECT_TRUE(unknown.empty()) << p.name << " is not a key of the configuration";
+    if (p.min.empty()) {
+      EXPECT_TRUE(p.type == "bool_t" || p.type == "str_t") << p.name << " has no range";
+      continue;
+    }
+    // The least extent bounds the largest from below: as low as it may be.
+    const std::string context = p.name == "max_extent" ? "min_extent: 1\n" : "";
+    const auto accepts = [&](const std::string& value) { return error_of(context + p.name + ": " + value).empty(); };
+    EXPECT_TRUE(accepts(p.min)) << p.name << " " << p.min;
+    EXPECT_TRUE(accepts(p.max)) << p.name << " " << p.max;
+    const auto beyond = [&](const std::string& bound, int direction) {
+      const double value = std::stod(bound);
+      const double step = p.type == "int_t" ? 1 : std::max(1e-9, std::abs(value) * 1e-6);
+      char text[64];
+      std::snprintf(text, sizeof(text), "%.15g", value + direction * step);
+      return std::string(text);
+    };
+    EXPECT_FALSE(accepts(beyond(p.min, -1))) << p.name << " " << beyond(p.min, -1);
+    EXPECT_FALSE(accepts(beyond(p.max, +1))) << p.name << " " << beyond(p.max, +1);
+  }
+}
+
+TEST(LoadConfig, NamesTheFileThatCannotBeUsed) {
+  const auto message = [](const std::string& path) -> std::string {
+    try {
+      load_config(path);
+    } catch (const OptionError& error) {
+      return error.what();
+    }
+    return {};
+  };
+  EXPECT_NE(message("/nonexistent/a.yaml").find("/nonexistent/a.yaml cannot be read"), std::string::npos);
+  const std::string path = testing::TempDir() + "gyro_deblur_test_config.yaml";
+  std::ofstream(path) << "gamma: [1, 2\n";
+  EXPECT_NE(message(path).find(path + " cannot be read"), std::string::npos);
+  std::ofstream(path) << "gamma: 7\n";
+  EXPECT_EQ(message(path), "configuration " + path + ": gamma = 7 is outside [1e-05, 1]");
+  std::ofstream(path) << "gamma: 0.5\n";
+  EXPECT_EQ(load_config(path).pipeline.kernel.gamma, 0.5);
+  std::remove(path.c_str());
+}
+
+}  // namespace
+}  // namespace gyro_deblur

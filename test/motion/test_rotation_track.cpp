@@ -1,0 +1,284 @@
+#include "gyro_deblur/rotation_track.hpp"
+
+#include <random>
+#include <stdexcept>
+#include <string>
+
+#include <gtest/gtest.h>
+
+#include "analytic_motion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using test::AnalyticMotion;
+using test::rotation_distance;
+
+constexpr TimeNs kMs = 1'000'000;
+const Eigen::Matrix3d kIdentity = Eigen::Matrix3d::Identity();
+
+/// A proper rotation without symmetry, so that a transposed or permuted one is told apart.
+Eigen::Matrix3d some_rotation() {
+  return (Eigen::AngleAxisd(0.7, Eigen::Vector3d::UnitX()) * Eigen::AngleAxisd(-1.9, Eigen::Vector3d::UnitY()) *
+          Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitZ()))
+      .toRotationMatrix();
+}
+
+TEST(So3Exp, AgreesWithAngleAxisAtEverySize) {
+  const Eigen::Vector3d axis = Eigen::Vector3d(1, -2, 0.5).normalized();
+  for (const double angle : {1e-12, 1e-6, 1.99e-4, 2.01e-4, 0.1, 1.0, 3.0, 6.0}) {
+    const Eigen::Matrix3d expected = Eigen::AngleAxisd(angle, axis).toRotationMatrix();
+    EXPECT_LT((so3_exp(angle * axis).toRotationMatrix() - expected).norm(), 1e-14) << angle;
+    EXPECT_NEAR(so3_exp(angle * axis).norm(), 1, 1e-15);
+  }
+  EXPECT_TRUE(so3_exp(Eigen::Vector3d::Zero()).isApprox(Eigen::Quaterniond::Identity(), 0));
+}
+
+Eigen::Quaterniond integrate_finely(const Eigen::Vector3d& w0, const Eigen::Vector3d& w1, double dt, int steps) {
+  Eigen::Quaterniond q = Eigen::Quaterniond::Identity();
+  for (int i = 0; i < steps; ++i) q = q * so3_exp((w0 + (i + 0.5) / steps * (w1 - w0)) * (dt / steps));
+  return q;
+}
+
+// Also fails when the sign of the commutator term is that of multiplication from the left.
+TEST(IntegrateLinearRate, HasALocalErrorOfFifthOrder) {
+  const Eigen::Vector3d w0(2, -1, 3), slope(300, 500, -400);
+  double previous = 0;
+  for (const double dt : {0.02, 0.01, 0.005}) {
+    const Eigen::Vector3d w1 = w0 + slope * dt;
+    const Eigen::Matrix3d truth = integrate_finely(w0, w1, dt, 20000).toRotationMatrix();
+    const double error = rotation_distance(integrate_linear_rate(w0, w1, dt).toRotationMatrix(), truth);
+    const double without = rotation_distance(so3_exp(0.5 * dt * (w0 + w1)).toRotationMatrix(), truth);
+    EXPECT_LT(error, 0.05 * without) << dt;
+    if (previous > 0) {
+      EXPECT_GT(previous / error, 24);  // 2^5, less a margin for the next order
+    }
+    previous = error;
+  }
+  EXPECT_LT(previous, 1e-7);
+}
+
+TEST(RotationTrack, ConstantRateIsExactBetweenSamplesToo) {
+  const AnalyticMotion motion = AnalyticMotion::constant_rate({0.5, -2, 1});
+  const RotationTrack track(motion.sample({0, 500 * kMs}, 5 * kMs), {}, kIdentity);
+  for (TimeNs t = 0; t <= 500 * kMs; t += 1'234'567) {
+    EXPECT_LT(rotation_distance(track.homography(0, t), motion.homography(0, t)), 1e-12) << t;
+    EXPECT_LT(rotation_distance(track.orientation(t).toRotationMatrix(),
+                                motion.R_world_cam(0).transpose() * motion.R_world_cam(t)),
+              1e-12);
+  }
+}
+
+// Half-way between two samples a steady acceleration has turned by less than half of the angle.
+TEST(RotationTrack, RateIsLinearBetweenSamples) {
+  constexpr double kAcceleration = 100;  // [rad/s^2]
+  std::vector<GyroSample> samples;
+  for (int k = 0; k <= 10; ++k) samples.push_back({k * 10 * kMs, Eigen::Vector3d(0, kAcceleration * 0.01 * k, 0)});
+  const RotationTrack track(samples, {}, kIdentity);
+  for (TimeNs t = 0; t <= 100 * kMs; t += 2'500'000) {
+    const double turned_rad = 0.5 * kAcceleration * to_seconds(t) * to_seconds(t);
+    const Eigen::Matrix3d R_0_t = Eigen::AngleAxisd(turned_rad, Eigen::Vector3d::UnitY()).toRotationMatrix();
+    EXPECT_LT(rotation_distance(track.orientation(t).toRotationMatrix(), R_0_t), 1e-9) << t;
+  }
+}
+
+TEST(RotationTrack, FollowsAHandshake) {
+  const AnalyticMotion motion = AnalyticMotion::handshake();
+  const RotationTrack track(motion.sample({0, 1000 * kMs}, 5 * kMs), {}, kIdentity);
+  for (TimeNs t = 0; t + 30 * kMs <= 1000 * kMs; t += 7'654'321) {
+    const double error = rotation_distance(track.homography(t, t + 30 * kMs), motion.homography(t, t + 30 * kMs));
+    EXPECT_LT(error, 1e-4);  // 0.05 px at a focal length of 500 px
+  }
+}
+
+TEST(RotationTrack, SceneMovesAgainstTheCamera) {
+  // Camera axes: x right, y down, z forward. Turning about +y looks right, so the scene moves left.
+  const auto straight_ahead = [](const Eigen::Vector3d& rate, TimeNs from, TimeNs to) -> Eigen::Vector3d {
+    const RotationTrack track({{0, rate}, {10 * kMs, rate}}, {}, kIdentity);
+    return track.homography(from, to) * Eigen::Vector3d::UnitZ();
+  };
+  EXPECT_NEAR(straight_ahead({0, 1, 0}, 0, 10 * kMs).x(), -std::sin(0.01), 1e-12);
+  EXPECT_NEAR(straight_ahead({0, 1, 0}, 10 * kMs, 0).x(), std::sin(0.01), 1e-12);
+  // Turning about +x looks up, so the scene moves down.
+  EXPECT_NEAR(straight_ahead({1, 0, 0}, 0, 10 * kMs).y(), std::sin(0.01), 1e-12);
+}
+
+TEST(RotationTrack, AppliesTheExtrinsicInItsDirection) {
+  const AnalyticMotion motion = AnalyticMotion::handshake();
+  const Eigen::Matrix3d R_cam_imu = some_rotation();
+  const auto samples = motion.sample({0, 200 * kMs}, 2 * kMs, R_cam_imu);
+  const RotationTrack right(samples, {}, R_cam_imu);
+  const RotationTrack transposed(samples, {}, R_cam_imu.transpose());
+  const Eigen::Matrix3d truth = motion.homography(20 * kMs, 150 * kMs);
+  EXPECT_LT(rotation_distance(right.homography(20 * kMs, 150 * kMs), truth), 1e-4);
+  EXPECT_GT(rotation_distance(transposed.homography(20 * kMs, 150 * kMs), truth), 0.05);
+}
+
+TEST(RotationTrack, SubtractsTheBiasOnce) {
+  const AnalyticMotion motion = AnalyticMotion::handshake();
+  GyroOptions options;
+  options.bias_rad_s = {0.08, -0.02, 0.05};
+  const auto samples = motion.sample({0, 200 * kMs}, 2 * kMs, some_rotation(), options);
+  const Eigen::Matrix3d truth = motion.homography(0, 200 * kMs);
+  const RotationTrack right(samples, options, some_rotation());
+  EXPECT_LT(rotation_distance(right.homography(0, 200 * kMs), truth), 1e-4);
+  const RotationTrack none(samples, {}, some_rotation());
+  EXPECT_NEAR(rotation_distance(none.homography(0, 200 * kMs), truth), 0.2 * options.bias_rad_s.norm(), 1e-3);
+}
+
+TEST(RotationTrack, CameraClockIsImuClockLessTheOffset) {
+  const AnalyticMotion motion = AnalyticMotion::handshake();
+  GyroOptions options;
+  options.time_offset_ns = -17'552'000;
+  const auto samples = motion.sample({0, 300 * kMs}, 2 * kMs, kIdentity, options);
+  EXPECT_EQ(samples.front().t_ns, -17'552'000);
+  const Eigen::Matrix3d truth = motion.homography(100 * kMs, 130 * kMs);
+  const RotationTrack right(samples, options, kIdentity);
+  EXPECT_EQ(right.available().begin_ns, 0);
+  EXPECT_EQ(right.available().end_ns, 300 * kMs);
+  EXPECT_LT(rotation_distance(right.homography(100 * kMs, 130 * kMs), truth), 1e-4);
+  GyroOptions flipped;
+  flipped.time_offset_ns = -options.time_offset_ns;
+  const RotationTrack wrong(samples, flipped, kIdentity);
+  EXPECT_GT(rotation_distance(wrong.homography(100 * kMs, 130 * kMs), truth), 5e-3);
+}
+
+TEST(RotationTrack, NeverExtrapolates) {
+  const AnalyticMotion motion = AnalyticMotion::constant_rate({0, 1, 0});
+  const RotationTrack track(motion.sample({100 * kMs, 200 * kMs}, 10 * kMs), {}, kIdentity);
+  EXPECT_TRUE(track.covers({100 * kMs, 200 * kMs}));
+  EXPECT_FALSE(track.covers({100 * kMs - 1, 200 * kMs}));
+  EXPECT_FALSE(track.covers({100 * kMs, 200 * kMs + 1}));
+  EXPECT_FALSE(track.covers({150 * kMs, 149 * kMs}));
+  EXPECT_NO_THROW(track.homography(200 * kMs, 100 * kMs));
+  EXPECT_THROW(track.homography(100 * kMs - 1, 150 * kMs), std::out_of_range);
+  EXPECT_THROW(track.homography(150 * kMs, 200 * kMs + 1), std::out_of_range);
+  EXPECT_THROW(track.orientation(200 * kMs + 1), std::out_of_range);
+  EXPECT_THROW(track.orientation(100 * kMs - 1), std::out_of_range);
+  try {
+    track.homography(150 * kMs, 250 * kMs);
+    FAIL();
+  } catch (const std::out_of_range& error) {
+    const std::string text = error.what();
+    EXPECT_NE(text.find("[0.150000000, 0.250000000] s was asked for"), std::string::npos) << text;
+    EXPECT_NE(text.find("[0.100000000, 0.200000000] s is available"), std::string::npos) << text;
+  }
+}
+
+TEST(RotationTrack, KnowsNothingWithoutSamplesAndOneInstantWithOne) {
+  const RotationTrack none({}, {}, kIdentity);
+  EXPECT_TRUE(none.available().empty());
+  EXPECT_FALSE(none.covers({0, 0}));
+  EXPECT_THROW(none.homography(0, 0), std::out_of_range);
+  EXPECT_THROW(none.orientation(0), std::out_of_range);
+  const RotationTrack one({{5, Eigen::Vector3d::UnitX()}}, {}, kIdentity);
+  EXPECT_TRUE(one.covers({5, 5}));
+  EXPECT_FALSE(one.covers({5, 6}));
+  EXPECT_TRUE(one.homography(5, 5).isIdentity());
+}
+
+TEST(RotationTrack, DoesNotIntegrateAcrossAHole) {
+  const AnalyticMotion motion = AnalyticMotion::constant_rate({0.3, 1, -0.2});
+  std::vector<GyroSample> samples = motion.sample({0, 100 * kMs}, 10 * kMs);
+  const auto later = motion.sample({151 * kMs, 251 * kMs}, 10 * kMs);  // 51 ms, one more than allowed
+  samples.insert(samples.end(), later.begin(), later.end());
+  const RotationTrack track(samples, {}, kIdentity);
+  EXPECT_TRUE(track.covers({0, 100 * kMs}));
+  EXPECT_TRUE(track.covers({151 * kMs, 251 * kMs}));
+  EXPECT_FALSE(track.covers({90 * kMs, 100 * kMs + 1}));
+  EXPECT_FALSE(track.covers({151 * kMs - 1, 160 * kMs}));
+  EXPECT_FALSE(track.covers({120 * kMs, 120 * kMs}));
+  EXPECT_FALSE(track.covers({0, 251 * kMs}));
+  EXPECT_EQ(track.available().end_ns, 251 * kMs);
+  EXPECT_THROW(track.homography(50 * kMs, 200 * kMs), std::out_of_range);
+  EXPECT_THROW(track.orientation(200 * kMs), std::out_of_range);
+  EXPECT_LT(rotation_distance(track.homography(160 * kMs, 240 * kMs), motion.homography(160 * kMs, 240 * kMs)), 1e-12);
+
+  GyroOptions tolerant;
+  tolerant.max_gap_ns = 51 * kMs;
+  const RotationTrack across(samples, tolerant, kIdentity);
+  EXPECT_TRUE(across.covers({0, 251 * kMs}));
+  EXPECT_LT(rotation_distance(across.homography(0, 251 * kMs), motion.homography(0, 251 * kMs)), 1e-12);
+}
+
+TEST(RotationTrack, SaturatedSampleReachesTheRangeOnOneAxis) {
+  GyroOptions options;
+  options.range_rad_s = 10;
+  for (int axis = 0; axis < 3; ++axis) {
+    for (const double sign : {-1.0, 1.0}) {
+      GyroSample sample{0, Eigen::Vector3d::Constant(0.5)};
+      sample.rate_rad_s[axis] = sign * 9.98;
+      EXPECT_FALSE(is_saturated(sample, options)) << axis;
+      for (const double magnitude : {9.991, 10.0, 12.0}) {
+        sample.rate_rad_s[axis] = sign * magnitude;
+        EXPECT_TRUE(is_saturated(sample, options)) << axis << ' ' << magnitude;
+        EXPECT_FALSE(is_saturated(sample, {})) << "the range is not known";
+      }
+    }
+  }
+  // Each axis has the range, not the length of the vector.
+  EXPECT_FALSE(is_saturated({0, Eigen::Vector3d::Constant(9)}, options));
+}
+
+TEST(RotationTrack, KnowsNothingBesideASaturatedSample) {
+  const AnalyticMotion motion = AnalyticMotion::constant_rate({0.3, 1, -0.2});
+  std::vector<GyroSample> samples = motion.sample({0, 200 * kMs}, 10 * kMs);
+  GyroOptions options;
+  options.range_rad_s = 2;
+  options.bias_rad_s = {0, 0.5, 0};  // the sensor clips what it reads, bias included
+  for (GyroSample& sample : samples) sample.rate_rad_s += options.bias_rad_s;
+  samples[10].rate_rad_s.y() = -2;
+  const RotationTrack track(samples, options, kIdentity);
+  EXPECT_TRUE(track.covers({0, 90 * kMs}));
+  EXPECT_TRUE(track.covers({110 * kMs, 200 * kMs}));
+  EXPECT_FALSE(track.covers({80 * kMs, 90 * kMs + 1}));
+  EXPECT_FALSE(track.covers({110 * kMs - 1, 120 * kMs}));
+  EXPECT_FALSE(track.covers({95 * kMs, 99 * kMs}));
+  EXPECT_FALSE(track.covers({0, 200 * kMs}));
+  EXPECT_THROW(track.homography(50 * kMs, 150 * kMs), std::out_of_range);
+  EXPECT_LT(rotation_distance(track.homography(110 * kMs, 200 * kMs), motion.homography(110 * kMs, 200 * kMs)), 1e-12);
+  GyroOptions unchecked = options;
+  unchecked.range_rad_s = 0;
+  EXPECT_TRUE(RotationTrack(samples, unchecked, kIdentity).covers({0, 200 * kMs}));
+}
+
+TEST(RotationTrack, RefusesBadInput) {
+  const Eigen::Vector3d w = Eigen::Vector3d::Zero();
+  EXPECT_THROW(RotationTrack({{1, w}, {1, w}}, {}, kIdentity), std::invalid_argument);
+  EXPECT_THROW(RotationTrack({{2, w}, {1, w}}, {}, kIdentity), std::invalid_argument);
+  EXPECT_THROW(RotationTrack({{1, Eigen::Vector3d::Constant(std::nan(""))}}, {}, kIdentity), std::invalid_argument);
+  GyroOptions bad;
+  bad.max_gap_ns = 0;
+  EXPECT_THROW(RotationTrack({{1, w}}, bad, kIdentity), OptionError);
+  EXPECT_THROW(RotationTrack({{1, w}}, {}, -kIdentity), OptionError);
+}
+
+std::string rotation_error(const Eigen::Matrix3d& R) {
+  try {
+    require_rotation("R_cam_imu", R);
+  } catch (const OptionError& error) {
+    return error.what();
+  }
+  return {};
+}
+
+TEST(RequireRotation, ProjectsPrintedMatricesAndRefusesOthers) {
+  const Eigen::Matrix3d R = some_rotation();
+  EXPECT_LT((require_rotation("R", R) - R).norm(), 1e-14);
+  const Eigen::Matrix3d printed = (R * 1000).array().round() / 1000;
+  const Eigen::Matrix3d projected = require_rotation("R", printed);
+  EXPECT_LT((projected * projected.transpose() - kIdentity).norm(), 1e-14);
+  EXPECT_LT(rotation_distance(projected, R), 1e-3);
+
+  EXPECT_NE(rotation_error(1.01 * R).find("not orthonormal"), std::string::npos);
+  EXPECT_NE(rotation_error(Eigen::Matrix3d::Zero()).find("not orthonormal"), std::string::npos);
+  EXPECT_NE(rotation_error(Eigen::Matrix3d::Constant(std::nan(""))).find("R_cam_imu"), std::string::npos);
+  Eigen::Matrix3d mirrored = R;
+  mirrored.row(1) *= -1;
+  const std::string message = rotation_error(mirrored);
+  EXPECT_EQ(message.rfind("R_cam_imu has determinant -1: it mirrors", 0), 0u) << message;
+  EXPECT_NE(message.find("+1"), std::string::npos) << message;
+}
+
+}  // namespace
+}  // namespace gyro_deblur

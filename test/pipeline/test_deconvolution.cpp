@@ -1,0 +1,452 @@
+#include "gyro_deblur/deconvolution.hpp"
+
+#include <array>
+#include <cmath>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include <gtest/gtest.h>
+
+#include "filter_grids.hpp"
+#include "gyro_deblur/blur_field.hpp"
+#include "naive_convolution.hpp"
+#include "synthetic_blur.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+double radians(double degrees) { return degrees * CV_PI / 180; }
+
+cv::Mat random_image(int width, int height, int type, std::uint64_t seed) {
+  cv::Mat image(height, width, type);
+  cv::RNG rng(seed);
+  rng.fill(image, cv::RNG::UNIFORM, 0, CV_MAT_DEPTH(type) == CV_8U ? 256 : 65536);
+  return image;
+}
+
+bool equal(const cv::Mat& a, const cv::Mat& b) {
+  return a.size() == b.size() && a.type() == b.type() && cv::norm(a, b, cv::NORM_INF) == 0;
+}
+
+/// A grid of blocks, each with its own angle and extent; every seventh is only copied.
+FilterGrid varied_blocks(int width, int height, int block_size, double max_extent, const KernelBank& bank) {
+  return test::make_grid({width, height}, block_size, [&](int i) -> BlockFilter {
+    const double extent = 2 + std::fmod(3.7 * i, max_extent - 2);
+    return {radians(std::fmod(23.0 * i, 180)), i % 7 == 3 ? nullptr : &bank.kernel(extent)};
+  });
+}
+
+// Asymmetric, so that a kernel turned round, or the box, shows.
+TEST(Deconvolve, FollowsAnUnevenPathInItsDirection) {
+  constexpr LinePath kPath{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15};
+  LinePath reversed;
+  for (int k = 0; k < kPathInstants; ++k) reversed[k] = -kPath[k];
+  const cv::Mat sharp = test::textured_image(256, 192, 3);
+  const cv::Rect inner(48, 48, 160, 96);
+  const KernelBank bank{KernelOptions{}};
+  const auto restored = [&](const cv::Mat& blurred, double angle_rad, const std::optional<LinePath>& path_px,
+                            const std::string& engine) {
+    FrameBlur field = uniform_blur_field(sharp.cols, sharp.rows, angle_rad, extent_of(kPath), {});
+    for (BlockBlur& block : field.blocks) block.uneven_path_px = path_px;
+    cv::Mat dst;
+    deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine(engine), dst);
+    return test::psnr_db(dst(inner), sharp(inner));
+  };
+  for (const double degrees : {0.0, 35.0, 90.0, 120.0, 178.0}) {
+    const double angle_rad = radians(degrees);
+    const cv::Mat blurred = test::expose(test::blur_along_path(sharp, angle_rad, kPath), 1.0, 5);
+    for (const std::string engine : {"float", "cpu"}) {
+      const double with_path = restored(blurred, angle_rad, kPath, engine);
+      EXPECT_GT(with_path, test::psnr_db(blurred(inner), sharp(inner)) + 5) << engine << ' ' << degrees;
+      EXPECT_GT(with_path, restored(blurred, angle_rad, reversed, engine) + 5) << engine << ' ' << degrees;
+      EXPECT_GT(with_path, restored(blurred, angle_rad, std::nullopt, engine) + 3) << engine << ' ' << degrees;
+    }
+  }
+}
+
+// At the limit of evenness a box restores the point far from where it was at the middle of the exposure.
+TEST(Deconvolve, ShowsAPointWhereItsBlockSays) {
+  constexpr int kSide = 320;
+  constexpr double kSigmaPx = 2.5;
+  const cv::Point2d center(kSide / 2.0, kSide / 2.0);
+  cv::Mat blob(kSide, kSide, CV_64F);
+  for (int y = 0; y < kSide; ++y) {
+    for (int x = 0; x < kSide; ++x) {
+      const double r2 = std::pow(x - center.x, 2) + std::pow(y - center.y, 2);
+      blob.at<double>(y, x) = 20 + 200 * std::exp(-r2 / (2 * kSigmaPx * kSigmaPx));
+    }
+  }
+  const double angle_rad = radians(25);
+  const Eigen::Vector2d line(std::cos(angle_rad), std::sin(angle_rad));
+  for (const double extent_px : {20.0, 40.0, 60.0}) {
+    for (const double share : {0.9, 1.3}) {  // of what still counts as even
+      const double gain_px = share * 2 * even_path_px(extent_px);
+      std::array<Eigen::Vector2d, kPathInstants> path_px;
+      LinePath along_px;
+      for (int k = 0; k < kPathInstants; ++k) {
+        const double t = k / (kPathInstants - 1.0) - 0.5;
+        along_px[k] = static_cast<float>(extent_px * t + 4 * gain_px * t * t);
+        path_px[k] = along_px[k] * line;
+      }
+      const BlockBlur blur = classify_path(path_px, {});
+      ASSERT_EQ(blur.uneven_path_px.has_value(), share > 1);
+      FrameBlur field = uniform_blur_field(kSide, kSide, angle_rad, extent_px, {});
+      field.blocks.assign(field.blocks.size(), blur);
+      cv::Mat blurred, restored;
+      test::blur_along_path(blob, angle_rad, along_px).convertTo(blurred, CV_8U);
+      const KernelBank bank{KernelOptions{}};
+      deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine("cpu"), restored);
+      // The peak of what is left of the blob at its own size, between pixels along the line.
+      cv::Mat smooth;
+      restored.convertTo(smooth, CV_64F);
+      cv::GaussianBlur(smooth, smooth, {}, kSigmaPx);
+      cv::Point peak;
+      cv::minMaxLoc(smooth, nullptr, nullptr, nullptr, &peak);
+      const Eigen::Vector2d shown = blur.shown_offset_px();
+      EXPECT_LT(std::hypot(peak.x - center.x - shown.x(), peak.y - center.y - shown.y()), 1.0)
+          << extent_px << ' ' << share << ": found " << peak.x - center.x << ", " << peak.y - center.y << ", expected "
+          << shown.transpose();
+    }
+  }
+}
+
+TEST(RotateKernel, KeepsTheSumAtEveryAngle) {
+  const LineKernel kernel = wiener_kernel(17.3, {});
+  for (int degrees = -180; degrees <= 360; ++degrees) {
+    double sum = 0;
+    for (const KernelTap& tap : rotate_kernel(kernel, radians(degrees))) sum += tap.weight;
+    EXPECT_NEAR(sum, 1.0, 1e-5) << degrees;
+  }
+}
+
+TEST(RotateKernel, IsTheKernelItselfAlongTheAxes) {
+  const LineKernel kernel = wiener_kernel(9.0, {});
+  for (const int degrees : {0, 90, 180}) {
+    const std::vector<KernelTap> taps = rotate_kernel(kernel, radians(degrees));
+    ASSERT_EQ(taps.size(), kernel.taps.size());
+    for (const KernelTap& tap : taps) {
+      EXPECT_EQ(degrees == 90 ? tap.dx : tap.dy, 0);
+      EXPECT_NEAR(tap.weight, kernel.taps[(degrees == 90 ? tap.dy : tap.dx) + kernel.radius()], 1e-6);
+    }
+  }
+}
+
+TEST(RotateKernel, LiesAlongTheLine) {
+  // First and second moments of a positive kernel: centred, and spread along the angle only.
+  LineKernel box;
+  box.taps.assign(41, 1.0f / 41);
+  for (double degrees = 0; degrees < 180; degrees += 7.5) {
+    const double dx = std::cos(radians(degrees)), dy = std::sin(radians(degrees));
+    double along = 0, across = 0, along2 = 0, across2 = 0;
+    for (const KernelTap& tap : rotate_kernel(box, radians(degrees))) {
+      const double a = tap.dx * dx + tap.dy * dy, b = tap.dy * dx - tap.dx * dy;
+      along += tap.weight * a;
+      across += tap.weight * b;
+      along2 += tap.weight * a * a;
+      across2 += tap.weight * b * b;
+    }
+    EXPECT_NEAR(along, 0, 1e-4) << degrees;
+    EXPECT_NEAR(across, 0, 1e-4) << degrees;
+    EXPECT_NEAR(along2, (41.0 * 41 - 1) / 12, 0.6) << degrees;  // splatting adds at most 1/4 along and across
+    EXPECT_LE(across2, 0.3) << degrees;
+  }
+}
+
+TEST(RotateKernel, KeepsTheDirectionOfAnAsymmetricKernel) {
+  LineKernel kernel;
+  kernel.taps = {0, 0, 0, 0, 0, 0, 0, 0, 1};  // at +4 along the line
+  const std::vector<KernelTap> down = rotate_kernel(kernel, radians(90));
+  ASSERT_EQ(down.size(), 1u);
+  EXPECT_EQ(down[0].dx, 0);
+  EXPECT_EQ(down[0].dy, 4);
+  const std::vector<KernelTap> left = rotate_kernel(kernel, radians(180));
+  ASSERT_EQ(left.size(), 1u);
+  EXPECT_EQ(left[0].dx, -4);
+}
+
+TEST(MakeEngine, KnowsItsNames) {
+  EXPECT_EQ(make_engine("float")->name(), "float");
+  EXPECT_EQ(make_engine("cpu")->name().rfind("cpu-", 0), 0u);
+  EXPECT_NE(make_engine("auto", 1), nullptr);
+  EXPECT_THROW(make_engine("gpu"), OptionError);
+  EXPECT_THROW(make_engine("float", -1), OptionError);
+}
+
+struct EngineCase {
+  int width, height, type, block_size;
+  double max_extent;
+};
+
+class FloatEngineTest : public testing::TestWithParam<EngineCase> {};
+
+TEST_P(FloatEngineTest, MatchesTheDefinition) {
+  const EngineCase& c = GetParam();
+  const KernelBank bank({});
+  const cv::Mat src = random_image(c.width, c.height, c.type, 7);
+  const FilterGrid blocks = varied_blocks(c.width, c.height, c.block_size, c.max_extent, bank);
+  cv::Mat dst;
+  make_engine("float", 2)->filter(src, blocks, dst);
+  const test::ConvolutionError error = test::compare_with_naive(src, blocks, dst);
+  // Rounding to the nearest integer, and float sums: 24 bit mantissa, sum of |taps| below 20.
+  const double full_scale = src.depth() == CV_8U ? 255 : 65535;
+  EXPECT_LE(error.alone, 0.5 + full_scale * 1e-5);
+  // Means of rounded values are rounded again, once for neighbours and once for a copied block.
+  EXPECT_LE(error.blended, 1.5 + full_scale * 1e-5);
+  EXPECT_EQ(error.copied, 0);
+}
+
+INSTANTIATE_TEST_SUITE_P(Shapes, FloatEngineTest,
+                         testing::Values(EngineCase{160, 120, CV_8UC1, 64, 30}, EngineCase{131, 97, CV_8UC1, 64, 40},
+                                         EngineCase{131, 97, CV_16UC1, 32, 40}, EngineCase{70, 45, CV_8UC2, 16, 20},
+                                         EngineCase{70, 45, CV_8UC3, 16, 20}, EngineCase{70, 45, CV_8UC4, 18, 20},
+                                         EngineCase{33, 29, CV_16UC3, 8, 12}, EngineCase{33, 29, CV_16UC4, 8, 12},
+                                         EngineCase{20, 300, CV_8UC1, 64, 60}, EngineCase{300, 3, CV_8UC1, 64, 60},
+                                         EngineCase{5, 7, CV_8UC1, 64, 130}, EngineCase{1, 1, CV_8UC1, 64, 90},
+                                         EngineCase{1, 50, CV_16UC1, 64, 30}, EngineCase{50, 1, CV_8UC3, 64, 30}));
+
+TEST(FloatEngine, GivesTheSameForAnyNumberOfThreadsAndOnReuse) {
+  const KernelBank bank({});
+  const cv::Mat src = random_image(200, 150, CV_8UC1, 3);
+  const FilterGrid blocks = varied_blocks(200, 150, 32, 50, bank);
+  cv::Mat one, two, again;
+  make_engine("float", 1)->filter(src, blocks, one);
+  const auto engine = make_engine("float", 2);
+  engine->filter(src, blocks, two);
+  EXPECT_TRUE(equal(one, two));
+  // Buffers left from larger and smaller images must not show.
+  cv::Mat other;
+  engine->filter(random_image(400, 300, CV_8UC3, 4), varied_blocks(400, 300, 64, 90, bank), other);
+  engine->filter(random_image(3, 3, CV_8UC1, 4), varied_blocks(3, 3, 64, 90, bank), other);
+  engine->filter(src, blocks, again);
+  EXPECT_TRUE(equal(one, again));
+}
+
+TEST(FloatEngine, WorksOnPartsOfLargerImages) {
+  const KernelBank bank({});
+  const cv::Mat whole = random_image(100, 80, CV_8UC1, 5);
+  const cv::Mat src = whole(cv::Rect(11, 13, 70, 50));  // rows are not contiguous
+  const FilterGrid blocks = varied_blocks(70, 50, 32, 20, bank);
+  cv::Mat from_part, from_copy;
+  make_engine("float")->filter(src, blocks, from_part);
+  make_engine("float")->filter(src.clone(), blocks, from_copy);
+  EXPECT_TRUE(equal(from_part, from_copy));
+}
+
+TEST(FloatEngine, KeepsAConstantImage) {
+  const KernelBank bank({});
+  const cv::Mat src(90, 100, CV_8UC1, cv::Scalar(173));
+  cv::Mat dst;
+  make_engine("float")->filter(src, varied_blocks(100, 90, 16, 100, bank), dst);
+  EXPECT_TRUE(equal(src, dst));
+}
+
+TEST(FloatEngine, RefusesOtherTypes) {
+  const auto engine = make_engine("float");
+  cv::Mat dst;
+  EXPECT_THROW(engine->filter(cv::Mat(4, 4, CV_32FC1, cv::Scalar(0)), {}, dst), std::invalid_argument);
+  EXPECT_THROW(engine->filter(cv::Mat(), {}, dst), std::invalid_argument);
+}
+
+TEST(Engine, RefusesGridsThatDoNotFit) {
+  const cv::Mat src = random_image(20, 10, CV_8UC1, 1);
+  const LineKernel kernel = wiener_kernel(5, {});
+  const BlockFilter filter{0, &kernel};
+  const FilterGrid wrong[] = {{},
+                              {{0, 20}, {0, 10}, {}},
+                              {{0, 20}, {0, 10}, {filter, filter}},
+                              {{0, 19}, {0, 10}, {filter}},
+                              {{0, 20}, {0, 11}, {filter}},
+                              {{1, 20}, {0, 10}, {filter}},
+                              {{0, 8, 8, 20}, {0, 10}, {filter, filter, filter}},
+                              {{0, 12, 8, 20}, {0, 10}, {filter, filter, filter}}};
+  for (const char* name : {"float", "cpu", "auto"}) {
+    const auto engine = make_engine(name);
+    cv::Mat dst;
+    for (const FilterGrid& grid : wrong) EXPECT_THROW(engine->filter(src, grid, dst), std::invalid_argument) << name;
+    EXPECT_NO_THROW(engine->filter(src, {{0, 8, 20}, {0, 10}, {filter, filter}}, dst));
+  }
+}
+
+FrameBlur field_of(int width, int height, double degrees, double extent) {
+  return uniform_blur_field(width, height, radians(degrees), extent, {});
+}
+
+TEST(Deconvolve, RestoresAnExactlyBlurredImage) {
+  const KernelBank bank({});
+  const auto engine = make_engine("float");
+  const cv::Mat sharp = test::textured_image(400, 300, 11);
+  const cv::Rect inner(32, 32, 336, 236);  // so that the blurred image has a real surrounding
+  for (const auto& [degrees, extent] : {std::pair{0.0, 12.0}, {37.0, 15.5}, {90.0, 20.0}, {145.0, 27.0}}) {
+    const cv::Mat blurred = test::expose(test::blur_along_line(sharp, radians(degrees), extent)(inner), 1.0, 5);
+    cv::Mat deblurred;
+    deconvolve(blurred, PixelLayout::GRAY, field_of(inner.width, inner.height, degrees, extent), bank, *engine,
+               deblurred);
+    const double gain = test::psnr_db(deblurred, sharp(inner)) - test::psnr_db(blurred, sharp(inner));
+    EXPECT_GE(gain, 2.0) << degrees << " deg, " << extent << " px";
+    // The wrong angle must not do: the test has power.
+    deconvolve(blurred, PixelLayout::GRAY, field_of(inner.width, inner.height, degrees + 90, extent), bank, *engine,
+               deblurred);
+    EXPECT_LT(test::psnr_db(deblurred, sharp(inner)), test::psnr_db(blurred, sharp(inner)));
+  }
+}
+
+TEST(Deconvolve, DoesNotShiftTheImage) {
+  const KernelBank bank({});
+  const auto engine = make_engine("float");
+  cv::Mat sharp(101, 101, CV_8UC1, cv::Scalar(20));
+  cv::rectangle(sharp, cv::Rect(46, 46, 9, 9), cv::Scalar(220), cv::FILLED);  // centred on (50, 50)
+  for (const double extent : {9.0, 10.0, 10.5, 14.0}) {
+    const cv::Mat blurred = test::expose(test::blur_along_line(sharp, radians(30), extent), 0.0, 1);
+    cv::Mat deblurred;
+    deconvolve(blurred, PixelLayout::GRAY, field_of(101, 101, 30, extent), bank, *engine, deblurred);
+    const cv::Moments m = cv::moments(cv::Mat(deblurred > 120), true);
+    EXPECT_NEAR(m.m10 / m.m00, 50, 0.05) << extent;
+    EXPECT_NEAR(m.m01 / m.m00, 50, 0.05) << extent;
+  }
+}
+
+TEST(Deconvolve, LeavesNoSeamsWhereBlocksMeet) {
+  // Neighbouring blocks with the same blur must give what one large block gives.
+  const KernelBank bank({});
+  const auto engine = make_engine("float");
+  const cv::Mat image = random_image(150, 130, CV_8UC1, 2);
+  BlurFieldOptions small, large;
+  small.block_size_px = 16;
+  large.block_size_px = 512;
+  cv::Mat blocks, whole;
+  deconvolve(image, PixelLayout::GRAY, uniform_blur_field(150, 130, 0.7, 13, small), bank, *engine, blocks);
+  deconvolve(image, PixelLayout::GRAY, uniform_blur_field(150, 130, 0.7, 13, large), bank, *engine, whole);
+  EXPECT_TRUE(equal(blocks, whole));
+}
+
+TEST(Deconvolve, CopiesWhatIsNotToBeDeblurred) {
+  const KernelBank bank({});
+  const auto engine = make_engine("float");
+  const cv::Mat image = random_image(200, 100, CV_16UC3, 2);
+  FrameBlur field = field_of(200, 100, 20, 15);
+  cv::Mat dst;
+  const BlockStatus others[] = {BlockStatus::SHARP, BlockStatus::REJECTED, BlockStatus::TOO_LARGE,
+                                BlockStatus::NO_GYRO};
+  for (std::size_t i = 0; i < field.blocks.size(); ++i) field.blocks[i].status = others[i % 4];
+  deconvolve(image, PixelLayout::BGR, field, bank, *engine, dst);
+  EXPECT_TRUE(equal(image, dst));
+
+  field.blocks[2].status = BlockStatus::DEBLURRED;
+  deconvolve(image, PixelLayout::BGR, field, bank, *engine, dst);
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const cv::Rect rect = field.grid.rect(i);
+    EXPECT_EQ(equal(image(rect), dst(rect)), i != 2) << i;
+  }
+}
+
+TEST(Deconvolve, CopiesAlphaAndFiltersColoursAlike) {
+  const KernelBank bank({});
+  const auto engine = make_engine("float");
+  const cv::Mat image = random_image(90, 70, CV_8UC4, 2);
+  const FrameBlur field = field_of(90, 70, 120, 9);
+  cv::Mat dst;
+  deconvolve(image, PixelLayout::RGBA, field, bank, *engine, dst);
+  ASSERT_EQ(dst.type(), CV_8UC4);
+  for (int c = 0; c < 4; ++c) {
+    cv::Mat in, out, expected;
+    cv::extractChannel(image, in, c);
+    cv::extractChannel(dst, out, c);
+    if (c == 3) {
+      EXPECT_TRUE(equal(in, out));
+    } else {
+      deconvolve(in, PixelLayout::GRAY, field, bank, *engine, expected);
+      EXPECT_TRUE(equal(expected, out)) << c;
+    }
+  }
+}
+
+TEST(Deconvolve, FiltersBayerPlanesWithHalfTheExtent) {
+  const KernelBank bank({});
+  const auto engine = make_engine("float");
+  constexpr LinePath kPath{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15};
+  LinePath half_path = kPath;
+  for (float& place_px : half_path) place_px /= 2;
+  const auto blur_field = [](const cv::Size& size, double extent_px, const std::optional<LinePath>& path_px) {
+    BlurFieldOptions options;
+    options.block_size_px = 1024;
+    FrameBlur field = uniform_blur_field(size.width, size.height, 0.5, extent_px, options);
+    field.blocks[0].uneven_path_px = path_px;
+    return field;
+  };
+  struct Case {
+    cv::Size size;
+    bool uneven;
+  };
+  for (const Case& of :
+       {Case{{128, 128}, false}, Case{{131, 97}, false}, Case{{129, 65}, false}, Case{{131, 97}, true}}) {
+    const cv::Size size = of.size;
+    const bool uneven = of.uneven;
+    for (const int type : {CV_8UC1, CV_16UC1}) {
+      const cv::Mat mosaic = random_image(size.width, size.height, type, 6);
+      const FrameBlur field = blur_field(size, 21, uneven ? std::optional(kPath) : std::nullopt);
+      cv::Mat dst;
+      deconvolve(mosaic, PixelLayout::BAYER_GRBG, field, bank, *engine, dst);
+      for (int py = 0; py < 2; ++py) {
+        for (int px = 0; px < 2; ++px) {
+          const auto plane_of = [&](const cv::Mat& from) {
+            cv::Mat plane((size.height - py + 1) / 2, (size.width - px + 1) / 2, type);
+            for (int y = 0; y < plane.rows; ++y) {
+              for (int x = 0; x < plane.cols; ++x) {
+                from(cv::Rect(2 * x + px, 2 * y + py, 1, 1)).copyTo(plane(cv::Rect(x, y, 1, 1)));
+              }
+            }
+            return plane;
+          };
+          const cv::Mat plane = plane_of(mosaic);
+          cv::Mat expected;
+          deconvolve(plane, PixelLayout::GRAY,
+                     blur_field(plane.size(), 10.5, uneven ? std::optional(half_path) : std::nullopt), bank, *engine,
+                     expected);
+          EXPECT_TRUE(equal(expected, plane_of(dst))) << px << py << uneven;
+        }
+      }
+    }
+  }
+}
+
+TEST(Deconvolve, HandlesBayerBlocksAndTinyMosaics) {
+  const KernelBank bank({});
+  const auto engine = make_engine("float");
+  cv::Mat dst;
+  // Several blocks give what one gives.
+  const cv::Mat mosaic = random_image(131, 97, CV_8UC1, 6);
+  BlurFieldOptions small, large;
+  small.block_size_px = 10;
+  large.block_size_px = 1024;
+  cv::Mat blocks, whole;
+  deconvolve(mosaic, PixelLayout::BAYER_RGGB, uniform_blur_field(131, 97, 2.0, 11, small), bank, *engine, blocks);
+  deconvolve(mosaic, PixelLayout::BAYER_RGGB, uniform_blur_field(131, 97, 2.0, 11, large), bank, *engine, whole);
+  EXPECT_TRUE(equal(blocks, whole));
+  // A blur of 1.5 px is none on the planes.
+  BlurFieldOptions low;
+  low.min_extent_px = 1;
+  deconvolve(mosaic, PixelLayout::BAYER_RGGB, uniform_blur_field(131, 97, 2.0, 1.5, low), bank, *engine, dst);
+  EXPECT_TRUE(equal(mosaic, dst));
+  for (const cv::Size size : {cv::Size(1, 1), cv::Size(2, 1), cv::Size(1, 3), cv::Size(11, 1)}) {
+    const cv::Mat tiny = random_image(size.width, size.height, CV_8UC1, 6);
+    deconvolve(tiny, PixelLayout::BAYER_RGGB, uniform_blur_field(size.width, size.height, 2.0, 30, small), bank,
+               *engine, dst);
+    EXPECT_EQ(dst.size(), size);
+  }
+}
+
+TEST(Deconvolve, RefusesWhatDoesNotFit) {
+  const KernelBank bank({});
+  const auto engine = make_engine("float");
+  cv::Mat dst;
+  EXPECT_THROW(
+      deconvolve(random_image(20, 20, CV_8UC1, 1), PixelLayout::GRAY, field_of(21, 20, 0, 10), bank, *engine, dst),
+      std::invalid_argument);
+  EXPECT_THROW(
+      deconvolve(random_image(20, 20, CV_8UC1, 1), PixelLayout::BGR, field_of(20, 20, 0, 10), bank, *engine, dst),
+      std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace gyro_deblur

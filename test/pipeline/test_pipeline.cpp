@@ -1,0 +1,259 @@
+#include "gyro_deblur/pipeline.hpp"
+
+#include <cmath>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "synthetic_blur.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr int kWidth = 320, kHeight = 240;
+constexpr double kFocalPx = 300;
+constexpr TimeNs kExposureNs = 20'000'000;
+constexpr TimeNs kStampNs = 1'000'000'000;
+
+CameraCalibration calibration() {
+  CameraCalibration c;
+  c.width_px = kWidth;
+  c.height_px = kHeight;
+  c.fx_px = c.fy_px = kFocalPx;
+  c.cx_px = (kWidth - 1) / 2.0;
+  c.cy_px = (kHeight - 1) / 2.0;
+  return c;
+}
+
+/// Constant rate about the camera's y axis (blur along x), from one second before the frame to one after.
+RotationTrack pan(double rate_rad_s) {
+  std::vector<GyroSample> samples;
+  for (TimeNs t = 0; t <= 2 * kStampNs; t += 5'000'000) samples.push_back({t, {0, rate_rad_s, 0}});
+  return RotationTrack(samples, {}, Eigen::Matrix3d::Identity());
+}
+
+/// Rate [rad/s] that gives `extent_px` at the image centre.
+double rate_for(double extent_px) { return 2 * std::atan(extent_px / (2 * kFocalPx)) / to_seconds(kExposureNs); }
+
+RowExposure global_shutter() {
+  ShutterTiming timing;
+  timing.exposure_ns = kExposureNs;
+  return RowExposure(kStampNs, kHeight, timing);
+}
+
+PipelineOptions options() {
+  PipelineOptions o;
+  o.keypoints.detector = o.keypoints.descriptor = "ORB";
+  o.keypoints.max_features = 300;
+  return o;
+}
+
+Pipeline pipeline() {
+  Pipeline p(options());
+  p.set_calibration(calibration());
+  return p;
+}
+
+cv::Mat sharp_image() { return test::textured_image(kWidth, kHeight, 31); }
+cv::Mat blurred_image(double extent_px) {
+  return test::expose(test::blur_along_line(sharp_image(), 0, extent_px), 1.0, 3);
+}
+
+bool equal(const cv::Mat& a, const cv::Mat& b) {
+  return a.size() == b.size() && a.type() == b.type() && cv::norm(a, b, cv::NORM_INF) == 0;
+}
+
+TEST(Pipeline, SharpensABlurredFrame) {
+  Pipeline p = pipeline();
+  const cv::Mat blurred = blurred_image(15);
+  const PipelineResult result = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
+  ASSERT_EQ(result.image.size(), blurred.size());
+  ASSERT_EQ(result.image.type(), CV_8UC1);
+  EXPECT_GE(result.field.count(BlockStatus::DEBLURRED), 18u) << "of 20";
+  const cv::Rect inner(20, 20, kWidth - 40, kHeight - 40);
+  EXPECT_GE(test::psnr_db(result.image(inner), sharp_image()(inner)),
+            test::psnr_db(blurred(inner), sharp_image()(inner)) + 2);
+  EXPECT_GT(result.features.keypoints.size(), 100u);
+  ASSERT_EQ(result.points.size(), result.features.keypoints.size());
+  EXPECT_EQ(result.features.descriptors.rows, static_cast<int>(result.features.keypoints.size()));
+  EXPECT_EQ(result.reference_ns, global_shutter().reference_time(RectifyTo::MIDDLE_ROW));
+  EXPECT_EQ(result.field.exposure_ns, kExposureNs);
+  EXPECT_GT(result.times.blur_field_ms, 0);
+  EXPECT_GT(result.times.validation_ms, 0);
+  EXPECT_GT(result.times.deconvolution_ms, 0);
+  EXPECT_GT(result.times.keypoints_ms, 0);
+}
+
+TEST(Pipeline, DoesOnlyWhatIsAskedFor) {
+  Pipeline p = pipeline();
+  const cv::Mat blurred = blurred_image(15);
+  PipelineRequest nothing, keypoints, image;
+  nothing.image = nothing.keypoints = keypoints.image = image.keypoints = false;
+
+  const PipelineResult bare = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), nothing);
+  EXPECT_TRUE(bare.image.empty());
+  EXPECT_TRUE(bare.features.keypoints.empty());
+  EXPECT_EQ(bare.times.deconvolution_ms, 0);
+  EXPECT_EQ(bare.times.keypoints_ms, 0);
+  EXPECT_EQ(bare.field.blocks.size(), 20u);
+
+  const PipelineResult pixels = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), image);
+  EXPECT_FALSE(pixels.image.empty());
+  EXPECT_TRUE(pixels.points.empty());
+
+  // Keypoints come from the deblurred luminance whether or not the image is wanted.
+  const PipelineResult points = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), keypoints);
+  const PipelineResult both = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
+  EXPECT_TRUE(points.image.empty());
+  EXPECT_TRUE(equal(both.image, pixels.image));
+  ASSERT_EQ(points.features.keypoints.size(), both.features.keypoints.size());
+  EXPECT_TRUE(equal(points.features.descriptors, both.features.descriptors));
+}
+
+TEST(Pipeline, LeavesTheImageEmptyWhenNothingWasChanged) {
+  Pipeline p = pipeline();
+  const cv::Mat sharp = sharp_image();
+  // At rest.
+  PipelineResult result = p.process(sharp, PixelLayout::GRAY, pan(0), global_shutter(), {});
+  EXPECT_TRUE(result.image.empty());
+  EXPECT_EQ(result.field.count(BlockStatus::SHARP), 20u);
+  EXPECT_FALSE(result.features.keypoints.empty());
+  // A sharp image that the gyroscope calls blurred: the block's keypoints must not be rectified either.
+  result = p.process(sharp, PixelLayout::GRAY, pan(rate_for(40)), global_shutter(), {});
+  EXPECT_EQ(result.field.count(BlockStatus::REJECTED), 20u);
+  EXPECT_TRUE(result.image.empty());
+  for (const RectifiedPoint& point : result.points) EXPECT_FALSE(point.rectified || point.deblurred);
+  // Without gyroscope.
+  const RotationTrack none({}, {}, Eigen::Matrix3d::Identity());
+  result = p.process(sharp, PixelLayout::GRAY, none, global_shutter(), {});
+  EXPECT_EQ(result.field.count(BlockStatus::NO_GYRO), 20u);
+  EXPECT_TRUE(result.image.empty());
+  EXPECT_FALSE(result.features.keypoints.empty());
+  // Too fast.
+  result = p.process(sharp, PixelLayout::GRAY, pan(rate_for(250)), global_shutter(), {});
+  EXPECT_EQ(result.field.count(BlockStatus::TOO_LARGE), 20u);
+  EXPECT_TRUE(result.image.empty());
+}
+
+TEST(Pipeline, HandlesEveryLayout) {
+  const cv::Mat grey = blurred_image(15);
+  const PixelLayout layouts[] = {PixelLayout::GRAY, PixelLayout::BGR,  PixelLayout::RGB,
+                                 PixelLayout::BGRA, PixelLayout::RGBA, PixelLayout::BAYER_GBRG};
+  for (const PixelLayout layout : layouts) {
+    for (const int depth : {CV_8U, CV_16U}) {
+      cv::Mat deep, image;
+      grey.convertTo(deep, depth, depth == CV_8U ? 1 : 257);
+      cv::merge(std::vector<cv::Mat>(channels_of(layout), deep), image);
+      Pipeline p = pipeline();
+      const PipelineResult result = p.process(image, layout, pan(rate_for(15)), global_shutter(), {});
+      EXPECT_EQ(result.image.type(), image.type());
+      EXPECT_EQ(result.image.size(), image.size());
+      EXPECT_FALSE(result.features.keypoints.empty());
+
+      // A listener to the image must not change what the listener to the keypoints gets.
+      PipelineRequest keypoints;
+      keypoints.image = false;
+      const PipelineResult alone = p.process(image, layout, pan(rate_for(15)), global_shutter(), keypoints);
+      ASSERT_EQ(alone.features.keypoints.size(), result.features.keypoints.size())
+          << "layout " << static_cast<int>(layout) << " depth " << depth;
+      EXPECT_TRUE(equal(alone.features.descriptors, result.features.descriptors));
+    }
+  }
+}
+
+TEST(Pipeline, TakesNewOptions) {
+  Pipeline p = pipeline();
+  const cv::Mat blurred = blurred_image(15);
+  const PipelineResult before = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
+  PipelineOptions changed = options();
+  changed.kernel.gamma = 0.1;
+  changed.blur_field.block_size_px = 32;
+  changed.validation.enabled = false;
+  changed.keypoints.max_features = 20;
+  changed.rectify_to = RectifyTo::STAMP;
+  p.set_options(changed);
+  const PipelineResult after = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
+  EXPECT_EQ(after.field.grid.block_size_px(), 32);
+  EXPECT_EQ(after.field.count(BlockStatus::DEBLURRED), 80u);
+  EXPECT_FALSE(equal(before.image, after.image));
+  EXPECT_LE(after.features.keypoints.size(), 20u);
+  EXPECT_EQ(after.reference_ns, kStampNs);
+  changed = options();
+  changed.kernel.design = KernelDesign::FOURIER;
+  p.set_options(changed);
+  EXPECT_FALSE(
+      equal(before.image, p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image));
+  p.set_options(options());
+  EXPECT_TRUE(
+      equal(before.image, p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image));
+}
+
+TEST(Pipeline, KeepsItsStateWhenNewOptionsAreBad) {
+  Pipeline p = pipeline();
+  const cv::Mat blurred = blurred_image(15);
+  const PipelineResult before = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
+  std::vector<PipelineOptions> bad(7, options());
+  // Each also changes something good, which must not be taken over.
+  for (PipelineOptions& o : bad) o.blur_field.block_size_px = 32;
+  bad[0].kernel.gamma = -1;
+  bad[1].engine = "abacus";
+  bad[2].keypoints.detector = "EYE";
+  bad[3].keypoints.detector = "FAST", bad[3].keypoints.descriptor = "AKAZE";
+  bad[4].blur_field.min_extent_px = 0;
+  bad[5].validation.tau = std::nan("");
+  bad[6].threads = 1000;
+  for (const PipelineOptions& o : bad) {
+    EXPECT_THROW(p.set_options(o), OptionError);
+    EXPECT_THROW(Pipeline{o}, OptionError);
+    EXPECT_EQ(p.options().blur_field.block_size_px, 64);
+  }
+  CameraCalibration flat = calibration();
+  flat.fx_px = 0;
+  EXPECT_THROW(p.set_calibration(flat), OptionError);
+  const PipelineResult after = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
+  EXPECT_TRUE(equal(before.image, after.image));
+  EXPECT_EQ(before.features.keypoints.size(), after.features.keypoints.size());
+}
+
+TEST(Pipeline, WarnsOnceAboutAnAbsentDevice) {
+  PipelineOptions o = options();
+  o.engine = "opencl:no such device";
+  Pipeline p(o);
+  p.set_calibration(calibration());
+  const cv::Mat blurred = blurred_image(15);
+  EXPECT_FALSE(p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image.empty());
+  EXPECT_NE(p.take_warning().find("OpenCL failed"), std::string::npos);
+  EXPECT_EQ(p.take_warning(), "");
+  EXPECT_NE(p.engine().find("OpenCL failed"), std::string::npos);
+  p.set_options(options());
+  EXPECT_EQ(p.take_warning(), "");
+}
+
+TEST(Pipeline, RefusesImagesThatDoNotFit) {
+  Pipeline bare(options());
+  const RotationTrack motion = pan(0);
+  EXPECT_THROW(bare.process(sharp_image(), PixelLayout::GRAY, motion, global_shutter(), {}), std::logic_error);
+  Pipeline p = pipeline();
+  const auto process = [&](const cv::Mat& image, PixelLayout layout) {
+    return p.process(image, layout, motion, global_shutter(), {});
+  };
+  EXPECT_THROW(process(cv::Mat(), PixelLayout::GRAY), std::invalid_argument);
+  EXPECT_THROW(process(cv::Mat(kHeight, kWidth - 1, CV_8UC1), PixelLayout::GRAY), std::invalid_argument);
+  EXPECT_THROW(process(cv::Mat(kHeight, kWidth, CV_8UC3), PixelLayout::GRAY), std::invalid_argument);
+  EXPECT_THROW(process(cv::Mat(kHeight, kWidth, CV_32FC1), PixelLayout::GRAY), std::invalid_argument);
+}
+
+TEST(Pipeline, FollowsTheCalibration) {
+  Pipeline p = pipeline();
+  CameraCalibration wide = calibration();
+  wide.fx_px = wide.fy_px = kFocalPx / 2;
+  p.set_calibration(wide);
+  const PipelineResult result =
+      p.process(blurred_image(15), PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
+  const int center = result.field.grid.index_at(kWidth / 2.0, kHeight / 2.0);
+  EXPECT_NEAR(result.field.blocks[center].extent_px, 7.5, 0.3);
+  EXPECT_EQ(p.engine(), make_engine("auto")->name());
+}
+
+}  // namespace
+}  // namespace gyro_deblur

@@ -1,0 +1,453 @@
+// deblur_bag as a user runs it.
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <dynamic_reconfigure/Config.h>
+#include <gtest/gtest.h>
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
+#include <sensor_msgs/CompressedImage.h>
+#include <tf2_msgs/TFMessage.h>
+#include <topic_tools/shape_shifter.h>
+#include <nlohmann/json.hpp>
+#include <opencv2/imgcodecs.hpp>
+
+#include "message_builders.hpp"
+#include "ros/messages.hpp"
+#include "ros/processor.hpp"
+#include "run_program.hpp"
+#include "spoilt_message.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using namespace test;
+namespace fs = std::filesystem;
+
+constexpr TimeNs kStart = 100 * kSecond;
+constexpr TimeNs kFramePeriod = 100 * kMs;
+constexpr int kFrames = 5;
+
+class DeblurBagTest : public testing::Test {
+ protected:
+  DeblurBagTest() {
+    std::string pattern = (fs::temp_directory_path() / "deblur_bag_XXXXXX").string();
+    if (mkdtemp(pattern.data()) == nullptr) throw std::runtime_error("no temporary directory");
+    directory_ = pattern;
+    write_config("");
+  }
+  ~DeblurBagTest() override { fs::remove_all(directory_); }
+
+  std::string path(const std::string& name) const { return (directory_ / name).string(); }
+
+  /// The keys of test_config(), and more.
+  void write_config(const std::string& more) {
+    std::ofstream(path("config.yaml")) << "exposure_time: 0.03\nreadout_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\n"
+                                          "block_size: 32\nvalidate: false\ndetector: FAST\ndescriptor: ORB\n"
+                                       << more;
+  }
+
+  /// Frames and IMU; the IMU ends 60 ms before the last frame does.
+  void write_bag(double rate_rad_s, bool with_exposure = false) {
+    rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Write);
+    const auto at = [](TimeNs t_ns) { return to_ros_time(t_ns); };
+    const TimeNs last_imu_ns = kStart + (kFrames - 1) * kFramePeriod - 10 * kMs;
+    for (TimeNs t_ns = kStart - 2 * kSecond; t_ns <= last_imu_ns; t_ns += 5 * kMs) {
+      bag.write("/imu", at(t_ns), imu_message(t_ns, rate_rad_s));
+    }
+    for (int i = 0; i < kFrames; ++i) {
+      const TimeNs t_ns = kStart + i * kFramePeriod;
+      bag.write("/cam/image_raw", at(t_ns), *image_message(t_ns));
+      bag.write("/cam/camera_info", at(t_ns), *camera_info(t_ns));
+      if (!with_exposure) continue;
+      Exposure exposure;
+      exposure.header.stamp = at(t_ns);
+      exposure.exposure_time.fromNSec(20 * kMs);
+      bag.write("/cam/exposure", at(t_ns), exposure);
+    }
+    std_msgs::Header other;
+    bag.write("/other", at(kStart), other);
+  }
+
+  ProgramResult run(std::vector<std::string> more = {}) const {
+    std::vector<std::string> command{DEBLUR_BAG,          path("in.bag"), path("out.bag"),    "--config",
+                                     path("config.yaml"), "--json",       path("report.json")};
+    command.insert(command.end(), more.begin(), more.end());
+    return run_program(command);
+  }
+
+  nlohmann::json report() const { return nlohmann::json::parse(std::ifstream(path("report.json"))); }
+
+  template <typename Message>
+  std::vector<boost::shared_ptr<Message>> read(const std::string& bag_name, const std::string& topic) const {
+    rosbag::Bag bag(path(bag_name), rosbag::bagmode::Read);
+    rosbag::View view(bag, rosbag::TopicQuery(topic));
+    std::vector<boost::shared_ptr<Message>> messages;
+    for (const rosbag::MessageInstance& instance : view) messages.push_back(instance.instantiate<Message>());
+    return messages;
+  }
+
+  void expect_error(const ProgramResult& result, const std::vector<std::string>& parts) const {
+    EXPECT_EQ(result.exit_code, 1) << result.output;
+    EXPECT_EQ(std::count(result.output.begin(), result.output.end(), '\n'), 1) << "one line: " << result.output;
+    for (const std::string& part : parts) EXPECT_NE(result.output.find(part), std::string::npos) << result.output;
+    EXPECT_FALSE(fs::exists(path("out.bag")));
+    EXPECT_FALSE(fs::exists(path("out.bag.active")));
+  }
+
+  fs::path directory_;
+};
+
+TEST_F(DeblurBagTest, CompressedImagesAreDecoded) {
+  write_bag(kFastRadS);
+  ASSERT_EQ(run().exit_code, 0);
+  const auto expected = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  // The same bag with PNGs, which lose nothing, in place of the images; one of them is broken.
+  fs::rename(path("in.bag"), path("raw.bag"));
+  {
+    rosbag::Bag raw(path("raw.bag"), rosbag::bagmode::Read), bag(path("in.bag"), rosbag::bagmode::Write);
+    std::size_t images = 0;
+    for (const rosbag::MessageInstance& instance : rosbag::View(raw)) {
+      const auto image = instance.instantiate<sensor_msgs::Image>();
+      if (!image) {
+        bag.write(instance.getTopic(), instance.getTime(), instance);
+        continue;
+      }
+      sensor_msgs::CompressedImage compressed;
+      compressed.header = image->header;
+      compressed.format = "mono8; png compressed ";
+      cv::imencode(".png", view_image(*image).image, compressed.data);
+      if (++images == 2) compressed.data.resize(compressed.data.size() / 8);
+      bag.write("/cam/image_raw/compressed", instance.getTime(), compressed);
+    }
+  }
+  const ProgramResult result = run();
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  ASSERT_EQ(images.size(), expected.size());
+  for (std::size_t i = 0; i < images.size(); ++i) {
+    EXPECT_EQ(images[i]->header.stamp, expected[i]->header.stamp);
+    if (i == 1) continue;
+    EXPECT_EQ(images[i]->encoding, "mono8");
+    EXPECT_EQ(images[i]->data, expected[i]->data);
+  }
+  EXPECT_EQ(report()["frames"][1]["reason"], "BAD_IMAGE");
+  EXPECT_EQ(report()["passed_through"]["BAD_IMAGE"], 1);
+}
+
+TEST_F(DeblurBagTest, CalibrationFileStandsInForCameraInfo) {
+  write_bag(kFastRadS);
+  ASSERT_EQ(run().exit_code, 0);
+  const auto with_info = read<BlurField>("out.bag", "/cam/blur_field");
+  fs::remove(path("out.bag"));
+
+  fs::rename(path("in.bag"), path("all.bag"));
+  {
+    rosbag::Bag all(path("all.bag"), rosbag::bagmode::Read), some(path("in.bag"), rosbag::bagmode::Write);
+    rosbag::View view(all, [](const rosbag::ConnectionInfo* c) { return c->topic != "/cam/camera_info"; });
+    for (const rosbag::MessageInstance& instance : view) some.write(instance.getTopic(), instance.getTime(), instance);
+  }
+  expect_error(run(), {"no topic of type sensor_msgs/CameraInfo"});
+  const sensor_msgs::CameraInfoPtr info = camera_info(kStart);
+  std::ofstream(path("camchain.yaml")) << "cam0:\n  camera_model: pinhole\n  intrinsics: [" << info->K[0] << ", "
+                                       << info->K[4] << ", " << info->K[2] << ", " << info->K[5]
+                                       << "]\n  distortion_model: none\n  distortion_coeffs: []\n  resolution: ["
+                                       << kWidth << ", " << kHeight << "]\n";
+  std::ofstream(path("config.yaml"), std::ios::app) << "calibration_file: camchain.yaml\n";
+  const ProgramResult result = run();
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  const auto with_file = read<BlurField>("out.bag", "/cam/blur_field");
+  ASSERT_EQ(with_file.size(), with_info.size());
+  for (std::size_t i = 0; i < with_file.size(); ++i) {
+    EXPECT_EQ(with_file[i]->reason, with_info[i]->reason) << with_file[i]->reason_text;
+    EXPECT_EQ(with_file[i]->extent, with_info[i]->extent);
+  }
+  EXPECT_EQ(read<sensor_msgs::CameraInfo>("out.bag", "/cam/deblurred/camera_info")[0]->K, info->K);
+}
+
+TEST_F(DeblurBagTest, EveryFrameComesOutInOrderWithItsReason) {
+  write_bag(kFastRadS);
+  const ProgramResult result = run();
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  const auto inputs = read<sensor_msgs::Image>("in.bag", "/cam/image_raw");
+  const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  const auto infos = read<sensor_msgs::CameraInfo>("out.bag", "/cam/deblurred/camera_info");
+  const auto fields = read<BlurField>("out.bag", "/cam/blur_field");
+  const auto keypoints = read<KeypointArray>("out.bag", "/cam/keypoints");
+  ASSERT_EQ(images.size(), inputs.size());
+  ASSERT_EQ(infos.size(), inputs.size());
+  ASSERT_EQ(fields.size(), inputs.size());
+  ASSERT_EQ(keypoints.size(), inputs.size());
+  for (std::size_t i = 0; i < inputs.size(); ++i) {
+    const bool covered = i + 1 < inputs.size();
+    EXPECT_EQ(images[i]->header.stamp, inputs[i]->header.stamp);
+    EXPECT_EQ(infos[i]->header.stamp, inputs[i]->header.stamp);
+    EXPECT_EQ(keypoints[i]->header.stamp, inputs[i]->header.stamp);
+    EXPECT_EQ(images[i]->data == inputs[i]->data, !covered);
+    EXPECT_EQ(fields[i]->reason, covered ? BlurField::REASON_NONE : BlurField::REASON_NO_GYRO);
+  }
+  const nlohmann::json json = report();
+  EXPECT_EQ(json["frames_in"], kFrames);
+  EXPECT_EQ(json["frames_out"], kFrames);
+  EXPECT_EQ(json["passed_through"]["NO_GYRO"], 1);
+  EXPECT_NEAR(json["frames"][0]["center_extent_px"].get<double>(), kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
+  EXPECT_NEAR(json["frames"][0]["center_angle_deg"].get<double>(), 0, 1);
+  EXPECT_EQ(json["frames"][0]["blocks"]["DEBLURRED"], 24);
+  EXPECT_EQ(json["frames"][4]["identical"], true);
+  EXPECT_TRUE(read<std_msgs::Header>("out.bag", "/other").empty());
+}
+
+TEST_F(DeblurBagTest, PixelsAreThoseOfTheProcessor) {
+  write_bag(kFastRadS);
+  ASSERT_EQ(run().exit_code, 0);
+  Processor::Environment environment;
+  environment.clock = [] { return kStart; };
+  environment.log = [](LogLevel, const std::string& text) { ADD_FAILURE() << text; };
+  Processor processor(std::move(environment));
+  processor.set_config(test_config());
+  for (const auto& imu : read<sensor_msgs::Imu>("in.bag", "/imu")) processor.add_imu(*imu);
+  processor.add_camera_info(camera_info(kStart));
+  processor.add_image(image_message(kStart));
+  const auto image = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw").front();
+  const auto keypoints = read<KeypointArray>("out.bag", "/cam/keypoints").front();
+  std::size_t outputs = 0;
+  processor.advance([&](FrameOutput&& output) {
+    ++outputs;
+    EXPECT_TRUE(output.image->data == image->data);
+    EXPECT_TRUE(output.keypoints->descriptors == keypoints->descriptors);
+    EXPECT_EQ(output.keypoints->keypoints.size(), keypoints->keypoints.size());
+    return true;
+  });
+  EXPECT_EQ(outputs, 1u);
+}
+
+TEST_F(DeblurBagTest, SlicesTogetherAreTheWholeBag) {
+  write_bag(kFastRadS);
+  ASSERT_EQ(run().exit_code, 0);
+  const auto whole_images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  const auto whole_fields = read<BlurField>("out.bag", "/cam/blur_field");
+  const auto whole_keypoints = read<KeypointArray>("out.bag", "/cam/keypoints");
+  std::size_t done = 0;
+  // The images are at 2.0, 2.1, ... 2.4 s of the bag.
+  for (const std::vector<std::string>& limits :
+       {std::vector<std::string>{"--end", "2.1"}, {"--start", "2.1", "--end", "2.35"}, {"--start", "2.35"}}) {
+    const ProgramResult result = run(limits);
+    ASSERT_EQ(result.exit_code, 0) << result.output;
+    const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+    const auto fields = read<BlurField>("out.bag", "/cam/blur_field");
+    const auto keypoints = read<KeypointArray>("out.bag", "/cam/keypoints");
+    ASSERT_FALSE(images.empty());
+    for (std::size_t i = 0; i < images.size(); ++i, ++done) {
+      ASSERT_LT(done, whole_images.size());
+      EXPECT_EQ(images[i]->header.stamp, whole_images[done]->header.stamp);
+      EXPECT_TRUE(images[i]->data == whole_images[done]->data);
+      EXPECT_EQ(fields[i]->reason, whole_fields[done]->reason);
+      EXPECT_EQ(fields[i]->extent, whole_fields[done]->extent);
+      EXPECT_TRUE(keypoints[i]->descriptors == whole_keypoints[done]->descriptors);
+    }
+  }
+  EXPECT_EQ(done, whole_images.size());
+  fs::remove(path("out.bag"));
+  expect_error(run({"--start", "2", "--end", "1"}), {"--start 2", "--end 1"});
+}
+
+TEST_F(DeblurBagTest, SliceUsesTheExposureSettingFromBeforeIt) {
+  // A driver publishes its parameters when they change: long before the images here, and between the last two.
+  const auto setting = [](int exposure_us) {
+    dynamic_reconfigure::Config config;
+    config.ints.resize(1);
+    config.ints[0].name = "exposure_us";
+    config.ints[0].value = exposure_us;
+    return config;
+  };
+  write_bag(kFastRadS);
+  {
+    rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Append);
+    bag.write("/cam/driver", to_ros_time(kStart - 30 * kSecond), setting(5000));
+    bag.write("/cam/driver", to_ros_time(kStart - 20 * kSecond), setting(10000));
+    bag.write("/cam/driver", to_ros_time(kStart + 260 * kMs), setting(20000));
+  }
+  // Without a setting frames could not be deblurred; what is read before a slice ends long after the first ones.
+  std::ofstream(path("config.yaml")) << "exposure_time: 0\nreadout_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\n"
+                                        "block_size: 32\nvalidate: false\ndetector: FAST\ndescriptor: ORB\n"
+                                        "gyro_buffer_duration: 1\nexposure_source: dynamic_reconfigure_us\n"
+                                        "exposure_field: exposure_us\n";
+  const std::vector<std::string> driver{"--exposure-topic", "/cam/driver"};
+  ASSERT_EQ(run(driver).exit_code, 0);
+  const nlohmann::json whole = report()["frames"];
+  ASSERT_EQ(whole.size(), static_cast<std::size_t>(kFrames));
+  const std::vector<double> expected_s{0.01, 0.01, 0.01, 0.02};
+  for (std::size_t i = 0; i < expected_s.size(); ++i) EXPECT_EQ(whole[i].value("exposure_s", 0.0), expected_s[i]) << i;
+
+  // The images are at 30.0, 30.1, ... 30.4 s of the bag.
+  std::size_t done = 0;
+  for (const auto& [start, end] : {std::pair("29.5", "30.15"), {"30.15", "30.25"}, {"30.25", "40"}}) {
+    std::vector<std::string> slice = driver;
+    slice.insert(slice.end(), {"--start", start, "--end", end});
+    const ProgramResult result = run(slice);
+    ASSERT_EQ(result.exit_code, 0) << result.output;
+    const nlohmann::json frames = report()["frames"];  // not a part of a temporary
+    for (const nlohmann::json& frame : frames) {
+      ASSERT_LT(done, whole.size());
+      EXPECT_EQ(frame["stamp_ns"], whole[done]["stamp_ns"]);
+      EXPECT_EQ(frame["reason"], whole[done]["reason"]) << frame;
+      EXPECT_EQ(frame.value("exposure_s", 0.0), whole[done].value("exposure_s", 0.0)) << "slice from " << start << " s";
+      ++done;
+    }
+  }
+  EXPECT_EQ(done, whole.size());
+}
+
+TEST_F(DeblurBagTest, ExposureTopicIsFoundAndUsed) {
+  write_bag(kFastRadS, true);
+  ASSERT_EQ(run().exit_code, 0);
+  EXPECT_EQ(report()["topics"]["exposure"], "/cam/exposure");
+  EXPECT_NEAR(report()["frames"][0]["exposure_s"].get<double>(), 0.02, 1e-12);
+}
+
+TEST_F(DeblurBagTest, KeepsAllTopicsAndWritesPictures) {
+  write_bag(kFastRadS);
+  const ProgramResult result = run({"--keep-all-topics", "--overlay", "--markers", "--output-namespace", "/elsewhere"});
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  EXPECT_EQ(read<std_msgs::Header>("out.bag", "/other").size(), 1u);
+  EXPECT_EQ(read<sensor_msgs::Image>("out.bag", "/cam/image_raw").size(), 5u);
+  EXPECT_EQ(read<sensor_msgs::Image>("out.bag", "/elsewhere/deblurred/image_raw").size(), 5u);
+  EXPECT_EQ(read<sensor_msgs::Image>("out.bag", "/elsewhere/blur_overlay").front()->encoding, "bgr8");
+  EXPECT_EQ(read<visualization_msgs::MarkerArray>("out.bag", "/elsewhere/blur_markers").size(), 5u);
+}
+
+TEST_F(DeblurBagTest, BiasAtRestMakesFramesBitIdentical) {
+  write_bag(0.9);
+  const ProgramResult result = run({"--estimate-bias-first", "1.5"});
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  EXPECT_NEAR(report()["gyro_bias_rad_s"][1].get<double>(), 0.9, 1e-9);
+  const nlohmann::json frames = report()["frames"];  // not a part of a temporary
+  EXPECT_EQ(frames.size(), static_cast<std::size_t>(kFrames));
+  for (const auto& frame : frames) EXPECT_EQ(frame["identical"], true);
+}
+
+TEST_F(DeblurBagTest, StaticTransformOfTheBagIsUsed) {
+  std::ofstream(path("config.yaml")) << "exposure_time: 0.03\nvalidate: false\ndetector: FAST\ndescriptor: ORB\n";
+  write_bag(kFastRadS);
+  ASSERT_EQ(run().exit_code, 0);
+  EXPECT_EQ(report()["passed_through"]["NO_EXTRINSIC"], kFrames);
+  {
+    rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Append);
+    tf2_msgs::TFMessage transforms;
+    transforms.transforms.resize(1);
+    transforms.transforms[0].header.frame_id = kImuFrame;
+    transforms.transforms[0].child_frame_id = kCameraFrame;
+    transforms.transforms[0].transform.rotation.w = 1;
+    bag.write("/tf_static", to_ros_time(kStart + kSecond), transforms);  // late: latched in a live system
+  }
+  ASSERT_EQ(run().exit_code, 0);
+  EXPECT_FALSE(report()["passed_through"].contains("NO_EXTRINSIC"));
+}
+
+TEST_F(DeblurBagTest, TopicsThatAreNotThereAreListed) {
+  write_bag(kFastRadS);
+  expect_error(run({"--imu-topic", "/nope"}), {"/nope", "/imu (sensor_msgs/Imu)", "/cam/image_raw"});
+  expect_error(run({"--camera-ns", "/left"}), {"/left/image_raw", "/cam/image_raw"});
+  expect_error(run({"--imu-topic", "/cam/image_raw"}), {"not of type sensor_msgs/Imu"});
+}
+
+TEST_F(DeblurBagTest, MessagesOfAnotherVersionAreRefused) {
+  write_bag(kFastRadS);
+  {
+    topic_tools::ShapeShifter older;
+    const std::string md5 = "0123456789abcdef0123456789abcdef";
+    older.morph(md5, "gyro_deblur/Exposure", "float64 exposure_time\n", "0");
+    std::vector<std::uint8_t> bytes(sizeof(double));
+    ros::serialization::IStream stream(bytes.data(), static_cast<std::uint32_t>(bytes.size()));
+    older.read(stream);
+    rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Append);
+    bag.write("/cam/exposure", to_ros_time(kStart), older);
+  }
+  expect_error(run(), {"/cam/exposure", "another version", "0123456789abcdef"});
+}
+
+TEST_F(DeblurBagTest, DamagedMessageIsNamed) {
+  struct Damage {
+    const char *topic, *type;
+    std::vector<std::string> arguments;
+    std::function<void()> add;
+  };
+  const TimeNs at_ns = kStart + 50 * kMs;
+  const auto add = [&](const std::string& topic, const auto& message, const Spoil& spoil) {
+    rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Append);
+    bag.write(topic, to_ros_time(at_ns), spoilt(message, spoil));
+  };
+  Exposure exposure;
+  tf2_msgs::TFMessage transforms;
+  transforms.transforms.resize(1);
+  const Spoil cut = [](std::vector<std::uint8_t>* bytes) { bytes->resize(bytes->size() / 2); };
+  const Damage damages[] = {
+      {"/cam/camera_info",
+       "sensor_msgs/CameraInfo",
+       {},
+       [&] { add("/cam/camera_info", *camera_info(at_ns), announce<double>(5, 1u << 30)); }},
+      {"/cam/image_raw",
+       "sensor_msgs/Image",
+       {},
+       [&] { add("/cam/image_raw", *image_message(at_ns), announce<std::uint8_t>(kWidth * kHeight, 0xffffffff)); }},
+      {"/imu", "sensor_msgs/Imu", {}, [&] { add("/imu", imu_message(at_ns, 1), cut); }},
+      {"/imu", "sensor_msgs/Imu", {"--estimate-bias-first", "5"}, [&] { add("/imu", imu_message(at_ns, 1), cut); }},
+      {"/cam/exposure", "gyro_deblur/Exposure", {}, [&] { add("/cam/exposure", exposure, cut); }},
+      {"/tf_static", "tf2_msgs/TFMessage", {}, [&] { add("/tf_static", transforms, cut); }},
+      {"/tf", "tf2_msgs/TFMessage", {}, [&] { add("/tf", transforms, announce<char>(1, 1u << 31)); }},
+  };
+  for (const Damage& damage : damages) {
+    write_bag(kFastRadS);
+    damage.add();
+    expect_error(run(damage.arguments), {"deblur_bag: " + path("in.bag") + ": topic " + damage.topic + ", " +
+                                         damage.type + " recorded at 100.050000000 s: cannot be read: "});
+  }
+}
+
+TEST_F(DeblurBagTest, SeveralCandidatesHaveToBeNamed) {
+  write_bag(kFastRadS);
+  {
+    rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Append);
+    bag.write("/imu2", to_ros_time(kStart), imu_message(kStart, 0));
+  }
+  expect_error(run(), {"several", "/imu2"});
+  EXPECT_EQ(run({"--imu-topic", "/imu"}).exit_code, 0);
+}
+
+TEST_F(DeblurBagTest, UnreadableFiles) {
+  expect_error(run(), {"in.bag", "no such file"});
+  std::ofstream(path("in.bag")) << "this is not a bag\n";
+  expect_error(run(), {"in.bag", "not a bag"});
+  write_bag(kFastRadS);
+  fs::resize_file(path("in.bag"), fs::file_size(path("in.bag")) / 2);
+  expect_error(run(), {"in.bag"});
+  write_bag(kFastRadS);
+  fs::remove(path("config.yaml"));
+  expect_error(run(), {"config.yaml"});
+  write_config("gamma: 7\n");
+  expect_error(run(), {"gamma = 7"});
+}
+
+TEST_F(DeblurBagTest, InputIsNotOverwritten) {
+  write_bag(kFastRadS);
+  const ProgramResult result =
+      run_program({DEBLUR_BAG, path("in.bag"), path("in.bag"), "--config", path("config.yaml")});
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_NE(result.output.find("overwrite"), std::string::npos);
+  EXPECT_EQ(read<sensor_msgs::Image>("in.bag", "/cam/image_raw").size(), 5u);
+}
+
+TEST_F(DeblurBagTest, HelpAndBadUsage) {
+  EXPECT_EQ(run_program({DEBLUR_BAG, "--help"}).exit_code, 0);
+  EXPECT_NE(run_program({DEBLUR_BAG}).exit_code, 0);
+  EXPECT_NE(run_program({DEBLUR_BAG, "a", "b", "--config", "c", "--nonsense"}).exit_code, 0);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
