@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -73,23 +72,11 @@ const char* remedy(PassThroughReason reason) {
   return "";
 }
 
-/// Calls apply(key, member...) for every key that dynamic_reconfigure serves, all of which are keys of the
-/// configuration, with that member of each of `configs`.
-template <typename Function, typename... Configs>
-void for_each_dynamic(Function apply, Configs&... configs) {
-  apply("block_size", configs.block_size...);
-  apply("min_extent", configs.min_extent...);
-  apply("max_extent", configs.max_extent...);
-  apply("max_bend", configs.max_bend...);
-  apply("gamma", configs.gamma...);
-  apply("validate", configs.validate...);
-  apply("tau", configs.tau...);
-  apply("tau_contrast", configs.tau_contrast...);
-  apply("detector", configs.detector...);
-  apply("descriptor", configs.descriptor...);
-  apply("max_features", configs.max_features...);
-  apply("grid_cols", configs.grid_cols...);
-  apply("grid_rows", configs.grid_rows...);
+/// Names and values of the parameters that may change while running.
+dynamic_reconfigure::Config entries_of(const DeblurConfig& config) {
+  dynamic_reconfigure::Config entries;
+  config.__toMessage__(entries);
+  return entries;
 }
 
 }  // namespace
@@ -222,17 +209,19 @@ void DeblurNodelet::onInit() {
 }
 
 std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
-  parameters_ = YAML::Node(YAML::NodeType::Map);
-  if (getPrivateNodeHandle().getParam("", given_parameters_) &&
-      given_parameters_.getType() == XmlRpc::XmlRpcValue::TypeStruct) {
-    parameters_ = to_yaml(given_parameters_);
+  XmlRpc::XmlRpcValue parameters;
+  if (getPrivateNodeHandle().getParam("", parameters) && parameters.getType() == XmlRpc::XmlRpcValue::TypeStruct) {
+    for (auto& [key, value] : parameters) {
+      if (std::find(std::begin(kOtherParameters), std::end(kOtherParameters), key) == std::end(kOtherParameters)) {
+        given_parameters_[key] = value;
+      }
+    }
   }
-  for (const char* other : kOtherParameters) parameters_.remove(other);
 
   std::vector<std::string> unknown;
   std::optional<Config> config;
   try {
-    config = parse_config(parameters_, &unknown);
+    config = parse_config(to_yaml(given_parameters_), &unknown);
     NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu)",
                  to_seconds(config->gyro.time_offset_ns));
     if (config->calibration) NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
@@ -245,8 +234,9 @@ std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
   }
   for (const std::string& key : unknown) {
     // Namespaces below the node belong to others, to plugins of image_transport for example.
-    const YAML::Node& parameters = parameters_;
-    if (!parameters[key].IsMap()) NODELET_WARN_STREAM("parameter ~" << key << " is not known, ignored");
+    if (given_parameters_[key].getType() != XmlRpc::XmlRpcValue::TypeStruct) {
+      NODELET_WARN_STREAM("parameter ~" << unknown_key_message(key));
+    }
   }
   return config;
 }
@@ -257,43 +247,41 @@ void DeblurNodelet::start_reconfigure() {
       std::make_unique<dynamic_reconfigure::Server<DeblurConfig>>(reconfigure_mutex_, getPrivateNodeHandle());
   // The server has read the parameters, but moved what was out of range to the nearest end without a word. That would
   // be nobody's choice: it offers the default instead, and the error that load_parameters has reported stays in force.
-  const YAML::Node& parameters = parameters_;
-  dynamic_ = DeblurConfig::__getDefault__();
-  for_each_dynamic(
-      [&parameters](const char* key, auto& value) {
-        std::decay_t<decltype(value)> given;
-        if (parameters[key] && YAML::convert<decltype(given)>::decode(parameters[key], given)) value = given;
-      },
-      dynamic_);
+  const dynamic_reconfigure::Config standard = entries_of(DeblurConfig::__getDefault__());
+  dynamic_reconfigure::Config offered = standard;
+  for_each_entry([this](auto& entry) { read_parameter(given_parameters_, entry.name, entry.value); }, offered);
+  dynamic_.__fromMessage__(offered);
   DeblurConfig clamped = dynamic_;
   clamped.__clamp__();
-  for_each_dynamic(
-      [](const char*, auto& value, const auto& in_range, const auto& standard) {
-        if (value != in_range) value = standard;
+  const dynamic_reconfigure::Config in_range = entries_of(clamped);
+  for_each_entry(
+      [](auto& entry, const auto& nearest, const auto& otherwise) {
+        if (entry.value != nearest.value) entry.value = otherwise.value;
       },
-      dynamic_, clamped, DeblurConfig::__getDefault__());
+      offered, in_range, standard);
+  dynamic_.__fromMessage__(offered);
   reconfigure_->updateConfig(dynamic_);
   reconfigure_->setCallback([this](DeblurConfig& dynamic, std::uint32_t) { on_reconfigure(dynamic); });
   // The server has also written its values back. What was refused stays on the parameter server, so that it is refused
   // again when the nodelet is loaded again, instead of being replaced by a default that nobody chose.
-  for_each_dynamic(
-      [this, &parameters](const char* key, const auto& offered) {
-        std::decay_t<decltype(offered)> given;
-        if (!parameters[key] || (YAML::convert<decltype(given)>::decode(parameters[key], given) && given == offered)) {
-          return;
-        }
-        getPrivateNodeHandle().setParam(key, given_parameters_[key]);
+  for_each_entry(
+      [this](const auto& entry) {
+        auto given = entry.value;
+        if (!given_parameters_.hasMember(entry.name)) return;
+        if (read_parameter(given_parameters_, entry.name, given) && given == entry.value) return;
+        getPrivateNodeHandle().setParam(entry.name, given_parameters_[entry.name]);
       },
-      dynamic_);
+      offered);
   reconfigure_ready_ = true;
 }
 
 void DeblurNodelet::on_reconfigure(DeblurConfig& dynamic) {
   if (!reconfigure_ready_) return;  // the server's first call only repeats what load_parameters has applied
   try {
-    YAML::Node merged = YAML::Clone(parameters_);
-    for_each_dynamic([&merged](const char* key, const auto& value) { merged[key] = value; }, dynamic);
-    const Config config = parse_config(merged);
+    XmlRpc::XmlRpcValue merged = given_parameters_;
+    const dynamic_reconfigure::Config entries = entries_of(dynamic);
+    for_each_entry([&merged](const auto& entry) { write_parameter(merged, entry.name, entry.value); }, entries);
+    const Config config = parse_config(to_yaml(merged));
     processor_->set_config(config);
     if (!configured_) {
       // What is decided once was decided without a configuration.

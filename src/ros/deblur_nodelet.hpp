@@ -22,7 +22,6 @@
 #include <tf2_msgs/TFMessage.h>
 #include <topic_tools/shape_shifter.h>
 #include <xmlrpcpp/XmlRpcValue.h>
-#include <yaml-cpp/yaml.h>
 
 #include "gyro_deblur/DeblurConfig.h"
 #include "ros/exposure_adapter.hpp"
@@ -88,8 +87,7 @@ class DeblurNodelet : public nodelet::Nodelet {
 
   std::unique_ptr<Processor> processor_;
 
-  XmlRpc::XmlRpcValue given_parameters_;  // private ones, as they were when the nodelet was loaded
-  YAML::Node parameters_;                 // as they were at the start
+  XmlRpc::XmlRpcValue given_parameters_;  // those of the configuration, as they were when the nodelet was loaded
   boost::recursive_mutex reconfigure_mutex_;
   std::unique_ptr<dynamic_reconfigure::Server<DeblurConfig>> reconfigure_;
   DeblurConfig dynamic_;  // last accepted values

@@ -277,7 +277,7 @@ void run(const Arguments& arguments) {
   Config config = load_config(arguments.config, &unknown);
   for (const std::string& key : unknown) {
     if (key == "image_transport") continue;  // of the nodelet; a bag's messages say by their type how to read them
-    std::cerr << "deblur_bag: " << arguments.config << ": key " << key << " is not known, ignored\n";
+    std::cerr << "deblur_bag: " << arguments.config << ": key " << unknown_key_message(key) << '\n';
   }
 
   const bool driver_messages = config.exposure_source.kind != ExposureSource::Kind::MESSAGE;

@@ -4,7 +4,6 @@
 #include <limits>
 
 #include <gtest/gtest.h>
-#include <yaml-cpp/yaml.h>
 
 #include "gyro_deblur/overlay.hpp"
 #include "message_builders.hpp"
