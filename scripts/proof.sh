@@ -58,7 +58,7 @@ end_when_out_of_time() {
 }
 
 step ${STEPS} "Packages"
-scripts/install_dependencies.sh
+scripts/install_dependencies.sh build proof
 source_system_ros
 
 export ASAN_OPTIONS=detect_leaks=1:strict_string_checks=1:allocator_may_return_null=1
@@ -211,7 +211,7 @@ fi
 
 if wanted soak; then
   step ${STEPS} "Soak: ${soak_s} s of simulated time"
-  scripts/build.sh
+  scripts/build.sh --target soak
   results="${GYRO_DEBLUR_BUILD}/proof"
   mkdir -p "${results}"
   OMP_NUM_THREADS=1 "${GYRO_DEBLUR_BUILD}/devel/lib/gyro_deblur/soak" --seconds "${soak_s}" --json "${results}/soak.json"
