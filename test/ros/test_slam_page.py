@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The commands and launch files of doc/slam.md: roslaunch loads them, and the nodelets get what each stack needs."""
+"""The commands and launch files of doc/guides/slam.md: roslaunch loads them, and the nodelets get what each stack needs."""
 
 import collections
 import os
@@ -56,7 +56,7 @@ class SlamPage(unittest.TestCase):
         os.environ["HOME"] = str(cls.home)
         for name, source in USERS_FILES.items():
             shutil.copy(source, cls.home / name)
-        parts = re.split(r"^## (.*)$", (ROOT / "doc" / "slam.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+        parts = re.split(r"^## (.*)$", (ROOT / "doc" / "guides" / "slam.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
         cls.introduction = parts[0]
         cls.sections = dict(zip(parts[1::2], parts[2::2]))
 
