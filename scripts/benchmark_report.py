@@ -5,7 +5,7 @@ import argparse
 
 import matplotlib
 
-from report_tables import fail, one_line_about, read_json, table
+from report_tables import fail, one_line_about, read_json, titled_table
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -29,11 +29,6 @@ STYLES = {
 }
 
 
-def titled(title, header, rows):
-    """A line and the table below it."""
-    return "\n".join([title, "", *table(header, rows, aligned=True)])
-
-
 def baseline_of(engine):
     return {"cpu-avx512": "reference-avx512", "cpu-avx2": "reference-avx2"}.get(engine, "reference")
 
@@ -48,7 +43,8 @@ def deconvolution_tables(records):
         cell = {(r["engine"], r["extent_px"]): r for r in chosen}
         title = f"{width}x{height}, {threads} thread{'s' if threads > 1 else ''}"
         rows = [[e] + [f"{cell[e, x]['median_ms']:.2f}" for x in extents] for e in engines]
-        parts.append(titled(f"Time [ms] at mean extent, {title}:", ["engine"] + [f"{x:g} px" for x in extents], rows))
+        parts.append(titled_table(f"Time [ms] at mean extent, {title}:",
+                                  ["engine"] + [f"{x:g} px" for x in extents], rows))
         rows = []
         for engine in engines:
             if engine.startswith(("reference", "filter2d")):
@@ -58,8 +54,8 @@ def deconvolution_tables(records):
                     rows.append([f"{engine} over {other}"]
                                 + [f"{cell[engine, x]['speedup_over'][other]:.1f}" for x in extents])
         if rows:
-            parts.append(titled(f"Speed-up, median of ratios within a round, {title}:",
-                                ["", *[f"{x:g} px" for x in extents]], rows))
+            parts.append(titled_table(f"Speed-up, median of ratios within a round, {title}:",
+                                      ["", *[f"{x:g} px" for x in extents]], rows))
     return parts
 
 
@@ -88,7 +84,7 @@ def roofline_table(records, peaks):
              for p in arithmetic.values()]
     levels = [f"{p['level']} {p['gb_per_s']:.0f}" for p in peaks if p["threads"] == threads and "level" in p]
     return [f"Peaks on {threads} thread{'s' if threads > 1 else ''}: {'; '.join(lines)}; read {', '.join(levels)} GB/s.",
-            titled(f"Work at {size[0]}x{size[1]}:", header, rows)] if rows else []
+            titled_table(f"Work at {size[0]}x{size[1]}:", header, rows)] if rows else []
 
 
 def pipeline_table(records):
@@ -99,7 +95,8 @@ def pipeline_table(records):
         rows.append([f"{r['width']}x{r['height']}, {r['extent_px']:g} px", str(r["threads"]),
                      f"{ms['blur_field']:.3f}", f"{ms['validation']:.2f}", f"{ms['deconvolution']:.2f}",
                      f"{ms['deblurring']:.2f}", f"{ms['orb']:.2f}", f"{r['orb_over_deblurring']:.1f}"])
-    return [titled("Stages of the pipeline [ms], and cv::ORB with 1000 features on the same frame:", header, rows)]
+    return [titled_table("Stages of the pipeline [ms], and cv::ORB with 1000 features on the same frame:",
+                         header, rows)]
 
 
 def fidelity_tables(fidelity):
@@ -109,17 +106,17 @@ def fidelity_tables(fidelity):
         rows = [[r["engine"], f"{r['extent_px']:g}", f"{r['parity_db']:.1f}",
                  f"{r['worst_parity_db']:.1f} ({r['worst_parity_at_deg']:.0f} deg)", f"{r['mean_loss_db']:+.3f}",
                  f"{r['worst_loss_db']:+.3f} ({r['worst_loss_at_deg']:.0f} deg)"] for r in fidelity["uniform"]]
-        parts.append(titled("Uniform fields over all angles, against the reference:", header, rows))
+        parts.append(titled_table("Uniform fields over all angles, against the reference:", header, rows))
     if "roll" in fidelity:
         header = ["engine", "mean extent [px]", "parity [dB]", "worst image", "mean loss [dB]", "worst loss [dB]"]
         rows = [[r["engine"], f"{r['mean_extent_px']:g}", f"{r['parity_db']:.1f}", f"{r['worst_parity_db']:.1f}",
                  f"{r['mean_loss_db']:+.3f}", f"{r['worst_loss_db']:+.3f}"] for r in fidelity["roll"]]
-        parts.append(titled("Roll fields, against the reference:", header, rows))
+        parts.append(titled_table("Roll fields, against the reference:", header, rows))
     if "seams" in fidelity:
         rows = [[r["engine"], f"{r['mean_extent_px']:g}", f"{r['mean']:.3f}", f"{r['largest']:.3f}"]
                 for r in fidelity["seams"]]
-        parts.append(titled("Gradient across block borders over that inside, relative to the sharp image:",
-                            ["engine", "mean extent [px]", "mean", "largest"], rows))
+        parts.append(titled_table("Gradient across block borders over that inside, relative to the sharp image:",
+                                  ["engine", "mean extent [px]", "mean", "largest"], rows))
     return parts
 
 
@@ -157,15 +154,15 @@ def comparison_tables(compare):
     """What compare_engines measured, and on which machine."""
     machine = compare["machine"]
     parts = [f"{machine['processor']}, {machine['processors']} processors, GCC {machine['compiler']}; "
-             f"{machine['rounds']} rounds, {machine['clock']} time; others used {100 * machine['load_before']:.0f} % of "
-             f"the processors before and {100 * machine['load_after']:.0f} % after."]
+             f"{machine['rounds']} rounds, {machine['clock']} time; "
+             f"others used {100 * machine['load_before']:.0f} % of the processors before and {100 * machine['load_after']:.0f} % after."]
     parts += deconvolution_tables(compare["deconvolution"])
     if "pipeline" in compare:
         parts += pipeline_table(compare["pipeline"])
     parts += roofline_table(compare["deconvolution"], compare.get("peaks"))
     if "memory_mib" in compare:
-        parts.append(titled("Peak memory above images and kernels, 1920x1080, 90 px, 2 threads [MiB]:",
-                            ["engine", "MiB"], [[k, f"{v:.0f}"] for k, v in compare["memory_mib"].items()]))
+        parts.append(titled_table("Peak memory above images and kernels, 1920x1080, 90 px, 2 threads [MiB]:",
+                                  ["engine", "MiB"], [[k, f"{v:.0f}"] for k, v in compare["memory_mib"].items()]))
     return parts
 
 

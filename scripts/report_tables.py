@@ -56,3 +56,8 @@ def table(header, rows, aligned=False):
         return ["| " + " | ".join(row) + " |" for row in [rows[0], ["-" * width for width in widths], *rows[1:]]]
     return ["|" + "".join(" %s |" % cell if cell else " |" for cell in row)
             for row in [header, ["---"] * len(header), *rows]]
+
+
+def titled_table(title, header, rows):
+    """A line and the aligned table below it, as one text without an end of line."""
+    return "\n".join([title, "", *table(header, rows, aligned=True)])
