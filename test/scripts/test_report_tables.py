@@ -28,6 +28,10 @@ class Table(unittest.TestCase):
         self.assertEqual(report_tables.table(["", "5 px"], [["cpu", 12.25], ["opencl", ""]], aligned=True),
                          ["|        | 5 px  |", "| ------ | ----- |", "| cpu    | 12.25 |", "| opencl |       |"])
 
+    def test_titled(self):
+        self.assertEqual(report_tables.titled_table("Time:", ["a"], [["long"]]),
+                         "Time:\n\n| a    |\n| ---- |\n| long |")
+
     def test_without_rows_the_header_remains(self):
         self.assertEqual(report_tables.table(["a", "bc"], []), ["| a | bc |", "| --- | --- |"])
         self.assertEqual(report_tables.table(["a", "bc"], [], aligned=True), ["| a | bc |", "| - | -- |"])
@@ -124,6 +128,17 @@ class Programs(unittest.TestCase):
                         self.assertEqual(result.returncode, 1)
                         self.assertTrue(result.stderr.startswith(f"{program}: in.json: {what}"), result.stderr)
                         self.assertEqual(result.stderr.count("\n"), 1, result.stderr)
+
+    def test_the_experiments_have_it_too(self):
+        with tempfile.TemporaryDirectory() as folder:
+            for content, said in ((None, "{0} holds neither deconvolution.json nor synthetic.json"),
+                                  (json.dumps({"other": 1}), "{0}/synthetic.json: there is no 'methods' in it")):
+                if content is not None:
+                    (pathlib.Path(folder) / "synthetic.json").write_text(content)
+                result = subprocess.run([sys.executable, ROOT / "experiments" / "report_experiments.py", folder],
+                                        stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True)
+                self.assertEqual(result.returncode, 1)
+                self.assertEqual(result.stderr, "report_experiments.py: " + said.format(folder) + "\n")
 
 
 if __name__ == "__main__":
