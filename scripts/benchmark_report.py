@@ -21,16 +21,16 @@ STYLES = {
     "cpu-avx2": ("#ff7f0e", "-", "o"),
     "cpu-baseline": ("#e7ba52", "-", "o"),
     "opencl": ("#2ca02c", "-", "D"),
-    "reference": ("#7f7f7f", ":", "^"),
-    "reference-avx512": ("#1f77b4", "--", "s"),
-    "reference-avx2": ("#17becf", "--", "s"),
+    "float": ("#7f7f7f", ":", "^"),
+    "float-avx512": ("#1f77b4", "--", "s"),
+    "float-avx2": ("#17becf", "--", "s"),
     "filter2d": ("#9467bd", "--", "v"),
     "filter2d-float": ("#8c564b", "--", "v"),
 }
 
 
 def baseline_of(engine):
-    return {"cpu-avx512": "reference-avx512", "cpu-avx2": "reference-avx2"}.get(engine, "reference")
+    return {"cpu-avx512": "float-avx512", "cpu-avx2": "float-avx2"}.get(engine, "float")
 
 
 def deconvolution_tables(records):
@@ -47,7 +47,7 @@ def deconvolution_tables(records):
                                   ["engine"] + [f"{x:g} px" for x in extents], rows))
         rows = []
         for engine in engines:
-            if engine.startswith(("reference", "filter2d")):
+            if engine.startswith(("float", "filter2d")):
                 continue
             for other in dict.fromkeys([baseline_of(engine), "filter2d", "filter2d-float"]):
                 if all(other in cell[engine, x]["speedup_over"] for x in extents):
