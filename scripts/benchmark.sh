@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Installs what is missing, builds the measurements in build/benchmark, and runs them: ratios between engines, the
 # processor's peaks, memory, stages of the pipeline, fidelity and seams, then Google Benchmark's suite.
-# Tables, JSON and the plot go to build/benchmark/results; --update-doc puts the tables into doc/performance.md and the
-# plot into doc/images as well. Takes about ten minutes (--quick: two); use a machine that does nothing else.
+# Tables, JSON and the plot go to build/benchmark/results; --update-doc puts the tables into doc/reports/performance.md
+# and the plot into doc/images as well. Takes about ten minutes (--quick: two); use a machine that does nothing else.
 #
 #   scripts/benchmark.sh [--quick] [--update-doc] [--skip-suite] [--skip-fidelity]
 set -euo pipefail
@@ -26,7 +26,7 @@ for argument in "$@"; do
 done
 
 step ${STEPS} "Packages"
-scripts/install_dependencies.sh
+scripts/install_dependencies.sh build benchmark
 
 step ${STEPS} "Build"
 # A folder of its own: no ROS and no tests are needed, and nothing of build/ is configured anew.
@@ -79,12 +79,12 @@ if [[ -f "${results}/fidelity.json" ]]; then
   report_arguments+=(--fidelity "${results}/fidelity.json")
 fi
 if "${update_doc}"; then
-  report_arguments+=(--document doc/performance.md)
+  report_arguments+=(--document doc/reports/performance.md)
 fi
 /usr/bin/python3 scripts/benchmark_report.py "${report_arguments[@]}"
 if "${update_doc}"; then
   mkdir -p doc/images
   cp "${results}/performance.png" doc/images/performance.png
-  say "doc/performance.md and doc/images/performance.png are new"
+  say "doc/reports/performance.md and doc/images/performance.png are new"
 fi
 say "results: ${results}"

@@ -32,7 +32,7 @@ constexpr double kMaxKernelExtentPx = 500.0;
 /// From this extent [px] on KernelDesign::LEAST_SQUARES takes the noise-to-signal ratio for constant, as the paper
 /// does. A ratio that falls towards low frequencies restores more of longer blur as well (0.1 to 0.4 dB), but amplifies
 /// what is wrong with the estimate there, which is the larger the longer the blur: with 100 px instead keypoints of the
-/// real-world table (doc/experiments_real_world.md) repeat 5 % less often.
+/// real-world table (doc/reports/experiments_real_world.md) repeat 5 % less often.
 constexpr double kConstantRatioExtentPx = 36.0;
 
 /// s of KernelDesign::LEAST_SQUARES: from 1 without blur down to 0 at kConstantRatioExtentPx.

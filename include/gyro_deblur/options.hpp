@@ -15,7 +15,8 @@ namespace gyro_deblur {
 struct BlurFieldOptions {
   int block_size_px = 64;  ///< [8, 1024], a multiple of 2 so that Bayer planes divide alike
   /// [1, 20]; smaller blur is left alone. The paper's kernels start at 2 px; the filter gains 2.6 dB at 2.25 px with
-  /// noise of 1 grey level and loses 0.3 dB with noise of 4, at 3 px it gains 3.4 and 0.9 dB (doc/experiments.md).
+  /// noise of 1 grey level and loses 0.3 dB with noise of 4, at 3 px it gains 3.4 and 0.9 dB
+  /// (doc/reports/experiments.md).
   double min_extent_px = 3.0;
   double max_extent_px = 150.0;  ///< [min_extent_px, 500]; larger blur is TOO_LARGE
   /// [0, 100]; how far the path within the exposure may lie to either side of a straight line, less 2 % of the extent
