@@ -21,7 +21,7 @@ PipelineScene make_pipeline_scene(cv::Size size, double mean_extent_px) {
   scene.calibration.fy_px = 457.296 * scale;
   scene.calibration.cx_px = roll.pivot_px.x;
   scene.calibration.cy_px = roll.pivot_px.y;
-  scene.calibration.model = DistortionModel::PLUMB_BOB;
+  scene.calibration.model = "plumb_bob";
   scene.calibration.coefficients = {-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05};
 
   // A scene that turns by +turn in the image is a camera that turns by -turn.

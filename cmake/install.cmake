@@ -14,6 +14,13 @@ install(DIRECTORY config launch rviz workflow
   PATTERN __pycache__ EXCLUDE)
 catkin_install_python(PROGRAMS scripts/play_through.py scripts/plot_timing.py scripts/report.py
   DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
+# What they import is installed beside them. The devel space has relays of the programs, so it has links to these.
+foreach(module report_bags.py report_measures.py report_pictures.py report_tables.py)
+  install(FILES scripts/${module} DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
+  file(MAKE_DIRECTORY ${CATKIN_DEVEL_PREFIX}/${CATKIN_PACKAGE_BIN_DESTINATION})
+  file(CREATE_LINK ${PROJECT_SOURCE_DIR}/scripts/${module}
+    ${CATKIN_DEVEL_PREFIX}/${CATKIN_PACKAGE_BIN_DESTINATION}/${module} SYMBOLIC)
+endforeach()
 
 # Not below the source: a devel space of a workspace, which rosrun finds as it is.
 if(CATKIN_DEVEL_PREFIX STREQUAL "${PROJECT_SOURCE_DIR}/build/devel")

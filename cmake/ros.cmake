@@ -1,5 +1,6 @@
 # Messages, dynamic parameters and the catkin package. Included from the top level, where catkin wants it.
 find_package(catkin REQUIRED COMPONENTS
+  diagnostic_msgs
   diagnostic_updater
   dynamic_reconfigure
   geometry_msgs
@@ -8,7 +9,7 @@ find_package(catkin REQUIRED COMPONENTS
   nav_msgs
   nodelet
   pluginlib
-  rosbag
+  rosbag_storage
   roscpp
   sensor_msgs
   std_msgs
@@ -17,6 +18,7 @@ find_package(catkin REQUIRED COMPONENTS
   tf2_msgs
   topic_tools
   visualization_msgs
+  xmlrpcpp
 )
 
 add_message_files(DIRECTORY msg FILES
@@ -31,6 +33,6 @@ generate_dynamic_reconfigure_options(cfg/Deblur.cfg)
 catkin_package(
   INCLUDE_DIRS include
   LIBRARIES gyro_deblur_core
-  CATKIN_DEPENDS message_runtime nodelet roscpp sensor_msgs std_msgs
+  CATKIN_DEPENDS message_runtime std_msgs
   DEPENDS EIGEN3 OpenCV
 )

@@ -19,19 +19,6 @@ namespace {
 constexpr char kDescription[] = "burst.yaml";
 constexpr int kFrames = 3;
 
-const char* model_name(DistortionModel model) {
-  switch (model) {
-    case DistortionModel::PLUMB_BOB:
-      return "plumb_bob";
-    case DistortionModel::RATIONAL_POLYNOMIAL:
-      return "rational_polynomial";
-    case DistortionModel::EQUIDISTANT:
-      return "equidistant";
-    default:
-      return "none";
-  }
-}
-
 // The value of a key, which must be there.
 template <typename T>
 T read(const YAML::Node& node, const char* key, const std::string& path, const char* expected) {
@@ -92,7 +79,7 @@ Burst load_burst(const std::string& folder) {
   std::tie(c.width_px, c.height_px) = std::make_pair(size[0], size[1]);
   std::tie(c.fx_px, c.fy_px, c.cx_px, c.cy_px) = std::make_tuple(k[0], k[1], k[2], k[3]);
   if (node["distortion_model"]) {
-    c.model = parse_distortion_model(read<std::string>(node, "distortion_model", path, "a name"));
+    c.model = require_distortion_model(read<std::string>(node, "distortion_model", path, "a name"));
   }
   if (node["distortion_coefficients"]) {
     c.coefficients = read<std::vector<double>>(node, "distortion_coefficients", path, "a list of numbers");
@@ -153,7 +140,7 @@ void save_burst(const std::string& folder, const Burst& burst) {
   out << YAML::Key << "size" << YAML::Value << YAML::Flow << std::vector<int>{c.width_px, c.height_px};
   out << YAML::Key << "intrinsics" << YAML::Value << YAML::Flow
       << std::vector<double>{c.fx_px, c.fy_px, c.cx_px, c.cy_px};
-  out << YAML::Key << "distortion_model" << YAML::Value << model_name(c.model);
+  out << YAML::Key << "distortion_model" << YAML::Value << c.model;
   out << YAML::Key << "distortion_coefficients" << YAML::Value << YAML::Flow << c.coefficients;
 
   const Config& config = burst.config;

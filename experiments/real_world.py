@@ -12,13 +12,11 @@ real_world.md, and for each strength a plot, real_world_STRENGTH.png.
 
 import argparse
 import csv
-import json
 import math
 import os
 import pathlib
 import shutil
 import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -28,12 +26,10 @@ import yaml
 from tqdm import tqdm
 
 import photo_wall
+from common import ONE_THREAD, OPENCV_DOC, ROOT, fail, number, one_line_about, read_json, table, write_markdown
 
 matplotlib.use("Agg")
 from matplotlib import pyplot  # noqa: E402
-
-ROOT = pathlib.Path(__file__).resolve().parent.parent
-OPENCV_DOC = pathlib.Path("/usr/share/doc/opencv-doc/examples/data")
 
 # What the recorded rates are multiplied by. The recording is of a phone that is shaken on purpose (up to 6.4 rad/s). As
 # it is, DoG errs on the blurred frames about as it does in the paper, but repeats less often; the second factor is the
@@ -149,7 +145,7 @@ class Exposures:
             if drawn and is_right(drawn):
                 taken.append(index)
                 return dict(drawn, start=self.times[index])
-        sys.exit(f"real_world.py: the recording has no more than {len(taken)} of the exposures asked for")
+        fail(f"the recording has no more than {len(taken)} of the exposures asked for")
 
     def rotation(self, begin, end, turn):
         """Of the camera from one time of the recording to another: camera(end) -> camera(begin)."""
@@ -217,8 +213,8 @@ def plan_pairs(exposures, kinds, count, base, walls, trace_path, folder, seed):
         print(f"  {kind}: {len(pool)} of {len(candidates)} exposures")
         for scene in walls:
             taken = []  # exposures of a scene do not overlap
-            for number in range(1, count + 1):
-                pair = Pair(folder / f"{kind}_{scene}_{number}", {"kind": kind, "pair": f"{scene} #{number}"})
+            for index in range(1, count + 1):
+                pair = Pair(folder / f"{kind}_{scene}_{index}", {"kind": kind, "pair": f"{scene} #{index}"})
                 pair.folder.mkdir(parents=True, exist_ok=True)
                 chosen = [exposures.draw(pool, is_right, rng, taken) for _ in range(2)]
                 for view, drawn in enumerate(chosen, 1):
@@ -233,10 +229,10 @@ def plan_pairs(exposures, kinds, count, base, walls, trace_path, folder, seed):
 
 
 def run(program, *arguments):
-    done = subprocess.run([str(program), *map(str, arguments)], stderr=subprocess.PIPE, text=True,
-                          env=dict(os.environ, OMP_NUM_THREADS="1"))
+    with one_line_about(program):
+        done = subprocess.run([str(program), *map(str, arguments)], stderr=subprocess.PIPE, text=True, env=ONE_THREAD)
     if done.returncode != 0:
-        raise RuntimeError(done.stderr.strip())
+        fail(done.stderr.strip() or f"{program} {arguments[0]} ended with status {done.returncode}")
 
 
 def rows_of(report, pair):
@@ -266,44 +262,45 @@ def means(rows, **where):
     return {method: tuple(numpy.nanmean(numpy.array(values), axis=0)) for method, values in result.items()}
 
 
-def table(rows, kind, truth):
-    """Markdown table of the pairs of one kind, as the paper's table. Rows of one strength, here and below."""
-    methods = [m for m in METHODS if any(r["method"] == m for r in rows)]
-    lines = ["| pair | extent [px] | speed changes by | direction by |"
-             + "".join(f" {METHODS[m]} rep. | err. |" for m in methods) + " homography off by |",
-             "| --- | --- | --- | --- |" + " --- | --- |" * len(methods) + " --- |"]
+def pair_table(rows, kind, truth):
+    """The pairs of one kind, as the paper's table. Rows of one strength, here and below."""
+    methods = methods_in(rows)
     chosen = [r for r in rows if r["kind"] == kind and r["ground_truth"] == truth]
+    lines = []
     for name in dict.fromkeys(r["pair"] for r in chosen):
         here = {r["method"]: r for r in chosen if r["pair"] == name}
-        any_row = next(iter(here.values()))
-        cells = "".join(f" {100 * here[m]['repeatability']:.1f} | {here[m]['error_px']:.1f} |" for m in methods)
-        lines.append(f"| {name} | {any_row['extent1_px']:.0f}, {any_row['extent2_px']:.0f} | "
-                     f"{100 * any_row['change1']:.0f} %, {100 * any_row['change2']:.0f} % | "
-                     f"{any_row['bend1_deg']:.0f}, {any_row['bend2_deg']:.0f} deg |{cells} "
-                     f"{any_row['protocol_error_px']:.1f} px |")
+        pair = next(iter(here.values()))
+        lines.append([name, f"{pair['extent1_px']:.0f}, {pair['extent2_px']:.0f}",
+                      f"{100 * pair['change1']:.0f} %, {100 * pair['change2']:.0f} %",
+                      f"{pair['bend1_deg']:.0f}, {pair['bend2_deg']:.0f} deg",
+                      *(cell for m in methods for cell in (number(here[m]["repeatability"], 1, 100),
+                                                           number(here[m]["error_px"]))),
+                      number(pair["protocol_error_px"]) + " px"])
     average = means(rows, kind=kind, ground_truth=truth)
-    cells = "".join(f" **{average[m][0]:.1f}** | **{average[m][1]:.1f}** |" for m in methods)
-    off = numpy.mean([r["protocol_error_px"] for r in chosen])
-    lines.append(f"| mean | | | |{cells} {off:.1f} px |")
-    return "\n".join(lines)
+    lines.append(["mean", "", "", "", *(f"**{number(value)}**" for m in methods for value in average[m]),
+                  number(numpy.mean([r["protocol_error_px"] for r in chosen])) + " px"])
+    return table(["pair", "extent [px]", "speed changes by", "direction by", *method_columns(methods),
+                  "homography off by"], lines)
 
 
-def summary(rows, kind):
-    """Markdown table: means of one kind for every kind of ground truth, and with smoothed images."""
-    methods = [m for m in METHODS if any(r["method"] == m for r in rows)]
-    lines = ["| keypoints are compared through |" + "".join(f" {METHODS[m]} rep. | err. |" for m in methods)
-             + " proposed / DoG rep. | err. |", "| --- |" + " --- | --- |" * (len(methods) + 1)]
-    for truth, name in GROUND_TRUTHS.items():
-        average = means(rows, kind=kind, ground_truth=truth)
-        cells = "".join(f" {average[m][0]:.1f} | {average[m][1]:.1f} |" for m in methods)
-        repeatability, error = ratios(average)
-        lines.append(f"| {name} |{cells} {repeatability:.2f} | {error:.2f} |")
+def truth_table(rows, kind):
+    """Means of one kind for every kind of ground truth, and with smoothed images."""
+    methods = methods_in(rows)
+    cases = [(name, means(rows, kind=kind, ground_truth=truth)) for truth, name in GROUND_TRUTHS.items()]
     average = means(rows, kind=kind, ground_truth="truth")
-    smoothed = {plain: average[method] for method, plain in SMOOTHED.items()}
-    cells = "".join(f" {smoothed[m][0]:.1f} | {smoothed[m][1]:.1f} |" if m in smoothed else " - | - |" for m in methods)
-    repeatability, error = ratios(smoothed)
-    lines.append(f"| each keypoint's true place, all images smoothed |{cells} {repeatability:.2f} | {error:.2f} |")
-    return "\n".join(lines)
+    cases.append(("each keypoint's true place, all images smoothed",
+                  {plain: average[method] for method, plain in SMOOTHED.items()}))
+    lines = [[name, *(number(value) for m in methods for value in average.get(m, (None, None))),
+              *(number(ratio, 2) for ratio in ratios(average))] for name, average in cases]
+    return table(["keypoints are compared through", *method_columns(methods), "proposed / DoG rep.", "err."], lines)
+
+
+def methods_in(rows):
+    return [m for m in METHODS if any(r["method"] == m for r in rows)]
+
+
+def method_columns(methods):
+    return [title for m in methods for title in (METHODS[m] + " rep.", "err.")]
 
 
 def ratios(average):
@@ -313,7 +310,7 @@ def ratios(average):
 
 def plot(rows, path):
     kinds = [k for k in KINDS if any(r["kind"] == k for r in rows)]
-    methods = [m for m in METHODS if any(r["method"] == m for r in rows)]
+    methods = methods_in(rows)
     colors = {"dog": "tab:gray", "pretto": "tab:orange", "proposed": "tab:blue"}
     figure, axes = pyplot.subplots(2, len(kinds), figsize=(5.5 * len(kinds), 6.5), sharey="row", squeeze=False)
     for column, kind in enumerate(kinds):
@@ -337,6 +334,95 @@ def plot(rows, path):
     figure.savefig(path, dpi=100)
 
 
+def make_walls(arguments, notes):
+    """The plane with photographs of each wall, by its name; `notes` grows by what is absent."""
+    walls = {}
+    for scene, names in WALLS.items():
+        texture = (arguments.out / f"wall_{scene}.png").resolve()
+        absent = photo_wall.compose(photographs(names, arguments.data.resolve()), COLUMNS, texture, arguments.seed,
+                                    mirrored=True)
+        walls[scene] = photo_wall.plane(texture, (COLUMNS, 2 * len(names) // COLUMNS), TILE_M, DISTANCE_M)
+        if absent:
+            notes.append(f"Photographs of the wall {scene} that are absent, with rectangles in their place: "
+                         + ", ".join(absent))
+    return walls
+
+
+def find_trace(arguments, notes):
+    """The recorded hand-shake, or a made-up one where it is absent, of which `notes` then has a line."""
+    path = (arguments.data / "handshake_gyro" / "gyro_test.txt").resolve()
+    if not path.exists():
+        path = (arguments.out / "made_up_trace.txt").resolve()
+        substitute_trace(path, arguments.seed)
+        notes.append("The hand-shake recording is absent: a made-up one was used.")
+    return path
+
+
+def measure(pair, arguments):
+    """The program's report on a pair, which is simulated for it."""
+    report = pair.folder / "report.json"
+    if not (arguments.resume and report.exists()):
+        options = ["--only-dog"] if arguments.calibrate else []
+        run(arguments.program, "simulate", pair.folder / "scene1.yaml", pair.folder / "scene2.yaml", pair.folder)
+        run(arguments.program, "evaluate", pair.folder, "--json", report, *options)
+        if not arguments.keep_bursts:
+            for view in ("first", "second"):
+                shutil.rmtree(pair.folder / view)
+    return read_json(report)
+
+
+def measure_all(pairs, arguments):
+    # A pair on each core: detectors use one core most of the time.
+    with ThreadPoolExecutor(arguments.jobs) as pool:
+        return list(tqdm(pool.map(lambda pair: measure(pair, arguments), pairs), total=len(pairs), unit="pair",
+                         mininterval=1))
+
+
+def calibrate(arguments, plan):
+    """Says what DoG repeats at each of CALIBRATION_FACTORS. plan(factor, kinds, count, folder): see plan_pairs."""
+    for factor in CALIBRATION_FACTORS:
+        pairs = plan(factor, ["even"], CALIBRATION_PAIRS, arguments.out / f"calibration_{factor}")
+        values = [100 * report["truth"]["dog"]["repeatability"] for report in measure_all(pairs, arguments)]
+        print(f"  factor {factor}: DoG {numpy.mean(values):.1f} % (" + ", ".join(f"{v:.1f}" for v in values)
+              + f"); the paper: {PAPER['dog'][0]} %")
+
+
+def evaluate(arguments, plan):
+    """The lines of the CSV. plan: as for calibrate()."""
+    pairs = []
+    for strength in arguments.strengths:
+        print(f"  {strength}:")
+        for pair in plan(STRENGTHS[strength], arguments.kinds, PAIRS, arguments.out / "bursts" / strength):
+            pair.description = dict(strength=strength, **pair.description)
+            pairs.append(pair)
+    if arguments.quick:
+        pairs = pairs[:1]
+    reports = measure_all(pairs, arguments)
+    return [row for pair, report in zip(pairs, reports) for row in rows_of(report, pair.description)]
+
+
+def write_results(out, rows, notes):
+    with open(out / "real_world.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    text = []
+    for strength, factor in STRENGTHS.items():
+        of_strength = [r for r in rows if r["strength"] == strength]
+        if not of_strength:
+            continue
+        text += [f"# {strength.capitalize()}: rates times {factor:g}", ""]
+        for kind, title in KINDS.items():
+            if any(r["kind"] == kind for r in of_strength):
+                text += [f"{title}; {GROUND_TRUTHS['truth']}:".capitalize(), "",
+                         *pair_table(of_strength, kind, "truth"), "", *truth_table(of_strength, kind), ""]
+        plot(of_strength, out / f"real_world_{strength}.png")
+    repeatability, error = ratios(PAPER)
+    text += ["The paper: " + ", ".join(f"{METHODS[m]} {r:.1f} % and {e:.1f} px" for m, (r, e) in PAPER.items())
+             + f"; proposed / DoG: repeatability {repeatability:.2f}, error {error:.2f}", ""]
+    write_markdown(out / "real_world.md", text + notes)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=pathlib.Path, help="folder for the results")
@@ -357,81 +443,18 @@ def main():
     arguments.out.mkdir(parents=True, exist_ok=True)
 
     base = yaml.safe_load((ROOT / "experiments" / "scenes" / "real_world.yaml").read_text())
-    trace_path = (arguments.data / "handshake_gyro" / "gyro_test.txt").resolve()
     notes = []
-    if not trace_path.exists():
-        trace_path = (arguments.out / "made_up_trace.txt").resolve()
-        substitute_trace(trace_path, arguments.seed)
-        notes.append("The hand-shake recording is absent: a made-up one was used.")
-    walls = {}
-    for scene, names in WALLS.items():
-        texture = (arguments.out / f"wall_{scene}.png").resolve()
-        absent = photo_wall.compose(photographs(names, arguments.data.resolve()), COLUMNS, texture, arguments.seed,
-                                    mirrored=True)
-        walls[scene] = photo_wall.plane(texture, (COLUMNS, 2 * len(names) // COLUMNS), TILE_M, DISTANCE_M)
-        if absent:
-            notes.append(f"Photographs of the wall {scene} that are absent, with rectangles in their place: "
-                         + ", ".join(absent))
+    trace_path = find_trace(arguments, notes)
+    walls = make_walls(arguments, notes)
 
-    def measure(pair):
-        if arguments.resume and (pair.folder / "report.json").exists():
-            return json.loads((pair.folder / "report.json").read_text())
-        options = ["--only-dog"] if arguments.calibrate else []
-        run(arguments.program, "simulate", pair.folder / "scene1.yaml", pair.folder / "scene2.yaml", pair.folder)
-        run(arguments.program, "evaluate", pair.folder, "--json", pair.folder / "report.json", *options)
-        if not arguments.keep_bursts:
-            for view in ("first", "second"):
-                shutil.rmtree(pair.folder / view)
-        return json.loads((pair.folder / "report.json").read_text())
-
-    def measure_all(pairs):
-        # A pair on each core: detectors use one core most of the time.
-        with ThreadPoolExecutor(arguments.jobs) as pool:
-            return list(tqdm(pool.map(measure, pairs), total=len(pairs), unit="pair", mininterval=1))
+    def plan(factor, kinds, count, folder):
+        exposures = Exposures(base, *load_trace(trace_path), factor)
+        return plan_pairs(exposures, kinds, count, base, walls, trace_path, folder, arguments.seed)
 
     if arguments.calibrate:
-        for factor in CALIBRATION_FACTORS:
-            exposures = Exposures(base, *load_trace(trace_path), factor)
-            reports = measure_all(plan_pairs(exposures, ["even"], CALIBRATION_PAIRS, base, walls, trace_path,
-                                             arguments.out / f"calibration_{factor}", arguments.seed))
-            values = [100 * report["truth"]["dog"]["repeatability"] for report in reports]
-            print(f"  factor {factor}: DoG {numpy.mean(values):.1f} % (" + ", ".join(f"{v:.1f}" for v in values)
-                  + f"); the paper: {PAPER['dog'][0]} %")
-        return
-
-    pairs = []
-    for strength in arguments.strengths:
-        print(f"  {strength}:")
-        exposures = Exposures(base, *load_trace(trace_path), STRENGTHS[strength])
-        for pair in plan_pairs(exposures, arguments.kinds, PAIRS, base, walls, trace_path,
-                               arguments.out / "bursts" / strength, arguments.seed):
-            pair.description = dict(strength=strength, **pair.description)
-            pairs.append(pair)
-    if arguments.quick:
-        pairs = pairs[:1]
-    rows = [row for pair, report in zip(pairs, measure_all(pairs)) for row in rows_of(report, pair.description)]
-
-    with open(arguments.out / "real_world.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-
-    text = []
-    for strength, factor in STRENGTHS.items():
-        of_strength = [r for r in rows if r["strength"] == strength]
-        if not of_strength:
-            continue
-        text += [f"# {strength.capitalize()}: rates times {factor:g}", ""]
-        for kind, title in KINDS.items():
-            if any(r["kind"] == kind for r in of_strength):
-                text += [f"{title}; {GROUND_TRUTHS['truth']}:".capitalize(), "", table(of_strength, kind, "truth"), "",
-                         summary(of_strength, kind), ""]
-        plot(of_strength, arguments.out / f"real_world_{strength}.png")
-    text += ["The paper: " + ", ".join(f"{METHODS[m]} {r:.1f} % and {e:.1f} px" for m, (r, e) in PAPER.items())
-             + f"; proposed / DoG: repeatability {52.8 / 26.8:.2f}, error {3.9 / 6.5:.2f}", ""]
-    text += notes
-    (arguments.out / "real_world.md").write_text("\n".join(text).rstrip() + "\n")
-    print("\n".join(text))
+        calibrate(arguments, plan)
+    else:
+        write_results(arguments.out, evaluate(arguments, plan), notes)
 
 
 if __name__ == "__main__":

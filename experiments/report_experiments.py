@@ -4,17 +4,17 @@
 import argparse
 import csv
 import io
-import json
 import os
-import sys
 
+import cv2
 import matplotlib
+import numpy as np
+from PIL import Image
+
+from common import fail, number, one_line_about, read_json, titled_table
 
 matplotlib.use("Agg")
-import cv2  # noqa: E402
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-from PIL import Image  # noqa: E402
+import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen first)
 
 TABLE_DETECTIONS = 500  # the paper's table has this number
 # Color, line and marker of a method; wrong estimates share the proposed method's color.
@@ -38,19 +38,6 @@ PICTURES = [("blurred", "blurred"), ("frequency", "frequency domain"),
             ("frequency_tapered", "frequency domain, tapered"), ("spatial", "in space")]
 
 
-def table(header, rows):
-    """Markdown, aligned."""
-    cells = [header] + rows
-    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
-    lines = ["| " + " | ".join(c.ljust(w) for c, w in zip(row, widths)) + " |" for row in cells]
-    lines.insert(1, "| " + " | ".join("-" * w for w in widths) + " |")
-    return "\n".join(lines)
-
-
-def number(value, digits=1, factor=1):
-    return "-" if value is None else f"{factor * value:.{digits}f}"
-
-
 def at(method, detections):
     return next(p for p in method["curve"] if p["detections"] == detections)
 
@@ -65,8 +52,8 @@ def synthetic_table(synthetic):
                      number(matching.get("sift_homographies"), 0, synthetic["pairs"])])
     header = ["method", "repeatability [%]", "error [px]", "same, discs of 30 px [%]", "its error [px]",
               "correct SIFT matches", "ORB", f"homographies of {synthetic['pairs']}"]
-    return (f"{TABLE_DETECTIONS} detections, {synthetic['images']}, {synthetic['pairs']} pairs, "
-            f"noise {synthetic['snr_db']:g} dB below the image:\n\n" + table(header, rows))
+    return titled_table(f"{TABLE_DETECTIONS} detections, {synthetic['images']}, {synthetic['pairs']} pairs, "
+                        f"noise {synthetic['snr_db']:g} dB below the image:", header, rows)
 
 
 def synthetic_ratios(synthetic):
@@ -131,10 +118,10 @@ def deconvolution_table(deconvolution):
     header = ["method", f"border of {deconvolution['band_px']} px", "interior"]
     kernel = deconvolution["kernel"]
     share = kernel["taps"] / (kernel["width_px"] * kernel["height_px"])
-    return (f"RMSE [grey levels] against the sharp image, {deconvolution['images']}, {deconvolution['count']} images, "
-            f"{deconvolution['angle_deg']:g} degrees, {deconvolution['extent_px']:g} px, gamma "
-            f"{deconvolution['gamma']:g}, noise {deconvolution['noise_grey_levels']:g} grey level:\n\n"
-            + table(header, rows)
+    title = (f"RMSE [grey levels] against the sharp image, {deconvolution['images']}, {deconvolution['count']} images, "
+             f"{deconvolution['angle_deg']:g} degrees, {deconvolution['extent_px']:g} px, gamma "
+             f"{deconvolution['gamma']:g}, noise {deconvolution['noise_grey_levels']:g} grey level:")
+    return (titled_table(title, header, rows)
             + f"\n\nKernel in the plane: {kernel['width_px']} x {kernel['height_px']}, {kernel['taps']} elements "
               f"({100 * share:.1f} %) are not zero.")
 
@@ -146,8 +133,8 @@ def designs_table(deconvolution):
     gain = {(r["noise_grey_levels"], r["design"], r["extent_px"]): r["gain_db"] for r in records}
     rows = [[f"{noise:g}", DESIGNS[design], *(f"{gain[noise, design, extent]:.2f}" for extent in extents)]
             for noise, design in dict.fromkeys((r["noise_grey_levels"], r["design"]) for r in records)]
-    return ("PSNR [dB] over the blurred image, by noise [grey levels], taps and extent:\n\n"
-            + table(["noise", "taps", *(f"{extent:g} px" for extent in extents)], rows))
+    return titled_table("PSNR [dB] over the blurred image, by noise [grey levels], taps and extent:",
+                        ["noise", "taps", *(f"{extent:g} px" for extent in extents)], rows)
 
 
 def save_with_palette(figure, path):
@@ -213,28 +200,22 @@ def main():
     arguments = parser.parse_args()
     folder = arguments.folder
     parts, pictures = [], []
-    try:
-        for name, make in (("deconvolution", lambda d, p: plot_deconvolution(d, folder, p)),
-                           ("synthetic", plot_synthetic)):
-            file = os.path.join(folder, name + ".json")
-            if not os.path.exists(file):
-                continue
-            with open(file) as opened:
-                results = json.load(opened)
-            if name == "synthetic":
-                parts += [synthetic_table(results), synthetic_ratios(results)]
-            else:
-                parts += [deconvolution_table(results), designs_table(results)]
-            picture = os.path.join(folder, name + "_figure.png")
-            make(results, picture)
-            pictures.append(picture)
-        if not parts:
-            sys.exit(f"report_experiments.py: {folder} holds neither deconvolution.json nor synthetic.json")
-        text = "\n\n".join(part for part in parts if part) + "\n"
-        with open(os.path.join(folder, "tables.md"), "w") as file:
-            file.write(text)
-    except (OSError, ValueError, KeyError, StopIteration) as error:
-        sys.exit(f"report_experiments.py: {error!r}")
+    for name, tables, plot in (
+            ("deconvolution", (deconvolution_table, designs_table), lambda d, p: plot_deconvolution(d, folder, p)),
+            ("synthetic", (synthetic_table, synthetic_ratios), plot_synthetic)):
+        file = os.path.join(folder, name + ".json")
+        if not os.path.exists(file):
+            continue
+        results = read_json(file)
+        with one_line_about(file):
+            parts += [make(results) for make in tables]
+            pictures.append(os.path.join(folder, name + "_figure.png"))
+            plot(results, pictures[-1])
+    if not parts:
+        fail(f"{folder} holds neither deconvolution.json nor synthetic.json")
+    text = "\n\n".join(part for part in parts if part) + "\n"
+    with open(os.path.join(folder, "tables.md"), "w", encoding="utf-8") as file:
+        file.write(text)
     print(text)
     print("\n".join(pictures))
 

@@ -40,8 +40,7 @@ step ${STEPS} "Packages"
 if [[ -n "${programs}" ]]; then
   say "skipped"
 else
-  # OpenBLAS matches features for the reconstruction.
-  scripts/install_dependencies.sh colmap libopenblas0-pthread
+  scripts/install_dependencies.sh build experiments
 fi
 
 step ${STEPS} "Build"

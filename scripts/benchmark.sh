@@ -26,7 +26,7 @@ for argument in "$@"; do
 done
 
 step ${STEPS} "Packages"
-scripts/install_dependencies.sh
+scripts/install_dependencies.sh build benchmark
 
 step ${STEPS} "Build"
 # A folder of its own: no ROS and no tests are needed, and nothing of build/ is configured anew.

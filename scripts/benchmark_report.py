@@ -2,10 +2,10 @@
 """Tables and a plot from the JSON of compare_engines and measure_fidelity."""
 
 import argparse
-import json
-import sys
 
 import matplotlib
+
+from report_tables import fail, one_line_about, read_json, titled_table
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -21,25 +21,16 @@ STYLES = {
     "cpu-avx2": ("#ff7f0e", "-", "o"),
     "cpu-baseline": ("#e7ba52", "-", "o"),
     "opencl": ("#2ca02c", "-", "D"),
-    "reference": ("#7f7f7f", ":", "^"),
-    "reference-avx512": ("#1f77b4", "--", "s"),
-    "reference-avx2": ("#17becf", "--", "s"),
+    "float": ("#7f7f7f", ":", "^"),
+    "float-avx512": ("#1f77b4", "--", "s"),
+    "float-avx2": ("#17becf", "--", "s"),
     "filter2d": ("#9467bd", "--", "v"),
     "filter2d-float": ("#8c564b", "--", "v"),
 }
 
 
-def table(header, rows):
-    """Markdown, aligned."""
-    cells = [header] + rows
-    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
-    lines = ["| " + " | ".join(c.ljust(w) for c, w in zip(row, widths)) + " |" for row in cells]
-    lines.insert(1, "| " + " | ".join("-" * w for w in widths) + " |")
-    return "\n".join(lines)
-
-
 def baseline_of(engine):
-    return {"cpu-avx512": "reference-avx512", "cpu-avx2": "reference-avx2"}.get(engine, "reference")
+    return {"cpu-avx512": "float-avx512", "cpu-avx2": "float-avx2"}.get(engine, "float")
 
 
 def deconvolution_tables(records):
@@ -52,19 +43,19 @@ def deconvolution_tables(records):
         cell = {(r["engine"], r["extent_px"]): r for r in chosen}
         title = f"{width}x{height}, {threads} thread{'s' if threads > 1 else ''}"
         rows = [[e] + [f"{cell[e, x]['median_ms']:.2f}" for x in extents] for e in engines]
-        parts.append(f"Time [ms] at mean extent, {title}:\n\n"
-                     + table(["engine"] + [f"{x:g} px" for x in extents], rows))
+        parts.append(titled_table(f"Time [ms] at mean extent, {title}:",
+                                  ["engine"] + [f"{x:g} px" for x in extents], rows))
         rows = []
         for engine in engines:
-            if engine.startswith(("reference", "filter2d")):
+            if engine.startswith(("float", "filter2d")):
                 continue
             for other in dict.fromkeys([baseline_of(engine), "filter2d", "filter2d-float"]):
                 if all(other in cell[engine, x]["speedup_over"] for x in extents):
                     rows.append([f"{engine} over {other}"]
                                 + [f"{cell[engine, x]['speedup_over'][other]:.1f}" for x in extents])
         if rows:
-            parts.append(f"Speed-up, median of ratios within a round, {title}:\n\n"
-                         + table(["", *[f"{x:g} px" for x in extents]], rows))
+            parts.append(titled_table(f"Speed-up, median of ratios within a round, {title}:",
+                                      ["", *[f"{x:g} px" for x in extents]], rows))
     return parts
 
 
@@ -93,7 +84,7 @@ def roofline_table(records, peaks):
              for p in arithmetic.values()]
     levels = [f"{p['level']} {p['gb_per_s']:.0f}" for p in peaks if p["threads"] == threads and "level" in p]
     return [f"Peaks on {threads} thread{'s' if threads > 1 else ''}: {'; '.join(lines)}; read {', '.join(levels)} GB/s.",
-            f"Work at {size[0]}x{size[1]}:\n\n" + table(header, rows)] if rows else []
+            titled_table(f"Work at {size[0]}x{size[1]}:", header, rows)] if rows else []
 
 
 def pipeline_table(records):
@@ -104,7 +95,8 @@ def pipeline_table(records):
         rows.append([f"{r['width']}x{r['height']}, {r['extent_px']:g} px", str(r["threads"]),
                      f"{ms['blur_field']:.3f}", f"{ms['validation']:.2f}", f"{ms['deconvolution']:.2f}",
                      f"{ms['deblurring']:.2f}", f"{ms['orb']:.2f}", f"{r['orb_over_deblurring']:.1f}"])
-    return ["Stages of the pipeline [ms], and cv::ORB with 1000 features on the same frame:\n\n" + table(header, rows)]
+    return [titled_table("Stages of the pipeline [ms], and cv::ORB with 1000 features on the same frame:",
+                         header, rows)]
 
 
 def fidelity_tables(fidelity):
@@ -114,17 +106,17 @@ def fidelity_tables(fidelity):
         rows = [[r["engine"], f"{r['extent_px']:g}", f"{r['parity_db']:.1f}",
                  f"{r['worst_parity_db']:.1f} ({r['worst_parity_at_deg']:.0f} deg)", f"{r['mean_loss_db']:+.3f}",
                  f"{r['worst_loss_db']:+.3f} ({r['worst_loss_at_deg']:.0f} deg)"] for r in fidelity["uniform"]]
-        parts.append("Uniform fields over all angles, against the reference:\n\n" + table(header, rows))
+        parts.append(titled_table("Uniform fields over all angles, against the reference:", header, rows))
     if "roll" in fidelity:
         header = ["engine", "mean extent [px]", "parity [dB]", "worst image", "mean loss [dB]", "worst loss [dB]"]
         rows = [[r["engine"], f"{r['mean_extent_px']:g}", f"{r['parity_db']:.1f}", f"{r['worst_parity_db']:.1f}",
                  f"{r['mean_loss_db']:+.3f}", f"{r['worst_loss_db']:+.3f}"] for r in fidelity["roll"]]
-        parts.append("Roll fields, against the reference:\n\n" + table(header, rows))
+        parts.append(titled_table("Roll fields, against the reference:", header, rows))
     if "seams" in fidelity:
         rows = [[r["engine"], f"{r['mean_extent_px']:g}", f"{r['mean']:.3f}", f"{r['largest']:.3f}"]
                 for r in fidelity["seams"]]
-        parts.append("Gradient across block borders over that inside, relative to the sharp image:\n\n"
-                     + table(["engine", "mean extent [px]", "mean", "largest"], rows))
+        parts.append(titled_table("Gradient across block borders over that inside, relative to the sharp image:",
+                                  ["engine", "mean extent [px]", "mean", "largest"], rows))
     return parts
 
 
@@ -158,6 +150,33 @@ def plot(records, machine, path):
     plt.close(figure)
 
 
+def comparison_tables(compare):
+    """What compare_engines measured, and on which machine."""
+    machine = compare["machine"]
+    parts = [f"{machine['processor']}, {machine['processors']} processors, GCC {machine['compiler']}; "
+             f"{machine['rounds']} rounds, {machine['clock']} time; "
+             f"others used {100 * machine['load_before']:.0f} % of the processors before and {100 * machine['load_after']:.0f} % after."]
+    parts += deconvolution_tables(compare["deconvolution"])
+    if "pipeline" in compare:
+        parts += pipeline_table(compare["pipeline"])
+    parts += roofline_table(compare["deconvolution"], compare.get("peaks"))
+    if "memory_mib" in compare:
+        parts.append(titled_table("Peak memory above images and kernels, 1920x1080, 90 px, 2 threads [MiB]:",
+                                  ["engine", "MiB"], [[k, f"{v:.0f}"] for k, v in compare["memory_mib"].items()]))
+    return parts
+
+
+def replace_marked(path, text):
+    """Puts the text between the marks of a document."""
+    with open(path, encoding="utf-8") as file:
+        before, _, rest = file.read().partition(BEGIN_MARK)
+    _, mark, after = rest.partition(END_MARK)
+    if not mark:
+        fail(f"{path} lacks the lines {BEGIN_MARK} and {END_MARK}")
+    with open(path, "w", encoding="utf-8") as file:
+        file.write(f"{before}{BEGIN_MARK}\n\n{text}\n{END_MARK}{after}")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("compare", help="JSON of compare_engines")
@@ -166,43 +185,23 @@ def main():
     parser.add_argument("--markdown", help="where to write the tables")
     parser.add_argument("--document", help="file whose part between the two marks becomes the tables")
     arguments = parser.parse_args()
-    try:
-        with open(arguments.compare) as file:
-            compare = json.load(file)
-        fidelity = {}
-        if arguments.fidelity:
-            with open(arguments.fidelity) as file:
-                fidelity = json.load(file)
-    except (OSError, ValueError) as error:
-        sys.exit(f"benchmark_report.py: {error}")
-
-    machine = compare["machine"]
-    parts = [f"{machine['processor']}, {machine['processors']} processors, GCC {machine['compiler']}; "
-             f"{machine['rounds']} rounds, {machine['clock']} time; others used {100 * machine['load_before']:.0f} % of the processors before "
-             f"and {100 * machine['load_after']:.0f} % after."]
-    parts += deconvolution_tables(compare["deconvolution"])
-    if "pipeline" in compare:
-        parts += pipeline_table(compare["pipeline"])
-    parts += roofline_table(compare["deconvolution"], compare.get("peaks"))
-    if "memory_mib" in compare:
-        parts.append("Peak memory above images and kernels, 1920x1080, 90 px, 2 threads [MiB]:\n\n"
-                     + table(["engine", "MiB"], [[k, f"{v:.0f}"] for k, v in compare["memory_mib"].items()]))
-    parts += fidelity_tables(fidelity)
+    compare = read_json(arguments.compare)
+    with one_line_about(arguments.compare):
+        parts = comparison_tables(compare)
+    if arguments.fidelity:
+        fidelity = read_json(arguments.fidelity)
+        with one_line_about(arguments.fidelity):
+            parts += fidelity_tables(fidelity)
     text = "\n\n".join(parts) + "\n"
     print(text)
-    if arguments.markdown:
-        with open(arguments.markdown, "w") as file:
-            file.write(text)
-    if arguments.document:
-        with open(arguments.document) as file:
-            before, _, rest = file.read().partition(BEGIN_MARK)
-        _, mark, after = rest.partition(END_MARK)
-        if not mark:
-            sys.exit(f"benchmark_report.py: {arguments.document} lacks the lines {BEGIN_MARK} and {END_MARK}")
-        with open(arguments.document, "w") as file:
-            file.write(f"{before}{BEGIN_MARK}\n\n{text}\n{END_MARK}{after}")
-    if arguments.plot:
-        plot(compare["deconvolution"], machine, arguments.plot)
+    with one_line_about(arguments.compare):
+        if arguments.markdown:
+            with open(arguments.markdown, "w", encoding="utf-8") as file:
+                file.write(text)
+        if arguments.document:
+            replace_marked(arguments.document, text)
+        if arguments.plot:
+            plot(compare["deconvolution"], compare["machine"], arguments.plot)
 
 
 if __name__ == "__main__":

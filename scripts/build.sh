@@ -1,9 +1,25 @@
 #!/usr/bin/env bash
-# Configures and builds into build/, with catkin's devel space in build/devel. Arguments go to cmake.
-# The same whether the clone stands alone or inside a catkin workspace.
+# Configures and builds into build/, with catkin's devel space in build/devel. Everything, or the targets given by
+# --target; other arguments go to cmake. The same whether the clone stands alone or inside a catkin workspace.
+#
+#   scripts/build.sh [--target NAME]... [-DNAME=VALUE]...
 set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
+
+targets=()
+options=()
+while (($# > 0)); do
+  case "$1" in
+    --target)
+      (($# > 1)) || fail "--target wants a name"
+      targets+=("$2")
+      shift
+      ;;
+    *) options+=("$1") ;;
+  esac
+  shift
+done
 
 mkdir -p "${GYRO_DEBLUR_BUILD}"
 # One build at a time in this folder: the demo and the tests may be started together.
@@ -23,9 +39,10 @@ fi
 if [[ "${CI:-}" == true ]]; then
   arguments+=(-DGYRO_DEBLUR_WERROR=ON)
 fi
+arguments+=("${options[@]}")
 
-say "cmake -S ${GYRO_DEBLUR_ROOT} -B ${GYRO_DEBLUR_BUILD} ${arguments[*]} $*"
-cmake -S "${GYRO_DEBLUR_ROOT}" -B "${GYRO_DEBLUR_BUILD}" "${arguments[@]}" "$@" > "${GYRO_DEBLUR_BUILD}/configure.log" 2>&1 ||
+say "cmake -S ${GYRO_DEBLUR_ROOT} -B ${GYRO_DEBLUR_BUILD} ${arguments[*]}"
+cmake -S "${GYRO_DEBLUR_ROOT}" -B "${GYRO_DEBLUR_BUILD}" "${arguments[@]}" > "${GYRO_DEBLUR_BUILD}/configure.log" 2>&1 ||
   { cat "${GYRO_DEBLUR_BUILD}/configure.log" >&2; fail "cmake failed; the output is above"; }
 
 # Templates of Eigen and OpenCV take about 1 GiB a compiler.
@@ -35,5 +52,9 @@ memory_jobs="$(awk '/MemAvailable/ {print int($2 / 1048576)}' /proc/meminfo)"
 ((jobs <= memory_jobs)) || jobs="${memory_jobs}"
 
 say "building with ${jobs} jobs"
-cmake --build "${GYRO_DEBLUR_BUILD}" --parallel "${jobs}"
+if ((${#targets[@]} > 0)); then
+  cmake --build "${GYRO_DEBLUR_BUILD}" --parallel "${jobs}" --target "${targets[@]}"
+else
+  cmake --build "${GYRO_DEBLUR_BUILD}" --parallel "${jobs}"
+fi
 say "built; to use it: source ${GYRO_DEBLUR_BUILD}/devel/setup.bash"

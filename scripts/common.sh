@@ -1,3 +1,4 @@
+# shellcheck shell=bash
 # Shared by the scripts beside this file: paths, messages, the ROS environment. Sourced, not run.
 
 GYRO_DEBLUR_ROOT="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"

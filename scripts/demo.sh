@@ -42,10 +42,12 @@ launch() {
 }
 
 step ${STEPS} "Packages"
-scripts/install_dependencies.sh
+scripts/install_dependencies.sh build demo
 
 step ${STEPS} "Build"
-scripts/build.sh
+# What this script runs, and no tests, experiments and other tools; a later scripts/build.sh adds them.
+scripts/build.sh --target deblur_node --target gyro_deblur_nodelet --target simulate_bag \
+  --target gyro_deblur_generate_messages_py
 source_devel_space
 
 step ${STEPS} "Simulate a hand-held rolling-shutter camera with its gyroscope"

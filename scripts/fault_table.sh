@@ -17,8 +17,8 @@ for argument in "$@"; do
   esac
 done
 
-scripts/install_dependencies.sh
-scripts/build.sh
+scripts/install_dependencies.sh build demo
+scripts/build.sh --target fault_table
 table="${GYRO_DEBLUR_BUILD}/fault_table.md"
 "${GYRO_DEBLUR_BUILD}/devel/lib/gyro_deblur/fault_table" --markdown "${table}" "${arguments[@]}"
 if "${update_doc}"; then

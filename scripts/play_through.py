@@ -8,7 +8,6 @@ happens for --patience seconds.
 import argparse
 import json
 import subprocess
-import sys
 import threading
 import time
 
@@ -16,6 +15,8 @@ import rosbag
 import rosgraph
 import rospy
 from sensor_msgs.msg import Image
+
+from report_tables import fail
 
 POLL_S = 0.2  # between two looks at something that has no event
 
@@ -31,12 +32,12 @@ class Patience:
         last, since = progress(), time.monotonic()
         while not condition():
             if rospy.is_shutdown():
-                sys.exit("play_through.py: interrupted while waiting for " + what)
+                fail("interrupted while waiting for " + what)
             now = progress()
             if now != last:
                 last, since = now, time.monotonic()
             if time.monotonic() - since > self.seconds:
-                sys.exit("play_through.py: waited %.0f s in vain for %s" % (self.seconds, what))
+                fail("waited %.0f s in vain for %s" % (self.seconds, what))
             time.sleep(POLL_S)
 
 
@@ -134,7 +135,7 @@ def main():
     wanted = [image, arguments.camera + "/camera_info", arguments.imu, arguments.camera + "/exposure", "/tf_static"]
     topics = [t for t in wanted if t in present]
     if expected == 0 or arguments.imu not in present:
-        sys.exit("play_through.py: %s: no images on %s or no samples on %s; the bag has %s" % (
+        fail("%s: no images on %s or no samples on %s; the bag has %s" % (
             arguments.bag, image, arguments.imu, ", ".join(sorted(present))))
 
     counter = Counter(arguments.camera + "/deblurred/image_raw")
@@ -153,7 +154,7 @@ def main():
     player = subprocess.Popen(command + [arguments.bag, "--topics"] + topics, stdin=subprocess.DEVNULL)
     patience.until(lambda: player.poll() is not None, "rosbag play", lambda: counter.count)
     if player.returncode != 0:
-        sys.exit("play_through.py: rosbag play ended with status %d" % player.returncode)
+        fail("rosbag play ended with status %d" % player.returncode)
     patience.until(lambda: counter.count >= expected, "the last of %d frames" % expected, lambda: counter.count)
     print("%d of %d frames came out at %.1f Hz" % (counter.count, expected, counter.rate_hz()), flush=True)
     if arguments.json:

@@ -7,12 +7,11 @@ and after. Bottom right: the same against the image row; a wrong readout time sh
 middle.
 """
 import argparse
-import json
-import sys
-
-import numpy as np
 
 import matplotlib
+import numpy as np
+
+from report_tables import one_line_about, read_json
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen first)
@@ -88,13 +87,9 @@ def main():
     parser.add_argument("report", help="JSON by calibrate_timing")
     parser.add_argument("picture", help="PNG to write")
     arguments = parser.parse_args()
-    try:
-        with open(arguments.report) as file:
-            report = json.load(file)
-        figure = draw(report)
-        figure.savefig(arguments.picture, dpi=110)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        sys.exit("plot_timing.py: %s: %s" % (arguments.report, error))
+    report = read_json(arguments.report)
+    with one_line_about(arguments.report):
+        draw(report).savefig(arguments.picture, dpi=110)
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ end_when_out_of_time() {
 }
 
 step ${STEPS} "Packages"
-scripts/install_dependencies.sh
+scripts/install_dependencies.sh build proof
 source_system_ros
 
 export ASAN_OPTIONS=detect_leaks=1:strict_string_checks=1:allocator_may_return_null=1
@@ -149,10 +149,11 @@ if wanted asan || wanted fuzz; then
   configure "${asan_folder}" -DGYRO_DEBLUR_FUZZERS=ON -DGYRO_DEBLUR_SANITIZE=address,undefined,float-cast-overflow
 fi
 
-# What the package's tests are: a new one is among them. Those of a nodelet want a master; test_deblur_bag starts
-# deblur_bag on bags, whose messages the fuzz target bag_messages goes through.
-mapfile -t test_sources < <(printf '%s\n' test/{unit,ros,faults}/test_*.cpp |
-  grep -v -E '/test_(nodelet|nodelet_faults|deblur_bag)\.cpp$')
+# What the package's tests are: a new one is among them, other than those of recorded data and of experiments. Those of
+# a nodelet want a master; test_deblur_bag starts deblur_bag on bags, whose messages the fuzz target bag_messages goes
+# through.
+mapfile -t test_sources < <(printf '%s\n' test/*/test_*.cpp |
+  grep -v -E '^test/(data|experiments)/|/test_(nodelet|nodelet_faults|deblur_bag)\.cpp$')
 
 if wanted asan; then
   step ${STEPS} "AddressSanitizer and UndefinedBehaviorSanitizer: every test of the package that needs no master"
@@ -167,7 +168,7 @@ if wanted tsan; then
   # Of what several threads share or OpenMP divides among them, and each test that has threads of its own.
   mapfile -t tsan_tests < <({
     printf '%s\n' test_gyro_buffer test_frame_queue test_time_jump test_translation_input test_parallel \
-      test_fallback_convolver test_cpu_convolver test_deconvolution test_kernel_bank
+      test_fallback_engine test_cpu_engine test_deconvolution test_kernel_bank
     grep -l '#include <thread>' "${test_sources[@]}" | xargs basename -s .cpp
   } | sort -u)
   configure "${tsan_folder}" -DGYRO_DEBLUR_SANITIZE=thread
@@ -210,7 +211,7 @@ fi
 
 if wanted soak; then
   step ${STEPS} "Soak: ${soak_s} s of simulated time"
-  scripts/build.sh
+  scripts/build.sh --target soak
   results="${GYRO_DEBLUR_BUILD}/proof"
   mkdir -p "${results}"
   OMP_NUM_THREADS=1 "${GYRO_DEBLUR_BUILD}/devel/lib/gyro_deblur/soak" --seconds "${soak_s}" --json "${results}/soak.json"

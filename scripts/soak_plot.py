@@ -2,21 +2,16 @@
 """Draws what soak --json wrote: memory and latency percentiles over simulated time."""
 
 import argparse
-import json
 
 import matplotlib
 
+from report_tables import one_line_about, read_json
+
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen first)
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("json", help="points")
-    parser.add_argument("png", help="picture to write")
-    arguments = parser.parse_args()
-    with open(arguments.json, encoding="utf-8") as file:
-        report = json.load(file)
+def draw(report):
     windows = report["windows"]
     minutes = [window["t_s"] / 60 for window in windows]
 
@@ -36,7 +31,17 @@ def main():
         axes.grid(alpha=0.3)
     processor.set_xlabel("simulated time [min]")
     figure.suptitle(f"{report['frames_in']} frames in, {report['frames_out']} out, {report['lost']} lost")
-    figure.savefig(arguments.png, dpi=110)
+    return figure
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("json", help="points")
+    parser.add_argument("png", help="picture to write")
+    arguments = parser.parse_args()
+    report = read_json(arguments.json)
+    with one_line_about(arguments.json):
+        draw(report).savefig(arguments.png, dpi=110)
 
 
 if __name__ == "__main__":

@@ -12,13 +12,14 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 import time
 
 import numpy as np
 import rosbag
+
+from report_tables import fail, number, table
 
 CAMERAS = ("/cam0", "/cam1")
 
@@ -32,6 +33,10 @@ def free_port():
 def percentiles(values_ms):
     return {"p50_ms": float(np.percentile(values_ms, 50)), "p95_ms": float(np.percentile(values_ms, 95)),
             "p99_ms": float(np.percentile(values_ms, 99)), "max_ms": float(np.max(values_ms))}
+
+
+def percentile_cells(numbers):
+    return [number(numbers[key]) + " ms" for key in ("p50_ms", "p95_ms", "p99_ms")]
 
 
 class Listener:
@@ -90,13 +95,13 @@ def measure(bag_path, camera, imu_topic, seconds):
                           for name in targets[topic]] for topic, kind in kinds.items()}
     frames = sum(topic == camera + "/image_raw" for topic, _, _ in messages)
     if frames == 0:
-        sys.exit("stereo_latency.py: %s has no images on %s/image_raw" % (bag_path, camera))
+        fail("%s has no images on %s/image_raw" % (bag_path, camera))
     listener = Listener()
 
     deadline = time.monotonic() + 60
     while not all(p.get_num_connections() >= 1 for topic in publishers for p in publishers[topic]):
         if time.monotonic() > deadline:
-            sys.exit("stereo_latency.py: the nodelets did not subscribe within 60 s")
+            fail("the nodelets did not subscribe within 60 s")
         time.sleep(0.1)
     published = {c: {} for c in CAMERAS}
     begin = time.monotonic()
@@ -159,7 +164,7 @@ def main():
             while subprocess.run(["rosparam", "get", "/run_id"], stdout=subprocess.DEVNULL,
                                  stderr=subprocess.DEVNULL, check=False).returncode != 0:
                 if processes[0].poll() is not None:
-                    sys.exit("stereo_latency.py: roslaunch ended; is the package's environment sourced?")
+                    fail("roslaunch ended; is the package's environment sourced?")
                 time.sleep(0.5)
             result = measure(arguments.bag, arguments.camera, arguments.imu, arguments.seconds)
         finally:
@@ -171,13 +176,11 @@ def main():
             json.dump(result, file, indent=2)
     print("%d pairs, %d cores, load average %.1f, %d messages of keypoints" % (
         result["frames"], result["cores"], result["load_average"][0], result["keypoint_messages"]))
-    print("| | out | dropped | p50 | p95 | p99 |\n| --- | --- | --- | --- | --- | --- |")
-    for c, numbers in result["cameras"].items():
-        print("| %s | %d | %d | %.1f ms | %.1f ms | %.1f ms |" % (c, numbers["out"], numbers["dropped"],
-                                                                  numbers["p50_ms"], numbers["p95_ms"], numbers["p99_ms"]))
+    rows = [[c, numbers["out"], numbers["dropped"], *percentile_cells(numbers)]
+            for c, numbers in result["cameras"].items()]
     pairs = result["pairs"]
-    print("| images of a pair apart | %d | | %.1f ms | %.1f ms | %.1f ms |" % (
-        pairs["complete"], pairs["p50_ms"], pairs["p95_ms"], pairs["p99_ms"]))
+    rows.append(["images of a pair apart", pairs["complete"], "", *percentile_cells(pairs)])
+    print("\n".join(table(["", "out", "dropped", "p50", "p95", "p99"], rows)))
     if result["passed_through"]:
         print("passed through, by reason: %s" % result["passed_through"])
 

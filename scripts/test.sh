@@ -17,7 +17,7 @@ STEPS=5
 readonly STEPS
 
 step ${STEPS} "Packages"
-scripts/install_dependencies.sh
+scripts/install_dependencies.sh build test
 
 step ${STEPS} "Build"
 scripts/build.sh

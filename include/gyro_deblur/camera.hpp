@@ -1,29 +1,28 @@
 // Pinhole camera with lens distortion: pixels to rays and back.
 #pragma once
 
-#include <array>
+#include <memory>
 #include <string>
 #include <vector>
 
 #include <Eigen/Core>
-#include <opencv2/core.hpp>
 
-#include "gyro_deblur/options.hpp"
+#include "gyro_deblur/option_error.hpp"
 
 namespace gyro_deblur {
 
-enum class DistortionModel { NONE, PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT };
+class LensModel;
 
-/// Parses sensor_msgs/CameraInfo's name of a model; "" and "none" are NONE, which takes no coefficients.
-/// Throws OptionError that lists the supported names.
-DistortionModel parse_distortion_model(const std::string& name);
+/// The name of the lens model that a file or message means by `name`: that of sensor_msgs/CameraInfo, "none" (the ideal
+/// lens, which takes no coefficients) also for "". Throws OptionError that lists the known names.
+std::string require_distortion_model(const std::string& name);
 
 /// Calibration of the image as it arrives (region of interest and binning already applied).
 struct CameraCalibration {
   int width_px = 0;
   int height_px = 0;
   double fx_px = 0, fy_px = 0, cx_px = 0, cy_px = 0;  ///< pixel centres at integers
-  DistortionModel model = DistortionModel::NONE;
+  std::string model = "none";                         ///< sensor_msgs/CameraInfo's name of the lens model, or "none"
   /// OpenCV's order: plumb_bob k1 k2 p1 p2 [k3]; rational_polynomial k1 k2 p1 p2 k3 k4 k5 k6; equidistant k1 k2 k3 k4.
   /// plumb_bob without any is an ideal lens (drivers of uncalibrated and simulated cameras send that).
   std::vector<double> coefficients;
@@ -31,7 +30,8 @@ struct CameraCalibration {
   /// ones (whose intrinsics are those of P).
   Eigen::Matrix3d R_image_cam = Eigen::Matrix3d::Identity();
 
-  void validate() const;  ///< throws OptionError: sizes >= 1, finite focal lengths > 0, coefficients to the model
+  /// Throws OptionError: sizes >= 1, finite focal lengths > 0, a known model and as many coefficients as it takes.
+  void validate() const;
   bool operator==(const CameraCalibration& other) const;
   bool operator!=(const CameraCalibration& other) const { return !(*this == other); }
 };
@@ -54,17 +54,9 @@ class Camera {
   Eigen::Vector2d project(const Eigen::Vector3d& direction) const;
 
  private:
-  // Undistorted to distorted (x/z, y/z) in the image's frame, and back; NaN beyond the model's range.
-  Eigen::Vector2d distort(const Eigen::Vector2d& normalized, Eigen::Matrix2d* jacobian) const;
-  Eigen::Vector2d undistort(const Eigen::Vector2d& distorted) const;
-
   CameraCalibration calibration_;
   Eigen::Matrix3d R_image_cam_;
-  // Radial factor as numerator / denominator: polynomials in r^2 (equidistant: in the squared angle from the axis).
-  std::array<double, 5> numerator_{1, 0, 0, 0, 0};
-  std::array<double, 5> denominator_{1, 0, 0, 0, 0};
-  double p1_ = 0, p2_ = 0;  // tangential
-  double limit_ = 0;        // undistorted radius (equidistant: angle [rad]) up to which the radial part increases
+  std::shared_ptr<const LensModel> lens_;
 };
 
 }  // namespace gyro_deblur

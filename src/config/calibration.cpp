@@ -1,6 +1,7 @@
 #include "gyro_deblur/calibration.hpp"
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <limits>
@@ -10,9 +11,11 @@
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 
+#include "base/listing.hpp"
 #include "config/yaml_reading.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/rotation_track.hpp"
+#include "motion/lens_models.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -109,6 +112,23 @@ class Section {
   throw OptionError(section.name(key) + " = " + section.text(key) + " is not supported; " + supported);
 }
 
+/// The lens model that a file names under `key`.
+/// @param name      what the file has there, as the table spells it
+/// @param spelling  of a row of the table: its name in the file's format, "" where the format does not have it
+/// @param advice    ends the message about a name that no row has
+template <typename Spelling>
+const LensModelRow& find_lens_model(const Section& section, const std::string& key, const std::string& name,
+                                    const Spelling& spelling, const std::string& advice = "") {
+  std::vector<std::string> supported;
+  for (const LensModelRow& row : lens_models()) {
+    const std::string known = spelling(row);
+    if (known.empty()) continue;
+    if (name == known) return row;
+    supported.push_back(known);
+  }
+  refuse_model(section, key, "supported are " + listing(supported, "and") + advice);
+}
+
 /// Whole pixels, for numbers that some files write as 752.0.
 int to_pixels(const Section& section, const std::string& key, double value) {
   if (value != std::floor(value) || std::abs(value) > 1e6) refuse(section.name(key), section.get(key), "whole pixels");
@@ -164,19 +184,12 @@ SensorCalibration read_kalibr(const Section& root, const std::string& camera_nam
   CameraCalibration camera;
   set_resolution(section, camera);
   set_intrinsics(section.numbers("intrinsics", 4), camera);
-  const std::string model = section.text("distortion_model");
-  if (model == "radtan") {
-    camera.model = DistortionModel::PLUMB_BOB;
-  } else if (model == "equidistant") {
-    camera.model = DistortionModel::EQUIDISTANT;
-  } else if (model != "none") {
-    refuse_model(section, "distortion_model",
-                 "supported are radtan, equidistant and none; calibrate again with one of these");
-  }
-  if (camera.model == DistortionModel::NONE) {
-    if (section.has("distortion_coeffs")) section.numbers("distortion_coeffs", 0);
-  } else {
-    camera.coefficients = section.numbers("distortion_coeffs", 4);
+  const LensModelRow& lens = find_lens_model(
+      section, "distortion_model", section.text("distortion_model"),
+      [](const LensModelRow& row) { return row.kalibr.name; }, "; calibrate again with one of these");
+  camera.model = lens.name;
+  if (lens.kalibr.coefficients > 0 || section.has("distortion_coeffs")) {
+    camera.coefficients = section.numbers("distortion_coeffs", lens.kalibr.coefficients);
   }
 
   SensorCalibration calibration;
@@ -198,15 +211,10 @@ SensorCalibration read_euroc(const Section& root) {
   CameraCalibration camera;
   set_resolution(root, camera);
   set_intrinsics(root.numbers("intrinsics", 4), camera);
-  const std::string model = root.text("distortion_model");
-  if (model == "radial-tangential") {
-    camera.model = DistortionModel::PLUMB_BOB;
-  } else if (model == "equidistant") {
-    camera.model = DistortionModel::EQUIDISTANT;
-  } else {
-    refuse_model(root, "distortion_model", "supported are radial-tangential and equidistant");
-  }
-  camera.coefficients = root.numbers("distortion_coefficients", 4);
+  const LensModelRow& lens = find_lens_model(root, "distortion_model", root.text("distortion_model"),
+                                             [](const LensModelRow& row) { return row.euroc.name; });
+  camera.model = lens.name;
+  camera.coefficients = root.numbers("distortion_coefficients", lens.euroc.coefficients);
 
   SensorCalibration calibration;
   calibration.camera = validated(root, camera);
@@ -223,6 +231,15 @@ SensorCalibration read_euroc(const Section& root) {
   return calibration;
 }
 
+/// Camodocal takes the names of its models in upper and in lower case; the table has them in upper case.
+std::string upper_if_lower(const std::string& name) {
+  const auto is_upper = [](unsigned char c) { return std::isupper(c) != 0; };
+  if (std::any_of(name.begin(), name.end(), is_upper)) return name;
+  std::string upper = name;
+  for (char& c : upper) c = static_cast<char>(std::toupper(static_cast<unsigned char>(c)));
+  return upper;
+}
+
 /// Intrinsics as VINS' camera library (camodocal) writes them.
 CameraCalibration read_vins_camera(const Section& root) {
   CameraCalibration camera;
@@ -230,23 +247,14 @@ CameraCalibration read_vins_camera(const Section& root) {
   camera.width_px = root.integer("image_width");
   camera.height_px = root.integer("image_height");
   const Section projection = root.child("projection_parameters");
-  if (model == "PINHOLE" || model == "pinhole") {
-    set_intrinsics({projection.number("fx"), projection.number("fy"), projection.number("cx"), projection.number("cy")},
-                   camera);
-    const Section distortion = root.child("distortion_parameters");
-    camera.model = DistortionModel::PLUMB_BOB;
-    camera.coefficients = {distortion.number("k1"), distortion.number("k2"), distortion.number("p1"),
-                           distortion.number("p2")};
-  } else if (model == "KANNALA_BRANDT" || model == "kannala_brandt") {
-    // Its k2 to k5 are OpenCV's k1 to k4 of the same polynomial.
-    set_intrinsics({projection.number("mu"), projection.number("mv"), projection.number("u0"), projection.number("v0")},
-                   camera);
-    camera.model = DistortionModel::EQUIDISTANT;
-    camera.coefficients = {projection.number("k2"), projection.number("k3"), projection.number("k4"),
-                           projection.number("k5")};
-  } else {
-    refuse_model(root, "model_type", "supported are PINHOLE and KANNALA_BRANDT");
-  }
+  const LensModelRow& lens = find_lens_model(root, "model_type", upper_if_lower(model),
+                                             [](const LensModelRow& row) { return row.camodocal.name; });
+  std::vector<double> intrinsics;
+  for (const std::string& key : lens.camodocal.intrinsics) intrinsics.push_back(projection.number(key));
+  set_intrinsics(intrinsics, camera);
+  camera.model = lens.name;
+  const Section section = root.child(lens.camodocal.section);
+  for (const std::string& key : lens.camodocal.coefficients) camera.coefficients.push_back(section.number(key));
   return validated(root, camera);
 }
 
@@ -284,7 +292,7 @@ SensorCalibration read_camera_info(const Section& root) {
   const Eigen::Matrix3d K = root.matrix("camera_matrix", 3, 3);
   set_intrinsics({K(0, 0), K(1, 1), K(0, 2), K(1, 2)}, camera);
   try {
-    camera.model = parse_distortion_model(root.text("distortion_model"));
+    camera.model = require_distortion_model(root.text("distortion_model"));
   } catch (const OptionError& error) {
     throw OptionError(root.name("") + error.what());
   }
@@ -309,20 +317,6 @@ SensorCalibration read_any(const Section& root, const std::string& camera) {
                     "(camera_matrix)");
 }
 
-const char* to_string(DistortionModel model) {
-  switch (model) {
-    case DistortionModel::NONE:
-      return "none";
-    case DistortionModel::PLUMB_BOB:
-      return "plumb_bob";
-    case DistortionModel::RATIONAL_POLYNOMIAL:
-      return "rational_polynomial";
-    case DistortionModel::EQUIDISTANT:
-      return "equidistant";
-  }
-  return "?";
-}
-
 template <typename A, typename B>
 [[noreturn]] void refuse_conflict(const std::string& quantity, const A& a, const std::string& name_a, const B& b,
                                   const std::string& name_b, const std::string& difference) {
@@ -338,7 +332,7 @@ std::string to_string(const CameraCalibration& camera) {
   std::ostringstream text;
   text.precision(10);
   text << camera.width_px << "x" << camera.height_px << " px, fx " << camera.fx_px << ", fy " << camera.fy_px << ", cx "
-       << camera.cx_px << ", cy " << camera.cy_px << ", " << to_string(camera.model) << " [";
+       << camera.cx_px << ", cy " << camera.cy_px << ", " << camera.model << " [";
   for (std::size_t i = 0; i < camera.coefficients.size(); ++i) text << (i > 0 ? ", " : "") << camera.coefficients[i];
   text << "]";
   return text.str();

@@ -9,7 +9,6 @@
 #include <sstream>
 #include <vector>
 
-#include <sensor_msgs/distortion_models.h>
 #include <sensor_msgs/image_encodings.h>
 #include <tf2/exceptions.h>
 #include <Eigen/Geometry>
@@ -18,6 +17,7 @@
 
 #include "gyro_deblur/overlay.hpp"
 #include "gyro_deblur/rotation_track.hpp"
+#include "motion/lens_models.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -162,9 +162,9 @@ CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_
       throw OptionError("camera_info: distortion_model is empty, but D has " + std::to_string(info.D.size()) +
                         " coefficients");
     }
-    calibration.model = parse_distortion_model(info.distortion_model);
+    calibration.model = require_distortion_model(info.distortion_model);
     calibration.coefficients = info.D;
-    if (info.D.empty()) calibration.model = DistortionModel::NONE;  // a model without coefficients distorts nothing
+    if (info.D.empty()) calibration.model = "none";  // a model without coefficients distorts nothing
   }
   calibration.validate();
   return calibration;
@@ -175,19 +175,8 @@ sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera) {
   info.width = static_cast<std::uint32_t>(camera.width_px);
   info.height = static_cast<std::uint32_t>(camera.height_px);
   info.D = camera.coefficients;
-  switch (camera.model) {
-    case DistortionModel::NONE:
-    case DistortionModel::PLUMB_BOB:
-      info.distortion_model = sensor_msgs::distortion_models::PLUMB_BOB;
-      info.D.resize(5, 0.0);  // image_geometry wants all five
-      break;
-    case DistortionModel::RATIONAL_POLYNOMIAL:
-      info.distortion_model = sensor_msgs::distortion_models::RATIONAL_POLYNOMIAL;
-      break;
-    case DistortionModel::EQUIDISTANT:
-      info.distortion_model = "equidistant";  // older sensor_msgs have no constant for it
-      break;
-  }
+  info.distortion_model = lens_model(camera.model).camera_info_name;
+  info.D.resize(lens_model(info.distortion_model).coefficient_counts.back(), 0.0);  // image_geometry wants all of them
   info.K = {camera.fx_px, 0, camera.cx_px, 0, camera.fy_px, camera.cy_px, 0, 0, 1};
   info.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
   info.P = {camera.fx_px, 0, camera.cx_px, 0, 0, camera.fy_px, camera.cy_px, 0, 0, 0, 1, 0};

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <initializer_list>
 #include <optional>
 #include <set>
 #include <utility>
@@ -12,6 +11,7 @@
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"
+#include "motion/lens_models.hpp"
 #include "sim/texture.hpp"
 
 namespace gyro_deblur::sim {
@@ -75,7 +75,7 @@ class Section {
     known_.insert(key);
     return has(key) ? text(key) : otherwise;
   }
-  std::string choice(const std::string& key, std::initializer_list<const char*> allowed, const char* otherwise) {
+  std::string choice(const std::string& key, const std::vector<std::string>& allowed, const char* otherwise) {
     std::string value = otherwise == nullptr ? text(key) : text_or(key, otherwise);
     if (std::find(allowed.begin(), allowed.end(), value) == allowed.end()) {
       throw OptionError(name(key) + " = '" + value + "' is not one of " + join(allowed));
@@ -171,9 +171,7 @@ CameraModel parse_camera(Section s) {
   c.fy_px = k[1];
   c.cx_px = k[2];
   c.cy_px = k[3];
-  const std::string model =
-      s.choice("distortion_model", {"none", "plumb_bob", "rational_polynomial", "equidistant"}, "none");
-  c.model = model == "none" ? DistortionModel::NONE : parse_distortion_model(model);
+  c.model = s.choice("distortion_model", lens_model_names(), "none");
   s.allow("distortion_coefficients");
   if (s.has("distortion_coefficients")) c.coefficients = s.numbers("distortion_coefficients", 0, 8, -1e3, 1e3);
   camera.fps = s.number("fps", 0.1, 1000, "Hz");

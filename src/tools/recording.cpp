@@ -156,9 +156,8 @@ Recording read_calibration(const Description& description) {
   calibration.cx_px = camera.get<double>("cx");
   calibration.cy_px = camera.get<double>("cy");
   calibration.coefficients = camera.get<std::vector<double>>("distortion", {});
-  calibration.model = calibration.coefficients.empty()
-                          ? DistortionModel::NONE
-                          : parse_distortion_model(camera.get<std::string>("distortion_model"));
+  calibration.model =
+      calibration.coefficients.empty() ? "none" : require_distortion_model(camera.get<std::string>("distortion_model"));
   calibration.validate();
 
   const std::vector<double> rotation = description.numbers("R_cam_imu", 9);

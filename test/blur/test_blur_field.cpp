@@ -32,7 +32,7 @@ CameraCalibration pinhole(int width_px = 640, int height_px = 480, double f_px =
 
 CameraCalibration euroc() {
   CameraCalibration c = pinhole(752, 480, 458);
-  c.model = DistortionModel::PLUMB_BOB;
+  c.model = "plumb_bob";
   c.coefficients = {-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05};
   return c;
 }
@@ -365,7 +365,7 @@ TEST(BlurFieldEstimator, UncoveredRowsAreNoGyro) {
 
 TEST(BlurFieldEstimator, BlocksBeyondTheLensModelAreNoGyro) {
   CameraCalibration c = pinhole(640, 480, 400);
-  c.model = DistortionModel::PLUMB_BOB;
+  c.model = "plumb_bob";
   c.coefficients = {-0.4, 0, 0, 0};  // reaches 243 px from the centre
   const FrameBlur field =
       BlurFieldEstimator(Camera(c), {})

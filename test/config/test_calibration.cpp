@@ -17,7 +17,7 @@
 namespace gyro_deblur {
 namespace {
 
-const std::string kFolder = GYRO_DEBLUR_SOURCE_DIR "/test/unit/calibration/";
+const std::string kFolder = GYRO_DEBLUR_SOURCE_DIR "/test/config/calibration/";
 
 /// The camera that every file of the folder describes.
 CameraCalibration camera0() {
@@ -28,7 +28,7 @@ CameraCalibration camera0() {
   camera.fy_px = 457.5;
   camera.cx_px = 367.125;
   camera.cy_px = 248.75;
-  camera.model = DistortionModel::PLUMB_BOB;
+  camera.model = "plumb_bob";
   camera.coefficients = {-0.28, 0.07, 0.0002, -0.00015};
   return camera;
 }
@@ -39,7 +39,7 @@ CameraCalibration camera1() {
   camera.fy_px = 461.75;
   camera.cx_px = 359.5;
   camera.cy_px = 241.25;
-  camera.model = DistortionModel::EQUIDISTANT;
+  camera.model = "equidistant";
   camera.coefficients = {-0.013, 0.021, -0.0105, 0.00225};
   return camera;
 }

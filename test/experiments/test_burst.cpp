@@ -90,7 +90,7 @@ TEST(Interpolation, WeighsByTimeNotByIndex) {
 TEST(BurstFolder, ComesBackAsItWasWritten) {
   const TemporaryFolder folder;
   Burst burst = make_burst(0.0245);
-  burst.calibration.model = DistortionModel::PLUMB_BOB;
+  burst.calibration.model = "plumb_bob";
   burst.calibration.coefficients = {0.1, -0.2, 0.001, 1.0 / 3000};
   burst.config.gyro.time_offset_ns = -17'552'000;
   burst.config.gyro.bias_rad_s = {0.01, 0.02, -0.03};

@@ -18,14 +18,17 @@ from tqdm import tqdm
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "experiments"))
+import colmap  # noqa: E402
+import colmap_models  # noqa: E402
 import reconstruction  # noqa: E402
+from reconstruction_sequence import VARIANTS  # noqa: E402
 
 COUNT = 60
 
 
 def rotation(axis, degrees):
     half = numpy.radians(degrees) / 2
-    return reconstruction.rotation_matrix(numpy.append(numpy.cos(half), numpy.sin(half) * numpy.array(axis)))
+    return colmap_models.rotation_matrix(numpy.append(numpy.cos(half), numpy.sin(half) * numpy.array(axis)))
 
 
 class Measurements(unittest.TestCase):
@@ -37,7 +40,7 @@ class Measurements(unittest.TestCase):
         R, scale, t = rotation([0.6, 0, 0.8], 50), 2.5, numpy.array([1.0, -2, 3])
         target = scale * source @ R.T + t
         target[::9] += 0.5
-        found_scale, found_R, found_t = reconstruction.robust_similarity(source, target, self.rng)
+        found_scale, found_R, found_t = colmap_models.robust_similarity(source, target, self.rng)
         self.assertAlmostEqual(found_scale, scale, 6)
         numpy.testing.assert_allclose(found_R, R, atol=1e-6)
         numpy.testing.assert_allclose(found_t, t, atol=1e-6)
@@ -46,7 +49,7 @@ class Measurements(unittest.TestCase):
         R = rotation([1, 0, 0], 20)
         points = numpy.column_stack([self.rng.uniform(-1, 1, (200, 2)), self.rng.normal(0, 0.002, 200)]) @ R.T + R[:, 2] * 2
         points[::5] += self.rng.uniform(-1, 1, (40, 3))
-        normal, offset = reconstruction.fit_plane(points, self.rng)
+        normal, offset = colmap_models.fit_plane(points, self.rng)
         sign = numpy.sign(normal @ R[:, 2])
         numpy.testing.assert_allclose(sign * normal, R[:, 2], atol=5e-3)
         self.assertAlmostEqual(sign * offset, 2, 2)
@@ -69,25 +72,25 @@ class Measurements(unittest.TestCase):
         expected = [(i, j) for i, j in sorted(forth.items()) if back.get(j) == i]
         self.assertGreater(len(expected), 30)
         self.assertLess(len(expected), 90)
-        numpy.testing.assert_array_equal(reconstruction.match_descriptors(a, b), expected)
+        numpy.testing.assert_array_equal(colmap.match_descriptors(a, b), expected)
 
     def test_of_descriptors_that_are_equally_near_none_matches(self):
         a = self.rng.integers(0, 60, (6, 128)).astype(float)
         b = a + self.rng.normal(0, 5, a.shape)
         a, b = (512 * d / numpy.linalg.norm(d, axis=1, keepdims=True) for d in (a, b))
         a, b = (d.clip(0, 255).astype(numpy.uint8) for d in (a, b))
-        self.assertEqual(reconstruction.match_descriptors(a, b).tolist(), [[i, i] for i in range(6)])
+        self.assertEqual(colmap.match_descriptors(a, b).tolist(), [[i, i] for i in range(6)])
         others = [[i, i] for i in (0, 1, 3, 4, 5)]
         # Number 2 is there two or three times on either side, then twice on both.
         for times in (1, 2):
             more = numpy.vstack([b, *[b[2:3]] * times])
-            self.assertEqual(reconstruction.match_descriptors(a, more).tolist(), others)
-            self.assertEqual(reconstruction.match_descriptors(more, a).tolist(), others)
+            self.assertEqual(colmap.match_descriptors(a, more).tolist(), others)
+            self.assertEqual(colmap.match_descriptors(more, a).tolist(), others)
         a, b = numpy.vstack([a, a[2:3]]), numpy.vstack([b, b[2:3]])
-        self.assertEqual(reconstruction.match_descriptors(a, b).tolist(), others)
+        self.assertEqual(colmap.match_descriptors(a, b).tolist(), others)
         # Without noise between the sides.
-        self.assertEqual(reconstruction.match_descriptors(a, a[:6]).tolist(), others)
-        self.assertEqual(reconstruction.match_descriptors(a[:6], a).tolist(), others)
+        self.assertEqual(colmap.match_descriptors(a, a[:6]).tolist(), others)
+        self.assertEqual(colmap.match_descriptors(a[:6], a).tolist(), others)
 
     def test_a_perfect_model_has_no_errors_in_any_scale(self):
         # Two cameras over a plane, as COLMAP would have them: another origin, rotation and scale.
@@ -102,14 +105,14 @@ class Measurements(unittest.TestCase):
             name = f"frame_{k:04d}"
             truth[name] = {"position": position, "R_world_cam": R_world_cam, "t_s": k, "extent_px": 0}
             # camera = R_cam_world (world - position), and model = scale R world + t
-            pose = reconstruction.Pose(numpy.array([1.0, 0, 0, 0]), numpy.zeros(3), pixels, numpy.arange(COUNT))
+            pose = colmap_models.Pose(numpy.array([1.0, 0, 0, 0]), numpy.zeros(3), pixels, numpy.arange(COUNT))
             pose.R = R_world_cam.T @ R.T
             pose.center = scale * R @ position + t
             pose.t = -pose.R @ pose.center
             poses[name] = pose
         points = {i: (scale * R @ p + t, 5) for i, p in enumerate(world)}
         points[COUNT] = (numpy.array([9.0, 9, 9]), 2)  # seen in two images only: does not count
-        frames, totals = reconstruction.measure((poses, points), truth, camera, self.rng)
+        frames, totals = colmap_models.measure((poses, points), truth, camera, self.rng)
         self.assertEqual((totals["registered"], totals["points"], totals["observations"]), (5, COUNT, 5 * COUNT))
         for key in ("reprojection_px", "plane_rmse_m", "position_rmse_m"):
             self.assertLess(totals[key], 1e-9, key)
@@ -127,7 +130,7 @@ class Run(unittest.TestCase):
         program = self.path / "colmap"
         program.write_text(f"#!/bin/sh\n{script}\n")
         program.chmod(0o755)
-        change = mock.patch.dict(reconstruction.ONE_THREAD, PATH=f"{self.path}:{os.environ['PATH']}")
+        change = mock.patch.dict(colmap.ONE_THREAD, PATH=f"{self.path}:{os.environ['PATH']}")
         change.start()
         self.addCleanup(change.stop)
 
@@ -135,7 +138,7 @@ class Run(unittest.TestCase):
         mark, log = self.path / "model.done", self.path / "log"
 
         def reconstruct():
-            reconstruction.Stages(self.path).once("model", lambda: reconstruction.reconstruct(
+            reconstruction.Stages(self.path).once("model", lambda: colmap.reconstruct(
                 self.path / "a.db", self.path / "models", log, 1, tqdm(disable=True)))
 
         for name in ("TERM", "KILL"):
@@ -161,11 +164,12 @@ class Run(unittest.TestCase):
                 raise KeyboardInterrupt
             self.assertTrue(pool_ends.wait(60))
 
-        with mock.patch.multiple(reconstruction, WORKERS=1, verify=verify, set_keypoints=mock.DEFAULT,
-                                 reconstruct=lambda *_: begun.append("model")), \
+        with mock.patch.object(reconstruction, "WORKERS", 1), \
+                mock.patch.multiple(colmap, verify=verify, set_keypoints=mock.DEFAULT,
+                                    reconstruct=lambda *_: begun.append("model")), \
                 mock.patch("shutil.copy"), mock.patch("concurrent.futures.ThreadPoolExecutor", Pool), \
                 self.assertRaises(KeyboardInterrupt):
-            reconstruction.create_models(reconstruction.Stages(self.path), list(reconstruction.VARIANTS), self.path,
+            reconstruction.create_models(reconstruction.Stages(self.path), list(VARIANTS), self.path,
                                          [], 1)
         # The one worker may begin with the second before it is seen that the first failed.
         self.assertIn(begun, (["blurred"], ["blurred", "blurred_rectified"]))
@@ -187,8 +191,8 @@ class Run(unittest.TestCase):
         self.assertEqual(done, ["first", "fails", "fails"])
 
     def test_pairs_lie_within_the_sequence(self):
-        self.assertEqual(reconstruction.pairs_to_match(3), [(0, 1), (0, 2), (1, 2)])
-        pairs = reconstruction.pairs_to_match(150)
+        self.assertEqual(colmap.pairs_to_match(3), [(0, 1), (0, 2), (1, 2)])
+        pairs = colmap.pairs_to_match(150)
         self.assertEqual(len(pairs), len(set(pairs)))
         self.assertIn((4, 68), pairs)
         self.assertNotIn((5, 69), pairs)
@@ -210,7 +214,7 @@ class Run(unittest.TestCase):
 
     def test_a_copied_database_has_nothing_of_one_that_was_interrupted(self):
         source, path = self.path / "source.db", self.path / "copy.db"
-        with reconstruction.opened(source) as database:
+        with colmap.opened(source) as database:
             database.execute("PRAGMA journal_mode=WAL")  # as COLMAP does
             database.execute("CREATE TABLE t (x)")
         shutil.copy(source, path)
@@ -220,7 +224,7 @@ class Run(unittest.TestCase):
             left = {suffix: (self.path / f"copy.db{suffix}").read_bytes() for suffix in ("-wal", "-shm")}
         for suffix, content in left.items():
             (self.path / f"copy.db{suffix}").write_bytes(content)
-        reconstruction.copy_database(source, path)
+        colmap.copy_database(source, path)
         with contextlib.closing(sqlite3.connect(path)) as database:
             self.assertEqual(database.execute("SELECT * FROM t").fetchall(), [])
 
@@ -246,12 +250,12 @@ class Importer(unittest.TestCase):
     def test_colmap_has_and_matches_what_was_imported(self):
         camera = {"width_px": 640, "height_px": 480, "fx_px": 500, "fy_px": 501, "cx_px": 319.5, "cy_px": 239.5}
         database = self.path / "a.db"
-        features = [reconstruction.load_features(self.path / name, False) for name in ("a", "b")]
-        reconstruction.create_database(database, camera, ["a", "b"])
-        reconstruction.set_descriptors(database, features)
-        reconstruction.set_keypoints(database, features)
-        reconstruction.match(database, features)
-        reconstruction.verify(database, ["a", "b"], self.path / "log", 1, tqdm(disable=True))
+        features = [colmap.load_features(self.path / name, False) for name in ("a", "b")]
+        colmap.create_database(database, camera, ["a", "b"])
+        colmap.set_descriptors(database, features)
+        colmap.set_keypoints(database, features)
+        colmap.match(database, features, "a and b", 1)
+        colmap.verify(database, ["a", "b"], self.path / "log", 1, tqdm(disable=True))
         with sqlite3.connect(database) as connection:
             parameters, = connection.execute("SELECT params FROM cameras").fetchone()
             rows, columns, keypoints = connection.execute(
@@ -267,10 +271,10 @@ class Importer(unittest.TestCase):
         matches = numpy.frombuffer(matches, numpy.uint32).reshape(count, 2)
         numpy.testing.assert_array_equal(self.order[matches[:, 1]], matches[:, 0])
         # The id is COLMAP's own way to name the pair, and the geometry of an image with itself fits every match.
-        self.assertEqual(pairs, [(reconstruction.PAIR_BASE + 2, COUNT)])
+        self.assertEqual(pairs, [(colmap.PAIR_BASE + 2, COUNT)])
 
     def test_rectified_coordinates_replace_the_raw_ones(self):
-        keypoints, _ = reconstruction.load_features(self.path / "a", True)
+        keypoints, _ = colmap.load_features(self.path / "a", True)
         numpy.testing.assert_allclose(keypoints[:, :2], self.raw[:, 4:6] + 0.5)
 
 

@@ -24,7 +24,7 @@ CameraCalibration euroc() {
   c.fy_px = 457.296;
   c.cx_px = 367.215;
   c.cy_px = 248.375;
-  c.model = DistortionModel::PLUMB_BOB;
+  c.model = "plumb_bob";
   c.coefficients = {-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05};
   return c;
 }
@@ -245,7 +245,7 @@ TEST(RectifyPointsByStatus, PointsThatLeaveTheLensModelAreLeftAlone) {
 
 TEST(RectifyPointsByStatus, NormalizedCoordinatesAreTheImagesOwn) {
   CameraCalibration c = euroc();
-  c.model = DistortionModel::NONE;
+  c.model = "none";
   c.coefficients.clear();
   c.R_image_cam = Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitY()).toRotationMatrix();
   const Camera camera(c);

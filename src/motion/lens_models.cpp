@@ -1,0 +1,278 @@
+#include "motion/lens_models.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include <Eigen/LU>
+
+#include "gyro_deblur/option_error.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr double kHalfPi = 1.57079632679489661923;
+
+using Polynomial = std::array<double, 5>;
+
+struct ValueAndSlope {
+  double value, slope;
+};
+
+ValueAndSlope evaluate(const Polynomial& p, double s) {
+  ValueAndSlope result{0, 0};
+  for (std::size_t i = p.size(); i-- > 0;) {
+    result.slope = result.slope * s + result.value;
+    result.value = result.value * s + p[i];
+  }
+  return result;
+}
+
+/// How far from the axis a ray comes out that goes in at u: u * n(u^2) / d(u^2). u is a radius or an angle.
+struct RadialCurve {
+  Polynomial numerator{1, 0, 0, 0, 0};
+  Polynomial denominator{1, 0, 0, 0, 0};
+
+  /// n(s) / d(s) and its derivative by s. NaN where the denominator has crossed its pole.
+  ValueAndSlope factor(double s) const {
+    const ValueAndSlope num = evaluate(numerator, s);
+    const ValueAndSlope den = evaluate(denominator, s);
+    if (!(den.value > 0)) return {kNan, kNan};
+    const double factor = num.value / den.value;
+    return {factor, (num.slope - factor * den.slope) / den.value};
+  }
+
+  /// The distorted radius (or angle), and its derivative by u.
+  ValueAndSlope at(double u) const {
+    const ValueAndSlope f = factor(u * u);
+    return {u * f.value, f.value + 2 * u * u * f.slope};
+  }
+
+  bool increases(double u) const { return at(u).slope > 0; }
+};
+
+/// Where the curve stops increasing; infinity (of an angle: pi/2) when it never does.
+double monotone_limit(const RadialCurve& curve, bool is_angle) {
+  // Steps of an angle from the axis, up to 89.99 degrees: every range a perspective image can use.
+  constexpr int kSteps = 9000;
+  constexpr double kLastAngleRad = kHalfPi * 0.9999;
+  double inside = 0;
+  for (int i = 1; i <= kSteps; ++i) {
+    const double angle_rad = kLastAngleRad * i / kSteps;
+    double outside = is_angle ? angle_rad : std::tan(angle_rad);
+    if (curve.increases(outside)) {
+      inside = outside;
+      continue;
+    }
+    for (int bisection = 0; bisection < 60; ++bisection) {
+      const double middle = 0.5 * (inside + outside);
+      (curve.increases(middle) ? inside : outside) = middle;
+    }
+    return inside;
+  }
+  return is_angle ? kHalfPi : std::numeric_limits<double>::infinity();
+}
+
+/// Inverts the curve, which increases on [0, limit], by Newton steps safeguarded by bisection.
+/// Values beyond the curve's end give NaN.
+double invert(const RadialCurve& curve, double limit, double target) {
+  if (target == 0) return 0;
+  double low = 0;
+  double high = limit;
+  if (std::isinf(limit)) {
+    constexpr double kLargestRadius = 1e6;  // a ten thousandth of a degree from the image plane
+    for (high = target; curve.at(high).value < target; high *= 2) {
+      if (high > kLargestRadius) return kNan;
+    }
+  } else if (!(curve.at(high).value >= target)) {
+    return kNan;
+  }
+  double u = std::min(target, high);
+  for (int iteration = 0; iteration < 100; ++iteration) {
+    const ValueAndSlope point = curve.at(u);
+    const double error = point.value - target;
+    (error < 0 ? low : high) = u;
+    double next = u - error / point.slope;
+    if (!(next > low && next < high)) next = 0.5 * (low + high);
+    const double step = std::abs(next - u);
+    u = next;
+    if (step <= 4 * std::numeric_limits<double>::epsilon() * u) break;
+  }
+  return u;
+}
+
+/// Radial distortion of the radius with a rational factor, and tangential distortion: OpenCV's model. By itself,
+/// without coefficients, the ideal lens.
+class RadialTangential : public LensModel {
+ public:
+  explicit RadialTangential(const std::vector<double>& = {}) : RadialTangential(RadialCurve{}, 0, 0) {}
+
+  double max_angle_rad() const override { return std::atan(limit_); }
+
+  Eigen::Vector2d project(const Eigen::Vector2d& undistorted) const override { return distort(undistorted, nullptr); }
+
+  Eigen::Vector2d unproject(const Eigen::Vector2d& distorted, double focal_px) const override {
+    const Eigen::Vector2d invalid(kNan, kNan);
+    if (!distorted.allFinite()) return invalid;
+    const double distorted_radius = distorted.norm();
+    const bool only_radial = p1_ == 0 && p2_ == 0;
+    if (distorted_radius == 0 && only_radial) return distorted;
+    const double radius = invert(curve_, limit_, distorted_radius);
+    if (only_radial) return radius / distorted_radius * distorted;
+
+    // The radial solution starts a two-dimensional search, near the end of the range just inside it.
+    const double start_radius = std::isfinite(radius) ? radius : 0.999 * limit_;
+    if (!std::isfinite(start_radius)) return invalid;
+    return refine(distorted_radius == 0 ? distorted : Eigen::Vector2d(start_radius / distorted_radius * distorted),
+                  distorted, focal_px);
+  }
+
+ protected:
+  RadialTangential(const RadialCurve& curve, double p1, double p2)
+      : curve_(curve), p1_(p1), p2_(p2), limit_(monotone_limit(curve, false)) {}
+
+ private:
+  Eigen::Vector2d distort(const Eigen::Vector2d& undistorted, Eigen::Matrix2d* jacobian) const {
+    const double x = undistorted.x(), y = undistorted.y();
+    const double r2 = x * x + y * y;
+    if (!(r2 <= limit_ * limit_)) return {kNan, kNan};
+    const ValueAndSlope factor = curve_.factor(r2);
+    if (jacobian != nullptr) {
+      const double mixed = 2 * (x * y * factor.slope + p1_ * x + p2_ * y);
+      *jacobian << factor.value + 2 * x * x * factor.slope + 2 * p1_ * y + 6 * p2_ * x, mixed,  //
+          mixed, factor.value + 2 * y * y * factor.slope + 6 * p1_ * y + 2 * p2_ * x;
+    }
+    return {x * factor.value + 2 * p1_ * x * y + p2_ * (r2 + 2 * x * x),
+            y * factor.value + p1_ * (r2 + 2 * y * y) + 2 * p2_ * x * y};
+  }
+
+  /// Inverts distort() by Newton steps from an estimate. They are halved until the error falls, so that none jumps onto
+  /// the folded part of the model.
+  Eigen::Vector2d refine(Eigen::Vector2d estimate, const Eigen::Vector2d& distorted, double focal_px) const {
+    const Eigen::Vector2d invalid(kNan, kNan);
+    Eigen::Matrix2d jacobian;
+    Eigen::Vector2d error = distort(estimate, &jacobian) - distorted;
+    constexpr double kDonePx = 1e-10;     // an error below this ends the iteration
+    constexpr double kAcceptedPx = 1e-7;  // largest error of an answer, when projected again
+    constexpr int kMaxIterations = 50, kMaxHalvings = 30;
+    for (int iteration = 0; iteration < kMaxIterations && error.norm() * focal_px > kDonePx; ++iteration) {
+      const double determinant = jacobian.determinant();
+      if (!(determinant > 0)) return invalid;
+      Eigen::Vector2d step(jacobian(1, 1) * error.x() - jacobian(0, 1) * error.y(),
+                           jacobian(0, 0) * error.y() - jacobian(1, 0) * error.x());
+      step /= determinant;
+      bool improved = false;
+      for (int halving = 0; halving < kMaxHalvings && !improved; ++halving, step *= 0.5) {
+        Eigen::Matrix2d next_jacobian;
+        const Eigen::Vector2d next = estimate - step;
+        const Eigen::Vector2d next_error = distort(next, &next_jacobian) - distorted;
+        if (!(next_error.norm() < error.norm())) continue;  // not so for NaN either
+        estimate = next;
+        error = next_error;
+        jacobian = next_jacobian;
+        improved = true;
+      }
+      if (!improved) break;
+    }
+    if (!(error.norm() * focal_px <= kAcceptedPx) || !(jacobian.determinant() > 0)) return invalid;
+    return estimate;
+  }
+
+  RadialCurve curve_;
+  double p1_, p2_;  // tangential
+  double limit_;    // undistorted radius up to which the curve increases
+};
+
+/// k1 k2 p1 p2 [k3]. Without any it is an ideal lens: drivers of uncalibrated and simulated cameras send that.
+class PlumbBob : public RadialTangential {
+ public:
+  explicit PlumbBob(const std::vector<double>& k)
+      : RadialTangential(k.empty() ? RadialCurve{} : RadialCurve{{1, k[0], k[1], k.size() > 4 ? k[4] : 0, 0}},
+                         k.empty() ? 0 : k[2], k.empty() ? 0 : k[3]) {}
+};
+
+/// k1 k2 p1 p2 k3 k4 k5 k6.
+class RationalPolynomial : public RadialTangential {
+ public:
+  explicit RationalPolynomial(const std::vector<double>& k)
+      : RadialTangential({{1, k[0], k[1], k[4], 0}, {1, k[5], k[6], k[7], 0}}, k[2], k[3]) {}
+};
+
+/// k1 k2 k3 k4: the distorted radius is a polynomial of the angle from the axis (OpenCV's fisheye, Kannala and Brandt).
+class Equidistant : public LensModel {
+ public:
+  explicit Equidistant(const std::vector<double>& k)
+      : curve_{{1, k[0], k[1], k[2], k[3]}}, limit_rad_(monotone_limit(curve_, true)) {}
+
+  double max_angle_rad() const override { return limit_rad_; }
+
+  Eigen::Vector2d project(const Eigen::Vector2d& undistorted) const override {
+    const double r = undistorted.norm();
+    const double angle_rad = std::atan(r);
+    if (!(angle_rad <= limit_rad_)) return {kNan, kNan};
+    if (r == 0) return undistorted;
+    return curve_.at(angle_rad).value / r * undistorted;
+  }
+
+  Eigen::Vector2d unproject(const Eigen::Vector2d& distorted, double /*focal_px*/) const override {
+    if (!distorted.allFinite()) return {kNan, kNan};
+    const double distorted_radius = distorted.norm();
+    if (distorted_radius == 0) return distorted;
+    const double angle_rad = invert(curve_, limit_rad_, distorted_radius);
+    if (!(angle_rad < kHalfPi)) return {kNan, kNan};
+    return std::tan(angle_rad) / distorted_radius * distorted;
+  }
+
+ private:
+  RadialCurve curve_;  // of the angle
+  double limit_rad_;   // up to which it increases
+};
+
+template <typename Model>
+std::unique_ptr<const LensModel> make(const std::vector<double>& coefficients) {
+  return std::make_unique<Model>(coefficients);
+}
+
+}  // namespace
+
+const std::vector<LensModelRow>& lens_models() {
+  // name, name in a CameraInfo, numbers of coefficients, Kalibr, EuRoC, camodocal, class
+  static const std::vector<LensModelRow> kModels{
+      {"plumb_bob",
+       "plumb_bob",
+       {0, 4, 5},
+       {"radtan", 4},
+       {"radial-tangential", 4},
+       {"PINHOLE", {"fx", "fy", "cx", "cy"}, "distortion_parameters", {"k1", "k2", "p1", "p2"}},
+       make<PlumbBob>},
+      {"rational_polynomial", "rational_polynomial", {8}, {}, {}, {}, make<RationalPolynomial>},
+      {"equidistant",
+       "equidistant",
+       {4},
+       {"equidistant", 4},
+       {"equidistant", 4},
+       // Its k2 to k5 are OpenCV's k1 to k4 of the same polynomial.
+       {"KANNALA_BRANDT", {"mu", "mv", "u0", "v0"}, "projection_parameters", {"k2", "k3", "k4", "k5"}},
+       make<Equidistant>},
+      {"none", "plumb_bob", {0}, {"none", 0}, {}, {}, make<RadialTangential>},
+  };
+  return kModels;
+}
+
+const LensModelRow& lens_model(const std::string& name) {
+  for (const LensModelRow& row : lens_models()) {
+    if (row.name == name) return row;
+  }
+  std::string names;
+  for (const std::string& known : lens_model_names()) names += " " + known;
+  throw OptionError("distortion_model = \"" + name + "\" is not one of" + names);
+}
+
+std::vector<std::string> lens_model_names() {
+  std::vector<std::string> names;
+  for (const LensModelRow& row : lens_models()) names.push_back(row.name);
+  return names;
+}
+
+}  // namespace gyro_deblur
