@@ -89,7 +89,7 @@ cv::Size parse_size(const std::string& text) {
   return {width, height};
 }
 
-/// The straightforward engine compiled for the same instruction set.
+/// The float engine compiled for the same instruction set.
 std::string baseline_of(const std::string& engine) {
   if (engine == "cpu-avx512") return "float-avx512";
   if (engine == "cpu-avx2") return "float-avx2";
@@ -142,10 +142,10 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBan
                {baseline_of(name), std::string("float"), std::string("filter2d"), std::string("filter2d-float")}) {
             if (times_ms.count(other) != 0) record["speedup_over"][other] = median_ratio(times_ms[other], ms);
           }
-          const bool is_reference = name.compare(0, 9, "float") == 0;
-          if (is_reference || name.compare(0, 4, "cpu-") == 0) {
-            const BlockKernels* kernels = is_reference ? nullptr : find_block_kernels(name.c_str() + 4);
-            const Work work = is_reference ? work_of_reference(grid) : work_of_cpu(grid, kernels->lanes);
+          const bool is_float = name.compare(0, 9, "float") == 0;
+          if (is_float || name.compare(0, 4, "cpu-") == 0) {
+            const BlockKernels* kernels = is_float ? nullptr : find_block_kernels(name.c_str() + 4);
+            const Work work = is_float ? work_of_float(grid) : work_of_cpu(grid, kernels->lanes);
             record["work"] = {{"float_gmac", work.float_macs / 1e9},
                               {"int16_gmac", work.int16_macs / 1e9},
                               {"load_gb", work.load_bytes / 1e9}};

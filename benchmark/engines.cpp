@@ -1,7 +1,5 @@
 #include "engines.hpp"
 
-#include <omp.h>
-
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -11,9 +9,9 @@
 #include <opencv2/imgproc.hpp>
 
 #include "engine/cpu/cpu_engine.hpp"
+#include "inverse/line_taps.hpp"
 #if defined(__x86_64__)
 #include "float_copy.hpp"
-#include "inverse/line_taps.hpp"
 #endif
 
 namespace gyro_deblur::benchmark {
@@ -22,11 +20,9 @@ namespace {
 /// Taps of a kernel along a line, with Lanczos' kernel of three lobes across.
 std::vector<KernelTap> lanczos_taps(const LineKernel& kernel, double angle_rad) {
   constexpr int kLobes = 3;
-  const double dx = std::cos(angle_rad), dy = std::sin(angle_rad);
-  const bool major_is_y = std::abs(dy) > std::abs(dx);
-  const double slope = major_is_y ? dx / dy : dy / dx;
+  const auto [major_is_y, major, slope] = direction_of(angle_rad);
   std::vector<float> on_axis;
-  kernel_on_major_axis(kernel, major_is_y ? dy : dx, on_axis);
+  kernel_on_major_axis(kernel, major, on_axis);
   const int steps = static_cast<int>(on_axis.size() / 2);
   const auto sinc = [](double x) { return x == 0 ? 1 : std::sin(CV_PI * x) / (CV_PI * x); };
   std::vector<KernelTap> taps;
@@ -53,21 +49,18 @@ std::string Filter2dEngine::name() const {
   return kind_ == Kind::BYTES ? "filter2d" : (kind_ == Kind::FLOATS ? "filter2d-float" : "filter2d-lanczos");
 }
 
-void Filter2dEngine::filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) {
+void Filter2dEngine::filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks,
+                                   SeamBlender& seams, cv::Mat& dst) {
   CV_Assert(src.type() == CV_8UC1);
-  dst.create(src.size(), src.type());
-  const int threads = threads_ > 0 ? threads_ : omp_get_max_threads();
   const bool float_result = kind_ != Kind::BYTES;
-  const std::vector<BlockFilter>& blocks = grid.blocks;
   const int count = static_cast<int>(blocks.size());
-  seams_.plan(grid, src.type());
   std::vector<cv::Mat> kernels(count);
   int pad = 0;
-#pragma omp parallel for num_threads(threads) schedule(dynamic) reduction(max : pad)
+#pragma omp parallel for num_threads(threads()) schedule(dynamic) reduction(max : pad)
   for (int i = 0; i < count; ++i) {
-    if (blocks[i].kernel == nullptr) continue;
-    const std::vector<KernelTap> taps = kind_ == Kind::LANCZOS ? lanczos_taps(*blocks[i].kernel, blocks[i].angle_rad)
-                                                               : rotate_kernel(*blocks[i].kernel, blocks[i].angle_rad);
+    const BlockFilter& block = grid.blocks[blocks[i]];
+    const std::vector<KernelTap> taps = kind_ == Kind::LANCZOS ? lanczos_taps(*block.kernel, block.angle_rad)
+                                                               : rotate_kernel(*block.kernel, block.angle_rad);
     int reach_x = 0, reach_y = 0;
     for (const KernelTap& tap : taps) {
       reach_x = std::max(reach_x, std::abs(tap.dx));
@@ -81,14 +74,10 @@ void Filter2dEngine::filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat&
   cv::Mat padded;
   cv::copyMakeBorder(src, padded, pad, pad, pad, pad, cv::BORDER_REPLICATE);
   cv::Mat result, block_result;
-#pragma omp parallel for num_threads(float_result ? 1 : threads) schedule(dynamic) firstprivate(result, block_result)
+#pragma omp parallel for num_threads(float_result ? 1 : threads()) schedule(dynamic) firstprivate(result, block_result)
   for (int i = 0; i < count; ++i) {
-    if (kernels[i].empty()) {
-      src(grid.rect(i)).copyTo(dst(grid.rect(i)));
-      continue;
-    }
     // A region of a larger image: the filter takes neighbours from outside the region.
-    const cv::Rect rect = seams_.reach(i);
+    const cv::Rect rect = seams.reach(blocks[i]);
     const cv::Mat from = padded(rect + cv::Point(pad, pad));
     block_result.create(rect.size(), CV_8U);
     if (float_result) {
@@ -97,9 +86,8 @@ void Filter2dEngine::filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat&
     } else {
       cv::filter2D(from, block_result, CV_8U, kernels[i]);
     }
-    seams_.store(i, block_result.data, dst);
+    seams.store(blocks[i], block_result.data, dst);
   }
-  seams_.blend(src, float_result ? 1 : threads, dst);
 }
 
 std::unique_ptr<Engine> make_engine(const std::string& name, int threads) {

@@ -5,13 +5,13 @@
 #include <string>
 #include <vector>
 
-#include "engine/seam_blender.hpp"
+#include "engine/block_engine.hpp"
 #include "gyro_deblur/deconvolution.hpp"
 
 namespace gyro_deblur::benchmark {
 
 /// cv::filter2D with each block's rotated kernel as a matrix (its bounding box). CV_8UC1 only.
-class Filter2dEngine : public Engine {
+class Filter2dEngine : public BlockEngine {
  public:
   enum class Kind {
     BYTES,    ///< 8-bit result, OpenMP over blocks: the most that can be had from it
@@ -20,19 +20,20 @@ class Filter2dEngine : public Engine {
     LANCZOS,  ///< FLOATS, but between neighbours across the line the image is interpolated by six taps of Lanczos'
               ///< kernel instead of two of the linear one: what nearly ideal sampling gives
   };
-  Filter2dEngine(int threads, Kind kind) : threads_(threads), kind_(kind) {}
-  void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
+  Filter2dEngine(int threads, Kind kind) : BlockEngine(threads), kind_(kind) {}
   std::string name() const override;
 
+ protected:
+  void filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, SeamBlender& seams,
+                     cv::Mat& dst) override;
+
  private:
-  int threads_;
   Kind kind_;
-  SeamBlender seams_;
 };
 
 /// Engine by name, on `threads` OpenMP threads:
-///   reference                         the straightforward engine as released (instruction set chosen by the loader)
-///   reference-avx2, reference-avx512  its source compiled for that instruction set alone
+///   float                     as released (instruction set chosen by the loader)
+///   float-avx2, float-avx512  its source compiled for that instruction set alone
 ///   cpu-baseline, cpu-avx2, cpu-avx512
 ///   filter2d, filter2d-float, filter2d-lanczos
 ///   anything else                     make_engine

@@ -1,4 +1,4 @@
-// The straightforward engine compiled for one instruction set, so that it can be compared with the cpu engine held to
+// The float engine compiled for one instruction set, so that it can be compared with the cpu engine held to
 // the same set on a processor that has more.
 #pragma once
 

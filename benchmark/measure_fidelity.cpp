@@ -1,4 +1,4 @@
-// How close the fast engines come to the straightforward one, what that costs the restored image, and whether block
+// How close the fast engines come to the float engine, what that costs the restored image, and whether block
 // borders show.
 
 #include <algorithm>
@@ -44,7 +44,7 @@ double mean_square(const cv::Mat& a, const cv::Mat& b) {
 }
 double psnr_of(double mean_square_error) { return 10 * std::log10(255.0 * 255.0 / std::max(mean_square_error, 1e-9)); }
 
-/// Comparison of one engine with the reference over a set of images.
+/// Comparison of one engine with the float engine over a set of images.
 struct Comparison {
   double parity_sum = 0;  // of mean squares
   int count = 0;
@@ -55,9 +55,9 @@ struct Comparison {
   double loss_sum_db = 0, restored_sum_db = 0;
 
   /// @param at  angle [deg] that the worst cases are known by
-  void add(const cv::Mat& reference, const cv::Mat& actual, const cv::Mat& sharp, double at) {
-    const double parity = mean_square(reference, actual);
-    const double restored_db = psnr_of(mean_square(reference, sharp));
+  void add(const cv::Mat& in_float, const cv::Mat& actual, const cv::Mat& sharp, double at) {
+    const double parity = mean_square(in_float, actual);
+    const double restored_db = psnr_of(mean_square(in_float, sharp));
     const double loss_db = restored_db - psnr_of(mean_square(actual, sharp));
     parity_sum += parity;
     ++count;
@@ -94,7 +94,7 @@ void print(const char* what, const std::string& engine, double extent_px, const 
 nlohmann::json measure_uniform(const Arguments& arguments, const std::vector<cv::Mat>& photographs,
                                const KernelBank& bank) {
   nlohmann::json records;
-  const auto reference = make_engine("float", arguments.threads);
+  const auto float_engine = make_engine("float", arguments.threads);
   for (const double extent_px : arguments.extents_px) {
     std::map<std::string, Comparison> comparisons;
     for (int i = 0; i < std::min<int>(arguments.uniform_images, static_cast<int>(photographs.size())); ++i) {
@@ -113,7 +113,7 @@ nlohmann::json measure_uniform(const Arguments& arguments, const std::vector<cv:
             test::expose(wide_blurred(cv::Rect(at, middle.size())), kNoiseGreyLevels, 1000 * i + degrees);
         const FrameBlur field = uniform_blur_field(blurred.cols, blurred.rows, angle_rad, extent_px, wide_options());
         cv::Mat expected, actual;
-        deconvolve(blurred, PixelLayout::GRAY, field, bank, *reference, expected);
+        deconvolve(blurred, PixelLayout::GRAY, field, bank, *float_engine, expected);
         for (const std::string& name : arguments.engines) {
           const auto engine = make_engine(name, arguments.threads);
           deconvolve(blurred, PixelLayout::GRAY, field, bank, *engine, actual);
@@ -136,7 +136,7 @@ nlohmann::json measure_uniform(const Arguments& arguments, const std::vector<cv:
 nlohmann::json measure_roll(const Arguments& arguments, const std::vector<cv::Mat>& photographs,
                             const KernelBank& bank) {
   nlohmann::json records;
-  const auto reference = make_engine("float", arguments.threads);
+  const auto float_engine = make_engine("float", arguments.threads);
   for (const double extent_px : {5, 15, 30, 60, 90, 130}) {
     std::map<std::string, Comparison> comparisons;
     for (std::size_t i = 0; i < photographs.size(); ++i) {
@@ -145,7 +145,7 @@ nlohmann::json measure_roll(const Arguments& arguments, const std::vector<cv::Ma
       const cv::Mat blurred = test::expose(roll.blur(sharp), kNoiseGreyLevels, i);
       const FrameBlur field = roll.field(sharp.cols, sharp.rows, wide_options());
       cv::Mat expected, actual;
-      deconvolve(blurred, PixelLayout::GRAY, field, bank, *reference, expected);
+      deconvolve(blurred, PixelLayout::GRAY, field, bank, *float_engine, expected);
       for (const std::string& name : arguments.engines) {
         const auto engine = make_engine(name, arguments.threads);
         deconvolve(blurred, PixelLayout::GRAY, field, bank, *engine, actual);
@@ -221,9 +221,9 @@ void run(const Arguments& arguments) {
 
 int main(int argc, char** argv) {
   gyro_deblur::benchmark::Arguments arguments;
-  CLI::App app{"Compares engines with the reference: parity and restored PSNR over angles and extents, and seams.",
+  CLI::App app{"Compares engines with the float engine: parity and restored PSNR over angles and extents, and seams.",
                "measure_fidelity"};
-  app.add_option("--engines", arguments.engines, "engines to compare with the reference")->capture_default_str();
+  app.add_option("--engines", arguments.engines, "engines to compare with the float engine")->capture_default_str();
   app.add_option("--extents", arguments.extents_px, "of the uniform fields [px]")->capture_default_str();
   app.add_option("--angle-step", arguments.angle_step_deg, "of the uniform fields [deg]")
       ->check(CLI::Range(1, 90))

@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "engine/cpu/block_kernels.hpp"
-#include "engine/cpu/cpu_engine.hpp"
+#include "engine/cpu/block_method.hpp"
 #include "engine/seam_blender.hpp"
 #include "inverse/line_taps.hpp"
 #include "inverse/two_scale_design.hpp"
@@ -12,7 +12,8 @@
 namespace gyro_deblur::benchmark {
 namespace {
 
-// As in src/cpu/block_kernels_impl.hpp: coarse outputs that are summed together, and lanes in a group of int16 samples.
+// As in src/engine/cpu/block_kernels_impl.hpp: coarse outputs that are summed together, and lanes in a group of int16
+// samples.
 constexpr int kCoarseOutputs = kCoarseGuard + 1;
 constexpr int kLaneGroup = 32;
 // Instruction sets with vectors of at least so many floats filter 8-bit lanes in int16.
@@ -21,10 +22,9 @@ constexpr int kLeastFloatsOfIntegerLanes = 8;
 double round_up(double n, double step) { return std::ceil(n / step) * step; }
 
 void add_two_scale(const BlockFilter& block, cv::Size size, int lanes_of_vector, Work& work) {
-  const double dx = std::cos(block.angle_rad), dy = std::sin(block.angle_rad);
-  const double stretch = std::max(std::abs(dx), std::abs(dy));
-  const double slope = std::min(std::abs(dx), std::abs(dy)) / stretch;
-  const bool major_is_y = std::abs(dy) > std::abs(dx);
+  const LineDirection line = direction_of(block.angle_rad);
+  const double stretch = std::abs(line.major), slope = std::abs(line.slope);
+  const bool major_is_y = line.major_is_y;
   const double along = major_is_y ? size.height : size.width;
   const double across = major_is_y ? size.width : size.height;
 
@@ -63,7 +63,7 @@ void add_two_scale(const BlockFilter& block, cv::Size size, int lanes_of_vector,
 
 void add_exact(const BlockFilter& block, cv::Size size, Work& work) {
   const std::vector<KernelTap> taps = rotate_kernel(*block.kernel, block.angle_rad);
-  const bool major_is_y = std::abs(std::sin(block.angle_rad)) > std::abs(std::cos(block.angle_rad));
+  const bool major_is_y = direction_of(block.angle_rad).major_is_y;
   const auto step = [&](const KernelTap& tap) { return major_is_y ? tap.dy : tap.dx; };
   // Two neighbours across make a pair.
   double pairs = 0;
@@ -86,7 +86,7 @@ void for_each_filtered(const FilterGrid& grid, const Add& add) {
 
 }  // namespace
 
-Work work_of_reference(const FilterGrid& grid) {
+Work work_of_float(const FilterGrid& grid) {
   Work work;
   for_each_filtered(grid, [&](const BlockFilter& block, cv::Size size) {
     const double macs = static_cast<double>(rotate_kernel(*block.kernel, block.angle_rad).size()) * size.area();
@@ -99,12 +99,10 @@ Work work_of_reference(const FilterGrid& grid) {
 Work work_of_cpu(const FilterGrid& grid, int lanes) {
   Work work;
   for_each_filtered(grid, [&](const BlockFilter& block, cv::Size size) {
-    const double dx = std::cos(block.angle_rad), dy = std::sin(block.angle_rad);
-    const bool major_is_y = std::abs(dy) > std::abs(dx);
-    const double slope = major_is_y ? dx / dy : dy / dx;
-    if (CpuEngine::takes_two_scales(*block.kernel, slope, CV_8U)) {
+    const auto [major_is_y, major, slope] = direction_of(block.angle_rad);
+    if (takes_two_scales(*block.kernel, slope, CV_8U)) {
       const int along = major_is_y ? size.height : size.width;
-      const int longest = CpuEngine::max_two_scale_rows(*block.kernel, slope);
+      const int longest = max_two_scale_rows(*block.kernel, slope);
       const int tiles = (along + longest - 1) / longest;
       for (int i = 0; i < tiles; ++i) {
         cv::Size tile = size;

@@ -19,7 +19,11 @@ FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int 
 /// plane by plane with half the extent.
 /// Preconditions: image has the field's size and a type that fits `layout`. `dst` as for Engine::filter,
 /// `threads` as for make_filter_grid.
-void deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field, const KernelBank& bank,
-                Engine& engine, cv::Mat& dst, int threads = 0);
+/// Returns Engine::slow_blocks(); of a mosaic the largest number of any plane, for a block is filtered alike in each.
+SlowBlocks deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field, const KernelBank& bank,
+                      Engine& engine, cv::Mat& dst, int threads = 0);
+
+/// Adds to `all` what another pass over the same blocks found: for each reason the larger number.
+void keep_larger(const SlowBlocks& of_pass, SlowBlocks& all);
 
 }  // namespace gyro_deblur

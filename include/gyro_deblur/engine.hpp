@@ -1,6 +1,8 @@
 // Engines: every block of an image filtered along its own line with its own kernel (paper section IV-B).
 #pragma once
 
+#include <cstddef>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -30,9 +32,12 @@ struct FilterGrid {
   cv::Rect rect(int index) const;
 };
 
+/// How many blocks an engine filtered with a slower method than the one it has for most, by the reason in words.
+using SlowBlocks = std::map<std::string, std::size_t>;
+
 /// Convolves every block of an image along its own line with its own kernel. So that the borders of blocks do not show,
 /// neighbours with different filters are cross-faded over up to 4 px on either side, and a filtered block fades into
-/// the input within as much of a copied one (the rule: src/core/seam_blender.hpp).
+/// the input within as much of a copied one (the rule: src/engine/seam_blender.hpp).
 class Engine {
  public:
   virtual ~Engine() = default;
@@ -46,6 +51,9 @@ class Engine {
 
   /// Short name for diagnostics, e.g. "float". Any thread may ask, also during filter().
   virtual std::string name() const = 0;
+
+  /// Those of the latest image; none where an engine has one method for all. Not during filter().
+  virtual SlowBlocks slow_blocks() const { return {}; }
 
   /// Something the user should know, such as a device that failed; each warning is returned once, empty: none.
   virtual std::string take_warning() { return {}; }

@@ -45,6 +45,7 @@ struct PipelineResult {
   std::vector<RectifiedPoint> points;  ///< one for each of features.keypoints
   TimeNs reference_ns = 0;             ///< camera clock; at which points[].rectified_px hold
   StageTimes times;
+  SlowBlocks slow_blocks;  ///< blocks that left the engine's fast path, and why
 };
 
 /// Makes the engine of a name and a number of threads, as make_engine does.

@@ -37,6 +37,10 @@ std::string FallbackEngine::name() const {
   return primary_ ? primary_->name() : secondary_->name() + " (" + failure_ + ")";
 }
 
+SlowBlocks FallbackEngine::slow_blocks() const {
+  return primary_ ? primary_->slow_blocks() : secondary_->slow_blocks();
+}
+
 std::string FallbackEngine::take_warning() {
   const std::lock_guard<std::mutex> lock(mutex_);
   std::string warning = std::exchange(warning_, {});

@@ -32,6 +32,8 @@ class FallbackEngine : public Engine {
   /// The primary's name, or "SECONDARY (PRIMARY failed: reason)". Any thread may ask, also during filter().
   std::string name() const override;
 
+  SlowBlocks slow_blocks() const override;
+
   std::string take_warning() override;
 
  private:

@@ -18,18 +18,17 @@ namespace gyro_deblur {
 ///   of either; 0 at the edge of the image, and where the filters on either side of the whole line are the same.
 /// - A filtered block is computed on its rectangle and the margins around it. A copied block is the input everywhere.
 /// - Over the m px on either side of a border, the weight of the block behind it rises in 2 m + 1 equal steps, in x and
-/// y
-///   independently. The weighted mean of the blocks' rounded results is rounded.
+///   y independently. The weighted mean of the blocks' rounded results is rounded.
 /// - Where a copied block is among the eight neighbours, the filtered block then fades into the input: over the m px
-/// next
-///   to it (by Chebyshev distance), in m + 1 equal steps.
+///   next to it (by Chebyshev distance), in m + 1 equal steps.
 ///
 /// Weights are whole 256ths and arithmetic is exact, so that the result does not depend on who computes it. How to use:
 /// plan(), put the results of all filtered blocks where parts() says (or store() them), copy the others, blend(). Keeps
 /// its memory.
 class SeamBlender {
  public:
-  /// Margins for images of `type`. Precondition: as require_filterable(); `grid` lives until after blend().
+  /// Margins for images of `type`. Preconditions: type and grid are as Engine::filter asks; the grid lives until after
+  /// blend().
   void plan(const FilterGrid& grid, int type);
 
   /// What has to be computed of a block: its rectangle and the margins around it, inside the image.
@@ -78,7 +77,6 @@ class SeamBlender {
   Margins margins(int block) const;
   /// Pixels of a block that are computed for a border, from margin to margin.
   cv::Rect strip_rect(int block, Strip strip) const;
-  std::size_t strip_offset(int block, Strip strip) const;
   template <typename Pixel>
   View<Pixel> view(int block, Strip strip, int x, int y, const cv::Mat& src) const;
 

@@ -1,11 +1,20 @@
 // A kernel along a line as weights of pixels.
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 #include "gyro_deblur/kernel_bank.hpp"
 
 namespace gyro_deblur {
+
+/// How a line lies on the grid of pixels.
+struct LineDirection {
+  bool major_is_y;  ///< the major axis, the one that is nearer to the line, is y
+  double major;     ///< sine (y) or cosine (x) of the line's angle, whichever is larger in size
+  double slope;     ///< pixels across for a step of the major axis, [-1, 1]
+};
+LineDirection direction_of(double angle_rad);
 
 /// A non-zero element of a rotated kernel.
 struct KernelTap {
@@ -19,6 +28,22 @@ struct KernelTap {
 std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad);
 void rotate_kernel(const LineKernel& kernel, double angle_rad, std::vector<KernelTap>& taps,
                    std::vector<float>& on_axis);
+
+/// The taps at a step of the major axis: neighbours across.
+struct StepTaps {
+  std::int32_t across;  ///< of the lower one
+  float lower, upper;   ///< weights of `across` and across + 1
+};
+
+/// A rotated kernel step by step.
+struct LineSteps {
+  bool major_is_y = false;
+  int first_m = 0;              ///< step of the major axis that steps.front() is
+  std::vector<StepTaps> steps;  ///< one for each step from there on
+};
+
+/// The taps of rotate_kernel() by step of the major axis. Uses the room that `line` has.
+void make_line_steps(const LineKernel& kernel, double angle_rad, LineSteps& line);
 
 /// The kernel on unit steps of a line's major axis: each tap, at position * major, is weighted onto the two nearest
 /// steps. major: cosine or sine of the line's angle, whichever is larger in size: 0.7 to 1, or the negative of it.

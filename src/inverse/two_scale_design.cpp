@@ -46,6 +46,91 @@ class EvenSequence {
   std::vector<double> values_;
 };
 
+/// What the nodes of the design make of a frequency, as means over the d places that an output may have in its node.
+struct NodeResponse {
+  double mean = 0, power = 0;
+};
+
+NodeResponse node_response(double w, int d) {
+  const double node = w == 0 ? d : std::sin(w * d / 2) / std::sin(w / 2);  // of d samples, about their middle
+  NodeResponse response;
+  for (int phase = 0; phase < d; ++phase) {
+    const double u = (phase - (d - 1) / 2.0) / d;  // the output's place in its node
+    const double spline[] = {(0.5 - u) * (0.5 - u) / 2, 0.75 - u * u, (0.5 + u) * (0.5 + u) / 2};
+    double real = 0, imaginary = 0;
+    for (int q = -1; q <= 1; ++q) {
+      real += spline[q + 1] * std::cos(w * (q - u) * d);
+      imaginary += spline[q + 1] * std::sin(w * (q - u) * d);
+    }
+    response.mean += real * node / d;
+    response.power += (real * real + imaginary * imaginary) * node * node / d;
+  }
+  return response;
+}
+
+/// Spectra of the correlations of node shapes with each other, with a tap and with boxes, and of boxes with taps and
+/// boxes.
+struct Correlations {
+  std::vector<double> node_node, node_tap, node_box[2], box_tap[2], box_box[2][2];
+
+  Correlations(int box_half, int d, int period) {
+    for (int f = 0; f <= period / 2; ++f) {
+      const double w = 2 * M_PI * f / period;
+      const double blur = box_spectrum(w, box_half) / (2 * box_half + 1);
+      const double image = (1 - kNeighbourCorrelation * kNeighbourCorrelation) /
+                           (1 + kNeighbourCorrelation * (kNeighbourCorrelation - 2 * std::cos(w)));
+      const double covariance = kImageVariance * image * blur * blur + kNoiseVariance;
+
+      const NodeResponse node = node_response(w, d);
+      node_node.push_back(covariance * node.power);
+      node_tap.push_back(covariance * node.mean);
+      for (int b = 0; b < 2; ++b) {
+        const double box = box_spectrum(w, box_half + b);
+        node_box[b].push_back(covariance * node.mean * box);
+        box_tap[b].push_back(covariance * box);
+        for (int c = 0; c < 2; ++c) box_box[b][c].push_back(covariance * box * box_spectrum(w, box_half + c));
+      }
+    }
+  }
+};
+
+/// normal * map = taps, and sums' map = the taps' own sums. Unknowns are the weights of nodes 0 .. radius, of the inner
+/// and of the outer box; a column of `taps` for each tap 0 .. reach.
+struct NormalEquations {
+  Eigen::MatrixXd normal, taps;
+  Eigen::VectorXd sums;
+
+  NormalEquations(int box_half, int d, int radius) {
+    const int reach = radius * d, coarse = radius + 1, unknowns = coarse + 2;
+    // Room for the difference of any two places, so that nothing wraps around.
+    int period = 1;
+    while (period < 4 * (reach + 3 * d)) period *= 2;
+    const Correlations of(box_half, d, period);
+    normal.resize(unknowns, unknowns);
+    taps.resize(unknowns, reach + 1);
+    sums.resize(unknowns);
+    // Weight j stands for nodes j and -j, and tap m for m and -m.
+    const auto both_sides = [](const EvenSequence& sequence, int a, int b) {
+      return (sequence(a - b) + sequence(a + b)) * (a == 0 ? 1 : 2) * (b == 0 ? 1 : 2) / 2;
+    };
+    const EvenSequence of_nodes(of.node_node), of_node_and_tap(of.node_tap);
+    for (int j = 0; j < coarse; ++j) {
+      for (int i = 0; i <= j; ++i) normal(i, j) = normal(j, i) = both_sides(of_nodes, i * d, j * d);
+      for (int m = 0; m <= reach; ++m) taps(j, m) = both_sides(of_node_and_tap, j * d, m);
+      sums[j] = (j == 0 ? 1 : 2) * d;
+    }
+    for (int b = 0; b < 2; ++b) {
+      const EvenSequence of_box_and_node(of.node_box[b]), of_box_and_tap(of.box_tap[b]);
+      for (int j = 0; j < coarse; ++j) {
+        normal(j, coarse + b) = normal(coarse + b, j) = both_sides(of_box_and_node, j * d, 0);
+      }
+      for (int m = 0; m <= reach; ++m) taps(coarse + b, m) = both_sides(of_box_and_tap, m, 0);
+      for (int c = 0; c < 2; ++c) normal(coarse + b, coarse + c) = EvenSequence(of.box_box[b][c])(0);
+      sums[coarse + b] = 2 * (box_half + b) + 1;
+    }
+  }
+};
+
 }  // namespace
 
 int TwoScaleDesign::decimation_for(int box_half) {
@@ -58,70 +143,14 @@ int TwoScaleDesign::decimation_for(int box_half) {
 // correlations.
 TwoScaleDesign::TwoScaleDesign(int box_half, int radius)
     : box_half_(box_half), decimation_(decimation_for(box_half)), radius_(radius) {
-  const int d = decimation_, reach = this->reach();
-  // Room for the difference of any two places, so that nothing wraps around.
-  int period = 1;
-  while (period < 4 * (reach + 3 * d)) period *= 2;
-
-  // Correlations of node shapes with each other, with a tap and with boxes, and of boxes with taps and boxes.
-  std::vector<double> node_node, node_tap, node_box[2], box_tap[2], box_box[2][2];
-  for (int f = 0; f <= period / 2; ++f) {
-    const double w = 2 * M_PI * f / period;
-    const double blur = box_spectrum(w, box_half) / (2 * box_half + 1);
-    const double image = (1 - kNeighbourCorrelation * kNeighbourCorrelation) /
-                         (1 + kNeighbourCorrelation * (kNeighbourCorrelation - 2 * std::cos(w)));
-    const double covariance = kImageVariance * image * blur * blur + kNoiseVariance;
-
-    const double node = w == 0 ? d : std::sin(w * d / 2) / std::sin(w / 2);  // of d samples, about their middle
-    double mean = 0, power = 0;                                              // over the phases
-    for (int phase = 0; phase < d; ++phase) {
-      const double u = (phase - (d - 1) / 2.0) / d;  // the output's place in its node
-      const double spline[] = {(0.5 - u) * (0.5 - u) / 2, 0.75 - u * u, (0.5 + u) * (0.5 + u) / 2};
-      double real = 0, imaginary = 0;
-      for (int q = -1; q <= 1; ++q) {
-        real += spline[q + 1] * std::cos(w * (q - u) * d);
-        imaginary += spline[q + 1] * std::sin(w * (q - u) * d);
-      }
-      mean += real * node / d;
-      power += (real * real + imaginary * imaginary) * node * node / d;
-    }
-    node_node.push_back(covariance * power);
-    node_tap.push_back(covariance * mean);
-    for (int b = 0; b < 2; ++b) {
-      const double box = box_spectrum(w, box_half + b);
-      node_box[b].push_back(covariance * mean * box);
-      box_tap[b].push_back(covariance * box);
-      for (int c = 0; c < 2; ++c) box_box[b][c].push_back(covariance * box * box_spectrum(w, box_half + c));
-    }
-  }
-
-  const int coarse = radius + 1, unknowns = coarse + 2;
-  Eigen::MatrixXd normal(unknowns, unknowns), taps(unknowns, reach + 1);
-  Eigen::VectorXd sums(unknowns);
-  // Weight j stands for nodes j and -j, and tap m for m and -m.
-  const auto both_sides = [](const EvenSequence& sequence, int a, int b) {
-    return (sequence(a - b) + sequence(a + b)) * (a == 0 ? 1 : 2) * (b == 0 ? 1 : 2) / 2;
-  };
-  const EvenSequence of_nodes(node_node), of_node_and_tap(node_tap);
-  for (int j = 0; j < coarse; ++j) {
-    for (int i = 0; i <= j; ++i) normal(i, j) = normal(j, i) = both_sides(of_nodes, i * d, j * d);
-    for (int m = 0; m <= reach; ++m) taps(j, m) = both_sides(of_node_and_tap, j * d, m);
-    sums[j] = (j == 0 ? 1 : 2) * d;
-  }
-  for (int b = 0; b < 2; ++b) {
-    const EvenSequence of_box_and_node(node_box[b]), of_box_and_tap(box_tap[b]);
-    for (int j = 0; j < coarse; ++j) {
-      normal(j, coarse + b) = normal(coarse + b, j) = both_sides(of_box_and_node, j * d, 0);
-    }
-    for (int m = 0; m <= reach; ++m) taps(coarse + b, m) = both_sides(of_box_and_tap, m, 0);
-    for (int c = 0; c < 2; ++c) normal(coarse + b, coarse + c) = EvenSequence(box_box[b][c])(0);
-    sums[coarse + b] = 2 * (box_half + b) + 1;
-  }
-  const Eigen::LDLT<Eigen::MatrixXd> solver(normal);
-  Eigen::MatrixXd map = solver.solve(taps);
+  const NormalEquations equations(box_half, decimation_, radius);
+  const Eigen::VectorXd& sums = equations.sums;
+  const Eigen::LDLT<Eigen::MatrixXd> solver(equations.normal);
+  Eigen::MatrixXd map = solver.solve(equations.taps);
   // The sum, by a Lagrange multiplier.
   const Eigen::VectorXd direction = solver.solve(sums);
   Eigen::RowVectorXd missing = -(sums.transpose() * map);
+  const int reach = this->reach(), unknowns = static_cast<int>(sums.size());
   for (int m = 0; m <= reach; ++m) missing[m] += m == 0 ? 1 : 2;
   map += direction * missing / sums.dot(direction);
 
@@ -135,12 +164,12 @@ TwoScaleDesign::TwoScaleDesign(int box_half, int radius)
   }
 }
 
-void TwoScaleDesign::fit(const float* kernel, int count, const BlockKernels& kernels, TwoScaleWeights& weights) const {
+void TwoScaleDesign::fit(const float* kernel, int count, const TapLoops& loops, TwoScaleWeights& weights) const {
   weights.coarse.resize(row_groups_ * kRowGroup);
   float* sums = weights.coarse.data();
   for (int group = 0; group < row_groups_; ++group) {
-    kernels.combine_columns(map_.data() + static_cast<std::size_t>(group) * (reach() + 1) * kRowGroup, kernel,
-                            count + 1, sums + group * kRowGroup);
+    loops.combine_columns(map_.data() + static_cast<std::size_t>(group) * (reach() + 1) * kRowGroup, kernel, count + 1,
+                          sums + group * kRowGroup);
   }
   double missing = -kernel[0];
   for (int m = 0; m <= count; ++m) missing += 2.0 * kernel[m];

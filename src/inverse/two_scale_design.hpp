@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "engine/cpu/block_kernels.hpp"
+#include "inverse/tap_loops.hpp"
 
 namespace gyro_deblur {
 
@@ -37,11 +37,11 @@ class TwoScaleDesign {
 
   /// Weights that come nearest to the kernel, with its sum kept exactly.
   /// @param kernel  taps 0 .. count, count <= reach()
-  void fit(const float* kernel, int count, const BlockKernels& kernels, TwoScaleWeights& weights) const;
+  void fit(const float* kernel, int count, const TapLoops& loops, TwoScaleWeights& weights) const;
 
  private:
   int box_half_, decimation_, radius_;
-  // Rows are coarse weights, inner and outer box; a column for each tap. See BlockKernels::combine_columns.
+  // Rows are coarse weights, inner and outer box; a column for each tap. See TapLoops::combine_columns.
   int row_groups_;
   std::vector<float> map_;
 };

@@ -68,8 +68,9 @@ struct Divisions {
 
 /// Filters the four planes of a Bayer mosaic. Each samples the image at every second pixel from (px, py), so direction
 /// stays, extent halves, and block borders (even, because block sizes are) fall between samples.
-void deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const KernelBank& bank, Engine& engine,
-                      int threads, cv::Mat& dst) {
+SlowBlocks deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const KernelBank& bank, Engine& engine,
+                            int threads, cv::Mat& dst) {
+  SlowBlocks slow;
   mosaic.copyTo(dst);
   const std::size_t pixel_bytes = mosaic.elemSize();
   const OwnKernels uneven = uneven_kernels(field, 0.5, bank, threads);
@@ -101,6 +102,7 @@ void deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const Kerne
         for (int x = 0; x < size.width; ++x) std::copy_n(from + 2 * x * pixel_bytes, pixel_bytes, to + x * pixel_bytes);
       }
       engine.filter(plane, grid, filtered);
+      keep_larger(engine.slow_blocks(), slow);
       for (int y = 0; y < size.height; ++y) {
         const uchar* from = filtered.ptr(y);
         uchar* to = dst.ptr(2 * y + py) + px * pixel_bytes;
@@ -108,6 +110,7 @@ void deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const Kerne
       }
     }
   }
+  return slow;
 }
 
 }  // namespace
@@ -122,8 +125,15 @@ FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int 
   return grid;
 }
 
-void deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field, const KernelBank& bank,
-                Engine& engine, cv::Mat& dst, int threads) {
+void keep_larger(const SlowBlocks& of_pass, SlowBlocks& all) {
+  for (const auto& [reason, count] : of_pass) {
+    std::size_t& most = all[reason];
+    most = std::max(most, count);
+  }
+}
+
+SlowBlocks deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field, const KernelBank& bank,
+                      Engine& engine, cv::Mat& dst, int threads) {
   if (image.cols != field.grid.width_px() || image.rows != field.grid.height_px()) {
     throw std::invalid_argument("image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
                                 " px does not fit a blur field of " + std::to_string(field.grid.width_px()) + "x" +
@@ -135,17 +145,14 @@ void deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field
   }
   if (field.count(BlockStatus::DEBLURRED) == 0) {
     image.copyTo(dst);
-    return;
+    return {};
   }
-  if (is_bayer(layout)) {
-    deconvolve_bayer(image, field, bank, engine, threads, dst);
-    return;
-  }
+  if (is_bayer(layout)) return deconvolve_bayer(image, field, bank, engine, threads, dst);
 
   const FilterGrid grid = make_filter_grid(field, bank, threads);
   if (image.channels() < 4) {
     engine.filter(image, grid, dst);
-    return;
+    return engine.slow_blocks();
   }
   // Alpha is no light: filter the three colours and put the input's alpha beside them.
   cv::Mat color(image.size(), CV_MAKETYPE(image.depth(), 3)), filtered;
@@ -155,6 +162,7 @@ void deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field
   dst.create(image.size(), image.type());
   cv::mixChannels({filtered}, {dst}, colors, 3);
   cv::mixChannels({image}, {dst}, alpha, 1);
+  return engine.slow_blocks();
 }
 
 }  // namespace gyro_deblur

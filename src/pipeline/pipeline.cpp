@@ -108,7 +108,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   const bool anything_to_deblur = result.field.count(BlockStatus::DEBLURRED) > 0;
   if (request.image && anything_to_deblur) {
     const Stopwatch watch;
-    deconvolve(image, layout, result.field, *bank_, *engine_, result.image, options_.threads);
+    result.slow_blocks = deconvolve(image, layout, result.field, *bank_, *engine_, result.image, options_.threads);
     result.times.deconvolution_ms = watch.ms();
   }
   if (!request.keypoints && !request.luminance) return result;
@@ -123,7 +123,8 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     if (anything_to_deblur) {
       const Stopwatch watch;
       cv::Mat deblurred;
-      deconvolve(luminance, PixelLayout::GRAY, result.field, *bank_, *engine_, deblurred, options_.threads);
+      keep_larger(deconvolve(luminance, PixelLayout::GRAY, result.field, *bank_, *engine_, deblurred, options_.threads),
+                  result.slow_blocks);
       luminance = deblurred;
       result.times.deconvolution_ms += watch.ms();
     }

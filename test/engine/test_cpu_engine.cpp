@@ -1,4 +1,4 @@
-// The fast CPU engine against the reference engine, for every instruction set that this processor runs.
+// The fast CPU engine against the float engine, for every instruction set that this processor runs.
 #include "engine/cpu/cpu_engine.hpp"
 
 #include <cmath>
@@ -10,7 +10,6 @@
 
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/deconvolution.hpp"
-#include "inverse/line_taps.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {
@@ -55,11 +54,11 @@ class CpuEngineTest : public testing::TestWithParam<const char*> {
     if (kernels_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
   }
 
-  /// Reference and fast result for one image and field.
+  /// Float and fast result for one image and field.
   void run(const cv::Mat& image, PixelLayout layout, const FrameBlur& field, cv::Mat& expected, cv::Mat& actual) {
-    FloatEngine reference(2);
+    FloatEngine in_float(2);
     CpuEngine fast(2, *kernels_);
-    deconvolve(image, layout, field, *bank_, reference, expected);
+    deconvolve(image, layout, field, *bank_, in_float, expected);
     deconvolve(image, layout, field, *bank_, fast, actual);
   }
 
@@ -87,24 +86,6 @@ TEST_P(CpuEngineTest, ShortKernelsDifferByRoundingAlone) {
       pooled += mean_square(expected, actual);
     }
     EXPECT_GE(psnr_db(pooled / angles), least_db) << extent_px << " px";
-  }
-}
-
-TEST_P(CpuEngineTest, ResamplesKernelsLikeTheReference) {
-  for (const double extent_px : {2.0, 31.7, 34.0, 90.0, 251.3, 500.0}) {
-    const LineKernel& kernel = bank_->kernel(extent_px);
-    for (const double step : {std::sqrt(0.5), 0.71, 0.8, 0.9, 0.999, 1.0}) {
-      std::vector<float> expected;
-      kernel_on_major_axis(kernel, step, expected);
-      const int steps = static_cast<int>(expected.size() / 2);
-      std::vector<float> actual(steps + kRowGroup, 100.0f);
-      kernels_->resample_kernel(kernel.taps.data() + kernel.radius(), kernel.radius(), step, steps, actual.data());
-      float largest = 0;
-      for (const float element : expected) largest = std::max(largest, std::abs(element));
-      for (int m = 0; m <= steps; ++m) {
-        ASSERT_NEAR(actual[m], expected[steps + m], 1e-5 * largest) << extent_px << " px, " << step << ", step " << m;
-      }
-    }
   }
 }
 
@@ -145,7 +126,7 @@ TEST_P(CpuEngineTest, StaysCloseNearAnAxis) {
 }
 
 // Box and rest nearly cancel where gamma is small; whatever the engine does about it must not show.
-TEST_P(CpuEngineTest, FollowsTheReferenceAtAnyGamma) {
+TEST_P(CpuEngineTest, FollowsTheFloatEngineAtAnyGamma) {
   const cv::Mat sharp = test::textured_image(200, 150, 7);
   for (const double gamma : {1e-5, 1e-3, 5e-3, 0.008, 0.1, 1.0}) {
     bank_ = std::make_unique<KernelBank>(KernelOptions{gamma, gamma < 0.05 ? 4.0 : 8.0});
@@ -158,7 +139,7 @@ TEST_P(CpuEngineTest, FollowsTheReferenceAtAnyGamma) {
   }
 }
 
-TEST_P(CpuEngineTest, FollowsTheReferenceWithAnyKernelDesign) {
+TEST_P(CpuEngineTest, FollowsTheFloatEngineWithAnyKernelDesign) {
   const cv::Mat sharp = test::textured_image(200, 150, 8);
   for (const KernelDesign design : {KernelDesign::LEAST_SQUARES, KernelDesign::FOURIER}) {
     for (const double smoothing_px : {0.0, 0.7, 2.0}) {
@@ -239,7 +220,7 @@ TEST_P(CpuEngineTest, GivesTheSameForAnyNumberOfThreadsAndOnReuse) {
   EXPECT_EQ(cv::norm(a, again, cv::NORM_INF), 0);
 }
 
-// Kernels of unknown shape have no box to take out; the reference engine serves those that are long.
+// Kernels of unknown shape have no box to take out; the float engine serves those that are long.
 TEST_P(CpuEngineTest, FiltersKernelsOfAnyShape) {
   LineKernel lopsided;
   lopsided.taps.assign(81, 0.0f);

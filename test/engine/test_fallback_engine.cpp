@@ -27,6 +27,7 @@ class FailingEngine : public Engine {
     throw Error("out of order");
   }
   std::string name() const override { return "failing"; }
+  SlowBlocks slow_blocks() const override { return {{"the device is slow", 3}}; }
 
  private:
   int good_frames_;
@@ -63,8 +64,8 @@ TEST_F(FallbackEngineTest, LosesNoFrameWhenTheDeviceFailsInMidRun) {
     EXPECT_EQ(engine.take_warning(), "");
   }
   EXPECT_TRUE(gives_the_right_frame(engine)) << "the frame that failed";
-  EXPECT_EQ(engine.name(), "reference (failing failed: out of order)");
-  EXPECT_EQ(engine.take_warning(), "failing failed: out of order; using reference from now on");
+  EXPECT_EQ(engine.name(), "float (failing failed: out of order)");
+  EXPECT_EQ(engine.take_warning(), "failing failed: out of order; using float from now on");
   for (int frame = 0; frame < 3; ++frame) {
     EXPECT_TRUE(gives_the_right_frame(engine));
     EXPECT_EQ(engine.take_warning(), "") << "one warning only";
@@ -72,10 +73,18 @@ TEST_F(FallbackEngineTest, LosesNoFrameWhenTheDeviceFailsInMidRun) {
   EXPECT_EQ(calls_, 3) << "the device is not tried again";
 }
 
+TEST_F(FallbackEngineTest, TellsTheSlowBlocksOfTheEngineInUse) {
+  FallbackEngine engine = failing_after(1);
+  EXPECT_TRUE(gives_the_right_frame(engine));
+  EXPECT_EQ(engine.slow_blocks(), (SlowBlocks{{"the device is slow", 3}}));
+  EXPECT_TRUE(gives_the_right_frame(engine));
+  EXPECT_EQ(engine.slow_blocks(), SlowBlocks{}) << "of the engine behind it";
+}
+
 TEST_F(FallbackEngineTest, StartsWithoutTheDevice) {
   FallbackEngine engine("OpenCL", DeviceError("no such device"), std::make_unique<FloatEngine>(1));
-  EXPECT_EQ(engine.name(), "reference (OpenCL failed: no such device)");
-  EXPECT_EQ(engine.take_warning(), "OpenCL failed: no such device; using reference from now on");
+  EXPECT_EQ(engine.name(), "float (OpenCL failed: no such device)");
+  EXPECT_EQ(engine.take_warning(), "OpenCL failed: no such device; using float from now on");
   EXPECT_EQ(engine.take_warning(), "");
   EXPECT_TRUE(gives_the_right_frame(engine));
 }

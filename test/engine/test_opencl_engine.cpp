@@ -1,4 +1,4 @@
-// The OpenCL engine against the reference engine, with the kernels of a processor and of a GPU. Both run on any device.
+// The OpenCL engine against the float engine, with the kernels of a processor and of a GPU. Both run on any device.
 #include "engine/opencl/opencl_engine.hpp"
 
 #include <algorithm>
@@ -53,7 +53,7 @@ class OpenClEngineTest : public testing::TestWithParam<OpenClTuning> {
 
   cv::Mat expected(const cv::Mat& src, const FilterGrid& blocks) {
     cv::Mat dst;
-    reference_.filter(src, blocks, dst);
+    float_.filter(src, blocks, dst);
     return dst;
   }
 
@@ -64,7 +64,7 @@ class OpenClEngineTest : public testing::TestWithParam<OpenClTuning> {
   }
 
   std::unique_ptr<OpenClEngine> engine_;
-  FloatEngine reference_{kThreads};
+  FloatEngine float_{kThreads};
   KernelBank bank_{KernelOptions{}};
 };
 

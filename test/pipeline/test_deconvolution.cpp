@@ -4,38 +4,22 @@
 #include <cmath>
 #include <optional>
 #include <string>
+#include <tuple>
 #include <utility>
 
 #include <gtest/gtest.h>
 
-#include "filter_grids.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "naive_convolution.hpp"
+#include "images.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {
 namespace {
 
+using test::equal;
+using test::random_image;
+
 double radians(double degrees) { return degrees * CV_PI / 180; }
-
-cv::Mat random_image(int width, int height, int type, std::uint64_t seed) {
-  cv::Mat image(height, width, type);
-  cv::RNG rng(seed);
-  rng.fill(image, cv::RNG::UNIFORM, 0, CV_MAT_DEPTH(type) == CV_8U ? 256 : 65536);
-  return image;
-}
-
-bool equal(const cv::Mat& a, const cv::Mat& b) {
-  return a.size() == b.size() && a.type() == b.type() && cv::norm(a, b, cv::NORM_INF) == 0;
-}
-
-/// A grid of blocks, each with its own angle and extent; every seventh is only copied.
-FilterGrid varied_blocks(int width, int height, int block_size, double max_extent, const KernelBank& bank) {
-  return test::make_grid({width, height}, block_size, [&](int i) -> BlockFilter {
-    const double extent = 2 + std::fmod(3.7 * i, max_extent - 2);
-    return {radians(std::fmod(23.0 * i, 180)), i % 7 == 3 ? nullptr : &bank.kernel(extent)};
-  });
-}
 
 // Asymmetric, so that a kernel turned round, or the box, shows.
 TEST(Deconvolve, FollowsAnUnevenPathInItsDirection) {
@@ -108,163 +92,6 @@ TEST(Deconvolve, ShowsAPointWhereItsBlockSays) {
           << extent_px << ' ' << share << ": found " << peak.x - center.x << ", " << peak.y - center.y << ", expected "
           << shown.transpose();
     }
-  }
-}
-
-TEST(RotateKernel, KeepsTheSumAtEveryAngle) {
-  const LineKernel kernel = wiener_kernel(17.3, {});
-  for (int degrees = -180; degrees <= 360; ++degrees) {
-    double sum = 0;
-    for (const KernelTap& tap : rotate_kernel(kernel, radians(degrees))) sum += tap.weight;
-    EXPECT_NEAR(sum, 1.0, 1e-5) << degrees;
-  }
-}
-
-TEST(RotateKernel, IsTheKernelItselfAlongTheAxes) {
-  const LineKernel kernel = wiener_kernel(9.0, {});
-  for (const int degrees : {0, 90, 180}) {
-    const std::vector<KernelTap> taps = rotate_kernel(kernel, radians(degrees));
-    ASSERT_EQ(taps.size(), kernel.taps.size());
-    for (const KernelTap& tap : taps) {
-      EXPECT_EQ(degrees == 90 ? tap.dx : tap.dy, 0);
-      EXPECT_NEAR(tap.weight, kernel.taps[(degrees == 90 ? tap.dy : tap.dx) + kernel.radius()], 1e-6);
-    }
-  }
-}
-
-TEST(RotateKernel, LiesAlongTheLine) {
-  // First and second moments of a positive kernel: centred, and spread along the angle only.
-  LineKernel box;
-  box.taps.assign(41, 1.0f / 41);
-  for (double degrees = 0; degrees < 180; degrees += 7.5) {
-    const double dx = std::cos(radians(degrees)), dy = std::sin(radians(degrees));
-    double along = 0, across = 0, along2 = 0, across2 = 0;
-    for (const KernelTap& tap : rotate_kernel(box, radians(degrees))) {
-      const double a = tap.dx * dx + tap.dy * dy, b = tap.dy * dx - tap.dx * dy;
-      along += tap.weight * a;
-      across += tap.weight * b;
-      along2 += tap.weight * a * a;
-      across2 += tap.weight * b * b;
-    }
-    EXPECT_NEAR(along, 0, 1e-4) << degrees;
-    EXPECT_NEAR(across, 0, 1e-4) << degrees;
-    EXPECT_NEAR(along2, (41.0 * 41 - 1) / 12, 0.6) << degrees;  // splatting adds at most 1/4 along and across
-    EXPECT_LE(across2, 0.3) << degrees;
-  }
-}
-
-TEST(RotateKernel, KeepsTheDirectionOfAnAsymmetricKernel) {
-  LineKernel kernel;
-  kernel.taps = {0, 0, 0, 0, 0, 0, 0, 0, 1};  // at +4 along the line
-  const std::vector<KernelTap> down = rotate_kernel(kernel, radians(90));
-  ASSERT_EQ(down.size(), 1u);
-  EXPECT_EQ(down[0].dx, 0);
-  EXPECT_EQ(down[0].dy, 4);
-  const std::vector<KernelTap> left = rotate_kernel(kernel, radians(180));
-  ASSERT_EQ(left.size(), 1u);
-  EXPECT_EQ(left[0].dx, -4);
-}
-
-TEST(MakeEngine, KnowsItsNames) {
-  EXPECT_EQ(make_engine("float")->name(), "float");
-  EXPECT_EQ(make_engine("cpu")->name().rfind("cpu-", 0), 0u);
-  EXPECT_NE(make_engine("auto", 1), nullptr);
-  EXPECT_THROW(make_engine("gpu"), OptionError);
-  EXPECT_THROW(make_engine("float", -1), OptionError);
-}
-
-struct EngineCase {
-  int width, height, type, block_size;
-  double max_extent;
-};
-
-class FloatEngineTest : public testing::TestWithParam<EngineCase> {};
-
-TEST_P(FloatEngineTest, MatchesTheDefinition) {
-  const EngineCase& c = GetParam();
-  const KernelBank bank({});
-  const cv::Mat src = random_image(c.width, c.height, c.type, 7);
-  const FilterGrid blocks = varied_blocks(c.width, c.height, c.block_size, c.max_extent, bank);
-  cv::Mat dst;
-  make_engine("float", 2)->filter(src, blocks, dst);
-  const test::ConvolutionError error = test::compare_with_naive(src, blocks, dst);
-  // Rounding to the nearest integer, and float sums: 24 bit mantissa, sum of |taps| below 20.
-  const double full_scale = src.depth() == CV_8U ? 255 : 65535;
-  EXPECT_LE(error.alone, 0.5 + full_scale * 1e-5);
-  // Means of rounded values are rounded again, once for neighbours and once for a copied block.
-  EXPECT_LE(error.blended, 1.5 + full_scale * 1e-5);
-  EXPECT_EQ(error.copied, 0);
-}
-
-INSTANTIATE_TEST_SUITE_P(Shapes, FloatEngineTest,
-                         testing::Values(EngineCase{160, 120, CV_8UC1, 64, 30}, EngineCase{131, 97, CV_8UC1, 64, 40},
-                                         EngineCase{131, 97, CV_16UC1, 32, 40}, EngineCase{70, 45, CV_8UC2, 16, 20},
-                                         EngineCase{70, 45, CV_8UC3, 16, 20}, EngineCase{70, 45, CV_8UC4, 18, 20},
-                                         EngineCase{33, 29, CV_16UC3, 8, 12}, EngineCase{33, 29, CV_16UC4, 8, 12},
-                                         EngineCase{20, 300, CV_8UC1, 64, 60}, EngineCase{300, 3, CV_8UC1, 64, 60},
-                                         EngineCase{5, 7, CV_8UC1, 64, 130}, EngineCase{1, 1, CV_8UC1, 64, 90},
-                                         EngineCase{1, 50, CV_16UC1, 64, 30}, EngineCase{50, 1, CV_8UC3, 64, 30}));
-
-TEST(FloatEngine, GivesTheSameForAnyNumberOfThreadsAndOnReuse) {
-  const KernelBank bank({});
-  const cv::Mat src = random_image(200, 150, CV_8UC1, 3);
-  const FilterGrid blocks = varied_blocks(200, 150, 32, 50, bank);
-  cv::Mat one, two, again;
-  make_engine("float", 1)->filter(src, blocks, one);
-  const auto engine = make_engine("float", 2);
-  engine->filter(src, blocks, two);
-  EXPECT_TRUE(equal(one, two));
-  // Buffers left from larger and smaller images must not show.
-  cv::Mat other;
-  engine->filter(random_image(400, 300, CV_8UC3, 4), varied_blocks(400, 300, 64, 90, bank), other);
-  engine->filter(random_image(3, 3, CV_8UC1, 4), varied_blocks(3, 3, 64, 90, bank), other);
-  engine->filter(src, blocks, again);
-  EXPECT_TRUE(equal(one, again));
-}
-
-TEST(FloatEngine, WorksOnPartsOfLargerImages) {
-  const KernelBank bank({});
-  const cv::Mat whole = random_image(100, 80, CV_8UC1, 5);
-  const cv::Mat src = whole(cv::Rect(11, 13, 70, 50));  // rows are not contiguous
-  const FilterGrid blocks = varied_blocks(70, 50, 32, 20, bank);
-  cv::Mat from_part, from_copy;
-  make_engine("float")->filter(src, blocks, from_part);
-  make_engine("float")->filter(src.clone(), blocks, from_copy);
-  EXPECT_TRUE(equal(from_part, from_copy));
-}
-
-TEST(FloatEngine, KeepsAConstantImage) {
-  const KernelBank bank({});
-  const cv::Mat src(90, 100, CV_8UC1, cv::Scalar(173));
-  cv::Mat dst;
-  make_engine("float")->filter(src, varied_blocks(100, 90, 16, 100, bank), dst);
-  EXPECT_TRUE(equal(src, dst));
-}
-
-TEST(FloatEngine, RefusesOtherTypes) {
-  const auto engine = make_engine("float");
-  cv::Mat dst;
-  EXPECT_THROW(engine->filter(cv::Mat(4, 4, CV_32FC1, cv::Scalar(0)), {}, dst), std::invalid_argument);
-  EXPECT_THROW(engine->filter(cv::Mat(), {}, dst), std::invalid_argument);
-}
-
-TEST(Engine, RefusesGridsThatDoNotFit) {
-  const cv::Mat src = random_image(20, 10, CV_8UC1, 1);
-  const LineKernel kernel = wiener_kernel(5, {});
-  const BlockFilter filter{0, &kernel};
-  const FilterGrid wrong[] = {{},
-                              {{0, 20}, {0, 10}, {}},
-                              {{0, 20}, {0, 10}, {filter, filter}},
-                              {{0, 19}, {0, 10}, {filter}},
-                              {{0, 20}, {0, 11}, {filter}},
-                              {{1, 20}, {0, 10}, {filter}},
-                              {{0, 8, 8, 20}, {0, 10}, {filter, filter, filter}},
-                              {{0, 12, 8, 20}, {0, 10}, {filter, filter, filter}}};
-  for (const char* name : {"float", "cpu", "auto"}) {
-    const auto engine = make_engine(name);
-    cv::Mat dst;
-    for (const FilterGrid& grid : wrong) EXPECT_THROW(engine->filter(src, grid, dst), std::invalid_argument) << name;
-    EXPECT_NO_THROW(engine->filter(src, {{0, 8, 20}, {0, 10}, {filter, filter}}, dst));
   }
 }
 
@@ -434,6 +261,39 @@ TEST(Deconvolve, HandlesBayerBlocksAndTinyMosaics) {
                *engine, dst);
     EXPECT_EQ(dst.size(), size);
   }
+}
+
+// 16 bit and a short blur is slow on the cpu engine, also where the extent is halved on the planes of a mosaic.
+TEST(Deconvolve, TellsHowManyBlocksWereSlow) {
+  const KernelBank bank({});
+  const auto engine = make_engine("cpu", 1);
+  cv::Mat dst;
+  const auto slow = [&](int type, PixelLayout layout, double extent_px) {
+    FrameBlur field = field_of(200, 100, 20, extent_px);  // 4 x 2 blocks of 64 px
+    field.blocks[3].status = BlockStatus::REJECTED;
+    return deconvolve(random_image(200, 100, type, 2), layout, field, bank, *engine, dst);
+  };
+  for (const auto& [type, layout, longest_slow_px] : {std::tuple{CV_16UC1, PixelLayout::GRAY, 35.0},
+                                                      {CV_16UC3, PixelLayout::BGR, 35.0},
+                                                      {CV_16UC4, PixelLayout::RGBA, 35.0},
+                                                      {CV_16UC1, PixelLayout::BAYER_RGGB, 70.0}}) {
+    const SlowBlocks short_blur = slow(type, layout, longest_slow_px);
+    ASSERT_EQ(short_blur.size(), 1u) << type;
+    EXPECT_EQ(short_blur.begin()->first.rfind("16 bit", 0), 0u) << short_blur.begin()->first;
+    EXPECT_EQ(short_blur.begin()->second, 7u) << "each block once, whatever it has of channels or planes";
+    EXPECT_EQ(slow(type, layout, longest_slow_px + 3), SlowBlocks{}) << type;
+  }
+  EXPECT_EQ(slow(CV_8UC1, PixelLayout::GRAY, 20), SlowBlocks{});
+  FrameBlur sharp = field_of(200, 100, 20, 20);
+  for (BlockBlur& block : sharp.blocks) block.status = BlockStatus::SHARP;
+  EXPECT_EQ(deconvolve(random_image(200, 100, CV_16UC1, 2), PixelLayout::GRAY, sharp, bank, *engine, dst), SlowBlocks{})
+      << "nothing of the image before";
+}
+
+TEST(KeepLarger, TakesTheLargerNumberOfEachReason) {
+  SlowBlocks all{{"a", 3}, {"b", 2}};
+  keep_larger({{"b", 5}, {"a", 1}, {"c", 4}}, all);
+  EXPECT_EQ(all, (SlowBlocks{{"a", 3}, {"b", 5}, {"c", 4}}));
 }
 
 TEST(Deconvolve, RefusesWhatDoesNotFit) {

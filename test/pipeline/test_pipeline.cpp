@@ -84,6 +84,28 @@ TEST(Pipeline, SharpensABlurredFrame) {
   EXPECT_GT(result.times.keypoints_ms, 0);
 }
 
+// The image has 16 bit, the luminance for keypoints 8.
+TEST(Pipeline, TellsHowManyBlocksWereSlow) {
+  PipelineOptions on_the_processor = options();
+  on_the_processor.engine = "cpu";
+  on_the_processor.validation.enabled = false;
+  Pipeline p(on_the_processor);
+  p.set_calibration(calibration());
+  cv::Mat deep;
+  blurred_image(15).convertTo(deep, CV_16U, 257);
+  const auto process = [&](const cv::Mat& image, const PipelineRequest& request) {
+    return p.process(image, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), request);
+  };
+  PipelineRequest keypoints;
+  keypoints.image = false;
+  const PipelineResult both = process(deep, {});
+  const std::size_t deblurred = both.field.count(BlockStatus::DEBLURRED);
+  ASSERT_GT(deblurred, 0u);
+  EXPECT_EQ(both.slow_blocks, (SlowBlocks{{"16 bit and blur below 36 px", deblurred}}));
+  EXPECT_EQ(process(deep, keypoints).slow_blocks, SlowBlocks{});
+  EXPECT_EQ(process(blurred_image(15), {}).slow_blocks, SlowBlocks{});
+}
+
 TEST(Pipeline, DoesOnlyWhatIsAskedFor) {
   Pipeline p = pipeline();
   const cv::Mat blurred = blurred_image(15);

@@ -1,35 +1,10 @@
-// Body of the inner loops, included by one source file per instruction set, each of which is compiled with its own
-// flags and defines GYRO_DEBLUR_ISA (a namespace) and GYRO_DEBLUR_VECTOR_BYTES. Everything here has internal linkage
-// and nothing comes from the standard library's templates: a shared inline function compiled for AVX-512 could
-// otherwise be the copy that the linker keeps for every processor.
-#include <cstring>
-
+// Body of the inner loops, once per instruction set (see base/vectors_impl.hpp).
+#include "base/vectors_impl.hpp"
 #include "engine/cpu/block_kernels.hpp"
-
-#if defined(__SSE2__)
-#include <immintrin.h>
-#endif
 
 namespace gyro_deblur {
 namespace GYRO_DEBLUR_ISA {
 namespace {
-
-constexpr int kLanes = GYRO_DEBLUR_VECTOR_BYTES / 4;
-
-typedef float Vector __attribute__((vector_size(GYRO_DEBLUR_VECTOR_BYTES)));
-typedef std::int32_t IntVector __attribute__((vector_size(GYRO_DEBLUR_VECTOR_BYTES)));
-
-inline Vector load(const float* from) {
-  Vector v;
-  std::memcpy(&v, from, sizeof v);
-  return v;
-}
-inline void store(float* to, Vector v) { std::memcpy(to, &v, sizeof v); }
-inline IntVector load(const std::int32_t* from) {
-  IntVector v;
-  std::memcpy(&v, from, sizeof v);
-  return v;
-}
 
 inline int round_up(int n, int step) { return (n + step - 1) / step * step; }
 inline int clamp_to(int i, int count) { return i < 0 ? 0 : (i >= count ? count - 1 : i); }
@@ -76,10 +51,10 @@ inline Vector load_pixels(const std::uint16_t* from) {
 #endif
 }
 
-/// Rounds and clips to [0, max_value].
+/// Rounds and clips to the pixel type.
 template <typename Pixel>
-inline void store_pixels(Pixel* to, Vector v, float max_value) {
-  Vector zero = {}, top = zero + max_value;
+inline void store_pixels(Pixel* to, Vector v) {
+  Vector zero = {}, top = zero + (sizeof(Pixel) == 1 ? 255.0f : 65535.0f);
   v = v + 0.5f;
   v = v > zero ? v : zero;
   v = v < top ? v : top;
@@ -119,8 +94,7 @@ struct CubicWeights {
   }
 };
 
-// ---- Exact taps
-// -----------------------------------------------------------------------------------------------------
+// ---- Exact taps ----
 
 // Outputs that are summed together: enough independent sums to hide the latency of a multiply-add.
 constexpr int kExactRows = GYRO_DEBLUR_VECTOR_BYTES == 64 ? 4 : 2;
@@ -145,7 +119,7 @@ inline void store_exact_outputs(const TileGeometry& tile, const ExactFilter& fil
   for (int row = 0; row < kExactRows && m + row < tile.m_count; ++row) {
     for (int v = 0; v < kVectors; ++v) {
       store_pixels(out + (m + row) * kTileStride + n + v * kLanes,
-                   __builtin_convertvector(sums[row][v], Vector) * filter.scale, 255.0f);
+                   __builtin_convertvector(sums[row][v], Vector) * filter.scale);
     }
   }
 }
@@ -315,8 +289,7 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
 
 #endif
 
-// ---- Two scales
-// -----------------------------------------------------------------------------------------------------
+// ---- Two scales ----
 
 // Vectors of lanes and coarse outputs that are summed together: 8 independent sums hide the latency of an FMA.
 constexpr int kLaneVectors = 2;
@@ -790,8 +763,7 @@ struct LanePosition {
 
 /// Resamples the lanes to pixels (Catmull-Rom).
 template <typename Pixel>
-inline void unshear(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
-                    const float* result, Pixel* out) {
+inline void unshear(const TileGeometry& tile, const TwoScaleLayout& layout, const float* result, Pixel* out) {
   for (int m = 0; m < tile.m_count; ++m) {
     const LanePosition position(tile, layout, m);
     const CubicWeights across(position.part);
@@ -799,7 +771,7 @@ inline void unshear(const TileGeometry& tile, const TwoScaleFilter& filter, cons
     for (int n = 0; n < tile.n_count; n += kLanes) {
       Vector sum = across.w[0] * load(row + n);
       for (int q = 1; q < 4; ++q) sum += across.w[q] * load(row + n + q);
-      store_pixels(out + m * kTileStride + n, sum, filter.max_value);
+      store_pixels(out + m * kTileStride + n, sum);
     }
   }
 }
@@ -829,8 +801,8 @@ struct CubicTable {
 };
 constexpr CubicTable kCubicTable;
 
-inline void unshear(const TileGeometry& tile, const TwoScaleFilter&, const TwoScaleLayout& layout,
-                    const std::int16_t* result, std::uint8_t* out) {
+inline void unshear(const TileGeometry& tile, const TwoScaleLayout& layout, const std::int16_t* result,
+                    std::uint8_t* out) {
   constexpr int kShift = CubicTable::kWeightBits + 4;  // results have 4 bits below the grey level
   static_assert(1 << (kShift - CubicTable::kWeightBits) == static_cast<int>(LaneFormat<std::uint8_t>::kResultScale),
                 "");
@@ -871,72 +843,7 @@ void two_scale(const SourcePlane<Pixel>& source, const TileGeometry& tile, const
   shear(source, tile, filter, layout, scratch, kept);
   filter_coarse<Pixel>(tile, filter, layout, scratch);
   add_scales<Format>(tile, filter, layout, scratch + layout.coarse_at, kept, result);
-  unshear(tile, filter, layout, result, out);
-}
-
-/// Elements of a window by their index.
-#if defined(__AVX512F__)
-inline Vector pick(const float* window, IntVector index) {
-  return (Vector)_mm512_permutex2var_ps((__m512)load(window), (__m512i)index, (__m512)load(window + kLanes));
-}
-#elif defined(__AVX2__)
-inline Vector pick(const float* window, IntVector index) {
-  const __m256 low = _mm256_permutevar8x32_ps((__m256)load(window), (__m256i)index);
-  const __m256 high = _mm256_permutevar8x32_ps((__m256)load(window + kLanes), (__m256i)index);
-  return (Vector)_mm256_blendv_ps(low, high, (__m256)(index << 28));  // by bit 3
-}
-#else
-inline Vector pick(const float* window, IntVector index) {
-  Vector v;
-  for (int i = 0; i < kLanes; ++i) v[i] = window[index[i]];
-  return v;
-}
-#endif
-
-void resample_kernel(const float* taps, int radius, double step, int steps, float* on_axis) {
-  // kLanes steps lie between at most 1.5 times as many taps, and the outermost see one more before and two behind.
-  constexpr int kWindow = 2 * kLanes + 4;
-  const double taps_a_step = 1 / step;
-  const float s = static_cast<float>(step);
-  const Vector zero = {};
-  Vector in_taps;
-  for (int i = 0; i < kLanes; ++i) in_taps[i] = static_cast<float>(i * taps_a_step);
-  for (int m = 0; m <= steps; m += kLanes) {
-    const double first = m * taps_a_step;
-    const int begin = static_cast<int>(first);
-    const float* window = taps + begin - 1;
-    const int available = radius - begin + 2;
-    float copy[kWindow];
-    if (available < kWindow) {
-      for (int i = 0; i < kWindow; ++i) copy[i] = i < available ? window[i] : 0.0f;
-      window = copy;
-    }
-    const Vector position = in_taps + static_cast<float>(first - begin);
-    const IntVector index = __builtin_convertvector(position, IntVector);
-    const Vector before = (position - __builtin_convertvector(index, Vector)) * s, after = s - before;
-    const Vector far_before = 1 - s - before, far_after = 1 - s - after;
-    const Vector sum = pick(window, index + 1) * (1 - before) + pick(window, index + 2) * (1 - after) +
-                       pick(window, index) * (far_before > zero ? far_before : zero) +
-                       pick(window, index + 3) * (far_after > zero ? far_after : zero);
-    store(on_axis + m, sum);
-  }
-}
-
-void combine_columns(const float* columns, const float* factors, int count, float* sums) {
-  constexpr int kVectors = kRowGroup / kLanes;
-  constexpr int kChains = 4;  // independent sums, to hide the latency of an FMA
-  Vector acc[kChains][kVectors] = {};
-  const auto add = [&](int m, Vector* chain) {
-    for (int v = 0; v < kVectors; ++v) chain[v] += factors[m] * load(columns + m * kRowGroup + v * kLanes);
-  };
-  int m = 0;
-  for (; m + kChains <= count; m += kChains) {
-    for (int c = 0; c < kChains; ++c) add(m + c, acc[c]);
-  }
-  for (; m < count; ++m) add(m, acc[0]);
-  for (int v = 0; v < kVectors; ++v) {
-    store(sums + v * kLanes, (acc[0][v] + acc[1][v]) + (acc[2][v] + acc[3][v]));
-  }
+  unshear(tile, layout, result, out);
 }
 
 }  // namespace
@@ -950,9 +857,7 @@ const BlockKernels kKernels = {GYRO_DEBLUR_ISA_NAME,
                                two_scale_needs<std::uint8_t>,
                                two_scale_needs<std::uint16_t>,
                                two_scale<std::uint8_t>,
-                               two_scale<std::uint16_t>,
-                               resample_kernel,
-                               combine_columns};
+                               two_scale<std::uint16_t>};
 
 }  // namespace GYRO_DEBLUR_ISA
 }  // namespace gyro_deblur

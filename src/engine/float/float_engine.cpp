@@ -1,12 +1,9 @@
 #include "engine/float/float_engine.hpp"
 
-#include <omp.h>
-
 #include <algorithm>
 #include <limits>
 
 #include "base/parallel.hpp"
-#include "engine/filter_grid.hpp"
 
 // One binary for every x86-64: the compiler makes a copy of the inner loop per instruction set and the loader picks
 // one. It does so before ThreadSanitizer has started, which ends the process.
@@ -104,13 +101,11 @@ void filter_block(const float* src, std::ptrdiff_t stride, const std::vector<Off
 
 }  // namespace
 
-FloatEngine::FloatEngine(int threads) : threads_(threads) {}
-
 template <typename Pixel>
 void FloatEngine::load_channel(const cv::Mat& src, int channel) {
   const int channels = src.channels();
   const int rows = src.rows + 2 * pad_y_;
-#pragma omp parallel for num_threads(threads_ > 0 ? threads_ : omp_get_max_threads()) schedule(static)
+#pragma omp parallel for num_threads(threads()) schedule(static)
   for (int y = 0; y < rows; ++y) {
     const Pixel* from = src.ptr<Pixel>(std::clamp(y - pad_y_, 0, src.rows - 1)) + channel;
     float* to = padded_.data() + y * stride_;
@@ -120,36 +115,36 @@ void FloatEngine::load_channel(const cv::Mat& src, int channel) {
   }
 }
 
+void FloatEngine::lay_out(cv::Size size, int count) {
+  pad_x_ = pad_y_ = 0;
+  for (int i = 0; i < count; ++i) {
+    for (const KernelTap& tap : taps_[i]) {
+      pad_x_ = std::max(pad_x_, std::abs(tap.dx));
+      pad_y_ = std::max(pad_y_, std::abs(tap.dy));
+    }
+  }
+  // An odd number of cache lines a row, so that pixels above each other do not compete for the same cache set. Tiles at
+  // the right and lower end of a block read on past it, hence the slack; what they read there is not stored.
+  const std::ptrdiff_t lines = (size.width + 2 * pad_x_ + kTileCols) / kFloatsPerCacheLine + 1;
+  stride_ = (lines | 1) * kFloatsPerCacheLine;
+  padded_.resize(stride_ * (size.height + 2 * pad_y_ + kNarrowTileRows));
+}
+
 template <typename Pixel>
 void FloatEngine::filter_as(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks,
                             SeamBlender& seams, cv::Mat& dst) {
-  const int threads = threads_ > 0 ? threads_ : omp_get_max_threads();
   const int count = static_cast<int>(blocks.size());
   taps_.resize(std::max(taps_.size(), blocks.size()));
-  run_parallel(count, threads, 1, [&](int i) {
+  run_parallel(count, threads(), 1, [&](int i) {
     const BlockFilter& block = grid.blocks[blocks[i]];
     taps_[i] = rotate_kernel(*block.kernel, block.angle_rad);
   });
-  int pad_x = 0, pad_y = 0;
-  for (int i = 0; i < count; ++i) {
-    for (const KernelTap& tap : taps_[i]) {
-      pad_x = std::max(pad_x, std::abs(tap.dx));
-      pad_y = std::max(pad_y, std::abs(tap.dy));
-    }
-  }
-
-  pad_x_ = pad_x;
-  pad_y_ = pad_y;
-  // An odd number of cache lines a row, so that pixels above each other do not compete for the same cache set. Tiles at
-  // the right and lower end of a block read on past it, hence the slack; what they read there is not stored.
-  const std::ptrdiff_t lines = (src.cols + 2 * pad_x_ + kTileCols) / kFloatsPerCacheLine + 1;
-  stride_ = (lines | 1) * kFloatsPerCacheLine;
-  padded_.resize(stride_ * (src.rows + 2 * pad_y_ + kNarrowTileRows));
+  lay_out(src.size(), count);
 
   for (int channel = 0; channel < src.channels(); ++channel) {
     load_channel<Pixel>(src, channel);
     FirstException failure;
-#pragma omp parallel num_threads(threads)
+#pragma omp parallel num_threads(threads())
     {
       std::vector<OffsetTap> offsets;
       std::vector<Pixel> result;
@@ -181,22 +176,6 @@ void FloatEngine::filter_blocks(const cv::Mat& src, const FilterGrid& grid, cons
   } else {
     filter_as<std::uint16_t>(src, grid, blocks, seams, dst);
   }
-}
-
-void FloatEngine::filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) {
-  require_filterable(src, grid);
-  dst.create(src.size(), src.type());
-  seams_.plan(grid, src.type());
-  filtered_.clear();
-  for (int i = 0; i < static_cast<int>(grid.blocks.size()); ++i) {
-    if (grid.blocks[i].kernel != nullptr) {
-      filtered_.push_back(i);
-    } else {
-      src(grid.rect(i)).copyTo(dst(grid.rect(i)));
-    }
-  }
-  filter_blocks(src, grid, filtered_, seams_, dst);
-  seams_.blend(src, threads_ > 0 ? threads_ : omp_get_max_threads(), dst);
 }
 
 }  // namespace gyro_deblur

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "gyro_deblur/engine.hpp"
+#include "engine/block_engine.hpp"
 
 namespace gyro_deblur {
 
@@ -30,7 +30,7 @@ enum class OpenClTuning {
 /// Sums the non-zero taps of each block's rotated kernel in float, one work-group for each tile of a block. Buffers,
 /// queue and programs are kept between frames. Needs OpenCL 1.2 and, tuned for a GPU, work-groups of 256 work-items
 /// with 25 KiB of local memory.
-class OpenClEngine : public Engine {
+class OpenClEngine : public BlockEngine {
  public:
   /// @param device   an index into opencl_devices(), a part of a name there in any case, or empty: the first GPU, else
   ///                 the first device
@@ -39,17 +39,22 @@ class OpenClEngine : public Engine {
   OpenClEngine(const std::string& device, int threads, OpenClTuning tuning = OpenClTuning::DEVICE);
   ~OpenClEngine() override;
 
-  /// Throws DeviceError when the device fails; dst is undefined then.
-  void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
-
   /// "opencl (DEVICE)".
   std::string name() const override;
 
   const OpenClTimes& last_times() const;
 
+ protected:
+  /// Throws DeviceError when the device fails; dst is undefined then.
+  void filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, SeamBlender& seams,
+                     cv::Mat& dst) override;
+
  private:
   class Impl;  // keeps OpenCL's headers out of this one
-  std::unique_ptr<Impl> engine_;
+  static std::unique_ptr<Impl> make_impl(const std::string& device, OpenClTuning tuning);
+  OpenClEngine(std::unique_ptr<Impl> impl, int threads);
+
+  std::unique_ptr<Impl> impl_;
 };
 
 }  // namespace gyro_deblur

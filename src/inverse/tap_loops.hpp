@@ -1,0 +1,34 @@
+// The loops that make weights: one interface, compiled once per instruction set (see tap_loops_impl.hpp).
+#pragma once
+
+namespace gyro_deblur {
+
+/// Rows of a matrix that combine_columns takes at a time: floats in the widest vector.
+constexpr int kRowGroup = 16;
+
+/// The functions of one instruction set.
+struct TapLoops {
+  const char* name;
+  /// What kernel_on_major_axis() gives for steps 0 .. steps of a symmetric kernel, 2 radius + 1 taps around taps[0],
+  /// whose taps are `step` apart in [0.7, 1]. Writes whole groups of kRowGroup.
+  void (*resample_kernel)(const float* taps, int radius, double step, int steps, float* on_axis);
+  /// sums[i] = sum of factors[m] * columns[m * kRowGroup + i] over m < count, for i < kRowGroup.
+  void (*combine_columns)(const float* columns, const float* factors, int count, float* sums);
+};
+
+namespace baseline {
+extern const TapLoops kTapLoops;
+}
+#if defined(__x86_64__)
+namespace avx2 {
+extern const TapLoops kTapLoops;
+}
+namespace avx512 {
+extern const TapLoops kTapLoops;
+}
+#endif
+
+/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
+const TapLoops* find_tap_loops(const char* name);
+
+}  // namespace gyro_deblur

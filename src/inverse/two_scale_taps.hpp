@@ -1,0 +1,30 @@
+// A kernel with a box in it as weights of two scales.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "gyro_deblur/kernel_bank.hpp"
+#include "inverse/coefficients.hpp"
+#include "inverse/tap_loops.hpp"
+#include "inverse/two_scale_design.hpp"
+
+namespace gyro_deblur {
+
+/// The two scales of a block, and the room that making them takes.
+struct TwoScaleTaps {
+  TwoScaleFilter filter{};  ///< points into `coarse` and `pairs`
+  std::vector<float> coarse;
+  std::vector<std::int32_t> pairs;
+  TwoScaleWeights weights;
+  std::vector<float> on_axis;
+  std::vector<std::int32_t> fixed;
+};
+
+/// @param kernel       with a box: box_extent_px > 0
+/// @param major        see kernel_on_major_axis()
+/// @param fixed_point  also weights in fixed point, for 8-bit pixels
+void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_point, const TapLoops& loops,
+                         TwoScaleDesigns& designs, TwoScaleTaps& taps);
+
+}  // namespace gyro_deblur

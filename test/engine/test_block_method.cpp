@@ -1,0 +1,127 @@
+// Which blocks leave the fast methods of the CPU engine, and that this is told.
+#include "engine/cpu/block_method.hpp"
+
+#include <algorithm>
+#include <set>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "engine/cpu/cpu_engine.hpp"
+#include "filter_grids.hpp"
+#include "images.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using test::random_image;
+
+/// As a path at uneven speed gives it: nobody knows its shape.
+LineKernel without_box(int taps) {
+  LineKernel kernel;
+  kernel.taps.assign(taps, 1.0f / static_cast<float>(taps));
+  return kernel;
+}
+
+KernelOptions with_gamma(double gamma) {
+  KernelOptions options;
+  options.gamma = gamma;
+  return options;
+}
+
+KernelOptions of_length(double factor) {
+  KernelOptions options;
+  options.length_factor = factor;
+  return options;
+}
+
+/// Kernels that are slow for one reason each, and of what depth.
+struct SlowCase {
+  SlowReason reason;
+  LineKernel kernel;
+  int depth;
+};
+
+std::vector<SlowCase> slow_cases() {
+  LineKernel zero;
+  zero.taps.assign(9, 0.0f);
+  return {{SlowReason::ZERO_KERNEL, zero, CV_8U},
+          {SlowReason::SMALL_GAMMA, wiener_kernel(60, with_gamma(0.007)), CV_8U},
+          {SlowReason::DEEP_SHORT_BLUR, wiener_kernel(35.75, {}), CV_16U},
+          {SlowReason::DEEP_WITHOUT_BOX, without_box(9), CV_16U},
+          {SlowReason::LONG_SHORT_BLUR, wiener_kernel(33, of_length(8)), CV_8U},
+          {SlowReason::LONG_WITHOUT_BOX, without_box(259), CV_8U}};
+}
+
+TEST(SlowReason, IsGivenForEveryKernelThatNoFastMethodTakes) {
+  const std::vector<SlowCase> cases = slow_cases();
+  ASSERT_EQ(static_cast<int>(cases.size()), kSlowReasons);
+  std::set<std::string> words;
+  for (const SlowCase& c : cases) {
+    EXPECT_EQ(slow_reason(c.kernel, c.depth), c.reason) << in_words(c.reason);
+    words.insert(in_words(c.reason));
+  }
+  EXPECT_EQ(words.size(), cases.size()) << "reasons can be told apart";
+  EXPECT_EQ(words.count(""), 0u);
+}
+
+// The other side of each limit.
+TEST(SlowReason, IsNotGivenWhereAFastMethodServes) {
+  EXPECT_EQ(slow_reason(wiener_kernel(60, with_gamma(0.009)), CV_8U), std::nullopt);
+  EXPECT_EQ(slow_reason(wiener_kernel(36, {}), CV_16U), std::nullopt);
+  EXPECT_EQ(slow_reason(without_box(9), CV_8U), std::nullopt);
+  EXPECT_EQ(slow_reason(without_box(257), CV_8U), std::nullopt);
+  EXPECT_EQ(slow_reason(wiener_kernel(32, of_length(8)), CV_8U), std::nullopt);
+  EXPECT_EQ(slow_reason(wiener_kernel(500, of_length(8)), CV_8U), std::nullopt);
+  for (const double extent_px : {1.0, 5.0, 35.0, 36.0, 57.0, 130.0, 500.0}) {
+    EXPECT_EQ(slow_reason(wiener_kernel(extent_px, {}), CV_8U), std::nullopt) << extent_px;
+  }
+}
+
+TEST(SlowReason, NamesItsLimits) {
+  EXPECT_EQ(in_words(SlowReason::DEEP_SHORT_BLUR), "16 bit and blur below 36 px");
+  EXPECT_EQ(in_words(SlowReason::LONG_WITHOUT_BOX),
+            "more than 257 taps in a kernel without a box (uneven path or smoothing)");
+}
+
+TEST(CpuEngineSlowBlocks, AreCountedByReason) {
+  const std::vector<SlowCase> cases = slow_cases();
+  const LineKernel fast = wiener_kernel(90, {});
+  CpuEngine engine(2);
+  EXPECT_EQ(engine.slow_blocks(), SlowBlocks{}) << "before the first image";
+  for (const int depth : {CV_8U, CV_16U}) {
+    // Block i has the kernel of case i / 3, copied blocks and fast ones in between.
+    SlowBlocks expected;
+    const cv::Mat image = random_image(18 * 24, 20, depth, 3);
+    const FilterGrid grid = test::make_grid(image.size(), 24, [&](int i) -> BlockFilter {
+      const SlowCase& c = cases[i / 3];
+      if (i % 3 == 1) return {0.4, i % 2 == 0 ? nullptr : &fast};
+      if (c.depth != depth) return {0.4, &fast};
+      ++expected[in_words(c.reason)];
+      return {0.4, &c.kernel};
+    });
+    cv::Mat dst;
+    engine.filter(image, grid, dst);
+    EXPECT_EQ(engine.slow_blocks(), expected);
+    ASSERT_EQ(expected.size(), depth == CV_8U ? 4u : 2u);
+    for (const auto& [reason, count] : expected) EXPECT_EQ(count, 2u) << reason;
+    // The next image starts from nothing.
+    engine.filter(image, test::one_block(image.size(), 0.4, fast), dst);
+    EXPECT_EQ(engine.slow_blocks(), SlowBlocks{});
+  }
+}
+
+TEST(CpuEngineSlowBlocks, AreNoneWhereNothingIsFiltered) {
+  CpuEngine engine(1);
+  const cv::Mat image = random_image(40, 30, CV_16UC1, 3);
+  cv::Mat dst;
+  const LineKernel kernel = without_box(9);
+  engine.filter(image, test::one_block(image.size(), 0.4, kernel), dst);
+  EXPECT_EQ(engine.slow_blocks().size(), 1u);
+  engine.filter(image, {{0, 40}, {0, 30}, {{}}}, dst);
+  EXPECT_EQ(engine.slow_blocks(), SlowBlocks{});
+}
+
+}  // namespace
+}  // namespace gyro_deblur
