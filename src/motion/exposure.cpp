@@ -5,6 +5,8 @@
 #include <sstream>
 #include <vector>
 
+#include "base/median.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -68,10 +70,7 @@ void FramePeriod::clear() { *this = FramePeriod(); }
 std::optional<TimeNs> FramePeriod::get() const {
   constexpr std::size_t kEnough = 5;
   if (intervals_ns_.size() < kEnough) return std::nullopt;
-  std::vector<TimeNs> sorted(intervals_ns_.begin(), intervals_ns_.end());
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  return *middle;
+  return median(std::vector<TimeNs>(intervals_ns_.begin(), intervals_ns_.end()));
 }
 
 RowExposure::RowExposure(TimeNs stamp_ns, int rows, const ShutterTiming& timing)
