@@ -9,6 +9,8 @@
 #include <yaml-cpp/yaml.h>
 #include <Eigen/Core>
 
+#include "gyro_deblur/calibration.hpp"
+
 namespace gyro_deblur {
 namespace {
 
