@@ -28,7 +28,6 @@ struct TranslationJob {
   Eigen::Vector3d p_cam_body_m = Eigen::Vector3d::Zero();
   double depth_m = 0;
   TranslationOptions options;
-  std::vector<GyroSample> samples;  ///< of the gyroscope: over the frame and all velocities
 };
 
 /// A message that is not used.
@@ -95,7 +94,7 @@ class TranslationInput {
   /// Poses of the body in the camera's frame, where tf has them: (camera frame, body frame).
   using Transform = std::function<std::optional<Eigen::Isometry3d>(const std::string&, const std::string&)>;
 
-  /// What there is for a frame, without samples of the gyroscope.
+  /// What there is for a frame, but for samples of the gyroscope.
   /// @param frame         camera clock
   /// @param R_cam_imu     in use
   /// @param imu_frame     a body of this name is the IMU
