@@ -5,7 +5,8 @@
 
 #include <boost/make_shared.hpp>
 
-#include "ros/conversions.hpp"
+#include "ros/calibration_conversion.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {

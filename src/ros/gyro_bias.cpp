@@ -2,7 +2,7 @@
 
 #include <vector>
 
-#include "ros/conversions.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 

@@ -4,7 +4,7 @@
 #include <limits>
 #include <utility>
 
-#include "ros/conversions.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 

@@ -2,8 +2,8 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstddef>
 #include <cstdio>
-#include <iterator>
 #include <utility>
 
 #include <boost/make_shared.hpp>
@@ -12,7 +12,10 @@
 #include "gyro_deblur/overlay.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "gyro_deblur/translation.hpp"
-#include "ros/conversions.hpp"
+#include "ros/calibration_conversion.hpp"
+#include "ros/image_conversion.hpp"
+#include "ros/output_conversion.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -2,7 +2,8 @@
 
 #include <utility>
 
-#include "ros/conversions.hpp"
+#include "ros/image_conversion.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {
