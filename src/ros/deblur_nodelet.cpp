@@ -10,8 +10,10 @@
 #include <pluginlib/class_list_macros.hpp>
 
 #include "gyro_deblur/config.hpp"
-#include "ros/conversions.hpp"
+#include "ros/image_conversion.hpp"
 #include "ros/param_conversion.hpp"
+#include "ros/tf_conversion.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -31,45 +33,11 @@ constexpr std::chrono::milliseconds kPollPeriod{20};
 constexpr double kImageSilenceS = 5;
 
 /// Private parameters that are not keys of the configuration.
-const char* const kOtherParameters[] = {"image_transport", "diagnostic_period"};
+const char* const kOtherParameters[] = {"image_transport"};
 
 TimeNs steady_now_ns() {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
       .count();
-}
-
-/// What to do about frames that pass through unchanged.
-const char* remedy(PassThroughReason reason) {
-  switch (reason) {
-    case PassThroughReason::NONE:
-      return "";
-    case PassThroughReason::NO_GYRO:
-      return "check that the IMU publishes, its rate, and time_offset; compare the stamps of image and IMU";
-    case PassThroughReason::NO_EXPOSURE_TIME:
-      return "set exposure_time, or publish an Exposure message with each image's stamp";
-    case PassThroughReason::NO_CALIBRATION:
-      return "publish camera_info with each image's stamp, calibrated for the image's size; where it contradicts "
-             "calibration_file, correct one of them or set on_calibration_conflict: configured";
-    case PassThroughReason::NO_EXTRINSIC:
-      return "set R_cam_imu, or publish a static transform between the frames of images and IMU; where these "
-             "contradict "
-             "each other, correct one of them or set on_calibration_conflict: configured";
-    case PassThroughReason::UNSUPPORTED_ENCODING:
-      return "have the driver publish mono8, bgr8, rgb8 or a Bayer encoding";
-    case PassThroughReason::BAD_IMAGE:
-      return "the image's data does not fit its header: mend the driver or the decoder";
-    case PassThroughReason::BAD_CONFIGURATION:
-      return "mend the parameter that the message names";
-    case PassThroughReason::OVERLOAD:
-      return "too slow: fewer max_features, a faster detector (ORB), smaller images, or fewer subscribers";
-    case PassThroughReason::TIME_JUMP:
-      return "expected when a bag loops; otherwise synchronise the clocks";
-    case PassThroughReason::INTERNAL_ERROR:
-      return "the log has the error";
-    case PassThroughReason::GYRO_SATURATED:
-      return "the camera turns faster than the gyroscope measures: set a larger range in its driver and in gyro_range";
-  }
-  return "";
 }
 
 /// Names and values of the parameters that may change while running.
@@ -80,12 +48,6 @@ dynamic_reconfigure::Config entries_of(const DeblurConfig& config) {
 }
 
 }  // namespace
-
-void DeblurNodelet::Latency::add(double ms) {
-  sum_ms += ms;
-  max_ms = std::max(max_ms, ms);
-  ++count;
-}
 
 DeblurNodelet::~DeblurNodelet() {
   // First of all: a change of parameters may subscribe anew.
@@ -196,7 +158,7 @@ void DeblurNodelet::onInit() {
       nh.subscribe("odometry", kFastQueue, &DeblurNodelet::on_odometry, this, ros::TransportHints().tcpNoDelay());
   scene_depth_subscriber_ = nh.subscribe("scene_depth", kFastQueue, &DeblurNodelet::on_scene_depth, this);
   imu_->listen(this, [this](const sensor_msgs::Imu& imu) { on_imu(imu); });
-  last_statistics_ = processor_->statistics();  // the IMU may have been counted for others before
+  report_.start(processor_->statistics(), std::chrono::steady_clock::now());
   advertise();
   worker_ = std::thread(&DeblurNodelet::work, this);
   reset_service_ = private_nh.advertiseService("reset", &DeblurNodelet::on_reset, this);
@@ -497,19 +459,7 @@ void DeblurNodelet::work() {
 }
 
 void DeblurNodelet::publish(const FrameOutput& output) {
-  {
-    const std::lock_guard<std::mutex> lock(period_mutex_);
-    latencies_["waiting"].add(output.waiting_ms);
-    latencies_["processing"].add(output.total_ms);
-    if (output.field) {
-      latencies_["blur field"].add(output.stages.blur_field_ms);
-      latencies_["validation"].add(output.stages.validation_ms);
-      latencies_["deconvolution"].add(output.stages.deconvolution_ms);
-      latencies_["keypoints"].add(output.stages.keypoints_ms);
-      latencies_["messages"].add(output.messages_ms);
-      if (output.tracks) latencies_["tracks"].add(output.tracks_ms);
-    }
-  }
+  report_.add(output);
   image_publisher_.publish(output.image, output.camera_info);
   blur_field_publisher_.publish(output.blur_field);
   if (output.keypoints) keypoint_publisher_.publish(output.keypoints);
@@ -536,82 +486,9 @@ void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {
 }
 
 void DeblurNodelet::fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) {
-  const ProcessorStatistics now = processor_->statistics();
-  const std::lock_guard<std::mutex> lock(period_mutex_);
-  const auto time = std::chrono::steady_clock::now();
-  const double period_s = std::chrono::duration<double>(time - last_report_).count();
-  const auto rate = [period_s](std::size_t newer, std::size_t older) {
-    return static_cast<double>(newer - older) / period_s;
-  };
-  using diagnostic_msgs::DiagnosticStatus;
-  if (!now.configuration_error.empty()) {
-    status.summary(DiagnosticStatus::ERROR, now.configuration_error);
-  } else {
-    status.summary(DiagnosticStatus::OK, "running");
-  }
-
-  status.addf("input rate [Hz]", "%.1f", rate(now.frames_in, last_statistics_.frames_in));
-  status.addf("output rate [Hz]", "%.1f", rate(now.frames_out, last_statistics_.frames_out));
-  status.addf("gyroscope rate [Hz]", "%.1f", rate(now.imu_accepted, last_statistics_.imu_accepted));
-  status.add("frames in", now.frames_in);
-  status.add("frames out", now.frames_out);
-  status.add("frames waiting", now.waiting);
-  for (const auto& [reason, count] : now.passed_through) {
-    status.add(std::string("passed through, ") + to_string(reason), count);
-    const auto before = last_statistics_.passed_through.find(reason);
-    const std::size_t fresh = count - (before == last_statistics_.passed_through.end() ? 0 : before->second);
-    if (fresh > 0) {
-      status.mergeSummaryf(DiagnosticStatus::WARN, "%zu frames passed through: %s; %s", fresh, to_string(reason),
-                           remedy(reason));
-    }
-  }
-  for (const auto& [block_status, count] : now.blocks) {
-    status.add(std::string("blocks, ") + to_string(block_status), count);
-  }
-  const auto fresh_blocks = [&](BlockStatus block_status) {
-    const auto count = [block_status](const ProcessorStatistics& statistics) {
-      const auto found = statistics.blocks.find(block_status);
-      return found == statistics.blocks.end() ? 0 : found->second;
-    };
-    return count(now) - count(last_statistics_);
-  };
-  const std::size_t rejected = fresh_blocks(BlockStatus::REJECTED),
-                    judged = rejected + fresh_blocks(BlockStatus::DEBLURRED);
-  if (2 * rejected > judged) {
-    status.mergeSummaryf(
-        DiagnosticStatus::WARN,
-        "%zu of %zu blurred blocks rejected: the images contradict the predicted blur; check R_cam_imu, "
-        "time_offset and exposure_time with blur_overlay",
-        rejected, judged);
-  }
-  status.add("cameras on this gyroscope", imu_->listeners());
-  status.add("imu dropped, not finite", now.imu_not_finite);
-  status.add("imu dropped, duplicate", now.imu_duplicate);
-  status.add("imu dropped, out of order", now.imu_out_of_order);
-  status.add("imu dropped, stray stamp", now.imu_stray);
-  status.add("imu dropped, without gyroscope", now.imu_without_gyroscope);
-  status.add("imu saturated", now.imu_saturated);
-  status.add("time jumps", now.time_jumps);
-  if (now.frames_translated + now.frames_not_translated > 0) {
-    status.add("frames with translation", now.frames_translated);
-    status.add("frames without, though there is odometry", now.frames_not_translated);
-    if (!now.translation_text.empty()) status.add("why without translation", now.translation_text);
-    status.add("odometry refused", now.odometry_refused);
-  }
-  if (now.newest_imu_ns) {
-    status.addf("gyroscope buffer [s]", "%.3f", to_seconds(now.gyro_available.end_ns - now.gyro_available.begin_ns));
-    status.addf("gyroscope age [s]", "%.3f", to_seconds(to_time_ns(ros::Time::now()) - *now.newest_imu_ns));
-  } else {
-    status.add("gyroscope buffer [s]", "empty");
-  }
-  for (const auto& [stage, latency] : latencies_) {
-    status.addf(stage + " mean [ms]", "%.2f", latency.sum_ms / static_cast<double>(latency.count));
-    status.addf(stage + " max [ms]", "%.2f", latency.max_ms);
-  }
-  status.add("engine", now.engine.empty() ? "none" : now.engine);
-  latencies_.clear();
-  last_statistics_ = now;
-  last_report_ = time;
+  report_.fill(
+      {processor_->statistics(), imu_->listeners(), to_time_ns(ros::Time::now()), std::chrono::steady_clock::now()},
+      &status);
 }
 
 }  // namespace gyro_deblur

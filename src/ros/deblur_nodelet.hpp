@@ -4,7 +4,6 @@
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -24,6 +23,7 @@
 #include <xmlrpcpp/XmlRpcValue.h>
 
 #include "gyro_deblur/DeblurConfig.h"
+#include "ros/diagnostics.hpp"
 #include "ros/exposure_adapter.hpp"
 #include "ros/processor.hpp"
 #include "ros/shared_imu.hpp"
@@ -42,13 +42,6 @@ class DeblurNodelet : public nodelet::Nodelet {
   ~DeblurNodelet() override;
 
  private:
-  /// Mean and maximum over a period of diagnostics.
-  struct Latency {
-    double sum_ms = 0, max_ms = 0;
-    std::size_t count = 0;
-    void add(double ms);
-  };
-
   void onInit() override;
   /// The configuration, or nothing with the reason in `error`.
   std::optional<Config> load_parameters(std::string* error);
@@ -125,10 +118,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   ros::WallTimer diagnostics_timer_;
   std::unique_ptr<diagnostic_updater::Updater> diagnostics_;
 
-  std::mutex period_mutex_;  // what diagnostics report of the last period
-  std::map<std::string, Latency> latencies_;
-  ProcessorStatistics last_statistics_;
-  std::chrono::steady_clock::time_point last_report_ = std::chrono::steady_clock::now();
+  DiagnosticReport report_;
 
   std::mutex worker_mutex_;
   std::condition_variable worker_wakes_;
