@@ -4,6 +4,7 @@
 #include <limits>
 #include <utility>
 
+#include "gyro_deblur/rotation_track.hpp"
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
