@@ -108,6 +108,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   PipelineResult result = pipeline.process(view.image, view.layout, motion.motion(), *assembled.exposure,
                                            PipelineRequest{request.image, request.keypoints, request.tracks});
   output->stages = result.times;
+  output->slow_blocks = result.slow_blocks;
   output->engine_warning = pipeline.take_warning();
 
   const std_msgs::Header& header = frame.image->header;

@@ -1,8 +1,6 @@
 // Makes of an assembled frame what leaves.
 #pragma once
 
-#include <cstddef>
-#include <map>
 #include <optional>
 #include <string>
 
@@ -11,6 +9,7 @@
 #include <sensor_msgs/PointCloud.h>
 #include <visualization_msgs/MarkerArray.h>
 
+#include "gyro_deblur/engine.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "ros/assembly.hpp"
@@ -40,16 +39,16 @@ struct FrameOutput {
   sensor_msgs::PointCloudPtr tracks;           ///< null when not requested, or when the pipeline did not run
   PassThroughReason reason = PassThroughReason::NONE;
   std::string reason_text;
-  std::optional<FrameBlur> field;                  ///< of the core; absent when the pipeline did not run
-  std::map<std::string, std::size_t> slow_blocks;  ///< that left the engine's fast path, by reason
-  std::string engine_warning;                      ///< what the engine has to tell; mostly empty
-  bool translated = false;                         ///< odometry and depth were used
-  std::string translation_text;                    ///< why not, where an odometry is expected; else empty
-  StageTimes stages;                               ///< [ms]
-  double tracks_ms = 0;                            ///< of following corners
-  double waiting_ms = 0;                           ///< steady time in the queue; left to the caller
-  double messages_ms = 0;                          ///< conversion from and to messages, overlay and markers
-  double total_ms = 0;                             ///< of processing, without waiting
+  std::optional<FrameBlur> field;  ///< of the core; absent when the pipeline did not run
+  SlowBlocks slow_blocks;          ///< that left the engine's fast path, by reason
+  std::string engine_warning;      ///< what the engine has to tell; mostly empty
+  bool translated = false;         ///< odometry and depth were used
+  std::string translation_text;    ///< why not, where an odometry is expected; else empty
+  StageTimes stages;               ///< [ms]
+  double tracks_ms = 0;            ///< of following corners
+  double waiting_ms = 0;           ///< steady time in the queue; left to the caller
+  double messages_ms = 0;          ///< conversion from and to messages, overlay and markers
+  double total_ms = 0;             ///< of processing, without waiting
 };
 
 /// The last station of a frame. Depends on nothing but the frame, the request and the images that the tracker has seen.

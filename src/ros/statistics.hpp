@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 
+#include "gyro_deblur/engine.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/time.hpp"
 #include "ros/gyro_source.hpp"
@@ -19,11 +20,11 @@ namespace gyro_deblur {
 struct OutputStatistics {
   std::size_t frames_out = 0;
   std::map<PassThroughReason, std::size_t> passed_through;
-  std::map<BlockStatus, std::size_t> blocks;       ///< of the frames that were not passed through
-  std::map<std::string, std::size_t> slow_blocks;  ///< that left the engine's fast path, by reason
-  std::size_t frames_translated = 0;               ///< whose blur field has the odometry's translation
-  std::size_t frames_not_translated = 0;           ///< without, though an odometry is there
-  std::string translation_text;                    ///< why the newest of those is without
+  std::map<BlockStatus, std::size_t> blocks;  ///< of the frames that were not passed through
+  SlowBlocks slow_blocks;                     ///< that left the engine's fast path, by reason
+  std::size_t frames_translated = 0;          ///< whose blur field has the odometry's translation
+  std::size_t frames_not_translated = 0;      ///< without, though an odometry is there
+  std::string translation_text;               ///< why the newest of those is without
 
   void count(const FrameOutput& output);
 };

@@ -1280,6 +1280,30 @@ INSTANTIATE_TEST_SUITE_P(Encodings, ProcessorEncodingTest,
                          testing::Values("mono8", "mono16", "8UC1", "16UC1", "bgr8", "rgb8", "bgra8", "rgba8", "bgr16",
                                          "bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8", "bayer_rggb16"));
 
+TEST_F(ProcessorTest, BlocksThatLeaveTheFastPathAreCountedByReason) {
+  config_.pipeline.engine = "cpu";
+  configure();
+  constexpr double kSlowRadS = 0.5;  // 3 px
+  add_imu(kStart - 50 * kMs, kStart + 300 * kMs, kSlowRadS);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  EXPECT_TRUE(outputs_[0].slow_blocks.empty());
+  EXPECT_TRUE(processor_.statistics().slow_blocks.empty());
+  for (int i = 1; i <= 2; ++i) {
+    processor_.add_image(image_message(kStart + i * 80 * kMs, "mono16"));
+    processor_.add_camera_info(camera_info(kStart + i * 80 * kMs));
+  }
+  advance();
+  expect_deblurred(2);
+  const std::size_t blocks = outputs_[2].field->blocks.size();
+  ASSERT_EQ(outputs_[2].slow_blocks.size(), 1u);
+  const auto& [reason, count] = *outputs_[2].slow_blocks.begin();
+  EXPECT_EQ(reason.rfind("16 bit and blur below", 0), 0u) << reason;
+  EXPECT_EQ(count, blocks);
+  EXPECT_EQ(processor_.statistics().slow_blocks, (SlowBlocks{{reason, 2 * blocks}})) << "since the start";
+}
+
 TEST_F(ProcessorTest, ByteOrderMakesNoDifference) {
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   const auto little = image_message(kStart, "mono16");
