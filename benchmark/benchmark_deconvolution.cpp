@@ -1,6 +1,5 @@
 // Deconvolution of a roll field: engines x sizes x extents x threads.
 
-#include <memory>
 #include <string>
 
 #include <benchmark/benchmark.h>

@@ -12,8 +12,8 @@
 #include <cstdio>
 #include <fstream>
 #include <functional>
-#include <iostream>
 #include <map>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <utility>
@@ -23,6 +23,7 @@
 #include <nlohmann/json.hpp>
 #include <opencv2/features2d.hpp>
 
+#include "base/median.hpp"
 #include "engine/cpu/block_kernels.hpp"
 #include "engines.hpp"
 #include "gyro_deblur/deconvolution.hpp"
@@ -31,6 +32,8 @@
 #include "roll_scene.hpp"
 #include "scene.hpp"
 #include "synthetic_blur.hpp"
+#include "tools/output_file.hpp"
+#include "tools/tool_main.hpp"
 #include "work.hpp"
 
 namespace gyro_deblur::benchmark {
@@ -70,7 +73,6 @@ double quantile(std::vector<double> values, double q) {
   std::sort(values.begin(), values.end());
   return values[static_cast<std::size_t>(std::lround(q * static_cast<double>(values.size() - 1)))];
 }
-double median(const std::vector<double>& values) { return quantile(values, 0.5); }
 
 /// Median over the rounds that both took part in.
 double median_ratio(const std::vector<double>& numerator, const std::vector<double>& denominator) {
@@ -340,11 +342,7 @@ void run(Arguments arguments) {
   result["machine"]["load_after"] = load_of_others();
   std::printf("\nProcessor time used by others after the end: %.0f %%\n",
               100 * result["machine"]["load_after"].get<double>());
-  if (!arguments.json.empty()) {
-    std::ofstream file(arguments.json);
-    file << result.dump(2) << "\n";
-    if (!file.flush()) throw std::runtime_error(arguments.json + ": cannot be written");
-  }
+  write_json(arguments.json, result);
 }
 
 }  // namespace
@@ -371,12 +369,5 @@ int main(int argc, char** argv) {
   app.add_flag("--no-memory", arguments.no_memory);
   app.add_flag("--no-pipeline", arguments.no_pipeline);
   app.add_option("--json", arguments.json, "also write the numbers as JSON");
-  CLI11_PARSE(app, argc, argv);
-  try {
-    gyro_deblur::benchmark::run(arguments);
-  } catch (const std::exception& error) {
-    std::cerr << "compare_engines: " << error.what() << "\n";
-    return 1;
-  }
-  return 0;
+  return gyro_deblur::run_tool(app, argc, argv, [&arguments] { gyro_deblur::benchmark::run(arguments); });
 }

@@ -7,13 +7,12 @@
 #include <array>
 #include <cmath>
 #include <cstdio>
-#include <fstream>
 #include <iostream>
 #include <limits>
 #include <map>
-#include <optional>
 #include <set>
 #include <sstream>
+#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -22,12 +21,15 @@
 #include <CLI/CLI.hpp>
 #include <opencv2/features2d.hpp>
 
+#include "base/median.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
+#include "tools/output_file.hpp"
+#include "tools/tool_main.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -48,12 +50,6 @@ struct Arguments {
   std::vector<int> borders_px{TrackerOptions{}.border_px};
   std::string csv;
 };
-
-double median(std::vector<double> values) {
-  if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
-  std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2), values.end());
-  return values[values.size() / 2];
-}
 
 /// 752x480 at 20 Hz, 30 ms exposures, 15 ms readout, a distorting lens; a wall 2 m away.
 /// @param amplitude  of the shake; the median blur is about 40 px at 1
@@ -158,7 +154,10 @@ struct TrackScore {
     in_view_sum += other.in_view_sum;
     steps += other.steps;
   }
-  double median_error_px() const { return median(errors_px); }
+  /// NaN when nothing was tracked.
+  double median_error_px() const {
+    return errors_px.empty() ? std::numeric_limits<double>::quiet_NaN() : median(errors_px);
+  }
   double survival() const { return static_cast<double>(survived) / static_cast<double>(could_survive); }
   double mean_length() const { return length_sum / static_cast<double>(corners); }
   double part_of_view() const { return in_view_sum / static_cast<double>(corners); }
@@ -419,22 +418,13 @@ int main_of(int argc, char** argv) {
       ->check(CLI::Range(0, 500));
   app.add_option("--part", part, "constant, change or all")->check(CLI::IsMember({"constant", "change", "all"}));
   app.add_option("--csv", arguments.csv, "also write every number to this file");
-  CLI11_PARSE(app, argc, argv);
-  try {
+  return run_tool(app, argc, argv, [&] {
     std::ostringstream csv;
     csv << "part,extent_px,border_px,scene,images,measure,value\n";
     if (part != "change") run_constant(arguments, csv);
     if (part != "constant") run_change(arguments, csv);
-    if (!arguments.csv.empty()) {
-      std::ofstream file(arguments.csv);
-      file << csv.str();
-      if (!file.flush()) throw std::runtime_error(arguments.csv + ": cannot be written");
-    }
-  } catch (const std::exception& error) {
-    std::cerr << "compare_tracks: " << error.what() << '\n';
-    return 1;
-  }
-  return 0;
+    if (!arguments.csv.empty()) write_text(arguments.csv, csv.str());
+  });
 }
 
 }  // namespace

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <chrono>
-#include <cstdint>
 
 #if defined(__x86_64__)
 #include <immintrin.h>

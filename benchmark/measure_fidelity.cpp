@@ -4,11 +4,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <filesystem>
-#include <fstream>
-#include <iostream>
 #include <limits>
 #include <map>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -22,6 +20,8 @@
 #include "roll_scene.hpp"
 #include "scene.hpp"
 #include "synthetic_blur.hpp"
+#include "tools/output_file.hpp"
+#include "tools/tool_main.hpp"
 
 namespace gyro_deblur::benchmark {
 namespace {
@@ -209,11 +209,7 @@ void run(const Arguments& arguments) {
   if (!arguments.skip_seams) result["seams"] = measure_seams(arguments, photographs, bank);
   if (!arguments.skip_roll) result["roll"] = measure_roll(arguments, photographs, bank);
   if (!arguments.skip_uniform) result["uniform"] = measure_uniform(arguments, photographs, bank);
-  if (!arguments.json.empty()) {
-    std::ofstream file(arguments.json);
-    file << result.dump(2) << "\n";
-    if (!file.flush()) throw std::runtime_error(arguments.json + ": cannot be written");
-  }
+  write_json(arguments.json, result);
 }
 
 }  // namespace
@@ -236,12 +232,5 @@ int main(int argc, char** argv) {
   app.add_flag("--skip-roll", arguments.skip_roll);
   app.add_flag("--skip-seams", arguments.skip_seams);
   app.add_option("--json", arguments.json, "also write the numbers as JSON");
-  CLI11_PARSE(app, argc, argv);
-  try {
-    gyro_deblur::benchmark::run(arguments);
-  } catch (const std::exception& error) {
-    std::cerr << "measure_fidelity: " << error.what() << "\n";
-    return 1;
-  }
-  return 0;
+  return gyro_deblur::run_tool(app, argc, argv, [&arguments] { gyro_deblur::benchmark::run(arguments); });
 }

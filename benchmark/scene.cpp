@@ -1,7 +1,6 @@
 #include "scene.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <string>
 
 #include <opencv2/imgcodecs.hpp>

@@ -37,12 +37,17 @@ function(gyro_deblur_add_room room)
   target_link_libraries(gyro_deblur_${room} PRIVATE Eigen3::Eigen ${ARG_LIBRARIES} gyro_deblur_warnings)
 endfunction()
 
+# gyro_deblur_show_view(TARGET ROOM): the include path of one view, for the target and those who link it.
+function(gyro_deblur_show_view target room)
+  target_include_directories(${target} PUBLIC $<BUILD_INTERFACE:${PROJECT_BINARY_DIR}/rooms/${room}>)
+endfunction()
+
 # gyro_deblur_live_in(TARGET ROOM): a library around the core, which sees the whole core and its own files, as do those
 # who link it.
 function(gyro_deblur_live_in target room)
   gyro_deblur_add_view(${room})
   gyro_deblur_see_rooms(${target} PUBLIC)
-  target_include_directories(${target} PUBLIC $<BUILD_INTERFACE:${PROJECT_BINARY_DIR}/rooms/${room}>)
+  gyro_deblur_show_view(${target} ${room})
 endfunction()
 
 # gyro_deblur_compile_for_instruction_sets(ROOM STEM): adds STEM_avx2.cpp and STEM_avx512.cpp where they can run. Which

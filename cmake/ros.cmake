@@ -35,4 +35,5 @@ catkin_package(
   LIBRARIES gyro_deblur_core
   CATKIN_DEPENDS message_runtime std_msgs
   DEPENDS EIGEN3 OpenCV
+  CFG_EXTRAS gyro_deblur-extras.cmake
 )

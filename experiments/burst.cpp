@@ -87,7 +87,7 @@ Burst load_burst(const std::string& folder) {
   std::vector<std::string> unknown;
   try {
     c.validate();
-    burst.config = parse_config(node["config"], &unknown);
+    burst.config = parse_config(YAML::Dump(node["config"]), &unknown);
   } catch (const OptionError& error) {
     throw OptionError(path + ": " + error.what());
   }

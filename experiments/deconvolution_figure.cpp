@@ -5,7 +5,6 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
-#include <iostream>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -20,7 +19,9 @@
 #include "image_pairs.hpp"
 #include "inverse/line_taps.hpp"
 #include "synthetic_blur.hpp"
+#include "tools/output_file.hpp"
 #include "tools/progress.hpp"
+#include "tools/tool_main.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {
@@ -183,26 +184,24 @@ void run(const Arguments& arguments) {
                        {"rmse_border", std::sqrt(squares[m].border)},
                        {"rmse_interior", std::sqrt(squares[m].interior)}});
   }
-  std::ofstream json(arguments.out + "/deconvolution.json");
-  json << nlohmann::json({{"images", source},
-                          {"count", pairs.size()},
-                          {"picture", picture},
-                          {"angle_deg", kBlur.angle_rad * 180 / CV_PI},
-                          {"extent_px", kBlur.extent_px},
-                          {"band_px", std::lround(kBandExtents * kBlur.extent_px)},
-                          {"gamma", KernelOptions().gamma},
-                          {"noise_grey_levels", arguments.noise_grey_levels},
-                          {"kernel", write_kernels(arguments.out)},
-                          {"methods", methods},
-                          {"designs", compare_designs(arguments, pairs)}})
-              .dump(2)
-       << '\n';
-  if (!csv.flush() || !json.flush()) throw std::runtime_error(arguments.out + ": the results cannot be written");
+  if (!csv.flush()) throw std::runtime_error(arguments.out + ": the results cannot be written");
+  write_json(arguments.out + "/deconvolution.json", {{"images", source},
+                                                     {"count", pairs.size()},
+                                                     {"picture", picture},
+                                                     {"angle_deg", kBlur.angle_rad * 180 / CV_PI},
+                                                     {"extent_px", kBlur.extent_px},
+                                                     {"band_px", std::lround(kBandExtents * kBlur.extent_px)},
+                                                     {"gamma", KernelOptions().gamma},
+                                                     {"noise_grey_levels", arguments.noise_grey_levels},
+                                                     {"kernel", write_kernels(arguments.out)},
+                                                     {"methods", methods},
+                                                     {"designs", compare_designs(arguments, pairs)}});
 }
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app("Wiener deconvolution in space against the frequency domain: writes deconvolution*.csv, .json, .png");
+  CLI::App app("Wiener deconvolution in space against the frequency domain: writes deconvolution*.csv, .json, .png",
+               "deconvolution_figure");
   app.add_option("--out", arguments.out, "folder for the results")->capture_default_str();
   app.add_option("--data", arguments.data, "folder with oxford_affine; without it, photographs of opencv-doc")
       ->capture_default_str();
@@ -213,14 +212,7 @@ int main_of(int argc, char** argv) {
   app.add_option("--seed", arguments.seed, "of the noise")->capture_default_str();
   app.add_flag("--quick", arguments.quick, "three images");
   app.add_flag("--quiet", arguments.quiet, "no progress");
-  CLI11_PARSE(app, argc, argv);
-  try {
-    run(arguments);
-  } catch (const std::exception& error) {
-    std::cerr << "deconvolution_figure: " << error.what() << "\n";
-    return 1;
-  }
-  return 0;
+  return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }
 
 }  // namespace

@@ -1,8 +1,6 @@
 // How good the features of two images are, given the homography between them.
 
 #include <cmath>
-#include <fstream>
-#include <iostream>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -12,13 +10,11 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "evaluation.hpp"
+#include "tools/output_file.hpp"
+#include "tools/tool_main.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {
-
-// Exit codes: bad input and bad usage can be told apart in scripts.
-constexpr int kBadInput = 1;
-constexpr int kBadUsage = 2;
 
 struct Arguments {
   std::string image1, image2, homography, json;
@@ -95,22 +91,18 @@ void run(const Arguments& arguments) {
   print((arguments.detector + ", normalised").c_str(), scaled);
   print("SIFT matches", sift);
   print("ORB matches", orb);
-  if (arguments.json.empty()) return;
-  std::ofstream file(arguments.json);
-  file << nlohmann::json({{"detector", arguments.detector},
-                          {"detections", arguments.detections},
-                          {"as_detected", to_json(plain)},
-                          {"normalized", to_json(scaled)},
-                          {"sift", to_json(sift)},
-                          {"orb", to_json(orb)}})
-              .dump(2)
-       << '\n';
-  if (!file.flush()) throw std::runtime_error(arguments.json + ": cannot be written");
+  write_json(arguments.json, {{"detector", arguments.detector},
+                              {"detections", arguments.detections},
+                              {"as_detected", to_json(plain)},
+                              {"normalized", to_json(scaled)},
+                              {"sift", to_json(sift)},
+                              {"orb", to_json(orb)}});
 }
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app("Repeatability, localisation error and matches of two images with a known homography");
+  CLI::App app("Repeatability, localisation error and matches of two images with a known homography",
+               "evaluate_features");
   app.add_option("IMAGE1", arguments.image1)->required();
   app.add_option("IMAGE2", arguments.image2)->required();
   app.add_option("HOMOGRAPHY", arguments.homography, "text file, three rows of three numbers: image 1 to image 2")
@@ -132,18 +124,7 @@ int main_of(int argc, char** argv) {
   app.add_option("--max-ratio", arguments.matching.max_ratio, "of the ratio test")->capture_default_str();
   app.add_option("--max-error-px", arguments.matching.max_error_px, "of a correct match")->capture_default_str();
   app.add_option("--json", arguments.json, "also write the results as JSON");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : kBadUsage;
-  }
-  try {
-    run(arguments);
-  } catch (const std::exception& error) {
-    std::cerr << "evaluate_features: " << error.what() << "\n";
-    return kBadInput;
-  }
-  return 0;
+  return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }
 
 }  // namespace

@@ -17,12 +17,15 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "base/median.hpp"
 #include "baselines.hpp"
 #include "burst.hpp"
 #include "evaluation.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/rectification.hpp"
 #include "sim/simulator.hpp"
+#include "tools/output_file.hpp"
+#include "tools/tool_main.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {
@@ -200,7 +203,7 @@ nlohmann::json homography_errors(const Homography& H, const std::vector<TruthPoi
     errors.push_back(std::hypot(d.x, d.y));
   }
   std::sort(errors.begin(), errors.end());
-  return {{"median_px", errors[errors.size() / 2]}, {"p95_px", errors[errors.size() * 95 / 100]}};
+  return {{"median_px", median(errors)}, {"p95_px", errors[errors.size() * 95 / 100]}};
 }
 
 /// The homography that fits best between what the frames show, or between what global shutters would show.
@@ -252,8 +255,7 @@ DeblurredMiddle deblurred_middle(const Burst& burst, nlohmann::json& report) {
       pipeline.process(middle.image, PixelLayout::GRAY, rotation_track(burst), burst.exposure(MIDDLE), request);
   std::vector<float> extents;
   for (const BlockBlur& block : result.field.blocks) extents.push_back(block.extent_px);
-  std::nth_element(extents.begin(), extents.begin() + extents.size() / 2, extents.end());
-  report.push_back({{"median_extent_px", extents[extents.size() / 2]},
+  report.push_back({{"median_extent_px", median(extents)},
                     {"blocks", result.field.grid.size()},
                     {"deblurred", result.field.count(BlockStatus::DEBLURRED)},
                     {"rejected", result.field.count(BlockStatus::REJECTED)},
@@ -380,21 +382,11 @@ void evaluate(const EvaluateArguments& arguments) {
     report["rectified"] = evaluate_methods(rectified_methods, global, size1, size2, arguments.detections);
   }
 
-  const std::string text = report.dump(2);
-  if (arguments.json.empty()) {
-    std::cout << text << '\n';
-    return;
-  }
-  std::ofstream file(arguments.json);
-  file << text << '\n';
-  if (!file) throw std::runtime_error(arguments.json + ": cannot be written");
+  if (arguments.json.empty()) std::cout << report.dump(2) << '\n';
+  write_json(arguments.json, report);
 }
 
-}  // namespace
-}  // namespace gyro_deblur::experiments
-
-int main(int argc, char** argv) {
-  using namespace gyro_deblur::experiments;
+int main_of(int argc, char** argv) {
   CLI::App app{"The paper's real-world protocol on pairs of bursts sharp - blurred - sharp of a plane.", "real_world"};
   app.require_subcommand(1);
 
@@ -422,13 +414,13 @@ int main(int argc, char** argv) {
       ->add_option("--given", evaluate_arguments.given,
                    "two images to compare with the rest, made from the blurred frames in another way")
       ->expected(2);
-  CLI11_PARSE(app, argc, argv);
-  try {
+  return run_tool(app, argc, argv, [&] {
     if (*simulate_command) simulate(simulate_arguments);
     if (*evaluate_command) evaluate(evaluate_arguments);
-    return 0;
-  } catch (const std::exception& error) {
-    std::cerr << "real_world: " << error.what() << '\n';
-    return 1;
-  }
+  });
 }
+
+}  // namespace
+}  // namespace gyro_deblur::experiments
+
+int main(int argc, char** argv) { return gyro_deblur::experiments::main_of(argc, argv); }

@@ -4,7 +4,7 @@
 #include <cstddef>
 #include <filesystem>
 #include <fstream>
-#include <iostream>
+#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -12,11 +12,13 @@
 #include <CLI/CLI.hpp>
 #include <opencv2/imgcodecs.hpp>
 
+#include "base/median.hpp"
 #include "baselines.hpp"
 #include "feature_files.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "sim/simulator.hpp"
 #include "tools/progress.hpp"
+#include "tools/tool_main.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {
@@ -51,9 +53,7 @@ void drop_weak(Features& features) {
 double median_extent_px(const FrameBlur& field) {
   std::vector<double> extents;
   for (const BlockBlur& block : field.blocks) extents.push_back(block.extent_px);
-  const auto middle = extents.begin() + static_cast<std::ptrdiff_t>(extents.size() / 2);
-  std::nth_element(extents.begin(), middle, extents.end());
-  return *middle;
+  return median(extents);
 }
 
 std::string frame_name(int i) {
@@ -131,11 +131,7 @@ void run(const Arguments& arguments) {
   if (!truth) throw std::runtime_error((output / "truth.csv").string() + ": cannot be written");
 }
 
-}  // namespace
-}  // namespace gyro_deblur::experiments
-
-int main(int argc, char** argv) {
-  using gyro_deblur::experiments::Arguments;
+int main_of(int argc, char** argv) {
   CLI::App app{"SIFT features of a simulated sequence, blurred and deblurred, raw and rectified, and the true poses.",
                "reconstruction"};
   Arguments arguments;
@@ -150,12 +146,10 @@ int main(int argc, char** argv) {
   app.add_option("--image-period", arguments.image_period, "write every n-th image [none]")
       ->check(CLI::Range(1, 1000000));
   app.add_flag("--quiet", arguments.quiet, "no progress on stderr");
-  CLI11_PARSE(app, argc, argv);
-  try {
-    gyro_deblur::experiments::run(arguments);
-    return 0;
-  } catch (const std::exception& error) {
-    std::cerr << "reconstruction: " << error.what() << '\n';
-    return 1;
-  }
+  return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }
+
+}  // namespace
+}  // namespace gyro_deblur::experiments
+
+int main(int argc, char** argv) { return gyro_deblur::experiments::main_of(argc, argv); }

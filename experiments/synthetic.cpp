@@ -7,9 +7,9 @@
 #include <exception>
 #include <filesystem>
 #include <fstream>
-#include <iostream>
 #include <map>
 #include <mutex>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
@@ -22,7 +22,9 @@
 #include "evaluation.hpp"
 #include "image_pairs.hpp"
 #include "synthetic_blur.hpp"
+#include "tools/output_file.hpp"
 #include "tools/progress.hpp"
+#include "tools/tool_main.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {
@@ -340,14 +342,13 @@ void run(const Arguments& arguments) {
                                   {"snr_db", arguments.snr_db},
                                   {"seed", arguments.seed},
                                   {"methods", summarize(outcomes, methods, counts)}};
-  std::ofstream file(arguments.out + "/synthetic.json");
-  file << summary.dump(2) << '\n';
-  if (!file.flush()) throw std::runtime_error(arguments.out + "/synthetic.json: cannot be written");
+  write_json(arguments.out + "/synthetic.json", summary);
 }
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app("The experiment with synthetic blur: writes synthetic.csv, synthetic_matching.csv, synthetic.json");
+  CLI::App app("The experiment with synthetic blur: writes synthetic.csv, synthetic_matching.csv, synthetic.json",
+               "synthetic");
   app.add_option("--out", arguments.out, "folder for the results")->capture_default_str();
   app.add_option("--data", arguments.data, "folder with oxford_affine; without it, photographs of opencv-doc")
       ->capture_default_str();
@@ -361,14 +362,7 @@ int main_of(int argc, char** argv) {
   app.add_option("--methods", arguments.methods, "names of the methods to run; default: all");
   app.add_flag("--quick", arguments.quick, "two pairs and three numbers of detections");
   app.add_flag("--quiet", arguments.quiet, "no progress");
-  CLI11_PARSE(app, argc, argv);
-  try {
-    run(arguments);
-  } catch (const std::exception& error) {
-    std::cerr << "synthetic: " << error.what() << "\n";
-    return 1;
-  }
-  return 0;
+  return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }
 
 }  // namespace

@@ -10,11 +10,6 @@
 #include "gyro_deblur/calibration.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/options.hpp"
-#include "gyro_deblur/pipeline.hpp"
-
-namespace YAML {
-class Node;
-}
 
 namespace gyro_deblur {
 
@@ -44,42 +39,49 @@ struct ExposureSource {
   std::string field;                          ///< path of the field, key or parameter; empty for MESSAGE
 };
 
-/// Every parameter; config/default.yaml documents the keys.
+/// Every parameter; doc/guides/parameters.md has the keys and their ranges. Each member has one row in
+/// src/config/parameters.cpp, except for what is read from calibration files.
 struct Config {
   PipelineOptions pipeline;
   GyroOptions gyro;
   ShutterTiming shutter;  ///< exposure_ns 0: per-frame message only; readout_ns is the default readout
   ExposureSource exposure_source;
-  /// An image without an exposure of its own takes the last one before it that is no older; 0: none; [0, 60 s].
+  /// An image without an exposure of its own takes the last one before it that is no older; 0: none.
   TimeNs exposure_max_age_ns = 0;
   bool rectified_input = false;                           ///< the image is undistorted: use camera_info's P and R
   std::optional<Eigen::Matrix3d> R_cam_imu;               ///< absent: from tf
-  Eigen::Vector3d p_cam_imu_m = Eigen::Vector3d::Zero();  ///< origin of the IMU in camera coordinates; each |.| <= 100
+  Eigen::Vector3d p_cam_imu_m = Eigen::Vector3d::Zero();  ///< origin of the IMU in camera coordinates
   TranslationOptions translation;
   TrackerOptions tracker;
   OdometryClock odometry_clock = OdometryClock::CAMERA;
   TwistFrame odometry_twist_frame = TwistFrame::CHILD;
-  std::optional<SensorCalibration> calibration;  ///< of calibration_file; what it says has gone into the fields above
+  std::vector<std::string> calibration_files;
+  std::string calibration_camera = "cam0";       ///< which of a file's cameras
+  std::optional<SensorCalibration> calibration;  ///< of the files; what they say has gone into the fields above
   OnCalibrationConflict on_calibration_conflict = OnCalibrationConflict::ERROR;
-  TimeNs gyro_timeout_ns = 500'000'000;   ///< how long a frame waits for gyroscope, exposure and tf; [0, 10 s]
-  int frame_queue_size = 30;              ///< frames that may wait; [1, 1000]
-  TimeNs bias_window_ns = 1'000'000'000;  ///< of ~estimate_gyro_bias; [0.1 s, 10 s]
-  double bias_max_stddev_rad_s = 0.05;    ///< of single samples at rest; (0, 1]
-  TimeNs time_jump_ns = 500'000'000;      ///< a stamp that goes back by more is a clock reset; [10 ms, 10 s]
+  TimeNs gyro_timeout_ns = 500'000'000;   ///< how long a frame waits for gyroscope, exposure and tf
+  int frame_queue_size = 30;              ///< frames that may wait
+  TimeNs bias_window_ns = 1'000'000'000;  ///< of ~estimate_gyro_bias
+  double bias_max_stddev_rad_s = 0.05;    ///< of single samples at rest
+  TimeNs time_jump_ns = 500'000'000;      ///< a stamp that goes back by more is a clock reset
 
   void validate() const;  ///< throws OptionError
 };
 
-/// Reads a map of keys (nothing: all defaults) and validates the result. Keys that are not known are appended to
-/// `unknown` (when given) and otherwise ignored.
+/// Reads a map of keys in YAML (nothing: all defaults) and validates the result. Keys that are not known are appended
+/// to `unknown` (when given) and otherwise ignored.
 /// Throws OptionError that names the key, its value and what is allowed, and for a calibration file that contradicts
 /// another or a key both values. A key that has its default says nothing, and leaves it to the file.
 /// @param folder  calibration files are relative to it; empty: to the working folder
-Config parse_config(const YAML::Node& node, std::vector<std::string>* unknown = nullptr,
+Config parse_config(const std::string& yaml, std::vector<std::string>* unknown = nullptr,
                     const std::string& folder = "");
 
 /// Reads a YAML file; calibration files are relative to its folder. Throws OptionError with the path when it cannot be
 /// read or parsed.
 Config load_config(const std::string& path, std::vector<std::string>* unknown = nullptr);
+
+/// What to tell of a key that is not known: "KEY is not known, ignored", and its present name where it has been
+/// renamed.
+std::string unknown_key_message(const std::string& key);
 
 }  // namespace gyro_deblur

@@ -1,5 +1,5 @@
-// Parameters of the algorithm. Defaults and valid ranges are decided here;
-// config/default.yaml and cfg/Deblur.cfg repeat them, and a test compares.
+// Parameters of the algorithm and their defaults. Each has one row in src/config/parameters.cpp, which says what it is
+// called, what values it takes and whether it may change while running; doc/guides/parameters.md prints them.
 #pragma once
 
 #include <string>
@@ -13,13 +13,13 @@ namespace gyro_deblur {
 
 /// Blur field and its division into blocks (paper section IV).
 struct BlurFieldOptions {
-  int block_size_px = 64;  ///< [8, 1024], a multiple of 2 so that Bayer planes divide alike
-  /// [1, 20]; smaller blur is left alone. The paper's kernels start at 2 px; the filter gains 2.6 dB at 2.25 px with
+  int block_size_px = 64;  ///< a multiple of 2 so that Bayer planes divide alike
+  /// Smaller blur is left alone. The paper's kernels start at 2 px; the filter gains 2.6 dB at 2.25 px with
   /// noise of 1 grey level and loses 0.3 dB with noise of 4, at 3 px it gains 3.4 and 0.9 dB
   /// (doc/reports/experiments.md).
   double min_extent_px = 3.0;
-  double max_extent_px = 150.0;  ///< [min_extent_px, 500]; larger blur is TOO_LARGE
-  /// [0, 100]; how far the path within the exposure may lie to either side of a straight line, less 2 % of the extent
+  double max_extent_px = 150.0;  ///< >= min_extent_px; larger blur is TOO_LARGE
+  /// How far the path within the exposure may lie to either side of a straight line, less 2 % of the extent
   /// (kStraightPathShare); more is BENT. What a box along the line gains is half of that on a straight line
   /// at 1.2, 1.5, 2.0, 2.4, 3 and 4 px, for extents of 10, 20, 40, 60, 90 and 120 px, on Oxford images with noise
   /// of 1.5 grey levels.
@@ -37,8 +37,8 @@ struct BlurFieldOptions {
 /// 90 px.
 struct ValidationOptions {
   bool enabled = true;
-  double tau = 6.0;             ///< [0, 255] grey levels / px: what noise and compression may add
-  double tau_contrast = 200.0;  ///< [0, 1000] grey levels: step that the scene may contain
+  double tau = 6.0;             ///< grey levels / px: what noise and compression may add
+  double tau_contrast = 200.0;  ///< grey levels: step that the scene may contain
 
   double threshold(double extent_px) const { return tau + tau_contrast / extent_px; }
   void validate() const;  ///< throws OptionError
@@ -60,9 +60,9 @@ enum class KernelDesign {
 
 /// Wiener kernels (paper section IV-A).
 struct KernelOptions {
-  double gamma = 0.01;         ///< [1e-5, 1]; noise-to-signal ratio of the Wiener filter at 1/6 cycles/px
-  double length_factor = 4.0;  ///< [2, 8]; length of the inverse kernel in extents
-  /// [0, 5]; standard deviation of a Gaussian that the inverse is smoothed with along the line. Where the blur has left
+  double gamma = 0.01;         ///< noise-to-signal ratio of the Wiener filter at 1/6 cycles/px
+  double length_factor = 4.0;  ///< length of the inverse kernel in extents
+  /// Standard deviation of a Gaussian that the inverse is smoothed with along the line. Where the blur has left
   /// less than the noise, at the finest detail first, it leaves out what would be noise and ringing. Above 0 the
   /// kernels have no jumps, which the fast engines make use of: extents above 36 px then take exact taps, above 64 px
   /// the reference engine.
@@ -76,24 +76,24 @@ struct KernelOptions {
 struct KeypointOptions {
   std::string detector = "SIFT";    ///< SIFT, ORB, AKAZE, BRISK, GFTT or FAST
   std::string descriptor = "SIFT";  ///< SIFT, ORB, AKAZE, BRISK or NONE; must accept the detector's keypoints
-  int max_features = 1000;          ///< [1, 100000]; strongest by response
-  int grid_cols = 1;                ///< [1, 64]; with more than one cell the limit is shared evenly among cells
-  int grid_rows = 1;                ///< [1, 64]
+  int max_features = 1000;          ///< strongest by response
+  int grid_cols = 1;                ///< with more than one cell the limit is shared evenly among cells
+  int grid_rows = 1;
 
   void validate() const;  ///< throws OptionError
 };
 
 /// Tracking of corners. The defaults are those of VINS-Mono's tracker for 752 x 480 px.
 struct TrackerOptions {
-  int max_tracks = 150;  ///< [8, 10000]
-  /// [0, 500]: how far from the image's edge corners are started, a quarter of the image's height or width at most.
+  int max_tracks = 150;
+  /// How far from the image's edge corners are started, a quarter of the image's height or width at most.
   /// Nearer to it a shake takes most of them out again within a few images. Tracks are followed to the edge itself.
   int border_px = 32;
-  double min_distance_px = 30;     ///< [2, 500] between two tracks
-  double max_round_trip_px = 1.0;  ///< [0.05, 10]: how far from its start a corner may end up when tracked back
-  double max_epipolar_px = 1.0;    ///< [0.1, 20]: distance from the epipolar line
-  int window_px = 21;              ///< [5, 101], odd: side of the patch that is compared
-  int levels = 3;                  ///< [0, 6]: halvings of the image
+  double min_distance_px = 30;     ///< between two tracks
+  double max_round_trip_px = 1.0;  ///< how far from its start a corner may end up when tracked back
+  double max_epipolar_px = 1.0;    ///< distance from the epipolar line
+  int window_px = 21;              ///< odd: side of the patch that is compared
+  int levels = 3;                  ///< halvings of the image
 
   void validate() const;  ///< throws OptionError
 };
@@ -103,11 +103,11 @@ enum class RectifyTo { FIRST_ROW, MIDDLE_ROW, LAST_ROW, STAMP };
 
 /// Gyroscope intake.
 struct GyroOptions {
-  Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< each |.| <= 1; subtracted once, in RotationTrack
-  TimeNs time_offset_ns = 0;         ///< t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu); |.| <= 10 s
-  TimeNs buffer_ns = 5'000'000'000;  ///< (0.1 s, 60 s]: how much is kept
-  TimeNs max_gap_ns = 50'000'000;    ///< [1 ms, 1 s]; a longer hole between samples is not integrated across
-  /// [0, 400] rad/s: what the sensor can measure on each axis, before the bias is subtracted; 0: not known. A sample
+  Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< subtracted once, in RotationTrack
+  TimeNs time_offset_ns = 0;                             ///< t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu)
+  TimeNs buffer_ns = 5'000'000'000;                      ///< how much is kept
+  TimeNs max_gap_ns = 50'000'000;                        ///< a longer hole between samples is not integrated across
+  /// What the sensor can measure on each axis, before the bias is subtracted; 0: not known. A sample
   /// that reaches it tells no rate, see is_saturated.
   double range_rad_s = 0;
 
@@ -116,17 +116,35 @@ struct GyroOptions {
 
 /// Velocity from an odometry and depth of the scene, for the translation of paper eq. 1.
 struct TranslationOptions {
-  /// [0, 1000] m along the optical axis, where no message gives one; 0: no translation without a message
+  /// Along the optical axis, where no message gives one; 0: no translation without a message
   double scene_depth_m = 0;
-  TimeNs depth_max_age_ns = 1'000'000'000;  ///< [0, 60 s]: an older depth message is not used
-  /// [1 ms, 2 s]: how far from the exposure the nearest velocity may be. Feedback is late by its own computing time;
+  TimeNs depth_max_age_ns = 1'000'000'000;  ///< an older depth message is not used
+  /// How far from the exposure the nearest velocity may be. Feedback is late by its own computing time;
   /// the velocity is extrapolated over it, which errs with the square of the time.
   TimeNs max_age_ns = 200'000'000;
-  double max_speed_m_s = 20;          ///< (0, 1000]
-  double max_acceleration_m_s2 = 30;  ///< (0, 10000]: a change of velocity beyond it is a jump of the estimate
-  double max_stddev_m_s = 0.5;        ///< (0, 100]: a less certain velocity is not used (where the message says it)
+  double max_speed_m_s = 20;          ///< more is not believed
+  double max_acceleration_m_s2 = 30;  ///< a change of velocity beyond it is a jump of the estimate
+  double max_stddev_m_s = 0.5;        ///< a less certain velocity is not used (where the message says it)
 
   void validate() const;  ///< throws OptionError
 };
+
+/// Everything about the algorithm that may change while running.
+struct PipelineOptions {
+  BlurFieldOptions blur_field;
+  ValidationOptions validation;
+  KernelOptions kernel;
+  KeypointOptions keypoints;
+  RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
+  std::string engine = "auto";  ///< see make_engine
+  int threads = 0;              ///< of validation, kernels and engine; 0: OpenMP's default
+
+  void validate() const;  ///< throws OptionError
+};
+
+/// The same value in every member: what was built with one need not be built again for the other.
+bool operator==(const BlurFieldOptions& a, const BlurFieldOptions& b);
+bool operator==(const KernelOptions& a, const KernelOptions& b);
+bool operator==(const KeypointOptions& a, const KeypointOptions& b);
 
 }  // namespace gyro_deblur

@@ -22,19 +22,6 @@
 
 namespace gyro_deblur {
 
-/// Everything about the algorithm that may change while running.
-struct PipelineOptions {
-  BlurFieldOptions blur_field;
-  ValidationOptions validation;
-  KernelOptions kernel;
-  KeypointOptions keypoints;
-  RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
-  std::string engine = "auto";  ///< see make_engine
-  int threads = 0;              ///< of validation, kernels and engine; 0: OpenMP's default; [0, 256]
-
-  void validate() const;  ///< throws OptionError
-};
-
 /// What a caller wants of a frame; nothing else is computed.
 struct PipelineRequest {
   bool image = true;       ///< the deblurred image

@@ -1,6 +1,7 @@
 // How the camera moved: the interface the blur field is computed from, and its gyroscope implementation.
 #pragma once
 
+#include <cstddef>
 #include <vector>
 
 #include <Eigen/Geometry>
@@ -42,8 +43,11 @@ class RotationTrack : public CameraMotion {
   /// @param samples    strictly increasing in time (IMU clock), finite; may be empty
   /// @param options    bias, time offset and longest hole; validated
   /// @param R_cam_imu  takes IMU coordinates to camera coordinates; a rotation (see require_rotation)
-  /// Throws OptionError for bad options or rotation, std::invalid_argument for unordered samples.
-  RotationTrack(const std::vector<GyroSample>& samples, const GyroOptions& options, const Eigen::Matrix3d& R_cam_imu);
+  /// @param origin     index of the sample that the others are integrated from, both ways: samples before it change no
+  ///                   bit of what lies after it
+  /// Throws OptionError for bad options or rotation, std::invalid_argument for unordered samples or a wrong index.
+  RotationTrack(const std::vector<GyroSample>& samples, const GyroOptions& options, const Eigen::Matrix3d& R_cam_imu,
+                std::size_t origin = 0);
 
   bool covers(const TimeRange& range) const override;
   Eigen::Matrix3d homography(TimeNs from_ns, TimeNs to_ns) const override;
@@ -51,8 +55,8 @@ class RotationTrack : public CameraMotion {
   /// From the first to the last sample (camera clock), holes included.
   TimeRange available() const;
 
-  /// Orientation of the camera at t (camera clock) relative to the first sample: camera(t) -> camera(first).
-  /// Throws std::out_of_range outside available() and beyond the first hole.
+  /// Orientation of the camera at t (camera clock) relative to the origin: camera(t) -> camera(origin).
+  /// Throws std::out_of_range outside available() and beyond the first hole on either side of the origin.
   Eigen::Quaterniond orientation(TimeNs t_ns) const;
 
  private:
@@ -61,10 +65,12 @@ class RotationTrack : public CameraMotion {
 
   struct Knot {
     TimeNs t_ns;                 // camera clock
-    Eigen::Quaterniond R_0_cam;  // camera(t) -> camera(first knot)
+    Eigen::Quaterniond R_0_cam;  // camera(t) -> camera(origin)
     Eigen::Vector3d rate_rad_s;  // camera frame
+    bool follows_hole;
   };
   std::vector<Knot> knots_;
+  TimeNs origin_ns_ = 0;
   std::vector<TimeRange> holes_;  // intervals longer than max_gap_ns or with a saturated end, camera clock
 };
 

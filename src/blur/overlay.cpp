@@ -11,6 +11,8 @@
 
 #include <opencv2/imgproc.hpp>
 
+#include "base/median.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -37,10 +39,7 @@ double median_extent_px(const FrameBlur& field) {
   for (const BlockBlur& blur : field.blocks) {
     if (blur.status == BlockStatus::DEBLURRED) extents.push_back(blur.extent_px);
   }
-  if (extents.empty()) return 0;
-  const auto middle = extents.begin() + static_cast<std::ptrdiff_t>(extents.size() / 2);
-  std::nth_element(extents.begin(), middle, extents.end());
-  return *middle;
+  return median(extents);
 }
 
 struct LegendLine {

@@ -11,6 +11,7 @@
 #include <Eigen/LU>
 #include <Eigen/SVD>
 
+#include "base/median.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
@@ -23,13 +24,6 @@ constexpr TimeNs kSearchStepNs = 1'000'000;
 /// Offset and readout move by no more than this after the search.
 constexpr TimeNs kMarginNs = 30'000'000;
 constexpr TimeNs kLongestReadoutNs = 1'000'000'000;
-
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 Eigen::Vector3d log_rotation(const Eigen::Matrix3d& R) {
   const Eigen::AngleAxisd rotation(R);
@@ -56,6 +50,17 @@ struct State {
   double time_offset_s, readout_s;
   Eigen::Vector3d bias_rad_s;
   Eigen::Matrix3d R_cam_imu;
+};
+
+/// The residuals near a state, robustly weighted.
+struct Linearisation {
+  Eigen::MatrixXd J;        ///< zero where a residual cannot be used
+  Eigen::VectorXd weights;  ///< of Cauchy's loss; 0 where a residual cannot be used
+  Eigen::MatrixXd H;        ///< J^T weights J
+
+  Eigen::VectorXd weighted(const Eigen::VectorXd& r) const {
+    return (weights.array() > 0).select(weights.array() * r.array(), 0.0).matrix();
+  }
 };
 
 /// Everything about one recording.
@@ -99,6 +104,17 @@ class Problem {
   Eigen::VectorXd residuals(const State& state) const;
   State moved(const State& state, const Eigen::VectorXd& step) const;
   Eigen::MatrixXd jacobian(const State& state) const;
+  bool estimates_rotation() const { return !options_.R_cam_imu || options_.refine_rotation; }
+  void choose_steps();
+  /// @param scale_px  of the loss
+  Linearisation linearise(const State& state, const Eigen::VectorXd& r, double scale_px) const;
+  /// One step of Levenberg and Marquardt. Returns its length in steps of differentiation; 0 when nothing costs less.
+  /// @param r  residuals of the state
+  double improve(State& state, Eigen::VectorXd& r, double& damping) const;
+  /// Variances of the values by the sandwich formula, with the pairs of frames as units. What is not modelled,
+  /// translation, lasts for several of them: neighbours count as correlated, with Bartlett's weights (Newey and West,
+  /// 1987), where that does not make the variance smaller.
+  Eigen::VectorXd variances(const Linearisation& linear, const Eigen::VectorXd& r) const;
   void refine(State& state, TimingEstimate& estimate);
 
   const Camera& camera_;
@@ -301,7 +317,7 @@ State Problem::moved(const State& state, const Eigen::VectorXd& step) const {
     result.bias_rad_s += step.segment<3>(next);
     next += 3;
   }
-  if (!options_.R_cam_imu || options_.refine_rotation) {
+  if (estimates_rotation()) {
     result.R_cam_imu =
         (so3_exp(step.segment<3>(next)) * Eigen::Quaterniond(state.R_cam_imu)).normalized().toRotationMatrix();
   }
@@ -331,94 +347,83 @@ std::vector<double> lengths(const Eigen::VectorXd& r) {
   return result;
 }
 
-void Problem::refine(State& state, TimingEstimate& estimate) {
+/// Scale of Cauchy's loss, which follows the residuals. 2.385 gives 95 % efficiency for Gaussian ones, and the median
+/// length of a two-dimensional Gaussian residual is 1.1774 of its standard deviation.
+double scale_of(const Eigen::VectorXd& r) {
+  constexpr double kCauchy = 2.385, kRayleighMedian = 1.1774, kLeastScalePx = 0.02;
+  return kCauchy * std::max(median(lengths(r)) / kRayleighMedian, kLeastScalePx);
+}
+
+double cost_of(const Eigen::VectorXd& r, double scale_px) {
+  double cost = 0;
+  for (Eigen::Index i = 0; i < r.size() / 2; ++i) {
+    // A point that left the image's range costs as much as a gross error.
+    constexpr double kGrossPx = 1e3;
+    cost += std::log1p(std::min(squared_length(r, i), kGrossPx * kGrossPx) / (scale_px * scale_px));
+  }
+  return cost;
+}
+
+void Problem::choose_steps() {
   constexpr double kTimeStepS = 2e-4, kBiasStepRadS = 1e-4, kRotationStepRad = 1e-4;
   steps_.assign(1, kTimeStepS);
   if (options_.estimate_readout) steps_.push_back(kTimeStepS);
   if (options_.estimate_bias) steps_.insert(steps_.end(), 3, kBiasStepRadS);
-  const bool rotation = !options_.R_cam_imu || options_.refine_rotation;
-  if (rotation) steps_.insert(steps_.end(), 3, kRotationStepRad);
-  const auto values = static_cast<Eigen::Index>(steps_.size());
+  if (estimates_rotation()) steps_.insert(steps_.end(), 3, kRotationStepRad);
+}
 
-  // Cauchy's loss; its scale follows the residuals. 2.385 gives 95 % efficiency for Gaussian ones, and the median
-  // length of a two-dimensional Gaussian residual is 1.1774 of its standard deviation.
-  constexpr double kCauchy = 2.385, kRayleighMedian = 1.1774, kLeastScalePx = 0.02;
-  const auto scale_of = [&](const Eigen::VectorXd& r) {
-    return kCauchy * std::max(median(lengths(r)) / kRayleighMedian, kLeastScalePx);
-  };
-  const auto cost_of = [](const Eigen::VectorXd& r, double scale_px) {
-    double cost = 0;
-    for (Eigen::Index i = 0; i < r.size() / 2; ++i) {
-      // A point that left the image's range costs as much as a gross error.
-      constexpr double kGrossPx = 1e3;
-      cost += std::log1p(std::min(squared_length(r, i), kGrossPx * kGrossPx) / (scale_px * scale_px));
-    }
-    return cost;
-  };
-
-  Eigen::VectorXd r = residuals(state);
-  double damping = 1e-3;
-  constexpr int kMaxIterations = 30;
-  Eigen::MatrixXd H(values, values);
-  Eigen::MatrixXd J;
-  Eigen::VectorXd weights;
-  const auto linearise = [&](double scale_px) {
-    J = jacobian(state);
-    weights.resize(r.size());
-    for (Eigen::Index i = 0; i < r.size() / 2; ++i) {
-      const bool usable = std::isfinite(squared_length(r, i)) && J.middleRows<2>(2 * i).allFinite();
-      weights.segment<2>(2 * i).setConstant(usable ? 1 / (1 + squared_length(r, i) / (scale_px * scale_px)) : 0);
-      if (!usable) J.middleRows<2>(2 * i).setZero();
-    }
-    H = J.transpose() * weights.asDiagonal() * J;
-  };
-  const auto weighted_residuals = [&]() -> Eigen::VectorXd {
-    return (weights.array() > 0).select(weights.array() * r.array(), 0.0).matrix();
-  };
-  for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
-    const double scale_px = scale_of(r);
-    linearise(scale_px);
-    const Eigen::VectorXd gradient = J.transpose() * weighted_residuals();
-    const double cost = cost_of(r, scale_px);
-    bool improved = false;
-    double relative_step = 0;
-    for (int attempt = 0; attempt < 10 && !improved; ++attempt) {
-      Eigen::MatrixXd damped = H;
-      damped.diagonal() *= 1 + damping;
-      const Eigen::VectorXd step = -damped.ldlt().solve(gradient);
-      damping *= 10;
-      if (!step.allFinite()) continue;
-      State next = moved(state, step);
-      constexpr double kLargestBias = 1.0;
-      if (std::abs(next.readout_s) > to_seconds(kLongestReadoutNs) ||
-          next.bias_rad_s.cwiseAbs().maxCoeff() > kLargestBias) {
-        continue;
-      }
-      const Eigen::VectorXd next_r = residuals(next);
-      if (!(cost_of(next_r, scale_px) < cost)) continue;
-      state = next;
-      r = next_r;
-      improved = true;
-      damping /= 100;
-      relative_step = 0;
-      for (Eigen::Index k = 0; k < values; ++k) {
-        relative_step = std::max(relative_step, std::abs(step[k]) / steps_[static_cast<std::size_t>(k)]);
-      }
-    }
-    constexpr double kDone = 1e-3;  // of the steps of differentiation
-    if (!improved || relative_step < kDone) break;
+Linearisation Problem::linearise(const State& state, const Eigen::VectorXd& r, double scale_px) const {
+  Linearisation linear{jacobian(state), Eigen::VectorXd(r.size()), {}};
+  for (Eigen::Index i = 0; i < r.size() / 2; ++i) {
+    auto rows = linear.J.middleRows<2>(2 * i);
+    const bool usable = std::isfinite(squared_length(r, i)) && rows.allFinite();
+    linear.weights.segment<2>(2 * i).setConstant(usable ? 1 / (1 + squared_length(r, i) / (scale_px * scale_px)) : 0);
+    if (!usable) rows.setZero();
   }
+  linear.H = linear.J.transpose() * linear.weights.asDiagonal() * linear.J;
+  return linear;
+}
 
-  // Standard deviations by the sandwich formula, with the pairs of frames as units. What is not modelled, translation,
-  // lasts for several of them: neighbours count as correlated, with Bartlett's weights (Newey and West, 1987), where
-  // that does not make the deviation smaller.
-  linearise(scale_of(r));
-  const Eigen::VectorXd weighted = weighted_residuals();
+double Problem::improve(State& state, Eigen::VectorXd& r, double& damping) const {
+  const double scale_px = scale_of(r);
+  const Linearisation linear = linearise(state, r, scale_px);
+  const Eigen::VectorXd gradient = linear.J.transpose() * linear.weighted(r);
+  const double cost = cost_of(r, scale_px);
+  constexpr int kMaxAttempts = 10;
+  for (int attempt = 0; attempt < kMaxAttempts; ++attempt) {
+    Eigen::MatrixXd damped = linear.H;
+    damped.diagonal() *= 1 + damping;
+    const Eigen::VectorXd step = -damped.ldlt().solve(gradient);
+    damping *= 10;
+    if (!step.allFinite()) continue;
+    const State next = moved(state, step);
+    constexpr double kLargestBias = 1.0;
+    if (std::abs(next.readout_s) > to_seconds(kLongestReadoutNs) ||
+        next.bias_rad_s.cwiseAbs().maxCoeff() > kLargestBias) {
+      continue;
+    }
+    const Eigen::VectorXd next_r = residuals(next);
+    if (!(cost_of(next_r, scale_px) < cost)) continue;
+    state = next;
+    r = next_r;
+    damping /= 100;
+    double length = 0;
+    for (Eigen::Index k = 0; k < step.size(); ++k) {
+      length = std::max(length, std::abs(step[k]) / steps_[static_cast<std::size_t>(k)]);
+    }
+    return length;
+  }
+  return 0;
+}
+
+Eigen::VectorXd Problem::variances(const Linearisation& linear, const Eigen::VectorXd& r) const {
+  const auto values = static_cast<Eigen::Index>(steps_.size());
+  const Eigen::VectorXd weighted = linear.weighted(r);
   std::vector<Eigen::VectorXd> scores;
   for (std::size_t i = 0; i < points_.size(); ++i) {
     if (i == 0 || points_[i].pair != points_[i - 1].pair) scores.emplace_back(Eigen::VectorXd::Zero(values));
     const auto row = 2 * static_cast<Eigen::Index>(i);
-    scores.back() += J.middleRows<2>(row).transpose() * weighted.segment<2>(row);
+    scores.back() += linear.J.middleRows<2>(row).transpose() * weighted.segment<2>(row);
   }
   constexpr std::size_t kMostLags = 10;
   const std::size_t lags = std::min(kMostLags, scores.size() / 4);
@@ -430,15 +435,28 @@ void Problem::refine(State& state, TimingEstimate& estimate) {
     if (lag == 0) alone = products;
     scatter += lag == 0 ? products : Eigen::MatrixXd(weight * (products + products.transpose()));
   }
-  const Eigen::FullPivLU<Eigen::MatrixXd> lu(H);
+  const Eigen::FullPivLU<Eigen::MatrixXd> lu(linear.H);
   if (!lu.isInvertible()) {
     throw TimingError("the recording does not determine the values: there is too little motion");
   }
   const Eigen::MatrixXd inverse = lu.inverse();
-  const Eigen::VectorXd variances =
-      (inverse * scatter * inverse.transpose()).diagonal().cwiseMax((inverse * alone * inverse.transpose()).diagonal());
-  const auto stddev = [&variances](Eigen::Index k) { return std::sqrt(std::max(variances[k], 0.0)); };
+  return (inverse * scatter * inverse.transpose())
+      .diagonal()
+      .cwiseMax((inverse * alone * inverse.transpose()).diagonal());
+}
 
+void Problem::refine(State& state, TimingEstimate& estimate) {
+  choose_steps();
+  Eigen::VectorXd r = residuals(state);
+  double damping = 1e-3;
+  constexpr int kMaxIterations = 30;
+  constexpr double kDone = 1e-3;  // of the steps of differentiation
+  for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
+    if (improve(state, r, damping) < kDone) break;
+  }
+
+  const Eigen::VectorXd variance = variances(linearise(state, r, scale_of(r)), r);
+  const auto stddev = [&variance](Eigen::Index k) { return std::sqrt(std::max(variance[k], 0.0)); };
   Eigen::Index next = 0;
   estimate.time_offset_s = {state.time_offset_s, stddev(next++)};
   estimate.readout_s = {state.readout_s, 0};
@@ -447,7 +465,7 @@ void Problem::refine(State& state, TimingEstimate& estimate) {
     estimate.bias_rad_s[axis] = {state.bias_rad_s[axis], options_.estimate_bias ? stddev(next++) : 0};
   }
   estimate.R_cam_imu = state.R_cam_imu;
-  if (rotation) {
+  if (estimates_rotation()) {
     for (int axis = 0; axis < 3; ++axis) estimate.rotation_stddev_rad[axis] = stddev(next++);
   }
 }

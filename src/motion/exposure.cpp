@@ -5,6 +5,8 @@
 #include <sstream>
 #include <vector>
 
+#include "base/median.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -42,26 +44,7 @@ TimeNs phase_offset_ns(const ShutterTiming& timing, StampPhase phase) {
   return std::llround(static_cast<double>(timing.exposure_ns) * fraction_of(phase));
 }
 
-/// require_range, with the unit that was probably meant.
-void require_seconds(const char* name, double value_s, double min_s, double max_s) {
-  try {
-    require_range(name, value_s, min_s, max_s, "s");
-  } catch (const OptionError& error) {
-    for (const auto& [unit, per_second] : {std::pair{"milliseconds", 1e3}, std::pair{"microseconds", 1e6}}) {
-      if (std::abs(value_s) > 1 && std::abs(value_s) / per_second <= max_s) {
-        throw OptionError(std::string(error.what()) + ": is it in " + unit + "?");
-      }
-    }
-    throw;
-  }
-}
-
 }  // namespace
-
-void ShutterTiming::validate() const {
-  require_seconds("exposure_time", to_seconds(exposure_ns), to_seconds(1), 1);
-  require_seconds("readout_time", to_seconds(readout_ns), -1, 1);
-}
 
 void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns) {
   constexpr double kJitter = 0.1;  // of the period; drivers that stamp on arrival scatter by some milliseconds
@@ -87,10 +70,7 @@ void FramePeriod::clear() { *this = FramePeriod(); }
 std::optional<TimeNs> FramePeriod::get() const {
   constexpr std::size_t kEnough = 5;
   if (intervals_ns_.size() < kEnough) return std::nullopt;
-  std::vector<TimeNs> sorted(intervals_ns_.begin(), intervals_ns_.end());
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  return *middle;
+  return median(std::vector<TimeNs>(intervals_ns_.begin(), intervals_ns_.end()));
 }
 
 RowExposure::RowExposure(TimeNs stamp_ns, int rows, const ShutterTiming& timing)

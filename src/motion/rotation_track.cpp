@@ -63,7 +63,11 @@ bool is_saturated(const GyroSample& sample, const GyroOptions& options) {
 }
 
 RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroOptions& options,
-                             const Eigen::Matrix3d& R_cam_imu) {
+                             const Eigen::Matrix3d& R_cam_imu, std::size_t origin) {
+  if (origin > 0 && origin >= samples.size()) {
+    throw std::invalid_argument("RotationTrack: the origin is sample " + std::to_string(origin) + " of " +
+                                std::to_string(samples.size()));
+  }
   options.validate();
   const Eigen::Matrix3d R = require_rotation("R_cam_imu", R_cam_imu);
   knots_.reserve(samples.size());
@@ -76,7 +80,7 @@ RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroO
     // Rates in camera axes give the rotation of the camera: R Exp(v) R^T = Exp(R v).
     const Eigen::Vector3d rate_rad_s = R * (sample.rate_rad_s - options.bias_rad_s);
     const bool saturated = is_saturated(sample, options);
-    Knot knot{sample.t_ns - options.time_offset_ns, Eigen::Quaterniond::Identity(), rate_rad_s};
+    Knot knot{sample.t_ns - options.time_offset_ns, Eigen::Quaterniond::Identity(), rate_rad_s, false};
     if (!knots_.empty()) {
       const Knot& previous = knots_.back();
       if (knot.t_ns <= previous.t_ns) {
@@ -85,17 +89,28 @@ RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroO
                                     std::to_string(previous.t_ns + options.time_offset_ns) + " ns");
       }
       if (knot.t_ns - previous.t_ns > options.max_gap_ns || saturated || previous_saturated) {
-        // Nobody may ask across a hole, so only orientations relative to each other on one side of it matter.
         holes_.push_back({previous.t_ns, knot.t_ns});
-        knot.R_0_cam = previous.R_0_cam;
-      } else {
-        knot.R_0_cam = (previous.R_0_cam *
-                        integrate_linear_rate(previous.rate_rad_s, rate_rad_s, to_seconds(knot.t_ns - previous.t_ns)))
-                           .normalized();
+        knot.follows_hole = true;
       }
     }
     knots_.push_back(knot);
     previous_saturated = saturated;
+  }
+  if (knots_.empty()) return;
+  origin_ns_ = knots_[origin].t_ns;
+  // Nobody may ask across a hole, so only orientations relative to each other on one side of it matter.
+  const auto turn = [](const Knot& from, const Knot& to) {
+    return integrate_linear_rate(from.rate_rad_s, to.rate_rad_s, to_seconds(to.t_ns - from.t_ns));
+  };
+  for (std::size_t i = origin + 1; i < knots_.size(); ++i) {
+    const Knot& before = knots_[i - 1];
+    Knot& knot = knots_[i];
+    knot.R_0_cam = knot.follows_hole ? before.R_0_cam : (before.R_0_cam * turn(before, knot)).normalized();
+  }
+  for (std::size_t i = origin; i > 0; --i) {
+    Knot& knot = knots_[i - 1];
+    const Knot& after = knots_[i];
+    knot.R_0_cam = after.follows_hole ? after.R_0_cam : (after.R_0_cam * turn(knot, after).conjugate()).normalized();
   }
 }
 
@@ -132,7 +147,7 @@ Eigen::Quaterniond RotationTrack::interpolate(TimeNs t_ns) const {
 }
 
 Eigen::Quaterniond RotationTrack::orientation(TimeNs t_ns) const {
-  require_covered({std::min(t_ns, available().begin_ns), t_ns});
+  require_covered({std::min(t_ns, origin_ns_), std::max(t_ns, origin_ns_)});
   return interpolate(t_ns);
 }
 

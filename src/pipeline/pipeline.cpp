@@ -21,21 +21,6 @@ class Stopwatch {
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };
 
-bool same(const BlurFieldOptions& a, const BlurFieldOptions& b) {
-  return a.block_size_px == b.block_size_px && a.min_extent_px == b.min_extent_px &&
-         a.max_extent_px == b.max_extent_px && a.max_bend_px == b.max_bend_px;
-}
-
-bool same(const KernelOptions& a, const KernelOptions& b) {
-  return a.gamma == b.gamma && a.length_factor == b.length_factor && a.smoothing_px == b.smoothing_px &&
-         a.design == b.design;
-}
-
-bool same(const KeypointOptions& a, const KeypointOptions& b) {
-  return a.detector == b.detector && a.descriptor == b.descriptor && a.max_features == b.max_features &&
-         a.grid_cols == b.grid_cols && a.grid_rows == b.grid_rows;
-}
-
 void require_fit(const cv::Mat& image, PixelLayout layout, const CameraCalibration& calibration) {
   if (image.cols != calibration.width_px || image.rows != calibration.height_px) {
     throw std::invalid_argument("image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
@@ -58,14 +43,6 @@ std::vector<Eigen::Vector2d> positions(const std::vector<cv::KeyPoint>& keypoint
 
 }  // namespace
 
-void PipelineOptions::validate() const {
-  blur_field.validate();
-  validation.validate();
-  kernel.validate();
-  keypoints.validate();
-  require_range("threads", threads, 0, 256);
-}
-
 Pipeline::Pipeline(const PipelineOptions& options, EngineFactory engine_factory)
     : make_engine_(std::move(engine_factory)) {
   set_options(options);
@@ -75,18 +52,19 @@ void Pipeline::set_options(const PipelineOptions& options) {
   // Everything that may throw comes before the first assignment, so that a failure leaves the former state.
   options.validate();
   std::unique_ptr<KernelBank> bank;
-  if (!bank_ || !same(options.kernel, options_.kernel)) bank = std::make_unique<KernelBank>(options.kernel);
+  if (!bank_ || !(options.kernel == options_.kernel)) bank = std::make_unique<KernelBank>(options.kernel);
   std::unique_ptr<Engine> engine;
   if (!engine_ || options.engine != options_.engine || options.threads != options_.threads) {
     engine = make_engine_(options.engine, options.threads);
   }
   std::unique_ptr<FeatureExtractor> extractor;
-  if (!extractor_ || !same(options.keypoints, options_.keypoints)) {
+  if (!extractor_ || !(options.keypoints == options_.keypoints)) {
     extractor = std::make_unique<FeatureExtractor>(options.keypoints);
   }
   std::unique_ptr<BlurFieldEstimator> estimator;
-  if (camera_ && !same(options.blur_field, options_.blur_field))
+  if (camera_ && !(options.blur_field == options_.blur_field)) {
     estimator = std::make_unique<BlurFieldEstimator>(*camera_, options.blur_field);
+  }
   PipelineOptions copy = options;
 
   std::swap(options_, copy);

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -11,8 +10,10 @@
 #include <pluginlib/class_list_macros.hpp>
 
 #include "gyro_deblur/config.hpp"
-#include "ros/conversions.hpp"
+#include "ros/image_conversion.hpp"
 #include "ros/param_conversion.hpp"
+#include "ros/tf_conversion.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -32,73 +33,21 @@ constexpr std::chrono::milliseconds kPollPeriod{20};
 constexpr double kImageSilenceS = 5;
 
 /// Private parameters that are not keys of the configuration.
-const char* const kOtherParameters[] = {"image_transport", "diagnostic_period"};
+const char* const kOtherParameters[] = {"image_transport"};
 
 TimeNs steady_now_ns() {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
       .count();
 }
 
-/// What to do about frames that pass through unchanged.
-const char* remedy(PassThroughReason reason) {
-  switch (reason) {
-    case PassThroughReason::NONE:
-      return "";
-    case PassThroughReason::NO_GYRO:
-      return "check that the IMU publishes, its rate, and time_offset; compare the stamps of image and IMU";
-    case PassThroughReason::NO_EXPOSURE_TIME:
-      return "set exposure_time, or publish an Exposure message with each image's stamp";
-    case PassThroughReason::NO_CALIBRATION:
-      return "publish camera_info with each image's stamp, calibrated for the image's size; where it contradicts "
-             "calibration_file, correct one of them or set on_calibration_conflict: configured";
-    case PassThroughReason::NO_EXTRINSIC:
-      return "set R_cam_imu, or publish a static transform between the frames of images and IMU; where these "
-             "contradict "
-             "each other, correct one of them or set on_calibration_conflict: configured";
-    case PassThroughReason::UNSUPPORTED_ENCODING:
-      return "have the driver publish mono8, bgr8, rgb8 or a Bayer encoding";
-    case PassThroughReason::BAD_IMAGE:
-      return "the image's data does not fit its header: mend the driver or the decoder";
-    case PassThroughReason::BAD_CONFIGURATION:
-      return "mend the parameter that the message names";
-    case PassThroughReason::OVERLOAD:
-      return "too slow: fewer max_features, a faster detector (ORB), smaller images, or fewer subscribers";
-    case PassThroughReason::TIME_JUMP:
-      return "expected when a bag loops; otherwise synchronise the clocks";
-    case PassThroughReason::INTERNAL_ERROR:
-      return "the log has the error";
-    case PassThroughReason::GYRO_SATURATED:
-      return "the camera turns faster than the gyroscope measures: set a larger range in its driver and in gyro_range";
-  }
-  return "";
-}
-
-/// Calls apply(key, member...) for every key that dynamic_reconfigure serves, all of which are keys of the
-/// configuration, with that member of each of `configs`.
-template <typename Function, typename... Configs>
-void for_each_dynamic(Function apply, Configs&... configs) {
-  apply("block_size", configs.block_size...);
-  apply("min_extent", configs.min_extent...);
-  apply("max_extent", configs.max_extent...);
-  apply("max_bend", configs.max_bend...);
-  apply("gamma", configs.gamma...);
-  apply("validate", configs.validate...);
-  apply("tau", configs.tau...);
-  apply("tau_contrast", configs.tau_contrast...);
-  apply("detector", configs.detector...);
-  apply("descriptor", configs.descriptor...);
-  apply("max_features", configs.max_features...);
-  apply("grid_cols", configs.grid_cols...);
-  apply("grid_rows", configs.grid_rows...);
+/// Names and values of the parameters that may change while running.
+dynamic_reconfigure::Config entries_of(const DeblurConfig& config) {
+  dynamic_reconfigure::Config entries;
+  config.__toMessage__(entries);
+  return entries;
 }
 
 }  // namespace
-
-void DeblurNodelet::Latency::add(double ms) {
-  sum_ms += ms;
-  max_ms = std::max(max_ms, ms);
-  ++count;
-}
 
 DeblurNodelet::~DeblurNodelet() {
   // First of all: a change of parameters may subscribe anew.
@@ -209,7 +158,7 @@ void DeblurNodelet::onInit() {
       nh.subscribe("odometry", kFastQueue, &DeblurNodelet::on_odometry, this, ros::TransportHints().tcpNoDelay());
   scene_depth_subscriber_ = nh.subscribe("scene_depth", kFastQueue, &DeblurNodelet::on_scene_depth, this);
   imu_->listen(this, [this](const sensor_msgs::Imu& imu) { on_imu(imu); });
-  last_statistics_ = processor_->statistics();  // the IMU may have been counted for others before
+  report_.start(processor_->statistics(), std::chrono::steady_clock::now());
   advertise();
   worker_ = std::thread(&DeblurNodelet::work, this);
   reset_service_ = private_nh.advertiseService("reset", &DeblurNodelet::on_reset, this);
@@ -222,17 +171,19 @@ void DeblurNodelet::onInit() {
 }
 
 std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
-  parameters_ = YAML::Node(YAML::NodeType::Map);
-  if (getPrivateNodeHandle().getParam("", given_parameters_) &&
-      given_parameters_.getType() == XmlRpc::XmlRpcValue::TypeStruct) {
-    parameters_ = to_yaml(given_parameters_);
+  XmlRpc::XmlRpcValue parameters;
+  if (getPrivateNodeHandle().getParam("", parameters) && parameters.getType() == XmlRpc::XmlRpcValue::TypeStruct) {
+    for (auto& [key, value] : parameters) {
+      if (std::find(std::begin(kOtherParameters), std::end(kOtherParameters), key) == std::end(kOtherParameters)) {
+        given_parameters_[key] = value;
+      }
+    }
   }
-  for (const char* other : kOtherParameters) parameters_.remove(other);
 
   std::vector<std::string> unknown;
   std::optional<Config> config;
   try {
-    config = parse_config(parameters_, &unknown);
+    config = parse_config(to_yaml(given_parameters_), &unknown);
     NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu)",
                  to_seconds(config->gyro.time_offset_ns));
     if (config->calibration) NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
@@ -245,8 +196,9 @@ std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
   }
   for (const std::string& key : unknown) {
     // Namespaces below the node belong to others, to plugins of image_transport for example.
-    const YAML::Node& parameters = parameters_;
-    if (!parameters[key].IsMap()) NODELET_WARN_STREAM("parameter ~" << key << " is not known, ignored");
+    if (given_parameters_[key].getType() != XmlRpc::XmlRpcValue::TypeStruct) {
+      NODELET_WARN_STREAM("parameter ~" << unknown_key_message(key));
+    }
   }
   return config;
 }
@@ -257,43 +209,41 @@ void DeblurNodelet::start_reconfigure() {
       std::make_unique<dynamic_reconfigure::Server<DeblurConfig>>(reconfigure_mutex_, getPrivateNodeHandle());
   // The server has read the parameters, but moved what was out of range to the nearest end without a word. That would
   // be nobody's choice: it offers the default instead, and the error that load_parameters has reported stays in force.
-  const YAML::Node& parameters = parameters_;
-  dynamic_ = DeblurConfig::__getDefault__();
-  for_each_dynamic(
-      [&parameters](const char* key, auto& value) {
-        std::decay_t<decltype(value)> given;
-        if (parameters[key] && YAML::convert<decltype(given)>::decode(parameters[key], given)) value = given;
-      },
-      dynamic_);
+  const dynamic_reconfigure::Config standard = entries_of(DeblurConfig::__getDefault__());
+  dynamic_reconfigure::Config offered = standard;
+  for_each_entry([this](auto& entry) { read_parameter(given_parameters_, entry.name, entry.value); }, offered);
+  dynamic_.__fromMessage__(offered);
   DeblurConfig clamped = dynamic_;
   clamped.__clamp__();
-  for_each_dynamic(
-      [](const char*, auto& value, const auto& in_range, const auto& standard) {
-        if (value != in_range) value = standard;
+  const dynamic_reconfigure::Config in_range = entries_of(clamped);
+  for_each_entry(
+      [](auto& entry, const auto& nearest, const auto& otherwise) {
+        if (entry.value != nearest.value) entry.value = otherwise.value;
       },
-      dynamic_, clamped, DeblurConfig::__getDefault__());
+      offered, in_range, standard);
+  dynamic_.__fromMessage__(offered);
   reconfigure_->updateConfig(dynamic_);
   reconfigure_->setCallback([this](DeblurConfig& dynamic, std::uint32_t) { on_reconfigure(dynamic); });
   // The server has also written its values back. What was refused stays on the parameter server, so that it is refused
   // again when the nodelet is loaded again, instead of being replaced by a default that nobody chose.
-  for_each_dynamic(
-      [this, &parameters](const char* key, const auto& offered) {
-        std::decay_t<decltype(offered)> given;
-        if (!parameters[key] || (YAML::convert<decltype(given)>::decode(parameters[key], given) && given == offered)) {
-          return;
-        }
-        getPrivateNodeHandle().setParam(key, given_parameters_[key]);
+  for_each_entry(
+      [this](const auto& entry) {
+        auto given = entry.value;
+        if (!given_parameters_.hasMember(entry.name)) return;
+        if (read_parameter(given_parameters_, entry.name, given) && given == entry.value) return;
+        getPrivateNodeHandle().setParam(entry.name, given_parameters_[entry.name]);
       },
-      dynamic_);
+      offered);
   reconfigure_ready_ = true;
 }
 
 void DeblurNodelet::on_reconfigure(DeblurConfig& dynamic) {
   if (!reconfigure_ready_) return;  // the server's first call only repeats what load_parameters has applied
   try {
-    YAML::Node merged = YAML::Clone(parameters_);
-    for_each_dynamic([&merged](const char* key, const auto& value) { merged[key] = value; }, dynamic);
-    const Config config = parse_config(merged);
+    XmlRpc::XmlRpcValue merged = given_parameters_;
+    const dynamic_reconfigure::Config entries = entries_of(dynamic);
+    for_each_entry([&merged](const auto& entry) { write_parameter(merged, entry.name, entry.value); }, entries);
+    const Config config = parse_config(to_yaml(merged));
     processor_->set_config(config);
     if (!configured_) {
       // What is decided once was decided without a configuration.
@@ -509,19 +459,7 @@ void DeblurNodelet::work() {
 }
 
 void DeblurNodelet::publish(const FrameOutput& output) {
-  {
-    const std::lock_guard<std::mutex> lock(period_mutex_);
-    latencies_["waiting"].add(output.waiting_ms);
-    latencies_["processing"].add(output.total_ms);
-    if (output.field) {
-      latencies_["blur field"].add(output.stages.blur_field_ms);
-      latencies_["validation"].add(output.stages.validation_ms);
-      latencies_["deconvolution"].add(output.stages.deconvolution_ms);
-      latencies_["keypoints"].add(output.stages.keypoints_ms);
-      latencies_["messages"].add(output.messages_ms);
-      if (output.tracks) latencies_["tracks"].add(output.tracks_ms);
-    }
-  }
+  report_.add(output);
   image_publisher_.publish(output.image, output.camera_info);
   blur_field_publisher_.publish(output.blur_field);
   if (output.keypoints) keypoint_publisher_.publish(output.keypoints);
@@ -548,82 +486,9 @@ void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {
 }
 
 void DeblurNodelet::fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) {
-  const ProcessorStatistics now = processor_->statistics();
-  const std::lock_guard<std::mutex> lock(period_mutex_);
-  const auto time = std::chrono::steady_clock::now();
-  const double period_s = std::chrono::duration<double>(time - last_report_).count();
-  const auto rate = [period_s](std::size_t newer, std::size_t older) {
-    return static_cast<double>(newer - older) / period_s;
-  };
-  using diagnostic_msgs::DiagnosticStatus;
-  if (!now.configuration_error.empty()) {
-    status.summary(DiagnosticStatus::ERROR, now.configuration_error);
-  } else {
-    status.summary(DiagnosticStatus::OK, "running");
-  }
-
-  status.addf("input rate [Hz]", "%.1f", rate(now.frames_in, last_statistics_.frames_in));
-  status.addf("output rate [Hz]", "%.1f", rate(now.frames_out, last_statistics_.frames_out));
-  status.addf("gyroscope rate [Hz]", "%.1f", rate(now.imu_accepted, last_statistics_.imu_accepted));
-  status.add("frames in", now.frames_in);
-  status.add("frames out", now.frames_out);
-  status.add("frames waiting", now.waiting);
-  for (const auto& [reason, count] : now.passed_through) {
-    status.add(std::string("passed through, ") + to_string(reason), count);
-    const auto before = last_statistics_.passed_through.find(reason);
-    const std::size_t fresh = count - (before == last_statistics_.passed_through.end() ? 0 : before->second);
-    if (fresh > 0) {
-      status.mergeSummaryf(DiagnosticStatus::WARN, "%zu frames passed through: %s; %s", fresh, to_string(reason),
-                           remedy(reason));
-    }
-  }
-  for (const auto& [block_status, count] : now.blocks) {
-    status.add(std::string("blocks, ") + to_string(block_status), count);
-  }
-  const auto fresh_blocks = [&](BlockStatus block_status) {
-    const auto count = [block_status](const ProcessorStatistics& statistics) {
-      const auto found = statistics.blocks.find(block_status);
-      return found == statistics.blocks.end() ? 0 : found->second;
-    };
-    return count(now) - count(last_statistics_);
-  };
-  const std::size_t rejected = fresh_blocks(BlockStatus::REJECTED),
-                    judged = rejected + fresh_blocks(BlockStatus::DEBLURRED);
-  if (2 * rejected > judged) {
-    status.mergeSummaryf(
-        DiagnosticStatus::WARN,
-        "%zu of %zu blurred blocks rejected: the images contradict the predicted blur; check R_cam_imu, "
-        "time_offset and exposure_time with blur_overlay",
-        rejected, judged);
-  }
-  status.add("cameras on this gyroscope", imu_->listeners());
-  status.add("imu dropped, not finite", now.imu_not_finite);
-  status.add("imu dropped, duplicate", now.imu_duplicate);
-  status.add("imu dropped, out of order", now.imu_out_of_order);
-  status.add("imu dropped, stray stamp", now.imu_stray);
-  status.add("imu dropped, without gyroscope", now.imu_without_gyroscope);
-  status.add("imu saturated", now.imu_saturated);
-  status.add("time jumps", now.time_jumps);
-  if (now.frames_translated + now.frames_not_translated > 0) {
-    status.add("frames with translation", now.frames_translated);
-    status.add("frames without, though there is odometry", now.frames_not_translated);
-    if (!now.translation_text.empty()) status.add("why without translation", now.translation_text);
-    status.add("odometry refused", now.odometry_refused);
-  }
-  if (now.newest_imu_ns) {
-    status.addf("gyroscope buffer [s]", "%.3f", to_seconds(now.gyro_available.end_ns - now.gyro_available.begin_ns));
-    status.addf("gyroscope age [s]", "%.3f", to_seconds(to_time_ns(ros::Time::now()) - *now.newest_imu_ns));
-  } else {
-    status.add("gyroscope buffer [s]", "empty");
-  }
-  for (const auto& [stage, latency] : latencies_) {
-    status.addf(stage + " mean [ms]", "%.2f", latency.sum_ms / static_cast<double>(latency.count));
-    status.addf(stage + " max [ms]", "%.2f", latency.max_ms);
-  }
-  status.add("engine", now.engine.empty() ? "none" : now.engine);
-  latencies_.clear();
-  last_statistics_ = now;
-  last_report_ = time;
+  report_.fill(
+      {processor_->statistics(), imu_->listeners(), to_time_ns(ros::Time::now()), std::chrono::steady_clock::now()},
+      &status);
 }
 
 }  // namespace gyro_deblur

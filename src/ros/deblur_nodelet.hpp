@@ -4,7 +4,6 @@
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -22,9 +21,9 @@
 #include <tf2_msgs/TFMessage.h>
 #include <topic_tools/shape_shifter.h>
 #include <xmlrpcpp/XmlRpcValue.h>
-#include <yaml-cpp/yaml.h>
 
 #include "gyro_deblur/DeblurConfig.h"
+#include "ros/diagnostics.hpp"
 #include "ros/exposure_adapter.hpp"
 #include "ros/processor.hpp"
 #include "ros/shared_imu.hpp"
@@ -43,13 +42,6 @@ class DeblurNodelet : public nodelet::Nodelet {
   ~DeblurNodelet() override;
 
  private:
-  /// Mean and maximum over a period of diagnostics.
-  struct Latency {
-    double sum_ms = 0, max_ms = 0;
-    std::size_t count = 0;
-    void add(double ms);
-  };
-
   void onInit() override;
   /// The configuration, or nothing with the reason in `error`.
   std::optional<Config> load_parameters(std::string* error);
@@ -88,8 +80,7 @@ class DeblurNodelet : public nodelet::Nodelet {
 
   std::unique_ptr<Processor> processor_;
 
-  XmlRpc::XmlRpcValue given_parameters_;  // private ones, as they were when the nodelet was loaded
-  YAML::Node parameters_;                 // as they were at the start
+  XmlRpc::XmlRpcValue given_parameters_;  // those of the configuration, as they were when the nodelet was loaded
   boost::recursive_mutex reconfigure_mutex_;
   std::unique_ptr<dynamic_reconfigure::Server<DeblurConfig>> reconfigure_;
   DeblurConfig dynamic_;  // last accepted values
@@ -127,10 +118,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   ros::WallTimer diagnostics_timer_;
   std::unique_ptr<diagnostic_updater::Updater> diagnostics_;
 
-  std::mutex period_mutex_;  // what diagnostics report of the last period
-  std::map<std::string, Latency> latencies_;
-  ProcessorStatistics last_statistics_;
-  std::chrono::steady_clock::time_point last_report_ = std::chrono::steady_clock::now();
+  DiagnosticReport report_;
 
   std::mutex worker_mutex_;
   std::condition_variable worker_wakes_;

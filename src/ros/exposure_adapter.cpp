@@ -8,9 +8,9 @@
 #include <ros/message_traits.h>
 #include <nlohmann/json.hpp>
 
-#include "ros/conversions.hpp"
 #include "ros/deserialization.hpp"
 #include "ros/processor.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -4,20 +4,9 @@
 #include <limits>
 #include <utility>
 
-#include "ros/conversions.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
-namespace {
-
-/// Late samples in a row, in order among themselves, that show a clock that was set back by less than the threshold:
-/// a bag shorter than it that loops. Jitter of a driver does not deliver that many.
-constexpr std::size_t kLateSamplesOfReset = 10;
-
-/// Samples in a row that fit each other, but not those before: an IMU that was silent, or whose clock was set. Fewer
-/// are wrong stamps, which must not empty the buffer.
-constexpr std::size_t kStraySamplesOfReset = 5;
-
-}  // namespace
 
 GyroSource::Options GyroSource::options_of(const Config& config) {
   return {std::max(config.gyro.buffer_ns, config.bias_window_ns), config.time_jump_ns, config.gyro};
@@ -58,88 +47,52 @@ bool GyroSource::add(const sensor_msgs::Imu& imu) {
   }
   frame_id_ = imu.header.frame_id;
   if (!sample->rate_rad_s.allFinite()) {
-    store(*sample);  // counts it; the stamp of such a message tells nothing
+    // The stamp of such a message tells nothing.
+    ++statistics_.imu_not_finite;
+    log_(LogLevel::WARNING, "imu not finite",
+         "imu sample at " + seconds_text(sample->t_ns) + " s dropped: its angular velocity " +
+             vector_text(sample->rate_rad_s) + " rad/s is not finite");
     return false;
   }
   return take(*sample);
 }
 
-void GyroSource::drop_stray_samples() {
-  if (stray_samples_.empty()) return;
-  statistics_.imu_stray += stray_samples_.size();
-  log_(LogLevel::WARNING, "imu stray",
-       "imu sample dropped: its stamp " + seconds_text(stray_samples_.back().t_ns) + " s is far from those around it");
-  stray_samples_.clear();
-}
-
 bool GyroSource::take(const GyroSample& sample) {
-  const auto fits = [&](TimeNs before_ns) {
-    return sample.t_ns >= before_ns - options_.time_jump_ns && sample.t_ns <= before_ns + options_.gyro.max_gap_ns;
-  };
-  if (buffer_.empty() || fits(buffer_.available().end_ns)) {
-    drop_stray_samples();
-    return store(sample);
+  const auto ruling = stamps_.add(sample, imu_stamps(options_.gyro.max_gap_ns, options_.time_jump_ns));
+  if (ruling.reset) {
+    ++epoch_;
+    restarted_from_ns_ = ruling.reset->from_ns;
+    restarted_at_ns_ = ruling.reset->to_ns;
+    buffer_.clear();
   }
-  if (!stray_samples_.empty()) {
-    const TimeNs last_ns = stray_samples_.back().t_ns;
-    if (!fits(last_ns)) {
-      drop_stray_samples();
-    } else if (sample.t_ns <= last_ns) {
-      ++(sample.t_ns == last_ns ? statistics_.imu_duplicate : statistics_.imu_out_of_order);
-      return false;
-    }
+  for (const GyroSample& taken : ruling.taken) {
+    buffer_.add(taken);
+    ++statistics_.imu_accepted;
+    if (is_saturated(taken, options_.gyro)) ++statistics_.imu_saturated;
   }
-  stray_samples_.push_back(sample);
-  if (stray_samples_.size() < kStraySamplesOfReset) return false;
-  const std::vector<GyroSample> agreeing = std::exchange(stray_samples_, {});
-  if (agreeing.front().t_ns < buffer_.available().end_ns) restart(agreeing.front().t_ns);
-  for (const GyroSample& each : agreeing) store(each);
-  return true;
+  for (const auto& refused : ruling.refused) refuse(refused);
+  return !ruling.taken.empty();
 }
 
-bool GyroSource::store(const GyroSample& sample) {
-  switch (buffer_.add(sample)) {
-    case GyroBuffer::AddResult::ACCEPTED:
-      ++statistics_.imu_accepted;
-      if (is_saturated(sample, options_.gyro)) ++statistics_.imu_saturated;
-      if (!late_samples_.empty()) {
-        // Only now it is sure that they were late, and not the first of a new epoch.
-        log_(LogLevel::WARNING, "imu out of order",
-             "imu sample dropped: its stamp " + seconds_text(late_samples_.back().t_ns) +
-                 " s is before that of the one before it");
-      }
-      late_samples_.clear();
-      return true;
-    case GyroBuffer::AddResult::NOT_FINITE:
-      ++statistics_.imu_not_finite;
-      log_(LogLevel::WARNING, "imu not finite",
-           "imu sample at " + seconds_text(sample.t_ns) + " s dropped: its angular velocity " +
-               vector_text(sample.rate_rad_s) + " rad/s is not finite");
-      return false;
-    case GyroBuffer::AddResult::DUPLICATE:
+void GyroSource::refuse(const StampRuling<GyroSample>::Refused& refused) {
+  const std::string stamp_text = seconds_text(refused.message.t_ns);
+  switch (refused.why) {
+    case Misfit::REPEATED:
       ++statistics_.imu_duplicate;
-      log_(LogLevel::WARNING, "imu duplicate",
-           "imu sample dropped: a second one with the stamp " + seconds_text(sample.t_ns) + " s");
-      return false;
-    case GyroBuffer::AddResult::OUT_OF_ORDER:
+      log_(LogLevel::WARNING, "imu duplicate", "imu sample dropped: a second one with the stamp " + stamp_text + " s");
+      break;
+    case Misfit::LATE:
+      ++statistics_.imu_out_of_order;
+      log_(LogLevel::WARNING, "imu out of order",
+           "imu sample dropped: its stamp " + stamp_text + " s is before that of the one before it");
+      break;
+    case Misfit::FAR:
+    case Misfit::AHEAD:
+      ++statistics_.imu_stray;
+      log_(LogLevel::WARNING, "imu stray",
+           "imu sample dropped: its stamp " + stamp_text + " s is far from those around it");
       break;
   }
-  ++statistics_.imu_out_of_order;
-  if (!late_samples_.empty() && late_samples_.back().t_ns >= sample.t_ns) late_samples_.clear();
-  late_samples_.push_back(sample);
-  if (late_samples_.size() < kLateSamplesOfReset) return false;
-  const std::vector<GyroSample> first = std::exchange(late_samples_, {});
-  restart(first.front().t_ns);
-  for (const GyroSample& each : first) store(each);
-  return true;
-}
-
-void GyroSource::restart(TimeNs to_ns) {
-  ++epoch_;
-  restarted_from_ns_ = buffer_.available().end_ns;
-  restarted_at_ns_ = to_ns;
-  buffer_.clear();
-  late_samples_.clear();
 }
 
 ImuStatistics GyroSource::statistics() const {

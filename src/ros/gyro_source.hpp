@@ -13,6 +13,7 @@
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
 #include "gyro_deblur/time.hpp"
+#include "ros/stamp_rule.hpp"
 #include "ros/throttled_log.hpp"
 
 namespace gyro_deblur {
@@ -29,14 +30,15 @@ struct ImuStatistics {
 };
 
 /// Takes the messages of one IMU in and keeps their samples as the sensor gave them: bias, time offset and rotation are
-/// those of each camera, and applied by it. Messages that cannot be used are dropped, counted and logged. When the
-/// IMU's clock was set back, everything from before is forgotten. Thread-safe.
+/// those of each camera, and applied by it. Messages that cannot be used are dropped, counted and logged; for stamps
+/// StampRule decides with imu_stamps. When the IMU's clock was set back, everything from before is forgotten.
+/// Thread-safe.
 class GyroSource {
  public:
   struct Options {
     TimeNs capacity_ns;   ///< how much is kept; > 0
-    TimeNs time_jump_ns;  ///< a sample further back does not fit those before it
-    GyroOptions gyro;     ///< max_gap_ns: nor does one further ahead; range_rad_s: what counts as saturated
+    TimeNs time_jump_ns;  ///< see imu_stamps
+    GyroOptions gyro;     ///< max_gap_ns: see imu_stamps; range_rad_s: what counts as saturated
   };
   static Options options_of(const Config& config);
 
@@ -57,13 +59,9 @@ class GyroSource {
  private:
   friend class GyroReader;
 
-  /// Takes a sample whose stamp fits those before it; others once enough of them agree with each other.
   /// True when the newest sample in store is this one.
   bool take(const GyroSample& sample);
-  bool store(const GyroSample& sample);
-  /// Forgets everything, because the clock was set back.
-  void restart(TimeNs to_ns);
-  void drop_stray_samples();
+  void refuse(const StampRuling<GyroSample>::Refused& refused);
   void resize(TimeNs capacity_ns);
 
   ThrottledLog log_;
@@ -71,8 +69,7 @@ class GyroSource {
   mutable std::mutex mutex_;  // everything below
   Options options_;
   GyroBuffer buffer_;
-  std::vector<GyroSample> late_samples_;   // consecutive ones, ordered among themselves
-  std::vector<GyroSample> stray_samples_;  // consecutive ones far from the others, ordered among themselves
+  StampRule<GyroSample> stamps_;
   std::string frame_id_;
   ImuStatistics statistics_;
   int epoch_ = 0;  // grows when the clock was set back

@@ -1,4 +1,5 @@
 // Single fields of serialised messages whose package is not installed, by the definition that comes with them.
+// (ros_type_introspection can do this as well, but Debian 12 does not have it.)
 #pragma once
 
 #include <cstddef>

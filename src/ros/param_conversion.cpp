@@ -1,35 +1,106 @@
 #include "ros/param_conversion.hpp"
 
-#include <string>
+#include <cmath>
+#include <limits>
+#include <locale>
+#include <sstream>
 
 namespace gyro_deblur {
+namespace {
 
-YAML::Node to_yaml(XmlRpc::XmlRpcValue& value) {
-  switch (value.getType()) {
-    case XmlRpc::XmlRpcValue::TypeBoolean:
-      return YAML::Node(static_cast<bool>(value));
-    case XmlRpc::XmlRpcValue::TypeInt:
-      return YAML::Node(static_cast<int>(value));
-    case XmlRpc::XmlRpcValue::TypeDouble:
-      return YAML::Node(static_cast<double>(value));
-    case XmlRpc::XmlRpcValue::TypeString: {
-      YAML::Node node(static_cast<std::string>(value));
-      node.SetTag("!");  // YAML's mark of a quoted scalar
-      return node;
+using XmlRpc::XmlRpcValue;
+
+std::string number(double value) {
+  if (std::isnan(value)) return ".nan";
+  if (std::isinf(value)) return value > 0 ? ".inf" : "-.inf";
+  std::ostringstream text;
+  text.imbue(std::locale::classic());
+  text.precision(std::numeric_limits<double>::max_digits10);
+  text << value;
+  return text.str();
+}
+
+/// With YAML's double quotes, which make it a string whatever it says.
+std::string quoted(const std::string& value) {
+  static const char kHexDigits[] = "0123456789ABCDEF";
+  std::string text = "\"";
+  for (const char c : value) {
+    const auto byte = static_cast<unsigned char>(c);
+    if (byte < 0x20 || byte == 0x7F) {
+      text += {'\\', 'x', kHexDigits[byte / 16], kHexDigits[byte % 16]};
+    } else {
+      if (c == '"' || c == '\\') text += '\\';
+      text += c;
     }
-    case XmlRpc::XmlRpcValue::TypeArray: {
-      YAML::Node node(YAML::NodeType::Sequence);
-      for (int i = 0; i < value.size(); ++i) node.push_back(to_yaml(value[i]));
-      return node;
-    }
-    case XmlRpc::XmlRpcValue::TypeStruct: {
-      YAML::Node node(YAML::NodeType::Map);
-      for (auto& [key, member] : value) node[key] = to_yaml(member);
-      return node;
-    }
-    default:
-      return YAML::Node();
   }
+  return text + '"';
+}
+
+XmlRpcValue::Type type_of(XmlRpcValue& parameters, const std::string& name) {
+  return parameters.hasMember(name) ? parameters[name].getType() : XmlRpcValue::TypeInvalid;
+}
+
+}  // namespace
+
+std::string to_yaml(XmlRpcValue& value) {
+  std::string text;
+  switch (value.getType()) {
+    case XmlRpcValue::TypeBoolean:
+      return static_cast<bool>(value) ? "true" : "false";
+    case XmlRpcValue::TypeInt:
+      return std::to_string(static_cast<int>(value));
+    case XmlRpcValue::TypeDouble:
+      return number(static_cast<double>(value));
+    case XmlRpcValue::TypeString:
+      return quoted(static_cast<std::string>(value));
+    case XmlRpcValue::TypeArray:
+      for (int i = 0; i < value.size(); ++i) text += (i == 0 ? "" : ", ") + to_yaml(value[i]);
+      return '[' + text + ']';
+    case XmlRpcValue::TypeStruct:
+      for (auto& [key, member] : value) text += (text.empty() ? "" : ", ") + quoted(key) + ": " + to_yaml(member);
+      return '{' + text + '}';
+    default:
+      return "~";
+  }
+}
+
+bool read_parameter(XmlRpcValue& parameters, const std::string& name, std::uint8_t& truth_value) {
+  if (type_of(parameters, name) != XmlRpcValue::TypeBoolean) return false;
+  truth_value = static_cast<bool>(parameters[name]) ? 1 : 0;
+  return true;
+}
+
+bool read_parameter(XmlRpcValue& parameters, const std::string& name, int& value) {
+  double number = 0;
+  if (!read_parameter(parameters, name, number) || number != std::trunc(number)) return false;
+  if (number < std::numeric_limits<int>::min() || number > std::numeric_limits<int>::max()) return false;
+  value = static_cast<int>(number);
+  return true;
+}
+
+bool read_parameter(XmlRpcValue& parameters, const std::string& name, double& value) {
+  const XmlRpcValue::Type type = type_of(parameters, name);
+  if (type == XmlRpcValue::TypeInt) value = static_cast<int>(parameters[name]);
+  if (type == XmlRpcValue::TypeDouble) value = static_cast<double>(parameters[name]);
+  return type == XmlRpcValue::TypeInt || type == XmlRpcValue::TypeDouble;
+}
+
+bool read_parameter(XmlRpcValue& parameters, const std::string& name, std::string& value) {
+  if (type_of(parameters, name) != XmlRpcValue::TypeString) return false;
+  value = static_cast<std::string>(parameters[name]);
+  return true;
+}
+
+void write_parameter(XmlRpcValue& parameters, const std::string& name, std::uint8_t truth_value) {
+  parameters[name] = truth_value != 0;
+}
+
+void write_parameter(XmlRpcValue& parameters, const std::string& name, int value) { parameters[name] = value; }
+
+void write_parameter(XmlRpcValue& parameters, const std::string& name, double value) { parameters[name] = value; }
+
+void write_parameter(XmlRpcValue& parameters, const std::string& name, const std::string& value) {
+  parameters[name] = XmlRpcValue(value);
 }
 
 }  // namespace gyro_deblur

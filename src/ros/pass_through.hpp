@@ -2,6 +2,8 @@
 #pragma once
 
 #include <cstdint>
+#include <stdexcept>
+#include <string>
 
 namespace gyro_deblur {
 
@@ -23,5 +25,15 @@ enum class PassThroughReason : std::uint8_t {
 
 /// Name of the reason, e.g. "NO_GYRO". Never null.
 const char* to_string(PassThroughReason reason);
+
+/// A frame that has to be passed through, with the reason and one line that has the values involved.
+class FrameError : public std::runtime_error {
+ public:
+  FrameError(PassThroughReason reason, const std::string& text) : std::runtime_error(text), reason_(reason) {}
+  PassThroughReason reason() const { return reason_; }
+
+ private:
+  PassThroughReason reason_;
+};
 
 }  // namespace gyro_deblur

@@ -44,32 +44,26 @@ const char* to_string(Stream stream) {
 
 TimeJumpDetector::Verdict TimeJumpDetector::update(Stream stream, TimeNs stamp_ns, std::size_t messages) {
   State& own = state(stream);
-  if (own.newest_ns && stamp_ns < *own.newest_ns - threshold_ns_) return went_back(stream, stamp_ns);
-  // A stamp far ahead may be wrong, and would make the next right one look like a reset: the next one tells.
-  if (own.ahead_ns && stamp_ns >= *own.ahead_ns - threshold_ns_)
-    own.newest_ns = std::max(*own.newest_ns, *own.ahead_ns);
-  own.ahead_ns.reset();
-  if (own.newest_ns && stamp_ns > *own.newest_ns + threshold_ns_) {
-    own.ahead_ns = stamp_ns;
-  } else {
-    own.newest_ns = own.newest_ns ? std::max(*own.newest_ns, stamp_ns) : stamp_ns;
-  }
+  if (own.rule.add({stamp_ns}, limits_).reset) return tell(stream);
   own.stragglers_left -= static_cast<int>(std::min(messages, static_cast<std::size_t>(own.stragglers_left)));
   return Verdict::FORWARD;
 }
 
 TimeJumpDetector::Verdict TimeJumpDetector::went_back(Stream stream, TimeNs stamp_ns) {
+  state(stream).rule.restart({stamp_ns});
+  return tell(stream);
+}
+
+TimeJumpDetector::Verdict TimeJumpDetector::tell(Stream stream) {
   State& own = state(stream);
   const bool known = own.stragglers_left > 0;
-  own.newest_ns = stamp_ns;
-  own.ahead_ns.reset();
   own.stragglers_left = 0;
   if (known) return Verdict::FOLLOWS;
   if (!tells_of_resets(stream)) return Verdict::FORWARD;
   for (std::size_t i = 0; i < kStreams; ++i) {
     const auto other = static_cast<Stream>(i);
     // A stream that has not started yet has nothing old to bring.
-    if (other != stream && state(other).newest_ns) state(other).stragglers_left = straggler_limit(other);
+    if (other != stream && newest_ns(other)) state(other).stragglers_left = straggler_limit(other);
   }
   return Verdict::JUMP;
 }

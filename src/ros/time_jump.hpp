@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "gyro_deblur/time.hpp"
+#include "ros/stamp_rule.hpp"
 
 namespace gyro_deblur {
 
@@ -17,8 +18,8 @@ const char* to_string(Stream stream);
 
 /// Watches the newest time of every stream. The first stream to go back tells of a jump (camera_info and exposures do
 /// not: late ones are no reset); the others, whose last old messages may still be on their way, then follow it without
-/// telling again. A stream that goes on for long without going back has not been reset. A single stamp that is ahead by
-/// more than the threshold is not believed until the next message of its stream agrees.
+/// telling again. A stream that goes on for long without going back has not been reset. Which stamps are believed is
+/// decided by StampRule with watched_stamps.
 class TimeJumpDetector {
  public:
   enum class Verdict {
@@ -28,9 +29,9 @@ class TimeJumpDetector {
   };
 
   /// @param threshold_ns  going back by up to this is not a reset; > 0
-  explicit TimeJumpDetector(TimeNs threshold_ns) : threshold_ns_(threshold_ns) {}
+  explicit TimeJumpDetector(TimeNs threshold_ns) : limits_(watched_stamps(threshold_ns)) {}
 
-  void set_threshold(TimeNs threshold_ns) { threshold_ns_ = threshold_ns; }
+  void set_threshold(TimeNs threshold_ns) { limits_ = watched_stamps(threshold_ns); }
 
   /// @param messages  that the stream has brought, of which this is the newest
   Verdict update(Stream stream, TimeNs stamp_ns, std::size_t messages = 1);
@@ -39,7 +40,7 @@ class TimeJumpDetector {
   Verdict went_back(Stream stream, TimeNs stamp_ns);
 
   /// Newest time of the stream since it went back last; nothing before its first message.
-  std::optional<TimeNs> newest_ns(Stream stream) const { return state(stream).newest_ns; }
+  std::optional<TimeNs> newest_ns(Stream stream) const { return state(stream).rule.newest_ns(); }
 
   /// True while the stream is expected to follow a jump: what it brings is still of the old epoch.
   bool is_stale(Stream stream) const { return state(stream).stragglers_left > 0; }
@@ -47,21 +48,25 @@ class TimeJumpDetector {
   void clear() { states_ = {}; }
 
  private:
-  struct State {
-    std::optional<TimeNs> newest_ns;
-    std::optional<TimeNs> ahead_ns;  // of the last message, when it was ahead of newest_ns by more than the threshold
-    int stragglers_left = 0;         // messages of the old epoch that may still come after a jump
+  struct Stamp {
+    TimeNs t_ns;
   };
+  struct State {
+    StampRule<Stamp> rule;
+    int stragglers_left = 0;  // messages of the old epoch that may still come after a jump
+  };
+  Verdict tell(Stream stream);
   State& state(Stream stream) { return states_[static_cast<std::size_t>(stream)]; }
   const State& state(Stream stream) const { return states_[static_cast<std::size_t>(stream)]; }
 
-  TimeNs threshold_ns_;
+  StampLimits limits_;
   std::array<State, kStreams> states_;
 };
 
 /// Tells what a stream brought before time was reset from what it brought after. Recordings that are shorter than the
 /// threshold step back by less, so the first messages of the new epoch may come before the reset is sure. A stream that
-/// afterwards gets beyond where it stepped back was out of order, and not reset.
+/// afterwards gets beyond where it stepped back was out of order, and not reset. (No matter for StampRule: all these
+/// messages are kept, whatever their stamps; that another stream was reset decides which of them are old.)
 class EpochCounter {
  public:
   /// Epoch of a message that has come.

@@ -4,9 +4,8 @@
 #include <cmath>
 #include <cstdlib>
 #include <iterator>
-#include <sstream>
 
-#include "ros/conversions.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {

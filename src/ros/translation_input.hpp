@@ -6,7 +6,6 @@
 #include <functional>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include <nav_msgs/Odometry.h>
@@ -17,6 +16,7 @@
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/time.hpp"
 #include "gyro_deblur/translation.hpp"
+#include "ros/stamp_rule.hpp"
 
 namespace gyro_deblur {
 
@@ -28,7 +28,6 @@ struct TranslationJob {
   Eigen::Vector3d p_cam_body_m = Eigen::Vector3d::Zero();
   double depth_m = 0;
   TranslationOptions options;
-  std::vector<GyroSample> samples;  ///< of the gyroscope: over the frame and all velocities
 };
 
 /// A message that is not used.
@@ -37,60 +36,39 @@ struct RefusedMessage {
   std::string why;  ///< one line
 };
 
-/// The newest messages of one stream, in the order of their stamps. A single stamp that is wrong changes nothing for
-/// the messages around it: one that is not newer than the newest is kept back until the next shows which of the two was
-/// wrong. Two in a row that are not newer either show that the newest was ahead, and it is dropped, or that time was
-/// set back, and everything from before is. Not thread-safe.
+/// The newest messages of one stream, in the order of their stamps, as StampRule takes them with translation_stamps.
+/// Not thread-safe.
 /// @tparam Message  has a member t_ns
 template <typename Message>
 class StampedStream {
  public:
   /// Takes a message in. Returns nothing, or which message is refused for its stamp: this one, the one before it, or
   /// the one that was the newest.
-  /// @param time_jump_ns  going back by more is a reset of time; > 0
   std::optional<RefusedMessage> add(const Message& message, TimeNs time_jump_ns, std::size_t capacity) {
-    const auto not_after = [](const Message& refused) {
-      return RefusedMessage{refused.t_ns, "its stamp is not after that of the one before"};
-    };
-    if (messages_.empty() || message.t_ns > messages_.back().t_ns) {
-      push(message, capacity);
-      const std::optional<Message> stray = std::exchange(late_, std::nullopt);
-      return stray ? std::optional(not_after(*stray)) : std::nullopt;
+    const auto ruling = rule_.add(message, translation_stamps(time_jump_ns));
+    if (ruling.newest_refused) messages_.pop_back();
+    if (ruling.reset) messages_.clear();
+    for (const Message& taken : ruling.taken) {
+      messages_.push_back(taken);
+      if (messages_.size() > capacity) messages_.pop_front();
     }
-    if (message.t_ns == messages_.back().t_ns) return not_after(message);
-    const std::optional<Message> first = std::exchange(late_, message);
-    if (!first) return std::nullopt;
-    if (message.t_ns <= first->t_ns) return not_after(*first);
-    std::optional<RefusedMessage> refused;
-    if (messages_.size() > 1 && first->t_ns > messages_[messages_.size() - 2].t_ns) {
-      refused = RefusedMessage{messages_.back().t_ns, "its stamp is ahead of those that came after it"};
-      messages_.pop_back();
-    } else if (messages_.back().t_ns - first->t_ns > time_jump_ns) {
-      messages_.clear();
-    } else {
-      return not_after(*first);
-    }
-    late_.reset();
-    push(*first, capacity);
-    push(message, capacity);
-    return refused;
+    if (ruling.refused.empty()) return std::nullopt;
+    const auto& [refused, why] = ruling.refused.front();
+    return RefusedMessage{refused.t_ns, why == Misfit::AHEAD ? "its stamp is ahead of those that came after it"
+                                                             : "its stamp is not after that of the one before"};
   }
 
   void clear() {
     messages_.clear();
-    late_.reset();
+    rule_.clear();
   }
   bool empty() const { return messages_.empty(); }
   typename std::deque<Message>::const_iterator begin() const { return messages_.begin(); }
   typename std::deque<Message>::const_iterator end() const { return messages_.end(); }
 
  private:
-  void push(const Message& message, std::size_t capacity) {
-    messages_.push_back(message);
-    if (messages_.size() > capacity) messages_.pop_front();
-  }
   std::deque<Message> messages_;
-  std::optional<Message> late_;  // the last one, when it was not newer than the newest
+  StampRule<Message> rule_;
 };
 
 /// Keeps the newest messages of an odometry and of a depth. Not thread-safe.
@@ -116,7 +94,7 @@ class TranslationInput {
   /// Poses of the body in the camera's frame, where tf has them: (camera frame, body frame).
   using Transform = std::function<std::optional<Eigen::Isometry3d>(const std::string&, const std::string&)>;
 
-  /// What there is for a frame, without samples of the gyroscope.
+  /// What there is for a frame, but for samples of the gyroscope.
   /// @param frame         camera clock
   /// @param R_cam_imu     in use
   /// @param imu_frame     a body of this name is the IMU

@@ -8,7 +8,6 @@
 #include <utility>
 
 #include "gyro_deblur/options.hpp"
-#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur::sim {
 namespace {

@@ -6,7 +6,6 @@
 #include <utility>
 
 #include "base/parallel.hpp"
-#include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur::sim {
 namespace {

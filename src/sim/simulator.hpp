@@ -1,7 +1,6 @@
 // A simulated camera and IMU with known truth.
 #pragma once
 
-#include <cstdint>
 #include <optional>
 #include <vector>
 

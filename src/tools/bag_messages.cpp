@@ -1,5 +1,6 @@
 #include "tools/bag_messages.hpp"
 
+#include <cstdint>
 #include <stdexcept>
 
 #include <geometry_msgs/TransformStamped.h>
@@ -22,6 +23,13 @@ ros::Duration bag_duration(TimeNs t_ns) {
   ros::Duration duration;
   duration.fromNSec(t_ns);
   return duration;
+}
+
+std_msgs::Header make_header(ros::Time stamp, const std::string& frame_id) {
+  std_msgs::Header header;
+  header.stamp = stamp;
+  header.frame_id = frame_id;
+  return header;
 }
 
 sensor_msgs::Image image_message(const std_msgs::Header& header, const cv::Mat& image, const std::string& encoding) {
@@ -54,6 +62,14 @@ sensor_msgs::Imu imu_message(const std_msgs::Header& header, const Eigen::Vector
   } else {
     message.linear_acceleration_covariance[0] = -1;
   }
+  return message;
+}
+
+Exposure exposure_message(const std_msgs::Header& header, TimeNs exposure_ns, TimeNs readout_ns) {
+  Exposure message;
+  message.header = header;
+  message.exposure_time = bag_duration(exposure_ns);
+  message.readout_time = bag_duration(readout_ns);
   return message;
 }
 

@@ -15,7 +15,7 @@
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/time.hpp"
-#include "ros/conversions.hpp"
+#include "ros/messages.hpp"
 
 namespace gyro_deblur {
 
@@ -23,12 +23,16 @@ namespace gyro_deblur {
 ros::Time bag_time(TimeNs t_ns, const std::string& what);
 ros::Duration bag_duration(TimeNs t_ns);
 
+std_msgs::Header make_header(ros::Time stamp, const std::string& frame_id);
+
 /// Little-endian, rows without padding.
 sensor_msgs::Image image_message(const std_msgs::Header& header, const cv::Mat& image, const std::string& encoding);
 
 /// Orientation, and acceleration when absent, are marked as not measured (covariance[0] = -1, REP 145).
 sensor_msgs::Imu imu_message(const std_msgs::Header& header, const Eigen::Vector3d& rate_rad_s,
                              const std::optional<Eigen::Vector3d>& specific_force_m_s2);
+
+Exposure exposure_message(const std_msgs::Header& header, TimeNs exposure_ns, TimeNs readout_ns);
 
 /// Transform from `imu_frame` (parent) to `camera_frame` (child).
 /// @param p_imu_cam_m  origin of the camera in IMU coordinates

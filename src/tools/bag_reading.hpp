@@ -8,7 +8,10 @@
 #include <vector>
 
 #include <ros/message_traits.h>
+#include <ros/time.h>
+#include <rosbag/bag.h>
 #include <rosbag/message_instance.h>
+#include <rosbag/view.h>
 #include <boost/make_shared.hpp>
 #include <boost/shared_ptr.hpp>
 
@@ -55,6 +58,18 @@ boost::shared_ptr<Message> read_message(const rosbag::MessageInstance& instance)
     throw MessageError(instance, std::string("cannot be read: ") + error.what());
   }
   return message;
+}
+
+/// Calls `take(message)` for the messages of the type on the topics that were recorded in [begin, end], in
+/// their order, until it returns false. Throws MessageError.
+template <typename Message, typename Take>
+void for_each_message(const rosbag::Bag& bag, const std::vector<std::string>& topics, Take take,
+                      ros::Time begin = ros::TIME_MIN, ros::Time end = ros::TIME_MAX) {
+  rosbag::View view(bag, rosbag::TopicQuery(topics), begin, end);
+  for (const rosbag::MessageInstance& instance : view) {
+    const boost::shared_ptr<Message> message = read_message<Message>(instance);
+    if (message && !take(*message)) return;
+  }
 }
 
 }  // namespace gyro_deblur

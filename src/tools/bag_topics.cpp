@@ -5,7 +5,7 @@
 namespace gyro_deblur {
 namespace {
 
-std::string list_of(const std::map<std::string, std::string>& topics) {
+std::string list_of(const BagTopics& topics) {
   std::string list;
   for (const auto& [name, type] : topics) list += (list.empty() ? "" : ", ") + name + " (" + type + ")";
   return list.empty() ? "no topics" : list;
@@ -15,18 +15,17 @@ std::string list_of(const std::map<std::string, std::string>& topics) {
 
 std::string parent_namespace(const std::string& topic) { return topic.substr(0, topic.rfind('/')); }
 
-std::map<std::string, std::string> topics_of(rosbag::Bag& bag) {
+BagTopics topics_of(const rosbag::Bag& bag) {
   rosbag::View view(bag);
-  std::map<std::string, std::string> topics;
+  BagTopics topics;
   for (const rosbag::ConnectionInfo* connection : view.getConnections()) {
     topics[connection->topic] = connection->datatype;
   }
   return topics;
 }
 
-std::string choose_topic(const std::map<std::string, std::string>& topics, const std::string& kind,
-                         const std::string& type, const std::string& named, const std::string& preferred,
-                         bool required) {
+std::string choose_topic(const BagTopics& topics, const std::string& kind, const std::string& type,
+                         const std::string& named, const std::string& preferred, bool required) {
   const auto fail = [&](const std::string& problem) -> std::string {
     throw std::runtime_error(problem + "; the bag has " + list_of(topics));
   };

@@ -15,20 +15,20 @@ namespace gyro_deblur {
 std::string parent_namespace(const std::string& topic);
 
 /// Topics of a bag by name, with their type.
-std::map<std::string, std::string> topics_of(rosbag::Bag& bag);
+using BagTopics = std::map<std::string, std::string>;
+BagTopics topics_of(const rosbag::Bag& bag);
 
 /// The topic to use for one kind of message: the one named, else the only one of its type.
 /// @param preferred  taken, when nothing is named, if the bag has it; may be empty
 /// @return empty when there is none and none is required
 /// Throws std::runtime_error that lists the bag's topics.
-std::string choose_topic(const std::map<std::string, std::string>& topics, const std::string& kind,
-                         const std::string& type, const std::string& named, const std::string& preferred,
-                         bool required);
+std::string choose_topic(const BagTopics& topics, const std::string& kind, const std::string& type,
+                         const std::string& named, const std::string& preferred, bool required);
 
 /// Throws std::runtime_error when the bag's messages of a topic have the type's name, but the definition of another
 /// version.
 template <typename Message>
-void require_definition(rosbag::Bag& bag, const std::string& topic) {
+void require_definition(const rosbag::Bag& bag, const std::string& topic) {
   rosbag::View view(bag, rosbag::TopicQuery(topic));
   const std::string expected = ros::message_traits::md5sum<Message>();
   for (const rosbag::ConnectionInfo* connection : view.getConnections()) {

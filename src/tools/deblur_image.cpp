@@ -6,7 +6,6 @@
 #include <filesystem>
 #include <fstream>
 #include <iostream>
-#include <limits>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -17,17 +16,16 @@
 #include <opencv2/core/utils/logger.hpp>
 #include <opencv2/imgcodecs.hpp>
 
+#include "base/median.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/blur_validation.hpp"
 #include "gyro_deblur/deconvolution.hpp"
 #include "gyro_deblur/overlay.hpp"
+#include "tools/output_file.hpp"
+#include "tools/tool_main.hpp"
 
 namespace gyro_deblur {
 namespace {
-
-// Exit codes: bad input and bad usage can be told apart in scripts.
-constexpr int kBadInput = 1;
-constexpr int kBadUsage = 2;
 
 struct Arguments {
   std::string input, output, overlay, json;
@@ -141,15 +139,12 @@ cv::Mat read_displacement(const std::string& path, double offset) {
   return matrix - offset;
 }
 
-double median_extent(const FrameBlur& field) {
+double median_extent_px(const FrameBlur& field) {
   std::vector<float> extents;
   for (const BlockBlur& block : field.blocks) {
     if (block.status != BlockStatus::NO_GYRO) extents.push_back(block.extent_px);
   }
-  if (extents.empty()) return 0;
-  const auto middle = extents.begin() + static_cast<std::ptrdiff_t>(extents.size() / 2);
-  std::nth_element(extents.begin(), middle, extents.end());
-  return *middle;
+  return median(extents);
 }
 
 void run(const Arguments& arguments) {
@@ -188,21 +183,15 @@ void run(const Arguments& arguments) {
                                    BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO, BlockStatus::BENT}) {
     counts[to_string(status)] = field.count(status);
   }
-  if (!arguments.json.empty()) {
-    std::ofstream file(arguments.json);
-    file << nlohmann::json{{"input", arguments.input},
-                           {"output", arguments.output},
-                           {"width", image.cols},
-                           {"height", image.rows},
-                           {"engine", engine->name()},
-                           {"gamma", arguments.kernel.gamma},
-                           {"blocks", counts},
-                           {"median_extent_px", median_extent(field)},
-                           {"deconvolution_ms", deconvolution_ms}}
-                .dump(2)
-         << "\n";
-    if (!file.flush()) throw std::runtime_error(arguments.json + ": cannot be written");
-  }
+  write_json(arguments.json, {{"input", arguments.input},
+                              {"output", arguments.output},
+                              {"width", image.cols},
+                              {"height", image.rows},
+                              {"engine", engine->name()},
+                              {"gamma", arguments.kernel.gamma},
+                              {"blocks", counts},
+                              {"median_extent_px", median_extent_px(field)},
+                              {"deconvolution_ms", deconvolution_ms}});
 
   std::cout << arguments.output << ": " << field.count(BlockStatus::DEBLURRED) << " of " << field.blocks.size()
             << " blocks deblurred";
@@ -250,20 +239,10 @@ int main_of(int argc, char** argv) {
       "deblur blocks even where the image contradicts the blur");
   app.add_option("--overlay", arguments.overlay, "also write a picture of the blur field");
   app.add_option("--json", arguments.json, "also write what was done as JSON");
-
-  try {
-    app.parse(argc, argv);
+  app.callback([&] {
     if (field->count() + extent->count() == 0) throw CLI::RequiredError("--angle-deg and --extent-px, or --field");
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : kBadUsage;
-  }
-  try {
-    run(arguments);
-  } catch (const std::exception& error) {
-    std::cerr << "deblur_image: " << error.what() << "\n";
-    return kBadInput;
-  }
-  return 0;
+  });
+  return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }
 
 }  // namespace

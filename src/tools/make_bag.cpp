@@ -1,34 +1,28 @@
-// make_bag: a ROS bag from a recorded folder of images and IMU samples.
+// A ROS bag from a recorded folder of images and IMU samples.
 #include <algorithm>
 #include <filesystem>
-#include <fstream>
 #include <iostream>
+#include <stdexcept>
 #include <string>
-#include <vector>
 
 #include <rosbag/bag.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/image_encodings.h>
-#include <std_msgs/Header.h>
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "gyro_deblur/Exposure.h"
 #include "gyro_deblur/time.hpp"
+#include "ros/conversions.hpp"
+#include "tools/bag_file.hpp"
 #include "tools/bag_messages.hpp"
+#include "tools/output_file.hpp"
 #include "tools/progress.hpp"
 #include "tools/recording.hpp"
+#include "tools/tool_main.hpp"
 
+namespace gyro_deblur {
 namespace {
-
-using gyro_deblur::bag_duration;
-using gyro_deblur::bag_time;
-using gyro_deblur::RecordedFrame;
-using gyro_deblur::RecordedImu;
-using gyro_deblur::Recording;
-using gyro_deblur::TimeNs;
 
 struct Arguments {
   std::string output;
@@ -97,51 +91,63 @@ TimeNs delivery_time(const RecordedFrame& frame, const Recording& recording) {
   return frame.stamp_ns + frame.exposure_ns + std::max<TimeNs>(recording.readout_ns, 0) + recording.time_offset_ns;
 }
 
-nlohmann::json write_bag(const Recording& recording, const Arguments& arguments, const std::string& path) {
-  rosbag::Bag bag(path, rosbag::bagmode::Write);
+/// Topics of the bag.
+struct Topics {
+  explicit Topics(const Arguments& arguments)
+      : image(arguments.camera_namespace + "/image_raw"),
+        camera_info(arguments.camera_namespace + "/camera_info"),
+        exposure(arguments.camera_namespace + "/exposure"),
+        imu(arguments.imu_topic) {}
+  std::string image, camera_info, exposure, imu;
+};
 
+/// Returns the time of the first sample, or of the first image when that is earlier.
+TimeNs write_imu(rosbag::Bag& bag, const Recording& recording, const Arguments& arguments) {
   TimeNs first_ns = delivery_time(recording.frames.front(), recording);
   for (const RecordedImu& sample : recording.imu) {
     first_ns = std::min(first_ns, sample.t_ns);
     const ros::Time stamp = bag_time(sample.t_ns, "IMU sample");
-    std_msgs::Header header;
-    header.stamp = stamp;
-    header.frame_id = arguments.imu_frame;
     bag.write(arguments.imu_topic, stamp,
-              gyro_deblur::imu_message(header, sample.rate_rad_s, sample.acceleration_m_s2));
+              imu_message(make_header(stamp, arguments.imu_frame), sample.rate_rad_s, sample.acceleration_m_s2));
   }
-  const ros::Time begin = bag_time(first_ns, "the recording's start");
-  gyro_deblur::write_tf_static(bag, begin,
-                               gyro_deblur::extrinsic_message(recording.R_cam_imu, recording.p_imu_cam_m,
-                                                              arguments.imu_frame, arguments.camera_frame, begin));
+  return first_ns;
+}
 
-  const std::string image_topic = arguments.camera_namespace + "/image_raw";
-  const std::string info_topic = arguments.camera_namespace + "/camera_info";
-  const std::string exposure_topic = arguments.camera_namespace + "/exposure";
-  sensor_msgs::CameraInfo info = gyro_deblur::camera_info_message(recording.camera);
-  std::size_t exposures = 0;
-  gyro_deblur::Progress progress(recording.frames.size(), "images", arguments.quiet);
+/// Returns the encoding of the images.
+std::string write_images(rosbag::Bag& bag, const Recording& recording, const Arguments& arguments) {
+  const Topics topics(arguments);
+  sensor_msgs::CameraInfo info = camera_info_message(recording.camera);
+  Progress progress(recording.frames.size(), "images", arguments.quiet);
   std::string encoding;
   for (std::size_t i = 0; i < recording.frames.size(); ++i) {
     const RecordedFrame& frame = recording.frames[i];
     const ros::Time delivered = bag_time(delivery_time(frame, recording), frame.path);
-    info.header.stamp = bag_time(frame.stamp_ns, frame.path);
-    info.header.frame_id = arguments.camera_frame;
+    info.header = make_header(bag_time(frame.stamp_ns, frame.path), arguments.camera_frame);
     const cv::Mat image = read_image(frame, recording, arguments.encoding, encoding);
     if (frame.exposure_ns > 0) {
-      gyro_deblur::Exposure exposure;
-      exposure.header = info.header;
-      exposure.exposure_time = bag_duration(frame.exposure_ns);
-      exposure.readout_time = bag_duration(recording.readout_ns);
-      bag.write(exposure_topic, delivered, exposure);
-      ++exposures;
+      bag.write(topics.exposure, delivered, exposure_message(info.header, frame.exposure_ns, recording.readout_ns));
     }
-    bag.write(info_topic, delivered, info);
-    bag.write(image_topic, delivered, gyro_deblur::image_message(info.header, image, encoding));
+    bag.write(topics.camera_info, delivered, info);
+    bag.write(topics.image, delivered, image_message(info.header, image, encoding));
     progress.done(i + 1);
   }
-  bag.close();
+  return encoding;
+}
 
+/// Returns the encoding of the images.
+std::string write_recording(rosbag::Bag& bag, const Recording& recording, const Arguments& arguments) {
+  const TimeNs first_ns = write_imu(bag, recording, arguments);
+  const ros::Time begin = bag_time(first_ns, "the recording's start");
+  write_tf_static(bag, begin,
+                  extrinsic_message(recording.R_cam_imu, recording.p_imu_cam_m, arguments.imu_frame,
+                                    arguments.camera_frame, begin));
+  return write_images(bag, recording, arguments);
+}
+
+nlohmann::json report_of(const Recording& recording, const Arguments& arguments, const std::string& encoding) {
+  const Topics topics(arguments);
+  const auto exposures = std::count_if(recording.frames.begin(), recording.frames.end(),
+                                       [](const RecordedFrame& frame) { return frame.exposure_ns > 0; });
   const auto imu_range =
       std::minmax_element(recording.imu.begin(), recording.imu.end(),
                           [](const RecordedImu& a, const RecordedImu& b) { return a.t_ns < b.t_ns; });
@@ -159,10 +165,10 @@ nlohmann::json write_bag(const Recording& recording, const Arguments& arguments,
           {"last_imu_stamp_ns", imu_range.second->t_ns},
           {"time_offset_ns", recording.time_offset_ns},
           {"readout_ns", recording.readout_ns},
-          {"image_topic", image_topic},
-          {"camera_info_topic", info_topic},
-          {"exposure_topic", exposures > 0 ? exposure_topic : ""},
-          {"imu_topic", arguments.imu_topic}};
+          {"image_topic", topics.image},
+          {"camera_info_topic", topics.camera_info},
+          {"exposure_topic", exposures > 0 ? topics.exposure : ""},
+          {"imu_topic", topics.imu}};
 }
 
 Recording read_recording(const Arguments& arguments) {
@@ -170,43 +176,27 @@ Recording read_recording(const Arguments& arguments) {
     throw std::runtime_error(arguments.input + ": no such folder");
   }
   if (arguments.format == "euroc") {
-    return gyro_deblur::read_euroc(arguments.input, arguments.euroc_camera, gyro_deblur::to_ns(arguments.exposure_s));
+    return read_euroc(arguments.input, arguments.euroc_camera, to_ns(arguments.exposure_s));
   }
   if (arguments.description.empty()) {
     throw std::runtime_error("--format " + arguments.format + " needs --description FILE with the calibration");
   }
-  return arguments.format == "shield" ? gyro_deblur::read_shield(arguments.input, arguments.description)
-                                      : gyro_deblur::read_frames(arguments.input, arguments.description);
+  return arguments.format == "shield" ? read_shield(arguments.input, arguments.description)
+                                      : read_frames(arguments.input, arguments.description);
 }
 
-int run(const Arguments& arguments) {
+void run(const Arguments& arguments) {
   const Recording recording = read_recording(arguments);
-  // Written beside the target, so that a failure leaves no half bag under the name asked for.
-  const std::string partial = arguments.output + ".part";
-  nlohmann::json report;
-  try {
-    report = write_bag(recording, arguments, partial);
-    std::filesystem::rename(partial, arguments.output);
-  } catch (...) {
-    std::error_code ignored;
-    std::filesystem::remove(partial, ignored);
-    throw;
-  }
+  OutputBag output(arguments.output);
+  const std::string encoding = write_recording(output.bag(), recording, arguments);
+  output.finish();
+  const nlohmann::json report = report_of(recording, arguments, encoding);
   std::cout << arguments.output << ": " << report["images"] << " images, " << report["imu_samples"] << " IMU samples, "
             << report["exposures"] << " exposure times\n";
-  if (!arguments.json.empty()) {
-    std::ofstream file(arguments.json);
-    file << report.dump(2) << '\n';
-    if (!file) {
-      throw std::runtime_error(arguments.json + ": cannot be written");
-    }
-  }
-  return 0;
+  write_json(arguments.json, report);
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int main_of(int argc, char** argv) {
   CLI::App app{"Makes a ROS bag from a recorded folder of images and IMU samples.", "make_bag"};
   Arguments arguments;
   app.add_option("OUT", arguments.output, "bag to write")->required();
@@ -230,11 +220,10 @@ int main(int argc, char** argv) {
   app.add_option("--imu-frame", arguments.imu_frame, "tf frame of the IMU [imu]");
   app.add_option("--json", arguments.json, "write what was done to this file as JSON");
   app.add_flag("--quiet", arguments.quiet, "no progress on stderr");
-  CLI11_PARSE(app, argc, argv);
-  try {
-    return run(arguments);
-  } catch (const std::exception& error) {
-    std::cerr << "make_bag: " << error.what() << '\n';
-    return 1;
-  }
+  return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }
+
+}  // namespace
+}  // namespace gyro_deblur
+
+int main(int argc, char** argv) { return gyro_deblur::main_of(argc, argv); }

@@ -6,13 +6,13 @@
 #include <array>
 #include <cstdlib>
 #include <filesystem>
-#include <fstream>
 #include <functional>
 #include <map>
 #include <memory>
 #include <regex>
 #include <sstream>
 #include <stdexcept>
+#include <utility>
 
 #include <yaml-cpp/yaml.h>
 #include <Eigen/LU>
@@ -177,6 +177,77 @@ void require_content(const Recording& recording, const std::string& folder) {
   }
 }
 
+/// Line i (from 1) belongs to image number i.
+std::vector<TimeNs> read_stamps(const fs::path& folder, const Description& stamps) {
+  const double unit_s = stamps.get<double>("unit");
+  std::vector<TimeNs> stamps_ns;
+  for_each_line((folder / stamps.get<std::string>("file")).string(), [&](const std::string& line) {
+    stamps_ns.push_back(to_ns(parse_number(field_at(split(line), 0)) * unit_s));
+  });
+  return stamps_ns;
+}
+
+/// By the number of the image.
+std::map<int, TimeNs> read_exposures(const fs::path& folder, const Description& exposures) {
+  const std::regex pattern(exposures.get<std::string>("pattern"));
+  const double unit_s = exposures.get<double>("unit");
+  std::map<int, TimeNs> exposures_ns;
+  for_each_line((folder / exposures.get<std::string>("file")).string(), [&](const std::string& line) {
+    std::smatch match;
+    if (std::regex_search(line, match, pattern) && match.size() == 3) {
+      exposures_ns[std::stoi(match[1])] = to_ns(parse_number(match[2]) * unit_s);
+    }
+  });
+  return exposures_ns;
+}
+
+/// Images with their stamps; exposures are left out.
+/// @param on_image  takes a frame and its number
+void for_each_image(const fs::path& folder, const Description& images, const std::vector<TimeNs>& stamps_ns,
+                    const std::function<void(RecordedFrame, int)>& on_image) {
+  const fs::path image_folder = folder / images.get<std::string>("folder");
+  const std::regex name_pattern(images.get<std::string>("pattern"));
+  if (!fs::is_directory(image_folder)) {
+    throw std::runtime_error(image_folder.string() + ": no such folder");
+  }
+  for (const fs::directory_entry& entry : fs::directory_iterator(image_folder)) {
+    std::smatch match;
+    const std::string name = entry.path().filename().string();
+    if (!std::regex_match(name, match, name_pattern) || match.size() != 2) {
+      continue;
+    }
+    const int number = std::stoi(match[1]);
+    if (number < 1 || static_cast<std::size_t>(number) > stamps_ns.size()) {
+      throw std::runtime_error(entry.path().string() + ": there are stamps for images 1 to " +
+                               std::to_string(stamps_ns.size()));
+    }
+    on_image({stamps_ns[static_cast<std::size_t>(number) - 1], 0, entry.path().string()}, number);
+  }
+}
+
+std::vector<RecordedImu> read_gyro(const fs::path& folder, const Description& gyro) {
+  const auto column = [&gyro](const char* key) {
+    const int number = gyro.get<int>(key);
+    require_range(key, number, 1, 100);
+    return static_cast<std::size_t>(number) - 1;
+  };
+  const std::size_t columns_xyz[] = {column("x_column"), column("y_column"), column("z_column")};
+  const std::size_t column_t = column("time_column");
+  const double unit_s = gyro.get<double>("time_unit");
+  const double unit_rad_s = gyro.get<double>("rate_unit");
+  std::vector<RecordedImu> samples;
+  for_each_line((folder / gyro.get<std::string>("file")).string(), [&](const std::string& line) {
+    const std::vector<std::string> fields = split(line);
+    RecordedImu sample;
+    sample.t_ns = to_ns(parse_number(field_at(fields, column_t)) * unit_s);
+    for (int axis = 0; axis < 3; ++axis) {
+      sample.rate_rad_s[axis] = parse_number(field_at(fields, columns_xyz[axis])) * unit_rad_s;
+    }
+    samples.push_back(sample);
+  });
+  return samples;
+}
+
 }  // namespace
 
 Recording read_euroc(const std::string& folder, const std::string& camera, TimeNs exposure_ns) {
@@ -258,73 +329,18 @@ Recording read_shield(const std::string& folder, const std::string& description_
 Recording read_frames(const std::string& folder, const std::string& description_path) {
   const Description description(description_path);
   Recording recording = read_calibration(description);
-
-  // Line i (from 1) of the stamps belongs to image number i.
-  const Description stamps = description.child("frame_stamps");
-  const double stamp_unit_s = stamps.get<double>("unit");
-  std::vector<TimeNs> stamps_ns;
-  for_each_line((fs::path(folder) / stamps.get<std::string>("file")).string(), [&](const std::string& line) {
-    stamps_ns.push_back(to_ns(parse_number(field_at(split(line), 0)) * stamp_unit_s));
-  });
-
+  const std::vector<TimeNs> stamps_ns = read_stamps(folder, description.child("frame_stamps"));
   std::map<int, TimeNs> exposures_ns;
-  if (description.has("exposures")) {
-    const Description exposures = description.child("exposures");
-    const std::regex pattern(exposures.get<std::string>("pattern"));
-    const double unit_s = exposures.get<double>("unit");
-    for_each_line((fs::path(folder) / exposures.get<std::string>("file")).string(), [&](const std::string& line) {
-      std::smatch match;
-      if (std::regex_search(line, match, pattern) && match.size() == 3) {
-        exposures_ns[std::stoi(match[1])] = to_ns(parse_number(match[2]) * unit_s);
-      }
-    });
-  }
+  if (description.has("exposures")) exposures_ns = read_exposures(folder, description.child("exposures"));
   const TimeNs common_exposure_ns = to_ns(description.get<double>("exposure_time", 0.0));
-
-  const Description images = description.child("images");
-  const fs::path image_folder = fs::path(folder) / images.get<std::string>("folder");
-  const std::regex name_pattern(images.get<std::string>("pattern"));
-  if (!fs::is_directory(image_folder)) {
-    throw std::runtime_error(image_folder.string() + ": no such folder");
-  }
-  for (const fs::directory_entry& entry : fs::directory_iterator(image_folder)) {
-    std::smatch match;
-    const std::string name = entry.path().filename().string();
-    if (!std::regex_match(name, match, name_pattern) || match.size() != 2) {
-      continue;
-    }
-    const int number = std::stoi(match[1]);
-    if (number < 1 || static_cast<std::size_t>(number) > stamps_ns.size()) {
-      throw std::runtime_error(entry.path().string() + ": there are stamps for images 1 to " +
-                               std::to_string(stamps_ns.size()));
-    }
+  for_each_image(folder, description.child("images"), stamps_ns, [&](RecordedFrame frame, int number) {
     const auto exposure = exposures_ns.find(number);
-    recording.frames.push_back({stamps_ns[static_cast<std::size_t>(number) - 1],
-                                exposure == exposures_ns.end() ? common_exposure_ns : exposure->second,
-                                entry.path().string()});
-  }
+    frame.exposure_ns = exposure == exposures_ns.end() ? common_exposure_ns : exposure->second;
+    recording.frames.push_back(std::move(frame));
+  });
   std::sort(recording.frames.begin(), recording.frames.end(),
             [](const RecordedFrame& a, const RecordedFrame& b) { return a.stamp_ns < b.stamp_ns; });
-
-  const Description gyro = description.child("gyro");
-  const auto column = [&gyro](const char* key) {
-    const int number = gyro.get<int>(key);
-    require_range(key, number, 1, 100);
-    return static_cast<std::size_t>(number) - 1;
-  };
-  const std::size_t columns_xyz[] = {column("x_column"), column("y_column"), column("z_column")};
-  const std::size_t column_t = column("time_column");
-  const double unit_s = gyro.get<double>("time_unit");
-  const double unit_rad_s = gyro.get<double>("rate_unit");
-  for_each_line((fs::path(folder) / gyro.get<std::string>("file")).string(), [&](const std::string& line) {
-    const std::vector<std::string> fields = split(line);
-    RecordedImu sample;
-    sample.t_ns = to_ns(parse_number(field_at(fields, column_t)) * unit_s);
-    for (int axis = 0; axis < 3; ++axis) {
-      sample.rate_rad_s[axis] = parse_number(field_at(fields, columns_xyz[axis])) * unit_rad_s;
-    }
-    recording.imu.push_back(sample);
-  });
+  recording.imu = read_gyro(folder, description.child("gyro"));
   require_content(recording, folder);
   return recording;
 }

@@ -1,9 +1,9 @@
-// simulate_bag: a ROS bag from a simulated camera and IMU whose truth is known.
+// A ROS bag from a simulated camera and IMU whose truth is known.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <filesystem>
-#include <fstream>
+#include <cstddef>
+#include <cstdint>
 #include <iostream>
 #include <string>
 #include <utility>
@@ -11,25 +11,29 @@
 
 #include <geometry_msgs/PoseStamped.h>
 #include <rosbag/bag.h>
+#include <sensor_msgs/CameraInfo.h>
 #include <std_msgs/Header.h>
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
-#include "gyro_deblur/Exposure.h"
-#include "gyro_deblur/options.hpp"
+#include "base/median.hpp"
+#include "ros/conversions.hpp"
+#include "sim/scene.hpp"
 #include "sim/simulator.hpp"
+#include "tools/bag_file.hpp"
 #include "tools/bag_messages.hpp"
+#include "tools/output_file.hpp"
 #include "tools/progress.hpp"
+#include "tools/tool_main.hpp"
 
+namespace gyro_deblur {
 namespace {
 
-using gyro_deblur::bag_time;
-using gyro_deblur::TimeNs;
-using gyro_deblur::sim::Frame;
-using gyro_deblur::sim::ImuSample;
-using gyro_deblur::sim::Pose;
-using gyro_deblur::sim::Scene;
-using gyro_deblur::sim::Simulator;
+using sim::Frame;
+using sim::ImuSample;
+using sim::Pose;
+using sim::Scene;
+using sim::Simulator;
 
 constexpr char kCameraFrame[] = "camera";
 constexpr char kImuFrame[] = "imu";
@@ -45,16 +49,9 @@ struct Arguments {
   bool quiet = false;
 };
 
-std_msgs::Header header(TimeNs stamp_ns, const char* frame_id, const std::string& what) {
-  std_msgs::Header h;
-  h.stamp = bag_time(stamp_ns, what);
-  h.frame_id = frame_id;
-  return h;
-}
-
-geometry_msgs::PoseStamped pose_message(const std_msgs::Header& h, const Pose& pose) {
+geometry_msgs::PoseStamped pose_message(const std_msgs::Header& header, const Pose& pose) {
   geometry_msgs::PoseStamped message;
-  message.header = h;
+  message.header = header;
   message.pose.position.x = pose.p_world_m.x();
   message.pose.position.y = pose.p_world_m.y();
   message.pose.position.z = pose.p_world_m.z();
@@ -77,116 +74,127 @@ std::vector<double> true_extents(const Simulator& simulator, int frame) {
       if (std::isfinite(extent)) extents.push_back(extent);
     }
   }
-  std::sort(extents.begin(), extents.end());
   return extents;
 }
 
-nlohmann::json write_bag(Simulator& simulator, const Arguments& arguments, const std::string& path) {
-  const Scene& scene = simulator.scene();
-  rosbag::Bag bag(path, rosbag::bagmode::Write);
-  const std::vector<ImuSample> imu = simulator.imu();
-  const TimeNs time_offset_ns = scene.imu.time_offset_ns;
+/// Writes what a simulator shows. Recorded in the camera clock, which is also that of truth: an IMU sample when it was
+/// taken, whatever its stamp.
+class SimulationWriter {
+ public:
+  SimulationWriter(rosbag::Bag& bag, Simulator& simulator, bool truth_images)
+      : bag_(bag),
+        simulator_(simulator),
+        scene_(simulator.scene()),
+        truth_images_(truth_images),
+        imu_(simulator.imu()),
+        info_(camera_info_message(scene_.camera.calibration)) {}
 
-  // Recorded in the camera clock, which is also that of truth: an IMU sample when it was taken, whatever its stamp.
-  const ros::Time begin = bag_time(scene.start_ns, "the scene's start");
-  gyro_deblur::write_tf_static(
-      bag, begin,
-      gyro_deblur::extrinsic_message(scene.imu.R_cam_imu, Eigen::Vector3d::Zero(), kImuFrame, kCameraFrame, begin));
-  std::size_t next_imu = 0;
-  const auto write_imu_until = [&](TimeNs t_ns) {
-    for (; next_imu < imu.size() && imu[next_imu].t_ns - time_offset_ns <= t_ns; ++next_imu) {
-      const ImuSample& sample = imu[next_imu];
-      bag.write("/imu", bag_time(sample.t_ns - time_offset_ns, "IMU sample"),
-                gyro_deblur::imu_message(header(sample.t_ns, kImuFrame, "IMU sample"), sample.rate_rad_s,
-                                         sample.specific_force_m_s2));
-    }
-  };
+  std::size_t imu_samples() const { return imu_.size(); }
 
-  sensor_msgs::CameraInfo info = gyro_deblur::camera_info_message(scene.camera.calibration);
-  const std::string& encoding = scene.camera.encoding;
-  gyro_deblur::Progress progress(static_cast<std::size_t>(simulator.frames()), "images", arguments.quiet);
-  nlohmann::json per_frame = nlohmann::json::array();
-  const auto started = std::chrono::steady_clock::now();
-  for (int i = 0; i < simulator.frames(); ++i) {
-    const Frame frame = simulator.frame(i);
-    const TimeNs finished_ns = simulator.exposure(i).frame().end_ns, reference_ns = simulator.reference_time(i);
+  void write_extrinsic() {
+    const ros::Time begin = bag_time(scene_.start_ns, "the scene's start");
+    write_tf_static(bag_, begin,
+                    extrinsic_message(scene_.imu.R_cam_imu, Eigen::Vector3d::Zero(), kImuFrame, kCameraFrame, begin));
+  }
+
+  /// The IMU samples up to a frame's end, and the frame. Returns the frame's part of the report.
+  nlohmann::json write_frame(int i) {
+    const Frame frame = simulator_.frame(i);
+    const TimeNs finished_ns = simulator_.exposure(i).frame().end_ns, reference_ns = simulator_.reference_time(i);
     const ros::Time finished = bag_time(finished_ns, "image");
     write_imu_until(finished_ns);
 
-    const std_msgs::Header h = header(frame.stamp_ns, kCameraFrame, "image stamp");
-    gyro_deblur::Exposure exposure;
-    exposure.header = h;
-    exposure.exposure_time = gyro_deblur::bag_duration(frame.timing.exposure_ns);
-    exposure.readout_time = gyro_deblur::bag_duration(frame.timing.readout_ns);
-    info.header = h;
-    bag.write("/camera/exposure", finished, exposure);
-    bag.write("/camera/camera_info", finished, info);
-    bag.write("/camera/image_raw", finished, gyro_deblur::image_message(h, frame.image, encoding));
+    info_.header = make_header(bag_time(frame.stamp_ns, "image stamp"), kCameraFrame);
+    bag_.write("/camera/exposure", finished,
+               exposure_message(info_.header, frame.timing.exposure_ns, frame.timing.readout_ns));
+    bag_.write("/camera/camera_info", finished, info_);
+    bag_.write("/camera/image_raw", finished, image_message(info_.header, frame.image, scene_.camera.encoding));
+    write_truth(i, finished, reference_ns);
+    const std::vector<double> extents = true_extents(simulator_, i);
+    return {{"stamp_ns", frame.stamp_ns},
+            {"reference_ns", reference_ns},
+            {"exposure_ns", frame.timing.exposure_ns},
+            {"sub_exposures", frame.sub_exposures},
+            {"median_extent_px", median(extents)},
+            {"max_extent_px", extents.empty() ? 0.0 : *std::max_element(extents.begin(), extents.end())}};
+  }
 
-    bag.write("/truth/pose", finished,
-              pose_message(header(reference_ns, kWorldFrame, "reference time"), simulator.pose(reference_ns)));
-    if (!arguments.no_truth) {
-      bag.write("/truth/sharp", finished, gyro_deblur::image_message(h, simulator.sharp(i), encoding));
-      bag.write("/truth/global_shutter", finished,
-                gyro_deblur::image_message(header(reference_ns, kCameraFrame, "reference time"),
-                                           simulator.global_shutter(reference_ns), encoding));
+  void write_remaining_imu() { write_imu_until(scene_.end_ns()); }
+
+ private:
+  void write_imu_until(TimeNs t_ns) {
+    const TimeNs time_offset_ns = scene_.imu.time_offset_ns;
+    for (; next_imu_ < imu_.size() && imu_[next_imu_].t_ns - time_offset_ns <= t_ns; ++next_imu_) {
+      const ImuSample& sample = imu_[next_imu_];
+      bag_.write("/imu", bag_time(sample.t_ns - time_offset_ns, "IMU sample"),
+                 imu_message(make_header(bag_time(sample.t_ns, "IMU sample"), kImuFrame), sample.rate_rad_s,
+                             sample.specific_force_m_s2));
     }
-    const std::vector<double> extents = true_extents(simulator, i);
-    per_frame.push_back({{"stamp_ns", frame.stamp_ns},
-                         {"reference_ns", reference_ns},
-                         {"exposure_ns", frame.timing.exposure_ns},
-                         {"sub_exposures", frame.sub_exposures},
-                         {"median_extent_px", extents.empty() ? 0.0 : extents[extents.size() / 2]},
-                         {"max_extent_px", extents.empty() ? 0.0 : extents.back()}});
+  }
+
+  void write_truth(int i, ros::Time finished, TimeNs reference_ns) {
+    const ros::Time reference = bag_time(reference_ns, "reference time");
+    const std::string& encoding = scene_.camera.encoding;
+    bag_.write("/truth/pose", finished,
+               pose_message(make_header(reference, kWorldFrame), simulator_.pose(reference_ns)));
+    if (!truth_images_) return;
+    bag_.write("/truth/sharp", finished, image_message(info_.header, simulator_.sharp(i), encoding));
+    bag_.write("/truth/global_shutter", finished,
+               image_message(make_header(reference, kCameraFrame), simulator_.global_shutter(reference_ns), encoding));
+  }
+
+  rosbag::Bag& bag_;
+  Simulator& simulator_;
+  const Scene& scene_;
+  const bool truth_images_;
+  const std::vector<ImuSample> imu_;
+  std::size_t next_imu_ = 0;
+  sensor_msgs::CameraInfo info_;
+};
+
+nlohmann::json write_simulation(rosbag::Bag& bag, Simulator& simulator, const Arguments& arguments) {
+  const Scene& scene = simulator.scene();
+  SimulationWriter writer(bag, simulator, !arguments.no_truth);
+  writer.write_extrinsic();
+  Progress progress(static_cast<std::size_t>(simulator.frames()), "images", arguments.quiet);
+  nlohmann::json frames = nlohmann::json::array();
+  const auto started = std::chrono::steady_clock::now();
+  for (int i = 0; i < simulator.frames(); ++i) {
+    frames.push_back(writer.write_frame(i));
     progress.done(static_cast<std::size_t>(i) + 1);
   }
-  write_imu_until(scene.end_ns());
+  writer.write_remaining_imu();
   bag.close();
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - started;
   return {{"bag", arguments.output},
           {"scene", arguments.scene},
           {"seed", scene.seed},
           {"images", simulator.frames()},
-          {"imu_samples", imu.size()},
-          {"encoding", encoding},
+          {"imu_samples", writer.imu_samples()},
+          {"encoding", scene.camera.encoding},
           {"width_px", scene.camera.calibration.width_px},
           {"height_px", scene.camera.calibration.height_px},
           {"readout_ns", scene.camera.readout_ns},
-          {"time_offset_ns", time_offset_ns},
+          {"time_offset_ns", scene.imu.time_offset_ns},
           {"truth_images", !arguments.no_truth},
           {"seconds_per_image", elapsed.count() / simulator.frames()},
-          {"frames", per_frame}};
+          {"frames", frames}};
 }
 
-int run(const Arguments& arguments) {
-  Scene scene = gyro_deblur::sim::load_scene(arguments.scene);
+void run(const Arguments& arguments) {
+  Scene scene = sim::load_scene(arguments.scene);
   if (arguments.frames > 0) scene.frames = arguments.frames;
   if (arguments.seed >= 0) scene.seed = static_cast<std::uint64_t>(arguments.seed);
   Simulator simulator(std::move(scene));
 
-  // Written beside the target, so that a failure leaves no half bag under the name asked for.
-  const std::string partial = arguments.output + ".part";
-  nlohmann::json report;
-  try {
-    report = write_bag(simulator, arguments, partial);
-    std::filesystem::rename(partial, arguments.output);
-  } catch (...) {
-    std::error_code ignored;
-    std::filesystem::remove(partial, ignored);
-    throw;
-  }
+  OutputBag output(arguments.output);
+  const nlohmann::json report = write_simulation(output.bag(), simulator, arguments);
+  output.finish();
   std::cout << arguments.output << ": " << report["images"] << " images, " << report["imu_samples"] << " IMU samples\n";
-  if (!arguments.json.empty()) {
-    std::ofstream file(arguments.json);
-    file << report.dump(2) << '\n';
-    if (!file) throw std::runtime_error(arguments.json + ": cannot be written");
-  }
-  return 0;
+  write_json(arguments.json, report);
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int main_of(int argc, char** argv) {
   CLI::App app{"Simulates a moving rolling-shutter camera and an IMU with known truth into a ROS bag.", "simulate_bag"};
   app.footer(
       "Topics: /camera/image_raw, /camera/camera_info, /camera/exposure, /imu, /tf_static (imu -> camera), /truth/pose "
@@ -200,11 +208,10 @@ int main(int argc, char** argv) {
   app.add_option("--json", arguments.json, "write what was simulated to this file as JSON");
   app.add_flag("--no-truth", arguments.no_truth, "leave the truth images out (faster)");
   app.add_flag("--quiet", arguments.quiet, "no progress on stderr");
-  CLI11_PARSE(app, argc, argv);
-  try {
-    return run(arguments);
-  } catch (const std::exception& error) {
-    std::cerr << "simulate_bag: " << error.what() << '\n';
-    return 1;
-  }
+  return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }
+
+}  // namespace
+}  // namespace gyro_deblur
+
+int main(int argc, char** argv) { return gyro_deblur::main_of(argc, argv); }

@@ -1,17 +1,14 @@
-// time.hpp and options.hpp.
+// time.hpp and option_error.hpp.
 #include "gyro_deblur/time.hpp"
 
 #include <cmath>
-#include <fstream>
 #include <functional>
 #include <limits>
-#include <regex>
 #include <string>
 
 #include <gtest/gtest.h>
 
-#include "gyro_deblur/options.hpp"
-#include "ros/pass_through.hpp"
+#include "gyro_deblur/option_error.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -51,28 +48,6 @@ TEST(Time, RangeIsClosedAndMayBeEmpty) {
   EXPECT_TRUE(TimeRange{}.empty());
 }
 
-// Names and values of the enumerations are those of the message, so that nodes may cast.
-TEST(Names, AgreeWithTheMessage) {
-  std::ifstream file(GYRO_DEBLUR_SOURCE_DIR "/msg/BlurField.msg");
-  ASSERT_TRUE(file);
-  const std::regex constant(R"(^uint8 (REASON_)?([A-Z_]+)=(\d+).*)");
-  int statuses = 0, reasons = 0;
-  for (std::string line; std::getline(file, line);) {
-    std::smatch match;
-    if (!std::regex_match(line, match, constant)) continue;
-    const int value = std::stoi(match[3]);
-    if (match[1].matched) {
-      EXPECT_EQ(to_string(static_cast<PassThroughReason>(value)), match[2].str());
-      ++reasons;
-    } else {
-      EXPECT_EQ(to_string(static_cast<BlockStatus>(value)), match[2].str());
-      ++statuses;
-    }
-  }
-  EXPECT_EQ(statuses, 6);
-  EXPECT_EQ(reasons, 12);
-}
-
 /// The text of the OptionError that `action` throws; empty when it throws none.
 std::string option_error(const std::function<void()>& action) {
   try {
@@ -90,84 +65,6 @@ TEST(RequireRange, NamesValueAndRange) {
   EXPECT_NO_THROW(require_range("gamma", 0.5, 0.5, 1));
   EXPECT_NE(option_error([] { require_range("gamma", std::nan(""), 0, 1); }), "");
   EXPECT_NE(option_error([] { require_range("gamma", std::numeric_limits<double>::infinity(), 0, 1); }), "");
-}
-
-/// Checks that `member` of Options takes the values inside and refuses those outside, naming `name`.
-template <typename Options, typename T>
-void expect_limits(T Options::*member, const char* name, std::initializer_list<T> inside,
-                   std::initializer_list<T> outside) {
-  EXPECT_NO_THROW(Options{}.validate());
-  for (const T& value : inside) {
-    Options options;
-    options.*member = value;
-    EXPECT_EQ(option_error([&] { options.validate(); }), "") << name;
-  }
-  for (const T& value : outside) {
-    Options options;
-    options.*member = value;
-    EXPECT_EQ(option_error([&] { options.validate(); }).rfind(name, 0), 0u) << name << ' ' << value;
-  }
-}
-
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-
-TEST(Options, BlurFieldLimits) {
-  using O = BlurFieldOptions;
-  expect_limits(&O::block_size_px, "block_size", {8, 10, 1024}, {7, 9, 65, 1026, 0, -64});
-  expect_limits(&O::min_extent_px, "min_extent", {1.0, 20.0}, {0.999, 20.001, kNan});
-  expect_limits(&O::max_extent_px, "max_extent", {3.0, 500.0}, {2.999, 500.001, kNan});
-  expect_limits(&O::max_bend_px, "max_bend", {0.0, 100.0}, {-0.001, 100.001, kNan});
-}
-
-TEST(Options, ValidationLimitsAndThreshold) {
-  using O = ValidationOptions;
-  expect_limits(&O::tau, "tau", {0.0, 255.0}, {-0.001, 255.001, kNan});
-  expect_limits(&O::tau_contrast, "tau_contrast", {0.0, 1000.0}, {-0.001, 1000.001, kNan});
-  O options;
-  options.tau = 5;
-  options.tau_contrast = 100;
-  EXPECT_DOUBLE_EQ(options.threshold(20), 10);
-}
-
-TEST(Options, KernelLimits) {
-  expect_limits(&KernelOptions::gamma, "gamma", {1e-5, 1.0}, {0.99e-5, 1.001, 0.0, -1.0, kNan});
-  expect_limits(&KernelOptions::length_factor, "kernel_length_factor", {2.0, 8.0}, {1.999, 8.001, kNan});
-  expect_limits(&KernelOptions::smoothing_px, "kernel_smoothing", {0.0, 5.0}, {-0.001, 5.001, kNan});
-}
-
-TEST(Options, KeypointLimits) {
-  using O = KeypointOptions;
-  expect_limits<O, std::string>(&O::detector, "detector", {"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"},
-                                {"", "sift", "SURF"});
-  expect_limits<O, std::string>(&O::descriptor, "descriptor", {"SIFT", "ORB", "BRISK", "NONE"}, {"", "GFTT", "AKAZE"});
-  expect_limits(&O::max_features, "max_features", {1, 100000}, {0, -1, 100001});
-  expect_limits(&O::grid_cols, "grid_cols", {1, 64}, {0, 65});
-  expect_limits(&O::grid_rows, "grid_rows", {1, 64}, {0, 65});
-  O akaze;
-  akaze.detector = akaze.descriptor = "AKAZE";
-  EXPECT_NO_THROW(akaze.validate());
-  O unknown;
-  unknown.detector = "SURF";
-  EXPECT_NE(option_error([&] { unknown.validate(); }).find("SIFT ORB AKAZE BRISK GFTT FAST"), std::string::npos);
-}
-
-TEST(Options, GyroLimits) {
-  using O = GyroOptions;
-  const TimeNs ms = 1'000'000, s = 1000 * ms;
-  expect_limits(&O::time_offset_ns, "time_offset", {-10 * s, 10 * s}, {-10 * s - 1, 10 * s + 1});
-  expect_limits(&O::buffer_ns, "gyro_buffer_duration", {100 * ms + 1, 60 * s}, {100 * ms, 60 * s + 1, TimeNs{0}, -s});
-  expect_limits(&O::max_gap_ns, "max_gyro_gap", {ms, s}, {ms - 1, s + 1, TimeNs{0}});
-  expect_limits(&O::range_rad_s, "gyro_range", {0.0, 34.9, 400.0}, {-0.001, 400.001, 2000.0, kNan});
-  for (int axis = 0; axis < 3; ++axis) {
-    for (const double bad : {1.001, -1.001, kNan}) {
-      O options;
-      options.bias_rad_s[axis] = bad;
-      EXPECT_NE(option_error([&] { options.validate(); }).find("gyro_bias"), std::string::npos);
-    }
-    O options;
-    options.bias_rad_s[axis] = -1;
-    EXPECT_NO_THROW(options.validate());
-  }
 }
 
 }  // namespace

@@ -1,6 +1,5 @@
 #include "gyro_deblur/blur_field.hpp"
 
-#include <algorithm>
 #include <array>
 #include <cmath>
 #include <functional>
@@ -11,6 +10,7 @@
 #include <gtest/gtest.h>
 
 #include "analytic_motion.hpp"
+#include "base/median.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -276,10 +276,6 @@ FieldError compare(const FrameBlur& field, const AnalyticMotion& motion, const C
     angles.push_back(axial_difference(field.blocks[i].angle_rad, truth.angle_rad) / kDeg);
     extents.push_back(std::abs(field.blocks[i].extent_px - truth.extent_px));
   }
-  const auto median = [](std::vector<double>& v) {
-    std::nth_element(v.begin(), v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2), v.end());
-    return v[v.size() / 2];
-  };
   return {median(angles), median(extents)};
 }
 

@@ -300,7 +300,7 @@ TEST(MergeCalibrations, PrintsBothValuesOfAConflict) {
 }
 
 TEST(CalibrationFileInTheConfiguration, FillsWhatNoKeySays) {
-  const auto parse = [](const std::string& yaml) { return parse_config(YAML::Load(yaml)); };
+  const auto parse = [](const std::string& yaml) { return parse_config(yaml); };
   const auto error = [&parse](const std::string& yaml) -> std::string {
     try {
       parse(yaml);

@@ -18,7 +18,7 @@ namespace {
 constexpr TimeNs kMs = 1'000'000;
 
 Config parse(const std::string& yaml, std::vector<std::string>* unknown = nullptr) {
-  return parse_config(YAML::Load(yaml), unknown);
+  return parse_config(yaml, unknown);
 }
 
 /// The text of the OptionError for a configuration; empty when it is accepted.
@@ -41,7 +41,8 @@ std::string dump(const Config& c) {
     << static_cast<int>(c.shutter.stamp_row) << "\nstamp_phase " << static_cast<int>(c.shutter.stamp_phase)
     << "\ntime_offset " << c.gyro.time_offset_ns << "\nbias " << c.gyro.bias_rad_s.transpose() << "\nbuffer "
     << c.gyro.buffer_ns << "\ngap " << c.gyro.max_gap_ns << "\ngyro_range " << c.gyro.range_rad_s << "\non_conflict "
-    << static_cast<int>(c.on_calibration_conflict) << "\nrectified_input " << c.rectified_input << "\nR ";
+    << static_cast<int>(c.on_calibration_conflict) << ' ' << c.calibration_files.size() << ' ' << c.calibration_camera
+    << "\nrectified_input " << c.rectified_input << "\nR ";
   if (c.R_cam_imu) s << *c.R_cam_imu;
   s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nbias_window " << c.bias_window_ns
     << "\nbias_max_stddev " << c.bias_max_stddev_rad_s << "\ntime_jump " << c.time_jump_ns << "\nrectify_to "
@@ -66,6 +67,7 @@ std::string dump(const Config& c) {
 /// Every key with a value that is allowed and not the default.
 const std::vector<std::pair<std::string, std::string>>& other_values() {
   static const std::vector<std::pair<std::string, std::string>> kValues{
+      {"calibration_camera", "cam1"},
       {"on_calibration_conflict", "configured"},
       {"exposure_time", "0.02"},
       {"exposure_source", "realsense_metadata_us"},
@@ -202,6 +204,8 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
   parse("{gama: 0.1, gamma: 0.1, exposure: 3}", &unknown);
   EXPECT_EQ(unknown, (std::vector<std::string>{"before", "gama", "exposure"}));
   EXPECT_NO_THROW(parse("gama: 0.1"));
+  EXPECT_EQ(unknown_key_message("gama"), "gama is not known, ignored");
+  EXPECT_EQ(unknown_key_message("backend"), "backend is not known, ignored: it is now called engine");
 }
 
 TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
@@ -245,6 +249,7 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("[1, 2]", "the configuration is not a map of keys: [1, 2]");
   expect("gamma", "the configuration is not a map of keys: gamma");
   expect("{gamma: 0.1, gamma: 0.2}", "gamma = 0.2 is given a second time");
+  expect("gamma: [1, 2", "the configuration is not YAML: ");
 }
 
 TEST(ParseConfig, RefusesValuesOutOfRange) {
@@ -283,9 +288,8 @@ TEST(DefaultYaml, HasEveryKeyAndTheDefaults) {
   EXPECT_EQ(dump(load_config(path, &unknown)), dump(Config{}));
   EXPECT_TRUE(unknown.empty()) << unknown.front();
   const YAML::Node node = YAML::LoadFile(path);
-  const std::vector<std::string> together{"calibration_file", "calibration_camera"};  // see test_calibration.cpp
-  EXPECT_EQ(node.size(), other_values().size() + together.size());
-  for (const std::string& key : together) EXPECT_TRUE(node[key]) << key;
+  EXPECT_TRUE(node["calibration_file"]) << "see test_calibration.cpp";
+  EXPECT_EQ(node.size(), other_values().size() + 1);
   for (const auto& entry : other_values()) EXPECT_TRUE(node[entry.first]) << entry.first;
 }
 
@@ -300,7 +304,7 @@ std::vector<Reconfigurable> reconfigurable_parameters() {
   text << file.rdbuf();
   const std::string content = text.str();
   const std::regex call(
-      R"re(\.add\(\s*"(\w+)",\s*(\w+),\s*\d+,\s*"[^"]*",\s*([^,)]+)(?:,\s*([^,)]+),\s*([^,)]+))?\))re");
+      R"re(\.add\(\s*"(\w+)",\s*(\w+),\s*\d+,\s*"[^"]*",\s*([^,)=]+)(?:,\s*([^,)=]+),\s*([^,)=]+))?(?:,\s*edit_method=\w+)?\))re");
   std::vector<Reconfigurable> result;
   for (std::sregex_iterator match(content.begin(), content.end(), call), end; match != end; ++match) {
     std::string value = (*match)[3];
@@ -315,7 +319,7 @@ std::vector<Reconfigurable> reconfigurable_parameters() {
   return result;
 }
 
-// The ranges are written down in options.hpp; the file for dynamic_reconfigure has to repeat them.
+// What dynamic_reconfigure offers is what is accepted.
 TEST(DeblurCfg, RepeatsDefaultsAndRanges) {
   const auto parameters = reconfigurable_parameters();
   ASSERT_GE(parameters.size(), 12u);

@@ -220,8 +220,8 @@ distortion_coefficients: [-0.28, 0.07, 0.0002, 1.7e-05]
         result = subprocess.run([MAKE_BAG, "--help"], stdout=subprocess.PIPE, universal_newlines=True)
         self.assertEqual(result.returncode, 0)
         self.assertIn("--description", result.stdout)
-        self.assertNotEqual(self.run_tool("--format", "mp4").returncode, 0)
-        self.assertNotEqual(self.run_tool().returncode, 0)
+        self.assertEqual(self.run_tool("--format", "mp4").returncode, 2)
+        self.assertEqual(self.run_tool().returncode, 2)
 
 
 if __name__ == "__main__":

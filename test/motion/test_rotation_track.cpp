@@ -201,6 +201,34 @@ TEST(RotationTrack, DoesNotIntegrateAcrossAHole) {
   EXPECT_LT(rotation_distance(across.homography(0, 251 * kMs), motion.homography(0, 251 * kMs)), 1e-12);
 }
 
+// A frame is the same bit by bit whether or not somebody else needs to look further back.
+TEST(RotationTrack, SamplesBeforeTheOriginChangeNothingAfterIt) {
+  const AnalyticMotion motion = AnalyticMotion::handshake();
+  constexpr std::size_t kOrigin = 60;
+  for (const bool with_hole : {false, true}) {
+    std::vector<GyroSample> samples = motion.sample({0, 500 * kMs}, 5 * kMs);
+    if (with_hole) samples.erase(samples.begin() + 70, samples.begin() + 85);
+    const std::vector<GyroSample> newer(samples.begin() + kOrigin, samples.end());
+    const RotationTrack alone(newer, {}, kIdentity), whole(samples, {}, kIdentity, kOrigin);
+    EXPECT_EQ(whole.available().begin_ns, 0);
+    for (TimeNs t = 300 * kMs; t <= 500 * kMs; t += 1'234'567) {
+      for (TimeNs to = 300 * kMs; to <= 500 * kMs; to += 7'654'321) {
+        const TimeRange range{std::min(t, to), std::max(t, to)};
+        ASSERT_EQ(alone.covers(range), whole.covers(range)) << t << ' ' << to;
+        if (!alone.covers(range)) continue;
+        EXPECT_EQ(alone.homography(t, to), whole.homography(t, to)) << t << ' ' << to;
+      }
+    }
+    // What lies before it is as right as ever, also to what lies after it.
+    EXPECT_LT(rotation_distance(whole.homography(20 * kMs, 310 * kMs), motion.homography(20 * kMs, 310 * kMs)), 1e-4);
+    EXPECT_LT(rotation_distance(whole.orientation(0).toRotationMatrix(),
+                                motion.R_world_cam(300 * kMs).transpose() * motion.R_world_cam(0)),
+              1e-4);
+    EXPECT_EQ(whole.orientation(300 * kMs).angularDistance(Eigen::Quaterniond::Identity()), 0);
+  }
+  EXPECT_THROW(RotationTrack(motion.sample({0, 10 * kMs}, 5 * kMs), {}, kIdentity, 3), std::invalid_argument);
+}
+
 TEST(RotationTrack, SaturatedSampleReachesTheRangeOnOneAxis) {
   GyroOptions options;
   options.range_rad_s = 10;

@@ -1,14 +1,16 @@
 #include "ros/conversions.hpp"
 
 #include <cstring>
+#include <fstream>
 #include <limits>
+#include <regex>
 
 #include <gtest/gtest.h>
-#include <yaml-cpp/yaml.h>
 
 #include "gyro_deblur/overlay.hpp"
 #include "message_builders.hpp"
 #include "ros/param_conversion.hpp"
+#include "ros/pass_through.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -337,6 +339,53 @@ TEST(Parameters, KeepTheirTypes) {
   EXPECT_TRUE(has(error_of([&] { parse_config(to_yaml(values)); }), "gamma"));
 }
 
+TEST(Parameters, BecomeYamlThatReadsTheSame) {
+  XmlRpc::XmlRpcValue values;
+  values["engine"] = std::string("opencl:\"a\\b\" #1: {é}\n\t\x01");
+  values["calibration_camera"] = std::string("7");
+  values["tau"] = 0.1 + 0.2;
+  values["namespace of others"]["a"] = std::string("x");
+  std::vector<std::string> unknown;
+  const Config config = parse_config(to_yaml(values), &unknown);
+  EXPECT_EQ(config.pipeline.engine, static_cast<std::string>(values["engine"]));
+  EXPECT_EQ(config.calibration_camera, "7");
+  EXPECT_EQ(config.pipeline.validation.tau, 0.1 + 0.2);
+  EXPECT_EQ(unknown, std::vector<std::string>{"namespace of others"});
+  XmlRpc::XmlRpcValue nothing, infinite(-std::numeric_limits<double>::infinity());
+  EXPECT_EQ(to_yaml(nothing), "~");
+  EXPECT_EQ(to_yaml(infinite), "-.inf");
+}
+
+TEST(Parameters, AreReadByTheTypeThatDynamicReconfigureHas) {
+  XmlRpc::XmlRpcValue values;
+  values["whole"] = 64.0;
+  values["fraction"] = 64.5;
+  values["huge"] = 1e10;
+  values["count"] = 3;
+  values["text"] = std::string("5");
+  values["yes"] = true;
+  int integer = -1;
+  EXPECT_TRUE(read_parameter(values, "whole", integer));
+  EXPECT_EQ(integer, 64);
+  for (const char* other : {"fraction", "huge", "text", "yes", "absent"}) {
+    EXPECT_FALSE(read_parameter(values, other, integer)) << other;
+  }
+  EXPECT_EQ(integer, 64);
+  double number = -1;
+  EXPECT_TRUE(read_parameter(values, "count", number));
+  EXPECT_EQ(number, 3);
+  EXPECT_FALSE(read_parameter(values, "text", number));
+  std::uint8_t truth_value = 0;
+  EXPECT_TRUE(read_parameter(values, "yes", truth_value));
+  EXPECT_EQ(truth_value, 1);
+  EXPECT_FALSE(read_parameter(values, "count", truth_value));
+  std::string text;
+  EXPECT_TRUE(read_parameter(values, "text", text));
+  EXPECT_EQ(text, "5");
+  EXPECT_FALSE(read_parameter(values, "yes", text));
+  EXPECT_FALSE(values.hasMember("absent")) << "reading adds nothing";
+}
+
 // Field by field what VINS-Mono's estimator reads: points (x, y, 1), then by position id, u, v and the velocities.
 TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
   std::vector<Track> tracks(3);
@@ -371,6 +420,28 @@ TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
   for (const auto& point : message->points) EXPECT_EQ(point.z, 1.f);  // the estimator asserts it
   // With one camera the estimator takes the id by rounding: v + 0.5 as int.
   EXPECT_EQ(static_cast<int>(message->channels[0].values[0] + 0.5), 16'777'215);
+}
+
+// Names and values of the enumerations are those of the message, so that nodes may cast.
+TEST(Names, AgreeWithTheMessage) {
+  std::ifstream file(GYRO_DEBLUR_SOURCE_DIR "/msg/BlurField.msg");
+  ASSERT_TRUE(file);
+  const std::regex constant(R"(^uint8 (REASON_)?([A-Z_]+)=(\d+).*)");
+  int statuses = 0, reasons = 0;
+  for (std::string line; std::getline(file, line);) {
+    std::smatch match;
+    if (!std::regex_match(line, match, constant)) continue;
+    const int value = std::stoi(match[3]);
+    if (match[1].matched) {
+      EXPECT_EQ(to_string(static_cast<PassThroughReason>(value)), match[2].str());
+      ++reasons;
+    } else {
+      EXPECT_EQ(to_string(static_cast<BlockStatus>(value)), match[2].str());
+      ++statuses;
+    }
+  }
+  EXPECT_EQ(statuses, 6);
+  EXPECT_EQ(reasons, 12);
 }
 
 }  // namespace

@@ -1227,6 +1227,28 @@ TEST_F(ProcessorTest, OnlyWhatIsAskedForIsMade) {
   EXPECT_EQ(outputs_[1].keypoints->descriptor, "ORB");
 }
 
+// The tracker needs gyroscope samples from the image before on; the frame itself is none the different for it.
+TEST_F(ProcessorTest, FrameIsTheSameBitByBitWithTracks) {
+  for (const bool tracks : {false, true}) {
+    processor_.reset();
+    request_.tracks = tracks;
+    for (TimeNs t_ns = kStart - 50 * kMs; t_ns <= kStart + 300 * kMs; t_ns += kImuPeriod) {
+      processor_.add_imu(imu_message(t_ns, kFastRadS * (1 + 0.1 * std::sin(to_seconds(t_ns - kStart) * 40))));
+    }
+    for (int i = 0; i < 3; ++i) add_frame(kStart + i * 80 * kMs);
+    advance();
+  }
+  ASSERT_EQ(outputs_.size(), 6u);
+  for (std::size_t i = 0; i < 3; ++i) {
+    const FrameOutput &without = outputs_[i], &with = outputs_[3 + i];
+    EXPECT_EQ(without.tracks, nullptr);
+    ASSERT_NE(with.tracks, nullptr);
+    EXPECT_EQ(without.image->data, with.image->data);
+    EXPECT_EQ(without.blur_field->angle, with.blur_field->angle);
+    EXPECT_EQ(without.blur_field->extent, with.blur_field->extent);
+  }
+}
+
 TEST_F(ProcessorTest, MarkersOfTheFrameBeforeAreTakenAway) {
   request_.markers = true;
   auto floats = image_message(kStart);

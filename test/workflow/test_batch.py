@@ -21,7 +21,7 @@ echo "$1" >> "{folder}/calls"
 if [[ "$1" == *{killed}.bag && ! -e "{folder}/killed" ]]; then
   touch "{folder}/killed"
   "{deblur_bag}" "$@" &
-  while kill -0 $! 2> /dev/null && [[ ! -e "$2.active" ]]; do sleep 0.01; done
+  while kill -0 $! 2> /dev/null && [[ ! -e "$2.part" ]]; do sleep 0.01; done
   kill -9 $!
   kill -9 $$
 fi

@@ -17,7 +17,7 @@ def main():
     parser.add_argument("--reports", nargs="+", required=True, help="deblur_bag's --json of each")
     arguments = parser.parse_args()
 
-    part = arguments.output + ".active"
+    part = arguments.output + ".part"
     with rosbag.Bag(part, "w") as output:
         for path in arguments.bags:
             with rosbag.Bag(path) as piece:

@@ -1,0 +1,260 @@
+#include "config/parameters.hpp"
+
+#include <map>
+#include <utility>
+
+namespace gyro_deblur {
+namespace {
+
+/// Where a configuration has the struct: each occurs once.
+template <typename Owner, typename AnyConfig>
+auto& part(AnyConfig& config) {
+  if constexpr (std::is_same_v<Owner, BlurFieldOptions>) return config.pipeline.blur_field;
+  if constexpr (std::is_same_v<Owner, ValidationOptions>) return config.pipeline.validation;
+  if constexpr (std::is_same_v<Owner, KernelOptions>) return config.pipeline.kernel;
+  if constexpr (std::is_same_v<Owner, KeypointOptions>) return config.pipeline.keypoints;
+  if constexpr (std::is_same_v<Owner, PipelineOptions>) return config.pipeline;
+  if constexpr (std::is_same_v<Owner, GyroOptions>) return config.gyro;
+  if constexpr (std::is_same_v<Owner, ShutterTiming>) return config.shutter;
+  if constexpr (std::is_same_v<Owner, ExposureSource>) return config.exposure_source;
+  if constexpr (std::is_same_v<Owner, TranslationOptions>) return config.translation;
+  if constexpr (std::is_same_v<Owner, TrackerOptions>) return config.tracker;
+  if constexpr (std::is_same_v<Owner, Config>) return config;
+}
+
+}  // namespace
+
+template <typename Owner, typename T>
+Parameter::Parameter(const char* name, T Owner::*member, const char* description, Change when)
+    : key(name),
+      text(description),
+      change(when),
+      owner_(typeid(Owner)),
+      part_([](const Config& config) -> const void* { return &part<Owner>(config); }),
+      mutable_part_([](Config& config) -> void* { return &part<Owner>(config); }),
+      get_([member](const void* owner) { return to_value(static_cast<const Owner*>(owner)->*member); }),
+      set_([member](void* owner, const Value& value) { assign(value, static_cast<Owner*>(owner)->*member); }) {
+  if constexpr (kHasNames<T>) {
+    for (const auto& named : names_of(T{})) choices.push_back(named.first);
+  }
+}
+
+template <typename Owner, typename T>
+Parameter::Parameter(const char* name, T Owner::*member, const Limits& allowed, const char* description, Change when)
+    : Parameter(name, member, description, when) {
+  limits = allowed;
+}
+
+template <typename Owner>
+Parameter::Parameter(const char* name, std::string Owner::*member, const OneOf& allowed, const char* description,
+                     Change when)
+    : Parameter(name, member, description, when) {
+  choices = allowed.names;
+}
+
+namespace {
+
+constexpr Change RUNNING = Change::WHILE_RUNNING;
+
+/// [min, max]
+Limits within(double min, double max, const char* unit = "") { return {min, max, unit, false}; }
+
+/// (min, max]
+Limits above(double min, double max, const char* unit = "") { return {min, max, unit, true}; }
+
+OneOf one_of(std::vector<std::string> names) { return {std::move(names)}; }
+
+// The table: one row a parameter, of its key, member, limits with unit, text, and whether it may change while running.
+// The order is that of the documents.
+
+using Blur = BlurFieldOptions;
+using Validation = ValidationOptions;
+using Kernel = KernelOptions;
+using Keypoints = KeypointOptions;
+using Tracker = TrackerOptions;
+using Gyro = GyroOptions;
+using Translation = TranslationOptions;
+using Shutter = ShutterTiming;
+
+ParameterGroup calibration_files() {
+  return {
+      "calibration files",
+      "Kalibr's camchain-imucam.yaml, EuRoC's sensor.yaml, VINS' configuration or camera_calibration's YAML, as they "
+      "are; one path or a list. What a file says need not be set below; where both say something they have to agree.",
+      {
+          {"calibration_file", &Config::calibration_files,
+           "relative to the configuration file, for the nodelet absolute; '': none"},
+          {"calibration_camera", &Config::calibration_camera, "cam0, cam1, ...: which of a file's cameras"},
+          {"on_calibration_conflict", &Config::on_calibration_conflict,
+           "frames whose camera_info or tf contradict file or parameters pass through, or go by the latter"},
+      }};
+}
+
+ParameterGroup camera_timing() {
+  return {
+      "camera timing",
+      "",
+      {
+          {"exposure_time", &Shutter::exposure_ns, above(0, 1, "s"), "of each row; 0: only from the exposure topic"},
+          {"exposure_source", &Config::exposure_source,
+           "the exposure topic has gyro_deblur/Exposure; any message with exposure_field, in that unit; a RealSense's "
+           "metadata (exposure_field: actual_exposure unless given); or a driver's parameter_updates with the "
+           "parameter exposure_field"},
+          {"exposure_field", &ExposureSource::field, "e.g. exposure_time, exposures[0].shutterms"},
+          {"exposure_max_age", &Config::exposure_max_age_ns, within(0, 60, "s"),
+           "how long the last exposure serves images without their own; 0: not at all"},
+          {"readout_time", &Shutter::readout_ns, within(-1, 1, "s"),
+           "first to last row; 0: global shutter, negative: bottom row first"},
+          {"stamp_row", &Shutter::stamp_row, "the image row that the stamp refers to"},
+          {"stamp_phase", &Shutter::stamp_phase, "the instant of that row's exposure"},
+          {"rectified_input", &Config::rectified_input, "true: the image is undistorted, camera_info's P and R hold"},
+      }};
+}
+
+ParameterGroup gyroscope() {
+  return {"gyroscope",
+          "",
+          {
+              {"time_offset", &Gyro::time_offset_ns, within(-10, 10, "s"),
+               "t_imu = t_cam + time_offset; Kalibr's: see doc/guides/calibration.md"},
+              {"R_cam_imu", &Config::R_cam_imu,
+               "rotation from IMU to camera coordinates (Kalibr's T_cam_imu), by rows; []: from tf"},
+              {"gyro_bias", &Gyro::bias_rad_s, within(-1, 1, "rad/s"), "subtracted from the rates"},
+              {"gyro_buffer_duration", &Gyro::buffer_ns, above(0.1, 60, "s"), "samples kept"},
+              {"max_gyro_gap", &Gyro::max_gap_ns, within(0.001, 1, "s"),
+               "longer holes between samples are not integrated across"},
+              // Up to the fastest sensors, 20000 degrees/s.
+              {"gyro_range", &Gyro::range_rad_s, within(0, 400, "rad/s"),
+               "the sensor's range on each axis (2000 degrees/s: 34.9); samples at it are saturated and not integrated "
+               "across; 0: not known, nothing is checked"},
+              {"gyro_timeout", &Config::gyro_timeout_ns, within(0, 10, "s"),
+               "how long a frame waits for gyroscope, exposure and tf"},
+              {"frame_queue_size", &Config::frame_queue_size, within(1, 1000), "frames that may wait"},
+              {"bias_window", &Config::bias_window_ns, within(0.1, 10, "s"), "averaged by ~estimate_gyro_bias"},
+              {"bias_max_stddev", &Config::bias_max_stddev_rad_s, above(0, 1, "rad/s"), "more scatter is not rest"},
+              {"time_jump_threshold", &Config::time_jump_ns, within(0.01, 10, "s"),
+               "a stamp that goes back by more is a clock reset"},
+          }};
+}
+
+ParameterGroup translation() {
+  return {"translation",
+          "Used when there is an odometry and the depth of the scene is known; see doc/guides/translation.md.",
+          {
+              {"scene_depth", &Translation::scene_depth_m, within(0, 1000, "m"),
+               "median along the optical axis; 0: only from the scene_depth topic"},
+              {"scene_depth_max_age", &Translation::depth_max_age_ns, within(0, 60, "s"),
+               "older messages of that topic are not used"},
+              {"odometry_max_age", &Translation::max_age_ns, within(0.001, 2, "s"),
+               "how far from the exposure the nearest velocity may be"},
+              {"odometry_max_speed", &Translation::max_speed_m_s, above(0, 1000, "m/s"), "more is not believed"},
+              {"odometry_max_acceleration", &Translation::max_acceleration_m_s2, above(0, 10000, "m/s^2"),
+               "a faster change of velocity is a jump of the estimate"},
+              {"odometry_max_stddev", &Translation::max_stddev_m_s, above(0, 100, "m/s"),
+               "a velocity with a larger covariance is not used"},
+              {"odometry_clock", &Config::odometry_clock, "the clock of the odometry's stamps"},
+              {"odometry_twist_frame", &Config::odometry_twist_frame,
+               "the axes of its twist; nav_msgs/Odometry defines child"},
+              {"p_cam_imu", &Config::p_cam_imu_m, within(-100, 100, "m"),
+               "the IMU in camera coordinates (Kalibr's T_cam_imu, last column)"},
+          }};
+}
+
+ParameterGroup blur_field() {
+  return {"blur field",
+          "",
+          {
+              {"block_size", &Blur::block_size_px, within(8, 1024, "px"), "even; the side of a block", RUNNING},
+              {"min_extent", &Blur::min_extent_px, within(1, 20, "px"), "smaller blur is left alone", RUNNING},
+              {"max_extent", &Blur::max_extent_px, within(1, 500, "px"),
+               "at least min_extent; larger blur is left alone", RUNNING},
+              {"max_bend", &Blur::max_bend_px, within(0, 100, "px"),
+               "blur off a line by more than this and 2 % of its length is left alone", RUNNING},
+          }};
+}
+
+ParameterGroup wiener_filter() {
+  return {"Wiener filter",
+          "",
+          {
+              {"gamma", &Kernel::gamma, within(1e-5, 1), "noise-to-signal ratio at 1/6 cycles/px", RUNNING},
+              {"kernel_length_factor", &Kernel::length_factor, within(2, 8), "length of the inverse kernel in extents"},
+              {"kernel_smoothing", &Kernel::smoothing_px, within(0, 5, "px"),
+               "Gaussian along the motion that the inverse is smoothed with"},
+              {"engine", &PipelineOptions::engine,
+               "cpu; float; opencl (first GPU, else first device), opencl:INDEX or opencl:NAME (part of the name); "
+               "auto: opencl where there is a GPU, else cpu, which also replaces a device that is absent or fails, "
+               "with one warning"},
+              {"threads", &PipelineOptions::threads, within(0, 256),
+               "of validation, kernels and engine; 0: as many as OpenMP chooses"},
+          }};
+}
+
+ParameterGroup validation() {
+  return {"validation",
+          "A block is rejected when its gradient along the motion exceeds tau + tau_contrast / extent.",
+          {
+              {"validate", &Validation::enabled, "true: blocks whose image contradicts the predicted blur are rejected",
+               RUNNING},
+              {"tau", &Validation::tau, within(0, 255, "grey levels / px"), "gradient that is always allowed", RUNNING},
+              {"tau_contrast", &Validation::tau_contrast, within(0, 1000, "grey levels"), "plus this over the extent",
+               RUNNING},
+          }};
+}
+
+ParameterGroup keypoints() {
+  return {"keypoints",
+          "",
+          {
+              {"detector", &Keypoints::detector, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"}),
+               "finds keypoints", RUNNING},
+              {"descriptor", &Keypoints::descriptor, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "NONE"}),
+               "describes them; AKAZE only with detector AKAZE", RUNNING},
+              {"max_features", &Keypoints::max_features, within(1, 100000), "keypoints that are kept, strongest first",
+               RUNNING},
+              {"grid_cols", &Keypoints::grid_cols, within(1, 64),
+               "columns of the grid over which the limit is shared evenly", RUNNING},
+              {"grid_rows", &Keypoints::grid_rows, within(1, 64), "rows of that grid", RUNNING},
+              {"rectify_to", &PipelineOptions::rectify_to, "the instant at which rectified points hold"},
+          }};
+}
+
+ParameterGroup feature_tracks() {
+  return {
+      "feature tracks",
+      "",
+      {
+          {"max_tracks", &Tracker::max_tracks, within(8, 10000), "corners that are followed"},
+          {"track_min_distance", &Tracker::min_distance_px, within(2, 500, "px"), "between two tracks"},
+          {"track_border", &Tracker::border_px, within(0, 500, "px"),
+           "from the image's edge; corners that start nearer are soon shaken out again"},
+          {"track_max_round_trip", &Tracker::max_round_trip_px, within(0.05, 10, "px"),
+           "how far from its start a corner may end up when tracked back"},
+          {"track_max_epipolar", &Tracker::max_epipolar_px, within(0.1, 20, "px"), "distance from the epipolar line"},
+          {"track_window", &Tracker::window_px, within(5, 101, "px"), "odd; the side of the patch that is compared"},
+          {"track_levels", &Tracker::levels, within(0, 6), "halvings of the image"},
+      }};
+}
+
+}  // namespace
+
+const std::vector<ParameterGroup>& parameter_groups() {
+  static const std::vector<ParameterGroup> kGroups{calibration_files(), camera_timing(), gyroscope(),
+                                                   translation(),       blur_field(),    wiener_filter(),
+                                                   validation(),        keypoints(),     feature_tracks()};
+  return kGroups;
+}
+
+const Parameter* find_parameter(const std::string& key) {
+  static const std::map<std::string, const Parameter*> kByKey = [] {
+    std::map<std::string, const Parameter*> by_key;
+    for (const ParameterGroup& group : parameter_groups()) {
+      for (const Parameter& parameter : group.parameters) by_key.emplace(parameter.key, &parameter);
+    }
+    return by_key;
+  }();
+  const auto found = kByKey.find(key);
+  return found == kByKey.end() ? nullptr : found->second;
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,248 @@
+#include "ros/assembly.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include <boost/make_shared.hpp>
+
+#include "ros/calibration_conversion.hpp"
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// Which of the samples that a frame needs are missing. What came after them is not mentioned: that depends on how fast
+/// messages arrive, and the same recording shall give the same text.
+std::string coverage_text(const TimeRange& needed, const std::optional<TimeRange>& available,
+                          const GyroOptions& options) {
+  std::string text = "frame needs gyroscope samples from " + seconds_text(needed.begin_ns) + " to " +
+                     seconds_text(needed.end_ns) + " s of the IMU clock, ";
+  if (!available) return text + "there are none";
+  const bool begins_late = available->begin_ns > needed.begin_ns, ends_early = available->end_ns < needed.end_ns;
+  if (begins_late) text += "the oldest is of " + seconds_text(available->begin_ns) + " s";
+  if (ends_early) text += (begins_late ? ", " : "") + ("the newest of " + seconds_text(available->end_ns) + " s");
+  if (begins_late || ends_early) return text;
+  return text + "some of which are farther apart than max_gyro_gap = " + seconds_text(options.max_gap_ns) + " s";
+}
+
+Readiness settle(PendingFrame* frame, PassThroughReason reason, const std::string& text) {
+  frame->settle(reason, text);
+  return Readiness::SETTLED;
+}
+
+void take_times(const Exposure& message, ShutterTiming* timing) {
+  timing->exposure_ns = message.exposure_time.toNSec();
+  if (!message.readout_time.isZero()) timing->readout_ns = message.readout_time.toNSec();
+}
+
+/// The calibration by the camera_info that was found. Throws OptionError when it cannot be used, or contradicts the
+/// file.
+void set_calibration(const Config& config, PendingFrame* frame) {
+  const int width_px = static_cast<int>(frame->image->width), height_px = static_cast<int>(frame->image->height);
+  if (!config.calibration || !config.calibration->camera || !frame->described_by_topic) {
+    frame->calibration = to_calibration(*frame->info, width_px, height_px, config.rectified_input);
+    return;
+  }
+  // The file describes the whole sensor; camera_info says which part of it the image shows.
+  sensor_msgs::CameraInfo described = camera_info_message(*config.calibration->camera);
+  described.roi = frame->info->roi;
+  described.binning_x = frame->info->binning_x;
+  described.binning_y = frame->info->binning_y;
+  if (config.on_calibration_conflict == OnCalibrationConflict::CONFIGURED && !config.rectified_input) {
+    frame->calibration = to_calibration(described, width_px, height_px, false);
+    return;
+  }
+  frame->calibration = to_calibration(*frame->info, width_px, height_px, config.rectified_input);
+  // P and R of a rectified image have no counterpart in the file.
+  if (!config.rectified_input) {
+    require_agreement(*frame->calibration, "camera_info", to_calibration(described, width_px, height_px, false),
+                      config.calibration->origin);
+  }
+}
+
+/// Marks the samples that GyroBuffer::window would give for `own` alone.
+void mark_own(const TimeRange& own, AssembledFrame* assembled) {
+  const std::vector<GyroSample>& samples = assembled->samples;
+  auto begin = std::partition_point(samples.begin(), samples.end(),
+                                    [&own](const GyroSample& sample) { return sample.t_ns < own.begin_ns; });
+  auto end = std::partition_point(begin, samples.end(),
+                                  [&own](const GyroSample& sample) { return sample.t_ns <= own.end_ns; });
+  if (begin != samples.begin()) --begin;
+  if (end != samples.end()) ++end;
+  assembled->own_begin = static_cast<std::size_t>(begin - samples.begin());
+  assembled->own_end = static_cast<std::size_t>(end - samples.begin());
+}
+
+}  // namespace
+
+FrameAssembly::FrameAssembly(const Intake& intake, Sources sources, ThrottledLog* log)
+    : intake_(intake), sources_(std::move(sources)), log_(*log) {}
+
+Readiness FrameAssembly::assemble(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {
+  assembled->options = terms.config.pipeline;
+  assembled->tracker_options = terms.config.tracker;
+  assembled->rectified_input = terms.config.rectified_input;
+  if (frame->verdict != PassThroughReason::NONE) return Readiness::SETTLED;
+  Readiness readiness = Readiness::READY;
+  // A frame that goes by the file, and still waits, goes by its camera_info as soon as that has come.
+  if (!frame->described_by_topic) readiness = find_calibration(terms, frame);
+  if (readiness == Readiness::READY) readiness = find_exposure(terms, frame, assembled);
+  if (readiness == Readiness::READY) readiness = find_motion(terms, frame, assembled);
+  return readiness;
+}
+
+Readiness FrameAssembly::find_calibration(const Terms& terms, PendingFrame* frame) const {
+  const Config& config = terms.config;
+  const std::optional<CameraCalibration> file =
+      config.calibration ? config.calibration->camera : std::optional<CameraCalibration>();
+  // Only camera_info can tell which part of the sensor an image of another size shows.
+  const bool file_fits = file && file->width_px == static_cast<int>(frame->image->width) &&
+                         file->height_px == static_cast<int>(frame->image->height);
+  if (const sensor_msgs::CameraInfoConstPtr* info = intake_.infos().find(frame->stamp_ns)) {
+    frame->info = *info;
+    frame->described_by_topic = true;
+  } else if (frame->calibration) {
+    return Readiness::READY;  // the file's, from before anybody sent camera_info
+  } else if (file && !config.rectified_input && ((!intake_.info_seen() && file_fits) || terms.timed_out)) {
+    auto described = boost::make_shared<sensor_msgs::CameraInfo>(camera_info_message(*file));
+    described->header = frame->image->header;
+    frame->info = described;
+  } else if (terms.timed_out) {
+    return settle(frame, PassThroughReason::NO_CALIBRATION,
+                  "no camera_info with the image's stamp " + seconds_text(frame->stamp_ns) + " s");
+  } else {
+    return Readiness::WAITS;
+  }
+  try {
+    set_calibration(config, frame);
+  } catch (const OptionError& error) {
+    frame->calibration.reset();
+    return settle(frame, PassThroughReason::NO_CALIBRATION, error.what());
+  }
+  return Readiness::READY;
+}
+
+Readiness FrameAssembly::find_timing(const Terms& terms, PendingFrame* frame, ShutterTiming* timing) const {
+  const Config& config = terms.config;
+  *timing = config.shutter;
+  timing->readout_ns = region_readout_ns(timing->readout_ns, *frame->info);
+  if (const Exposure* message = intake_.exposures().find(frame->stamp_ns)) {
+    take_times(*message, timing);
+    return Readiness::READY;
+  }
+  if (intake_.exposure_setting_ns()) {
+    timing->exposure_ns = *intake_.exposure_setting_ns();
+    return Readiness::READY;
+  }
+  const bool expected = intake_.exposure_seen() || (sources_.exposure_expected && sources_.exposure_expected());
+  if ((expected || timing->exposure_ns == 0) && !terms.timed_out) return Readiness::WAITS;
+  const TimeNs oldest_ns = frame->stamp_ns - config.exposure_max_age_ns;
+  if (const Exposure* before = intake_.exposures().find_before(frame->stamp_ns, oldest_ns)) {
+    take_times(*before, timing);
+  } else if (timing->exposure_ns == 0) {
+    return settle(frame, PassThroughReason::NO_EXPOSURE_TIME,
+                  "no exposure message with the image's stamp " + seconds_text(frame->stamp_ns) +
+                      " s, none within exposure_max_age = " + seconds_text(config.exposure_max_age_ns) +
+                      " s before it, and parameter exposure_time = 0 is outside (0, 1] s");
+  } else if (expected) {
+    log_(LogLevel::WARNING, "exposure message missing",
+         "no exposure message with the image's stamp " + seconds_text(frame->stamp_ns) +
+             " s: using parameter exposure_time = " + seconds_text(timing->exposure_ns) + " s");
+  }
+  return Readiness::READY;
+}
+
+Readiness FrameAssembly::find_exposure(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {
+  ShutterTiming timing;
+  const Readiness readiness = find_timing(terms, frame, &timing);
+  if (readiness != Readiness::READY) return readiness;
+  if (const std::optional<TimeNs> period_ns = intake_.frame_period_ns()) {
+    try {
+      require_plausible_readout("readout_time", timing.readout_ns, *period_ns);
+    } catch (const OptionError& error) {
+      return settle(frame, PassThroughReason::BAD_CONFIGURATION, error.what());
+    }
+  }
+  try {
+    assembled->exposure.emplace(frame->stamp_ns, static_cast<int>(frame->image->height), timing);
+  } catch (const OptionError& error) {
+    return settle(frame, PassThroughReason::NO_EXPOSURE_TIME, error.what());
+  }
+  return Readiness::READY;
+}
+
+Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame, Eigen::Matrix3d* R_cam_imu) const {
+  const Config& config = terms.config;
+  const std::string& camera_frame = frame->image->header.frame_id;
+  const std::string imu_frame = intake_.imu_frame();
+  const bool ask_tf = !config.R_cam_imu || config.on_calibration_conflict == OnCalibrationConflict::ERROR;
+  std::optional<Eigen::Matrix3d> from_tf;
+  if (ask_tf && sources_.extrinsic) from_tf = sources_.extrinsic(camera_frame, imu_frame);
+  if (config.R_cam_imu) {
+    *R_cam_imu = *config.R_cam_imu;
+    try {
+      if (from_tf) {
+        const bool from_file = config.calibration && config.calibration->R_cam_imu;
+        require_agreement(*config.R_cam_imu, from_file ? config.calibration->origin : "parameter R_cam_imu", *from_tf,
+                          "tf");
+      }
+    } catch (const OptionError& error) {
+      return settle(frame, PassThroughReason::NO_EXTRINSIC, error.what());
+    }
+    return Readiness::READY;
+  }
+  if (from_tf) {
+    *R_cam_imu = *from_tf;
+    return Readiness::READY;
+  }
+  if (!terms.timed_out) return Readiness::WAITS;
+  return settle(frame, PassThroughReason::NO_EXTRINSIC,
+                "no transform from IMU frame \"" + imu_frame + "\" to camera frame \"" + camera_frame +
+                    "\", and no parameter R_cam_imu");
+}
+
+Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {
+  const Config& config = terms.config;
+  GyroOptions& gyro = assembled->gyro = config.gyro;
+  if (terms.bias_rad_s) gyro.bias_rad_s = *terms.bias_rad_s;
+  const auto to_imu = [&gyro](TimeNs camera_ns) { return camera_ns + gyro.time_offset_ns; };
+  const TimeNs reference_ns = assembled->exposure->reference_time(config.pipeline.rectify_to);
+  const TimeRange frame_cam = assembled->exposure->frame();
+  const TimeRange own{to_imu(std::min(frame_cam.begin_ns, reference_ns)),
+                      to_imu(std::max(frame_cam.end_ns, reference_ns))};
+  const GyroReader& reader = intake_.gyro();
+  const TimeRange available = reader.available();
+  const bool empty = available.empty();
+  if (!terms.timed_out) {
+    if (empty || available.end_ns < own.end_ns) return Readiness::WAITS;
+    // After a jump late samples of the old epoch say nothing about frames of the new one.
+    if (intake_.imu_is_stale() && own.end_ns < available.begin_ns) return Readiness::WAITS;
+  }
+  assembled->coverage_text = coverage_text(own, empty ? std::nullopt : std::optional(available), gyro);
+  if (empty) {  // nor is the IMU's frame known then
+    return settle(frame, PassThroughReason::NO_GYRO, assembled->coverage_text);
+  }
+  const Readiness readiness = find_extrinsic(terms, frame, &assembled->R_cam_imu);
+  if (readiness != Readiness::READY) return readiness;
+
+  const std::string& camera_frame = frame->image->header.frame_id;
+  if (intake_.translation().expected()) {
+    assembled->translation =
+        intake_.translation().around(frame_cam, config, camera_frame, intake_.imu_frame(), assembled->R_cam_imu,
+                                     sources_.transform, &assembled->translation_text);
+  }
+  TimeRange all = own;
+  const auto reach = [&all, &to_imu](TimeNs camera_ns) {
+    all = {std::min(all.begin_ns, to_imu(camera_ns)), std::max(all.end_ns, to_imu(camera_ns))};
+  };
+  if (terms.tracked_cam) reach(terms.tracked_cam->begin_ns);
+  if (assembled->translation && !assembled->translation->velocities.empty()) {
+    reach(assembled->translation->velocities.front().t_ns);
+    reach(assembled->translation->velocities.back().t_ns);
+  }
+  assembled->samples = reader.window(all);
+  mark_own(own, assembled);
+  return Readiness::READY;
+}
+
+}  // namespace gyro_deblur

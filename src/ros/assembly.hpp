@@ -1,0 +1,92 @@
+// Puts together what belongs to a frame: calibration, exposure, gyroscope samples, extrinsic, translation.
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include "gyro_deblur/config.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/pipeline.hpp"
+#include "ros/frame_queue.hpp"
+#include "ros/intake.hpp"
+#include "ros/throttled_log.hpp"
+#include "ros/translation_input.hpp"
+
+namespace gyro_deblur {
+
+/// A frame with all that processing it takes; copies, so that it needs no lock.
+struct AssembledFrame {
+  PendingFrame frame;
+  std::shared_ptr<Pipeline> pipeline;  ///< null while the configuration cannot be used
+  PipelineOptions options;
+  TrackerOptions tracker_options;
+  bool rectified_input = false;
+
+  // The rest only of a frame that is not settled.
+  std::optional<RowExposure> exposure;
+  GyroOptions gyro;  ///< with the bias in use
+  Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
+  /// Over the frame, the way from the image before it that is tracked, and the odometry.
+  std::vector<GyroSample> samples;
+  std::size_t own_begin = 0, own_end = 0;  ///< indices of those that the frame itself needs
+  std::string coverage_text;               ///< which of its own are missing, should some be
+  std::optional<TranslationJob> translation;
+  std::string translation_text;  ///< why there is none, where an odometry is expected
+};
+
+/// What a frame that is looked at can do.
+enum class Readiness {
+  WAITS,    ///< for messages that may still come
+  SETTLED,  ///< it leaves unchanged, PendingFrame::verdict says why
+  READY,    ///< it has what belongs to it
+};
+
+/// The second station of a frame: looks into the intake for what belongs to it. Its owner serialises access.
+class FrameAssembly {
+ public:
+  /// Where else things come from; each may be absent.
+  struct Sources {
+    /// R_cam_imu for (camera frame, IMU frame).
+    std::function<std::optional<Eigen::Matrix3d>(const std::string&, const std::string&)> extrinsic;
+    TranslationInput::Transform transform;
+    /// True when somebody will send exposure messages.
+    std::function<bool()> exposure_expected;
+  };
+
+  /// What holds for a frame beside messages.
+  struct Terms {
+    const Config& config;
+    std::optional<Eigen::Vector3d> bias_rad_s;  ///< in place of the configured one
+    std::optional<TimeRange> tracked_cam;       ///< exposure of the image that was tracked last
+    bool timed_out = false;                     ///< nothing is waited for any longer
+  };
+
+  /// Both have to outlive this.
+  FrameAssembly(const Intake& intake, Sources sources, ThrottledLog* log);
+
+  /// Notes in `frame` what was found and whether it is settled, in `assembled` everything but the frame.
+  Readiness assemble(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
+
+ private:
+  /// The frame's camera_info and calibration, from the topic or the calibration file.
+  Readiness find_calibration(const Terms& terms, PendingFrame* frame) const;
+  Readiness find_exposure(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
+  /// Exposure and readout time from a message, a setting or the parameters.
+  Readiness find_timing(const Terms& terms, PendingFrame* frame, ShutterTiming* timing) const;
+  /// The rotation from the parameters, the calibration file or tf.
+  Readiness find_extrinsic(const Terms& terms, PendingFrame* frame, Eigen::Matrix3d* R_cam_imu) const;
+  /// Precondition: the exposure is known.
+  Readiness find_motion(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
+
+  const Intake& intake_;
+  const Sources sources_;
+  ThrottledLog& log_;
+};
+
+}  // namespace gyro_deblur

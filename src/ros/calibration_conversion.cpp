@@ -1,0 +1,124 @@
+#include "ros/calibration_conversion.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <sstream>
+#include <string>
+
+#include <Eigen/Core>
+#include <boost/make_shared.hpp>
+
+#include "gyro_deblur/option_error.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+#include "motion/lens_models.hpp"
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// The part of the sensor that the image shows, before binning.
+struct Region {
+  double x_offset_px = 0, y_offset_px = 0, width_px = 0, height_px = 0;
+  double binning_x = 1, binning_y = 1;
+};
+
+Region region_of(const sensor_msgs::CameraInfo& info) {
+  Region region;
+  region.binning_x = std::max<std::uint32_t>(1, info.binning_x);
+  region.binning_y = std::max<std::uint32_t>(1, info.binning_y);
+  const bool whole = info.roi.width == 0 && info.roi.height == 0;
+  region.x_offset_px = info.roi.x_offset;
+  region.y_offset_px = info.roi.y_offset;
+  region.width_px = whole ? info.width : info.roi.width;
+  region.height_px = whole ? info.height : info.roi.height;
+  return region;
+}
+
+/// Binned sizes are rounded up by some drivers and down by others.
+bool is_binned_size(int image_px, double region_px, double binning) {
+  return std::abs(image_px - region_px / binning) < 1.0;
+}
+
+}  // namespace
+
+CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_width_px, int image_height_px,
+                                 bool rectified_input) {
+  const Region region = region_of(info);
+  if (!is_binned_size(image_width_px, region.width_px, region.binning_x) ||
+      !is_binned_size(image_height_px, region.height_px, region.binning_y)) {
+    throw OptionError("camera_info describes an image of " +
+                      size_text(region.width_px / region.binning_x, region.height_px / region.binning_y) +
+                      " (region of interest " + size_text(region.width_px, region.height_px) + ", binning " +
+                      size_text(region.binning_x, region.binning_y) + "), but the image is " +
+                      size_text(image_width_px, image_height_px));
+  }
+
+  // P is 3x4, K is 3x3, both row by row.
+  const double* matrix = rectified_input ? info.P.data() : info.K.data();
+  const int stride = rectified_input ? 4 : 3;
+  const char* name = rectified_input ? "P" : "K";
+  if (!(matrix[0] > 0) || !(matrix[stride + 1] > 0)) {
+    std::ostringstream text;
+    text << "camera_info: focal lengths in " << name << " are (" << matrix[0] << ", " << matrix[stride + 1]
+         << ") px, they have to be > 0: the camera is not calibrated";
+    throw OptionError(text.str());
+  }
+  // Relative to the focal length; printed calibrations are no more exact.
+  constexpr double kLargestSkew = 1e-6;
+  if (std::abs(matrix[1]) > kLargestSkew * matrix[0]) {
+    throw OptionError(std::string("camera_info: skew ") + name + "[1] = " + std::to_string(matrix[1]) +
+                      " is not supported, it has to be 0");
+  }
+
+  CameraCalibration calibration;
+  calibration.width_px = image_width_px;
+  calibration.height_px = image_height_px;
+  calibration.fx_px = matrix[0] / region.binning_x;
+  calibration.fy_px = matrix[stride + 1] / region.binning_y;
+  calibration.cx_px = (matrix[2] - region.x_offset_px) / region.binning_x;
+  calibration.cy_px = (matrix[stride + 2] - region.y_offset_px) / region.binning_y;
+  if (rectified_input) {
+    calibration.R_image_cam = require_rotation(
+        "camera_info.R", Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(info.R.data()));
+  } else if (!info.D.empty() || !info.distortion_model.empty()) {
+    if (info.distortion_model.empty()) {
+      throw OptionError("camera_info: distortion_model is empty, but D has " + std::to_string(info.D.size()) +
+                        " coefficients");
+    }
+    calibration.model = require_distortion_model(info.distortion_model);
+    calibration.coefficients = info.D;
+    if (info.D.empty()) calibration.model = "none";  // a model without coefficients distorts nothing
+  }
+  calibration.validate();
+  return calibration;
+}
+
+sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera) {
+  sensor_msgs::CameraInfo info;
+  info.width = static_cast<std::uint32_t>(camera.width_px);
+  info.height = static_cast<std::uint32_t>(camera.height_px);
+  info.D = camera.coefficients;
+  info.distortion_model = lens_model(camera.model).camera_info_name;
+  info.D.resize(lens_model(info.distortion_model).coefficient_counts.back(), 0.0);  // image_geometry wants all of them
+  info.K = {camera.fx_px, 0, camera.cx_px, 0, camera.fy_px, camera.cy_px, 0, 0, 1};
+  info.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  info.P = {camera.fx_px, 0, camera.cx_px, 0, 0, camera.fy_px, camera.cy_px, 0, 0, 0, 1, 0};
+  return info;
+}
+
+TimeNs region_readout_ns(TimeNs full_readout_ns, const sensor_msgs::CameraInfo& info) {
+  const Region region = region_of(info);
+  if (info.height == 0) return full_readout_ns;
+  return std::llround(static_cast<double>(full_readout_ns) * region.height_px / info.height);
+}
+
+sensor_msgs::CameraInfoPtr uncalibrated_camera_info(const sensor_msgs::Image& input) {
+  auto info = boost::make_shared<sensor_msgs::CameraInfo>();
+  info->header = input.header;
+  info->width = input.width;
+  info->height = input.height;
+  return info;
+}
+
+}  // namespace gyro_deblur

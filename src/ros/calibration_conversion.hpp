@@ -1,0 +1,32 @@
+// Between camera_info and the core's calibration.
+#pragma once
+
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/time.hpp"
+
+namespace gyro_deblur {
+
+/// Calibration of an image with the given size, with the habits of image_geometry: a region of interest of 0x0 is the
+/// whole sensor, binning of 0 is 1; the region's offset is subtracted from the principal point, then everything is
+/// divided by the binning.
+/// @param rectified_input  take P and R instead of K and D
+/// Throws OptionError with the values for a camera that is not calibrated, a distortion model that is not supported, or
+/// a size other than the image's.
+CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_width_px, int image_height_px,
+                                 bool rectified_input);
+
+/// The way back, for a raw image: P repeats K. Without distortion the model is plumb_bob with zeros. The header is left
+/// empty.
+sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera);
+
+/// Readout time of the image's region of interest when the whole sensor takes `full_readout_ns`: rows outside the
+/// region are not read. Binning does not change it: binned rows stand for the same stretch of the sensor.
+TimeNs region_readout_ns(TimeNs full_readout_ns, const sensor_msgs::CameraInfo& info);
+
+/// What is known of a camera without camera_info: header and size, K of zeros (not calibrated).
+sensor_msgs::CameraInfoPtr uncalibrated_camera_info(const sensor_msgs::Image& input);
+
+}  // namespace gyro_deblur

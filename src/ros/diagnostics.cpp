@@ -1,0 +1,179 @@
+#include "ros/diagnostics.hpp"
+
+#include <algorithm>
+
+#include "ros/pass_through.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using diagnostic_msgs::DiagnosticStatus;
+using diagnostic_updater::DiagnosticStatusWrapper;
+
+/// What to do about frames that pass through unchanged.
+const char* remedy(PassThroughReason reason) {
+  switch (reason) {
+    case PassThroughReason::NONE:
+      return "";
+    case PassThroughReason::NO_GYRO:
+      return "check that the IMU publishes, its rate, and time_offset; compare the stamps of image and IMU";
+    case PassThroughReason::NO_EXPOSURE_TIME:
+      return "set exposure_time, or publish an Exposure message with each image's stamp";
+    case PassThroughReason::NO_CALIBRATION:
+      return "publish camera_info with each image's stamp, calibrated for the image's size; where it contradicts "
+             "calibration_file, correct one of them or set on_calibration_conflict: configured";
+    case PassThroughReason::NO_EXTRINSIC:
+      return "set R_cam_imu, or publish a static transform between the frames of images and IMU; where these "
+             "contradict "
+             "each other, correct one of them or set on_calibration_conflict: configured";
+    case PassThroughReason::UNSUPPORTED_ENCODING:
+      return "have the driver publish mono8, bgr8, rgb8 or a Bayer encoding";
+    case PassThroughReason::BAD_IMAGE:
+      return "the image's data does not fit its header: mend the driver or the decoder";
+    case PassThroughReason::BAD_CONFIGURATION:
+      return "mend the parameter that the message names";
+    case PassThroughReason::OVERLOAD:
+      return "too slow: fewer max_features, a faster detector (ORB), smaller images, or fewer subscribers";
+    case PassThroughReason::TIME_JUMP:
+      return "expected when a bag loops; otherwise synchronise the clocks";
+    case PassThroughReason::INTERNAL_ERROR:
+      return "the log has the error";
+    case PassThroughReason::GYRO_SATURATED:
+      return "the camera turns faster than the gyroscope measures: set a larger range in its driver and in gyro_range";
+  }
+  return "";
+}
+
+template <typename Key>
+std::size_t count_of(const std::map<Key, std::size_t>& counts, const Key& key) {
+  const auto found = counts.find(key);
+  return found == counts.end() ? 0 : found->second;
+}
+
+void add_imu(const DiagnosticReport::Moment& now, DiagnosticStatusWrapper* status) {
+  status->add("cameras on this gyroscope", now.cameras);
+  status->add("imu dropped, not finite", now.statistics.imu_not_finite);
+  status->add("imu dropped, duplicate", now.statistics.imu_duplicate);
+  status->add("imu dropped, out of order", now.statistics.imu_out_of_order);
+  status->add("imu dropped, stray stamp", now.statistics.imu_stray);
+  status->add("imu dropped, without gyroscope", now.statistics.imu_without_gyroscope);
+  status->add("imu saturated", now.statistics.imu_saturated);
+}
+
+void add_translation(const ProcessorStatistics& now, DiagnosticStatusWrapper* status) {
+  if (now.frames_translated + now.frames_not_translated == 0) return;
+  status->add("frames with translation", now.frames_translated);
+  status->add("frames without, though there is odometry", now.frames_not_translated);
+  if (!now.translation_text.empty()) status->add("why without translation", now.translation_text);
+  status->add("odometry refused", now.odometry_refused);
+}
+
+void add_gyro_buffer(const DiagnosticReport::Moment& now, DiagnosticStatusWrapper* status) {
+  const ProcessorStatistics& statistics = now.statistics;
+  if (!statistics.newest_imu_ns) {
+    status->add("gyroscope buffer [s]", "empty");
+    return;
+  }
+  const TimeRange& available = statistics.gyro_available;
+  status->addf("gyroscope buffer [s]", "%.3f", to_seconds(available.end_ns - available.begin_ns));
+  status->addf("gyroscope age [s]", "%.3f", to_seconds(now.node_ns - *statistics.newest_imu_ns));
+}
+
+}  // namespace
+
+void DiagnosticReport::Latency::add(double ms) {
+  sum_ms += ms;
+  max_ms = std::max(max_ms, ms);
+  ++count;
+}
+
+void DiagnosticReport::start(const ProcessorStatistics& statistics, Time time) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  latencies_.clear();
+  last_ = statistics;
+  last_time_ = time;
+}
+
+void DiagnosticReport::add(const FrameOutput& output) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  latencies_["waiting"].add(output.waiting_ms);
+  latencies_["processing"].add(output.total_ms);
+  if (!output.field) return;
+  latencies_["blur field"].add(output.stages.blur_field_ms);
+  latencies_["validation"].add(output.stages.validation_ms);
+  latencies_["deconvolution"].add(output.stages.deconvolution_ms);
+  latencies_["keypoints"].add(output.stages.keypoints_ms);
+  latencies_["messages"].add(output.messages_ms);
+  if (output.tracks) latencies_["tracks"].add(output.tracks_ms);
+}
+
+void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!now.statistics.configuration_error.empty()) {
+    status->summary(DiagnosticStatus::ERROR, now.statistics.configuration_error);
+  } else {
+    status->summary(DiagnosticStatus::OK, "running");
+  }
+  add_frames(now, status);
+  add_blocks(now, status);
+  add_imu(now, status);
+  status->add("time jumps", now.statistics.time_jumps);
+  add_translation(now.statistics, status);
+  add_gyro_buffer(now, status);
+  add_latencies(status);
+  status->add("engine", now.statistics.engine.empty() ? "none" : now.statistics.engine);
+  latencies_.clear();
+  last_ = now.statistics;
+  last_time_ = now.time;
+}
+
+void DiagnosticReport::add_frames(const Moment& now, DiagnosticStatusWrapper* status) const {
+  const ProcessorStatistics& statistics = now.statistics;
+  const double period_s = std::chrono::duration<double>(now.time - last_time_).count();
+  const auto rate = [period_s](std::size_t newer, std::size_t older) {
+    return static_cast<double>(newer - older) / period_s;
+  };
+  status->addf("input rate [Hz]", "%.1f", rate(statistics.frames_in, last_.frames_in));
+  status->addf("output rate [Hz]", "%.1f", rate(statistics.frames_out, last_.frames_out));
+  status->addf("gyroscope rate [Hz]", "%.1f", rate(statistics.imu_accepted, last_.imu_accepted));
+  status->add("frames in", statistics.frames_in);
+  status->add("frames out", statistics.frames_out);
+  status->add("frames waiting", statistics.waiting);
+  for (const auto& [reason, count] : statistics.passed_through) {
+    status->add(std::string("passed through, ") + to_string(reason), count);
+    const std::size_t fresh = count - count_of(last_.passed_through, reason);
+    if (fresh > 0) {
+      status->mergeSummaryf(DiagnosticStatus::WARN, "%zu frames passed through: %s; %s", fresh, to_string(reason),
+                            remedy(reason));
+    }
+  }
+}
+
+void DiagnosticReport::add_blocks(const Moment& now, DiagnosticStatusWrapper* status) const {
+  for (const auto& [block_status, count] : now.statistics.blocks) {
+    status->add(std::string("blocks, ") + to_string(block_status), count);
+  }
+  for (const auto& [reason, count] : now.statistics.slow_blocks) {
+    status->add("blocks on the float engine, " + reason, count);
+  }
+  const auto fresh = [&](BlockStatus block_status) {
+    return count_of(now.statistics.blocks, block_status) - count_of(last_.blocks, block_status);
+  };
+  const std::size_t rejected = fresh(BlockStatus::REJECTED), judged = rejected + fresh(BlockStatus::DEBLURRED);
+  if (2 * rejected > judged) {
+    status->mergeSummaryf(
+        DiagnosticStatus::WARN,
+        "%zu of %zu blurred blocks rejected: the images contradict the predicted blur; check R_cam_imu, "
+        "time_offset and exposure_time with blur_overlay",
+        rejected, judged);
+  }
+}
+
+void DiagnosticReport::add_latencies(DiagnosticStatusWrapper* status) const {
+  for (const auto& [stage, latency] : latencies_) {
+    status->addf(stage + " mean [ms]", "%.2f", latency.sum_ms / static_cast<double>(latency.count));
+    status->addf(stage + " max [ms]", "%.2f", latency.max_ms);
+  }
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,56 @@
+// From counters and times to what the nodelet says of itself on /diagnostics.
+#pragma once
+
+#include <chrono>
+#include <cstddef>
+#include <map>
+#include <mutex>
+#include <string>
+
+#include <diagnostic_updater/DiagnosticStatusWrapper.h>
+
+#include "gyro_deblur/time.hpp"
+#include "ros/processing.hpp"
+#include "ros/statistics.hpp"
+
+namespace gyro_deblur {
+
+/// Reports what happened since the report before. Thread-safe.
+class DiagnosticReport {
+ public:
+  using Time = std::chrono::steady_clock::time_point;
+
+  /// From here on; the IMU may have been counted for others before.
+  void start(const ProcessorStatistics& statistics, Time time);
+
+  /// A frame leaves.
+  void add(const FrameOutput& output);
+
+  struct Moment {
+    ProcessorStatistics statistics;
+    std::size_t cameras = 0;  ///< on this gyroscope
+    TimeNs node_ns = 0;       ///< node clock
+    Time time;                ///< after that of the report before
+  };
+  /// Fills a status, and begins the next period.
+  void fill(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status);
+
+ private:
+  /// Mean and maximum over a period.
+  struct Latency {
+    double sum_ms = 0, max_ms = 0;
+    std::size_t count = 0;
+    void add(double ms);
+  };
+  // What they report of the last period needs mutex_.
+  void add_frames(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
+  void add_blocks(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
+  void add_latencies(diagnostic_updater::DiagnosticStatusWrapper* status) const;
+
+  std::mutex mutex_;  // everything below
+  std::map<std::string, Latency> latencies_;
+  ProcessorStatistics last_;
+  Time last_time_ = std::chrono::steady_clock::now();
+};
+
+}  // namespace gyro_deblur

@@ -1,0 +1,146 @@
+#include "ros/image_conversion.hpp"
+
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <optional>
+#include <string>
+
+#include <sensor_msgs/image_encodings.h>
+#include <boost/make_shared.hpp>
+#include <opencv2/imgcodecs.hpp>
+
+#include "ros/pass_through.hpp"
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+bool host_is_big_endian() {
+  const std::uint16_t probe = 1;
+  std::uint8_t first_byte = 0;
+  std::memcpy(&first_byte, &probe, 1);
+  return first_byte == 0;
+}
+
+struct PixelType {
+  PixelLayout layout;
+  int cv_type;
+};
+
+PixelType pixel_type_of(const std::string& encoding) {
+  const std::optional<PixelLayout> layout = layout_of_encoding(encoding);
+  if (!layout) {
+    throw FrameError(PassThroughReason::UNSUPPORTED_ENCODING,
+                     "encoding \"" + encoding +
+                         "\" is not one of mono8, mono16, 8UC1, 16UC1, bgr8, rgb8, bgra8, rgba8, their 16-bit kin and "
+                         "bayer_*8/16");
+  }
+  const int depth = sensor_msgs::image_encodings::bitDepth(encoding) == 16 ? CV_16U : CV_8U;
+  return {*layout, CV_MAKETYPE(depth, channels_of(*layout))};
+}
+
+}  // namespace
+
+void check_image(const sensor_msgs::Image& message) {
+  if (message.width == 0 || message.height == 0) {
+    throw FrameError(PassThroughReason::BAD_IMAGE, "image is empty (" + size_text(message.width, message.height) + ")");
+  }
+  const PixelType type = pixel_type_of(message.encoding);
+  constexpr std::uint32_t kLargestSide = std::numeric_limits<std::int16_t>::max();
+  if (message.width > kLargestSide || message.height > kLargestSide) {
+    throw FrameError(PassThroughReason::BAD_IMAGE, "image size " + size_text(message.width, message.height) +
+                                                       " is outside [1, " + std::to_string(kLargestSide) + "] px");
+  }
+  const std::size_t row_bytes = static_cast<std::size_t>(message.width) * CV_ELEM_SIZE(type.cv_type);
+  if (message.step < row_bytes || message.step % CV_ELEM_SIZE1(type.cv_type) != 0) {
+    throw FrameError(PassThroughReason::BAD_IMAGE, "image step = " + std::to_string(message.step) + " does not fit " +
+                                                       std::to_string(message.width) + " pixels of " +
+                                                       message.encoding + " (" + std::to_string(row_bytes) + " bytes)");
+  }
+  const std::size_t needed = static_cast<std::size_t>(message.step) * message.height;
+  if (message.data.size() < needed) {
+    throw FrameError(PassThroughReason::BAD_IMAGE, "image data has " + std::to_string(message.data.size()) +
+                                                       " bytes, step * height = " + std::to_string(needed));
+  }
+}
+
+ImageView view_image(const sensor_msgs::Image& message) {
+  check_image(message);
+  const PixelType type = pixel_type_of(message.encoding);
+  // cv::Mat has no read-only form; ImageView forbids writing.
+  auto* data = const_cast<std::uint8_t*>(message.data.data());
+  cv::Mat image(static_cast<int>(message.height), static_cast<int>(message.width), type.cv_type, data, message.step);
+  if (CV_MAT_DEPTH(type.cv_type) == CV_16U && (message.is_bigendian != 0) != host_is_big_endian()) {
+    image = image.clone();
+    for (int y = 0; y < image.rows; ++y) {
+      auto* row = image.ptr<std::uint16_t>(y);
+      const int values = image.cols * image.channels();
+      for (int x = 0; x < values; ++x) row[x] = static_cast<std::uint16_t>((row[x] << 8) | (row[x] >> 8));
+    }
+  }
+  return {image, type.layout};
+}
+
+sensor_msgs::ImagePtr to_image(const cv::Mat& pixels, const sensor_msgs::Image& input) {
+  auto message = boost::make_shared<sensor_msgs::Image>();
+  message->header = input.header;
+  message->encoding = input.encoding;
+  message->width = static_cast<std::uint32_t>(pixels.cols);
+  message->height = static_cast<std::uint32_t>(pixels.rows);
+  message->is_bigendian = host_is_big_endian();
+  const std::size_t row_bytes = static_cast<std::size_t>(pixels.cols) * pixels.elemSize();
+  message->step = static_cast<std::uint32_t>(row_bytes);
+  message->data.resize(row_bytes * static_cast<std::size_t>(pixels.rows));
+  for (int y = 0; y < pixels.rows; ++y) {
+    std::memcpy(message->data.data() + static_cast<std::size_t>(y) * row_bytes, pixels.ptr(y), row_bytes);
+  }
+  return message;
+}
+
+sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& header) {
+  sensor_msgs::Image like;
+  like.header = header;
+  like.encoding = sensor_msgs::image_encodings::BGR8;
+  return to_image(bgr, like);
+}
+
+sensor_msgs::ImagePtr decode_image(const sensor_msgs::CompressedImage& compressed) {
+  namespace encodings = sensor_msgs::image_encodings;
+  sensor_msgs::Image like;
+  like.header = compressed.header;
+  cv::Mat pixels;
+  try {
+    // compressedDepth puts a header of its own before the data.
+    if (!compressed.data.empty() && compressed.format.find("compressedDepth") == std::string::npos) {
+      pixels = cv::imdecode(compressed.data, cv::IMREAD_UNCHANGED);
+    }
+  } catch (const cv::Exception&) {
+    pixels.release();  // the same as data that is none
+  }
+  const std::string original = compressed.format.substr(0, compressed.format.find(';'));
+  const bool wide = pixels.depth() == CV_16U;
+  if (!pixels.empty() && (wide || pixels.depth() == CV_8U)) {
+    switch (pixels.channels()) {
+      case 1:
+        like.encoding = wide ? encodings::MONO16 : encodings::MONO8;
+        if (encodings::isBayer(original) && encodings::bitDepth(original) == (wide ? 16 : 8)) like.encoding = original;
+        break;
+      case 3:
+        like.encoding = wide ? encodings::BGR16 : encodings::BGR8;
+        break;
+      case 4:
+        like.encoding = wide ? encodings::BGRA16 : encodings::BGRA8;
+        break;
+      default:
+        break;
+    }
+  }
+  if (like.encoding.empty()) {
+    like.encoding = encodings::MONO8;
+    pixels.release();
+  }
+  return to_image(pixels, like);
+}
+
+}  // namespace gyro_deblur

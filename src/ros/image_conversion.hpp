@@ -1,0 +1,36 @@
+// Between image messages and pixels.
+#pragma once
+
+#include <sensor_msgs/CompressedImage.h>
+#include <sensor_msgs/Image.h>
+#include <std_msgs/Header.h>
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/image_format.hpp"
+
+namespace gyro_deblur {
+
+/// Pixels of an image message without a copy (big-endian 16-bit data is swapped into one).
+struct ImageView {
+  cv::Mat image;  ///< shares the message's memory: it must outlive this, and must not be written to
+  PixelLayout layout = PixelLayout::GRAY;
+};
+
+/// Throws FrameError: BAD_IMAGE when empty or its buffer does not fit its header, UNSUPPORTED_ENCODING.
+ImageView view_image(const sensor_msgs::Image& message);
+
+/// The checks of view_image alone.
+void check_image(const sensor_msgs::Image& message);
+
+/// An image message with the header and encoding of `input` and other pixels of the same type.
+sensor_msgs::ImagePtr to_image(const cv::Mat& pixels, const sensor_msgs::Image& input);
+
+/// A bgr8 message with the header of `input`.
+sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& header);
+
+/// Pixels of a compressed image (JPEG, PNG, whatever OpenCV reads), with its header. Colours come as bgr8 (bgr16,
+/// bgra8), one channel as mono8, mono16, or the Bayer encoding that `format` names before its semicolon. What cannot be
+/// decoded gives an image of 0x0, which check_image refuses as BAD_IMAGE: the frame comes out in its turn.
+sensor_msgs::ImagePtr decode_image(const sensor_msgs::CompressedImage& compressed);
+
+}  // namespace gyro_deblur

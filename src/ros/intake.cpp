@@ -1,0 +1,165 @@
+#include "ros/intake.hpp"
+
+#include <utility>
+
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+
+Intake::Intake(Clocks clocks, std::shared_ptr<GyroSource> gyro_source, Log log, ThrottledLog* throttled_log)
+    : clocks_(std::move(clocks)),
+      gyro_source_(std::move(gyro_source)),
+      log_(std::move(log)),
+      throttled_log_(*throttled_log),
+      jumps_(config_.time_jump_ns),
+      gyro_(gyro_source_),
+      queue_(static_cast<std::size_t>(config_.frame_queue_size)) {}
+
+void Intake::set_config(const Config& config) {
+  config_ = config;
+  jumps_.set_threshold(config.time_jump_ns);
+  queue_.set_capacity(static_cast<std::size_t>(config.frame_queue_size));
+}
+
+std::size_t Intake::store_size() const {
+  // What belongs to the waiting frames, and a second or so of what comes before its image.
+  constexpr std::size_t kMargin = 100;
+  return kMargin + 2 * static_cast<std::size_t>(config_.frame_queue_size);
+}
+
+void Intake::forget(Stream stream, ShownBy shown_by) {
+  const bool itself = shown_by == ShownBy::ITSELF;
+  constexpr char kText[] = "time went backwards while the frame waited";
+  switch (stream) {
+    case Stream::IMU:
+      if (!itself) gyro_.forget();  // else the source has
+      translation_.forget_forces();
+      break;
+    case Stream::IMAGE:
+      itself ? queue_.settle_all(PassThroughReason::TIME_JUMP, kText)
+             : queue_.settle_old_epoch(PassThroughReason::TIME_JUMP, kText);
+      break;
+    case Stream::CAMERA_INFO:
+      itself ? infos_.clear() : infos_.clear_old_epoch();
+      break;
+    case Stream::EXPOSURE:
+      itself ? exposures_.clear() : exposures_.clear_old_epoch();
+      break;
+    case Stream::CLOCK:
+      break;
+  }
+}
+
+void Intake::handle(TimeJumpDetector::Verdict verdict, Stream stream, TimeNs from_ns, TimeNs to_ns) {
+  switch (verdict) {
+    case TimeJumpDetector::Verdict::FORWARD:
+      return;
+    case TimeJumpDetector::Verdict::FOLLOWS:
+      forget(stream, ShownBy::ITSELF);
+      return;
+    case TimeJumpDetector::Verdict::JUMP:
+      break;
+  }
+  ++statistics_.time_jumps;
+  translation_.clear();
+  for (const Stream every : {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE}) {
+    forget(every, every == stream ? ShownBy::ITSELF : ShownBy::OTHER);
+  }
+  log_(LogLevel::WARNING, std::string("time went backwards (") + to_string(stream) + " from " + seconds_text(from_ns) +
+                              " to " + seconds_text(to_ns) +
+                              " s): starting anew, frames that waited pass through unchanged");
+}
+
+void Intake::note_time(Stream stream, TimeNs stamp_ns) {
+  const TimeNs from_ns = jumps_.newest_ns(stream).value_or(stamp_ns);
+  handle(jumps_.update(stream, stamp_ns), stream, from_ns, stamp_ns);
+}
+
+void Intake::note_imu() {
+  const GyroReader::News news = gyro_.update();
+  // Whoever has seen no sample from before cannot miss one.
+  if (news.restarted && jumps_.newest_ns(Stream::IMU)) {
+    handle(jumps_.went_back(Stream::IMU, news.to_ns), Stream::IMU, news.from_ns, news.to_ns);
+  }
+  if (news.samples > 0 && news.newest_ns) jumps_.update(Stream::IMU, *news.newest_ns, news.samples);
+}
+
+TimeNs Intake::now() {
+  const TimeNs now_ns = clocks_.node();
+  note_time(Stream::CLOCK, now_ns);
+  note_imu();
+  for (PendingFrame& frame : queue_.frames()) {
+    // Simulated time is 0 until its first message, and it can be set back: waiting starts anew then.
+    if (frame.arrival_ns == 0 || frame.arrival_ns > now_ns) frame.arrival_ns = now_ns;
+  }
+  return now_ns;
+}
+
+bool Intake::has_timed_out(const PendingFrame& frame, TimeNs now_ns, TimeNs timeout_ns) const {
+  // Simulated time can stop, at the end of a bag for example: after so many timeouts of real time frames leave anyway.
+  constexpr TimeNs kSteadyTimeoutFactor = 10;
+  return now_ns - frame.arrival_ns >= timeout_ns ||
+         (clocks_.steady && steady_now() - frame.arrival_steady_ns >= kSteadyTimeoutFactor * timeout_ns);
+}
+
+void Intake::notice_imu(const sensor_msgs::Imu& imu) {
+  now();
+  translation_.add(imu);
+}
+
+void Intake::add_exposure(const Exposure& exposure) {
+  now();
+  const TimeNs stamp_ns = to_time_ns(exposure.header.stamp);
+  note_time(Stream::EXPOSURE, stamp_ns);
+  exposure_seen_ = true;
+  exposures_.add(stamp_ns, exposure, store_size());
+}
+
+void Intake::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
+  now();
+  const TimeNs stamp_ns = to_time_ns(info->header.stamp);
+  note_time(Stream::CAMERA_INFO, stamp_ns);
+  info_seen_ = true;
+  infos_.add(stamp_ns, info, store_size());
+}
+
+void Intake::add_odometry(const nav_msgs::Odometry& odometry) {
+  now();
+  if (const auto refused = translation_.add(odometry, config_)) {
+    ++statistics_.odometry_refused;
+    throttled_log_(LogLevel::WARNING, "odometry refused",
+                   "odometry at " + seconds_text(refused->stamp_ns) + " s ignored: " + refused->why);
+  }
+}
+
+void Intake::add_scene_depth(const sensor_msgs::Range& depth) {
+  now();
+  if (const auto refused = translation_.add(depth, config_)) {
+    throttled_log_(LogLevel::WARNING, "scene depth refused",
+                   "scene_depth at " + seconds_text(refused->stamp_ns) + " s ignored: " + refused->why);
+  }
+}
+
+void Intake::add_frame(PendingFrame frame) {
+  frame.arrival_ns = now();
+  frame.arrival_steady_ns = steady_now();
+  note_time(Stream::IMAGE, frame.stamp_ns);
+  frame_period_.add(frame.stamp_ns);
+  ++statistics_.frames_in;
+  queue_.push(std::move(frame));
+}
+
+void Intake::reset() {
+  queue_.settle_all(PassThroughReason::TIME_JUMP, "reset was asked for while the frame waited");
+  gyro_.update();
+  gyro_.forget();
+  infos_.clear();
+  exposures_.clear();
+  exposure_seen_ = false;
+  translation_.clear();
+  info_seen_ = false;
+  frame_period_.clear();
+  jumps_.clear();
+}
+
+}  // namespace gyro_deblur

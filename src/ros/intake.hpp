@@ -1,0 +1,112 @@
+// Takes messages in and keeps what frames wait for; notices that time was reset.
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include <nav_msgs/Odometry.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/Imu.h>
+#include <sensor_msgs/Range.h>
+
+#include "gyro_deblur/config.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "ros/frame_queue.hpp"
+#include "ros/gyro_source.hpp"
+#include "ros/messages.hpp"
+#include "ros/stamped_store.hpp"
+#include "ros/throttled_log.hpp"
+#include "ros/time_jump.hpp"
+#include "ros/translation_input.hpp"
+
+namespace gyro_deblur {
+
+/// What has come in since the start.
+struct IntakeStatistics {
+  std::size_t frames_in = 0;
+  std::size_t odometry_refused = 0;
+  std::size_t time_jumps = 0;
+};
+
+/// The first of the stations of a frame: stores messages by their stamps until a frame has what belongs to it. Its
+/// owner serialises access.
+class Intake {
+ public:
+  struct Clocks {
+    std::function<TimeNs()> node;    ///< ros::Time, or the time of a bag
+    std::function<TimeNs()> steady;  ///< keeps going when a simulated clock stops; may be absent
+  };
+
+  /// @param log  for what is told once; `throttled_log` for what may be told with every message. Has to outlive this.
+  Intake(Clocks clocks, std::shared_ptr<GyroSource> gyro_source, Log log, ThrottledLog* throttled_log);
+
+  void set_config(const Config& config);
+
+  /// The source of samples has taken this message in.
+  void notice_imu(const sensor_msgs::Imu& imu);
+  void add_exposure(const Exposure& exposure);
+  void add_exposure_setting(TimeNs exposure_ns) { exposure_setting_ns_ = exposure_ns; }
+  void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
+  void add_odometry(const nav_msgs::Odometry& odometry);
+  void add_scene_depth(const sensor_msgs::Range& depth);
+  /// Precondition of the frame: image, stamp, and a verdict if it is not usable.
+  void add_frame(PendingFrame frame);
+
+  /// As after the start: waiting frames are settled as TIME_JUMP.
+  void reset();
+
+  /// Reads the clock, and notices what it and the source of samples have done since.
+  TimeNs now();
+  TimeNs steady_now() const { return clocks_.steady ? clocks_.steady() : 0; }
+  /// True when a frame has waited for `timeout_ns` (by the node's clock, or several times that by the steady one).
+  bool has_timed_out(const PendingFrame& frame, TimeNs now_ns, TimeNs timeout_ns) const;
+
+  FrameQueue& queue() { return queue_; }
+  const FrameQueue& queue() const { return queue_; }
+
+  const StampedStore<sensor_msgs::CameraInfoConstPtr>& infos() const { return infos_; }
+  bool info_seen() const { return info_seen_; }
+  const StampedStore<Exposure>& exposures() const { return exposures_; }
+  bool exposure_seen() const { return exposure_seen_; }
+  std::optional<TimeNs> exposure_setting_ns() const { return exposure_setting_ns_; }
+  std::optional<TimeNs> frame_period_ns() const { return frame_period_.get(); }
+  const GyroReader& gyro() const { return gyro_; }
+  std::string imu_frame() const { return gyro_source_->frame_id(); }
+  /// True while the IMU is expected to follow a reset of time: what it brings is still old.
+  bool imu_is_stale() const { return jumps_.is_stale(Stream::IMU); }
+  const TranslationInput& translation() const { return translation_; }
+  const IntakeStatistics& statistics() const { return statistics_; }
+
+ private:
+  void handle(TimeJumpDetector::Verdict verdict, Stream stream, TimeNs from_ns, TimeNs to_ns);
+  void note_time(Stream stream, TimeNs stamp_ns);
+  /// What the source of samples has done since.
+  void note_imu();
+  /// Drops what the stream brought before time was reset: all that has come when its own next message shows the reset.
+  enum class ShownBy { ITSELF, OTHER };
+  void forget(Stream stream, ShownBy shown_by);
+  std::size_t store_size() const;
+
+  const Clocks clocks_;
+  const std::shared_ptr<GyroSource> gyro_source_;  // locks itself
+  const Log log_;
+  ThrottledLog& throttled_log_;
+  Config config_;
+  TimeJumpDetector jumps_;
+  GyroReader gyro_;
+  StampedStore<Exposure> exposures_;
+  StampedStore<sensor_msgs::CameraInfoConstPtr> infos_;
+  bool exposure_seen_ = false;
+  std::optional<TimeNs> exposure_setting_ns_;
+  TranslationInput translation_;
+  bool info_seen_ = false;
+  FramePeriod frame_period_;
+  FrameQueue queue_;
+  IntakeStatistics statistics_;
+};
+
+}  // namespace gyro_deblur

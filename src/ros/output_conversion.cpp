@@ -1,0 +1,179 @@
+#include "ros/output_conversion.hpp"
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+
+#include <Eigen/Core>
+#include <boost/make_shared.hpp>
+
+#include "gyro_deblur/overlay.hpp"
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr char kMarkerNamespace[] = "blur";
+/// At the depth of the lines.
+constexpr double kMarkerWidthPx = 2, kMarkerGapPx = 8;
+
+}  // namespace
+
+BlurFieldPtr to_message(const FrameBlur& field, const std_msgs::Header& header) {
+  auto message = boost::make_shared<BlurField>();
+  message->header = header;
+  message->reason = BlurField::REASON_NONE;
+  message->image_width = static_cast<std::uint32_t>(field.grid.width_px());
+  message->image_height = static_cast<std::uint32_t>(field.grid.height_px());
+  message->block_width = message->block_height = static_cast<std::uint32_t>(field.grid.block_size_px());
+  message->cols = static_cast<std::uint32_t>(field.grid.cols());
+  message->rows = static_cast<std::uint32_t>(field.grid.rows());
+  message->angle.reserve(field.blocks.size());
+  message->extent.reserve(field.blocks.size());
+  message->status.reserve(field.blocks.size());
+  for (const BlockBlur& block : field.blocks) {
+    message->angle.push_back(block.angle_rad);
+    message->extent.push_back(block.extent_px);
+    message->status.push_back(static_cast<std::uint8_t>(block.status));
+  }
+  message->exposure_time.fromNSec(field.exposure_ns);
+  message->readout_time.fromNSec(field.readout_ns);
+  return message;
+}
+
+BlurFieldPtr pass_through_message(PassThroughReason reason, const std::string& text, const sensor_msgs::Image& input) {
+  auto message = boost::make_shared<BlurField>();
+  message->header = input.header;
+  message->reason = static_cast<std::uint8_t>(reason);
+  message->reason_text = text;
+  message->image_width = input.width;
+  message->image_height = input.height;
+  return message;
+}
+
+KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions& options,
+                            const std_msgs::Header& header) {
+  auto message = boost::make_shared<KeypointArray>();
+  message->header = header;
+  message->reference_time = to_ros_time(result.reference_ns);
+  message->detector = options.detector;
+  message->keypoints.resize(result.features.keypoints.size());
+  for (std::size_t i = 0; i < result.features.keypoints.size(); ++i) {
+    const cv::KeyPoint& from = result.features.keypoints[i];
+    const RectifiedPoint& point = result.points[i];
+    Keypoint& to = message->keypoints[i];
+    to.x = from.pt.x;
+    to.y = from.pt.y;
+    to.rectified_x = static_cast<float>(point.rectified_px.x());
+    to.rectified_y = static_cast<float>(point.rectified_px.y());
+    to.normalized_x = static_cast<float>(point.normalized.x());
+    to.normalized_y = static_cast<float>(point.normalized.y());
+    to.size = from.size;
+    to.angle = from.angle;
+    to.response = from.response;
+    to.octave = from.octave;
+    to.deblurred = point.deblurred;
+    to.rectified = point.rectified;
+  }
+  const cv::Mat& descriptors = result.features.descriptors;
+  if (descriptors.empty()) return message;
+  message->descriptor = options.descriptor;
+  message->descriptor_type =
+      descriptors.depth() == CV_32F ? KeypointArray::DESCRIPTOR_FLOAT32 : KeypointArray::DESCRIPTOR_BINARY;
+  const std::size_t row_bytes = static_cast<std::size_t>(descriptors.cols) * descriptors.elemSize();
+  message->descriptor_length = static_cast<std::uint32_t>(row_bytes);
+  message->descriptors.resize(row_bytes * static_cast<std::size_t>(descriptors.rows));
+  for (int i = 0; i < descriptors.rows; ++i) {
+    std::memcpy(message->descriptors.data() + static_cast<std::size_t>(i) * row_bytes, descriptors.ptr(i), row_bytes);
+  }
+  return message;
+}
+
+sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const std_msgs::Header& header) {
+  auto message = boost::make_shared<sensor_msgs::PointCloud>();
+  message->header = header;
+  message->channels.resize(5);
+  enum Channel : std::size_t { ID, U, V, VELOCITY_X, VELOCITY_Y };
+  message->channels[ID].name = "id_of_point";
+  message->channels[U].name = "u_of_point";
+  message->channels[V].name = "v_of_point";
+  message->channels[VELOCITY_X].name = "velocity_x_of_point";
+  message->channels[VELOCITY_Y].name = "velocity_y_of_point";
+  const auto add = [&message](Channel channel, double value) {
+    message->channels[channel].values.push_back(static_cast<float>(value));
+  };
+  for (const Track& track : tracks) {
+    if (track.length < 2) continue;
+    geometry_msgs::Point32 point;
+    point.x = static_cast<float>(track.normalized.x());
+    point.y = static_cast<float>(track.normalized.y());
+    point.z = 1;
+    message->points.push_back(point);
+    add(ID, track.id);
+    add(U, track.pixel_px.x());
+    add(V, track.pixel_px.y());
+    add(VELOCITY_X, track.velocity_1_s.x());
+    add(VELOCITY_Y, track.velocity_1_s.y());
+  }
+  return message;
+}
+
+visualization_msgs::MarkerArrayPtr to_markers(const FrameBlur& field, const Camera& camera,
+                                              const std_msgs::Header& header) {
+  auto array = boost::make_shared<visualization_msgs::MarkerArray>();
+  array->markers.resize(1);
+  visualization_msgs::Marker& marker = array->markers.front();
+  marker.header = header;
+  marker.ns = kMarkerNamespace;
+  marker.id = 0;
+  marker.type = visualization_msgs::Marker::LINE_LIST;
+  marker.action = visualization_msgs::Marker::ADD;
+  marker.pose.orientation.w = 1;
+  marker.color.a = 1;
+  marker.scale.x = kMarkerWidthPx / camera.calibration().fx_px;
+
+  std::vector<Eigen::Vector2d> ends_px;
+  ends_px.reserve(2 * field.blocks.size());
+  const std::vector<char> has_path = paths_apart(field, kMarkerGapPx);
+  const Eigen::Vector2d half_dot_px(kMarkerWidthPx, 0);
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const Eigen::Vector2d center_px = field.grid.center(i);
+    const BlurSegment segment = has_path[static_cast<std::size_t>(i)]
+                                    ? blur_segment(field, i)
+                                    : BlurSegment{center_px - half_dot_px, center_px + half_dot_px};
+    ends_px.push_back(segment.from_px);
+    ends_px.push_back(segment.to_px);
+  }
+  const std::vector<Eigen::Vector3d> rays = camera.rays(ends_px);
+  for (std::size_t i = 0; i < field.blocks.size(); ++i) {
+    // rviz drops a whole marker for one point that is not finite.
+    if (!rays[2 * i].allFinite() || !rays[2 * i + 1].allFinite()) continue;
+    const cv::Vec3b rgb = status_color_rgb(field.blocks[i].status);
+    std_msgs::ColorRGBA color;
+    color.r = static_cast<float>(rgb[0]) / 255.f;
+    color.g = static_cast<float>(rgb[1]) / 255.f;
+    color.b = static_cast<float>(rgb[2]) / 255.f;
+    color.a = 1;
+    for (const Eigen::Vector3d& ray : {rays[2 * i], rays[2 * i + 1]}) {
+      geometry_msgs::Point point;
+      point.x = ray.x();
+      point.y = ray.y();
+      point.z = ray.z();
+      marker.points.push_back(point);
+      marker.colors.push_back(color);
+    }
+  }
+  return array;
+}
+
+visualization_msgs::MarkerArrayPtr no_markers(const std_msgs::Header& header) {
+  auto array = boost::make_shared<visualization_msgs::MarkerArray>();
+  array->markers.resize(1);
+  array->markers.front().header = header;
+  array->markers.front().ns = kMarkerNamespace;
+  array->markers.front().action = visualization_msgs::Marker::DELETE;
+  array->markers.front().pose.orientation.w = 1;
+  return array;
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,200 @@
+#include "ros/processing.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cstddef>
+#include <cstdio>
+#include <utility>
+
+#include <boost/make_shared.hpp>
+
+#include "gyro_deblur/image_format.hpp"
+#include "gyro_deblur/overlay.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+#include "gyro_deblur/translation.hpp"
+#include "ros/calibration_conversion.hpp"
+#include "ros/image_conversion.hpp"
+#include "ros/output_conversion.hpp"
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+double elapsed_ms(std::chrono::steady_clock::time_point since) {
+  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - since).count();
+}
+
+/// How the camera moved: one rotation over all that the frame needs, and the translation where it is known.
+class FrameMotion {
+ public:
+  /// @param translation_text  set to why there is no translation, where one is expected
+  FrameMotion(const AssembledFrame& assembled, std::string* translation_text)
+      : rotation_(assembled.samples, assembled.gyro, assembled.R_cam_imu, assembled.own_begin) {
+    *translation_text = assembled.translation_text;
+    if (!assembled.translation) return;
+    const TranslationJob& job = *assembled.translation;
+    const std::optional<BodyVelocity> velocity =
+        fit_velocity(job.velocities, job.forces, rotation_, job.R_cam_body, assembled.exposure->frame(), job.options,
+                     translation_text);
+    if (velocity) translated_.emplace(rotation_, *velocity, job.p_cam_body_m, job.depth_m);
+  }
+  FrameMotion(const FrameMotion&) = delete;
+  FrameMotion& operator=(const FrameMotion&) = delete;
+
+  bool is_translated() const { return translated_.has_value(); }
+  const RotationTrack& rotation() const { return rotation_; }
+  const CameraMotion& motion() const {
+    return translated_ ? static_cast<const CameraMotion&>(*translated_) : rotation_;
+  }
+
+ private:
+  RotationTrack rotation_;
+  std::optional<TranslatedMotion> translated_;  // refers to rotation_
+};
+
+/// What is wrong with saturated samples among those that the frame itself needs; empty when there is none.
+std::string saturation_text(const AssembledFrame& assembled) {
+  const GyroOptions& options = assembled.gyro;
+  const auto saturated = [&options](const GyroSample& sample) { return is_saturated(sample, options); };
+  const auto begin = assembled.samples.begin() + static_cast<std::ptrdiff_t>(assembled.own_begin),
+             end = assembled.samples.begin() + static_cast<std::ptrdiff_t>(assembled.own_end);
+  const auto first = std::find_if(begin, end, saturated);
+  if (first == end) return {};
+  char range[40];
+  std::snprintf(range, sizeof(range), "%g", options.range_rad_s);
+  return std::to_string(std::count_if(first, end, saturated)) + " of the " + std::to_string(end - begin) +
+         " gyroscope samples that the frame needs reach gyro_range = " + range + " rad/s, the first is " +
+         vector_text(first->rate_rad_s) + " rad/s at " + seconds_text(first->t_ns) + " s of the IMU clock";
+}
+
+/// The blur field's message, and why blocks or the whole frame are as they were.
+void add_field(const AssembledFrame& assembled, const FrameMotion& motion, const FrameBlur& field,
+               FrameOutput* output) {
+  const sensor_msgs::Image& image = *assembled.frame.image;
+  output->blur_field = to_message(field, image.header);
+  const std::size_t uncovered = field.count(BlockStatus::NO_GYRO);
+  const bool gyro_covers = motion.rotation().covers(assembled.exposure->frame());
+  const std::string saturation = gyro_covers ? "" : saturation_text(assembled);
+  if (uncovered > 0) {
+    output->reason_text = gyro_covers          ? "blocks lie beyond the range of the lens model"
+                          : saturation.empty() ? assembled.coverage_text
+                                               : saturation;
+  }
+  if (uncovered == field.blocks.size()) {
+    output->reason = gyro_covers          ? PassThroughReason::NO_CALIBRATION
+                     : saturation.empty() ? PassThroughReason::NO_GYRO
+                                          : PassThroughReason::GYRO_SATURATED;
+    output->blur_field = pass_through_message(output->reason, output->reason_text, image);
+  }
+  if (output->reason_text.empty() && !output->translation_text.empty()) {
+    output->reason_text = "rotation only: " + output->translation_text;
+  }
+  output->blur_field->reason_text = output->reason_text;
+}
+
+/// Precondition: the frame is ready.
+void deblur(const AssembledFrame& assembled, const FrameRequest& request, FeatureTracker* tracker,
+            FrameOutput* output) {
+  const PendingFrame& frame = assembled.frame;
+  Pipeline& pipeline = *assembled.pipeline;
+  auto start = std::chrono::steady_clock::now();
+  const ImageView view = view_image(*frame.image);
+  output->messages_ms += elapsed_ms(start);
+
+  pipeline.set_options(assembled.options);
+  pipeline.set_calibration(*frame.calibration);
+  const FrameMotion motion(assembled, &output->translation_text);
+  output->translated = motion.is_translated();
+  PipelineResult result = pipeline.process(view.image, view.layout, motion.motion(), *assembled.exposure,
+                                           PipelineRequest{request.image, request.keypoints, request.tracks});
+  output->stages = result.times;
+  output->engine_warning = pipeline.take_warning();
+
+  const std_msgs::Header& header = frame.image->header;
+  if (request.tracks) {
+    start = std::chrono::steady_clock::now();
+    tracker->set_options(assembled.tracker_options);
+    output->tracks = to_message(
+        tracker->track(result.luminance, Camera(*frame.calibration), motion.rotation(), *assembled.exposure), header);
+    output->tracks_ms = elapsed_ms(start);
+  }
+
+  start = std::chrono::steady_clock::now();
+  if (!result.image.empty()) output->image = to_image(result.image, *frame.image);
+  if (request.keypoints) output->keypoints = to_message(result, pipeline.options().keypoints, header);
+  if (request.overlay) {
+    output->overlay = to_bgr_image(draw_overlay(luminance8(view.image, view.layout), result.field), header);
+  }
+  if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
+  add_field(assembled, motion, result.field, output);
+  output->field = std::move(result.field);
+  output->messages_ms += elapsed_ms(start);
+}
+
+/// Keypoints of a frame that passes through; an empty array when it can have none.
+KeypointArrayPtr raw_keypoints(const AssembledFrame& assembled, PassThroughReason reason) {
+  const PendingFrame& frame = assembled.frame;
+  auto none = boost::make_shared<KeypointArray>();
+  none->header = frame.image->header;
+  none->reference_time = none->header.stamp;
+  // When too much waits, what is left of the work has to be quick.
+  if (!assembled.pipeline || reason == PassThroughReason::OVERLOAD) return none;
+  try {
+    const ImageView view = view_image(*frame.image);
+    std::optional<CameraCalibration> calibration = frame.calibration;
+    if (!calibration && frame.info) {
+      try {
+        calibration = to_calibration(*frame.info, view.image.cols, view.image.rows, assembled.rectified_input);
+      } catch (const OptionError&) {
+        // Normalised coordinates are not known then.
+      }
+    }
+    assembled.pipeline->set_options(assembled.options);
+    return to_message(assembled.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration),
+                      assembled.options.keypoints, none->header);
+  } catch (const std::exception&) {
+    return none;  // the frame has its reason already
+  }
+}
+
+/// What was made of the frame before it failed does not leave.
+void pass_through_failed(const std::string& text, FrameOutput* output) {
+  output->reason = PassThroughReason::INTERNAL_ERROR;
+  output->reason_text = text;
+  output->image = output->input;
+  output->field.reset();
+  output->blur_field.reset();
+  output->keypoints.reset();
+  output->overlay.reset();
+  output->markers.reset();
+  output->tracks.reset();
+}
+
+}  // namespace
+
+FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request, FeatureTracker* tracker) {
+  const auto start = std::chrono::steady_clock::now();
+  const PendingFrame& frame = assembled.frame;
+  FrameOutput output;
+  output.input = output.image = frame.image;
+  output.reason = frame.verdict;
+  output.reason_text = frame.verdict_text;
+  if (output.reason == PassThroughReason::NONE) {
+    try {
+      deblur(assembled, request, tracker, &output);
+    } catch (const std::exception& error) {
+      pass_through_failed(error.what(), &output);
+    } catch (...) {
+      pass_through_failed("an exception of unknown type", &output);
+    }
+  }
+  output.camera_info =
+      frame.info ? frame.info : sensor_msgs::CameraInfoConstPtr(uncalibrated_camera_info(*frame.image));
+  if (!output.blur_field) output.blur_field = pass_through_message(output.reason, output.reason_text, *frame.image);
+  if (request.keypoints && !output.keypoints) output.keypoints = raw_keypoints(assembled, output.reason);
+  if (request.markers && !output.markers) output.markers = no_markers(frame.image->header);
+  output.total_ms = elapsed_ms(start);
+  return output;
+}
+
+}  // namespace gyro_deblur

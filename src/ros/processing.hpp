@@ -1,0 +1,60 @@
+// Makes of an assembled frame what leaves.
+#pragma once
+
+#include <cstddef>
+#include <map>
+#include <optional>
+#include <string>
+
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/PointCloud.h>
+#include <visualization_msgs/MarkerArray.h>
+
+#include "gyro_deblur/feature_tracker.hpp"
+#include "gyro_deblur/pipeline.hpp"
+#include "ros/assembly.hpp"
+#include "ros/messages.hpp"
+#include "ros/pass_through.hpp"
+
+namespace gyro_deblur {
+
+/// What somebody wants of a frame; nothing else is computed.
+struct FrameRequest {
+  bool image = true;
+  bool keypoints = true;
+  bool overlay = false;
+  bool markers = false;
+  bool tracks = false;
+};
+
+/// A frame on its way out: one for every frame that came in, in the same order.
+struct FrameOutput {
+  sensor_msgs::ImageConstPtr input;
+  sensor_msgs::ImageConstPtr image;             ///< the very input message when no pixel was changed
+  sensor_msgs::CameraInfoConstPtr camera_info;  ///< the input's; one that is not calibrated when there was none
+  BlurFieldPtr blur_field;
+  KeypointArrayPtr keypoints;                  ///< null when not requested
+  sensor_msgs::ImagePtr overlay;               ///< null when not requested, or without a blur field
+  visualization_msgs::MarkerArrayPtr markers;  ///< null when not requested
+  sensor_msgs::PointCloudPtr tracks;           ///< null when not requested, or when the pipeline did not run
+  PassThroughReason reason = PassThroughReason::NONE;
+  std::string reason_text;
+  std::optional<FrameBlur> field;                  ///< of the core; absent when the pipeline did not run
+  std::map<std::string, std::size_t> slow_blocks;  ///< that left the engine's fast path, by reason
+  std::string engine_warning;                      ///< what the engine has to tell; mostly empty
+  bool translated = false;                         ///< odometry and depth were used
+  std::string translation_text;                    ///< why not, where an odometry is expected; else empty
+  StageTimes stages;                               ///< [ms]
+  double tracks_ms = 0;                            ///< of following corners
+  double waiting_ms = 0;                           ///< steady time in the queue; left to the caller
+  double messages_ms = 0;                          ///< conversion from and to messages, overlay and markers
+  double total_ms = 0;                             ///< of processing, without waiting
+};
+
+/// The last station of a frame. Depends on nothing but the frame, the request and the images that the tracker has seen.
+/// Exceptions of the pipeline become INTERNAL_ERROR; those of passing a frame through (for lack of memory) pass.
+/// @param tracker  of this camera; one thread at a time
+FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request, FeatureTracker* tracker);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,39 @@
+#include "ros/stamp_rule.hpp"
+
+namespace gyro_deblur {
+
+StampLimits imu_stamps(TimeNs max_gap_ns, TimeNs time_jump_ns) {
+  StampLimits limits;
+  // Samples come without holes; across a longer one nothing is integrated.
+  limits.ahead_ns = limits.step_ns = max_gap_ns;
+  limits.back_ns = time_jump_ns;
+  // An IMU that was silent, or whose clock was set. Fewer are wrong stamps, which must not empty the buffer.
+  limits.ahead_believed = limits.back_believed = 5;
+  // A bag shorter than time_jump_ns that loops. Jitter of a driver does not deliver that many in order.
+  limits.late_believed = 10;
+  return limits;
+}
+
+StampLimits watched_stamps(TimeNs time_jump_ns) {
+  StampLimits limits;
+  limits.ahead_ns = limits.back_ns = time_jump_ns;
+  // Images may come seldom, and a clock is read more than once at a time.
+  limits.repeats_agree = true;
+  // One stamp far ahead would make the next right one look like a reset.
+  limits.ahead_believed = 2;
+  // At once: frames wait for what is not going to come, and each of the streams has to be told from its old messages.
+  limits.back_believed = 1;
+  return limits;
+}
+
+StampLimits translation_stamps(TimeNs time_jump_ns) {
+  StampLimits limits;
+  // An odometry may be silent for as long as it likes, so that any stamp ahead is taken at first.
+  limits.newest_disbelieved = 2;
+  limits.back_ns = time_jump_ns;
+  // It may come ten times a second: a third message would be a frame or more too late.
+  limits.back_believed = 2;
+  return limits;
+}
+
+}  // namespace gyro_deblur

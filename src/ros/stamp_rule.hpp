@@ -1,0 +1,202 @@
+// The one rule for stamps that do not fit: a message whose stamp does not fit is held back until those after it show
+// which was wrong.
+#pragma once
+
+#include <cstddef>
+#include <limits>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "gyro_deblur/time.hpp"
+
+namespace gyro_deblur {
+
+/// What fits a stream, and how many messages in a row have to agree with each other before they are believed against
+/// those that came before. Times > 0.
+struct StampLimits {
+  static constexpr TimeNs kAnyTime = std::numeric_limits<TimeNs>::max();
+  static constexpr std::size_t kNever = std::numeric_limits<std::size_t>::max();
+
+  TimeNs ahead_ns = kAnyTime;  ///< a stamp farther ahead of the newest does not fit
+  TimeNs back_ns = kAnyTime;  ///< up to this before the newest one is late; farther back it is wrong, or time was reset
+  TimeNs step_ns = kAnyTime;  ///< farther off, a message agrees with the one before when it is up to this after it
+  bool repeats_agree = false;               ///< so does one that repeats it, or is up to back_ns before it
+  std::size_t ahead_believed = kNever;      ///< >= 2; so many in a row that are ahead: the stream was silent
+  std::size_t back_believed = kNever;       ///< >= 1; so many in a row that are farther back: time was reset
+  std::size_t late_believed = kNever;       ///< >= 2; so many in a row that are late: time was set back by less
+  std::size_t newest_disbelieved = kNever;  ///< >= 2; so many between the newest and the one before: it was ahead
+};
+
+/// The limits of each stream; the reasons stand with the values.
+StampLimits imu_stamps(TimeNs max_gap_ns, TimeNs time_jump_ns);
+StampLimits watched_stamps(TimeNs time_jump_ns);      ///< of what TimeJumpDetector watches
+StampLimits translation_stamps(TimeNs time_jump_ns);  ///< odometry and depth of the scene
+
+/// What is wrong with a stamp.
+enum class Misfit {
+  REPEATED,  ///< that of the message before
+  LATE,      ///< before the newest
+  FAR,       ///< far from those around it
+  AHEAD,     ///< ahead of those that came after it
+};
+
+/// What a message that has come decides. To be applied in this order.
+template <typename Message>
+struct StampRuling {
+  struct Refused {
+    Message message;
+    Misfit why;
+  };
+  struct Reset {
+    TimeNs from_ns, to_ns;
+  };
+  bool newest_refused = false;   ///< the newest that was taken is among `refused`: its owner gives it back
+  std::optional<Reset> reset;    ///< time was set back: all that was taken before is of another epoch
+  std::vector<Message> taken;    ///< in order, and after all that was taken since the reset
+  std::vector<Refused> refused;  ///< this message, or ones that were held back
+};
+
+/// Decides over the stamps of one stream. Not thread-safe.
+/// @tparam Message  has a member t_ns
+template <typename Message>
+class StampRule {
+ public:
+  using Ruling = StampRuling<Message>;
+
+  /// Takes, refuses, or holds a message back, and decides over those that were held back before it.
+  Ruling add(const Message& message, const StampLimits& limits) {
+    Ruling ruling;
+    judge(message, limits, &ruling);
+    return ruling;
+  }
+
+  /// Of those that were taken; nothing before the first.
+  std::optional<TimeNs> newest_ns() const {
+    return newest_ ? std::optional<TimeNs>(newest_->t_ns) : std::optional<TimeNs>();
+  }
+
+  /// The owner knows by other means that this one is the newest, whatever came before.
+  void restart(const Message& message) {
+    clear();
+    newest_ = message;
+  }
+  void clear() {
+    newest_.reset();
+    before_newest_.reset();
+    far_.clear();
+    late_.clear();
+  }
+
+ private:
+  enum class Fit { NEXT, REPEATED, LATE, BACK, AHEAD };
+
+  Fit fit_of(TimeNs stamp_ns, const StampLimits& limits) const {
+    if (!newest_) return Fit::NEXT;
+    const TimeNs step_ns = stamp_ns - newest_->t_ns;
+    if (step_ns > 0) return step_ns <= limits.ahead_ns ? Fit::NEXT : Fit::AHEAD;
+    if (step_ns == 0) return Fit::REPEATED;
+    return step_ns >= -limits.back_ns ? Fit::LATE : Fit::BACK;
+  }
+
+  /// Whether a message goes on where the far ones are. What is after the newest goes on there, unless they are ahead.
+  bool agrees_with_far(TimeNs stamp_ns, const StampLimits& limits) const {
+    if (far_.empty() || (far_.front().t_ns < newest_->t_ns && stamp_ns >= newest_->t_ns)) return false;
+    const TimeNs step_ns = stamp_ns - far_.back().t_ns;
+    return limits.repeats_agree ? step_ns >= -limits.back_ns : step_ns > 0 && step_ns <= limits.step_ns;
+  }
+
+  void judge(const Message& message, const StampLimits& limits, Ruling* ruling) {
+    if (agrees_with_far(message.t_ns, limits)) return hold_far(message, limits, ruling);
+    switch (fit_of(message.t_ns, limits)) {
+      case Fit::NEXT:
+        refuse(&far_, Misfit::FAR, ruling);
+        refuse(&late_, Misfit::LATE, ruling);
+        return take(message, ruling);
+      case Fit::REPEATED:
+        refuse(&far_, Misfit::FAR, ruling);
+        ruling->refused.push_back({message, Misfit::REPEATED});
+        return;
+      case Fit::LATE:
+        refuse(&far_, Misfit::FAR, ruling);
+        return hold_late(message, limits, ruling);
+      case Fit::BACK:
+      case Fit::AHEAD:
+        break;
+    }
+    if (limits.late_believed == StampLimits::kNever) refuse(&late_, Misfit::LATE, ruling);
+    const TimeNs step_ns = far_.empty() ? 0 : message.t_ns - far_.back().t_ns;
+    if (!far_.empty() && step_ns <= 0 && step_ns >= -limits.back_ns) {  // late among the far ones
+      ruling->refused.push_back({message, step_ns == 0 ? Misfit::REPEATED : Misfit::LATE});
+      return;
+    }
+    refuse(&far_, Misfit::FAR, ruling);
+    hold_far(message, limits, ruling);
+  }
+
+  void hold_far(const Message& message, const StampLimits& limits, Ruling* ruling) {
+    const TimeNs first_ns = far_.empty() ? message.t_ns : far_.front().t_ns;
+    const bool ahead = first_ns > newest_->t_ns;
+    const std::size_t count = far_.size() + 1;
+    if (newest_is_wrong(first_ns, count, limits, ruling) ||
+        count >= (ahead ? limits.ahead_believed : limits.back_believed)) {
+      if (!ahead && !ruling->newest_refused) reset(first_ns, ruling);
+      believe(&far_, message, limits, ruling);
+    } else {
+      far_.push_back(message);
+    }
+  }
+
+  void hold_late(const Message& message, const StampLimits& limits, Ruling* ruling) {
+    if (!late_.empty() && message.t_ns <= late_.back().t_ns) refuse(&late_, Misfit::LATE, ruling);
+    const TimeNs first_ns = late_.empty() ? message.t_ns : late_.front().t_ns;
+    const std::size_t count = late_.size() + 1;
+    if (newest_is_wrong(first_ns, count, limits, ruling)) {
+      believe(&late_, message, limits, ruling);
+    } else if (count >= limits.late_believed) {
+      reset(first_ns, ruling);
+      believe(&late_, message, limits, ruling);
+    } else {
+      if (limits.late_believed == StampLimits::kNever) refuse(&late_, Misfit::LATE, ruling);
+      late_.push_back(message);
+    }
+  }
+
+  /// Gives the newest back when `count` messages from first_ns on come between it and the one before it.
+  bool newest_is_wrong(TimeNs first_ns, std::size_t count, const StampLimits& limits, Ruling* ruling) {
+    if (count < limits.newest_disbelieved || !before_newest_ || first_ns <= before_newest_->t_ns) return false;
+    ruling->newest_refused = true;
+    ruling->refused.push_back({*newest_, Misfit::AHEAD});
+    newest_ = std::exchange(before_newest_, std::nullopt);
+    return true;
+  }
+
+  void reset(TimeNs to_ns, Ruling* ruling) {
+    ruling->reset = typename Ruling::Reset{newest_->t_ns, to_ns};
+    newest_.reset();
+    before_newest_.reset();
+  }
+
+  /// Those that were held are right; so is the message, if it fits them.
+  void believe(std::vector<Message>* held, const Message& message, const StampLimits& limits, Ruling* ruling) {
+    const std::vector<Message> right = std::exchange(*held, {});
+    if (right.empty()) return take(message, ruling);
+    for (const Message& each : right) take(each, ruling);
+    judge(message, limits, ruling);
+  }
+
+  void take(const Message& message, Ruling* ruling) {
+    before_newest_ = std::exchange(newest_, message);
+    ruling->taken.push_back(message);
+  }
+  void refuse(std::vector<Message>* held, Misfit why, Ruling* ruling) {
+    for (Message& each : *held) ruling->refused.push_back({std::move(each), why});
+    held->clear();
+  }
+
+  std::optional<Message> newest_, before_newest_;  // that were taken since the last reset
+  std::vector<Message> far_;                       // held: in a row, agreeing with each other
+  std::vector<Message> late_;                      // held: in order among themselves
+};
+
+}  // namespace gyro_deblur

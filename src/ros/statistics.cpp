@@ -1,0 +1,19 @@
+#include "ros/statistics.hpp"
+
+namespace gyro_deblur {
+
+void OutputStatistics::count(const FrameOutput& output) {
+  ++frames_out;
+  if (output.reason != PassThroughReason::NONE) ++passed_through[output.reason];
+  if (output.field) {
+    for (const BlockBlur& block : output.field->blocks) ++blocks[block.status];
+  }
+  for (const auto& [reason, number] : output.slow_blocks) slow_blocks[reason] += number;
+  if (output.translated) ++frames_translated;
+  if (!output.translation_text.empty()) {
+    ++frames_not_translated;
+    translation_text = output.translation_text;
+  }
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,40 @@
+// Counters since the start.
+#pragma once
+
+#include <cstddef>
+#include <map>
+#include <optional>
+#include <string>
+
+#include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/time.hpp"
+#include "ros/gyro_source.hpp"
+#include "ros/intake.hpp"
+#include "ros/pass_through.hpp"
+#include "ros/processing.hpp"
+
+namespace gyro_deblur {
+
+/// What has left.
+struct OutputStatistics {
+  std::size_t frames_out = 0;
+  std::map<PassThroughReason, std::size_t> passed_through;
+  std::map<BlockStatus, std::size_t> blocks;       ///< of the frames that were not passed through
+  std::map<std::string, std::size_t> slow_blocks;  ///< that left the engine's fast path, by reason
+  std::size_t frames_translated = 0;               ///< whose blur field has the odometry's translation
+  std::size_t frames_not_translated = 0;           ///< without, though an odometry is there
+  std::string translation_text;                    ///< why the newest of those is without
+
+  void count(const FrameOutput& output);
+};
+
+/// Of a processor; those of the IMU are since the start of its source.
+struct ProcessorStatistics : ImuStatistics, IntakeStatistics, OutputStatistics {
+  std::size_t waiting = 0;              ///< frames that have not left
+  std::optional<TimeNs> newest_imu_ns;  ///< IMU clock
+  TimeRange gyro_available;             ///< IMU clock
+  std::string engine;                   ///< empty while the configuration cannot be used
+  std::string configuration_error;      ///< empty when it can
+};
+
+}  // namespace gyro_deblur

@@ -1,0 +1,48 @@
+#include "ros/tf_conversion.hpp"
+
+#include <tf2/exceptions.h>
+
+namespace gyro_deblur {
+namespace {
+
+/// Old drivers write a leading slash, which tf2 does not take.
+std::string tf2_name(const std::string& frame_id) {
+  return !frame_id.empty() && frame_id.front() == '/' ? frame_id.substr(1) : frame_id;
+}
+
+}  // namespace
+
+void add_transforms(const tf2_msgs::TFMessage& message, tf2::BufferCore* buffer) {
+  constexpr bool kStatic = true;  // tf keeps one transform then, and looks at no stamps
+  for (const geometry_msgs::TransformStamped& transform : message.transforms) {
+    buffer->setTransform(transform, "gyro_deblur", kStatic);
+  }
+}
+
+std::optional<Eigen::Matrix3d> lookup_R_cam_imu(const tf2::BufferCore& buffer, const std::string& camera_frame_id,
+                                                const std::string& imu_frame_id) {
+  const std::optional<Eigen::Isometry3d> T_cam_imu = lookup_T_cam_body(buffer, camera_frame_id, imu_frame_id);
+  if (!T_cam_imu) return std::nullopt;
+  return T_cam_imu->linear();
+}
+
+std::optional<Eigen::Isometry3d> lookup_T_cam_body(const tf2::BufferCore& buffer, const std::string& camera_frame_id,
+                                                   const std::string& body_frame_id) {
+  const std::string camera_frame = tf2_name(camera_frame_id);
+  const std::string body_frame = tf2_name(body_frame_id);
+  if (camera_frame.empty() || body_frame.empty()) return std::nullopt;
+  try {
+    if (!buffer.canTransform(camera_frame, body_frame, ros::Time(0))) return std::nullopt;
+    const auto transform = buffer.lookupTransform(camera_frame, body_frame, ros::Time(0));
+    const auto& q = transform.transform.rotation;
+    const auto& p = transform.transform.translation;
+    Eigen::Isometry3d T_cam_body = Eigen::Isometry3d::Identity();
+    T_cam_body.linear() = Eigen::Quaterniond(q.w, q.x, q.y, q.z).normalized().toRotationMatrix();
+    T_cam_body.translation() = Eigen::Vector3d(p.x, p.y, p.z);
+    return T_cam_body;
+  } catch (const tf2::TransformException&) {
+    return std::nullopt;  // went away between the two calls, or a frame name that tf refuses
+  }
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,30 @@
+// Times, vectors and samples of messages, and how they are written.
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include <ros/time.h>
+#include <sensor_msgs/Imu.h>
+#include <Eigen/Core>
+
+#include "gyro_deblur/gyro_buffer.hpp"
+#include "gyro_deblur/time.hpp"
+
+namespace gyro_deblur {
+
+/// Nanoseconds of a stamp; to_ros_time clamps to what ros::Time can hold (0 to 2^32 - 1 s).
+TimeNs to_time_ns(const ros::Time& time);
+ros::Time to_ros_time(TimeNs time_ns);
+
+/// Seconds with all nine digits: doubles have too few for stamps.
+std::string seconds_text(TimeNs time_ns);
+std::string vector_text(const Eigen::Vector3d& v);
+/// "640x480".
+std::string size_text(double width, double height);
+
+/// Body rate and stamp of an IMU message; nothing when its covariance says that it has no gyroscope
+/// (sensor_msgs/Imu: first element -1).
+std::optional<GyroSample> to_gyro_sample(const sensor_msgs::Imu& imu);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,41 @@
+// Which topics deblur_bag reads and writes.
+#pragma once
+
+#include <set>
+#include <string>
+
+#include "gyro_deblur/config.hpp"
+#include "tools/bag_file.hpp"
+
+namespace gyro_deblur {
+
+/// What the user named; the empty ones are looked for.
+struct NamedTopics {
+  std::string camera_namespace;  ///< stands for the images on NAMESPACE/image_raw
+  std::string image, camera_info, imu, exposure;
+  std::string odometry, scene_depth;  ///< empty: none
+  std::string output_namespace;
+};
+
+/// Of what becomes of the images, in one namespace.
+struct OutputTopics {
+  explicit OutputTopics(const std::string& name_space);
+  std::set<std::string> all() const;
+
+  std::string image, camera_info, keypoints, blur_field, overlay, markers, tracks;
+};
+
+struct DeblurTopics {
+  std::string image, imu;
+  bool compressed = false;                                   ///< the images are
+  std::string camera_info, exposure, odometry, scene_depth;  ///< empty: none
+  std::string output_namespace;
+};
+
+/// Exposure times are read from messages of another type than the package's.
+bool reads_driver_messages(const Config& config);
+
+/// Throws std::runtime_error that names the bag, and lists its topics.
+DeblurTopics choose_topics(const InputBag& input, const NamedTopics& named, const Config& config);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,169 @@
+#include "tools/timing_footage.hpp"
+
+#include <algorithm>
+#include <map>
+#include <stdexcept>
+#include <utility>
+
+#include <rosbag/view.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/Imu.h>
+#include <tf2/buffer_core.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include "calibrate/frame_tracker.hpp"
+#include "ros/conversions.hpp"
+#include "ros/messages.hpp"
+#include "tools/bag_reading.hpp"
+#include "tools/progress.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// Exposure times of the whole bag, by stamp.
+std::map<TimeNs, Exposure> read_exposures(const rosbag::Bag& bag, const std::string& topic) {
+  std::map<TimeNs, Exposure> exposures;
+  if (topic.empty()) return exposures;
+  for_each_message<Exposure>(bag, {topic}, [&exposures](const Exposure& message) {
+    exposures[to_time_ns(message.header.stamp)] = message;
+    return true;
+  });
+  return exposures;
+}
+
+std::vector<GyroSample> read_gyro(const rosbag::Bag& bag, const std::string& topic, std::string* frame) {
+  std::vector<GyroSample> samples;
+  for_each_message<sensor_msgs::Imu>(bag, {topic}, [&](const sensor_msgs::Imu& imu) {
+    const std::optional<GyroSample> sample = to_gyro_sample(imu);
+    if (!sample || !sample->rate_rad_s.allFinite()) return true;
+    *frame = imu.header.frame_id;
+    samples.push_back(*sample);
+    return true;
+  });
+  // Messages of a bag are in the order of their arrival.
+  const auto earlier = [](const GyroSample& a, const GyroSample& b) { return a.t_ns < b.t_ns; };
+  std::stable_sort(samples.begin(), samples.end(), earlier);
+  samples.erase(std::unique(samples.begin(), samples.end(),
+                            [](const GyroSample& a, const GyroSample& b) { return a.t_ns == b.t_ns; }),
+                samples.end());
+  return samples;
+}
+
+/// Camera of the images, and the part of the sensor's readout that they take.
+void read_camera(const rosbag::Bag& bag, const sensor_msgs::Image& image, const FootageTopics& topics,
+                 const Config& config, Footage* footage) {
+  const int width = static_cast<int>(image.width), height = static_cast<int>(image.height);
+  const bool from_file = config.calibration && config.calibration->camera && !config.rectified_input;
+  sensor_msgs::CameraInfo info;
+  if (from_file) info = camera_info_message(*config.calibration->camera);
+  if (!topics.camera_info.empty()) {
+    rosbag::View view(bag, rosbag::TopicQuery(topics.camera_info));
+    const auto first = view.size() == 0 ? nullptr : read_message<sensor_msgs::CameraInfo>(*view.begin());
+    if (first && !from_file) info = *first;
+    if (first && from_file) {
+      info.roi = first->roi;
+      info.binning_x = first->binning_x;
+      info.binning_y = first->binning_y;
+    }
+  }
+  footage->camera = to_calibration(info, width, height, config.rectified_input);
+  constexpr TimeNs kWhole = 1'000'000'000;
+  footage->readout_part = to_seconds(region_readout_ns(kWhole, info)) / to_seconds(kWhole);
+}
+
+/// Follows points from image to image.
+class PairCollector {
+ public:
+  PairCollector(const std::map<TimeNs, Exposure>& exposures, TimeNs configured_exposure_ns,
+                const FrameTrackerOptions& tracker, Footage* footage)
+      : exposures_(exposures), configured_exposure_ns_(configured_exposure_ns), tracker_(tracker), footage_(footage) {}
+
+  void add(TimeNs stamp_ns, const ImageView& pixels) {
+    const FrameTime now{stamp_ns, exposure_of(stamp_ns)};
+    if (now.exposure_ns == 0) ++footage_->without_exposure;
+    std::vector<PointPair> points = tracker_.next(luminance8(pixels.image, pixels.layout));
+    // Across lost frames the motion is too large to be followed.
+    constexpr TimeNs kLongestStep = 250'000'000;
+    if (last_ && now.stamp_ns > last_->stamp_ns && now.stamp_ns - last_->stamp_ns <= kLongestStep) {
+      footage_->pairs.push_back({*last_, now, std::move(points)});
+    }
+    last_ = now;
+    footage_->period.add(now.stamp_ns);
+    ++footage_->frames;
+  }
+
+ private:
+  TimeNs exposure_of(TimeNs stamp_ns) {
+    const auto exposure = exposures_.find(stamp_ns);
+    if (exposure == exposures_.end()) return configured_exposure_ns_;
+    if (!exposure->second.readout_time.isZero()) {
+      footage_->message_readout_ns = exposure->second.readout_time.toNSec();
+    }
+    return exposure->second.exposure_time.toNSec();
+  }
+
+  const std::map<TimeNs, Exposure>& exposures_;
+  TimeNs configured_exposure_ns_;
+  FrameTracker tracker_;
+  std::optional<FrameTime> last_;
+  Footage* footage_;
+};
+
+std::optional<Eigen::Matrix3d> extrinsic_of(const rosbag::Bag& bag, const std::string& camera_frame,
+                                            const std::string& imu_frame) {
+  tf2::BufferCore tf_buffer;
+  for_each_message<tf2_msgs::TFMessage>(bag, {"/tf", "/tf_static"}, [&tf_buffer](const tf2_msgs::TFMessage& message) {
+    add_transforms(message, &tf_buffer);
+    return true;
+  });
+  return lookup_R_cam_imu(tf_buffer, camera_frame, imu_frame);
+}
+
+}  // namespace
+
+FootageTopics choose_topics(const InputBag& input, const FootageTopics& named, const Config& config) {
+  FootageTopics chosen;
+  chosen.image = input.choose_topic<sensor_msgs::Image>("images", named.image, "", true);
+  const std::string beside = parent_namespace(chosen.image);
+  const bool info_required = !config.calibration || !config.calibration->camera;
+  chosen.camera_info = input.choose_topic<sensor_msgs::CameraInfo>("camera_info", named.camera_info,
+                                                                   beside + "/camera_info", info_required);
+  chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", true);
+  chosen.exposure = input.choose_topic<Exposure>("exposure", named.exposure, beside + "/exposure", false);
+  return chosen;
+}
+
+Footage read_footage(const InputBag& input, const FootageTopics& topics, const FootageOptions& options,
+                     const Config& config) {
+  const rosbag::Bag& bag = input.bag();
+  Footage footage;
+  std::string imu_frame, camera_frame;
+  footage.samples = read_gyro(bag, topics.imu, &imu_frame);
+  const std::map<TimeNs, Exposure> exposures = read_exposures(bag, topics.exposure);
+
+  rosbag::View whole(bag);
+  const ros::Time begin = whole.getBeginTime() + ros::Duration(options.start_s);
+  const ros::Time end = options.end_s ? whole.getBeginTime() + ros::Duration(*options.end_s) : ros::TIME_MAX;
+  rosbag::View view(bag, rosbag::TopicQuery(topics.image), begin, end);
+  Progress progress(view.size(), "images", options.quiet);
+  FrameTrackerOptions tracker;
+  tracker.max_points = options.points;
+  PairCollector collector(exposures, config.shutter.exposure_ns, tracker, &footage);
+  for (const rosbag::MessageInstance& instance : view) {
+    const auto image = read_message<sensor_msgs::Image>(instance);
+    if (!image) continue;
+    const ImageView pixels = view_image(*image);
+    if (footage.frames == 0) {
+      read_camera(bag, *image, topics, config, &footage);
+      camera_frame = image->header.frame_id;
+    }
+    collector.add(to_time_ns(image->header.stamp), pixels);
+    progress.done(footage.frames);
+  }
+  if (footage.frames == 0) throw std::runtime_error("no image on " + topics.image);
+  footage.R_cam_imu = extrinsic_of(bag, camera_frame, imu_frame);
+  return footage;
+}
+
+}  // namespace gyro_deblur

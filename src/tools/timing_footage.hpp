@@ -1,0 +1,52 @@
+// What a bag holds that the estimation of timing needs.
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "calibrate/timing_calibration.hpp"
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/config.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "tools/bag_file.hpp"
+
+namespace gyro_deblur {
+
+struct FootageTopics {
+  std::string image, imu;
+  std::string camera_info, exposure;  ///< empty: none
+};
+
+struct FootageOptions {
+  double start_s = 0;           ///< of the images, since the bag's first message
+  std::optional<double> end_s;  ///< absent: the bag's end
+  int points = 100;             ///< tracked in each pair of images
+  bool quiet = false;           ///< no progress
+};
+
+struct Footage {
+  CameraCalibration camera;
+  double readout_part = 1;  ///< of the sensor's readout that the image's region of interest takes
+  std::vector<FramePair> pairs;
+  std::vector<GyroSample> samples;
+  std::optional<Eigen::Matrix3d> R_cam_imu;  ///< of tf
+  std::size_t frames = 0;
+  std::size_t without_exposure = 0;
+  std::optional<TimeNs> message_readout_ns;  ///< of exposure messages
+  FramePeriod period;
+};
+
+/// @param named  what the user named; the empty ones are looked for
+/// Throws std::runtime_error that lists the bag's topics.
+FootageTopics choose_topics(const InputBag& input, const FootageTopics& named, const Config& config);
+
+/// Throws std::runtime_error for messages that cannot be read and bags without images, OptionError for a camera that is
+/// not calibrated, FrameError for an image that cannot be used.
+Footage read_footage(const InputBag& input, const FootageTopics& topics, const FootageOptions& options,
+                     const Config& config);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,20 @@
+// What the command-line tools have in common: arguments, errors, exit codes.
+#pragma once
+
+#include <functional>
+
+#include <CLI/CLI.hpp>
+
+namespace gyro_deblur {
+
+/// Bad input and bad usage can be told apart in scripts.
+enum ExitCode { SUCCESS = 0, BAD_INPUT = 1, BAD_USAGE = 2 };
+
+/// Parses the arguments, then runs the tool.
+/// @param app  with the tool's name and options
+/// @param run  throws std::exception when it cannot do what it is asked for; called at most once
+/// @return for main: SUCCESS, also of --help; BAD_USAGE with what is wrong on stderr; BAD_INPUT with one line
+///     "TOOL: what()" on stderr
+int run_tool(CLI::App& app, int argc, char** argv, const std::function<void()>& run);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,144 @@
+#include "ros/diagnostics.hpp"
+
+#include <chrono>
+#include <map>
+#include <string>
+#include <utility>
+
+#include <gtest/gtest.h>
+
+namespace gyro_deblur {
+namespace {
+
+using diagnostic_msgs::DiagnosticStatus;
+
+class DiagnosticReportTest : public testing::Test {
+ protected:
+  DiagnosticReportTest() { report_.start({}, time_); }
+
+  /// The values of the report after `seconds` more.
+  std::map<std::string, std::string> fill(double seconds = 1) {
+    time_ += std::chrono::duration_cast<std::chrono::steady_clock::duration>(std::chrono::duration<double>(seconds));
+    diagnostic_updater::DiagnosticStatusWrapper status;
+    report_.fill({statistics_, 2, node_ns_, time_}, &status);
+    level_ = status.level;
+    summary_ = status.message;
+    std::map<std::string, std::string> values;
+    for (const auto& value : status.values) EXPECT_TRUE(values.emplace(value.key, value.value).second) << value.key;
+    return values;
+  }
+
+  DiagnosticReport report_;
+  DiagnosticReport::Time time_;
+  TimeNs node_ns_ = 0;
+  ProcessorStatistics statistics_;
+  int level_ = -1;
+  std::string summary_;
+};
+
+TEST_F(DiagnosticReportTest, RatesAreThoseSinceTheReportBefore) {
+  statistics_.frames_in = 100;
+  statistics_.frames_out = 80;
+  statistics_.imu_accepted = 400;
+  auto values = fill(2);
+  EXPECT_EQ(values["input rate [Hz]"], "50.0");
+  EXPECT_EQ(values["output rate [Hz]"], "40.0");
+  EXPECT_EQ(values["gyroscope rate [Hz]"], "200.0");
+  statistics_.frames_in += 30;
+  values = fill(1);
+  EXPECT_EQ(values["input rate [Hz]"], "30.0");
+  EXPECT_EQ(values["output rate [Hz]"], "0.0");
+  EXPECT_EQ(values["frames in"], "130");
+  EXPECT_EQ(values["cameras on this gyroscope"], "2");
+  EXPECT_EQ(level_, DiagnosticStatus::OK);
+  EXPECT_EQ(summary_, "running");
+}
+
+TEST_F(DiagnosticReportTest, FramesThatPassThroughWarnOnceWithARemedy) {
+  statistics_.passed_through[PassThroughReason::NO_GYRO] = 3;
+  auto values = fill();
+  EXPECT_EQ(values["passed through, NO_GYRO"], "3");
+  EXPECT_EQ(level_, DiagnosticStatus::WARN);
+  EXPECT_NE(summary_.find("3 frames passed through: NO_GYRO; check that the IMU publishes"), std::string::npos)
+      << summary_;
+  values = fill();
+  EXPECT_EQ(values["passed through, NO_GYRO"], "3");
+  EXPECT_EQ(level_, DiagnosticStatus::OK) << "none since";
+}
+
+TEST_F(DiagnosticReportTest, MostlyRejectedBlocksWarn) {
+  statistics_.blocks = {{BlockStatus::DEBLURRED, 50}, {BlockStatus::REJECTED, 50}};
+  EXPECT_EQ(fill()["blocks, REJECTED"], "50");
+  EXPECT_EQ(level_, DiagnosticStatus::OK) << "half of them";
+  statistics_.blocks = {{BlockStatus::DEBLURRED, 60}, {BlockStatus::REJECTED, 61}};
+  fill();
+  EXPECT_EQ(level_, DiagnosticStatus::WARN);
+  EXPECT_NE(summary_.find("11 of 21 blurred blocks rejected"), std::string::npos) << summary_;
+}
+
+TEST_F(DiagnosticReportTest, BlocksThatLeftTheFastPathAreCountedByReason) {
+  EXPECT_EQ(fill().count("blocks on the float engine, gain"), 0u);
+  statistics_.slow_blocks = {{"gain", 7}, {"length", 2}};
+  auto values = fill();
+  EXPECT_EQ(values["blocks on the float engine, gain"], "7");
+  EXPECT_EQ(values["blocks on the float engine, length"], "2");
+}
+
+TEST_F(DiagnosticReportTest, ConfigurationThatCannotBeUsedIsAnError) {
+  statistics_.configuration_error = "gamma = -1 is outside [1e-05, 1]";
+  EXPECT_EQ(fill()["engine"], "none");
+  EXPECT_EQ(level_, DiagnosticStatus::ERROR);
+  EXPECT_EQ(summary_, "gamma = -1 is outside [1e-05, 1]");
+}
+
+TEST_F(DiagnosticReportTest, GyroscopeBufferAndItsAge) {
+  EXPECT_EQ(fill()["gyroscope buffer [s]"], "empty");
+  node_ns_ = 12'500'000'000;
+  statistics_.newest_imu_ns = 12'000'000'000;
+  statistics_.gyro_available = {10'000'000'000, 12'000'000'000};
+  auto values = fill();
+  EXPECT_EQ(values["gyroscope buffer [s]"], "2.000");
+  EXPECT_EQ(values["gyroscope age [s]"], "0.500");
+}
+
+TEST_F(DiagnosticReportTest, TimesAreThoseOfThePeriod) {
+  FrameOutput output;
+  output.waiting_ms = 10;
+  output.total_ms = 4;
+  report_.add(output);  // passed through: no stage ran
+  output.waiting_ms = 30;
+  output.field.emplace();
+  output.stages.deconvolution_ms = 2.5;
+  report_.add(output);
+  auto values = fill();
+  EXPECT_EQ(values["waiting mean [ms]"], "20.00");
+  EXPECT_EQ(values["waiting max [ms]"], "30.00");
+  EXPECT_EQ(values["deconvolution mean [ms]"], "2.50");
+  EXPECT_EQ(values.count("tracks mean [ms]"), 0u);
+  EXPECT_EQ(fill().count("waiting mean [ms]"), 0u);
+}
+
+TEST_F(DiagnosticReportTest, TranslationIsToldOfWhereThereIsOdometry) {
+  EXPECT_EQ(fill().count("frames with translation"), 0u);
+  statistics_.frames_not_translated = 2;
+  statistics_.translation_text = "no depth of the scene";
+  auto values = fill();
+  EXPECT_EQ(values["frames with translation"], "0");
+  EXPECT_EQ(values["why without translation"], "no depth of the scene");
+}
+
+TEST(OutputStatistics, AddsUpWhatLeaves) {
+  OutputStatistics statistics;
+  FrameOutput output;
+  output.slow_blocks = {{"gain", 3}};
+  statistics.count(output);
+  output.slow_blocks = {{"gain", 2}, {"length", 1}};
+  output.reason = PassThroughReason::NO_GYRO;
+  statistics.count(output);
+  EXPECT_EQ(statistics.frames_out, 2u);
+  EXPECT_EQ(statistics.passed_through, (std::map<PassThroughReason, std::size_t>{{PassThroughReason::NO_GYRO, 1}}));
+  EXPECT_EQ(statistics.slow_blocks, (std::map<std::string, std::size_t>{{"gain", 5}, {"length", 1}}));
+}
+
+}  // namespace
+}  // namespace gyro_deblur

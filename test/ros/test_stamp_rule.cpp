@@ -1,0 +1,201 @@
+#include "ros/stamp_rule.hpp"
+
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace gyro_deblur {
+namespace {
+
+struct Message {
+  TimeNs t_ns;
+};
+
+constexpr TimeNs kGap = 50, kJump = 500;
+
+/// What became of the messages of a stream.
+struct Log {
+  std::vector<TimeNs> taken;  ///< since the last reset, less what was given back
+  std::vector<std::pair<TimeNs, Misfit>> refused;
+  std::vector<std::pair<TimeNs, TimeNs>> resets;
+};
+
+class Feed {
+ public:
+  explicit Feed(const StampLimits& limits) : limits_(limits) {}
+  Feed& operator()(const std::vector<TimeNs>& stamps) {
+    for (const TimeNs stamp_ns : stamps) {
+      const auto ruling = rule_.add({stamp_ns}, limits_);
+      if (ruling.newest_refused) log_.taken.pop_back();
+      if (ruling.reset) {
+        log_.resets.emplace_back(ruling.reset->from_ns, ruling.reset->to_ns);
+        log_.taken.clear();
+      }
+      for (const Message& each : ruling.taken) log_.taken.push_back(each.t_ns);
+      for (const auto& each : ruling.refused) log_.refused.emplace_back(each.message.t_ns, each.why);
+      EXPECT_EQ(rule_.newest_ns(), log_.taken.back());
+    }
+    return *this;
+  }
+  /// Each from `first` on, `count` of them.
+  Feed& steps(TimeNs first_ns, TimeNs period_ns, int count) {
+    for (int i = 0; i < count; ++i) (*this)({first_ns + i * period_ns});
+    return *this;
+  }
+  const Log& log() const { return log_; }
+  StampRule<Message>& rule() { return rule_; }
+
+ private:
+  StampLimits limits_;
+  StampRule<Message> rule_;
+  Log log_;
+};
+
+using Stamps = std::vector<TimeNs>;
+using Refused = std::vector<std::pair<TimeNs, Misfit>>;
+using Resets = std::vector<std::pair<TimeNs, TimeNs>>;
+
+StampLimits imu() { return imu_stamps(kGap, kJump); }
+StampLimits watched() { return watched_stamps(kJump); }
+StampLimits translation() { return translation_stamps(kJump); }
+
+TEST(StampRule, TakesWhatFits) {
+  for (const StampLimits& limits : {imu(), watched(), translation()}) {
+    Feed feed(limits);
+    EXPECT_EQ(feed.rule().newest_ns(), std::nullopt);
+    feed({1000, 1001, 1050, 1100});
+    EXPECT_EQ(feed.log().taken, (Stamps{1000, 1001, 1050, 1100}));
+    EXPECT_TRUE(feed.log().refused.empty());
+    EXPECT_TRUE(feed.log().resets.empty());
+  }
+}
+
+TEST(StampRule, RefusesRepeatsAndLateOnesOnceTheNextShowsIt) {
+  for (const StampLimits& limits : {imu(), watched(), translation()}) {
+    Feed feed(limits);
+    feed({1000, 1030, 1030});
+    EXPECT_EQ(feed.log().refused, (Refused{{1030, Misfit::REPEATED}}));
+    feed({980});
+    EXPECT_EQ(feed.log().refused.size(), 1u) << "it may be the first after a reset";
+    feed({1040});
+    EXPECT_EQ(feed.log().refused.back(), std::make_pair(TimeNs{980}, Misfit::LATE));
+    EXPECT_EQ(feed.log().taken, (Stamps{1000, 1030, 1040}));
+  }
+}
+
+TEST(StampRule, AStrayStampCostsOneMessageAlone) {
+  for (const TimeNs stray_ns : {TimeNs{90'000}, TimeNs{1'100}, TimeNs{0}}) {
+    Feed feed(imu());
+    feed({1000, 1010, stray_ns, 1020, 1030});
+    EXPECT_EQ(feed.log().taken, (Stamps{1000, 1010, 1020, 1030}));
+    EXPECT_EQ(feed.log().refused, (Refused{{stray_ns, Misfit::FAR}}));
+    EXPECT_TRUE(feed.log().resets.empty());
+  }
+}
+
+TEST(StampRule, ImuBelievesFiveFarOnesInARow) {
+  for (const TimeNs first_ns : {TimeNs{90'000}, TimeNs{0}}) {
+    Feed feed(imu());
+    feed({1000, 1010}).steps(first_ns, 10, 4);
+    EXPECT_EQ(feed.log().taken, (Stamps{1000, 1010}));
+    feed.steps(first_ns + 40, 10, 1);
+    const Resets back = {{1010, first_ns}};
+    EXPECT_EQ(feed.log().resets, first_ns < 1000 ? back : Resets{}) << "one that was silent was not set back";
+    EXPECT_EQ(feed.log().taken.size(), first_ns < 1000 ? 5u : 7u);
+    EXPECT_TRUE(feed.log().refused.empty());
+  }
+}
+
+TEST(StampRule, FarOnesHaveToAgreeWithEachOther) {
+  Feed feed(imu());
+  feed({1000}).steps(90'000, 10, 4)({90'030 + kGap + 1}).steps(95'000, 10, 4)({1010});
+  EXPECT_EQ(feed.log().taken, (Stamps{1000, 1010}));
+  EXPECT_EQ(feed.log().refused.size(), 9u);
+  for (const auto& [stamp_ns, why] : feed.log().refused) EXPECT_EQ(why, Misfit::FAR) << stamp_ns;
+}
+
+TEST(StampRule, RepeatsAndLateOnesAmongTheFarOnesAreRefusedAlone) {
+  Feed feed(imu());
+  feed({1000, 90'000, 90'000, 90'010, 90'005, 90'020, 90'020, 90'030, 90'040});
+  EXPECT_EQ(feed.log().taken, (Stamps{1000, 90'000, 90'010, 90'020, 90'030, 90'040}));
+  EXPECT_EQ(feed.log().refused,
+            (Refused{{90'000, Misfit::REPEATED}, {90'005, Misfit::LATE}, {90'020, Misfit::REPEATED}}));
+}
+
+TEST(StampRule, ImuBelievesTenLateOnesInOrder) {
+  Feed feed(imu());
+  feed({1000}).steps(700, 10, 5)({720}).steps(730, 10, 8);
+  EXPECT_TRUE(feed.log().resets.empty()) << "the sixth was not in order";
+  feed({810});
+  EXPECT_EQ(feed.log().resets, (Resets{{1000, 720}}));
+  EXPECT_EQ(feed.log().taken.size(), 10u);
+  EXPECT_EQ(feed.log().refused.size(), 5u);
+}
+
+TEST(StampRule, AStrayStampDoesNotHideAReset) {
+  Feed feed(imu());
+  feed({1000}).steps(700, 10, 5)({90'000, 0}).steps(750, 10, 5);
+  EXPECT_EQ(feed.log().resets, (Resets{{1000, 700}}));
+  EXPECT_EQ(feed.log().taken.size(), 10u);
+}
+
+TEST(StampRule, WatchedStreamIsResetAtOnce) {
+  Feed feed(watched());
+  feed({1000, 1000 - kJump});
+  EXPECT_TRUE(feed.log().resets.empty());
+  feed({1000 - kJump - 1});
+  EXPECT_EQ(feed.log().resets, (Resets{{1000, 1000 - kJump - 1}}));
+  EXPECT_EQ(feed.log().taken, (Stamps{1000 - kJump - 1}));
+}
+
+TEST(StampRule, WatchedStreamIsBelievedAheadByItsSecondMessage) {
+  Feed feed(watched());
+  feed({1000, 90'000, 1010});
+  EXPECT_EQ(feed.log().taken, (Stamps{1000, 1010}));
+  feed({90'000, 90'000});
+  EXPECT_EQ(feed.log().taken, (Stamps{1000, 1010, 90'000})) << "the repeat is refused, but agrees";
+  EXPECT_TRUE(feed.log().resets.empty());
+}
+
+TEST(StampRule, SlowStreamIsOneMessageBehindAndCannotBeLedAstray) {
+  Feed feed(watched());
+  feed({0, 1000, 2000, 3000});
+  EXPECT_EQ(feed.log().taken, (Stamps{0, 1000, 2000}));
+  feed({90'000, 4000, 5000, 6000});
+  EXPECT_EQ(feed.log().taken, (Stamps{0, 1000, 2000, 3000, 4000, 5000}));
+  EXPECT_TRUE(feed.log().resets.empty());
+}
+
+TEST(StampRule, TranslationGivesTheNewestBackWhenTwoComeBeforeIt) {
+  Feed feed(translation());
+  feed({1000, 1100, 90'000, 1200});
+  EXPECT_EQ(feed.log().taken, (Stamps{1000, 1100, 90'000}));
+  feed({1300});
+  EXPECT_EQ(feed.log().taken, (Stamps{1000, 1100, 1200, 1300}));
+  EXPECT_EQ(feed.log().refused, (Refused{{90'000, Misfit::AHEAD}}));
+  EXPECT_TRUE(feed.log().resets.empty());
+}
+
+TEST(StampRule, TranslationIsResetByItsSecondMessageAndNotByLateOnes) {
+  Feed feed(translation());
+  feed({1000, 2000, 800, 900});
+  EXPECT_EQ(feed.log().resets, (Resets{{2000, 800}}));
+  EXPECT_EQ(feed.log().taken, (Stamps{800, 900}));
+  feed({1000, 750, 760, 770, 780, 1100});
+  EXPECT_EQ(feed.log().taken, (Stamps{800, 900, 1000, 1100}));
+  EXPECT_EQ(feed.log().resets.size(), 1u);
+}
+
+TEST(StampRule, RestartForgetsWhatCameBefore) {
+  Feed feed(watched());
+  feed({1000, 90'000});
+  feed.rule().restart({10});
+  EXPECT_EQ(feed.rule().newest_ns(), 10);
+  EXPECT_TRUE(feed.rule().add({20}, watched()).refused.empty());
+  EXPECT_EQ(feed.rule().newest_ns(), 20);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
