@@ -144,7 +144,7 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBan
                {baseline_of(name), std::string("float"), std::string("filter2d"), std::string("filter2d-float")}) {
             if (times_ms.count(other) != 0) record["speedup_over"][other] = median_ratio(times_ms[other], ms);
           }
-          const bool is_float = name.compare(0, 9, "float") == 0;
+          const bool is_float = name.compare(0, 5, "float") == 0;
           if (is_float || name.compare(0, 4, "cpu-") == 0) {
             const BlockKernels* kernels = is_float ? nullptr : find_block_kernels(name.c_str() + 4);
             const Work work = is_float ? work_of_float(grid) : work_of_cpu(grid, kernels->lanes);
@@ -158,7 +158,7 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBan
         std::printf("   speed-up");
         for (const std::string& name : arguments.engines) {
           const std::string base = baseline_of(name);
-          if (base == name || name.compare(0, 9, "float") == 0 || name.compare(0, 8, "filter2d") == 0) continue;
+          if (base == name || name.compare(0, 5, "float") == 0 || name.compare(0, 8, "filter2d") == 0) continue;
           if (times_ms.count(base) == 0) continue;
           std::printf("  %s %.1f", name.c_str(), median_ratio(times_ms[base], times_ms[name]));
           if (times_ms.count("filter2d") != 0 && times_ms.count("filter2d-float") != 0) {
