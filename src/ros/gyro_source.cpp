@@ -71,6 +71,7 @@ bool GyroSource::take(const GyroSample& sample) {
     ++statistics_.imu_accepted;
     if (is_saturated(taken, options_.gyro)) ++statistics_.imu_saturated;
   }
+  if (ruling.late) ++statistics_.imu_out_of_order;
   for (const auto& refused : ruling.refused) refuse(refused);
   return !ruling.taken.empty();
 }
@@ -82,8 +83,7 @@ void GyroSource::refuse(const StampRuling<GyroSample>::Refused& refused) {
       ++statistics_.imu_duplicate;
       log_(LogLevel::WARNING, "imu duplicate", "imu sample dropped: a second one with the stamp " + stamp_text + " s");
       break;
-    case Misfit::LATE:
-      ++statistics_.imu_out_of_order;
+    case Misfit::LATE:  // counted when it came
       log_(LogLevel::WARNING, "imu out of order",
            "imu sample dropped: its stamp " + stamp_text + " s is before that of the one before it");
       break;

@@ -23,8 +23,8 @@ struct ImuStatistics {
   std::size_t imu_accepted = 0;
   std::size_t imu_not_finite = 0;
   std::size_t imu_duplicate = 0;
-  std::size_t imu_out_of_order = 0;
-  std::size_t imu_stray = 0;  ///< stamp far from those around it
+  std::size_t imu_out_of_order = 0;  ///< came after a newer one
+  std::size_t imu_stray = 0;         ///< stamp far from those around it
   std::size_t imu_without_gyroscope = 0;
   std::size_t imu_saturated = 0;  ///< of those accepted
 };

@@ -41,7 +41,7 @@ enum class Misfit {
   AHEAD,     ///< ahead of those that came after it
 };
 
-/// What a message that has come decides. To be applied in this order.
+/// What a message that has come decides; to be applied in this order.
 template <typename Message>
 struct StampRuling {
   struct Refused {
@@ -51,6 +51,7 @@ struct StampRuling {
   struct Reset {
     TimeNs from_ns, to_ns;
   };
+  bool late = false;             ///< this message came after a newer one, whatever becomes of it
   bool newest_refused = false;   ///< the newest that was taken is among `refused`: its owner gives it back
   std::optional<Reset> reset;    ///< time was set back: all that was taken before is of another epoch
   std::vector<Message> taken;    ///< in order, and after all that was taken since the reset
@@ -127,6 +128,7 @@ class StampRule {
     if (limits.late_believed == StampLimits::kNever) refuse(&late_, Misfit::LATE, ruling);
     const TimeNs step_ns = far_.empty() ? 0 : message.t_ns - far_.back().t_ns;
     if (!far_.empty() && step_ns <= 0 && step_ns >= -limits.back_ns) {  // late among the far ones
+      ruling->late = step_ns < 0;
       ruling->refused.push_back({message, step_ns == 0 ? Misfit::REPEATED : Misfit::LATE});
       return;
     }
@@ -148,6 +150,7 @@ class StampRule {
   }
 
   void hold_late(const Message& message, const StampLimits& limits, Ruling* ruling) {
+    ruling->late = true;
     if (!late_.empty() && message.t_ns <= late_.back().t_ns) refuse(&late_, Misfit::LATE, ruling);
     const TimeNs first_ns = late_.empty() ? message.t_ns : late_.front().t_ns;
     const std::size_t count = late_.size() + 1;

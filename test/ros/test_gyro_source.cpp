@@ -134,6 +134,19 @@ TEST_F(GyroSourceTest, TellsWhetherAMessageIsOfUse) {
   }
 }
 
+TEST_F(GyroSourceTest, CountsWhatIsWrongWithStampsOnceEach) {
+  add(kStart, kStart + 20 * kMs);
+  source_->add(imu_message(kStart + 15 * kMs, 1));
+  EXPECT_EQ(source_->statistics().imu_out_of_order, 1u) << "whether or not another one comes";
+  source_->add(imu_message(kStart + 20 * kMs, 1));
+  source_->add(imu_message(kStart + 10 * kSecond, 1));
+  add(kStart + 25 * kMs, kStart + 30 * kMs);
+  EXPECT_EQ(source_->statistics().imu_out_of_order, 1u);
+  EXPECT_EQ(source_->statistics().imu_duplicate, 1u);
+  EXPECT_EQ(source_->statistics().imu_stray, 1u);
+  EXPECT_EQ(source_->statistics().imu_accepted, 7u);
+}
+
 TEST_F(GyroSourceTest, ReadersMayReadWhileItIsFed) {
   constexpr int kLoops = 20;
   std::thread imu([this] {

@@ -85,6 +85,16 @@ TEST(StampRule, RefusesRepeatsAndLateOnesOnceTheNextShowsIt) {
   }
 }
 
+TEST(StampRule, TellsOfLateOnesAtOnce) {
+  StampRule<Message> rule;
+  const auto is_late = [&rule](TimeNs stamp_ns) { return rule.add({stamp_ns}, imu()).late; };
+  for (const TimeNs stamp_ns : {1000, 1010, 1010, 90'000, 90'010, 90'010}) EXPECT_FALSE(is_late(stamp_ns)) << stamp_ns;
+  EXPECT_TRUE(is_late(90'005)) << "of those that are held";
+  EXPECT_TRUE(is_late(1005));
+  EXPECT_FALSE(is_late(1020));
+  EXPECT_FALSE(is_late(0)) << "far";
+}
+
 TEST(StampRule, AStrayStampCostsOneMessageAlone) {
   for (const TimeNs stray_ns : {TimeNs{90'000}, TimeNs{1'100}, TimeNs{0}}) {
     Feed feed(imu());
