@@ -106,12 +106,12 @@ def fidelity_tables(fidelity):
         rows = [[r["engine"], f"{r['extent_px']:g}", f"{r['parity_db']:.1f}",
                  f"{r['worst_parity_db']:.1f} ({r['worst_parity_at_deg']:.0f} deg)", f"{r['mean_loss_db']:+.3f}",
                  f"{r['worst_loss_db']:+.3f} ({r['worst_loss_at_deg']:.0f} deg)"] for r in fidelity["uniform"]]
-        parts.append(titled_table("Uniform fields over all angles, against the reference:", header, rows))
+        parts.append(titled_table("Uniform fields over all angles, against the float engine:", header, rows))
     if "roll" in fidelity:
         header = ["engine", "mean extent [px]", "parity [dB]", "worst image", "mean loss [dB]", "worst loss [dB]"]
         rows = [[r["engine"], f"{r['mean_extent_px']:g}", f"{r['parity_db']:.1f}", f"{r['worst_parity_db']:.1f}",
                  f"{r['mean_loss_db']:+.3f}", f"{r['worst_loss_db']:+.3f}"] for r in fidelity["roll"]]
-        parts.append(titled_table("Roll fields, against the reference:", header, rows))
+        parts.append(titled_table("Roll fields, against the float engine:", header, rows))
     if "seams" in fidelity:
         rows = [[r["engine"], f"{r['mean_extent_px']:g}", f"{r['mean']:.3f}", f"{r['largest']:.3f}"]
                 for r in fidelity["seams"]]

@@ -104,7 +104,7 @@ enum class RectifyTo { FIRST_ROW, MIDDLE_ROW, LAST_ROW, STAMP };
 /// Gyroscope intake.
 struct GyroOptions {
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< subtracted once, in RotationTrack
-  TimeNs time_offset_ns = 0;                             ///< t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu)
+  TimeNs time_offset_ns = 0;                             ///< t_imu = t_cam + time_offset
   TimeNs buffer_ns = 5'000'000'000;                      ///< how much is kept
   TimeNs max_gap_ns = 50'000'000;                        ///< a longer hole between samples is not integrated across
   /// What the sensor can measure on each axis, before the bias is subtracted; 0: not known. A sample

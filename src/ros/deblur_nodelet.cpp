@@ -184,7 +184,7 @@ std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
   std::optional<Config> config;
   try {
     config = parse_config(to_yaml(given_parameters_), &unknown);
-    NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (Kalibr's timeshift_cam_imu)",
+    NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (from Kalibr: see doc/guides/calibration.md)",
                  to_seconds(config->gyro.time_offset_ns));
     if (config->calibration) NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
     if (config->shutter.exposure_ns == 0) {

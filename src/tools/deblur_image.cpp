@@ -227,7 +227,7 @@ int main_of(int argc, char** argv) {
   extent->needs(angle)->excludes(field);
   app.add_option("--gamma", arguments.kernel.gamma, "noise-to-signal ratio of the Wiener filter")
       ->capture_default_str();
-  app.add_option("--engine", arguments.engine, "engine: auto, cpu, reference, opencl, opencl:INDEX, opencl:NAME")
+  app.add_option("--engine", arguments.engine, "engine: auto, cpu, float, opencl, opencl:INDEX, opencl:NAME")
       ->capture_default_str();
   app.add_option("--threads", arguments.threads, "of the engine; 0: as many as there are cores")->capture_default_str();
   app.add_option("--block-size", arguments.blur_field.block_size_px, "side of a block [px], even")

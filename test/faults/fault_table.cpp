@@ -265,7 +265,7 @@ int main_of(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
 
   try {
-    const Config config = load_config(config_path);
+    const Config config = load_known_config(config_path);
     const Recording recording(scene, seconds);
     Table table(recording, config, reloads);
     const double memory_before_mib = process_memory_mib();

@@ -12,6 +12,13 @@
 
 namespace gyro_deblur::test {
 
+Config load_known_config(const std::string& path) {
+  std::vector<std::string> unknown;
+  Config config = load_config(path, &unknown);
+  if (!unknown.empty()) throw OptionError(path + ": " + unknown_key_message(unknown.front()));
+  return config;
+}
+
 Stream stream_of(const Delivery& delivery) {
   constexpr Stream kStreamOfKind[] = {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE, Stream::CLOCK};
   return kStreamOfKind[delivery.message.index()];

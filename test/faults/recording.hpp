@@ -15,6 +15,7 @@
 #include <boost/make_shared.hpp>
 #include <boost/shared_ptr.hpp>
 
+#include "gyro_deblur/config.hpp"
 #include "gyro_deblur/time.hpp"
 #include "ros/messages.hpp"
 #include "ros/processor.hpp"
@@ -35,6 +36,10 @@ struct Delivery {
       message;
   std::size_t frame = 0;  ///< of the recording; for images
 };
+
+/// Throws OptionError also for a key that is not known: what is measured would be something else than what was asked
+/// for.
+Config load_known_config(const std::string& path);
 
 /// The stream that a delivery belongs to; CLOCK for actions.
 Stream stream_of(const Delivery& delivery);

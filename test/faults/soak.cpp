@@ -202,7 +202,7 @@ int main_of(int argc, char** argv) {
   try {
     cv::setNumThreads(1);  // all of a frame's processor time is the thread's that is measured
     const Recording recording(scene, 10);
-    const nlohmann::json report = soak(recording, load_config(config_path), seconds, window_s, quiet);
+    const nlohmann::json report = soak(recording, load_known_config(config_path), seconds, window_s, quiet);
     if (!json_path.empty()) {
       std::ofstream file(json_path);
       file << report.dump(1) << "\n";

@@ -19,7 +19,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 FRONT_END = ROOT / "launch" / "slam_front_end.launch"
 # Files that the page takes for granted in $HOME, and what stands for them here.
 USERS_FILES = {"my_camera.yaml": ROOT / "config" / "default.yaml", "my_camera1.yaml": ROOT / "config" / "default.yaml",
-               "camchain-imucam.yaml": ROOT / "test" / "unit" / "calibration" / "kalibr.yaml"}
+               "camchain-imucam.yaml": ROOT / "test" / "config" / "calibration" / "kalibr.yaml"}
 
 Need = collections.namedtuple("Need", "cameras feature_tracks odometry odometry_clock odometry_twist_frame")
 # What each stack publishes, and wants. Without a clock or frame the configuration decides, whose defaults are camera
