@@ -1,0 +1,421 @@
+#include "ros/assembly.hpp"
+
+#include <string>
+
+#include <gtest/gtest.h>
+
+#include "processor_test.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using namespace test;
+
+class FrameAssemblyTest : public ProcessorTest {};
+
+TEST_F(FrameAssemblyTest, FrameWaitsUntilTheGyroscopeCoversItsLastRow) {
+  add_imu(kStart - 50 * kMs, kStart + kFrameDuration - kImuPeriod);
+  add_frame(kStart);
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  EXPECT_EQ(processor_.waiting(), 1u);
+  add_imu(kStart + kFrameDuration, kStart + kFrameDuration);
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(processor_.waiting(), 0u);
+}
+
+TEST_F(FrameAssemblyTest, TimeOffsetMovesTheRangeThatIsNeeded) {
+  for (const TimeNs offset_ns : {100 * kMs, -100 * kMs}) {
+    outputs_.clear();
+    processor_.reset();
+    config_.gyro.time_offset_ns = offset_ns;
+    configure();
+    add_imu(kStart - 200 * kMs, kStart + kFrameDuration + offset_ns - kImuPeriod);
+    add_frame(kStart);
+    advance();
+    EXPECT_TRUE(outputs_.empty());
+    add_imu(kStart + kFrameDuration + offset_ns, kStart + kFrameDuration + offset_ns);
+    advance();
+    expect_deblurred(0);
+  }
+}
+
+TEST_F(FrameAssemblyTest, WithoutGyroscopeFramesPassThroughAfterTheTimeoutInOrder) {
+  add_frame(kStart);
+  now_ns_ += 33 * kMs;
+  add_frame(kStart + 33 * kMs);
+  now_ns_ = kStart + config_.gyro_timeout_ns - 1;
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  now_ns_ += 1;
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  now_ns_ += 33 * kMs;
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "there are none");
+  expect_passed_through(1, PassThroughReason::NO_GYRO, "there are none");
+  EXPECT_LT(outputs_[0].input->header.stamp, outputs_[1].input->header.stamp);
+  EXPECT_EQ(logged("NO_GYRO"), 1u) << "throttled";
+}
+
+Exposure exposure_message(TimeNs stamp_ns, TimeNs exposure_ns, TimeNs readout_ns = 0) {
+  Exposure exposure;
+  exposure.header.stamp = to_ros_time(stamp_ns);
+  exposure.exposure_time.fromNSec(exposure_ns);
+  exposure.readout_time.fromNSec(readout_ns);
+  return exposure;
+}
+
+TEST_F(FrameAssemblyTest, ExposureOfTheMessageGoesBeforeTheParameter) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_exposure(exposure_message(kStart, 20 * kMs));
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].field->exposure_ns, 20 * kMs);
+  EXPECT_EQ(outputs_[0].field->readout_ns, kReadout) << "0 in the message: as configured";
+  processor_.add_exposure(exposure_message(kStart + kMs, 20 * kMs, -10 * kMs));
+  add_frame(kStart + kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  EXPECT_EQ(outputs_[1].field->readout_ns, -10 * kMs);
+}
+
+TEST_F(FrameAssemblyTest, ExpectedExposureIsWaitedFor) {
+  exposure_expected_ = true;
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  processor_.add_exposure(exposure_message(kStart, 25 * kMs));
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].field->exposure_ns, 25 * kMs);
+
+  add_frame(kStart + kMs);
+  processor_.add_exposure(exposure_message(kStart + 2 * kMs, 25 * kMs));  // another image's
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u);
+  time_out();
+  ASSERT_EQ(outputs_.size(), 2u);
+  EXPECT_EQ(outputs_[1].field->exposure_ns, kExposure) << "the parameter, after the timeout";
+  EXPECT_EQ(logged("no exposure message"), 1u);
+}
+
+TEST_F(FrameAssemblyTest, NoExposureTimeAtAll) {
+  config_.shutter.exposure_ns = 0;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  EXPECT_TRUE(outputs_.empty()) << "a message may still come";
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_EXPOSURE_TIME, "exposure_time = 0 is outside (0, 1] s");
+}
+
+TEST_F(FrameAssemblyTest, ExposureMessageOutOfRangeIsNamed) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_exposure(exposure_message(kStart, -5 * kMs));
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_EXPOSURE_TIME, "-0.005");
+}
+
+TEST_F(FrameAssemblyTest, LastExposureServesForAsLongAsItMay) {
+  config_.shutter.exposure_ns = 0;
+  config_.exposure_max_age_ns = 50 * kMs;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 300 * kMs);
+  processor_.add_exposure(exposure_message(kStart, 10 * kMs));
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  add_frame(kStart + 50 * kMs);
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u) << "its own may still come";
+  time_out();
+  expect_deblurred(1);
+  EXPECT_EQ(outputs_[1].blur_field->exposure_time.toNSec(), 10 * kMs);
+  add_frame(kStart + 51 * kMs);
+  time_out();
+  expect_passed_through(2, PassThroughReason::NO_EXPOSURE_TIME, "none within exposure_max_age = 0.050000000 s");
+}
+
+TEST_F(FrameAssemblyTest, ExposureSettingHoldsUntilTheNext) {
+  config_.shutter.exposure_ns = 0;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 300 * kMs);
+  processor_.add_exposure_setting(15 * kMs);
+  add_frame(kStart);
+  advance();  // nothing to wait for
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].blur_field->exposure_time.toNSec(), 15 * kMs);
+  processor_.add_exposure_setting(20 * kMs);
+  add_frame(kStart + 50 * kMs);
+  advance();
+  EXPECT_EQ(outputs_[1].blur_field->exposure_time.toNSec(), 20 * kMs);
+  processor_.add_exposure_setting(33000 * kMs);  // a wrong unit
+  add_frame(kStart + 100 * kMs);
+  advance();
+  expect_passed_through(2, PassThroughReason::NO_EXPOSURE_TIME, "exposure_time = 33 is outside [1e-09, 1] s: is it in");
+}
+
+TEST_F(FrameAssemblyTest, ExtrinsicMayComeLater) {
+  config_.R_cam_imu.reset();
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  extrinsic_ = Eigen::Matrix3d::Identity();
+  advance();
+  expect_deblurred(0);
+  extrinsic_.reset();
+  add_frame(kStart + kMs);
+  time_out();
+  expect_passed_through(1, PassThroughReason::NO_EXTRINSIC, "\"imu\"");
+}
+
+TEST_F(FrameAssemblyTest, CameraInfoIsMatchedByStampInAnyOrder) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_camera_info(camera_info(kStart));
+  processor_.add_image(image_message(kStart));
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u);
+  processor_.add_image(image_message(kStart + kMs));
+  processor_.add_camera_info(camera_info(kStart + 2 * kMs));
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u);
+  const auto info = camera_info(kStart + kMs);
+  processor_.add_camera_info(info);
+  advance();
+  expect_deblurred(1);
+  EXPECT_EQ(outputs_[1].camera_info, info);
+}
+
+TEST_F(FrameAssemblyTest, WithoutCameraInfoImagesStillPass) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_image(image_message(kStart));
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "100.000000000");
+  EXPECT_EQ(outputs_[0].camera_info->width, static_cast<unsigned>(kWidth));
+  EXPECT_EQ(outputs_[0].camera_info->K[0], 0) << "not calibrated";
+  EXPECT_EQ(outputs_[0].camera_info->header.frame_id, kCameraFrame);
+}
+
+/// The file that describes the same camera as the tests' camera_info.
+SensorCalibration calibration_file() {
+  SensorCalibration calibration;
+  calibration.origin = "file.yaml";
+  calibration.camera = to_calibration(*camera_info(kStart), kWidth, kHeight, false);
+  return calibration;
+}
+
+TEST_F(FrameAssemblyTest, CalibrationFileServesWhereThereIsNoCameraInfo) {
+  config_.calibration = calibration_file();
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  processor_.add_image(image_message(kStart));
+  advance();  // no waiting for what nobody sends
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].camera_info->K[0], kFocalPx);
+  EXPECT_EQ(outputs_[0].camera_info->header.frame_id, kCameraFrame);
+
+  // Somebody does: from now on each image waits for its own.
+  add_frame(kStart + 50 * kMs);
+  advance();
+  expect_deblurred(1);
+  processor_.add_image(image_message(kStart + 100 * kMs));
+  advance();
+  EXPECT_EQ(outputs_.size(), 2u);
+  time_out();
+  expect_deblurred(2);
+}
+
+TEST_F(FrameAssemblyTest, FrameThatStillWaitsGoesByItsOwnCameraInfoThatComesAfterIt) {
+  config_.calibration = calibration_file();
+  config_.calibration->camera->fx_px *= 1.5;
+  configure();
+  processor_.add_image(image_message(kStart));
+  advance();  // goes by the file, and waits for samples
+  EXPECT_TRUE(outputs_.empty());
+  processor_.add_camera_info(camera_info(kStart));
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "fx 300");
+  EXPECT_EQ(outputs_[0].camera_info->K[0], kFocalPx);
+}
+
+TEST_F(FrameAssemblyTest, FrameWithoutCameraInfoGoesByTheFileThoughALaterOneHasIt) {
+  config_.calibration = calibration_file();
+  config_.calibration->camera->fx_px *= 1.5;
+  configure();
+  processor_.add_image(image_message(kStart));
+  processor_.add_image(image_message(kStart + kMs));
+  advance();  // both go by the file, and wait for samples
+  EXPECT_TRUE(outputs_.empty());
+  processor_.add_camera_info(camera_info(kStart + kMs));
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u) << "none waits for a camera_info from before there was any";
+  expect_deblurred(0);
+  const FrameBlur& field = *outputs_[0].field;
+  const BlockBlur& center = field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))];
+  EXPECT_NEAR(center.extent_px, 1.5 * kFocalPx * kFastRadS * to_seconds(kExposure), 0.4);
+  EXPECT_EQ(outputs_[0].camera_info->K[0], 1.5 * kFocalPx);
+  expect_passed_through(1, PassThroughReason::NO_CALIBRATION, "fx 300");
+  EXPECT_EQ(outputs_[1].camera_info->K[0], kFocalPx);
+}
+
+TEST_F(FrameAssemblyTest, ImageOfAnotherSizeThanTheFileWaitsForItsCameraInfo) {
+  config_.calibration = calibration_file();
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 2 * kSecond);
+  processor_.add_image(image_message(kStart, "mono8", kWidth, kHeight / 2));
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, std::to_string(kHeight / 2));
+
+  const TimeNs second_ns = kStart + 33 * kMs;
+  processor_.add_image(image_message(second_ns, "mono8", kWidth, kHeight / 2));
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u);
+  const auto info = camera_info(second_ns);
+  info->roi.y_offset = 30;
+  info->roi.width = kWidth;
+  info->roi.height = kHeight / 2;
+  processor_.add_camera_info(info);
+  advance();
+  expect_deblurred(1);
+}
+
+TEST_F(FrameAssemblyTest, UsableCameraInfoServesAfterUnusableOnes) {
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  const auto info = camera_info(kStart);
+  info->K.fill(0);
+  processor_.add_image(image_message(kStart));
+  processor_.add_camera_info(info);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "K");
+  add_frame(kStart + 33 * kMs);
+  advance();
+  expect_deblurred(1);
+}
+
+TEST_F(FrameAssemblyTest, CameraInfoThatContradictsTheFileIsPrintedWithIt) {
+  config_.calibration = calibration_file();
+  config_.calibration->camera->fx_px *= 1.5;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "fx 200");
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "fx 300");
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "file.yaml");
+
+  config_.on_calibration_conflict = OnCalibrationConflict::CONFIGURED;
+  configure();
+  add_frame(kStart + kMs);
+  advance();
+  expect_deblurred(1);
+  const FrameBlur& field = *outputs_[1].field;
+  const BlockBlur& center = field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))];
+  EXPECT_NEAR(center.extent_px, 1.5 * kFocalPx * kFastRadS * to_seconds(kExposure), 0.4) << "the file holds";
+}
+
+TEST_F(FrameAssemblyTest, RegionOfInterestOfCameraInfoAppliesToTheFile) {
+  config_.calibration = calibration_file();
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  const auto info = camera_info(kStart);
+  info->roi.y_offset = 30;
+  info->roi.width = kWidth;
+  info->roi.height = kHeight / 2;
+  processor_.add_camera_info(info);
+  processor_.add_image(image_message(kStart, "mono8", kWidth, kHeight / 2));
+  advance();
+  expect_deblurred(0);
+}
+
+TEST_F(FrameAssemblyTest, TransformThatContradictsTheParameterIsPrintedWithIt) {
+  extrinsic_ = Eigen::Matrix3d(Eigen::AngleAxisd(0.01, Eigen::Vector3d::UnitZ()));
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_EXTRINSIC, "[1, 0, 0, 0, 1, 0, 0, 0, 1] in parameter R_cam_imu");
+  expect_passed_through(0, PassThroughReason::NO_EXTRINSIC, "in tf");
+  config_.on_calibration_conflict = OnCalibrationConflict::CONFIGURED;
+  configure();
+  add_frame(kStart + kMs);
+  advance();
+  expect_deblurred(1);
+}
+
+TEST_F(FrameAssemblyTest, ReadoutLongerThanTheFramePeriodIsNamed) {
+  add_imu(kStart - 50 * kMs, kStart + 300 * kMs);
+  constexpr TimeNs kPeriod = kReadout / 2;
+  constexpr int kFrames = 10;
+  for (int i = 0; i < kFrames; ++i) {
+    add_frame(kStart + i * kPeriod);
+    advance();
+  }
+  ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(kFrames));
+  expect_deblurred(0);  // nobody can know yet
+  expect_passed_through(kFrames - 1, PassThroughReason::BAD_CONFIGURATION,
+                        "readout_time = 0.02 s is longer than the frame period 0.01 s");
+}
+
+TEST_F(FrameAssemblyTest, UnusableCameraInfoIsNamedAtOnce) {
+  const auto pass = [this](TimeNs stamp_ns, const sensor_msgs::CameraInfoPtr& info) {
+    processor_.add_image(image_message(stamp_ns));
+    processor_.add_camera_info(info);
+    advance();
+    ASSERT_FALSE(outputs_.empty());
+    EXPECT_EQ(outputs_.back().camera_info, info);
+  };
+  auto info = camera_info(kStart);
+  info->K.fill(0);
+  pass(kStart, info);
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "not calibrated");
+  info = camera_info(kStart + kMs);
+  info->distortion_model = "fisheye62";
+  pass(kStart + kMs, info);
+  expect_passed_through(1, PassThroughReason::NO_CALIBRATION, "fisheye62");
+  pass(kStart + 2 * kMs, camera_info(kStart + 2 * kMs, 640, 480));
+  expect_passed_through(2, PassThroughReason::NO_CALIBRATION, "640x480");
+  EXPECT_EQ(logged("NO_CALIBRATION"), 1u) << "throttled";
+}
+
+TEST_F(FrameAssemblyTest, RegionOfInterestShortensTheReadout) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  auto info = camera_info(kStart, kWidth, 2 * kHeight);
+  info->roi.width = kWidth;
+  info->roi.height = kHeight;
+  info->roi.y_offset = 10;
+  processor_.add_image(image_message(kStart));
+  processor_.add_camera_info(info);
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].field->readout_ns, kReadout / 2);
+}
+
+TEST_F(FrameAssemblyTest, FrameThatCannotBePreparedDoesNotHoldUpOthers) {
+  config_.R_cam_imu.reset();
+  configure();
+  extrinsic_fails_ = true;
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::INTERNAL_ERROR, "the transforms are broken");
+  extrinsic_fails_ = false;
+  extrinsic_ = Eigen::Matrix3d::Identity();
+  add_frame(kStart + kMs);
+  advance();
+  expect_deblurred(1);
+}
+
+}  // namespace
+}  // namespace gyro_deblur

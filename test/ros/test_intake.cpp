@@ -1,0 +1,267 @@
+#include "ros/intake.hpp"
+
+#include <functional>
+#include <limits>
+
+#include <gtest/gtest.h>
+
+#include "processor_test.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using namespace test;
+
+class IntakeTest : public ProcessorTest {};
+
+TEST_F(IntakeTest, SimulatedTimeThatStopsDoesNotKeepFrames) {
+  add_frame(kStart);
+  steady_ns_ = 10 * config_.gyro_timeout_ns - 1;
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  steady_ns_ += 1;
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "");
+}
+
+TEST_F(IntakeTest, WaitingStartsWithTheFirstSimulatedTime) {
+  now_ns_ = 0;
+  add_frame(kStart);
+  advance();
+  now_ns_ = kStart;
+  advance();
+  EXPECT_TRUE(outputs_.empty()) << "the clock started, no time passed";
+  time_out();
+  EXPECT_EQ(outputs_.size(), 1u);
+}
+
+TEST_F(IntakeTest, FullQueuePassesTheOldestThroughAndLosesNothing) {
+  config_.frame_queue_size = 3;
+  configure();
+  for (int i = 0; i < 5; ++i) add_frame(kStart + i * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_passed_through(0, PassThroughReason::OVERLOAD, "frame_queue_size = 3");
+  expect_passed_through(1, PassThroughReason::OVERLOAD, "frame_queue_size = 3");
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 5u);
+  for (std::size_t i = 0; i < 5; ++i) {
+    EXPECT_EQ(to_time_ns(outputs_[i].input->header.stamp), kStart + static_cast<TimeNs>(i) * kMs);
+  }
+  expect_deblurred(4);
+  EXPECT_EQ(processor_.statistics().passed_through.at(PassThroughReason::OVERLOAD), 2u);
+}
+
+TEST_F(IntakeTest, UnusableImagesPassAtOnceInTheirTurn) {
+  add_imu(kStart - 50 * kMs, kStart + 10 * kMs);
+  add_frame(kStart);
+  auto empty = boost::make_shared<sensor_msgs::Image>();
+  empty->header.stamp = to_ros_time(kStart + kMs);
+  empty->encoding = "mono8";
+  processor_.add_image(empty);
+  auto floats = image_message(kStart + 2 * kMs);
+  floats->encoding = "32FC1";
+  processor_.add_image(floats);
+  auto cut = image_message(kStart + 3 * kMs);
+  cut->data.resize(10);
+  processor_.add_image(cut);
+  advance();
+  EXPECT_TRUE(outputs_.empty()) << "the first frame waits, and the others behind it";
+  add_imu(kStart + 15 * kMs, kStart + 100 * kMs);
+  advance();
+  expect_deblurred(0);
+  expect_passed_through(1, PassThroughReason::BAD_IMAGE, "0x0");
+  expect_passed_through(2, PassThroughReason::UNSUPPORTED_ENCODING, "32FC1");
+  expect_passed_through(3, PassThroughReason::BAD_IMAGE, "10 bytes");
+  EXPECT_EQ(outputs_[3].image, cut);
+}
+
+TEST_F(IntakeTest, ImuSamplesThatCannotBeUsedAreCountedAndDropped) {
+  add_imu(kStart - 50 * kMs, kStart + 20 * kMs);
+  for (int i = 0; i < 3; ++i) {
+    processor_.add_imu(imu_message(kStart + 21 * kMs, std::numeric_limits<double>::quiet_NaN()));
+    processor_.add_imu(imu_message(kStart + 21 * kMs, std::numeric_limits<double>::infinity()));
+  }
+  for (int i = 0; i < 4; ++i) processor_.add_imu(imu_message(kStart + 20 * kMs, 100));
+  for (int i = 0; i < 5; ++i) processor_.add_imu(imu_message(kStart + 10 * kMs, 100));
+  sensor_msgs::Imu without = imu_message(kStart + 22 * kMs, 100);
+  without.angular_velocity_covariance[0] = -1;
+  processor_.add_imu(without);
+  add_imu(kStart + 25 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  const FrameBlur& field = *outputs_[0].field;
+  EXPECT_NEAR(field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))].extent_px,
+              kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
+  const ProcessorStatistics statistics = processor_.statistics();
+  EXPECT_EQ(statistics.imu_not_finite, 6u);
+  EXPECT_EQ(statistics.imu_duplicate, 4u);
+  EXPECT_EQ(statistics.imu_out_of_order, 5u);
+  EXPECT_EQ(statistics.imu_without_gyroscope, 1u);
+  EXPECT_EQ(statistics.time_jumps, 0u);
+  EXPECT_EQ(log_.size(), 4u) << "one line of each kind";
+}
+
+TEST_F(IntakeTest, StrayImuStampsAreDroppedAndChangeNothing) {
+  add_imu(kStart - 50 * kMs, kStart + 20 * kMs);
+  for (const TimeNs stray_ns : {kStart + 1000 * kSecond, kStart + kSecond, kStart - 50 * kSecond, TimeNs{0}}) {
+    processor_.add_imu(imu_message(stray_ns, 100));
+  }
+  add_imu(kStart + 25 * kMs, kStart + 30 * kMs);
+  processor_.add_imu(imu_message(kStart + 100 * kMs, 100));  // further than max_gyro_gap, nearer than a time jump
+  add_imu(kStart + 35 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  const FrameBlur& field = *outputs_[0].field;
+  EXPECT_NEAR(field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))].extent_px,
+              kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
+  EXPECT_EQ(processor_.statistics().imu_stray, 5u);
+  EXPECT_EQ(processor_.statistics().time_jumps, 0u);
+  EXPECT_EQ(logged("far from those around it"), 1u) << "throttled";
+}
+
+TEST_F(IntakeTest, ImuThatWasSilentIsTakenAgain) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  add_frame(kStart + 5 * kSecond);
+  add_imu(kStart + 5 * kSecond - 10 * kMs, kStart + 5 * kSecond + 100 * kMs);
+  advance();
+  expect_deblurred(1);
+  EXPECT_EQ(processor_.statistics().time_jumps, 0u);
+  EXPECT_EQ(processor_.statistics().imu_stray, 0u);
+}
+
+TEST_F(IntakeTest, StrayImageStampIsNoJump) {
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  add_frame(kStart);
+  add_frame(kStart + 1000 * kSecond);
+  add_frame(kStart + 33 * kMs);
+  advance();
+  time_out();
+  ASSERT_EQ(outputs_.size(), 3u);
+  expect_deblurred(0);
+  expect_passed_through(1, PassThroughReason::NO_GYRO, "");
+  expect_deblurred(2);
+  EXPECT_EQ(processor_.statistics().time_jumps, 0u);
+}
+
+TEST_F(IntakeTest, OldImageOutOfOrderDoesNotHideALaterJump) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart + 10 * kMs);
+  add_frame(kStart);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  add_imu(kStart + 105 * kMs, kStart + kSecond);
+  add_frame(kStart + kSecond);  // waits for samples that never come
+  add_imu(kStart, kStart + 100 * kMs);
+  advance();
+  EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+  expect_passed_through(2, PassThroughReason::TIME_JUMP, "backwards");
+}
+
+/// One pass of a bag: IMU from 0 to length, a frame every 100 ms, interleaved by time.
+void play(Processor* processor, TimeNs begin_ns, TimeNs length_ns, const std::function<void()>& after_each) {
+  for (TimeNs t_ns = begin_ns; t_ns <= begin_ns + length_ns; t_ns += kImuPeriod) {
+    if ((t_ns - begin_ns) % (100 * kMs) == 0) {
+      processor->add_camera_info(camera_info(t_ns));
+      processor->add_image(image_message(t_ns));
+    }
+    processor->add_imu(imu_message(t_ns, kFastRadS));
+    after_each();
+  }
+}
+
+TEST_F(IntakeTest, LoopingBagResetsWithOneMessageALoop) {
+  for (int loop = 0; loop < 3; ++loop) {
+    play(&processor_, kStart, kSecond, [this] { advance(); });
+  }
+  EXPECT_EQ(processor_.statistics().time_jumps, 2u);
+  EXPECT_EQ(logged("time went backwards"), 2u);
+  EXPECT_EQ(log_.size(), 2u) << log_.back();
+  // Eleven frames a loop; the last of a loop waits for samples that never come.
+  ASSERT_EQ(outputs_.size() + processor_.waiting(), 33u);
+  for (std::size_t i = 0; i < outputs_.size(); ++i) {
+    const bool last_of_loop = i % 11 == 10;
+    EXPECT_STREQ(to_string(outputs_[i].reason), last_of_loop ? "TIME_JUMP" : "NONE") << i;
+  }
+}
+
+TEST_F(IntakeTest, LoopWithSimulatedTimeIsOneJumpToo) {
+  for (int loop = 0; loop < 3; ++loop) {
+    now_ns_ = kStart;
+    play(&processor_, kStart, kSecond, [this] {
+      now_ns_ += kImuPeriod;
+      advance();
+    });
+  }
+  EXPECT_EQ(processor_.statistics().time_jumps, 2u);
+  EXPECT_EQ(logged("time went backwards"), 2u);
+  EXPECT_EQ(outputs_.size() + processor_.waiting(), 33u);
+}
+
+TEST_F(IntakeTest, BagShorterThanTheThresholdLoopsToo) {
+  for (int loop = 0; loop < 3; ++loop) {
+    play(&processor_, kStart, 300 * kMs, [this] { advance(); });
+  }
+  time_out();
+  EXPECT_EQ(processor_.statistics().time_jumps, 2u);
+  EXPECT_EQ(logged("time went backwards"), 2u);
+  ASSERT_EQ(outputs_.size(), 12u);
+  std::size_t processed = 0;
+  for (const FrameOutput& output : outputs_) processed += output.reason == PassThroughReason::NONE;
+  // Of four frames a loop the last lacks samples; the first of a loop comes before the reset is sure, and stays.
+  EXPECT_EQ(processed, 9u);
+}
+
+TEST_F(IntakeTest, StragglersOfTheOldEpochDoNotDisturb) {
+  add_imu(kStart + 900 * kMs, kStart + kSecond);
+  add_frame(kStart + 900 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  add_imu(kStart, kStart + 20 * kMs);  // the IMU is back first
+  add_frame(kStart + 990 * kMs);       // an old image is late
+  EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+  add_frame(kStart + 5 * kMs);  // then the camera is back too
+  add_imu(kStart + 25 * kMs, kStart + 100 * kMs);
+  advance();
+  EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+  ASSERT_EQ(outputs_.size(), 3u);
+  expect_passed_through(1, PassThroughReason::TIME_JUMP, "backwards");
+  expect_deblurred(2);
+}
+
+TEST_F(IntakeTest, LateSamplesOfTheOldEpochDoNotStandForTheNewOne) {
+  add_imu(kStart + 900 * kMs, kStart + kSecond);
+  add_frame(kStart + 900 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  add_frame(kStart);                                            // the camera is back first
+  add_imu(kStart + kSecond + kImuPeriod, kStart + 1050 * kMs);  // old samples are late
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u);
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  advance();
+  expect_deblurred(1);
+  EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+}
+
+TEST_F(IntakeTest, ClockAloneGoingBackIsAJump) {
+  add_frame(kStart);
+  now_ns_ -= 10 * kSecond;
+  advance();
+  expect_passed_through(0, PassThroughReason::TIME_JUMP, "");
+  EXPECT_EQ(logged("clock"), 1u);
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  add_frame(kStart + kMs);
+  advance();
+  expect_deblurred(1);
+  EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+}
+
+}  // namespace
+}  // namespace gyro_deblur

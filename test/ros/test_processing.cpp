@@ -1,0 +1,295 @@
+#include "ros/processing.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <utility>
+
+#include <gtest/gtest.h>
+
+#include "processor_test.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using namespace test;
+
+class ProcessingTest : public ProcessorTest {};
+
+TEST_F(ProcessingTest, SharpFrameLeavesAsTheVeryMessage) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs, 0.0);
+  const auto image = add_frame(kStart);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].image, image);
+  EXPECT_EQ(outputs_[0].reason, PassThroughReason::NONE);
+  EXPECT_EQ(outputs_[0].field->count(BlockStatus::SHARP), outputs_[0].field->blocks.size());
+  EXPECT_FALSE(outputs_[0].keypoints->keypoints.empty());
+  EXPECT_TRUE(log_.empty());
+}
+
+TEST_F(ProcessingTest, ExtentIsThatOfTheRotation) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  const FrameBlur& field = *outputs_[0].field;
+  const BlockBlur& center = field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))];
+  // A turn of w t about y moves the centre by about f w t along x.
+  EXPECT_NEAR(center.extent_px, kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
+  EXPECT_LT(axial_difference(center.angle_rad, 0), 0.02);
+}
+
+TEST_F(ProcessingTest, BufferThatLostTheFrameIsSaidAtOnceWithBothRanges) {
+  add_imu(kStart + 200 * kMs, kStart + 300 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "100.200000000");
+  EXPECT_FALSE(outputs_[0].keypoints->keypoints.empty()) << "the image is as good as ever for raw keypoints";
+  for (const Keypoint& keypoint : outputs_[0].keypoints->keypoints) EXPECT_FALSE(keypoint.rectified);
+}
+
+TEST_F(ProcessingTest, PartlyCoveredFrameIsProcessedWhereCovered) {
+  add_imu(kStart - 50 * kMs, kStart + 40 * kMs);  // the last rows end at 50 ms
+  add_frame(kStart);
+  time_out();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].reason, PassThroughReason::NONE);
+  EXPECT_GT(outputs_[0].field->count(BlockStatus::DEBLURRED), 0u);
+  EXPECT_GT(outputs_[0].field->count(BlockStatus::NO_GYRO), 0u);
+  EXPECT_EQ(outputs_[0].field->blocks.front().status, BlockStatus::DEBLURRED);
+  EXPECT_EQ(outputs_[0].field->blocks.back().status, BlockStatus::NO_GYRO);
+  EXPECT_NE(outputs_[0].blur_field->reason_text.find("frame needs gyroscope samples"), std::string::npos);
+  const std::size_t bottom = static_cast<std::size_t>(kHeight - 32) * kWidth;
+  EXPECT_TRUE(std::equal(outputs_[0].image->data.begin() + static_cast<std::ptrdiff_t>(bottom),
+                         outputs_[0].image->data.end(),
+                         outputs_[0].input->data.begin() + static_cast<std::ptrdiff_t>(bottom)));
+}
+
+TEST_F(ProcessingTest, FrameWithSaturatedSamplesAloneHasAReasonOfItsOwn) {
+  config_.gyro.range_rad_s = kFastRadS;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::GYRO_SATURATED, "reach gyro_range = 1.5 rad/s, the first is [0.0");
+  EXPECT_EQ(processor_.statistics().imu_saturated, 31u);
+  EXPECT_EQ(processor_.statistics().imu_accepted, 31u);
+  EXPECT_EQ(logged("GYRO_SATURATED"), 1u);
+
+  config_.gyro.range_rad_s = 1.01 * kFastRadS;
+  configure();
+  add_imu(kStart + 105 * kMs, kStart + 200 * kMs);
+  add_frame(kStart + 100 * kMs);
+  advance();
+  expect_deblurred(1);
+}
+
+TEST_F(ProcessingTest, RowsWithASaturatedSamplePassThrough) {
+  config_.gyro.range_rad_s = 10;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 35 * kMs);
+  processor_.add_imu(imu_message(kStart + 40 * kMs, -10));  // rows of the lower part are exposed then
+  add_imu(kStart + 45 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].reason, PassThroughReason::NONE);
+  const FrameBlur& field = *outputs_[0].field;
+  for (int i = 0; i < field.grid.size(); ++i) {
+    // Row y is exposed from 20 ms * y / 128 on for 30 ms; nothing is known from 35 to 45 ms.
+    const double end_ms = 20 * field.grid.center(i).y() / kHeight + 30;
+    EXPECT_EQ(field.blocks[static_cast<std::size_t>(i)].status,
+              end_ms > 35 ? BlockStatus::NO_GYRO : BlockStatus::DEBLURRED)
+        << i;
+  }
+  EXPECT_GT(field.count(BlockStatus::DEBLURRED), 0u);
+  EXPECT_GT(field.count(BlockStatus::NO_GYRO), 0u);
+  EXPECT_NE(outputs_[0].blur_field->reason_text.find("1 of the "), std::string::npos) << outputs_[0].reason_text;
+  EXPECT_NE(outputs_[0].blur_field->reason_text.find("[0.000000, -10.000000, 0.000000] rad/s at 100.040000000 s"),
+            std::string::npos)
+      << outputs_[0].reason_text;
+}
+
+TEST_F(ProcessingTest, WithoutGyroRangeNothingIsSaturated) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs, 5 * kFastRadS);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(processor_.statistics().imu_saturated, 0u);
+}
+
+TEST_F(ProcessingTest, OnePixelIsAnImage) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_image(image_message(kStart, "mono8", 1, 1));
+  processor_.add_camera_info(camera_info(kStart, 1, 1));
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].reason, PassThroughReason::NONE) << outputs_[0].reason_text;
+  EXPECT_EQ(outputs_[0].image->data.size(), 1u);
+}
+
+TEST_F(ProcessingTest, FramesThatPassThroughHaveRawKeypoints) {
+  const auto expect_raw_keypoints = [this](std::size_t index, bool normalized) {
+    ASSERT_GT(outputs_.size(), index);
+    const KeypointArray& keypoints = *outputs_[index].keypoints;
+    EXPECT_FALSE(keypoints.keypoints.empty());
+    EXPECT_EQ(keypoints.detector, "FAST");
+    EXPECT_EQ(keypoints.descriptors.size(), keypoints.keypoints.size() * keypoints.descriptor_length);
+    EXPECT_EQ(keypoints.reference_time, outputs_[index].input->header.stamp);
+    for (const Keypoint& keypoint : keypoints.keypoints) {
+      EXPECT_FALSE(keypoint.deblurred);
+      EXPECT_FALSE(keypoint.rectified);
+      EXPECT_EQ(keypoint.rectified_x, keypoint.x);
+      EXPECT_EQ(std::isfinite(keypoint.normalized_x), normalized);
+      if (normalized) {
+        EXPECT_NEAR(keypoint.normalized_x, (keypoint.x - (kWidth - 1) / 2.0) / kFocalPx, 1e-5);
+      }
+    }
+  };
+  add_frame(kStart);
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "there are none");
+  expect_raw_keypoints(0, true);
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_image(image_message(kStart + kMs));
+  time_out();
+  expect_passed_through(1, PassThroughReason::NO_CALIBRATION, "");
+  expect_raw_keypoints(1, false);
+  processor_.add_exposure([] {
+    Exposure exposure;
+    exposure.header.stamp = to_ros_time(kStart + 2 * kMs);
+    exposure.exposure_time.fromNSec(-kMs);
+    return exposure;
+  }());
+  add_frame(kStart + 2 * kMs);
+  advance();
+  expect_passed_through(2, PassThroughReason::NO_EXPOSURE_TIME, "");
+  expect_raw_keypoints(2, true);
+  add_frame(kStart + 90 * kMs);
+  processor_.reset();
+  advance();
+  expect_passed_through(3, PassThroughReason::TIME_JUMP, "");
+  expect_raw_keypoints(3, false);
+}
+
+TEST_F(ProcessingTest, OnlyWhatIsAskedForIsMade) {
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  request_ = {false, false, false, false};
+  add_frame(kStart);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_[0].image, outputs_[0].input);
+  EXPECT_EQ(outputs_[0].stages.deconvolution_ms, 0);
+  EXPECT_EQ(outputs_[0].keypoints, nullptr);
+  EXPECT_EQ(outputs_[0].overlay, nullptr);
+  EXPECT_EQ(outputs_[0].markers, nullptr);
+  EXPECT_FALSE(outputs_[0].blur_field->status.empty());
+  request_ = {true, true, true, true};
+  add_frame(kStart + kMs);
+  advance();
+  expect_deblurred(1);
+  ASSERT_NE(outputs_[1].overlay, nullptr);
+  EXPECT_EQ(outputs_[1].overlay->encoding, "bgr8");
+  EXPECT_EQ(outputs_[1].overlay->width, static_cast<unsigned>(kWidth));
+  ASSERT_NE(outputs_[1].markers, nullptr);
+  EXPECT_EQ(outputs_[1].markers->markers[0].points.size(), 2 * outputs_[1].field->blocks.size());
+  ASSERT_NE(outputs_[1].keypoints, nullptr);
+  EXPECT_EQ(outputs_[1].keypoints->descriptor, "ORB");
+}
+
+// The tracker needs gyroscope samples from the image before on; the frame itself is none the different for it.
+TEST_F(ProcessingTest, FrameIsTheSameBitByBitWithTracks) {
+  for (const bool tracks : {false, true}) {
+    processor_.reset();
+    request_.tracks = tracks;
+    for (TimeNs t_ns = kStart - 50 * kMs; t_ns <= kStart + 300 * kMs; t_ns += kImuPeriod) {
+      processor_.add_imu(imu_message(t_ns, kFastRadS * (1 + 0.1 * std::sin(to_seconds(t_ns - kStart) * 40))));
+    }
+    for (int i = 0; i < 3; ++i) add_frame(kStart + i * 80 * kMs);
+    advance();
+  }
+  ASSERT_EQ(outputs_.size(), 6u);
+  for (std::size_t i = 0; i < 3; ++i) {
+    const FrameOutput &without = outputs_[i], &with = outputs_[3 + i];
+    EXPECT_EQ(without.tracks, nullptr);
+    ASSERT_NE(with.tracks, nullptr);
+    EXPECT_EQ(without.image->data, with.image->data);
+    EXPECT_EQ(without.blur_field->angle, with.blur_field->angle);
+    EXPECT_EQ(without.blur_field->extent, with.blur_field->extent);
+  }
+}
+
+TEST_F(ProcessingTest, MarkersOfTheFrameBeforeAreTakenAway) {
+  request_.markers = true;
+  auto floats = image_message(kStart);
+  floats->encoding = "32FC1";
+  processor_.add_image(floats);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  ASSERT_NE(outputs_[0].markers, nullptr);
+  EXPECT_EQ(outputs_[0].markers->markers[0].action, visualization_msgs::Marker::DELETE);
+}
+
+class EncodingTest : public ProcessorTest, public testing::WithParamInterface<const char*> {};
+
+TEST_P(EncodingTest, IsDeblurredAndKept) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_image(image_message(kStart, GetParam()));
+  processor_.add_camera_info(camera_info(kStart));
+  advance();
+  expect_deblurred(0);
+  EXPECT_FALSE(outputs_[0].keypoints->keypoints.empty());
+  if (sensor_msgs::image_encodings::hasAlpha(GetParam())) {
+    for (std::size_t i = 3; i < outputs_[0].image->data.size(); i += 4) {
+      ASSERT_EQ(outputs_[0].image->data[i], outputs_[0].input->data[i]) << "alpha";
+    }
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Encodings, EncodingTest,
+                         testing::Values("mono8", "mono16", "8UC1", "16UC1", "bgr8", "rgb8", "bgra8", "rgba8", "bgr16",
+                                         "bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8", "bayer_rggb16"));
+
+TEST_F(ProcessingTest, BlocksThatLeaveTheFastPathAreCountedByReason) {
+  config_.pipeline.engine = "cpu";
+  configure();
+  constexpr double kSlowRadS = 0.5;  // 3 px
+  add_imu(kStart - 50 * kMs, kStart + 300 * kMs, kSlowRadS);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  EXPECT_TRUE(outputs_[0].slow_blocks.empty());
+  EXPECT_TRUE(processor_.statistics().slow_blocks.empty());
+  for (int i = 1; i <= 2; ++i) {
+    processor_.add_image(image_message(kStart + i * 80 * kMs, "mono16"));
+    processor_.add_camera_info(camera_info(kStart + i * 80 * kMs));
+  }
+  advance();
+  expect_deblurred(2);
+  const std::size_t blocks = outputs_[2].field->blocks.size();
+  ASSERT_EQ(outputs_[2].slow_blocks.size(), 1u);
+  const auto& [reason, count] = *outputs_[2].slow_blocks.begin();
+  EXPECT_EQ(reason.rfind("16 bit and blur below", 0), 0u) << reason;
+  EXPECT_EQ(count, blocks);
+  EXPECT_EQ(processor_.statistics().slow_blocks, (SlowBlocks{{reason, 2 * blocks}})) << "since the start";
+}
+
+TEST_F(ProcessingTest, ByteOrderMakesNoDifference) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  const auto little = image_message(kStart, "mono16");
+  auto big = boost::make_shared<sensor_msgs::Image>(*little);
+  for (std::size_t i = 0; i + 1 < big->data.size(); i += 2) std::swap(big->data[i], big->data[i + 1]);
+  big->is_bigendian = !little->is_bigendian;
+  processor_.add_camera_info(camera_info(kStart));
+  processor_.add_image(little);
+  processor_.add_image(big);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_deblurred(1);
+  EXPECT_EQ(outputs_[0].image->data, outputs_[1].image->data);
+  EXPECT_EQ(outputs_[0].image->is_bigendian, outputs_[1].image->is_bigendian);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
