@@ -25,6 +25,9 @@ struct Track {
   Eigen::Vector2d velocity_1_s = Eigen::Vector2d::Zero();  ///< of `normalized` since the image before; new ones: 0
 };
 
+/// After a longer break nothing is where it was: all tracks are forgotten.
+constexpr TimeNs kLongestTrackBreakNs = 1'000'000'000;
+
 /// Follows corners through the images of one camera. Not thread-safe.
 ///
 /// A corner is looked for where the gyroscope says it has gone, so that a turn between two images costs no pyramid
@@ -48,7 +51,7 @@ class FeatureTracker {
   /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
   /// @param motion     from the image before to this one; where it is not known, corners are looked for where they were
   /// @param exposure   of this image; all tracks are forgotten first when it is not after the one before, or more than
-  /// 1 s
+  /// kLongestTrackBreakNs later
   /// @return all corners in this image, longest tracks first
   /// Throws std::invalid_argument when the image does not fit.
   const std::vector<Track>& track(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,

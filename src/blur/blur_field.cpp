@@ -10,8 +10,6 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr double kPi = 3.14159265358979323846;
-
 /// Relative error of the displacement by translation: one depth stands for the whole scene, and a velocity is late.
 constexpr double kTranslationUncertainty = 0.25;
 
@@ -22,7 +20,7 @@ namespace {
 /// axial_angle as a float, also below the float above pi.
 float axial_float(double dx, double dy) {
   const auto angle_rad = static_cast<float>(axial_angle(dx, dy));
-  return angle_rad < static_cast<float>(kPi) ? angle_rad : 0;
+  return angle_rad < static_cast<float>(CV_PI) ? angle_rad : 0;
 }
 
 /// The status that the extent alone decides.

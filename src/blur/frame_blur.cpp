@@ -6,12 +6,6 @@
 #include <string>
 
 namespace gyro_deblur {
-namespace {
-
-constexpr double kPi = 3.14159265358979323846;
-
-}  // namespace
-
 const char* to_string(BlockStatus status) {
   switch (status) {
     case BlockStatus::SHARP:
@@ -76,10 +70,10 @@ Eigen::Vector2d BlockBlur::shown_offset_px() const {
 
 double axial_angle(double dx, double dy) {
   double angle_rad = std::atan2(dy, dx);
-  if (angle_rad < 0) angle_rad += kPi;
-  return angle_rad < kPi ? angle_rad : 0;
+  if (angle_rad < 0) angle_rad += CV_PI;
+  return angle_rad < CV_PI ? angle_rad : 0;
 }
 
-double axial_difference(double a_rad, double b_rad) { return std::abs(std::remainder(a_rad - b_rad, kPi)); }
+double axial_difference(double a_rad, double b_rad) { return std::abs(std::remainder(a_rad - b_rad, CV_PI)); }
 
 }  // namespace gyro_deblur

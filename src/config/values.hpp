@@ -110,7 +110,7 @@ Value to_value(const T& member) {
     }
     return Choice{};  // not an enumerator
   } else {
-    return member;
+    return Value(std::in_place_type<T>, member);  // nothing is converted
   }
 }
 

@@ -20,9 +20,6 @@ constexpr std::int32_t kIds = 1 << 24;
 /// Of the strongest corner's smaller eigenvalue; VINS-Mono has 0.01 as well.
 constexpr double kCornerQuality = 0.01;
 
-/// After a longer break nothing is where it was.
-constexpr TimeNs kLongestBreakNs = 1'000'000'000;
-
 /// The fundamental matrix has seven degrees of freedom; OpenCV's RANSAC wants eight points.
 constexpr std::size_t kMinForGeometry = 8;
 constexpr double kRansacConfidence = 0.99;
@@ -100,7 +97,7 @@ const std::vector<Track>& FeatureTracker::track(const cv::Mat& luminance, const 
   }
   if (exposure_) {
     const TimeNs step_ns = exposure.start(0) - exposure_->start(0);
-    if (step_ns <= 0 || step_ns > kLongestBreakNs || calibration != calibration_) reset();
+    if (step_ns <= 0 || step_ns > kLongestTrackBreakNs || calibration != calibration_) reset();
   }
   std::vector<cv::Mat> pyramid = pyramid_of(luminance, options_);
   if (exposure_) follow(pyramid, camera, motion, exposure);

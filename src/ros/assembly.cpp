@@ -5,6 +5,7 @@
 
 #include <boost/make_shared.hpp>
 
+#include "gyro_deblur/feature_tracker.hpp"
 #include "ros/calibration_conversion.hpp"
 #include "ros/value_conversion.hpp"
 
@@ -235,7 +236,10 @@ Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, As
   const auto reach = [&all, &to_imu](TimeNs camera_ns) {
     all = {std::min(all.begin_ns, to_imu(camera_ns)), std::max(all.end_ns, to_imu(camera_ns))};
   };
-  if (terms.tracked_cam) reach(terms.tracked_cam->begin_ns);
+  if (terms.tracked_cam) {
+    const TimeNs since_ns = frame_cam.begin_ns - terms.tracked_cam->begin_ns;
+    if (since_ns > 0 && since_ns <= kLongestTrackBreakNs) reach(terms.tracked_cam->begin_ns);
+  }
   if (assembled->translation && !assembled->translation->velocities.empty()) {
     reach(assembled->translation->velocities.front().t_ns);
     reach(assembled->translation->velocities.back().t_ns);

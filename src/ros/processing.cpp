@@ -164,6 +164,7 @@ void pass_through_failed(const std::string& text, FrameOutput* output) {
   output->reason_text = text;
   output->image = output->input;
   output->field.reset();
+  output->slow_blocks.clear();
   output->blur_field.reset();
   output->keypoints.reset();
   output->overlay.reset();

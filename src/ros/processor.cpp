@@ -164,6 +164,7 @@ void Processor::advance(const Sink& sink, bool finishing) {
       const TimeNs waited_ns = intake_.steady_now() - assembled->frame.arrival_steady_ns;
       output = process(*assembled, request, &tracker_);
       output.waiting_ms = static_cast<double>(waited_ns) * 1e-6;
+      if (!output.engine_warning.empty()) environment_.log(LogLevel::WARNING, output.engine_warning);
     } catch (...) {
       // Even passing it through failed, for lack of memory for example: it stays the first to leave.
       const std::lock_guard<std::mutex> lock(mutex_);
@@ -172,7 +173,6 @@ void Processor::advance(const Sink& sink, bool finishing) {
       intake_.queue().put_back(std::move(assembled->frame));
       throw;
     }
-    if (!output.engine_warning.empty()) environment_.log(LogLevel::WARNING, output.engine_warning);
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       --in_progress_;

@@ -175,6 +175,7 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
                              {"frames_without", statistics.frames_not_translated},
                              {"odometry_refused", statistics.odometry_refused}};
   }
+  report["blocks_off_fast_path"] = statistics.slow_blocks;
   report["time_jumps"] = statistics.time_jumps;
   report["gyro_bias_rad_s"] = {outcome.bias_rad_s.x(), outcome.bias_rad_s.y(), outcome.bias_rad_s.z()};
   report["engine"] = statistics.engine;

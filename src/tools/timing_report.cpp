@@ -9,6 +9,7 @@
 #include <yaml-cpp/yaml.h>
 #include <Eigen/Core>
 
+#include "config/parameters.hpp"
 #include "gyro_deblur/calibration.hpp"
 
 namespace gyro_deblur {
@@ -73,10 +74,9 @@ void add_estimate(const TimingResult& result, YamlLines* yaml) {
 
 /// What the estimate holds for.
 void add_shutter(const ShutterTiming& shutter, YamlLines* yaml) {
-  const char* const rows[] = {"first", "middle", "last"};
-  const char* const phases[] = {"start", "middle", "end"};
-  yaml->add("stamp_row", rows[static_cast<int>(shutter.stamp_row)], "");
-  yaml->add("stamp_phase", phases[static_cast<int>(shutter.stamp_phase)], "");
+  for (const char* key : {"stamp_row", "stamp_phase"}) {
+    yaml->add(key, std::get<Choice>(find_parameter(key)->get(shutter)).name, "");
+  }
   if (shutter.exposure_ns > 0) {
     yaml->add("exposure_time", text_of("%.6f", to_seconds(shutter.exposure_ns)), "[s] as given");
   }

@@ -137,11 +137,12 @@ class OpenClEngine::Impl {
         image_(context_, queue_, shares_memory(device, tuning)),
         steps_(context_, queue_, shares_memory(device, tuning)),
         tiles_(context_, queue_, shares_memory(device, tuning)),
-        result_(context_, queue_, shares_memory(device, tuning)) {
+        result_(context_, queue_, shares_memory(device, tuning)),
+        is_processor_((device.getInfo<CL_DEVICE_TYPE>() & CL_DEVICE_TYPE_CPU) != 0) {
     program(CV_8U);
   }
 
-  bool is_processor() const { return (device_.getInfo<CL_DEVICE_TYPE>() & CL_DEVICE_TYPE_CPU) != 0; }
+  bool is_processor() const { return is_processor_; }
 
   /// Has the device begin with a frame.
   void start(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
@@ -184,6 +185,7 @@ class OpenClEngine::Impl {
   Program programs_[2];  // 8 and 16 bit, built on first use
   bool built_[2] = {false, false};
   TransferBuffer image_, steps_, tiles_, result_;
+  bool is_processor_;  // has threads of its own
   Plane upright_, transposed_;
   // Of the frame at hand; kept for their memory.
   std::vector<LineSteps> lines_;            // of the blocks that are filtered
