@@ -35,7 +35,7 @@ Value other_value(const Parameter& p) {
     Value operator()(const std::string&) const { return p.choices.empty() ? std::string("other") : p.choices.back(); }
     Value operator()(const Choice&) const { return Choice{p.choices.back()}; }
     Value operator()(const std::vector<std::string>&) const { return std::vector<std::string>{"a", "b"}; }
-    Value operator()(const Eigen::Vector3d&) const { return Eigen::Vector3d(0.1, 0.2, 0.3); }
+    Value operator()(const Eigen::Vector3d&) const { return Value(std::in_place_type<Eigen::Vector3d>, 0.1, 0.2, 0.3); }
     Value operator()(const std::optional<Eigen::Matrix3d>&) const {
       return std::optional<Eigen::Matrix3d>(Eigen::Matrix3d::Identity());
     }
