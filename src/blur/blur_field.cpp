@@ -13,10 +13,6 @@ namespace {
 /// Relative error of the displacement by translation: one depth stands for the whole scene, and a velocity is late.
 constexpr double kTranslationUncertainty = 0.25;
 
-}  // namespace
-
-namespace {
-
 /// axial_angle as a float, also below the float above pi.
 float axial_float(double dx, double dy) {
   const auto angle_rad = static_cast<float>(axial_angle(dx, dy));

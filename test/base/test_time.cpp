@@ -2,16 +2,18 @@
 #include "gyro_deblur/time.hpp"
 
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <string>
 
 #include <gtest/gtest.h>
 
 #include "gyro_deblur/option_error.hpp"
+#include "option_error_text.hpp"
 
 namespace gyro_deblur {
 namespace {
+
+using test::option_error;
 
 TEST(Time, SecondsToNanosecondsRoundsToNearest) {
   EXPECT_EQ(to_ns(0), 0);
@@ -46,16 +48,6 @@ TEST(Time, RangeIsClosedAndMayBeEmpty) {
   EXPECT_FALSE(range.contains(TimeRange{9, 20}));
   EXPECT_FALSE(range.contains(TimeRange{15, 14}));
   EXPECT_TRUE(TimeRange{}.empty());
-}
-
-/// The text of the OptionError that `action` throws; empty when it throws none.
-std::string option_error(const std::function<void()>& action) {
-  try {
-    action();
-  } catch (const OptionError& error) {
-    return error.what();
-  }
-  return {};
 }
 
 TEST(RequireRange, NamesValueAndRange) {

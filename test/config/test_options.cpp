@@ -2,25 +2,18 @@
 #include "gyro_deblur/options.hpp"
 
 #include <cmath>
-#include <functional>
 #include <initializer_list>
 #include <limits>
 #include <string>
 
 #include <gtest/gtest.h>
 
+#include "option_error_text.hpp"
+
 namespace gyro_deblur {
 namespace {
 
-/// The text of the OptionError that `action` throws; empty when it throws none.
-std::string option_error(const std::function<void()>& action) {
-  try {
-    action();
-  } catch (const OptionError& error) {
-    return error.what();
-  }
-  return {};
-}
+using test::option_error;
 
 /// Checks that `member` of Options takes the values inside and refuses those outside, naming `name`.
 template <typename Options, typename T>
