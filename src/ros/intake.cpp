@@ -125,18 +125,18 @@ void Intake::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
 
 void Intake::add_odometry(const nav_msgs::Odometry& odometry) {
   now();
-  if (const auto refused = translation_.add(odometry, config_)) {
+  for (const RefusedMessage& refused : translation_.add(odometry, config_)) {
     ++statistics_.odometry_refused;
     throttled_log_(LogLevel::WARNING, "odometry refused",
-                   "odometry at " + seconds_text(refused->stamp_ns) + " s ignored: " + refused->why);
+                   "odometry at " + seconds_text(refused.stamp_ns) + " s ignored: " + refused.why);
   }
 }
 
 void Intake::add_scene_depth(const sensor_msgs::Range& depth) {
   now();
-  if (const auto refused = translation_.add(depth, config_)) {
+  for (const RefusedMessage& refused : translation_.add(depth, config_)) {
     throttled_log_(LogLevel::WARNING, "scene depth refused",
-                   "scene_depth at " + seconds_text(refused->stamp_ns) + " s ignored: " + refused->why);
+                   "scene_depth at " + seconds_text(refused.stamp_ns) + " s ignored: " + refused.why);
   }
 }
 

@@ -31,11 +31,11 @@ std::optional<double> stddev_m_s(const nav_msgs::Odometry& odometry) {
 
 }  // namespace
 
-std::optional<RefusedMessage> TranslationInput::add(const nav_msgs::Odometry& odometry, const Config& config) {
+std::vector<RefusedMessage> TranslationInput::add(const nav_msgs::Odometry& odometry, const Config& config) {
   expected_ = true;
   VelocitySample sample;
   sample.t_ns = to_time_ns(odometry.header.stamp);
-  const auto refuse = [&sample](const char* why) { return RefusedMessage{sample.t_ns, why}; };
+  const auto refuse = [&sample](const char* why) { return std::vector<RefusedMessage>{{sample.t_ns, why}}; };
   const auto& v = odometry.twist.twist.linear;
   sample.velocity_m_s = {v.x, v.y, v.z};
   if (!sample.velocity_m_s.allFinite()) return refuse("its linear velocity is not finite");
@@ -50,7 +50,7 @@ std::optional<RefusedMessage> TranslationInput::add(const nav_msgs::Odometry& od
     }
     sample.velocity_m_s = R_parent_body.normalized().conjugate() * sample.velocity_m_s;
   }
-  const std::optional<RefusedMessage> refused = velocities_.add(sample, config.time_jump_ns, kMaxVelocities);
+  const std::vector<RefusedMessage> refused = velocities_.add(sample, config.time_jump_ns, kMaxVelocities);
   // Only a message that was taken says whose velocity it is. Some stacks name the world in both places; what they
   // estimate is the pose of the IMU.
   if (std::prev(velocities_.end())->t_ns == sample.t_ns) {
@@ -59,9 +59,9 @@ std::optional<RefusedMessage> TranslationInput::add(const nav_msgs::Odometry& od
   return refused;
 }
 
-std::optional<RefusedMessage> TranslationInput::add(const sensor_msgs::Range& depth, const Config& config) {
+std::vector<RefusedMessage> TranslationInput::add(const sensor_msgs::Range& depth, const Config& config) {
   const TimeNs stamp_ns = to_time_ns(depth.header.stamp);
-  const auto refuse = [stamp_ns](const char* why) { return RefusedMessage{stamp_ns, why}; };
+  const auto refuse = [stamp_ns](const char* why) { return std::vector<RefusedMessage>{{stamp_ns, why}}; };
   const double depth_m = static_cast<double>(depth.range);
   if (!std::isfinite(depth_m) || !(depth_m > 0)) return refuse("its range is not a finite number above 0");
   if (depth.max_range > 0 && (depth.range < depth.min_range || depth.range > depth.max_range)) {

@@ -42,9 +42,9 @@ struct RefusedMessage {
 template <typename Message>
 class StampedStream {
  public:
-  /// Takes a message in. Returns nothing, or which message is refused for its stamp: this one, the one before it, or
-  /// the one that was the newest.
-  std::optional<RefusedMessage> add(const Message& message, TimeNs time_jump_ns, std::size_t capacity) {
+  /// Takes a message in. Returns which messages are refused for their stamps: this one, those before it that were held
+  /// back, or the one that was the newest.
+  std::vector<RefusedMessage> add(const Message& message, TimeNs time_jump_ns, std::size_t capacity) {
     const auto ruling = rule_.add(message, translation_stamps(time_jump_ns));
     if (ruling.newest_refused) messages_.pop_back();
     if (ruling.reset) messages_.clear();
@@ -52,10 +52,12 @@ class StampedStream {
       messages_.push_back(taken);
       if (messages_.size() > capacity) messages_.pop_front();
     }
-    if (ruling.refused.empty()) return std::nullopt;
-    const auto& [refused, why] = ruling.refused.front();
-    return RefusedMessage{refused.t_ns, why == Misfit::AHEAD ? "its stamp is ahead of those that came after it"
-                                                             : "its stamp is not after that of the one before"};
+    std::vector<RefusedMessage> refused;
+    for (const auto& [each, why] : ruling.refused) {
+      refused.push_back({each.t_ns, why == Misfit::AHEAD ? "its stamp is ahead of those that came after it"
+                                                         : "its stamp is not after that of the one before"});
+    }
+    return refused;
   }
 
   void clear() {
@@ -74,11 +76,11 @@ class StampedStream {
 /// Keeps the newest messages of an odometry and of a depth. Not thread-safe.
 class TranslationInput {
  public:
-  /// Takes a message in. Returns nothing, or which message is refused: this one when it is not finite or has an invalid
+  /// Takes a message in. Returns which messages are refused: this one when it is not finite or has an invalid
   /// covariance or orientation, and whichever has a wrong stamp, see StampedStream.
-  std::optional<RefusedMessage> add(const nav_msgs::Odometry& odometry, const Config& config);
+  std::vector<RefusedMessage> add(const nav_msgs::Odometry& odometry, const Config& config);
   /// The same; a depth that is not in the message's own range is refused as well (REP 117).
-  std::optional<RefusedMessage> add(const sensor_msgs::Range& depth, const Config& config);
+  std::vector<RefusedMessage> add(const sensor_msgs::Range& depth, const Config& config);
 
   /// Takes the acceleration of an IMU message in, where it has one. Precondition: GyroSource has taken the message,
   /// which it does not where the stamp is far from those around it; when the clock was set back, forget_forces first.

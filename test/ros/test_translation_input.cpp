@@ -31,8 +31,8 @@ class TranslationInputTest : public testing::Test {
     message.range = depth_m;
     note(input_.add(message, config_));
   }
-  void note(const std::optional<RefusedMessage>& refused) {
-    if (refused) refused_ns_.push_back(refused->stamp_ns);
+  void note(const std::vector<RefusedMessage>& refused) {
+    for (const RefusedMessage& each : refused) refused_ns_.push_back(each.stamp_ns);
   }
   TranslationJob around(TimeNs middle_ns) {
     std::string reason;
@@ -51,6 +51,14 @@ class TranslationInputTest : public testing::Test {
   TranslationInput input_;
   std::vector<TimeNs> refused_ns_;
 };
+
+TEST_F(TranslationInputTest, TellsOfEveryMessageThatOneShowsToBeWrong) {
+  for (int i = 0; i < 3; ++i) add_odometry(kStart + i * kPeriod);
+  add_odometry(kStart - 10 * kSecond);  // held back until the next tells
+  EXPECT_EQ(refused_ns_, std::vector<TimeNs>());
+  add_odometry(kStart + 2 * kPeriod);  // a second time
+  EXPECT_EQ(refused_ns_, (std::vector<TimeNs>{kStart - 10 * kSecond, kStart + 2 * kPeriod}));
+}
 
 TEST_F(TranslationInputTest, AStrayStampCostsOneOdometryAlone) {
   // Farther than a reset of time, farther than a frame's reach, within it, and between two messages.
