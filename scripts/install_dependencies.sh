@@ -26,7 +26,7 @@ test_packages=(
   "${demo_packages[@]}"
   catkin-lint clang-format colmap opencv-doc pocl-opencl-icd python3-pil python3-rostest python3-yaml snakemake
 )
-proof_packages=("${test_packages[@]}" clang libclang-rt-14-dev libomp-dev)
+proof_packages=("${test_packages[@]}" clang libclang-rt-14-dev)
 benchmark_packages=(libbenchmark-dev opencv-doc pocl-opencl-icd python3-matplotlib)
 # OpenBLAS matches features for the reconstruction.
 experiments_packages=(

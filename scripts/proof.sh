@@ -67,9 +67,6 @@ export LSAN_OPTIONS="suppressions=${GYRO_DEBLUR_ROOT}/scripts/leaks_of_others.tx
 # Libraries of others are not instrumented: what happens inside them is left out.
 export TSAN_OPTIONS=halt_on_error=1:second_deadlock_stack=1:ignore_noninstrumented_modules=1
 
-# Threads that wait for others' work do not spin.
-export OMP_WAIT_POLICY=passive
-
 # configure FOLDER ARGUMENTS...
 configure() {
   local folder="$1"
@@ -165,7 +162,7 @@ fi
 if wanted tsan; then
   step ${STEPS} "ThreadSanitizer: buffers, queue, engines, kernels, processor"
   tsan_folder="${GYRO_DEBLUR_BUILD}/proof/tsan"
-  # Of what several threads share or OpenMP divides among them, and each test that has threads of its own.
+  # Of what several threads share or is divided among them, and each test that has threads of its own.
   mapfile -t tsan_tests < <({
     printf '%s\n' test_gyro_buffer test_frame_queue test_time_jump test_translation_input test_intake test_assembly \
       test_processing test_processor_translation test_parallel \
@@ -174,21 +171,10 @@ if wanted tsan; then
   } | sort -u)
   configure "${tsan_folder}" -DGYRO_DEBLUR_SANITIZE=thread
   make_targets "${tsan_folder}" "${tsan_tests[@]}" fault_table
-  # Nor is OpenMP's runtime, whose barriers look like races then. LLVM's tells ThreadSanitizer what they order through
-  # Archer; without it one OpenMP thread has to do, which leaves the tests' own threads.
-  archer="$(clang++ -print-resource-dir)/../../libarcher.so"
-  openmp_threads=1
-  if [[ -f "${archer}" ]]; then
-    export OMP_TOOL_LIBRARIES="${archer}"
-    openmp_threads=4
-  fi
-  say "OpenMP threads: ${openmp_threads}"
-  export OMP_NUM_THREADS="${openmp_threads}"
   run_tests "${tsan_folder}" "${tsan_tests[@]}"
   end_when_out_of_time
   limited "${tsan_folder}/fault_table.log" "${tsan_folder}/devel/lib/gyro_deblur/fault_table" --seconds 1 --reloads 5 \
     --quiet || exit 1
-  unset OMP_NUM_THREADS OMP_TOOL_LIBRARIES
   say "fault_table, with a thread for each stream: clean"
 fi
 
@@ -201,7 +187,7 @@ if wanted fuzz; then
     log="${asan_folder}/fuzz_${name}.log"
     mkdir -p "${found}"
     # The corpus in the repository is read; what is new goes into the build folder.
-    (cd "${asan_folder}" && OMP_NUM_THREADS=1 "devel/lib/gyro_deblur/fuzz_${name}" -max_total_time="${fuzz_s}" -timeout=20 \
+    (cd "${asan_folder}" && "devel/lib/gyro_deblur/fuzz_${name}" -max_total_time="${fuzz_s}" -timeout=20 \
       -rss_limit_mb=3000 -malloc_limit_mb=2000 -max_len=4096 -print_final_stats=1 \
       -artifact_prefix="${GYRO_DEBLUR_BUILD}/proof/found_${name}_" \
       "${found}" "${GYRO_DEBLUR_ROOT}/fuzz/corpus/${name}") > "${log}" 2>&1 ||
@@ -215,7 +201,7 @@ if wanted soak; then
   scripts/build.sh --target soak
   results="${GYRO_DEBLUR_BUILD}/proof"
   mkdir -p "${results}"
-  OMP_NUM_THREADS=1 "${GYRO_DEBLUR_BUILD}/devel/lib/gyro_deblur/soak" --seconds "${soak_s}" --json "${results}/soak.json"
+  "${GYRO_DEBLUR_BUILD}/devel/lib/gyro_deblur/soak" --seconds "${soak_s}" --json "${results}/soak.json"
   /usr/bin/python3 scripts/soak_plot.py "${results}/soak.json" "${results}/soak.png"
   say "plot: ${results}/soak.png"
 fi

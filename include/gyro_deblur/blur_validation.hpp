@@ -19,7 +19,7 @@ double steepest_box_px(const BlockBlur& blur);
 
 /// Returns `field` with those DEBLURRED blocks turned REJECTED whose gradient along the predicted motion exceeds
 /// options.threshold(steepest_box_px), and those more than half of whose judged neighbours were rejected so; all of
-/// them when more than four in five were. On `threads` OpenMP threads (0: OpenMP's default). Throws
+/// them when more than four in five were. On at most `threads` threads (0: one for each core). Throws
 /// std::invalid_argument when luminance is not CV_8UC1 of the field's size.
 FrameBlur validate_blur_field(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
                               int threads = 0);

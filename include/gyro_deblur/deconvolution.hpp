@@ -11,7 +11,7 @@
 namespace gyro_deblur {
 
 /// The filters that deblur `field`: for DEBLURRED blocks of at least kMinKernelExtentPx the bank's kernels, or own ones
-/// where the path is uneven, made on `threads` OpenMP threads (0: OpenMP's default); none for the others. Lives no
+/// where the path is uneven, made on at most `threads` threads (0: one for each core); none for the others. Lives no
 /// longer than the bank.
 FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int threads = 0);
 

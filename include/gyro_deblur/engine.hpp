@@ -59,8 +59,8 @@ class Engine {
   virtual std::string take_warning() { return {}; }
 };
 
-/// Engine by name, on `threads` OpenMP threads (0: OpenMP's default):
-/// - "float": non-zero taps of the rotated kernel, float, OpenMP over blocks;
+/// Engine by name, on at most `threads` threads (0: one for each core to run on):
+/// - "float": non-zero taps of the rotated kernel, float;
 /// - "cpu": the fast one for processors;
 /// - "opencl", "opencl:INDEX" or "opencl:NAME": the first GPU (else the first device), or a device by its index or a
 ///   part of its platform's or its own name in any case. When it is absent or fails, also in mid-run, the "cpu" engine

@@ -137,7 +137,7 @@ struct PipelineOptions {
   KeypointOptions keypoints;
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
   std::string engine = "auto";  ///< see make_engine
-  int threads = 0;              ///< of validation, kernels and engine; 0: OpenMP's default
+  int threads = 0;              ///< of validation, kernels and engine, at most; 0: one for each core
 
   void validate() const;  ///< throws OptionError
 };

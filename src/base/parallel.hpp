@@ -1,64 +1,64 @@
-// Exceptions and OpenMP: one that leaves a parallel region ends the process, so it is carried out by hand.
+// Loops on several threads that sleep whenever there is nothing to do.
+//
+// Not OpenMP: its threads spin for milliseconds after every loop, which takes cores from the processes beside this one,
+// a loop ends only when every thread of the team has had a core, which a busy neighbour keeps from it, and a library
+// can change neither: the runtime reads its environment once, and belongs to the whole process.
+// doc/reports/neighbours.md has the numbers.
 #pragma once
 
-#include <exception>
-#include <mutex>
-#include <utility>
+#include <functional>
+#include <type_traits>
 
-#include <omp.h>
+// ThreadSanitizer is there to see threads: loops call for help at once then, however short they are.
+#if defined(__SANITIZE_THREAD__)
+#define GYRO_DEBLUR_TSAN
+#elif defined(__has_feature)
+#if __has_feature(thread_sanitizer)
+#define GYRO_DEBLUR_TSAN
+#endif
+#endif
 
 namespace gyro_deblur {
 
-/// Keeps the first exception of a parallel region until the region has ended:
-///
-///     FirstException failure;
-///     #pragma omp parallel for
-///     for (int i = 0; i < count; ++i) failure.guard([&] { work(i); });
-///     failure.rethrow();
-///
-/// After a failure the remaining iterations are skipped. Any thread may call guard(); it must not enclose a
-/// work-sharing construct, which every thread of the team has to reach.
-class FirstException {
- public:
-  template <typename Function>
-  void guard(Function&& function) noexcept {
-    if (failed()) return;
-    try {
-      std::forward<Function>(function)();
-    } catch (...) {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      if (!first_) first_ = std::current_exception();
-#pragma omp atomic write
-      failed_ = 1;
-    }
-  }
+/// Cores that the calling thread may run on, >= 1: those of its affinity (taskset, cpusets of containers).
+int available_cores();
 
-  /// After the region: throws what was kept, if anything.
-  void rethrow() {
-    if (first_) std::rethrow_exception(std::exchange(first_, nullptr));
-  }
+/// A number of threads as parameters give it: 0 means available_cores().
+inline int threads_or_all(int threads) { return threads > 0 ? threads : available_cores(); }
 
- private:
-  bool failed() const {
-    int failed = 0;
-#pragma omp atomic read
-    failed = failed_;
-    return failed != 0;
-  }
+/// What a loop does with the iterations begin <= i < end. `thread` is less than the loop's number of threads, and no
+/// two that work at the same time have the same.
+using LoopPart = std::function<void(int begin, int end, int thread)>;
 
-  std::mutex mutex_;
-  std::exception_ptr first_;
-  int failed_ = 0;  // apart from first_, so that looking needs no lock
-};
+/// Calls part() for all of [0, count), `chunk` iterations at a time, in any order, on at most `threads` threads (>= 0;
+/// 0: available_cores()). The calling thread is one of them and begins alone: others are called when there is more left
+/// than waking them costs, and one that comes late finds nothing left to do and holds nobody up. The first exception is
+/// thrown again when all threads have left; what had not begun then is skipped. May be called from several threads at
+/// once, and from within a loop.
+void run_parts(int count, int threads, int chunk, const LoopPart& part);
 
-/// Calls body(i) for 0 <= i < count on `threads` OpenMP threads (0: OpenMP's default), `chunk` iterations at a time, in
-/// any order. The first exception of `body` is thrown again when all threads have ended.
+/// The same, with body(i) or body(i, thread) for every iteration.
 template <typename Body>
 void run_parallel(int count, int threads, int chunk, Body&& body) {
-  FirstException failure;
-#pragma omp parallel for num_threads(threads > 0 ? threads : omp_get_max_threads()) schedule(dynamic, chunk)
-  for (int i = 0; i < count; ++i) failure.guard([&] { body(i); });
-  failure.rethrow();
+  run_parts(count, threads, chunk, [&body](int begin, int end, int thread) {
+    for (int i = begin; i < end; ++i) {
+      if constexpr (std::is_invocable_v<Body&, int, int>) {
+        body(i, thread);
+      } else {
+        (void)thread;
+        body(i);
+      }
+    }
+  });
 }
+
+/// While one lives, loops call for help at once, however short they are: for tests of what threads do to each other.
+class HelpAtOnce {
+ public:
+  HelpAtOnce();
+  ~HelpAtOnce();
+  HelpAtOnce(const HelpAtOnce&) = delete;
+  HelpAtOnce& operator=(const HelpAtOnce&) = delete;
+};
 
 }  // namespace gyro_deblur

@@ -186,7 +186,7 @@ ParameterGroup wiener_filter() {
                "auto: opencl where there is a GPU, else cpu, which also replaces a device that is absent or fails, "
                "with one warning"},
               {"threads", &PipelineOptions::threads, within(0, 256),
-               "of validation, kernels and engine; 0: as many as OpenMP chooses"},
+               "of validation, kernels and engine, at most; 0: one for each core to run on"},
           }};
 }
 

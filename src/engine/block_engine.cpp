@@ -1,11 +1,11 @@
 #include "engine/block_engine.hpp"
 
-#include <omp.h>
-
 #include <algorithm>
 #include <functional>
 #include <stdexcept>
 #include <string>
+
+#include "base/parallel.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -54,6 +54,6 @@ void BlockEngine::copy_untouched(const cv::Mat& src, const FilterGrid& grid, cv:
   }
 }
 
-int BlockEngine::threads() const { return threads_ > 0 ? threads_ : omp_get_max_threads(); }
+int BlockEngine::threads() const { return threads_or_all(threads_); }
 
 }  // namespace gyro_deblur

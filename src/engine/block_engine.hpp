@@ -14,7 +14,7 @@ namespace gyro_deblur {
 /// Keeps its memory between frames.
 class BlockEngine : public Engine {
  public:
-  /// @param threads  OpenMP threads, >= 0; 0: OpenMP's default
+  /// @param threads  at most, >= 0; 0: one for each core, see run_parts
   explicit BlockEngine(int threads) : threads_(threads) {}
 
   void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) final;
@@ -30,7 +30,7 @@ class BlockEngine : public Engine {
   /// works; for the others it is called after filter_blocks().
   void copy_untouched(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst);
 
-  /// OpenMP threads, >= 1.
+  /// Threads at most, >= 1.
   int threads() const;
 
  private:

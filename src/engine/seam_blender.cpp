@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <type_traits>
 
+#include "base/parallel.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -360,22 +362,17 @@ void SeamBlender::fade(int block, const cv::Mat& src, cv::Mat& dst) const {
 template <typename Pixel>
 void SeamBlender::blend_as(const cv::Mat& src, int threads, cv::Mat& dst) const {
   const int cols = grid_->cols(), count = cols * grid_->rows();
-#pragma omp parallel num_threads(threads)
-  {
-#pragma omp for schedule(static)
-    for (int block = 0; block < count; ++block) {
-      const Margins m = margins(block);
-      if (m.right > 0) blend_right<Pixel>(block, src, dst);
-      if (m.bottom > 0) blend_below<Pixel>(block, src, dst);
-      if (m.right > 0 && m.bottom > 0) blend_corner<Pixel>(block, src, dst);
-    }
-    if (fades_) {
-#pragma omp for schedule(static)
-      for (int block = 0; block < count; ++block) {
-        if (!is_copied(block)) fade<Pixel>(block, src, dst);
-      }
-    }
-  }
+  constexpr int kBlocksAtATime = 16;
+  run_parallel(count, threads, kBlocksAtATime, [&](int block) {
+    const Margins m = margins(block);
+    if (m.right > 0) blend_right<Pixel>(block, src, dst);
+    if (m.bottom > 0) blend_below<Pixel>(block, src, dst);
+    if (m.right > 0 && m.bottom > 0) blend_corner<Pixel>(block, src, dst);
+  });
+  if (!fades_) return;
+  run_parallel(count, threads, kBlocksAtATime, [&](int block) {
+    if (!is_copied(block)) fade<Pixel>(block, src, dst);
+  });
 }
 
 void SeamBlender::blend(const cv::Mat& src, int threads, cv::Mat& dst) const {

@@ -25,7 +25,7 @@ class Renderer {
     std::vector<Pose> samples;  ///< at least one; averaged with equal weights
   };
 
-  /// Image of the camera's size, CV_32F with `channels`, grey levels 0 to 255. Rows run on all OpenMP threads.
+  /// Image of the camera's size, CV_32F with `channels`, grey levels 0 to 255. Rows run on all cores.
   /// @param poses  called once for each row, from any thread
   cv::Mat render(const std::function<RowPoses(int row)>& poses);
 

@@ -38,6 +38,7 @@ struct Arguments {
   NamedTopics topics;
   bool keep_all_topics = false;
   FrameRequest request;
+  std::optional<int> threads;  // absent: the configuration's
   std::optional<double> bias_seconds;
   double start_s = 0;           // of the slice, since the bag's first message
   std::optional<double> end_s;  // absent: to the bag's end
@@ -201,6 +202,7 @@ void run(const Arguments& arguments) {
     throw std::runtime_error(arguments.output + ": output would overwrite the input");
   }
   Config config = read_config(arguments.config);
+  if (arguments.threads) config.pipeline.threads = *arguments.threads;
   const DeblurTopics topics = choose_topics(input, arguments.topics, config);
   if (arguments.keep_all_topics) require_free_topics(input, OutputTopics(topics.output_namespace));
   Outcome outcome;
@@ -249,6 +251,7 @@ int main_of(int argc, char** argv) {
       ->check(CLI::NonNegativeNumber);
   app.add_option("--end", arguments.end_s, "only images recorded before SECONDS after the bag's first message")
       ->check(CLI::PositiveNumber);
+  app.add_option("--threads", arguments.threads, "at most [those of the configuration]")->check(CLI::Range(0, 256));
   app.add_flag("--overlay", arguments.request.overlay, "also write blur_overlay");
   app.add_flag("--tracks", arguments.request.tracks, "also write feature_tracks");
   app.add_flag("--markers", arguments.request.markers, "also write blur_markers");

@@ -1,7 +1,18 @@
 #include "base/parallel.hpp"
 
+#include <sched.h>
+#include <time.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <filesystem>
+#include <iterator>
+#include <mutex>
 #include <new>
 #include <stdexcept>
+#include <thread>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -11,11 +22,35 @@ namespace {
 
 constexpr int kThreads = 4;
 
+double seconds_of(clockid_t clock) {
+  timespec time{};
+  clock_gettime(clock, &time);
+  return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
+}
+
+/// Processor time of all threads but this one.
+double time_of_others_s() { return seconds_of(CLOCK_PROCESS_CPUTIME_ID) - seconds_of(CLOCK_THREAD_CPUTIME_ID); }
+
+/// Keeps one core at work for so much of its time.
+void work_for(double seconds) {
+  const double end_s = seconds_of(CLOCK_THREAD_CPUTIME_ID) + seconds;
+  while (seconds_of(CLOCK_THREAD_CPUTIME_ID) < end_s) {
+  }
+}
+
+std::ptrdiff_t threads_of_process() {
+  namespace fs = std::filesystem;
+  return std::distance(fs::begin(fs::directory_iterator("/proc/self/task")), fs::directory_iterator());
+}
+
 TEST(RunParallel, CallsEveryIndexOnce) {
   std::vector<int> calls(1000, 0);
   run_parallel(1000, kThreads, 7, [&](int i) { ++calls[static_cast<std::size_t>(i)]; });
   EXPECT_EQ(calls, std::vector<int>(1000, 1));
   run_parallel(0, kThreads, 1, [](int) { FAIL(); });
+  const HelpAtOnce help_at_once;
+  run_parallel(1000, kThreads, 7, [&](int i) { ++calls[static_cast<std::size_t>(i)]; });
+  EXPECT_EQ(calls, std::vector<int>(1000, 2));
 }
 
 TEST(RunParallel, ThrowsWhatABodyThrewInsteadOfEndingTheProcess) {
@@ -25,20 +60,130 @@ TEST(RunParallel, ThrowsWhatABodyThrewInsteadOfEndingTheProcess) {
                             }),
                std::bad_alloc);
   EXPECT_THROW(run_parallel(100, 0, 1, [](int) { throw std::runtime_error("every one"); }), std::runtime_error);
+  const HelpAtOnce help_at_once;
+  EXPECT_THROW(run_parallel(100, kThreads, 1, [](int) { throw std::runtime_error("every one"); }), std::runtime_error);
 }
 
-TEST(FirstException, SkipsWhatIsLeftAfterAFailure) {
-  FirstException failure;
-  int calls = 0;
-  failure.guard([&] { ++calls; });
-  failure.guard([&] {
-    ++calls;
-    throw std::invalid_argument("first");
+TEST(RunParallel, SkipsWhatIsLeftAfterAFailure) {
+  for (const int threads : {1, kThreads}) {
+    std::atomic<int> calls{0};
+    const auto fail_at_once = [&](int) {
+      ++calls;
+      throw std::invalid_argument("first");
+    };
+    EXPECT_THROW(run_parallel(1000, threads, 1, fail_at_once), std::invalid_argument);
+    EXPECT_LE(calls, threads);
+    run_parallel(10, threads, 1, [&](int) { ++calls; });  // and the next loop is whole
+    EXPECT_GE(calls, 11);
+  }
+}
+
+TEST(RunParallel, GivesThreadsThatWorkAtTheSameTimeNumbersOfTheirOwn) {
+  const HelpAtOnce help_at_once;
+  std::vector<std::atomic<int>> at_work(kThreads);
+  std::atomic<int> wrong{0};
+  run_parallel(200, kThreads, 1, [&](int, int thread) {
+    if (thread < 0 || thread >= kThreads || ++at_work[static_cast<std::size_t>(thread)] != 1) ++wrong;
+    work_for(20e-6);
+    --at_work[static_cast<std::size_t>(std::clamp(thread, 0, kThreads - 1))];
   });
-  failure.guard([&] { ++calls; });
-  EXPECT_EQ(calls, 2);
-  EXPECT_THROW(failure.rethrow(), std::invalid_argument);
-  EXPECT_NO_THROW(failure.rethrow()) << "it has been thrown";
+  EXPECT_EQ(wrong, 0);
+}
+
+// The cause of frames that take twenty times as long beside a busy process, and of the time that is taken from it.
+TEST(RunParallel, ThreadsSleepBetweenLoops) {
+  constexpr int kLoops = 20, kAllCores = 0;
+  run_parallel(8, kAllCores, 1, [](int) { work_for(250e-6); });  // starts them
+  const double before_s = time_of_others_s();
+  double worked_s = 0;
+  std::mutex mutex;
+  for (int i = 0; i < kLoops; ++i) {
+    run_parallel(8, kAllCores, 1, [&, caller = std::this_thread::get_id()](int) {
+      work_for(250e-6);
+      const std::lock_guard<std::mutex> lock(mutex);
+      if (std::this_thread::get_id() != caller) worked_s += 250e-6;
+    });
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));  // what a camera leaves between two frames
+  }
+  const double idle_s = time_of_others_s() - before_s - worked_s;
+  EXPECT_LT(idle_s / kLoops, 300e-6) << "processor time of the other threads beside their work, a loop";
+}
+
+TEST(RunParallel, SmallWorkStartsNoThread) {
+  int grown = 0;
+  constexpr int kTries = 20;  // a process that others keep from its core in mid-loop sees a long loop
+  for (int i = 0; i < kTries; ++i) {
+    const std::ptrdiff_t before = threads_of_process();
+    // More threads than any loop before had.
+    run_parallel(100, 2 * kThreads + i, 1, [](int) {});
+    grown += threads_of_process() > before ? 1 : 0;
+  }
+#ifdef GYRO_DEBLUR_TSAN
+  GTEST_SKIP() << "loops always call for help under ThreadSanitizer";
+#endif
+  EXPECT_LT(grown, kTries / 2);
+}
+
+TEST(RunParallel, DoesNotWaitForThreadsThatAreKeptElsewhere) {
+  const HelpAtOnce help_at_once;
+  std::mutex mutex;
+  std::condition_variable changed;
+  int inside = 0;
+  bool released = false;
+  // Two threads, this one's and a helper, that stay inside their loop.
+  std::thread other([&] {
+    run_parallel(2, 2, 1, [&](int) {
+      std::unique_lock<std::mutex> lock(mutex);
+      ++inside;
+      changed.notify_all();
+      changed.wait(lock, [&] { return released; });
+    });
+  });
+  {
+    std::unique_lock<std::mutex> lock(mutex);
+    changed.wait(lock, [&] { return inside == 2; });
+  }
+  std::atomic<int> calls{0};
+  run_parallel(1000, 2, 1, [&](int) { ++calls; });
+  EXPECT_EQ(calls, 1000);
+  {
+    const std::lock_guard<std::mutex> lock(mutex);
+    released = true;
+  }
+  changed.notify_all();
+  other.join();
+}
+
+TEST(RunParallel, RunsWithinLoopsAndFromSeveralThreadsAtOnce) {
+  const HelpAtOnce help_at_once;
+  std::atomic<int> calls{0};
+  std::vector<std::thread> cameras;
+  for (int i = 0; i < kThreads; ++i) {
+    cameras.emplace_back([&] {
+      for (int frame = 0; frame < 50; ++frame) {
+        run_parallel(10, kThreads, 1, [&](int) { run_parallel(10, 2, 1, [&](int) { ++calls; }); });
+      }
+    });
+  }
+  for (std::thread& camera : cameras) camera.join();
+  EXPECT_EQ(calls, kThreads * 50 * 10 * 10);
+}
+
+TEST(AvailableCores, AreThoseOfTheAffinity) {
+  EXPECT_GE(available_cores(), 1);
+  std::thread([] {
+    cpu_set_t all, one;
+    ASSERT_EQ(sched_getaffinity(0, sizeof(all), &all), 0);
+    EXPECT_EQ(available_cores(), CPU_COUNT(&all));
+    int core = 0;
+    while (!CPU_ISSET(core, &all)) ++core;
+    CPU_ZERO(&one);
+    CPU_SET(core, &one);
+    ASSERT_EQ(sched_setaffinity(0, sizeof(one), &one), 0);
+    EXPECT_EQ(available_cores(), 1);
+    EXPECT_EQ(threads_or_all(0), 1);
+    EXPECT_EQ(threads_or_all(3), 3);
+  }).join();
 }
 
 }  // namespace

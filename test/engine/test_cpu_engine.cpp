@@ -8,6 +8,7 @@
 
 #include <gtest/gtest.h>
 
+#include "base/parallel.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/deconvolution.hpp"
 #include "synthetic_blur.hpp"
@@ -208,6 +209,7 @@ TEST_P(CpuEngineTest, KeepsAConstantImageAndCopiesBlocksWithoutKernel) {
 }
 
 TEST_P(CpuEngineTest, GivesTheSameForAnyNumberOfThreadsAndOnReuse) {
+  const HelpAtOnce help_at_once;
   const cv::Mat image = test::textured_image(210, 140, 5);
   CpuEngine one(1, *kernels_), two(2, *kernels_);
   cv::Mat a, b, again;

@@ -5,6 +5,7 @@
 
 #include <gtest/gtest.h>
 
+#include "base/parallel.hpp"
 #include "filter_grids.hpp"
 #include "images.hpp"
 #include "naive_convolution.hpp"
@@ -56,6 +57,7 @@ INSTANTIATE_TEST_SUITE_P(Shapes, FloatEngineTest,
                                          EngineCase{1, 50, CV_16UC1, 64, 30}, EngineCase{50, 1, CV_8UC3, 64, 30}));
 
 TEST(FloatEngine, GivesTheSameForAnyNumberOfThreadsAndOnReuse) {
+  const HelpAtOnce help_at_once;
   const KernelBank bank({});
   const cv::Mat src = random_image(200, 150, CV_8UC1, 3);
   const FilterGrid blocks = varied_blocks(200, 150, 32, 50, bank);

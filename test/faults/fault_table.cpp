@@ -18,6 +18,7 @@
 #include "engine/fallback_engine.hpp"
 #include "faults.hpp"
 #include "gyro_deblur/config.hpp"
+#include "neighbour_processes.hpp"
 #include "process_memory.hpp"
 #include "replay.hpp"
 #include "ros/pass_through.hpp"
@@ -91,7 +92,7 @@ class Table {
 
   void make(bool quiet) {
     const Stream streams[] = {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE};
-    constexpr std::size_t kOthers = 24;
+    constexpr std::size_t kOthers = 25;
     Progress progress(std::size(kFaults) * std::size(streams) * std::size(kRates) + kOthers, "faults", quiet);
     std::size_t done = 0;
     const auto add = [&](Row row) {
@@ -184,6 +185,16 @@ class Table {
     ReplayOptions slow = options_;
     slow.processing_ns = kSecond / 10;
     one("processing takes 100 ms a frame", "engine", all, slow);
+
+    {
+      // In real time: what frames become of, and no more. How long they take is in doc/reports/neighbours.md.
+      NeighbourProcesses busy;
+      busy.start_busy(make_shared_counts());
+      ReplayOptions all_cores = options_;
+      all_cores.config.pipeline.threads = 0;
+      add({"neighbour: a busy process on every core, in real time", "", "", replay_live(recording_, all, all_cores),
+           0});
+    }
 
     Balance reloaded;
     ReplayResult last;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 
 #include <boost/make_shared.hpp>
 
@@ -80,6 +81,18 @@ Recording::Recording(const std::string& scene_path, double seconds) {
   }
   std::stable_sort(deliveries_.begin(), deliveries_.end(),
                    [](const Delivery& a, const Delivery& b) { return a.at_ns < b.at_ns; });
+}
+
+std::vector<Delivery> Recording::repeatable(TimeNs* length_ns) const {
+  const auto first_image = std::find_if(deliveries_.begin(), deliveries_.end(),
+                                        [](const Delivery& delivery) { return stream_of(delivery) == Stream::IMAGE; });
+  const TimeNs from_ns = first_image->at_ns - frame_period_ns_ / 2;
+  *length_ns = static_cast<TimeNs>(frames()) * frame_period_ns_;
+  std::vector<Delivery> piece;
+  std::copy_if(deliveries_.begin(), deliveries_.end(), std::back_inserter(piece), [&](const Delivery& delivery) {
+    return delivery.at_ns >= from_ns && delivery.at_ns < from_ns + *length_ns;
+  });
+  return piece;
 }
 
 }  // namespace gyro_deblur::test

@@ -68,6 +68,9 @@ class Recording {
   TimeNs end_ns() const { return deliveries_.back().at_ns; }
   TimeNs frame_period_ns() const { return frame_period_ns_; }
 
+  /// A piece that can be repeated every `length_ns` without a seam in its stamps.
+  std::vector<Delivery> repeatable(TimeNs* length_ns) const;
+
   /// True blur [px] at the centre of a frame's image.
   double center_extent_px(std::size_t frame) const { return center_extents_px_[frame]; }
 

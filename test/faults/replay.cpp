@@ -1,4 +1,5 @@
 #include "replay.hpp"
+#include "live.hpp"
 #include "ros/pass_through.hpp"
 
 #include <algorithm>
@@ -109,6 +110,30 @@ ReplayResult replay(const Recording& recording, const std::vector<Delivery>& del
     if (processor.waiting() > 0 && steady_ns >= busy_until_ns) processor.advance(sink);
   }
   while (processor.waiting() > 0) processor.finish(sink);
+  result.balance = deliverer.balance();
+  result.statistics = processor.statistics();
+  result.log_lines = log_lines;
+  return result;
+}
+
+ReplayResult replay_live(const Recording& recording, const std::vector<Delivery>& deliveries,
+                         const ReplayOptions& options) {
+  ReplayResult result;
+  const TimeNs begin_ns = deliveries.front().at_ns, end_ns = deliveries.back().at_ns + 1;
+  std::atomic<std::size_t> log_lines{0};
+  const LiveClock clock(begin_ns);
+  const auto now = [&clock] { return clock.now(); };
+  Processor processor(environment_of(options, now, now, &log_lines));
+  processor.set_config(options.config);
+  Deliverer deliverer(recording, &processor);
+  play_live(
+      deliveries, end_ns - begin_ns, end_ns, clock,
+      [&deliverer](const Delivery& delivery, TimeNs) { deliverer.deliver(delivery); }, &processor,
+      [&](FrameOutput&& output) {
+        result.peak_waiting = std::max(result.peak_waiting, processor.waiting());
+        deliverer.take(output, &result);
+        return true;
+      });
   result.balance = deliverer.balance();
   result.statistics = processor.statistics();
   result.log_lines = log_lines;

@@ -33,6 +33,11 @@ struct ReplayResult {
 /// @param recording  the truth that the deliveries come from
 ReplayResult replay(const Recording& recording, const std::vector<Delivery>& deliveries, const ReplayOptions& options);
 
+/// The same in real time, with a thread that delivers: every delivery when its at_ns has come. Deliveries at one time
+/// keep their order.
+ReplayResult replay_live(const Recording& recording, const std::vector<Delivery>& deliveries,
+                         const ReplayOptions& options);
+
 /// The same with a thread for each stream, one that takes frames out, and one that changes parameters all the time,
 /// as fast as they can.
 /// @param deliver_part  in (0, 1]: after this part of each stream everything ends, whatever is at work

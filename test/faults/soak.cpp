@@ -76,24 +76,9 @@ struct Window {
   }
 };
 
-/// A piece of the recording that can be repeated without a seam in its stamps.
-std::vector<Delivery> repeatable(const Recording& recording, TimeNs* length_ns) {
-  TimeNs first_image_ns = 0;
-  for (const Delivery& delivery : recording.deliveries()) {
-    if (stream_of(delivery) == Stream::IMAGE && first_image_ns == 0) first_image_ns = delivery.at_ns;
-  }
-  const TimeNs from_ns = first_image_ns - recording.frame_period_ns() / 2;
-  *length_ns = static_cast<TimeNs>(recording.frames()) * recording.frame_period_ns();
-  std::vector<Delivery> piece;
-  for (const Delivery& delivery : recording.deliveries()) {
-    if (delivery.at_ns >= from_ns && delivery.at_ns < from_ns + *length_ns) piece.push_back(delivery);
-  }
-  return piece;
-}
-
 nlohmann::json soak(const Recording& recording, const Config& config, double seconds, double window_s, bool quiet) {
   TimeNs length_ns = 0;
-  const std::vector<Delivery> piece = repeatable(recording, &length_ns);
+  const std::vector<Delivery> piece = recording.repeatable(&length_ns);
   const TimeNs begin_ns = piece.front().at_ns;
   const auto rounds = static_cast<std::uint64_t>(std::max<TimeNs>(1, to_ns(seconds) / length_ns));
 

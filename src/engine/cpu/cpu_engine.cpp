@@ -1,7 +1,5 @@
 #include "engine/cpu/cpu_engine.hpp"
 
-#include <omp.h>
-
 #include <algorithm>
 #include <tuple>
 
@@ -130,17 +128,17 @@ void CpuEngine::run_tiles(const cv::Mat& plane, int pad, int channel, PlaneBuffe
   if (tiles_.back().plan->major_is_y) upright = upright_plane(plane, pad, threads(), buffers.edges);
   if (!tiles_.front().plan->major_is_y) transposed = transposed_plane(plane, pad, threads(), buffers.transposed);
   const int tile_count = static_cast<int>(tiles_.size());
-#pragma omp parallel for num_threads(threads()) schedule(dynamic, 8)
-  for (int i = 0; i < tile_count; ++i) {
+  constexpr int kTilesAtATime = 8;
+  run_parallel(tile_count, static_cast<int>(scratch_.size()), kTilesAtATime, [&](int i, int thread) {
     const Tile& tile = tiles_[i];
     const bool major_is_y = tile.plan->major_is_y;
     alignas(kAlignBytes) Pixel line_order[kMaxTileSide * kTileStride];
-    float* scratch = scratch_[omp_get_thread_num()].data();
+    float* scratch = scratch_[thread].data();
     const std::uintptr_t past_line = reinterpret_cast<std::uintptr_t>(scratch) % kAlignBytes;
     if (past_line != 0) scratch += (kAlignBytes - past_line) / sizeof(float);
     run_tile(major_is_y ? upright : transposed, tile, scratch, line_order);
     store_tile(line_order, tile.rect, major_is_y, tile.block, channel, seams, dst);
-  }
+  });
 }
 
 void CpuEngine::filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks,

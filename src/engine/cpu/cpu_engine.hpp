@@ -22,7 +22,7 @@ namespace gyro_deblur {
 /// Filters every block with the method that block_method.hpp chooses for it. Keeps its buffers between frames.
 class CpuEngine : public BlockEngine {
  public:
-  /// @param threads  OpenMP threads, >= 0; 0: OpenMP's default
+  /// @param threads  at most, >= 0; 0: one for each core, see run_parts
   /// @param kernels  inner loops of one instruction set
   explicit CpuEngine(int threads, const BlockKernels& kernels = best_block_kernels());
 

@@ -4,6 +4,8 @@
 #include <cstddef>
 #include <cstring>
 
+#include "base/parallel.hpp"
+
 #if defined(__SSE2__)
 #include <emmintrin.h>
 #endif
@@ -109,14 +111,14 @@ template <typename Pixel>
 SourcePlane<Pixel> upright_plane(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& edges) {
   const std::ptrdiff_t stride = reserve_rows(channel.rows, 4 * pad, edges);
   const int cols = channel.cols, copied = std::min(pad, cols);
-#pragma omp parallel for num_threads(threads) schedule(static)
-  for (int y = 0; y < channel.rows; ++y) {
+  constexpr int kRowsAtATime = 32;
+  run_parallel(channel.rows, threads, kRowsAtATime, [&](int y) {
     const Pixel *from = channel.ptr<Pixel>(y), first = from[0], last = from[cols - 1];
     Pixel* to = std::fill_n(edges.data() + y * stride, pad, first);
     to = std::fill_n(std::copy_n(from, copied, to), pad - copied, last);
     to = std::copy_n(from + cols - copied, copied, std::fill_n(to, pad - copied, first));
     std::fill_n(to, pad, last);
-  }
+  });
   return {channel.ptr<Pixel>(),
           static_cast<std::ptrdiff_t>(channel.step1()),
           channel.rows,
@@ -131,8 +133,8 @@ template <typename Pixel>
 SourcePlane<Pixel> transposed_plane(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& storage) {
   const std::ptrdiff_t stride = reserve_rows(channel.cols, channel.rows + 2 * pad, storage);
   constexpr int kBand = 64;  // columns of the channel that one thread transposes at a time
-#pragma omp parallel for num_threads(threads) schedule(static)
-  for (int x = 0; x < channel.cols; x += kBand) {
+  run_parallel((channel.cols + kBand - 1) / kBand, threads, 1, [&](int i_band) {
+    const int x = i_band * kBand;
     const int band = std::min(kBand, channel.cols - x);
     transpose(channel.ptr<Pixel>(0) + x, channel.step1(), channel.rows, band, storage.data() + x * stride + pad,
               stride);
@@ -141,7 +143,7 @@ SourcePlane<Pixel> transposed_plane(const cv::Mat& channel, int pad, int threads
       std::fill_n(row, pad, row[pad]);
       std::fill_n(row + pad + channel.rows, pad, row[pad + channel.rows - 1]);
     }
-  }
+  });
   const Pixel* origin = storage.data() + pad;
   return {origin, stride, channel.cols, channel.rows, origin, origin, stride, pad};
 }

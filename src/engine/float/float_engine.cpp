@@ -105,14 +105,14 @@ template <typename Pixel>
 void FloatEngine::load_channel(const cv::Mat& src, int channel) {
   const int channels = src.channels();
   const int rows = src.rows + 2 * pad_y_;
-#pragma omp parallel for num_threads(threads()) schedule(static)
-  for (int y = 0; y < rows; ++y) {
+  constexpr int kRowsAtATime = 16;
+  run_parallel(rows, threads(), kRowsAtATime, [&](int y) {
     const Pixel* from = src.ptr<Pixel>(std::clamp(y - pad_y_, 0, src.rows - 1)) + channel;
     float* to = padded_.data() + y * stride_;
     std::fill_n(to, pad_x_, static_cast<float>(from[0]));
     for (int x = 0; x < src.cols; ++x) to[pad_x_ + x] = from[x * channels];
     std::fill_n(to + pad_x_ + src.cols, pad_x_, static_cast<float>(from[(src.cols - 1) * channels]));
-  }
+  });
 }
 
 void FloatEngine::lay_out(cv::Size size, int count) {
@@ -141,30 +141,27 @@ void FloatEngine::filter_as(const cv::Mat& src, const FilterGrid& grid, const st
   });
   lay_out(src.size(), count);
 
+  struct Scratch {
+    std::vector<OffsetTap> offsets;
+    std::vector<Pixel> result;
+  };
+  const int most_threads = threads();
+  std::vector<Scratch> scratch(most_threads);
   for (int channel = 0; channel < src.channels(); ++channel) {
     load_channel<Pixel>(src, channel);
-    FirstException failure;
-#pragma omp parallel num_threads(threads())
-    {
-      std::vector<OffsetTap> offsets;
-      std::vector<Pixel> result;
-#pragma omp for schedule(dynamic)
-      for (int i = 0; i < count; ++i) {
-        failure.guard([&] {
-          offsets.clear();
-          for (const KernelTap& tap : taps_[i]) {
-            // Convolution: output at p takes input at p - tap.
-            offsets.push_back({-(tap.dy * stride_ + tap.dx), tap.weight});
-          }
-          const cv::Rect rect = seams.reach(blocks[i]);
-          result.resize(rect.area());
-          filter_block(padded_.data() + (rect.y + pad_y_) * stride_ + rect.x + pad_x_, stride_, offsets, rect.size(),
-                       result.data());
-          seams.store_channel(blocks[i], channel, result.data(), dst);
-        });
+    run_parallel(count, most_threads, 1, [&](int i, int thread) {
+      auto& [offsets, result] = scratch[thread];
+      offsets.clear();
+      for (const KernelTap& tap : taps_[i]) {
+        // Convolution: output at p takes input at p - tap.
+        offsets.push_back({-(tap.dy * stride_ + tap.dx), tap.weight});
       }
-    }
-    failure.rethrow();
+      const cv::Rect rect = seams.reach(blocks[i]);
+      result.resize(rect.area());
+      filter_block(padded_.data() + (rect.y + pad_y_) * stride_ + rect.x + pad_x_, stride_, offsets, rect.size(),
+                   result.data());
+      seams.store_channel(blocks[i], channel, result.data(), dst);
+    });
   }
 }
 

@@ -10,7 +10,7 @@
 
 namespace gyro_deblur {
 
-/// Sums the non-zero taps of each block's rotated kernel in float, OpenMP over blocks.
+/// Sums the non-zero taps of each block's rotated kernel in float, block by block on all threads.
 class FloatEngine : public BlockEngine {
  public:
   using BlockEngine::BlockEngine;

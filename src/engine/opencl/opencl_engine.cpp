@@ -318,8 +318,9 @@ template <typename Pixel>
 void OpenClEngine::Impl::store_results(const std::vector<int>& blocks, const void* results, int threads,
                                        SeamBlender& seams, cv::Mat& dst) {
   const int count = static_cast<int>(blocks.size());
-#pragma omp parallel for num_threads(threads) schedule(static)
-  for (int i = 0; i < count; ++i) seams.store(blocks[i], static_cast<const Pixel*>(results) + result_starts_[i], dst);
+  constexpr int kBlocksAtATime = 8;
+  run_parallel(count, threads, kBlocksAtATime,
+               [&](int i) { seams.store(blocks[i], static_cast<const Pixel*>(results) + result_starts_[i], dst); });
 }
 
 void OpenClEngine::Impl::start(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
@@ -362,8 +363,7 @@ std::unique_ptr<OpenClEngine::Impl> OpenClEngine::make_impl(const std::string& d
 OpenClEngine::OpenClEngine(const std::string& device, int threads, OpenClTuning tuning)
     : OpenClEngine(make_impl(device, tuning), threads) {}
 
-// A device on the processor has threads of its own, which OpenMP threads waiting for their next work would keep from
-// running: a third of the time of a short kernel.
+// A device on the processor has threads of its own, on the same cores.
 OpenClEngine::OpenClEngine(std::unique_ptr<Impl> impl, int threads)
     : BlockEngine(impl->is_processor() ? 1 : threads), impl_(std::move(impl)) {}
 

@@ -1,0 +1,182 @@
+#include "base/parallel.hpp"
+
+#include <pthread.h>
+#include <sched.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <exception>
+#include <mutex>
+#include <system_error>
+#include <thread>
+#include <utility>
+
+namespace gyro_deblur {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+// Less work than this is not worth another thread: waking one takes 40 to 60 us until it runs, and 3 to 5 us of the
+// time of the one that wakes it (two cores of a virtual machine).
+constexpr std::chrono::nanoseconds kWorthHelp{50'000};
+
+#ifdef GYRO_DEBLUR_TSAN
+std::atomic<int> help_at_once{1};
+#else
+std::atomic<int> help_at_once{0};
+#endif
+
+/// A loop that is being run. Lives on the stack of the thread that runs it, which leaves last.
+class Loop {
+ public:
+  Loop(int count, int chunk, const LoopPart& part) : count_(count), chunk_(chunk), part_(part) {}
+
+  /// Does one chunk. @return false when none is left
+  bool step(int thread) {
+    const std::int64_t begin = next_.fetch_add(chunk_, std::memory_order_relaxed);
+    if (begin >= count_) return false;
+    try {
+      part_(static_cast<int>(begin), static_cast<int>(std::min<std::int64_t>(begin + chunk_, count_)), thread);
+    } catch (...) {
+      next_ = count_;  // the rest is skipped
+      const std::lock_guard<std::mutex> lock(failure_mutex_);
+      if (!failure_) failure_ = std::current_exception();
+    }
+    return true;
+  }
+
+  /// Iterations that have begun.
+  int begun() const { return static_cast<int>(std::min<std::int64_t>(next_.load(std::memory_order_relaxed), count_)); }
+  int count() const { return count_; }
+
+  void rethrow() {
+    if (failure_) std::rethrow_exception(std::exchange(failure_, nullptr));
+  }
+
+  // Of the helpers, under their lock:
+  int wanted = 0, joined = 0, at_work = 0;
+  std::condition_variable all_left;
+
+ private:
+  const int count_, chunk_;
+  const LoopPart& part_;
+  std::atomic<std::int64_t> next_{0};  // 64 bit: goes on past count_
+  std::mutex failure_mutex_;
+  std::exception_ptr failure_;
+};
+
+/// The threads that help, for all loops of the process. They are never ended: the library stays loaded (see
+/// src/CMakeLists.txt), and a process that exits need not wait for them.
+class Helpers {
+ public:
+  static Helpers& instance() {
+    static Helpers* const helpers = new Helpers;
+    return *helpers;
+  }
+
+  /// From now on up to `count` threads join the loop.
+  void call(Loop& loop, int count) {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      loop.wanted = count;
+      loops_.push_back(&loop);
+      while (threads_ < count && start_thread()) ++threads_;
+    }
+    for (int i = 0; i < count; ++i) called_.notify_one();
+  }
+
+  /// Returns when nobody has to do with the loop any more, nor will have.
+  void dismiss(Loop& loop) {
+    std::unique_lock<std::mutex> lock(mutex_);
+    close(loop);
+    loop.all_left.wait(lock, [&loop] { return loop.at_work == 0; });
+  }
+
+ private:
+  bool start_thread() {
+    try {
+      std::thread([this] { help(); }).detach();
+      return true;
+    } catch (const std::system_error&) {
+      return false;  // those who are there do it all
+    }
+  }
+
+  void help() {
+    pthread_setname_np(pthread_self(), "gyro_deblur");
+    std::unique_lock<std::mutex> lock(mutex_);
+    while (true) {
+      Loop* loop = nullptr;
+      called_.wait(lock, [this, &loop] { return (loop = open_loop()) != nullptr; });
+      const int thread = ++loop->joined;  // 0 is the one that runs the loop
+      ++loop->at_work;
+      lock.unlock();
+      while (loop->step(thread)) {
+      }
+      lock.lock();
+      close(*loop);
+      if (--loop->at_work == 0) loop->all_left.notify_one();
+    }
+  }
+
+  Loop* open_loop() const {
+    const auto found =
+        std::find_if(loops_.begin(), loops_.end(), [](const Loop* loop) { return loop->joined < loop->wanted; });
+    return found == loops_.end() ? nullptr : *found;
+  }
+
+  /// Nobody else joins.
+  void close(Loop& loop) { loops_.erase(std::remove(loops_.begin(), loops_.end(), &loop), loops_.end()); }
+
+  std::mutex mutex_;
+  std::condition_variable called_;
+  std::deque<Loop*> loops_;
+  int threads_ = 0;
+};
+
+/// Works alone until what is left is worth help. @return how many of `most` helpers it is worth; 0: it is done
+int begin_alone(Loop& loop, int most) {
+  if (help_at_once > 0) return most;
+  const auto start = Clock::now();
+  while (loop.step(0)) {
+    const auto elapsed = Clock::now() - start;
+    if (elapsed < kWorthHelp) continue;
+    const int begun = loop.begun();
+    const double rest = std::chrono::duration<double>(elapsed) / std::chrono::duration<double>(kWorthHelp) *
+                        (loop.count() - begun) / begun;
+    if (rest >= 1) return static_cast<int>(std::min<double>(rest, most));
+  }
+  return 0;
+}
+
+}  // namespace
+
+int available_cores() {
+  cpu_set_t cores;
+  if (sched_getaffinity(0, sizeof(cores), &cores) == 0) return std::max(1, CPU_COUNT(&cores));
+  return std::max(1, static_cast<int>(std::thread::hardware_concurrency()));  // more cores than the set holds
+}
+
+void run_parts(int count, int threads, int chunk, const LoopPart& part) {
+  if (count <= 0) return;
+  const int chunks = (count - 1) / chunk + 1, most = std::min(threads_or_all(threads), chunks);
+  if (most == 1) return part(0, count, 0);
+  Loop loop(count, chunk, part);
+  const int helpers = begin_alone(loop, most - 1);
+  if (helpers > 0) {
+    Helpers::instance().call(loop, helpers);
+    while (loop.step(0)) {
+    }
+    Helpers::instance().dismiss(loop);
+  }
+  loop.rethrow();
+}
+
+HelpAtOnce::HelpAtOnce() { ++help_at_once; }
+HelpAtOnce::~HelpAtOnce() { --help_at_once; }
+
+}  // namespace gyro_deblur
