@@ -1,12 +1,10 @@
 // How a kernel with a box in it is split into two scales, found by least squares once per length.
 #pragma once
 
-#include <map>
-#include <memory>
-#include <mutex>
 #include <utility>
 #include <vector>
 
+#include "base/made_once.hpp"
 #include "inverse/tap_loops.hpp"
 
 namespace gyro_deblur {
@@ -52,8 +50,7 @@ class TwoScaleDesigns {
   const TwoScaleDesign& get(int box_half, int radius);
 
  private:
-  std::mutex mutex_;
-  std::map<std::pair<int, int>, std::unique_ptr<TwoScaleDesign>> designs_;
+  MadeOnce<std::pair<int, int>, TwoScaleDesign> designs_;
 };
 
 }  // namespace gyro_deblur

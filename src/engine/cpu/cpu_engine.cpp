@@ -48,10 +48,14 @@ void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.max_rows = kMaxTileSide;
   plan.slow = slow_reason(kernel, depth);
   if (plan.slow) return;
-  plan.two_scales = takes_two_scales(kernel, line.slope, depth);
-  if (plan.two_scales) {
-    plan.max_rows = max_two_scale_rows(kernel, line.slope);
-    make_two_scale_taps(kernel, line.major, depth == CV_8U, tap_loops_, designs_, plan.two_scale);
+  plan.lanes = takes_lanes(kernel, line.slope, depth);
+  if (plan.lanes) {
+    plan.max_rows = max_lane_rows(kernel, line.slope);
+    if (kernel.box_extent_px > 0) {
+      make_two_scale_taps(kernel, line.major, depth == CV_8U, tap_loops_, designs_, plan.two_scale);
+    } else {
+      make_lane_taps(kernel, line.major, depth == CV_8U, plan.two_scale);
+    }
   } else {
     make_exact_taps(kernel, block.angle_rad, kernels_.has_byte_weights, plan.exact);
   }
@@ -72,7 +76,7 @@ void CpuEngine::plan_blocks(const FilterGrid& grid, const std::vector<int>& bloc
 }
 
 TileNeeds CpuEngine::needs_of(const TileGeometry& tile, const Plan& plan, int depth) const {
-  if (!plan.two_scales) return kernels_.exact_needs(tile, plan.exact.filter);
+  if (!plan.lanes) return kernels_.exact_needs(tile, plan.exact.filter);
   return (depth == CV_8U ? kernels_.two_scale_u8_needs : kernels_.two_scale_u16_needs)(tile, plan.two_scale.filter);
 }
 
@@ -112,7 +116,7 @@ template <typename Pixel>
 void CpuEngine::run_tile(const SourcePlane<Pixel>& source, const Tile& tile, float* scratch, Pixel* line_order) const {
   const Plan& plan = *tile.plan;
   if constexpr (sizeof(Pixel) == 1) {
-    if (plan.two_scales) {
+    if (plan.lanes) {
       kernels_.two_scale_u8(source, tile.geometry, plan.two_scale.filter, scratch, line_order);
     } else {
       kernels_.exact_u8(source, tile.geometry, plan.exact.filter, scratch, line_order);

@@ -40,7 +40,7 @@ class CpuEngine : public BlockEngine {
   /// What is the same for all tiles of a block.
   struct Plan {
     std::optional<SlowReason> slow;  // set: the float engine's, and what follows does not matter
-    bool two_scales = false;
+    bool lanes = false;              // two_scale rather than exact
     bool major_is_y = true;
     double slope = 0;
     int max_rows = 0;  // of a tile, along the major axis
