@@ -1,10 +1,13 @@
 // Things that are made when they are first asked for, by several threads at once.
 #pragma once
 
+#include <cstddef>
+#include <iterator>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <set>
 
 namespace gyro_deblur {
 
@@ -27,12 +30,25 @@ class MadeOnce {
     return *slot->value;
   }
 
+  /// Forgets the values of other keys than these. Not while others use the values.
+  void keep_only(const std::set<Key>& keys) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    for (auto slot = slots_.begin(); slot != slots_.end();) {
+      slot = keys.count(slot->first) != 0 ? std::next(slot) : slots_.erase(slot);
+    }
+  }
+
+  std::size_t size() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return slots_.size();
+  }
+
  private:
   struct Slot {
     std::once_flag once;
     std::optional<Value> value;
   };
-  std::mutex mutex_;
+  mutable std::mutex mutex_;
   std::map<Key, std::unique_ptr<Slot>> slots_;
 };
 

@@ -8,6 +8,8 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
+#include "base/parallel.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -226,8 +228,14 @@ void TwoScaleDesign::fit(const float* kernel, int count, const TapLoops& loops, 
   for (float& weight : weights.coarse) weight += share;
 }
 
-const TwoScaleDesign& TwoScaleDesigns::get(int box_half, int radius) {
-  return designs_.get({box_half, radius}, [&] { return TwoScaleDesign(box_half, radius); });
+const TwoScaleDesign& TwoScaleDesigns::get(const TwoScaleShape& shape) {
+  return designs_.get(shape, [&] { return TwoScaleDesign(shape.first, shape.second); });
+}
+
+void TwoScaleDesigns::prepare(const std::set<TwoScaleShape>& shapes, int threads) {
+  designs_.keep_only(shapes);
+  const std::vector<TwoScaleShape> list(shapes.begin(), shapes.end());
+  run_parallel(static_cast<int>(list.size()), threads, 1, [&](int i) { get(list[i]); });
 }
 
 }  // namespace gyro_deblur

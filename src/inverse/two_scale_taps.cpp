@@ -63,18 +63,43 @@ void fix_coarse_weights(TwoScaleTaps& taps) {
   filter.coarse_odd = odd;
 }
 
+/// Samples on either side of the inner box where the line's major axis has `stretch` steps a pixel. A box that covers
+/// the samples -b .. b ends at b + 1 / 2: the kernel's ends between those of the two boxes.
+int box_half_of(const LineKernel& kernel, double stretch) {
+  return static_cast<int>(std::floor((kernel.box_extent_px * stretch - 1) / 2));
+}
+
+int steps_of(const LineKernel& kernel, double stretch) {
+  return static_cast<int>(std::ceil(kernel.radius() * stretch));
+}
+
+/// Coarse weights on either side that cover so many steps.
+int coarse_radius_of(int steps, int decimation) { return (steps + decimation - 1) / decimation; }
+
 }  // namespace
+
+void add_two_scale_shapes(const LineKernel& kernel, std::set<TwoScaleShape>& shapes) {
+  const double least = std::sqrt(0.5);  // at 45 degrees
+  constexpr double kBelow = 1 - 1e-9;
+  for (int box_half = box_half_of(kernel, least); box_half <= box_half_of(kernel, 1); ++box_half) {
+    const int d = TwoScaleDesign::decimation_for(box_half);
+    const double from = std::max(least, (2 * box_half + 1) / kernel.box_extent_px);
+    const double to = std::min(1.0, (2 * box_half + 3) / kernel.box_extent_px * kBelow);
+    const int last = coarse_radius_of(steps_of(kernel, to), d);
+    for (int radius = coarse_radius_of(steps_of(kernel, from), d); radius <= last; ++radius) {
+      shapes.insert({box_half, radius});
+    }
+  }
+}
 
 // The kernel along the major axis jumps at the ends of its box and is smooth elsewhere: two boxes carry the jumps, and
 // few coarse weights the rest.
 void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_point, const TapLoops& loops,
                          TwoScaleDesigns& designs, TwoScaleTaps& taps) {
   const double stretch = std::abs(major);  // steps of the major axis in one pixel of the line
-  // A box that covers the samples -b .. b ends at b + 1 / 2: the box's end lies between those of the two boxes.
-  const int box_half = static_cast<int>(std::floor((kernel.box_extent_px * stretch - 1) / 2));
-  const int d = TwoScaleDesign::decimation_for(box_half);
-  const int steps = static_cast<int>(std::ceil(kernel.radius() * stretch)), radius = (steps + d - 1) / d;
-  const TwoScaleDesign& design = designs.get(box_half, radius);
+  const int box_half = box_half_of(kernel, stretch), steps = steps_of(kernel, stretch);
+  const int d = TwoScaleDesign::decimation_for(box_half), radius = coarse_radius_of(steps, d);
+  const TwoScaleDesign& design = designs.get({box_half, radius});
 
   taps.on_axis.resize(steps + kRowGroup);
   loops.resample_kernel(kernel.taps.data() + kernel.radius(), kernel.radius(), stretch, steps, taps.on_axis.data());

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <set>
 #include <vector>
 
 #include "gyro_deblur/kernel_bank.hpp"
@@ -27,6 +28,9 @@ struct TwoScaleTaps {
 /// @param fixed_point  also weights in fixed point, for 8-bit pixels
 void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_point, const TapLoops& loops,
                          TwoScaleDesigns& designs, TwoScaleTaps& taps);
+
+/// Adds the shapes of all designs that make_two_scale_taps() takes for this kernel, whatever the line's angle.
+void add_two_scale_shapes(const LineKernel& kernel, std::set<TwoScaleShape>& shapes);
 
 /// A kernel of any shape on the lanes of two scales, tap by tap: more work than two scales, less than exact taps.
 /// @param major        see kernel_on_major_axis()

@@ -1,6 +1,7 @@
 #include "gyro_deblur/deconvolution.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -132,6 +133,22 @@ FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int 
   const FieldKernels kernels = make_kernels(field, 1.0, bank, threads);
   for (int i = 0; i < field.grid.size(); ++i) add_filter(field, i, kernels, grid);
   return grid;
+}
+
+void prepare_deconvolution(const BlurFieldOptions& options, const KernelBank& bank, Engine& engine, int threads) {
+  options.validate();
+  // The planes of a mosaic have half the extent.
+  const double from_px = std::max(kMinKernelExtentPx, options.min_extent_px / 2);
+  const int first = static_cast<int>(from_px / KernelBank::kExtentStepPx);
+  const int last =
+      static_cast<int>(std::ceil(std::min(options.max_extent_px, kMaxKernelExtentPx) / KernelBank::kExtentStepPx));
+  std::vector<const LineKernel*> kernels(std::max(0, last + 1 - first));
+  constexpr int kKernelsAtATime = 8;
+  run_parallel(static_cast<int>(kernels.size()), threads, kKernelsAtATime, [&](int i) {
+    const double extent_px = (first + i) * KernelBank::kExtentStepPx;
+    kernels[i] = &bank.kernel(std::clamp(extent_px, kMinKernelExtentPx, kMaxKernelExtentPx));
+  });
+  engine.prepare(kernels);
 }
 
 void keep_larger(const SlowBlocks& of_pass, SlowBlocks& all) {

@@ -91,6 +91,10 @@ bool takes_lanes(const LineKernel& kernel, double slope, int depth) {
   return !exact || gain_is_small(kernel);
 }
 
+bool takes_two_scales(const LineKernel& kernel) {
+  return kernel.box_extent_px >= kMinTwoScaleExtentPx && gain_is_small(kernel);
+}
+
 int max_lane_rows(const LineKernel& kernel, double slope) {
   const double steepness = std::abs(slope);
   if (extent_of(kernel) > kMaxShortTileExtentPx || steepness > kMaxShortTileSlope) return kMaxTileSide;

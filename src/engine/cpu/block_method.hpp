@@ -30,6 +30,9 @@ std::optional<SlowReason> slow_reason(const LineKernel& kernel, int depth);
 /// @param slope  of the line along its major axis, [-1, 1]
 bool takes_lanes(const LineKernel& kernel, double slope, int depth);
 
+/// Whether a kernel on lanes has two scales rather than its taps.
+bool takes_two_scales(const LineKernel& kernel);
+
 /// Rows along the major axis that one tile may have on lanes, at most kMaxTileSide.
 int max_lane_rows(const LineKernel& kernel, double slope);
 

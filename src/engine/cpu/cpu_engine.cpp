@@ -3,6 +3,7 @@
 #include <omp.h>
 
 #include <algorithm>
+#include <set>
 #include <tuple>
 
 #include <opencv2/core.hpp>
@@ -40,6 +41,14 @@ SlowBlocks CpuEngine::slow_blocks() const {
   return blocks;
 }
 
+void CpuEngine::prepare(const std::vector<const LineKernel*>& kernels) {
+  std::set<TwoScaleShape> shapes;
+  for (const LineKernel* kernel : kernels) {
+    if (takes_two_scales(*kernel)) add_two_scale_shapes(*kernel, shapes);
+  }
+  designs_.prepare(shapes, threads());
+}
+
 void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   const LineKernel& kernel = *block.kernel;
   const LineDirection line = direction_of(block.angle_rad);
@@ -51,7 +60,7 @@ void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.lanes = takes_lanes(kernel, line.slope, depth);
   if (plan.lanes) {
     plan.max_rows = max_lane_rows(kernel, line.slope);
-    if (kernel.box_extent_px > 0) {
+    if (takes_two_scales(kernel)) {
       make_two_scale_taps(kernel, line.major, depth == CV_8U, tap_loops_, designs_, plan.two_scale);
     } else {
       make_lane_taps(kernel, line.major, depth == CV_8U, plan.two_scale);

@@ -29,6 +29,10 @@ class CpuEngine : public BlockEngine {
   /// "cpu-" and the instruction set.
   std::string name() const override;
 
+  /// The designs of two scales.
+  void prepare(const std::vector<const LineKernel*>& kernels) override;
+  std::size_t prepared_designs() const { return designs_.size(); }
+
   /// Blocks that were left to the float engine.
   SlowBlocks slow_blocks() const override;
 
