@@ -100,9 +100,9 @@ Work work_of_cpu(const FilterGrid& grid, int lanes) {
   Work work;
   for_each_filtered(grid, [&](const BlockFilter& block, cv::Size size) {
     const auto [major_is_y, major, slope] = direction_of(block.angle_rad);
-    if (takes_two_scales(*block.kernel, slope, CV_8U)) {
+    if (takes_lanes(*block.kernel, slope, CV_8U)) {
       const int along = major_is_y ? size.height : size.width;
-      const int longest = max_two_scale_rows(*block.kernel, slope);
+      const int longest = max_lane_rows(*block.kernel, slope);
       const int tiles = (along + longest - 1) / longest;
       for (int i = 0; i < tiles; ++i) {
         cv::Size tile = size;

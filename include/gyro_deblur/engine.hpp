@@ -49,6 +49,10 @@ class Engine {
   /// clipped to the pixel type. Throws std::invalid_argument for unsupported types and grids that do not fit.
   virtual void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) = 0;
 
+  /// Makes ahead what filter() takes time to make for a kernel that it has not seen, and forgets what it has made for
+  /// others. Not during filter().
+  virtual void prepare(const std::vector<const LineKernel*>& kernels) { static_cast<void>(kernels); }
+
   /// Short name for diagnostics, e.g. "float". Any thread may ask, also during filter().
   virtual std::string name() const = 0;
 

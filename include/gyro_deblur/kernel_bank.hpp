@@ -1,9 +1,7 @@
 // Wiener inverses of blur along a line (paper section IV-A); those of the box, one per extent.
 #pragma once
 
-#include <map>
 #include <memory>
-#include <mutex>
 #include <vector>
 
 #include "gyro_deblur/line_path.hpp"
@@ -55,6 +53,7 @@ class KernelBank {
 
   /// Throws OptionError for bad options.
   explicit KernelBank(const KernelOptions& options);
+  ~KernelBank();
 
   /// The kernel for the nearest multiple of kExtentStepPx. Valid as long as the bank.
   const LineKernel& kernel(double extent_px) const;
@@ -62,9 +61,9 @@ class KernelBank {
   const KernelOptions& options() const { return options_; }
 
  private:
+  class Kernels;
   KernelOptions options_;
-  mutable std::mutex mutex_;
-  mutable std::map<int, std::unique_ptr<LineKernel>> kernels_;  // by extent / kExtentStepPx
+  std::unique_ptr<Kernels> kernels_;
 };
 
 }  // namespace gyro_deblur

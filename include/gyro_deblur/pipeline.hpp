@@ -55,11 +55,11 @@ using EngineFactory = std::function<std::unique_ptr<Engine>(const std::string& e
 /// rebuilt then. Not thread-safe, engine() aside.
 class Pipeline {
  public:
-  /// Throws OptionError.
+  /// Throws OptionError. Prepares for all blur that the options let through, see prepare_deconvolution().
   explicit Pipeline(const PipelineOptions& options, EngineFactory engine_factory = make_engine);
 
   /// Throws OptionError and keeps the former options when the new ones are not valid. Rebuilds what depends on the
-  /// options that differ, and nothing else.
+  /// options that differ, prepared for the first frame as in the constructor, and nothing else.
   void set_options(const PipelineOptions& options);
   const PipelineOptions& options() const { return options_; }
 

@@ -1,6 +1,7 @@
 #include "gyro_deblur/line_path.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace gyro_deblur {
 
@@ -36,7 +37,10 @@ std::vector<double> box_blur_kernel(double extent_px, int length) {
 
 std::vector<double> path_blur_kernel(const LinePath& path_px, int length) {
   std::vector<double> taps(length);
-  for (int i = 0; i < length; ++i) taps[i] = share_within(path_px, i - length / 2 - 0.5, i - length / 2 + 0.5);
+  const auto [lowest, highest] = std::minmax_element(path_px.begin(), path_px.end());
+  const int radius = length / 2, first = std::max(0, radius + static_cast<int>(std::floor(*lowest)));
+  const int last = std::min(length - 1, radius + static_cast<int>(std::ceil(*highest)));
+  for (int i = first; i <= last; ++i) taps[i] = share_within(path_px, i - radius - 0.5, i - radius + 0.5);
   return taps;
 }
 

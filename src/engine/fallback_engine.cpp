@@ -32,6 +32,11 @@ void FallbackEngine::filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat&
   secondary_->filter(src, grid, dst);
 }
 
+void FallbackEngine::prepare(const std::vector<const LineKernel*>& kernels) {
+  if (primary_) primary_->prepare(kernels);
+  secondary_->prepare(kernels);
+}
+
 std::string FallbackEngine::name() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   return primary_ ? primary_->name() : secondary_->name() + " (" + failure_ + ")";

@@ -29,6 +29,9 @@ class FallbackEngine : public Engine {
 
   void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) override;
 
+  /// Prepares both: the frame that the primary fails with does not wait either.
+  void prepare(const std::vector<const LineKernel*>& kernels) override;
+
   /// The primary's name, or "SECONDARY (PRIMARY failed: reason)". Any thread may ask, also during filter().
   std::string name() const override;
 

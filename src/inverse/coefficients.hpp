@@ -27,7 +27,8 @@ struct ExactFilter {
 
 constexpr int kCoarseGuard = 3;  ///< zeros on either side of TwoScaleFilter::coarse
 
-/// Two scales (see TwoScaleWeights). Applies to correlation order: output(m) = sum weight[k] input(m + k).
+/// Two scales (see TwoScaleWeights), or the taps themselves on the lanes of two scales. Applies to correlation order:
+/// output(m) = sum weight[k] input(m + k).
 struct TwoScaleFilter {
   int box_half;                ///< samples of the inner box on either side of the output
   float inner_box, outer_box;  ///< weights of the two boxes
@@ -39,7 +40,7 @@ struct TwoScaleFilter {
   const std::int32_t *coarse_even, *coarse_odd;
   int coarse_shift;
   std::int32_t coarse_sum;
-  int decimation;  ///< >= 2
+  int decimation;  ///< >= 1; 1: every sample is a node, and the boxes are next to nothing
 };
 
 }  // namespace gyro_deblur

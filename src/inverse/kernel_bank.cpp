@@ -2,10 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numeric>
+#include <utility>
 
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
+
+#include "base/made_once.hpp"
+#include "inverse/tap_loops.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -34,34 +39,6 @@ double spectral_share(double extent_px) { return std::max(0.0, 1 - extent_px / k
 
 namespace {
 
-/// Solves T x = y for every column of y, T_ij = r(|i - j|) positive definite, by Levinson's recursion: O(n^2) of time,
-/// O(n) of memory. r and y have n >= 1 rows; r(i) = 0 from i = `band` on, 1 <= band <= n.
-Eigen::MatrixXd solve_toeplitz(const Eigen::VectorXd& r, Eigen::Index band, const Eigen::MatrixXd& y) {
-  const Eigen::Index n = r.size();
-  // forward solves the leading m equations for an error in the first, backward (the same, turned round) for one in the
-  // last. backward begins an element earlier each time, so that all vectors below are contiguous.
-  Eigen::MatrixXd x = Eigen::MatrixXd::Zero(n, y.cols());
-  Eigen::VectorXd forward = Eigen::VectorXd::Zero(n), backward = forward;
-  const Eigen::VectorXd lags = r.reverse();
-  double error = r[0];
-  forward[0] = backward[n - 1] = 1;
-  x.row(0) = y.row(0) / error;
-  for (Eigen::Index m = 1; m < n; ++m) {
-    // r(k), .., r(1): the last k of the first m unknowns in the next equation; the others are not in it.
-    const Eigen::Index k = std::min(m, band - 1);
-    const auto to_next = lags.segment(n - 1 - k, k);
-    const double reflection = -to_next.dot(forward.segment(m - k, k)) / error;
-    forward.head(m + 1) += reflection * backward.tail(m + 1);
-    backward.tail(m + 1) = forward.head(m + 1).reverse();
-    error *= 1 - reflection * reflection;
-    for (Eigen::Index column = 0; column < y.cols(); ++column) {
-      const double missing = y(m, column) - to_next.dot(x.col(column).segment(m - k, k));
-      x.col(column).head(m + 1) += missing / error * backward.tail(m + 1);
-    }
-  }
-  return x;
-}
-
 /// `blur` read backwards and smoothed with the Gaussian of smoothing_px, on as many taps.
 Eigen::VectorXd matched_filter(const std::vector<double>& blur, double smoothing_px) {
   const int n = static_cast<int>(blur.size());
@@ -79,23 +56,134 @@ Eigen::VectorXd matched_filter(const std::vector<double>& blur, double smoothing
 /// See KernelDesign::LEAST_SQUARES; on as many taps as `blur` (centred, odd).
 std::vector<double> least_squares_inverse(const std::vector<double>& blur, double extent_px,
                                           const KernelOptions& options) {
-  const auto n = static_cast<Eigen::Index>(blur.size());
-  const Eigen::Map<const Eigen::VectorXd> h(blur.data(), n);
-  Eigen::VectorXd autocorrelation(n);
-  for (Eigen::Index lag = 0; lag < n; ++lag) autocorrelation[lag] = h.head(n - lag).dot(h.tail(n - lag));
+  const auto n = static_cast<int>(blur.size());
+  // What is not 0 of the blur, which is a fraction of the taps.
+  const auto is_blurred = [](double tap) { return tap != 0; };
+  const auto begin = std::find_if(blur.begin(), blur.end(), is_blurred);
+  const auto end = std::find_if(blur.rbegin(), blur.rend(), is_blurred).base();
+  const auto reach = static_cast<int>(end - begin);
+  const Eigen::Map<const Eigen::VectorXd> h(&*begin, reach);
+  const int band = std::min(n, std::max(reach, 2));
+  std::vector<double> lags(band);  // the last is of lag 0
+  for (int lag = 0; lag < reach; ++lag) lags[band - 1 - lag] = h.head(reach - lag).dot(h.tail(reach - lag));
   const double share = spectral_share(extent_px);
-  autocorrelation[0] += options.gamma * (1 + share);
-  autocorrelation[1] -= options.gamma * share;
-  Eigen::Index band = n;
-  while (band > 1 && autocorrelation[band - 1] == 0) --band;
+  lags[band - 1] += options.gamma * (1 + share);
+  lags[band - 2] -= options.gamma * share;
   // Lagrange: T w = what the blur matches + multiplier * 1, so that the sum is the filter's own gain at frequency 0.
-  Eigen::MatrixXd sides(n, 2);
-  sides.col(0) = matched_filter(blur, options.smoothing_px);
-  sides.col(1).setOnes();
-  const Eigen::MatrixXd solved = solve_toeplitz(autocorrelation, band, sides);
-  const double multiplier = (1 / (1 + options.gamma * (1 - share)) - solved.col(0).sum()) / solved.col(1).sum();
-  const Eigen::VectorXd w = solved.col(0) + multiplier * solved.col(1);
+  std::vector<double> sides(2 * n, 1.0), work(5 * (n + kToeplitzRoom) + band), solved(2 * n);
+  Eigen::Map<Eigen::VectorXd>(sides.data(), n) = matched_filter(blur, options.smoothing_px);
+  best_tap_loops().solve_toeplitz(lags.data(), band, n, sides.data(), work.data(), solved.data());
+  const Eigen::Map<const Eigen::VectorXd> of_blur(solved.data(), n), of_ones(solved.data() + n, n);
+  const double multiplier = (1 / (1 + options.gamma * (1 - share)) - of_blur.sum()) / of_ones.sum();
+  const Eigen::VectorXd w = of_blur + multiplier * of_ones;
   return {w.data(), w.data() + n};
+}
+
+/// The Cholesky factorisation of a symmetric positive definite matrix of which element (i, j) is 0 for |i - j| > width.
+class BandedSystem {
+ public:
+  BandedSystem(int size, int width)
+      : size_(size), width_(width), lower_(static_cast<std::size_t>(size) * (width + 1)) {}
+
+  /// Element (i, j) of the lower triangle: 0 <= i - j <= width.
+  double& at(int i, int j) { return lower_[static_cast<std::size_t>(j) * (width_ + 1) + (i - j)]; }
+
+  /// Makes the solution of the right side. Once: what at() gives is another matrix then.
+  void solve(std::vector<double>& side) {
+    for (int j = 0; j < size_; ++j) {
+      double* column = &at(j, j);
+      const int below = std::min(width_, size_ - 1 - j);
+      for (int k = 1; k <= below; ++k) {
+        const double share = column[k] / column[0];
+        double* other = &at(j + k, j + k);
+        for (int i = k; i <= below; ++i) other[i - k] -= share * column[i];
+        side[j + k] -= share * side[j];
+      }
+    }
+    for (int j = size_ - 1; j >= 0; --j) {
+      const double* column = &at(j, j);
+      const int below = std::min(width_, size_ - 1 - j);
+      for (int k = 1; k <= below; ++k) side[j] -= column[k] * side[j + k];
+      side[j] /= column[0];
+    }
+  }
+
+ private:
+  int size_, width_;
+  std::vector<double> lower_;  // by column from its diagonal element down
+};
+
+/// What least_squares_inverse() gives for a centred box, in O(n) of time.
+///
+/// The unknowns are the running sums of the taps, u(i) = w(-radius) + .. + w(i), less half of the whole sum. They are
+/// odd, u(-1 - i) = -u(i), and beyond the taps they are half of the sum, which is given: the condition is gone. In them
+/// the equations' autocorrelation is that of the box's steps, which is 0 but at lags near 0 and near the box's length.
+/// Numbered by their place within such a length, folded at its middle since both halves are one, all unknowns of an
+/// equation are close to each other.
+std::vector<double> box_inverse(const std::vector<double>& box, double extent_px, const KernelOptions& options) {
+  const int n = static_cast<int>(box.size()), radius = n / 2;
+  const double share = spectral_share(extent_px), gamma = options.gamma;
+  std::map<int, double> coupling = {// by lag >= 0
+                                    {0, 2 * gamma * (1 + 2 * share)},
+                                    {1, -gamma * (1 + 3 * share)},
+                                    {2, gamma * share}};
+  std::vector<std::pair<int, double>> steps;
+  for (int i = 0; i <= n; ++i) {
+    const double step = (i < n ? box[i] : 0) - (i > 0 ? box[i - 1] : 0);
+    if (step != 0) steps.emplace_back(i, step);
+  }
+  for (std::size_t a = 0; a < steps.size(); ++a) {
+    for (std::size_t b = 0; b <= a; ++b) coupling[steps[a].first - steps[b].first] += steps[a].second * steps[b].second;
+  }
+
+  const std::vector<std::pair<int, double>> couplings(coupling.begin(), coupling.end());
+
+  const int period = std::max(2, static_cast<int>(std::lround(extent_px / 2)) * 2);
+  const auto group_of = [period](int i) { return std::min(i % period, period - 1 - i % period); };
+  std::vector<int> first(period / 2 + 1, 0), number(radius);
+  for (int i = 0; i < radius; ++i) ++first[group_of(i) + 1];
+  std::partial_sum(first.begin(), first.end(), first.begin());
+  for (int i = 0; i < radius; ++i) number[i] = first[group_of(i)]++;
+
+  // Calls add(j, weight) for each unknown in equation i, and known(weight) for what is beyond the taps.
+  const auto for_each_term = [&](int i, const auto& add, const auto& known) {
+    for (const auto& [lag, weight] : couplings) {
+      for (const int j : {i + lag, i - lag}) {
+        if (j >= radius || j < -radius) {
+          known(j >= radius ? weight : -weight);
+        } else {
+          add(j < 0 ? -1 - j : j, j < 0 ? -weight : weight);
+        }
+        if (lag == 0) break;
+      }
+    }
+  };
+  int width = 0;
+  for (int i = 0; i < radius; ++i) {
+    for_each_term(
+        i, [&](int j, double) { width = std::max(width, number[i] - number[j]); }, [](double) {});
+  }
+  const Eigen::VectorXd matched = matched_filter(box, options.smoothing_px);
+  const double half_sum = 0.5 / (1 + gamma * (1 - share));
+  BandedSystem system(radius, width);
+  std::vector<double> sums(radius);
+  for (int i = 0; i < radius; ++i) {
+    double& side = sums[number[i]];
+    side = matched[radius + i] - matched[radius + i + 1];
+    for_each_term(
+        i,
+        [&](int j, double weight) {
+          if (number[j] <= number[i]) system.at(number[i], number[j]) += weight;
+        },
+        [&](double weight) { side -= weight * half_sum; });
+  }
+  system.solve(sums);
+  std::vector<double> w(n);
+  for (int i = 0; i <= radius; ++i) {
+    const double here = i < radius ? sums[number[i]] : half_sum;
+    w[radius + i] = w[radius - i] = here - (i > 0 ? sums[number[i - 1]] : -here);
+  }
+  return w;
 }
 
 /// See KernelDesign::FOURIER; `blur` is centred and odd, `size` >= its taps is the transform's.
@@ -124,9 +212,8 @@ LineKernel wiener_kernel(double extent_px, const KernelOptions& options) {
 
   const int length = next_odd(needed_length(extent_px, options));
   const std::vector<double> box = box_blur_kernel(extent_px, length);
-  const std::vector<double> w = options.design == KernelDesign::FOURIER
-                                    ? fourier_inverse(box, length, options)
-                                    : least_squares_inverse(box, extent_px, options);
+  const std::vector<double> w = options.design == KernelDesign::FOURIER ? fourier_inverse(box, length, options)
+                                                                        : box_inverse(box, extent_px, options);
   const double sum = std::accumulate(w.begin(), w.end(), 0.0);
   LineKernel kernel;
   kernel.taps.resize(length);
@@ -161,15 +248,18 @@ LineKernel wiener_kernel(const LinePath& path_px, const KernelOptions& options) 
   return kernel;
 }
 
-KernelBank::KernelBank(const KernelOptions& options) : options_(options) { options_.validate(); }
+class KernelBank::Kernels : public MadeOnce<int, LineKernel> {};  // by extent / kExtentStepPx
+
+KernelBank::KernelBank(const KernelOptions& options) : options_(options), kernels_(std::make_unique<Kernels>()) {
+  options_.validate();
+}
+
+KernelBank::~KernelBank() = default;
 
 const LineKernel& KernelBank::kernel(double extent_px) const {
   require_range("extent", extent_px, kMinKernelExtentPx, kMaxKernelExtentPx, "px");
   const int key = static_cast<int>(std::lround(extent_px / kExtentStepPx));
-  const std::lock_guard<std::mutex> lock(mutex_);
-  std::unique_ptr<LineKernel>& slot = kernels_[key];
-  if (!slot) slot = std::make_unique<LineKernel>(wiener_kernel(key * kExtentStepPx, options_));
-  return *slot;
+  return kernels_->get(key, [&] { return wiener_kernel(key * kExtentStepPx, options_); });
 }
 
 }  // namespace gyro_deblur

@@ -3,16 +3,24 @@
 #include "base/instruction_sets.hpp"
 
 namespace gyro_deblur {
+namespace {
 
-const TapLoops* find_tap_loops(const char* name) {
-  static const TapLoops* const kSets[] = {
+/// Widest first.
+const TapLoops* const kSets[] = {
 #if defined(__x86_64__)
-    &avx512::kTapLoops,
-    &avx2::kTapLoops,
+    &avx512::kTapLoops, &avx2::kTapLoops,
 #endif
-    &baseline::kTapLoops
-  };
-  return find_copy(kSets, name);
+    &baseline::kTapLoops};
+
+}  // namespace
+
+const TapLoops& best_tap_loops() {
+  for (const TapLoops* loops : kSets) {
+    if (runs_instruction_set(loops->name)) return *loops;
+  }
+  return baseline::kTapLoops;
 }
+
+const TapLoops* find_tap_loops(const char* name) { return find_copy(kSets, name); }
 
 }  // namespace gyro_deblur

@@ -6,6 +6,9 @@ namespace gyro_deblur {
 /// Rows of a matrix that combine_columns takes at a time: floats in the widest vector.
 constexpr int kRowGroup = 16;
 
+/// Room that solve_toeplitz takes behind each of its vectors.
+constexpr int kToeplitzRoom = 16;
+
 /// The functions of one instruction set.
 struct TapLoops {
   const char* name;
@@ -14,6 +17,13 @@ struct TapLoops {
   void (*resample_kernel)(const float* taps, int radius, double step, int steps, float* on_axis);
   /// sums[i] = sum of factors[m] * columns[m * kRowGroup + i] over m < count, for i < kRowGroup.
   void (*combine_columns)(const float* columns, const float* factors, int count, float* sums);
+  /// Solves T x = y for two right sides by Levinson's recursion: O(n^2) of time, O(n) of memory. T_ij = r(|i - j|) is
+  /// positive definite, with r(i) = 0 from i = `band` on, 1 <= band <= n.
+  /// @param lags    r(band - 1) .. r(0)
+  /// @param sides   the sides, n elements and then n
+  /// @param work    5 (n + kToeplitzRoom) + band elements
+  /// @param solved  as `sides`
+  void (*solve_toeplitz)(const double* lags, int band, int n, const double* sides, double* work, double* solved);
 };
 
 namespace baseline {
@@ -27,6 +37,9 @@ namespace avx512 {
 extern const TapLoops kTapLoops;
 }
 #endif
+
+/// The widest set this processor runs.
+const TapLoops& best_tap_loops();
 
 /// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
 const TapLoops* find_tap_loops(const char* name);

@@ -71,10 +71,72 @@ void combine_columns(const float* columns, const float* factors, int count, floa
   }
 }
 
+constexpr int kDoubleLanes = GYRO_DEBLUR_VECTOR_BYTES / 8;
+typedef double DoubleVector __attribute__((vector_size(GYRO_DEBLUR_VECTOR_BYTES)));
+
+inline DoubleVector load(const double* from) {
+  DoubleVector v;
+  std::memcpy(&v, from, sizeof v);
+  return v;
+}
+inline void store(double* to, DoubleVector v) { std::memcpy(to, &v, sizeof v); }
+inline double sum_of(DoubleVector v) {
+  double sum = 0;
+  for (int i = 0; i < kDoubleLanes; ++i) sum += v[i];
+  return sum;
+}
+
+// The forward vector solves the leading m equations for an error in the first, the backward vector, the same turned
+// round, for one in the last. The backward vector begins an element earlier each time, so that all are contiguous.
+// Behind their ends all are 0, as far as whole vectors reach.
+void solve_toeplitz(const double* lags, int band, int n, const double* sides, double* work, double* solved) {
+  static_assert(2 * kDoubleLanes <= kToeplitzRoom, "the room behind a vector is for two of these");
+  const int room = n + kToeplitzRoom;
+  double* forward = work;
+  double* backward = work + room;
+  double *x = work + 2 * room, *y = work + 3 * room;
+  double* to_next = work + 4 * room;  // r(band - 1) .. r(1)
+  for (int i = 0; i < 5 * room + band; ++i) work[i] = 0;
+  for (int i = 0; i + 1 < band; ++i) to_next[i] = lags[i];
+  double error = lags[band - 1];
+  forward[0] = backward[n - 1] = 1;
+  x[0] = sides[0] / error;
+  y[0] = sides[n] / error;
+  for (int m = 1; m < n; ++m) {
+    // r(k), .., r(1): the last k of the first m unknowns in the next equation; the others are not in it.
+    const int k = m < band - 1 ? m : band - 1, from = m - k;
+    DoubleVector in_forward[2] = {}, in_x[2] = {}, in_y[2] = {};
+    for (int i = 0; i < k; i += 2 * kDoubleLanes) {
+      for (int v = 0; v < 2; ++v) {
+        const int at = i + v * kDoubleLanes;
+        const DoubleVector lag = load(to_next + band - 1 - k + at);
+        in_forward[v] += lag * load(forward + from + at);
+        in_x[v] += lag * load(x + from + at);
+        in_y[v] += lag * load(y + from + at);
+      }
+    }
+    const double reflection = -sum_of(in_forward[0] + in_forward[1]) / error;
+    error *= 1 - reflection * reflection;
+    const double add_to_x = (sides[m] - sum_of(in_x[0] + in_x[1])) / error;
+    const double add_to_y = (sides[n + m] - sum_of(in_y[0] + in_y[1])) / error;
+    double* shifted = backward + n - 1 - m;
+    for (int i = 0; i <= m; i += kDoubleLanes) {
+      const DoubleVector ahead = load(forward + i), behind = load(shifted + i);
+      const DoubleVector new_behind = behind + reflection * ahead;
+      store(forward + i, ahead + reflection * behind);
+      store(shifted + i, new_behind);
+      store(x + i, load(x + i) + add_to_x * new_behind);
+      store(y + i, load(y + i) + add_to_y * new_behind);
+    }
+  }
+  std::memcpy(solved, x, n * sizeof(double));
+  std::memcpy(solved + n, y, n * sizeof(double));
+}
+
 }  // namespace
 
 extern const TapLoops kTapLoops;
-const TapLoops kTapLoops = {GYRO_DEBLUR_ISA_NAME, resample_kernel, combine_columns};
+const TapLoops kTapLoops = {GYRO_DEBLUR_ISA_NAME, resample_kernel, combine_columns, solve_toeplitz};
 
 }  // namespace GYRO_DEBLUR_ISA
 }  // namespace gyro_deblur

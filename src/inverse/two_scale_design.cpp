@@ -8,6 +8,8 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
+#include "base/parallel.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -24,75 +26,120 @@ constexpr double kNoiseVariance = 1.0 + 1.0 / 12;
 constexpr int kNodesPerBox = 15;
 constexpr int kMinDecimation = 2;
 
-/// Sum of cos(w x) over x = -half .. half.
-double box_spectrum(double w, int half) {
-  return w == 0 ? 2 * half + 1 : std::sin(w * (2 * half + 1) / 2) / std::sin(w / 2);
-}
+/// Sines and cosines of the frequencies f / period [cycles/sample], f = 0 .. period / 2, from one table.
+class Waves {
+ public:
+  explicit Waves(int period) : period_(period), quarter_(period / 2 + 1) {
+    for (int i = 0; i <= period / 2; ++i) quarter_[i] = std::sin(M_PI * i / period);
+  }
+
+  int period() const { return period_; }
+  /// cos(2 pi f k / period).
+  double cosine(int f, int k) const { return half_wave(2 * f * k + period_ / 2); }
+  /// Sum of cos(2 pi f x / period) over `count` places x, one apart and symmetric about 0.
+  double box(int f, int count) const { return f == 0 ? count : half_wave(f * count) / half_wave(f); }
+
+ private:
+  /// sin(pi i / period).
+  double half_wave(int i) const {
+    i %= 2 * period_;
+    const double sign = i < period_ ? 1 : -1;
+    if (i >= period_) i -= period_;
+    return sign * quarter_[std::min(i, period_ - i)];
+  }
+
+  int period_;  // even
+  std::vector<double> quarter_;
+};
 
 /// An even sequence from its spectrum, both given by one half.
 class EvenSequence {
  public:
-  explicit EvenSequence(std::vector<double> spectrum) : period_(2 * (static_cast<int>(spectrum.size()) - 1)) {
-    for (int f = period_ / 2 + 1; f < period_; ++f) spectrum.push_back(spectrum[period_ - f]);
-    cv::Mat complex;
-    cv::dft(cv::Mat(1, period_, CV_64F, spectrum.data()), complex, cv::DFT_COMPLEX_OUTPUT);
-    for (int x = 0; x <= period_ / 2; ++x) values_.push_back(complex.at<cv::Vec2d>(x)[0]);
+  explicit EvenSequence(std::vector<double> spectrum) {
+    const int period = 2 * (static_cast<int>(spectrum.size()) - 1);
+    for (int f = period / 2 + 1; f < period; ++f) spectrum.push_back(spectrum[period - f]);
+    // Packed: of element 0 the real part, of the others real and imaginary parts in turn, which are 0.
+    cv::Mat packed;
+    cv::dft(cv::Mat(1, period, CV_64F, spectrum.data()), packed);
+    for (int x = 0; x <= period / 2; ++x) values_.push_back(packed.at<double>(x == 0 ? 0 : 2 * x - 1));
   }
   /// Value at x, |x| <= half the period.
   double operator()(int x) const { return values_[std::abs(x)]; }
 
  private:
-  int period_;
   std::vector<double> values_;
 };
 
-/// What the nodes of the design make of a frequency, as means over the d places that an output may have in its node.
-struct NodeResponse {
-  double mean = 0, power = 0;
+/// What the nodes of a decimation by d make of a frequency, as means over the d places that an output may have in its
+/// node.
+class NodeResponse {
+ public:
+  explicit NodeResponse(int d) : d_(d) {
+    for (int phase = 0; phase < d; ++phase) {
+      const double u = (phase - (d - 1) / 2.0) / d;  // the output's place in its node
+      const double spline[] = {(0.5 - u) * (0.5 - u) / 2, 0.75 - u * u, (0.5 + u) * (0.5 + u) / 2};
+      lags_[0] += (spline[0] * spline[0] + spline[1] * spline[1] + spline[2] * spline[2]) / d;
+      lags_[1] += 2 * spline[1] * (spline[0] + spline[2]) / d;
+      lags_[2] += 2 * spline[0] * spline[2] / d;
+    }
+  }
+
+  /// The spline at all of these places is three times the sum of d samples, and the spline with a decimation by 1:
+  /// 1 / 8, 3 / 4, 1 / 8.
+  double mean(const Waves& waves, int f) const {
+    const double node = waves.box(f, d_), square = node * node;
+    return square * square / (static_cast<double>(d_) * d_ * d_) * (0.75 + 0.25 * waves.cosine(f, 1));
+  }
+  double power(const Waves& waves, int f) const {
+    const double node = waves.box(f, d_);
+    return node * node * (lags_[0] + lags_[1] * waves.cosine(f, d_) + lags_[2] * waves.cosine(f, 2 * d_));
+  }
+
+ private:
+  int d_;
+  double lags_[3] = {};  // of the spline's weights with each other, both ways
 };
 
-NodeResponse node_response(double w, int d) {
-  const double node = w == 0 ? d : std::sin(w * d / 2) / std::sin(w / 2);  // of d samples, about their middle
-  NodeResponse response;
-  for (int phase = 0; phase < d; ++phase) {
-    const double u = (phase - (d - 1) / 2.0) / d;  // the output's place in its node
-    const double spline[] = {(0.5 - u) * (0.5 - u) / 2, 0.75 - u * u, (0.5 + u) * (0.5 + u) / 2};
-    double real = 0, imaginary = 0;
-    for (int q = -1; q <= 1; ++q) {
-      real += spline[q + 1] * std::cos(w * (q - u) * d);
-      imaginary += spline[q + 1] * std::sin(w * (q - u) * d);
-    }
-    response.mean += real * node / d;
-    response.power += (real * real + imaginary * imaginary) * node * node / d;
-  }
-  return response;
-}
-
-/// Spectra of the correlations of node shapes with each other, with a tap and with boxes, and of boxes with taps and
-/// boxes.
+/// Spectra of the correlations of node shapes with each other, with a tap and with boxes, and of boxes with taps; and
+/// the correlations of boxes at one place.
 struct Correlations {
-  std::vector<double> node_node, node_tap, node_box[2], box_tap[2], box_box[2][2];
+  std::vector<double> node_node, node_tap, node_box[2], box_tap[2];
+  double box_box[2][2] = {};
 
-  Correlations(int box_half, int d, int period) {
-    for (int f = 0; f <= period / 2; ++f) {
-      const double w = 2 * M_PI * f / period;
-      const double blur = box_spectrum(w, box_half) / (2 * box_half + 1);
+  Correlations(int box_half, int d, const Waves& waves) {
+    const NodeResponse response(d);
+    const int last = waves.period() / 2;
+    for (int f = 0; f <= last; ++f) {
+      const double boxes[] = {waves.box(f, 2 * box_half + 1), waves.box(f, 2 * box_half + 3)};
+      const double blur = boxes[0] / (2 * box_half + 1);
       const double image = (1 - kNeighbourCorrelation * kNeighbourCorrelation) /
-                           (1 + kNeighbourCorrelation * (kNeighbourCorrelation - 2 * std::cos(w)));
+                           (1 + kNeighbourCorrelation * (kNeighbourCorrelation - 2 * waves.cosine(f, 1)));
       const double covariance = kImageVariance * image * blur * blur + kNoiseVariance;
 
-      const NodeResponse node = node_response(w, d);
-      node_node.push_back(covariance * node.power);
-      node_tap.push_back(covariance * node.mean);
+      const double mean = response.mean(waves, f);
+      node_node.push_back(covariance * response.power(waves, f));
+      node_tap.push_back(covariance * mean);
       for (int b = 0; b < 2; ++b) {
-        const double box = box_spectrum(w, box_half + b);
-        node_box[b].push_back(covariance * node.mean * box);
-        box_tap[b].push_back(covariance * box);
-        for (int c = 0; c < 2; ++c) box_box[b][c].push_back(covariance * box * box_spectrum(w, box_half + c));
+        node_box[b].push_back(covariance * mean * boxes[b]);
+        box_tap[b].push_back(covariance * boxes[b]);
+        for (int c = 0; c < 2; ++c) {
+          box_box[b][c] += (f == 0 || f == last ? 1 : 2) * covariance * boxes[b] * boxes[c];
+        }
       }
     }
   }
 };
+
+/// Room for the difference of any two places, so that nothing wraps around, in a transform that is fast. A power of two
+/// where it is short: the correlations fade as 0.95 to the lag.
+int period_for(int reach, int d) {
+  constexpr int kLong = 2048;
+  const int least = 4 * (reach + 3 * d);
+  if (least > kLong) return 2 * cv::getOptimalDFTSize((least + 1) / 2);
+  int period = 1;
+  while (period < least) period *= 2;
+  return period;
+}
 
 /// normal * map = taps, and sums' map = the taps' own sums. Unknowns are the weights of nodes 0 .. radius, of the inner
 /// and of the outer box; a column of `taps` for each tap 0 .. reach.
@@ -102,10 +149,7 @@ struct NormalEquations {
 
   NormalEquations(int box_half, int d, int radius) {
     const int reach = radius * d, coarse = radius + 1, unknowns = coarse + 2;
-    // Room for the difference of any two places, so that nothing wraps around.
-    int period = 1;
-    while (period < 4 * (reach + 3 * d)) period *= 2;
-    const Correlations of(box_half, d, period);
+    const Correlations of(box_half, d, Waves(period_for(reach, d)));
     normal.resize(unknowns, unknowns);
     taps.resize(unknowns, reach + 1);
     sums.resize(unknowns);
@@ -125,7 +169,7 @@ struct NormalEquations {
         normal(j, coarse + b) = normal(coarse + b, j) = both_sides(of_box_and_node, j * d, 0);
       }
       for (int m = 0; m <= reach; ++m) taps(coarse + b, m) = both_sides(of_box_and_tap, m, 0);
-      for (int c = 0; c < 2; ++c) normal(coarse + b, coarse + c) = EvenSequence(of.box_box[b][c])(0);
+      for (int c = 0; c < 2; ++c) normal(coarse + b, coarse + c) = of.box_box[b][c];
       sums[coarse + b] = 2 * (box_half + b) + 1;
     }
   }
@@ -184,11 +228,14 @@ void TwoScaleDesign::fit(const float* kernel, int count, const TapLoops& loops, 
   for (float& weight : weights.coarse) weight += share;
 }
 
-const TwoScaleDesign& TwoScaleDesigns::get(int box_half, int radius) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  std::unique_ptr<TwoScaleDesign>& slot = designs_[{box_half, radius}];
-  if (!slot) slot = std::make_unique<TwoScaleDesign>(box_half, radius);
-  return *slot;
+const TwoScaleDesign& TwoScaleDesigns::get(const TwoScaleShape& shape) {
+  return designs_.get(shape, [&] { return TwoScaleDesign(shape.first, shape.second); });
+}
+
+void TwoScaleDesigns::prepare(const std::set<TwoScaleShape>& shapes, int threads) {
+  designs_.keep_only(shapes);
+  const std::vector<TwoScaleShape> list(shapes.begin(), shapes.end());
+  run_parallel(static_cast<int>(list.size()), threads, 1, [&](int i) { get(list[i]); });
 }
 
 }  // namespace gyro_deblur

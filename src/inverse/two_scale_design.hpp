@@ -1,12 +1,12 @@
 // How a kernel with a box in it is split into two scales, found by least squares once per length.
 #pragma once
 
-#include <map>
-#include <memory>
-#include <mutex>
+#include <cstddef>
+#include <set>
 #include <utility>
 #include <vector>
 
+#include "base/made_once.hpp"
 #include "inverse/tap_loops.hpp"
 
 namespace gyro_deblur {
@@ -46,14 +46,21 @@ class TwoScaleDesign {
   std::vector<float> map_;
 };
 
-/// Designs by box_half and radius, made on first use (a fraction of a millisecond each) and kept. Thread-safe.
+/// What a design is made for: box_half and radius.
+using TwoScaleShape = std::pair<int, int>;
+
+/// Designs by shape, made on first use (a tenth of a millisecond each, up to 130 KiB) and kept. Thread-safe.
 class TwoScaleDesigns {
  public:
-  const TwoScaleDesign& get(int box_half, int radius);
+  const TwoScaleDesign& get(const TwoScaleShape& shape);
+
+  /// Makes these on `threads` OpenMP threads (0: OpenMP's default), and forgets the others. Not during get().
+  void prepare(const std::set<TwoScaleShape>& shapes, int threads);
+
+  std::size_t size() const { return designs_.size(); }
 
  private:
-  std::mutex mutex_;
-  std::map<std::pair<int, int>, std::unique_ptr<TwoScaleDesign>> designs_;
+  MadeOnce<TwoScaleShape, TwoScaleDesign> designs_;
 };
 
 }  // namespace gyro_deblur

@@ -1,9 +1,12 @@
 #include "gyro_deblur/deconvolution.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <memory>
 #include <stdexcept>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "base/parallel.hpp"
 
@@ -13,39 +16,46 @@ namespace {
 // Of places within a path of 500 px as floats.
 constexpr double kRounding = 1e-3;
 
-using OwnKernels = std::vector<std::shared_ptr<const LineKernel>>;
+/// Kernels of a field's blocks, null for those that are not filtered. Those of uneven paths are nobody else's.
+struct FieldKernels {
+  std::vector<const LineKernel*> kernels;
+  std::vector<std::shared_ptr<const LineKernel>> own;
+};
 
-/// Kernels of the blocks whose path is uneven, with lengths counted `scale` times; null for the others.
-OwnKernels uneven_kernels(const FrameBlur& field, double scale, const KernelBank& bank, int threads) {
-  OwnKernels kernels(field.blocks.size());
-  constexpr int kBlocksAtATime = 16;
-  run_parallel(static_cast<int>(kernels.size()), threads, kBlocksAtATime, [&](int i) {
-    const BlockBlur& blur = field.blocks[i];
-    if (blur.status != BlockStatus::DEBLURRED || !blur.uneven_path_px) return;
-    LinePath path_px = *blur.uneven_path_px;
-    for (float& place_px : path_px) place_px *= static_cast<float>(scale);
-    // Not blur.extent_px: rounded on its own, it may lie on the other side of a limit.
-    const double extent_px = extent_of(path_px);
-    if (extent_px < kMinKernelExtentPx) return;
-    if (extent_px > kMaxKernelExtentPx) {
-      for (float& place_px : path_px) place_px *= static_cast<float>((kMaxKernelExtentPx - kRounding) / extent_px);
-    }
-    kernels[i] = std::make_shared<const LineKernel>(wiener_kernel(path_px, bank.options()));
-  });
-  return kernels;
+/// The inverse of an uneven path whose lengths count `scale` times; null where that is no blur.
+std::shared_ptr<const LineKernel> uneven_kernel(LinePath path_px, double scale, const KernelOptions& options) {
+  for (float& place_px : path_px) place_px *= static_cast<float>(scale);
+  // Not blur.extent_px: rounded on its own, it may lie on the other side of a limit.
+  const double extent_px = extent_of(path_px);
+  if (extent_px < kMinKernelExtentPx) return nullptr;
+  if (extent_px > kMaxKernelExtentPx) {
+    for (float& place_px : path_px) place_px *= static_cast<float>((kMaxKernelExtentPx - kRounding) / extent_px);
+  }
+  return std::make_shared<const LineKernel>(wiener_kernel(path_px, options));
 }
 
-/// Appends to `grid` the filter of a block of `field`, whose lengths count `scale` times.
-void add_filter(const FrameBlur& field, int block, double scale, const KernelBank& bank, const OwnKernels& uneven,
-                FilterGrid& grid) {
-  const BlockBlur& blur = field.blocks[block];
-  BlockFilter filter{blur.angle_rad, uneven[block].get()};
-  const double extent_px = blur.extent_px * scale;
-  if (blur.status == BlockStatus::DEBLURRED && !blur.uneven_path_px && extent_px >= kMinKernelExtentPx) {
-    filter.kernel = &bank.kernel(extent_px);
-  }
-  grid.blocks.push_back(filter);
-  grid.own_kernels.push_back(uneven[block]);
+/// Kernels of a field whose lengths count `scale` times.
+FieldKernels make_kernels(const FrameBlur& field, double scale, const KernelBank& bank, int threads) {
+  const std::size_t blocks = field.blocks.size();
+  FieldKernels made{std::vector<const LineKernel*>(blocks), std::vector<std::shared_ptr<const LineKernel>>(blocks)};
+  constexpr int kBlocksAtATime = 16;
+  run_parallel(static_cast<int>(blocks), threads, kBlocksAtATime, [&](int i) {
+    const BlockBlur& blur = field.blocks[i];
+    if (blur.status != BlockStatus::DEBLURRED) return;
+    const double extent_px = blur.extent_px * scale;
+    if (blur.uneven_path_px) {
+      made.own[i] = uneven_kernel(*blur.uneven_path_px, scale, bank.options());
+      made.kernels[i] = made.own[i].get();
+    } else if (extent_px >= kMinKernelExtentPx) {
+      made.kernels[i] = &bank.kernel(extent_px);
+    }
+  });
+  return made;
+}
+
+void add_filter(const FrameBlur& field, int block, const FieldKernels& made, FilterGrid& grid) {
+  grid.blocks.push_back({field.blocks[block].angle_rad, made.kernels[block]});
+  grid.own_kernels.push_back(made.own[block]);
 }
 
 bool filters_anything(const FilterGrid& grid) {
@@ -73,7 +83,7 @@ SlowBlocks deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const
   SlowBlocks slow;
   mosaic.copyTo(dst);
   const std::size_t pixel_bytes = mosaic.elemSize();
-  const OwnKernels uneven = uneven_kernels(field, 0.5, bank, threads);
+  const FieldKernels kernels = make_kernels(field, 0.5, bank, threads);
   cv::Mat plane, filtered;
   for (int py = 0; py < 2; ++py) {
     for (int px = 0; px < 2; ++px) {
@@ -91,7 +101,7 @@ SlowBlocks deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const
       }
       FilterGrid grid{cols.borders, rows.borders, {}};
       for (const int row : rows.indices) {
-        for (const int col : cols.indices) add_filter(field, row * block_cols + col, 0.5, bank, uneven, grid);
+        for (const int col : cols.indices) add_filter(field, row * block_cols + col, kernels, grid);
       }
       if (!filters_anything(grid)) continue;
 
@@ -120,9 +130,25 @@ FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int 
   FilterGrid grid{{0}, {0}, {}};
   for (int col = 0; col < cols; ++col) grid.x.push_back(field.grid.rect(col).br().x);
   for (int row = 0; row < field.grid.rows(); ++row) grid.y.push_back(field.grid.rect(row * cols).br().y);
-  const OwnKernels uneven = uneven_kernels(field, 1.0, bank, threads);
-  for (int i = 0; i < field.grid.size(); ++i) add_filter(field, i, 1.0, bank, uneven, grid);
+  const FieldKernels kernels = make_kernels(field, 1.0, bank, threads);
+  for (int i = 0; i < field.grid.size(); ++i) add_filter(field, i, kernels, grid);
   return grid;
+}
+
+void prepare_deconvolution(const BlurFieldOptions& options, const KernelBank& bank, Engine& engine, int threads) {
+  options.validate();
+  // The planes of a mosaic have half the extent.
+  const double from_px = std::max(kMinKernelExtentPx, options.min_extent_px / 2);
+  const int first = static_cast<int>(from_px / KernelBank::kExtentStepPx);
+  const int last =
+      static_cast<int>(std::ceil(std::min(options.max_extent_px, kMaxKernelExtentPx) / KernelBank::kExtentStepPx));
+  std::vector<const LineKernel*> kernels(std::max(0, last + 1 - first));
+  constexpr int kKernelsAtATime = 8;
+  run_parallel(static_cast<int>(kernels.size()), threads, kKernelsAtATime, [&](int i) {
+    const double extent_px = (first + i) * KernelBank::kExtentStepPx;
+    kernels[i] = &bank.kernel(std::clamp(extent_px, kMinKernelExtentPx, kMaxKernelExtentPx));
+  });
+  engine.prepare(kernels);
 }
 
 void keep_larger(const SlowBlocks& of_pass, SlowBlocks& all) {

@@ -66,6 +66,11 @@ void Pipeline::set_options(const PipelineOptions& options) {
     estimator = std::make_unique<BlurFieldEstimator>(*camera_, options.blur_field);
   }
   PipelineOptions copy = options;
+  const bool same_extents = options.blur_field.min_extent_px == options_.blur_field.min_extent_px &&
+                            options.blur_field.max_extent_px == options_.blur_field.max_extent_px;
+  if (bank || engine || !same_extents) {
+    prepare_deconvolution(options.blur_field, bank ? *bank : *bank_, engine ? *engine : *engine_, options.threads);
+  }
 
   std::swap(options_, copy);
   if (bank) bank_ = std::move(bank);

@@ -31,16 +31,35 @@ constexpr double kMaxBoxGain = 128.0;
 // Exact taps of longer kernels would need a neighbourhood beyond any cache.
 constexpr int kMaxExactRadius = 128;
 
+// Lanes have sums of weights times pixels in 32 bits, so that weights are the coarser the larger their sizes' sum: at
+// this one 9 bits are left to them.
+constexpr double kMaxLaneGain = 80.0;
+// Extents that a kernel of unknown shape has in its length, as by default.
+constexpr double kLengthInExtents = 4.0;
+
 bool exact_is_possible(const LineKernel& kernel, int depth) {
   return depth == CV_8U && kernel.radius() <= kMaxExactRadius;
+}
+
+bool has_box(const LineKernel& kernel) { return kernel.box_extent_px > 0; }
+
+/// Of the blur [px].
+double extent_of(const LineKernel& kernel) {
+  return has_box(kernel) ? kernel.box_extent_px : 2 * kernel.radius() / kLengthInExtents;
+}
+
+/// Whether box and smooth rest, or the taps of a kernel without a box, have room in what the lanes compute with.
+bool gain_is_small(const LineKernel& kernel) {
+  if (has_box(kernel)) return kernel.box_height * kernel.box_extent_px <= kMaxBoxGain;
+  double gain = 0;
+  for (const float tap : kernel.taps) gain += std::abs(tap);
+  return gain <= kMaxLaneGain;
 }
 
 }  // namespace
 
 std::string in_words(SlowReason reason) {
   const std::string too_short = "blur below " + std::to_string(kMinTwoScaleExtentPx) + " px";
-  const std::string too_long = "more than " + std::to_string(2 * kMaxExactRadius + 1) + " taps";
-  const std::string no_box = "a kernel without a box (uneven path or smoothing)";
   switch (reason) {
     case SlowReason::ZERO_KERNEL:
       return "a kernel of zeros";
@@ -48,12 +67,8 @@ std::string in_words(SlowReason reason) {
       return "gamma too small for the fast methods";
     case SlowReason::DEEP_SHORT_BLUR:
       return "16 bit and " + too_short;
-    case SlowReason::DEEP_WITHOUT_BOX:
-      return "16 bit and " + no_box;
     case SlowReason::LONG_SHORT_BLUR:
-      return too_long + " for " + too_short;
-    case SlowReason::LONG_WITHOUT_BOX:
-      return too_long + " in " + no_box;
+      return "more than " + std::to_string(2 * kMaxExactRadius + 1) + " taps for " + too_short;
   }
   return "";
 }
@@ -61,21 +76,28 @@ std::string in_words(SlowReason reason) {
 std::optional<SlowReason> slow_reason(const LineKernel& kernel, int depth) {
   const bool is_zero = std::all_of(kernel.taps.begin(), kernel.taps.end(), [](float tap) { return tap == 0; });
   if (is_zero) return SlowReason::ZERO_KERNEL;
-  if (kernel.box_height * kernel.box_extent_px > kMaxBoxGain) return SlowReason::SMALL_GAMMA;
-  if (exact_is_possible(kernel, depth) || kernel.box_extent_px >= kMinTwoScaleExtentPx) return std::nullopt;
-  const bool has_box = kernel.box_extent_px > 0;
-  if (depth != CV_8U) return has_box ? SlowReason::DEEP_SHORT_BLUR : SlowReason::DEEP_WITHOUT_BOX;
-  return has_box ? SlowReason::LONG_SHORT_BLUR : SlowReason::LONG_WITHOUT_BOX;
+  if (has_box(kernel) && !gain_is_small(kernel)) return SlowReason::SMALL_GAMMA;
+  if (exact_is_possible(kernel, depth)) return std::nullopt;
+  if (extent_of(kernel) < kMinTwoScaleExtentPx) {
+    return depth == CV_8U ? SlowReason::LONG_SHORT_BLUR : SlowReason::DEEP_SHORT_BLUR;
+  }
+  return gain_is_small(kernel) ? std::nullopt : std::optional(SlowReason::SMALL_GAMMA);
 }
 
-bool takes_two_scales(const LineKernel& kernel, double slope, int depth) {
-  const bool near_axis = std::abs(slope) < kNearAxisSlope && exact_is_possible(kernel, depth);
-  return kernel.box_extent_px >= (near_axis ? kMinTwoScaleExtentNearAxisPx : kMinTwoScaleExtentPx);
+bool takes_lanes(const LineKernel& kernel, double slope, int depth) {
+  const bool exact = exact_is_possible(kernel, depth);
+  const bool near_axis = std::abs(slope) < kNearAxisSlope && exact;
+  if (extent_of(kernel) < (near_axis ? kMinTwoScaleExtentNearAxisPx : kMinTwoScaleExtentPx)) return false;
+  return !exact || gain_is_small(kernel);
 }
 
-int max_two_scale_rows(const LineKernel& kernel, double slope) {
+bool takes_two_scales(const LineKernel& kernel) {
+  return kernel.box_extent_px >= kMinTwoScaleExtentPx && gain_is_small(kernel);
+}
+
+int max_lane_rows(const LineKernel& kernel, double slope) {
   const double steepness = std::abs(slope);
-  if (kernel.box_extent_px > kMaxShortTileExtentPx || steepness > kMaxShortTileSlope) return kMaxTileSide;
+  if (extent_of(kernel) > kMaxShortTileExtentPx || steepness > kMaxShortTileSlope) return kMaxTileSide;
   // Also where the slope is 0.
   if (steepness * kMaxTileSide <= 2 * kMaxLaneDriftPx) return kMaxTileSide;
   return std::max(static_cast<int>(2 * kMaxLaneDriftPx / steepness), kMinTileRows);

@@ -1,6 +1,7 @@
 #include "engine/cpu/cpu_engine.hpp"
 
 #include <algorithm>
+#include <set>
 #include <tuple>
 
 #include <opencv2/core.hpp>
@@ -38,6 +39,14 @@ SlowBlocks CpuEngine::slow_blocks() const {
   return blocks;
 }
 
+void CpuEngine::prepare(const std::vector<const LineKernel*>& kernels) {
+  std::set<TwoScaleShape> shapes;
+  for (const LineKernel* kernel : kernels) {
+    if (takes_two_scales(*kernel)) add_two_scale_shapes(*kernel, shapes);
+  }
+  designs_.prepare(shapes, threads());
+}
+
 void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   const LineKernel& kernel = *block.kernel;
   const LineDirection line = direction_of(block.angle_rad);
@@ -46,10 +55,14 @@ void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.max_rows = kMaxTileSide;
   plan.slow = slow_reason(kernel, depth);
   if (plan.slow) return;
-  plan.two_scales = takes_two_scales(kernel, line.slope, depth);
-  if (plan.two_scales) {
-    plan.max_rows = max_two_scale_rows(kernel, line.slope);
-    make_two_scale_taps(kernel, line.major, depth == CV_8U, tap_loops_, designs_, plan.two_scale);
+  plan.lanes = takes_lanes(kernel, line.slope, depth);
+  if (plan.lanes) {
+    plan.max_rows = max_lane_rows(kernel, line.slope);
+    if (takes_two_scales(kernel)) {
+      make_two_scale_taps(kernel, line.major, depth == CV_8U, tap_loops_, designs_, plan.two_scale);
+    } else {
+      make_lane_taps(kernel, line.major, depth == CV_8U, plan.two_scale);
+    }
   } else {
     make_exact_taps(kernel, block.angle_rad, kernels_.has_byte_weights, plan.exact);
   }
@@ -70,7 +83,7 @@ void CpuEngine::plan_blocks(const FilterGrid& grid, const std::vector<int>& bloc
 }
 
 TileNeeds CpuEngine::needs_of(const TileGeometry& tile, const Plan& plan, int depth) const {
-  if (!plan.two_scales) return kernels_.exact_needs(tile, plan.exact.filter);
+  if (!plan.lanes) return kernels_.exact_needs(tile, plan.exact.filter);
   return (depth == CV_8U ? kernels_.two_scale_u8_needs : kernels_.two_scale_u16_needs)(tile, plan.two_scale.filter);
 }
 
@@ -110,7 +123,7 @@ template <typename Pixel>
 void CpuEngine::run_tile(const SourcePlane<Pixel>& source, const Tile& tile, float* scratch, Pixel* line_order) const {
   const Plan& plan = *tile.plan;
   if constexpr (sizeof(Pixel) == 1) {
-    if (plan.two_scales) {
+    if (plan.lanes) {
       kernels_.two_scale_u8(source, tile.geometry, plan.two_scale.filter, scratch, line_order);
     } else {
       kernels_.exact_u8(source, tile.geometry, plan.exact.filter, scratch, line_order);

@@ -29,6 +29,10 @@ class CpuEngine : public BlockEngine {
   /// "cpu-" and the instruction set.
   std::string name() const override;
 
+  /// The designs of two scales.
+  void prepare(const std::vector<const LineKernel*>& kernels) override;
+  std::size_t prepared_designs() const { return designs_.size(); }
+
   /// Blocks that were left to the float engine.
   SlowBlocks slow_blocks() const override;
 
@@ -40,7 +44,7 @@ class CpuEngine : public BlockEngine {
   /// What is the same for all tiles of a block.
   struct Plan {
     std::optional<SlowReason> slow;  // set: the float engine's, and what follows does not matter
-    bool two_scales = false;
+    bool lanes = false;              // two_scale rather than exact
     bool major_is_y = true;
     double slope = 0;
     int max_rows = 0;  // of a tile, along the major axis
