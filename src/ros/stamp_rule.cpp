@@ -11,6 +11,7 @@ StampLimits imu_stamps(TimeNs max_gap_ns, TimeNs time_jump_ns) {
   limits.ahead_believed = limits.back_believed = 5;
   // A bag shorter than time_jump_ns that loops. Jitter of a driver does not deliver that many in order.
   limits.late_believed = 10;
+  limits.late_reset_ns = 0;
   return limits;
 }
 
@@ -30,9 +31,9 @@ StampLimits translation_stamps(TimeNs time_jump_ns) {
   StampLimits limits;
   // An odometry may be silent for as long as it likes, so that any stamp ahead is taken at first.
   limits.newest_disbelieved = 2;
-  limits.back_ns = time_jump_ns;
   // It may come ten times a second: a third message would be a frame or more too late.
-  limits.back_believed = 2;
+  limits.late_believed = 2;
+  limits.late_reset_ns = time_jump_ns;
   return limits;
 }
 

@@ -56,8 +56,10 @@ TEST_F(TranslationInputTest, TellsOfEveryMessageThatOneShowsToBeWrong) {
   for (int i = 0; i < 3; ++i) add_odometry(kStart + i * kPeriod);
   add_odometry(kStart - 10 * kSecond);  // held back until the next tells
   EXPECT_EQ(refused_ns_, std::vector<TimeNs>());
-  add_odometry(kStart + 2 * kPeriod);  // a second time
-  EXPECT_EQ(refused_ns_, (std::vector<TimeNs>{kStart - 10 * kSecond, kStart + 2 * kPeriod}));
+  add_odometry(kStart + 2 * kPeriod);  // a second time, which tells nothing of the other
+  EXPECT_EQ(refused_ns_, std::vector<TimeNs>{kStart + 2 * kPeriod});
+  add_odometry(kStart + 3 * kPeriod);
+  EXPECT_EQ(refused_ns_, (std::vector<TimeNs>{kStart + 2 * kPeriod, kStart - 10 * kSecond}));
 }
 
 TEST_F(TranslationInputTest, AStrayStampCostsOneOdometryAlone) {
