@@ -9,9 +9,14 @@ StampLimits imu_stamps(TimeNs max_gap_ns, TimeNs time_jump_ns) {
   limits.back_ns = time_jump_ns;
   // An IMU that was silent, or whose clock was set. Fewer are wrong stamps, which must not empty the buffer.
   limits.ahead_believed = limits.back_believed = 5;
-  // A bag shorter than time_jump_ns that loops. Jitter of a driver does not deliver that many in order.
+  // A bag shorter than time_jump_ns that loops. Jitter of a driver does not deliver that many in order. Less far back,
+  // they follow stamps that were ahead, or a clock that was set a little: they catch up before the hole is too long.
   limits.late_believed = 10;
-  limits.late_reset_ns = 0;
+  limits.late_reset_ns = max_gap_ns;
+  // Samples come in turn. After one whose stamp is ahead by a step or more, the next one's is not after it: half a step
+  // from either, to know it from one that is late itself. At once: at 4 kHz hundreds may follow before its stamp.
+  limits.newest_disbelieved = 1;
+  limits.ahead_steps = 1.5;
   return limits;
 }
 

@@ -2,12 +2,15 @@
 // which was wrong.
 #pragma once
 
+#include <algorithm>
+#include <array>
 #include <cstddef>
 #include <limits>
 #include <optional>
 #include <utility>
 #include <vector>
 
+#include "base/median.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
@@ -26,7 +29,8 @@ struct StampLimits {
   std::size_t back_believed = kNever;       ///< >= 1; so many in a row that are farther back: time was reset
   std::size_t late_believed = 2;            ///< >= 2; so many in a row that are late, and the first of them farther
   TimeNs late_reset_ns = kAnyTime;          ///< back than this (>= 0): time was set back
-  std::size_t newest_disbelieved = kNever;  ///< >= 2; so many between the newest and the one before: it was ahead
+  std::size_t newest_disbelieved = kNever;  ///< >= 1; so many between the newest and the one before: it was ahead...
+  double ahead_steps = 0;                   ///< ... if it is farther from that one than so many typical steps
 };
 
 /// The limits of each stream; the reasons stand with the values.
@@ -36,7 +40,7 @@ StampLimits translation_stamps(TimeNs time_jump_ns);  ///< odometry and depth of
 
 /// What is wrong with a stamp.
 enum class Misfit {
-  REPEATED,  ///< that of the message before
+  REPEATED,  ///< that of another message
   LATE,      ///< before the newest
   FAR,       ///< far from those around it
   AHEAD,     ///< ahead of those that came after it
@@ -52,7 +56,7 @@ struct StampRuling {
   struct Reset {
     TimeNs from_ns, to_ns;
   };
-  bool late = false;             ///< this message came after a newer one, whatever becomes of it
+  bool late = false;             ///< this message came after a newer one that is not refused by it
   bool newest_refused = false;   ///< the newest that was taken is among `refused`: its owner gives it back
   std::optional<Reset> reset;    ///< time was set back: all that was taken before is of another epoch
   std::vector<Message> taken;    ///< in order, and after all that was taken since the reset
@@ -86,6 +90,7 @@ class StampRule {
   void clear() {
     newest_.reset();
     before_newest_.reset();
+    steps_ = 0;
     far_.clear();
     late_.clear();
   }
@@ -119,6 +124,10 @@ class StampRule {
         return take(message, ruling);
       case Fit::REPEATED:
         refuse(&far_, Misfit::FAR, ruling);
+        if (limits.newest_disbelieved == 1 && newest_is_ahead(message.t_ns, limits)) {
+          give_newest_back(Misfit::REPEATED, ruling);
+          return take(message, ruling);
+        }
         ruling->refused.push_back({message, Misfit::REPEATED});
         return;
       case Fit::LATE:
@@ -152,15 +161,20 @@ class StampRule {
     ruling->late = true;
     if (!late_.empty() && message.t_ns <= late_.back().t_ns) refuse(&late_, Misfit::LATE, ruling);
     late_.push_back(message);
-    const TimeNs first_ns = late_.front().t_ns;
-    if (newest_is_wrong(limits)) {
-      ruling->newest_refused = true;
-      ruling->refused.push_back({*newest_, Misfit::AHEAD});
-      newest_ = std::exchange(before_newest_, std::nullopt);
-      take_held(&late_, ruling);
-    } else if (late_.size() >= limits.late_believed) {
-      if (newest_->t_ns - first_ns > limits.late_reset_ns) {
-        reset(first_ns, ruling);
+    if (late_.size() >= limits.newest_disbelieved) {
+      const auto first = late_.end() - static_cast<std::ptrdiff_t>(limits.newest_disbelieved);
+      if (newest_is_ahead(first->t_ns, limits)) {
+        ruling->late = false;
+        std::vector<Message> right(first, late_.end());
+        late_.erase(first, late_.end());
+        refuse(&late_, Misfit::LATE, ruling);
+        give_newest_back(Misfit::AHEAD, ruling);
+        return take_held(&right, ruling);
+      }
+    }
+    if (late_.size() >= limits.late_believed) {
+      if (newest_->t_ns - late_.front().t_ns > limits.late_reset_ns) {
+        reset(late_.front().t_ns, ruling);
         take_held(&late_, ruling);
       } else {
         ruling->refused.push_back({late_.front(), Misfit::LATE});
@@ -169,9 +183,21 @@ class StampRule {
     }
   }
 
-  /// So many that are late come between the newest and the one before it.
-  bool newest_is_wrong(const StampLimits& limits) const {
-    return late_.size() >= limits.newest_disbelieved && before_newest_ && late_.front().t_ns > before_newest_->t_ns;
+  /// Whether the newest came before its turn, when others that are not after it begin with this one.
+  bool newest_is_ahead(TimeNs first_ns, const StampLimits& limits) const {
+    if (!before_newest_ || first_ns <= before_newest_->t_ns) return false;
+    if (limits.ahead_steps <= 0) return true;
+    if (steps_ < kEnoughSteps) return false;
+    const auto end = steps_ns_.begin() + static_cast<std::ptrdiff_t>(std::min(steps_, steps_ns_.size()));
+    const double typical_ns = static_cast<double>(median(std::vector<TimeNs>(steps_ns_.begin(), end)));
+    return static_cast<double>(newest_->t_ns - before_newest_->t_ns) > limits.ahead_steps * typical_ns;
+  }
+
+  void give_newest_back(Misfit why, Ruling* ruling) {
+    ruling->newest_refused = true;
+    ruling->refused.push_back({*newest_, why});
+    newest_ = std::exchange(before_newest_, std::nullopt);
+    --steps_;
   }
 
   void reset(TimeNs to_ns, Ruling* ruling) {
@@ -184,6 +210,7 @@ class StampRule {
     for (const Message& each : std::exchange(*held, {})) take(each, ruling);
   }
   void take(const Message& message, Ruling* ruling) {
+    if (newest_) steps_ns_[steps_++ % steps_ns_.size()] = message.t_ns - newest_->t_ns;
     before_newest_ = std::exchange(newest_, message);
     ruling->taken.push_back(message);
   }
@@ -192,7 +219,11 @@ class StampRule {
     held->clear();
   }
 
+  static constexpr std::size_t kEnoughSteps = 5;
+
   std::optional<Message> newest_, before_newest_;  // that were taken since the last reset
+  std::array<TimeNs, 15> steps_ns_{};              // from each that was taken to the next; the last ones
+  std::size_t steps_ = 0;                          // that have been; the next goes to this place, modulo the size
   std::vector<Message> far_;                       // held: in a row, agreeing with each other
   std::vector<Message> late_;                      // held: in order among themselves
 };

@@ -163,6 +163,38 @@ TEST(StampRule, ImuSetBackByLittleMoreThanTheLimitIsLate) {
   EXPECT_EQ(feed.log().taken.size(), 10u);
 }
 
+TEST(StampRule, ImuGivesTheNewestBackWhenItCameBeforeItsTurn) {
+  for (const TimeNs ahead_ns : {10, 11, 19, 20, 25, 40}) {
+    Feed feed(imu());
+    feed.steps(1000, 10, 20)({1200 + ahead_ns});
+    EXPECT_EQ(feed.log().taken.back(), 1200 + ahead_ns);
+    feed.steps(1210, 10, 10);
+    EXPECT_EQ(feed.log().taken.size(), 30u) << ahead_ns;
+    const Misfit why = ahead_ns == 10 ? Misfit::REPEATED : Misfit::AHEAD;
+    EXPECT_EQ(feed.log().refused, (Refused{{1200 + ahead_ns, why}}));
+  }
+  Feed feed(imu());
+  feed.steps(1000, 10, 20)({1230, 960, 1210, 1220});
+  EXPECT_EQ(feed.log().refused, (Refused{{960, Misfit::LATE}, {1230, Misfit::AHEAD}})) << "one late from elsewhere";
+  EXPECT_EQ(feed.log().taken.back(), 1220);
+}
+
+TEST(StampRule, ImuKeepsTheNewestThatCameInItsTurn) {
+  Feed feed(imu());
+  feed.steps(1000, 10, 20)({1185, 1190, 1200, 1214, 1210});
+  EXPECT_EQ(feed.log().refused, (Refused{{1190, Misfit::REPEATED}, {1185, Misfit::LATE}})) << "1210 is held";
+  EXPECT_EQ(feed.log().taken.back(), 1214);
+}
+
+TEST(StampRule, ImuThatCatchesUpWithinAGapIsNotReset) {
+  Feed feed(imu());
+  feed.steps(1000, 1, 100).steps(1099 - kGap, 1, 60);
+  EXPECT_TRUE(feed.log().resets.empty());
+  EXPECT_EQ(feed.log().taken.size(), 109u);
+  feed.steps(1108 - kGap - 1, 1, 10);
+  EXPECT_EQ(feed.log().resets.size(), 1u);
+}
+
 TEST(StampRule, AStrayStampDoesNotHideAReset) {
   Feed feed(imu());
   feed({1000}).steps(700, 10, 5)({90'000, 0}).steps(750, 10, 5);

@@ -105,6 +105,19 @@ TEST_F(TranslationInputTest, AStrayStampCostsOneDepthAlone) {
   }
 }
 
+TEST_F(TranslationInputTest, AForceIsGivenBackWithItsSample) {
+  add_odometry(kStart);
+  const auto add_force = [this](TimeNs stamp_ns) {
+    sensor_msgs::Imu imu = imu_message(stamp_ns, 0);
+    imu.linear_acceleration.z = 9.81;
+    input_.add(imu);
+  };
+  for (const TimeNs stamp_ns : {kStart, kStart + 40 * kMs, kStart + 5 * kMs, kStart + 10 * kMs}) add_force(stamp_ns);
+  std::vector<TimeNs> stamps_ns;
+  for (const ForceSample& force : around(kStart).forces) stamps_ns.push_back(force.t_ns);
+  EXPECT_EQ(stamps_ns, (std::vector<TimeNs>{kStart, kStart + 5 * kMs, kStart + 10 * kMs}));
+}
+
 TEST_F(TranslationInputTest, AResetOfTimeStartsAnewWithItsSecondMessage) {
   for (int i = 0; i < 20; ++i) add_odometry(kStart + i * kPeriod);
   const TimeNs again_ns = kStart - 10 * kSecond;
