@@ -31,6 +31,9 @@ class GyroBuffer {
   /// was.
   AddResult add(const GyroSample& sample);
 
+  /// Forgets the newest sample and returns it. Precondition: not empty.
+  GyroSample drop_newest();
+
   /// Forgets everything.
   void clear();
 

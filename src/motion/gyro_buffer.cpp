@@ -24,6 +24,12 @@ GyroBuffer::AddResult GyroBuffer::add(const GyroSample& sample) {
   return AddResult::ACCEPTED;
 }
 
+GyroSample GyroBuffer::drop_newest() {
+  const GyroSample newest = samples_.back();
+  samples_.pop_back();
+  return newest;
+}
+
 void GyroBuffer::clear() { samples_.clear(); }
 
 TimeRange GyroBuffer::available() const {

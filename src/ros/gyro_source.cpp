@@ -60,6 +60,10 @@ bool GyroSource::add(const sensor_msgs::Imu& imu) {
 
 bool GyroSource::take(const GyroSample& sample) {
   const auto ruling = stamps_.add(sample, imu_stamps(options_.gyro.max_gap_ns, options_.time_jump_ns));
+  if (ruling.newest_refused) {
+    --statistics_.imu_accepted;
+    if (is_saturated(buffer_.drop_newest(), options_.gyro)) --statistics_.imu_saturated;
+  }
   if (ruling.reset) {
     ++epoch_;
     restarted_from_ns_ = ruling.reset->from_ns;
@@ -126,7 +130,8 @@ GyroReader::News GyroReader::update() {
 }
 
 TimeNs GyroReader::horizon_ns() const {
-  // Within an epoch samples are in order, so that those up to a time are those that had come then.
+  // Within an epoch samples are in order, so that those up to a time are those that had come then. (Had the newest of
+  // them to be given back since, a few that came after it, up to its stamp, are not seen either.)
   if (forgotten_.epoch != source_->epoch_ || !forgotten_.newest_ns) return std::numeric_limits<TimeNs>::min();
   return *forgotten_.newest_ns + 1;
 }

@@ -20,11 +20,11 @@ namespace gyro_deblur {
 
 /// What became of the messages of an IMU since its source was made.
 struct ImuStatistics {
-  std::size_t imu_accepted = 0;
+  std::size_t imu_accepted = 0;  ///< less those that were given back: the next one showed that their stamp was ahead
   std::size_t imu_not_finite = 0;
   std::size_t imu_duplicate = 0;
   std::size_t imu_out_of_order = 0;  ///< came after a newer one
-  std::size_t imu_stray = 0;         ///< stamp far from those around it
+  std::size_t imu_stray = 0;         ///< stamp far from those around it, or ahead of them
   std::size_t imu_without_gyroscope = 0;
   std::size_t imu_saturated = 0;  ///< of those accepted
 };

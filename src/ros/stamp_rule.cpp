@@ -9,8 +9,14 @@ StampLimits imu_stamps(TimeNs max_gap_ns, TimeNs time_jump_ns) {
   limits.back_ns = time_jump_ns;
   // An IMU that was silent, or whose clock was set. Fewer are wrong stamps, which must not empty the buffer.
   limits.ahead_believed = limits.back_believed = 5;
-  // A bag shorter than time_jump_ns that loops. Jitter of a driver does not deliver that many in order.
+  // A bag shorter than time_jump_ns that loops. Jitter of a driver does not deliver that many in order. Less far back,
+  // they follow stamps that were ahead, or a clock that was set a little: they catch up before the hole is too long.
   limits.late_believed = 10;
+  limits.late_reset_ns = max_gap_ns;
+  // Samples come in turn. After one whose stamp is ahead by a step or more, the next one's is not after it: half a step
+  // from either, to know it from one that is late itself. At once: at 4 kHz hundreds may follow before its stamp.
+  limits.newest_disbelieved = 1;
+  limits.ahead_steps = 1.5;
   return limits;
 }
 
@@ -30,9 +36,9 @@ StampLimits translation_stamps(TimeNs time_jump_ns) {
   StampLimits limits;
   // An odometry may be silent for as long as it likes, so that any stamp ahead is taken at first.
   limits.newest_disbelieved = 2;
-  limits.back_ns = time_jump_ns;
   // It may come ten times a second: a third message would be a frame or more too late.
-  limits.back_believed = 2;
+  limits.late_believed = 2;
+  limits.late_reset_ns = time_jump_ns;
   return limits;
 }
 

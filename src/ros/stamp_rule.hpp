@@ -2,12 +2,15 @@
 // which was wrong.
 #pragma once
 
+#include <algorithm>
+#include <array>
 #include <cstddef>
 #include <limits>
 #include <optional>
 #include <utility>
 #include <vector>
 
+#include "base/median.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
@@ -19,13 +22,15 @@ struct StampLimits {
   static constexpr std::size_t kNever = std::numeric_limits<std::size_t>::max();
 
   TimeNs ahead_ns = kAnyTime;  ///< a stamp farther ahead of the newest does not fit
-  TimeNs back_ns = kAnyTime;  ///< up to this before the newest one is late; farther back it is wrong, or time was reset
-  TimeNs step_ns = kAnyTime;  ///< farther off, a message agrees with the one before when it is up to this after it
-  bool repeats_agree = false;               ///< so does one that repeats it, or is up to back_ns before it
+  TimeNs back_ns = kAnyTime;   ///< up to this before the newest one is late; farther back it is far
+  TimeNs step_ns = kAnyTime;   ///< farther off, a message agrees with the one before when it is up to this after it...
+  bool repeats_agree = false;  ///< ... or not more than back_ns before it, whether or not it fits as well
   std::size_t ahead_believed = kNever;      ///< >= 2; so many in a row that are ahead: the stream was silent
   std::size_t back_believed = kNever;       ///< >= 1; so many in a row that are farther back: time was reset
-  std::size_t late_believed = kNever;       ///< >= 2; so many in a row that are late: time was set back by less
-  std::size_t newest_disbelieved = kNever;  ///< >= 2; so many between the newest and the one before: it was ahead
+  std::size_t late_believed = 2;            ///< >= 2; so many in a row that are late, and the first of them farther
+  TimeNs late_reset_ns = kAnyTime;          ///< back than this (>= 0): time was set back
+  std::size_t newest_disbelieved = kNever;  ///< >= 1; so many between the newest and the one before: it was ahead...
+  double ahead_steps = 0;                   ///< ... if it is farther from that one than so many typical steps
 };
 
 /// The limits of each stream; the reasons stand with the values.
@@ -35,7 +40,7 @@ StampLimits translation_stamps(TimeNs time_jump_ns);  ///< odometry and depth of
 
 /// What is wrong with a stamp.
 enum class Misfit {
-  REPEATED,  ///< that of the message before
+  REPEATED,  ///< that of another message
   LATE,      ///< before the newest
   FAR,       ///< far from those around it
   AHEAD,     ///< ahead of those that came after it
@@ -51,7 +56,7 @@ struct StampRuling {
   struct Reset {
     TimeNs from_ns, to_ns;
   };
-  bool late = false;             ///< this message came after a newer one, whatever becomes of it
+  bool late = false;             ///< this message came after a newer one that is not refused by it
   bool newest_refused = false;   ///< the newest that was taken is among `refused`: its owner gives it back
   std::optional<Reset> reset;    ///< time was set back: all that was taken before is of another epoch
   std::vector<Message> taken;    ///< in order, and after all that was taken since the reset
@@ -85,6 +90,7 @@ class StampRule {
   void clear() {
     newest_.reset();
     before_newest_.reset();
+    steps_ = 0;
     far_.clear();
     late_.clear();
   }
@@ -100,22 +106,28 @@ class StampRule {
     return step_ns >= -limits.back_ns ? Fit::LATE : Fit::BACK;
   }
 
-  /// Whether a message goes on where the far ones are. What is after the newest goes on there, unless they are ahead.
-  bool agrees_with_far(TimeNs stamp_ns, const StampLimits& limits) const {
-    if (far_.empty() || (far_.front().t_ns < newest_->t_ns && stamp_ns >= newest_->t_ns)) return false;
+  /// Whether a message goes on where the far ones are.
+  bool agrees_with_far(TimeNs stamp_ns, Fit fit, const StampLimits& limits) const {
+    if (far_.empty()) return false;
     const TimeNs step_ns = stamp_ns - far_.back().t_ns;
-    return limits.repeats_agree ? step_ns >= -limits.back_ns : step_ns > 0 && step_ns <= limits.step_ns;
+    if (limits.repeats_agree) return step_ns >= -limits.back_ns;
+    return (fit == Fit::BACK || fit == Fit::AHEAD) && step_ns > 0 && step_ns <= limits.step_ns;
   }
 
   void judge(const Message& message, const StampLimits& limits, Ruling* ruling) {
-    if (agrees_with_far(message.t_ns, limits)) return hold_far(message, limits, ruling);
-    switch (fit_of(message.t_ns, limits)) {
+    const Fit fit = fit_of(message.t_ns, limits);
+    if (agrees_with_far(message.t_ns, fit, limits)) return hold_far(message, limits, ruling);
+    switch (fit) {
       case Fit::NEXT:
         refuse(&far_, Misfit::FAR, ruling);
         refuse(&late_, Misfit::LATE, ruling);
         return take(message, ruling);
       case Fit::REPEATED:
         refuse(&far_, Misfit::FAR, ruling);
+        if (limits.newest_disbelieved == 1 && newest_is_ahead(message.t_ns, limits)) {
+          give_newest_back(Misfit::REPEATED, ruling);
+          return take(message, ruling);
+        }
         ruling->refused.push_back({message, Misfit::REPEATED});
         return;
       case Fit::LATE:
@@ -125,7 +137,6 @@ class StampRule {
       case Fit::AHEAD:
         break;
     }
-    if (limits.late_believed == StampLimits::kNever) refuse(&late_, Misfit::LATE, ruling);
     const TimeNs step_ns = far_.empty() ? 0 : message.t_ns - far_.back().t_ns;
     if (!far_.empty() && step_ns <= 0 && step_ns >= -limits.back_ns) {  // late among the far ones
       ruling->late = step_ns < 0;
@@ -139,39 +150,54 @@ class StampRule {
   void hold_far(const Message& message, const StampLimits& limits, Ruling* ruling) {
     const TimeNs first_ns = far_.empty() ? message.t_ns : far_.front().t_ns;
     const bool ahead = first_ns > newest_->t_ns;
-    const std::size_t count = far_.size() + 1;
-    if (newest_is_wrong(first_ns, count, limits, ruling) ||
-        count >= (ahead ? limits.ahead_believed : limits.back_believed)) {
-      if (!ahead && !ruling->newest_refused) reset(first_ns, ruling);
-      believe(&far_, message, limits, ruling);
-    } else {
-      far_.push_back(message);
-    }
+    if (far_.size() + 1 < (ahead ? limits.ahead_believed : limits.back_believed)) return far_.push_back(message);
+    refuse(&late_, Misfit::LATE, ruling);
+    if (!ahead) reset(first_ns, ruling);
+    take_held(&far_, ruling);
+    judge(message, limits, ruling);  // against them; it may repeat the last
   }
 
   void hold_late(const Message& message, const StampLimits& limits, Ruling* ruling) {
     ruling->late = true;
     if (!late_.empty() && message.t_ns <= late_.back().t_ns) refuse(&late_, Misfit::LATE, ruling);
-    const TimeNs first_ns = late_.empty() ? message.t_ns : late_.front().t_ns;
-    const std::size_t count = late_.size() + 1;
-    if (newest_is_wrong(first_ns, count, limits, ruling)) {
-      believe(&late_, message, limits, ruling);
-    } else if (count >= limits.late_believed) {
-      reset(first_ns, ruling);
-      believe(&late_, message, limits, ruling);
-    } else {
-      if (limits.late_believed == StampLimits::kNever) refuse(&late_, Misfit::LATE, ruling);
-      late_.push_back(message);
+    late_.push_back(message);
+    if (late_.size() >= limits.newest_disbelieved) {
+      const auto first = late_.end() - static_cast<std::ptrdiff_t>(limits.newest_disbelieved);
+      if (newest_is_ahead(first->t_ns, limits)) {
+        ruling->late = false;
+        std::vector<Message> right(first, late_.end());
+        late_.erase(first, late_.end());
+        refuse(&late_, Misfit::LATE, ruling);
+        give_newest_back(Misfit::AHEAD, ruling);
+        return take_held(&right, ruling);
+      }
+    }
+    if (late_.size() >= limits.late_believed) {
+      if (newest_->t_ns - late_.front().t_ns > limits.late_reset_ns) {
+        reset(late_.front().t_ns, ruling);
+        take_held(&late_, ruling);
+      } else {
+        ruling->refused.push_back({late_.front(), Misfit::LATE});
+        late_.erase(late_.begin());
+      }
     }
   }
 
-  /// Gives the newest back when `count` messages from first_ns on come between it and the one before it.
-  bool newest_is_wrong(TimeNs first_ns, std::size_t count, const StampLimits& limits, Ruling* ruling) {
-    if (count < limits.newest_disbelieved || !before_newest_ || first_ns <= before_newest_->t_ns) return false;
+  /// Whether the newest came before its turn, when others that are not after it begin with this one.
+  bool newest_is_ahead(TimeNs first_ns, const StampLimits& limits) const {
+    if (!before_newest_ || first_ns <= before_newest_->t_ns) return false;
+    if (limits.ahead_steps <= 0) return true;
+    if (steps_ < kEnoughSteps) return false;
+    const auto end = steps_ns_.begin() + static_cast<std::ptrdiff_t>(std::min(steps_, steps_ns_.size()));
+    const double typical_ns = static_cast<double>(median(std::vector<TimeNs>(steps_ns_.begin(), end)));
+    return static_cast<double>(newest_->t_ns - before_newest_->t_ns) > limits.ahead_steps * typical_ns;
+  }
+
+  void give_newest_back(Misfit why, Ruling* ruling) {
     ruling->newest_refused = true;
-    ruling->refused.push_back({*newest_, Misfit::AHEAD});
+    ruling->refused.push_back({*newest_, why});
     newest_ = std::exchange(before_newest_, std::nullopt);
-    return true;
+    --steps_;
   }
 
   void reset(TimeNs to_ns, Ruling* ruling) {
@@ -180,15 +206,11 @@ class StampRule {
     before_newest_.reset();
   }
 
-  /// Those that were held are right; so is the message, if it fits them.
-  void believe(std::vector<Message>* held, const Message& message, const StampLimits& limits, Ruling* ruling) {
-    const std::vector<Message> right = std::exchange(*held, {});
-    if (right.empty()) return take(message, ruling);
-    for (const Message& each : right) take(each, ruling);
-    judge(message, limits, ruling);
+  void take_held(std::vector<Message>* held, Ruling* ruling) {
+    for (const Message& each : std::exchange(*held, {})) take(each, ruling);
   }
-
   void take(const Message& message, Ruling* ruling) {
+    if (newest_) steps_ns_[steps_++ % steps_ns_.size()] = message.t_ns - newest_->t_ns;
     before_newest_ = std::exchange(newest_, message);
     ruling->taken.push_back(message);
   }
@@ -197,7 +219,11 @@ class StampRule {
     held->clear();
   }
 
+  static constexpr std::size_t kEnoughSteps = 5;
+
   std::optional<Message> newest_, before_newest_;  // that were taken since the last reset
+  std::array<TimeNs, 15> steps_ns_{};              // from each that was taken to the next; the last ones
+  std::size_t steps_ = 0;                          // that have been; the next goes to this place, modulo the size
   std::vector<Message> far_;                       // held: in a row, agreeing with each other
   std::vector<Message> late_;                      // held: in order among themselves
 };

@@ -73,8 +73,9 @@ std::vector<RefusedMessage> TranslationInput::add(const sensor_msgs::Range& dept
 void TranslationInput::add(const sensor_msgs::Imu& imu) {
   const auto& a = imu.linear_acceleration;
   const ForceSample sample{to_time_ns(imu.header.stamp), {a.x, a.y, a.z}};
+  // What is not before a sample that was taken was given back for it.
+  while (!forces_.empty() && forces_.back().t_ns >= sample.t_ns) forces_.pop_back();
   if (imu.linear_acceleration_covariance[0] == -1 || !sample.force_m_s2.allFinite()) return;
-  if (!forces_.empty() && sample.t_ns <= forces_.back().t_ns) return;
   forces_.push_back(sample);
   if (forces_.size() > kMaxVelocities) forces_.pop_front();
 }

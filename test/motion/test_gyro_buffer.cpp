@@ -50,6 +50,14 @@ TEST(GyroBuffer, IsBoundedInTime) {
   EXPECT_EQ(buffer.size(), 1u);
 }
 
+TEST(GyroBuffer, DropsTheNewestAndItsStamp) {
+  GyroBuffer buffer(1000);
+  for (const TimeNs t_ns : {100, 110, 150}) buffer.add(at(t_ns, static_cast<double>(t_ns)));
+  EXPECT_EQ(buffer.drop_newest().rate_rad_s.x(), 150);
+  EXPECT_EQ(buffer.add(at(120)), AddResult::ACCEPTED);
+  EXPECT_EQ(stamps(buffer.window({100, 200})), (Stamps{100, 110, 120}));
+}
+
 TEST(GyroBuffer, ClearForgetsTheNewestStampToo) {
   GyroBuffer buffer(1000);
   buffer.add(at(100));

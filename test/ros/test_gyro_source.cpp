@@ -1,7 +1,10 @@
 #include "ros/gyro_source.hpp"
 
+#include <algorithm>
 #include <limits>
 #include <memory>
+#include <random>
+#include <sstream>
 #include <thread>
 #include <vector>
 
@@ -145,6 +148,112 @@ TEST_F(GyroSourceTest, CountsWhatIsWrongWithStampsOnceEach) {
   EXPECT_EQ(source_->statistics().imu_duplicate, 1u);
   EXPECT_EQ(source_->statistics().imu_stray, 1u);
   EXPECT_EQ(source_->statistics().imu_accepted, 7u);
+}
+
+constexpr double kWrongRadS = 9;
+
+TEST_F(GyroSourceTest, AStampAheadCostsThatSampleAloneAtAnyRate) {
+  constexpr int kBefore = 20;
+  constexpr TimeNs kAfter = 250 * kMs;
+  for (const int rate_hz : {100, 200, 400, 1000, 4000}) {
+    const TimeNs period_ns = kSecond / rate_hz;
+    for (const double jitter : {0.0, 0.2}) {  // of the period
+      std::mt19937 random(7);
+      std::uniform_real_distribution<double> scatter(-jitter * static_cast<double>(period_ns),
+                                                     jitter * static_cast<double>(period_ns));
+      for (TimeNs ahead_ns = kMs; ahead_ns <= 200 * kMs; ahead_ns += kMs) {
+        source_ = make_source();
+        GyroReader reader(source_);
+        const int count = kBefore + 1 + static_cast<int>(kAfter / period_ns);
+        for (int i = 0; i < count; ++i) {
+          const bool wrong = i == kBefore;
+          const TimeNs stamp_ns = kStart + i * period_ns + static_cast<TimeNs>(scatter(random));
+          source_->add(imu_message(stamp_ns + (wrong ? ahead_ns : 0), wrong ? kWrongRadS : kFastRadS));
+          reader.update();
+        }
+        std::ostringstream where;
+        where << rate_hz << " Hz, " << ahead_ns / kMs << " ms ahead, scatter " << jitter;
+        SCOPED_TRACE(where.str());
+        const auto samples = reader.window({0, std::numeric_limits<TimeNs>::max()});
+        const auto is_wrong = [](const GyroSample& sample) { return sample.rate_rad_s.y() == kWrongRadS; };
+        const auto wrong = std::count_if(samples.begin(), samples.end(), is_wrong);
+        const ImuStatistics statistics = source_->statistics();
+        ASSERT_EQ(statistics.imu_accepted, samples.size()) << "no reset";
+        if (static_cast<double>(ahead_ns) >= (1 + 2 * jitter) * static_cast<double>(period_ns)) {
+          ASSERT_EQ(wrong, 0);
+          ASSERT_EQ(samples.size(), static_cast<std::size_t>(count - 1));
+        } else {  // it may still come before the next one, and nobody can tell it from a right one
+          ASSERT_GE(samples.size() - static_cast<std::size_t>(wrong), static_cast<std::size_t>(count - 2));
+        }
+        ASSERT_EQ(statistics.imu_stray + statistics.imu_duplicate + statistics.imu_out_of_order,
+                  count - samples.size());
+      }
+    }
+  }
+}
+
+TEST_F(GyroSourceTest, ASampleThatIsLateItselfCostsNoOther) {
+  for (const int rate_hz : {100, 200, 400, 1000, 4000}) {
+    const TimeNs period_ns = kSecond / rate_hz;
+    for (const double late : {1.0, 1.3, 1.7, 2.0, 2.5, 30.0}) {  // periods
+      source_ = make_source();
+      GyroReader reader(source_);
+      for (int i = 0; i < 100; ++i) {
+        const bool wrong = i == 50;
+        const TimeNs off_ns = wrong ? static_cast<TimeNs>(late * static_cast<double>(period_ns)) : 0;
+        source_->add(imu_message(kStart + i * period_ns - off_ns, wrong ? kWrongRadS : kFastRadS));
+      }
+      const auto samples = reader.window({0, std::numeric_limits<TimeNs>::max()});
+      EXPECT_EQ(samples.size(), 99u) << rate_hz << " Hz, " << late;
+      for (const GyroSample& sample : samples)
+        EXPECT_EQ(sample.rate_rad_s.y(), kFastRadS) << rate_hz << " Hz, " << late;
+    }
+  }
+}
+
+TEST_F(GyroSourceTest, ASaturatedSampleThatIsGivenBackIsNotCounted) {
+  GyroOptions gyro;
+  gyro.range_rad_s = 5;
+  source_ = std::make_shared<GyroSource>(GyroSource::Options{2 * kSecond, 500 * kMs, gyro},
+                                         [](LogLevel, const std::string&) {});
+  add(kStart, kStart + 100 * kMs);
+  source_->add(imu_message(kStart + 140 * kMs, kWrongRadS));
+  EXPECT_EQ(source_->statistics().imu_saturated, 1u);
+  add(kStart + 110 * kMs, kStart + 150 * kMs);
+  EXPECT_EQ(source_->statistics().imu_saturated, 0u);
+  EXPECT_EQ(source_->statistics().imu_stray, 1u);
+  EXPECT_EQ(source_->statistics().imu_accepted, 30u);
+}
+
+TEST_F(GyroSourceTest, AClockThatCatchesUpWithinAGapIsNotReset) {
+  // 40 ms are 16 to 160 samples, and less than max_gap_ns.
+  for (const TimeNs period_ns : {kMs / 4, kMs, 5 * kMs / 2}) {
+    for (const int ahead : {0, 2, 5}) {  // so many are ahead; or else the clock is set back
+      source_ = make_source();
+      GyroReader reader(source_);
+      for (int i = 0; i < 400; ++i) {
+        const bool off = ahead == 0 ? i >= 200 : i >= 200 && i < 200 + ahead;
+        source_->add(imu_message(kStart + i * period_ns + (off ? (ahead == 0 ? -1 : 1) * 40 * kMs : 0), 1));
+      }
+      EXPECT_FALSE(reader.update().restarted) << period_ns << " ns, " << ahead;
+      EXPECT_EQ(reader.available().begin_ns, kStart);
+    }
+  }
+}
+
+TEST_F(GyroSourceTest, LoopOfAShortBagRestartsItAtAnyRate) {
+  for (const int rate_hz : {100, 200, 400, 1000, 4000}) {
+    const TimeNs period_ns = kSecond / rate_hz;
+    source_ = make_source();
+    GyroReader reader(source_);
+    for (int loop = 0; loop < 3; ++loop) {
+      for (TimeNs t_ns = kStart; t_ns <= kStart + 300 * kMs; t_ns += period_ns) source_->add(imu_message(t_ns, loop));
+      EXPECT_EQ(reader.update().restarted, loop > 0) << rate_hz << " Hz";
+      const auto samples = reader.window({0, std::numeric_limits<TimeNs>::max()});
+      EXPECT_EQ(samples.size(), static_cast<std::size_t>(300 * kMs / period_ns + 1));
+      EXPECT_EQ(samples.front().rate_rad_s.y(), loop);
+    }
+  }
 }
 
 TEST_F(GyroSourceTest, ReadersMayReadWhileItIsFed) {

@@ -123,6 +123,22 @@ TEST_F(IntakeTest, StrayImuStampsAreDroppedAndChangeNothing) {
   EXPECT_EQ(logged("far from those around it"), 1u) << "throttled";
 }
 
+TEST_F(IntakeTest, AStampAheadOfAFastImuIsDroppedAndChangesNothing) {
+  constexpr TimeNs kFastPeriod = 2'500'000;
+  for (TimeNs t_ns = kStart - 2 * kSecond; t_ns <= kStart + 100 * kMs; t_ns += kFastPeriod) {
+    const bool wrong = t_ns == kStart - 100 * kMs;
+    processor_.add_imu(imu_message(t_ns + (wrong ? 40 * kMs : 0), wrong ? 100 : kFastRadS));
+  }
+  EXPECT_EQ(processor_.statistics().time_jumps, 0u);
+  EXPECT_EQ(processor_.statistics().imu_stray, 1u);
+  EXPECT_EQ(processor_.statistics().imu_out_of_order, 0u);
+  add_frame(kStart - kSecond);  // by samples from before it
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  expect_deblurred(1);
+}
+
 TEST_F(IntakeTest, ImuThatWasSilentIsTakenAgain) {
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   add_frame(kStart);

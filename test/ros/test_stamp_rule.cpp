@@ -144,6 +144,57 @@ TEST(StampRule, ImuBelievesTenLateOnesInOrder) {
   EXPECT_EQ(feed.log().refused.size(), 5u);
 }
 
+TEST(StampRule, ImuTakesTheLateOnesWithAHoleAmongThem) {
+  Feed feed(imu());
+  feed({1000}).steps(700, 10, 9)({780 + kGap + 1});
+  EXPECT_EQ(feed.log().resets, (Resets{{1000, 700}}));
+  EXPECT_EQ(feed.log().taken.back(), 780 + kGap + 1);
+  EXPECT_EQ(feed.log().taken.size(), 10u);
+}
+
+TEST(StampRule, ImuSetBackByLittleMoreThanTheLimitIsLate) {
+  // The first is far; those after it fit again, if late, which refutes it.
+  Feed feed(imu());
+  feed({1000}).steps(1000 - kJump - 5, 10, 10);
+  EXPECT_EQ(feed.log().refused, (Refused{{1000 - kJump - 5, Misfit::FAR}}));
+  EXPECT_TRUE(feed.log().resets.empty());
+  feed({1000 - kJump + 95});
+  EXPECT_EQ(feed.log().resets, (Resets{{1000, 1000 - kJump + 5}}));
+  EXPECT_EQ(feed.log().taken.size(), 10u);
+}
+
+TEST(StampRule, ImuGivesTheNewestBackWhenItCameBeforeItsTurn) {
+  for (const TimeNs ahead_ns : {10, 11, 19, 20, 25, 40}) {
+    Feed feed(imu());
+    feed.steps(1000, 10, 20)({1200 + ahead_ns});
+    EXPECT_EQ(feed.log().taken.back(), 1200 + ahead_ns);
+    feed.steps(1210, 10, 10);
+    EXPECT_EQ(feed.log().taken.size(), 30u) << ahead_ns;
+    const Misfit why = ahead_ns == 10 ? Misfit::REPEATED : Misfit::AHEAD;
+    EXPECT_EQ(feed.log().refused, (Refused{{1200 + ahead_ns, why}}));
+  }
+  Feed feed(imu());
+  feed.steps(1000, 10, 20)({1230, 960, 1210, 1220});
+  EXPECT_EQ(feed.log().refused, (Refused{{960, Misfit::LATE}, {1230, Misfit::AHEAD}})) << "one late from elsewhere";
+  EXPECT_EQ(feed.log().taken.back(), 1220);
+}
+
+TEST(StampRule, ImuKeepsTheNewestThatCameInItsTurn) {
+  Feed feed(imu());
+  feed.steps(1000, 10, 20)({1185, 1190, 1200, 1214, 1210});
+  EXPECT_EQ(feed.log().refused, (Refused{{1190, Misfit::REPEATED}, {1185, Misfit::LATE}})) << "1210 is held";
+  EXPECT_EQ(feed.log().taken.back(), 1214);
+}
+
+TEST(StampRule, ImuThatCatchesUpWithinAGapIsNotReset) {
+  Feed feed(imu());
+  feed.steps(1000, 1, 100).steps(1099 - kGap, 1, 60);
+  EXPECT_TRUE(feed.log().resets.empty());
+  EXPECT_EQ(feed.log().taken.size(), 109u);
+  feed.steps(1108 - kGap - 1, 1, 10);
+  EXPECT_EQ(feed.log().resets.size(), 1u);
+}
+
 TEST(StampRule, AStrayStampDoesNotHideAReset) {
   Feed feed(imu());
   feed({1000}).steps(700, 10, 5)({90'000, 0}).steps(750, 10, 5);
@@ -196,6 +247,41 @@ TEST(StampRule, TranslationIsResetByItsSecondMessageAndNotByLateOnes) {
   feed({1000, 750, 760, 770, 780, 1100});
   EXPECT_EQ(feed.log().taken, (Stamps{800, 900, 1000, 1100}));
   EXPECT_EQ(feed.log().resets.size(), 1u);
+}
+
+TEST(StampRule, OfTwoTranslationsThatContradictTheLaterOneIsHeld) {
+  Feed feed(translation());
+  feed({1000, 2000, 800, 750});
+  EXPECT_EQ(feed.log().refused, (Refused{{800, Misfit::LATE}}));
+  feed({760});
+  EXPECT_EQ(feed.log().resets, (Resets{{2000, 750}}));
+  EXPECT_EQ(feed.log().taken, (Stamps{750, 760}));
+}
+
+TEST(StampRule, ARepeatSaysNothingOfATranslationThatIsHeld) {
+  Feed feed(translation());
+  feed({1000, 2000, 800, 2000});
+  EXPECT_EQ(feed.log().refused, (Refused{{2000, Misfit::REPEATED}}));
+  feed({900});
+  EXPECT_EQ(feed.log().resets, (Resets{{2000, 800}}));
+  EXPECT_EQ(feed.log().taken, (Stamps{800, 900}));
+}
+
+TEST(StampRule, TranslationIsResetByAMessageThatIsFarAndOneThatIsNot) {
+  Feed feed(translation());
+  feed({1000, 2000, 2000 - kJump, 2000 - kJump + 10});
+  EXPECT_EQ(feed.log().taken, (Stamps{1000, 2000 - kJump, 2000 - kJump + 10})) << "the newest was ahead";
+  feed({2000, 2000 - kJump - 1, 1990});
+  EXPECT_EQ(feed.log().resets, (Resets{{2000, 2000 - kJump - 1}}));
+}
+
+TEST(StampRule, WatchedStreamKeepsToWhatIsAheadWhereThatOverlaps) {
+  Feed feed(watched());
+  feed({1000, 1000 + kJump + 100, 1000 + kJump - 50});
+  EXPECT_EQ(feed.log().taken, (Stamps{1000, 1000 + kJump + 100})) << "the third agrees with the second";
+  feed({1000 + kJump + 200, 90'000, 90'000, 90'000 - kJump});
+  EXPECT_EQ(feed.log().taken.back(), 90'000);
+  EXPECT_TRUE(feed.log().resets.empty()) << "the late one from before says nothing";
 }
 
 TEST(StampRule, RestartForgetsWhatCameBefore) {

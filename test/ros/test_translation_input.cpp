@@ -56,8 +56,10 @@ TEST_F(TranslationInputTest, TellsOfEveryMessageThatOneShowsToBeWrong) {
   for (int i = 0; i < 3; ++i) add_odometry(kStart + i * kPeriod);
   add_odometry(kStart - 10 * kSecond);  // held back until the next tells
   EXPECT_EQ(refused_ns_, std::vector<TimeNs>());
-  add_odometry(kStart + 2 * kPeriod);  // a second time
-  EXPECT_EQ(refused_ns_, (std::vector<TimeNs>{kStart - 10 * kSecond, kStart + 2 * kPeriod}));
+  add_odometry(kStart + 2 * kPeriod);  // a second time, which tells nothing of the other
+  EXPECT_EQ(refused_ns_, std::vector<TimeNs>{kStart + 2 * kPeriod});
+  add_odometry(kStart + 3 * kPeriod);
+  EXPECT_EQ(refused_ns_, (std::vector<TimeNs>{kStart + 2 * kPeriod, kStart - 10 * kSecond}));
 }
 
 TEST_F(TranslationInputTest, AStrayStampCostsOneOdometryAlone) {
@@ -101,6 +103,19 @@ TEST_F(TranslationInputTest, AStrayStampCostsOneDepthAlone) {
       EXPECT_EQ(around(kStart + i * kPeriod).depth_m, 1 + i) << "off by " << off_ns;
     }
   }
+}
+
+TEST_F(TranslationInputTest, AForceIsGivenBackWithItsSample) {
+  add_odometry(kStart);
+  const auto add_force = [this](TimeNs stamp_ns) {
+    sensor_msgs::Imu imu = imu_message(stamp_ns, 0);
+    imu.linear_acceleration.z = 9.81;
+    input_.add(imu);
+  };
+  for (const TimeNs stamp_ns : {kStart, kStart + 40 * kMs, kStart + 5 * kMs, kStart + 10 * kMs}) add_force(stamp_ns);
+  std::vector<TimeNs> stamps_ns;
+  for (const ForceSample& force : around(kStart).forces) stamps_ns.push_back(force.t_ns);
+  EXPECT_EQ(stamps_ns, (std::vector<TimeNs>{kStart, kStart + 5 * kMs, kStart + 10 * kMs}));
 }
 
 TEST_F(TranslationInputTest, AResetOfTimeStartsAnewWithItsSecondMessage) {
