@@ -61,6 +61,14 @@ void set_calibration(const Config& config, PendingFrame* frame) {
   }
 }
 
+/// The time that the frame itself needs samples for, IMU clock. Precondition: its exposure is known.
+TimeRange own_range(const Config& config, const AssembledFrame& assembled) {
+  const TimeNs reference_ns = assembled.exposure->reference_time(config.pipeline.rectify_to);
+  const TimeRange frame_cam = assembled.exposure->frame();
+  const TimeNs offset_ns = assembled.gyro.time_offset_ns;
+  return {std::min(frame_cam.begin_ns, reference_ns) + offset_ns, std::max(frame_cam.end_ns, reference_ns) + offset_ns};
+}
+
 /// Marks the samples that GyroBuffer::window would give for `own` alone.
 void mark_own(const TimeRange& own, AssembledFrame* assembled) {
   const std::vector<GyroSample>& samples = assembled->samples;
@@ -83,6 +91,17 @@ Readiness FrameAssembly::assemble(const Terms& terms, PendingFrame* frame, Assem
   assembled->options = terms.config.pipeline;
   assembled->tracker_options = terms.config.tracker;
   assembled->rectified_input = terms.config.rectified_input;
+  const Readiness readiness = find_all(terms, frame, assembled);
+  if (readiness == Readiness::READY) collect(terms, *frame, assembled);
+  return readiness;
+}
+
+Readiness FrameAssembly::look(const Terms& terms, PendingFrame* frame) const {
+  AssembledFrame unused;
+  return find_all(terms, frame, &unused);
+}
+
+Readiness FrameAssembly::find_all(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {
   if (frame->verdict != PassThroughReason::NONE) return Readiness::SETTLED;
   Readiness readiness = Readiness::READY;
   // A frame that goes by the file, and still waits, goes by its camera_info as soon as that has come.
@@ -92,25 +111,48 @@ Readiness FrameAssembly::assemble(const Terms& terms, PendingFrame* frame, Assem
   return readiness;
 }
 
+sensor_msgs::CameraInfoConstPtr FrameAssembly::stand_in(const PendingFrame& frame, bool give_up) const {
+  const sensor_msgs::CameraInfoConstPtr* other = intake_.infos().find_between_alike(frame.stamp_ns);
+  if (other == nullptr && give_up) other = intake_.infos().find_last_unchanged(frame.stamp_ns);
+  if (other == nullptr || !describes_size(**other, frame.image->width, frame.image->height)) return nullptr;
+  auto info = boost::make_shared<sensor_msgs::CameraInfo>(**other);
+  info->header.stamp = frame.image->header.stamp;
+  return info;
+}
+
+sensor_msgs::CameraInfoConstPtr FrameAssembly::best_info(const PendingFrame& frame) const {
+  if (frame.info) return frame.info;
+  if (const sensor_msgs::CameraInfoConstPtr* own = intake_.infos().find(frame.stamp_ns)) return *own;
+  return stand_in(frame, true);
+}
+
 Readiness FrameAssembly::find_calibration(const Terms& terms, PendingFrame* frame) const {
   const Config& config = terms.config;
   const std::optional<CameraCalibration> file =
       config.calibration ? config.calibration->camera : std::optional<CameraCalibration>();
+  const Intake::CameraInfos& infos = intake_.infos();
+  const bool overtaken = infos.later(frame->stamp_ns) >= Intake::CameraInfos::kOvertaking;
+  const bool give_up = terms.timed_out || !infos.awaited() || overtaken;
   // Only camera_info can tell which part of the sensor an image of another size shows.
   const bool file_fits = file && file->width_px == static_cast<int>(frame->image->width) &&
                          file->height_px == static_cast<int>(frame->image->height);
-  if (const sensor_msgs::CameraInfoConstPtr* info = intake_.infos().find(frame->stamp_ns)) {
+  if (const sensor_msgs::CameraInfoConstPtr* info = infos.find(frame->stamp_ns)) {
     frame->info = *info;
     frame->described_by_topic = true;
   } else if (frame->calibration) {
     return Readiness::READY;  // the file's, from before anybody sent camera_info
-  } else if (file && !config.rectified_input && ((!intake_.info_seen() && file_fits) || terms.timed_out)) {
+  } else if (const sensor_msgs::CameraInfoConstPtr other = stand_in(*frame, give_up)) {
+    frame->info = other;
+    frame->described_by_topic = true;
+  } else if (file && !config.rectified_input && ((!infos.seen() && file_fits) || give_up)) {
     auto described = boost::make_shared<sensor_msgs::CameraInfo>(camera_info_message(*file));
     described->header = frame->image->header;
     frame->info = described;
-  } else if (terms.timed_out) {
-    return settle(frame, PassThroughReason::NO_CALIBRATION,
-                  "no camera_info with the image's stamp " + seconds_text(frame->stamp_ns) + " s");
+  } else if (give_up) {
+    return settle(
+        frame, PassThroughReason::NO_CALIBRATION,
+        "no camera_info with the image's stamp " + seconds_text(frame->stamp_ns) + " s" +
+            (infos.seen() ? ", and of those around it no two are alike and describe an image of its size" : ""));
   } else {
     return Readiness::WAITS;
   }
@@ -127,7 +169,8 @@ Readiness FrameAssembly::find_timing(const Terms& terms, PendingFrame* frame, Sh
   const Config& config = terms.config;
   *timing = config.shutter;
   timing->readout_ns = region_readout_ns(timing->readout_ns, *frame->info);
-  if (const Exposure* message = intake_.exposures().find(frame->stamp_ns)) {
+  const Intake::Exposures& exposures = intake_.exposures();
+  if (const Exposure* message = exposures.find(frame->stamp_ns)) {
     take_times(*message, timing);
     return Readiness::READY;
   }
@@ -135,17 +178,24 @@ Readiness FrameAssembly::find_timing(const Terms& terms, PendingFrame* frame, Sh
     timing->exposure_ns = *intake_.exposure_setting_ns();
     return Readiness::READY;
   }
-  const bool expected = intake_.exposure_seen() || (sources_.exposure_expected && sources_.exposure_expected());
-  if ((expected || timing->exposure_ns == 0) && !terms.timed_out) return Readiness::WAITS;
+  if (const Exposure* message = exposures.find_between_alike(frame->stamp_ns)) {
+    take_times(*message, timing);
+    return Readiness::READY;
+  }
+  // Exposures change all the time, so that this is what a lost one costs: two frame periods.
+  constexpr std::size_t kOvertaking = 2;
+  const bool expected = intake_.exposure_expected();
+  const bool overtaken = exposures.later(frame->stamp_ns) >= kOvertaking;
+  if (expected && exposures.awaited() && !overtaken && !terms.timed_out) return Readiness::WAITS;
   const TimeNs oldest_ns = frame->stamp_ns - config.exposure_max_age_ns;
-  if (const Exposure* before = intake_.exposures().find_before(frame->stamp_ns, oldest_ns)) {
+  if (const Exposure* before = exposures.find_before(frame->stamp_ns, oldest_ns)) {
     take_times(*before, timing);
   } else if (timing->exposure_ns == 0) {
     return settle(frame, PassThroughReason::NO_EXPOSURE_TIME,
                   "no exposure message with the image's stamp " + seconds_text(frame->stamp_ns) +
                       " s, none within exposure_max_age = " + seconds_text(config.exposure_max_age_ns) +
                       " s before it, and parameter exposure_time = 0 is outside (0, 1] s");
-  } else if (expected) {
+  } else if (expected && exposures.awaited()) {
     log_(LogLevel::WARNING, "exposure message missing",
          "no exposure message with the image's stamp " + seconds_text(frame->stamp_ns) +
              " s: using parameter exposure_time = " + seconds_text(timing->exposure_ns) + " s");
@@ -203,38 +253,38 @@ Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame,
 }
 
 Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {
-  const Config& config = terms.config;
-  GyroOptions& gyro = assembled->gyro = config.gyro;
-  if (terms.bias_rad_s) gyro.bias_rad_s = *terms.bias_rad_s;
-  const auto to_imu = [&gyro](TimeNs camera_ns) { return camera_ns + gyro.time_offset_ns; };
-  const TimeNs reference_ns = assembled->exposure->reference_time(config.pipeline.rectify_to);
-  const TimeRange frame_cam = assembled->exposure->frame();
-  const TimeRange own{to_imu(std::min(frame_cam.begin_ns, reference_ns)),
-                      to_imu(std::max(frame_cam.end_ns, reference_ns))};
-  const GyroReader& reader = intake_.gyro();
-  const TimeRange available = reader.available();
+  assembled->gyro = terms.config.gyro;
+  if (terms.bias_rad_s) assembled->gyro.bias_rad_s = *terms.bias_rad_s;
+  const TimeRange own = own_range(terms.config, *assembled);
+  const TimeRange available = intake_.gyro().available();
   const bool empty = available.empty();
   if (!terms.timed_out) {
     if (empty || available.end_ns < own.end_ns) return Readiness::WAITS;
     // After a jump late samples of the old epoch say nothing about frames of the new one.
     if (intake_.imu_is_stale() && own.end_ns < available.begin_ns) return Readiness::WAITS;
   }
-  assembled->coverage_text = coverage_text(own, empty ? std::nullopt : std::optional(available), gyro);
   if (empty) {  // nor is the IMU's frame known then
-    return settle(frame, PassThroughReason::NO_GYRO, assembled->coverage_text);
+    return settle(frame, PassThroughReason::NO_GYRO, coverage_text(own, std::nullopt, assembled->gyro));
   }
-  const Readiness readiness = find_extrinsic(terms, frame, &assembled->R_cam_imu);
-  if (readiness != Readiness::READY) return readiness;
+  return find_extrinsic(terms, frame, &assembled->R_cam_imu);
+}
 
-  const std::string& camera_frame = frame->image->header.frame_id;
+void FrameAssembly::collect(const Terms& terms, const PendingFrame& frame, AssembledFrame* assembled) const {
+  const Config& config = terms.config;
+  const GyroReader& reader = intake_.gyro();
+  const TimeRange own = own_range(config, *assembled), available = reader.available();
+  assembled->coverage_text =
+      coverage_text(own, available.empty() ? std::nullopt : std::optional(available), assembled->gyro);
+  const TimeRange frame_cam = assembled->exposure->frame();
   if (intake_.translation().expected()) {
     assembled->translation =
-        intake_.translation().around(frame_cam, config, camera_frame, intake_.imu_frame(), assembled->R_cam_imu,
-                                     sources_.transform, &assembled->translation_text);
+        intake_.translation().around(frame_cam, config, frame.image->header.frame_id, intake_.imu_frame(),
+                                     assembled->R_cam_imu, sources_.transform, &assembled->translation_text);
   }
   TimeRange all = own;
-  const auto reach = [&all, &to_imu](TimeNs camera_ns) {
-    all = {std::min(all.begin_ns, to_imu(camera_ns)), std::max(all.end_ns, to_imu(camera_ns))};
+  const auto reach = [&all, assembled](TimeNs camera_ns) {
+    const TimeNs imu_ns = camera_ns + assembled->gyro.time_offset_ns;
+    all = {std::min(all.begin_ns, imu_ns), std::max(all.end_ns, imu_ns)};
   };
   if (terms.tracked_cam) {
     const TimeNs since_ns = frame_cam.begin_ns - terms.tracked_cam->begin_ns;
@@ -246,7 +296,6 @@ Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, As
   }
   assembled->samples = reader.window(all);
   mark_own(own, assembled);
-  return Readiness::READY;
 }
 
 }  // namespace gyro_deblur

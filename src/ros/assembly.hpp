@@ -55,8 +55,6 @@ class FrameAssembly {
     /// R_cam_imu for (camera frame, IMU frame).
     std::function<std::optional<Eigen::Matrix3d>(const std::string&, const std::string&)> extrinsic;
     TranslationInput::Transform transform;
-    /// True when somebody will send exposure messages.
-    std::function<bool()> exposure_expected;
   };
 
   /// What holds for a frame beside messages.
@@ -73,7 +71,18 @@ class FrameAssembly {
   /// Notes in `frame` what was found and whether it is settled, in `assembled` everything but the frame.
   Readiness assemble(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
 
+  /// The same without collecting anything: quick, for every message that comes.
+  Readiness look(const Terms& terms, PendingFrame* frame) const;
+
+  /// The frame's own camera_info, or a copy of its neighbours' where that is lost; null when there is none, or none of
+  /// its neighbours' describes an image of this size.
+  sensor_msgs::CameraInfoConstPtr best_info(const PendingFrame& frame) const;
+
  private:
+  /// Of another image, with this one's stamp; null when there is none that serves.
+  /// @param give_up  the last one will do: none that is newer is waited for
+  sensor_msgs::CameraInfoConstPtr stand_in(const PendingFrame& frame, bool give_up) const;
+  Readiness find_all(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
   /// The frame's camera_info and calibration, from the topic or the calibration file.
   Readiness find_calibration(const Terms& terms, PendingFrame* frame) const;
   Readiness find_exposure(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
@@ -81,8 +90,10 @@ class FrameAssembly {
   Readiness find_timing(const Terms& terms, PendingFrame* frame, ShutterTiming* timing) const;
   /// The rotation from the parameters, the calibration file or tf.
   Readiness find_extrinsic(const Terms& terms, PendingFrame* frame, Eigen::Matrix3d* R_cam_imu) const;
-  /// Precondition: the exposure is known.
+  /// Gyroscope samples up to the frame's end, and how the sensors are mounted. Precondition: the exposure is known.
   Readiness find_motion(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
+  /// Precondition: the frame is ready.
+  void collect(const Terms& terms, const PendingFrame& frame, AssembledFrame* assembled) const;
 
   const Intake& intake_;
   const Sources sources_;

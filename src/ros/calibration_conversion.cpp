@@ -36,17 +36,22 @@ Region region_of(const sensor_msgs::CameraInfo& info) {
 }
 
 /// Binned sizes are rounded up by some drivers and down by others.
-bool is_binned_size(int image_px, double region_px, double binning) {
+bool is_binned_size(double image_px, double region_px, double binning) {
   return std::abs(image_px - region_px / binning) < 1.0;
 }
 
 }  // namespace
 
+bool describes_size(const sensor_msgs::CameraInfo& info, double image_width_px, double image_height_px) {
+  const Region region = region_of(info);
+  return is_binned_size(image_width_px, region.width_px, region.binning_x) &&
+         is_binned_size(image_height_px, region.height_px, region.binning_y);
+}
+
 CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_width_px, int image_height_px,
                                  bool rectified_input) {
   const Region region = region_of(info);
-  if (!is_binned_size(image_width_px, region.width_px, region.binning_x) ||
-      !is_binned_size(image_height_px, region.height_px, region.binning_y)) {
+  if (!describes_size(info, image_width_px, image_height_px)) {
     throw OptionError("camera_info describes an image of " +
                       size_text(region.width_px / region.binning_x, region.height_px / region.binning_y) +
                       " (region of interest " + size_text(region.width_px, region.height_px) + ", binning " +

@@ -18,6 +18,9 @@ namespace gyro_deblur {
 CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_width_px, int image_height_px,
                                  bool rectified_input);
 
+/// True when camera_info is about images of this size, its region of interest and binning considered.
+bool describes_size(const sensor_msgs::CameraInfo& info, double image_width_px, double image_height_px);
+
 /// The way back, for a raw image: P repeats K. Without distortion the model is plumb_bob with zeros. The header is left
 /// empty.
 sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera);

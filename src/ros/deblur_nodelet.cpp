@@ -24,7 +24,12 @@ constexpr std::uint32_t kImageQueue = 100;
 /// Of odometry, exposures and the like, which may come at the rate of an IMU.
 constexpr std::uint32_t kFastQueue = 1000;
 constexpr std::uint32_t kTfQueue = 100;
-constexpr std::uint32_t kOutputQueue = 10;
+
+/// What can leave at once (all that waited for the same message), and what a subscriber may lag behind besides.
+std::uint32_t output_queue(const Config& config) {
+  constexpr int kLag = 10;
+  return static_cast<std::uint32_t>(config.frame_queue_size + kLag);
+}
 
 /// How often waiting frames are looked at when no message comes: timeouts are late by at most this.
 constexpr std::chrono::milliseconds kPollPeriod{20};
@@ -93,6 +98,7 @@ DeblurNodelet::~DeblurNodelet() {
     }
   }
   image_publisher_.shutdown();
+  info_publisher_.shutdown();
   overlay_publisher_.shutdown();
   keypoint_publisher_.shutdown();
   blur_field_publisher_.shutdown();
@@ -159,7 +165,7 @@ void DeblurNodelet::onInit() {
   scene_depth_subscriber_ = nh.subscribe("scene_depth", kFastQueue, &DeblurNodelet::on_scene_depth, this);
   imu_->listen(this, [this](const sensor_msgs::Imu& imu) { on_imu(imu); });
   report_.start(processor_->statistics(), std::chrono::steady_clock::now());
-  advertise();
+  advertise(output_queue(config.value_or(Config())));
   worker_ = std::thread(&DeblurNodelet::work, this);
   reset_service_ = private_nh.advertiseService("reset", &DeblurNodelet::on_reset, this);
   bias_service_ = private_nh.advertiseService("estimate_gyro_bias", &DeblurNodelet::on_estimate_bias, this);
@@ -276,37 +282,44 @@ void DeblurNodelet::subscribe_exposure(const ExposureSource& source) {
   exposure_subscriber_ = subscriber;
 }
 
-void DeblurNodelet::advertise() {
+void DeblurNodelet::advertise(std::uint32_t queue_size) {
   ros::NodeHandle& nh = getNodeHandle();
   const auto on_change = [this](const auto&) { on_connection_change(); };
   const image_transport::SubscriberStatusCallback on_image_change = on_change;
   const ros::SubscriberStatusCallback on_topic_change = on_change;
   // Callbacks that come before all publishers are there wait for the lock.
   const std::lock_guard<std::mutex> lock(connection_mutex_);
-  image_publisher_ = transport_->advertiseCamera("deblurred/image_raw", kOutputQueue, on_image_change, on_image_change,
-                                                 on_topic_change, on_topic_change);
-  overlay_publisher_ = transport_->advertise("blur_overlay", kOutputQueue, on_image_change, on_image_change);
-  keypoint_publisher_ = nh.advertise<KeypointArray>("keypoints", kOutputQueue, on_topic_change, on_topic_change);
-  blur_field_publisher_ = nh.advertise<BlurField>("blur_field", kOutputQueue, on_topic_change, on_topic_change);
+  image_publisher_ = transport_->advertise("deblurred/image_raw", queue_size, on_image_change, on_image_change);
+  info_publisher_ = nh.advertise<sensor_msgs::CameraInfo>(
+      image_transport::getCameraInfoTopic(image_publisher_.getTopic()), queue_size, on_topic_change, on_topic_change);
+  overlay_publisher_ = transport_->advertise("blur_overlay", queue_size, on_image_change, on_image_change);
+  keypoint_publisher_ = nh.advertise<KeypointArray>("keypoints", queue_size, on_topic_change, on_topic_change);
+  blur_field_publisher_ = nh.advertise<BlurField>("blur_field", queue_size, on_topic_change, on_topic_change);
   track_publisher_ =
-      nh.advertise<sensor_msgs::PointCloud>("feature_tracks", kOutputQueue, on_topic_change, on_topic_change);
+      nh.advertise<sensor_msgs::PointCloud>("feature_tracks", queue_size, on_topic_change, on_topic_change);
   marker_publisher_ =
-      nh.advertise<visualization_msgs::MarkerArray>("blur_markers", kOutputQueue, on_topic_change, on_topic_change);
+      nh.advertise<visualization_msgs::MarkerArray>("blur_markers", queue_size, on_topic_change, on_topic_change);
+  for (const std::string& topic :
+       {image_publisher_.getTopic(), info_publisher_.getTopic(), overlay_publisher_.getTopic(),
+        keypoint_publisher_.getTopic(), blur_field_publisher_.getTopic(), track_publisher_.getTopic(),
+        marker_publisher_.getTopic()}) {
+    unsent_.watch(topic);
+  }
 }
 
 bool DeblurNodelet::has_listener() const {
-  return image_publisher_.getNumSubscribers() > 0 || overlay_publisher_.getNumSubscribers() > 0 ||
-         keypoint_publisher_.getNumSubscribers() > 0 || blur_field_publisher_.getNumSubscribers() > 0 ||
-         marker_publisher_.getNumSubscribers() > 0 || track_publisher_.getNumSubscribers() > 0;
+  return is_heard(image_publisher_) || is_heard(info_publisher_) || is_heard(overlay_publisher_) ||
+         is_heard(keypoint_publisher_) || is_heard(blur_field_publisher_) || is_heard(marker_publisher_) ||
+         is_heard(track_publisher_);
 }
 
 FrameRequest DeblurNodelet::request() const {
   FrameRequest request;
-  request.image = image_publisher_.getNumSubscribers() > 0;
-  request.keypoints = keypoint_publisher_.getNumSubscribers() > 0;
-  request.overlay = overlay_publisher_.getNumSubscribers() > 0;
-  request.markers = marker_publisher_.getNumSubscribers() > 0;
-  request.tracks = track_publisher_.getNumSubscribers() > 0;
+  request.image = is_heard(image_publisher_) || is_heard(info_publisher_);
+  request.keypoints = is_heard(keypoint_publisher_);
+  request.overlay = is_heard(overlay_publisher_);
+  request.markers = is_heard(marker_publisher_);
+  request.tracks = is_heard(track_publisher_);
   return request;
 }
 
@@ -460,7 +473,8 @@ void DeblurNodelet::work() {
 
 void DeblurNodelet::publish(const FrameOutput& output) {
   report_.add(output);
-  image_publisher_.publish(output.image, output.camera_info);
+  image_publisher_.publish(output.image);
+  info_publisher_.publish(output.camera_info);
   blur_field_publisher_.publish(output.blur_field);
   if (output.keypoints) keypoint_publisher_.publish(output.keypoints);
   if (output.overlay) overlay_publisher_.publish(output.overlay);
@@ -486,9 +500,9 @@ void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {
 }
 
 void DeblurNodelet::fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) {
-  report_.fill(
-      {processor_->statistics(), imu_->listeners(), to_time_ns(ros::Time::now()), std::chrono::steady_clock::now()},
-      &status);
+  report_.fill({processor_->statistics(), imu_->listeners(), to_time_ns(ros::Time::now()),
+                std::chrono::steady_clock::now(), unsent_.count()},
+               &status);
 }
 
 }  // namespace gyro_deblur

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
+#include <cstdint>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -27,6 +28,7 @@
 #include "ros/exposure_adapter.hpp"
 #include "ros/processor.hpp"
 #include "ros/shared_imu.hpp"
+#include "ros/unsent_messages.hpp"
 
 namespace gyro_deblur {
 
@@ -47,12 +49,18 @@ class DeblurNodelet : public nodelet::Nodelet {
   std::optional<Config> load_parameters(std::string* error);
   void start_reconfigure();
   void on_reconfigure(DeblurConfig& dynamic);
-  void advertise();
+  /// @param queue_size  of every output: messages that a subscriber may lag behind
+  void advertise(std::uint32_t queue_size);
 
   void subscribe_exposure(const ExposureSource& source);
   /// Subscribes to the camera while somebody listens to an output, as image_proc does.
   void on_connection_change();
   void subscribe_on_demand();
+  /// Somebody listens to this output.
+  template <typename Publisher>
+  bool is_heard(const Publisher& publisher) const {
+    return publisher.getNumSubscribers() > unsent_.watchers(publisher.getTopic());
+  }
   bool has_listener() const;
   FrameRequest request() const;
 
@@ -105,12 +113,14 @@ class DeblurNodelet : public nodelet::Nodelet {
   image_transport::Subscriber image_subscriber_;
   ros::Subscriber compressed_subscriber_;  // in its place where the plugin is not installed
   ros::Subscriber camera_info_subscriber_;
-  image_transport::CameraPublisher image_publisher_;
+  image_transport::Publisher image_publisher_;
+  ros::Publisher info_publisher_;
   ros::Publisher keypoint_publisher_;
   ros::Publisher blur_field_publisher_;
   image_transport::Publisher overlay_publisher_;
   ros::Publisher marker_publisher_;
   ros::Publisher track_publisher_;
+  UnsentMessages unsent_;
   bool shutting_down_ = false;
 
   ros::ServiceServer reset_service_;

@@ -115,6 +115,7 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
     status->summary(DiagnosticStatus::OK, "running");
   }
   add_frames(now, status);
+  add_unsent(now, status);
   add_blocks(now, status);
   add_imu(now, status);
   status->add("time jumps", now.statistics.time_jumps);
@@ -124,6 +125,7 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
   status->add("engine", now.statistics.engine.empty() ? "none" : now.statistics.engine);
   latencies_.clear();
   last_ = now.statistics;
+  last_unsent_ = now.unsent;
   last_time_ = now.time;
 }
 
@@ -146,6 +148,16 @@ void DiagnosticReport::add_frames(const Moment& now, DiagnosticStatusWrapper* st
       status->mergeSummaryf(DiagnosticStatus::WARN, "%zu frames passed through: %s; %s", fresh, to_string(reason),
                             remedy(reason));
     }
+  }
+}
+
+void DiagnosticReport::add_unsent(const Moment& now, DiagnosticStatusWrapper* status) const {
+  status->add("messages published, not sent", now.unsent);
+  const std::size_t fresh = now.unsent - last_unsent_;
+  if (fresh > 0) {
+    status->mergeSummaryf(DiagnosticStatus::WARN,
+                          "%zu messages published, but not sent: a subscriber reads too slowly, or over a slow network",
+                          fresh);
   }
 }
 

@@ -31,6 +31,7 @@ class DiagnosticReport {
     std::size_t cameras = 0;  ///< on this gyroscope
     TimeNs node_ns = 0;       ///< node clock
     Time time;                ///< after that of the report before
+    std::size_t unsent = 0;   ///< messages that subscribers did not get since the start, see UnsentMessages
   };
   /// Fills a status, and begins the next period.
   void fill(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status);
@@ -44,12 +45,14 @@ class DiagnosticReport {
   };
   // What they report of the last period needs mutex_.
   void add_frames(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
+  void add_unsent(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_blocks(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_latencies(diagnostic_updater::DiagnosticStatusWrapper* status) const;
 
   std::mutex mutex_;  // everything below
   std::map<std::string, Latency> latencies_;
   ProcessorStatistics last_;
+  std::size_t last_unsent_ = 0;
   Time last_time_ = std::chrono::steady_clock::now();
 };
 

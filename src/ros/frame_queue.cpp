@@ -1,6 +1,7 @@
 #include "ros/frame_queue.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <utility>
 
 namespace gyro_deblur {
@@ -39,6 +40,13 @@ void FrameQueue::settle_all(PassThroughReason reason, const std::string& text) {
 
 void FrameQueue::settle_old_epoch(PassThroughReason reason, const std::string& text) {
   settle_before(epochs_.reset(), reason, text);
+}
+
+std::size_t FrameQueue::ready_behind_front() const {
+  if (frames_.empty()) return 0;
+  return static_cast<std::size_t>(std::count_if(
+      std::next(frames_.begin()), frames_.end(),
+      [](const PendingFrame& frame) { return frame.ready_steady_ns && frame.verdict == PassThroughReason::NONE; }));
 }
 
 PendingFrame FrameQueue::pop() {

@@ -1,4 +1,4 @@
-// Frames that wait for their gyroscope samples, in order.
+// Frames that wait for what belongs to them, or to be processed, in order.
 #pragma once
 
 #include <deque>
@@ -25,6 +25,7 @@ struct PendingFrame {
   TimeNs stamp_ns = 0;                           ///< camera clock
   TimeNs arrival_ns = 0;                         ///< node clock (may be simulated time)
   TimeNs arrival_steady_ns = 0;                  ///< steady clock
+  std::optional<TimeNs> ready_steady_ns;         ///< steady clock; since when it has all that it needs
   int epoch = 0;                                 ///< set by the queue; grows when time was reset
   /// Not NONE: it is settled that the frame passes through unchanged, and why.
   PassThroughReason verdict = PassThroughReason::NONE;
@@ -59,6 +60,9 @@ class FrameQueue {
   std::size_t size() const { return frames_.size(); }
   std::deque<PendingFrame>& frames() { return frames_; }
   PendingFrame& front() { return frames_.front(); }
+
+  /// Frames behind the foremost one that have all that they need.
+  std::size_t ready_behind_front() const;
 
   /// Precondition: not empty.
   PendingFrame pop();

@@ -6,9 +6,23 @@
 
 namespace gyro_deblur {
 
-Intake::Intake(Clocks clocks, std::shared_ptr<GyroSource> gyro_source, Log log, ThrottledLog* throttled_log)
+bool SameCameraInfo::operator()(const sensor_msgs::CameraInfoConstPtr& a,
+                                const sensor_msgs::CameraInfoConstPtr& b) const {
+  sensor_msgs::CameraInfo like_a = *b;
+  like_a.header.stamp = a->header.stamp;
+  like_a.header.seq = a->header.seq;
+  return *a == like_a;
+}
+
+bool SameExposure::operator()(const Exposure& a, const Exposure& b) const {
+  return a.exposure_time == b.exposure_time && a.readout_time == b.readout_time;
+}
+
+Intake::Intake(Clocks clocks, std::shared_ptr<GyroSource> gyro_source, std::function<bool()> exposure_sender, Log log,
+               ThrottledLog* throttled_log)
     : clocks_(std::move(clocks)),
       gyro_source_(std::move(gyro_source)),
+      exposure_sender_(std::move(exposure_sender)),
       log_(std::move(log)),
       throttled_log_(*throttled_log),
       jumps_(config_.time_jump_ns),
@@ -84,10 +98,29 @@ void Intake::note_imu() {
   if (news.samples > 0 && news.newest_ns) jumps_.update(Stream::IMU, *news.newest_ns, news.samples);
 }
 
+bool Intake::exposure_expected() const {
+  return exposures_.seen() || config_.shutter.exposure_ns == 0 || (exposure_sender_ && exposure_sender_());
+}
+
+void Intake::note_attendance(TimeNs now_ns) {
+  const auto tell = [this](const char* topic, std::optional<bool> awaited) {
+    if (!awaited) return;
+    const std::string kind = std::string(topic) + " attendance";
+    throttled_log_(*awaited ? LogLevel::INFO : LogLevel::WARNING, kind,
+                   *awaited ? std::string(topic) + " comes again: images wait for theirs"
+                            : "no " + std::string(topic) + " with the stamps of " +
+                                  std::to_string(Attendance::kMissesEndWaiting) +
+                                  " images in a row: images no longer wait for theirs, until it comes again");
+  };
+  tell("camera_info", infos_.update(now_ns, config_.gyro_timeout_ns));
+  tell("exposure message", exposures_.update(now_ns, config_.gyro_timeout_ns));
+}
+
 TimeNs Intake::now() {
   const TimeNs now_ns = clocks_.node();
   note_time(Stream::CLOCK, now_ns);
   note_imu();
+  note_attendance(now_ns);
   for (PendingFrame& frame : queue_.frames()) {
     // Simulated time is 0 until its first message, and it can be set back: waiting starts anew then.
     if (frame.arrival_ns == 0 || frame.arrival_ns > now_ns) frame.arrival_ns = now_ns;
@@ -111,7 +144,6 @@ void Intake::add_exposure(const Exposure& exposure) {
   now();
   const TimeNs stamp_ns = to_time_ns(exposure.header.stamp);
   note_time(Stream::EXPOSURE, stamp_ns);
-  exposure_seen_ = true;
   exposures_.add(stamp_ns, exposure, store_size());
 }
 
@@ -119,7 +151,6 @@ void Intake::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   now();
   const TimeNs stamp_ns = to_time_ns(info->header.stamp);
   note_time(Stream::CAMERA_INFO, stamp_ns);
-  info_seen_ = true;
   infos_.add(stamp_ns, info, store_size());
 }
 
@@ -144,6 +175,10 @@ void Intake::add_frame(PendingFrame frame) {
   frame.arrival_ns = now();
   frame.arrival_steady_ns = steady_now();
   note_time(Stream::IMAGE, frame.stamp_ns);
+  if (frame.verdict == PassThroughReason::NONE) {
+    infos_.expect(frame.stamp_ns, frame.arrival_ns);
+    if (exposure_expected()) exposures_.expect(frame.stamp_ns, frame.arrival_ns);
+  }
   frame_period_.add(frame.stamp_ns);
   ++statistics_.frames_in;
   queue_.push(std::move(frame));
@@ -153,11 +188,9 @@ void Intake::reset() {
   queue_.settle_all(PassThroughReason::TIME_JUMP, "reset was asked for while the frame waited");
   gyro_.update();
   gyro_.forget();
-  infos_.clear();
-  exposures_.clear();
-  exposure_seen_ = false;
+  infos_.reset();
+  exposures_.reset();
   translation_.clear();
-  info_seen_ = false;
   frame_period_.clear();
   jumps_.clear();
 }

@@ -15,10 +15,10 @@
 
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/exposure.hpp"
+#include "ros/companion.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/gyro_source.hpp"
 #include "ros/messages.hpp"
-#include "ros/stamped_store.hpp"
 #include "ros/throttled_log.hpp"
 #include "ros/time_jump.hpp"
 #include "ros/translation_input.hpp"
@@ -32,6 +32,14 @@ struct IntakeStatistics {
   std::size_t time_jumps = 0;
 };
 
+/// Equal in all but the stamp (and the sequence number).
+struct SameCameraInfo {
+  bool operator()(const sensor_msgs::CameraInfoConstPtr& a, const sensor_msgs::CameraInfoConstPtr& b) const;
+};
+struct SameExposure {
+  bool operator()(const Exposure& a, const Exposure& b) const;
+};
+
 /// The first of the stations of a frame: stores messages by their stamps until a frame has what belongs to it. Its
 /// owner serialises access.
 class Intake {
@@ -42,7 +50,9 @@ class Intake {
   };
 
   /// @param log  for what is told once; `throttled_log` for what may be told with every message. Has to outlive this.
-  Intake(Clocks clocks, std::shared_ptr<GyroSource> gyro_source, Log log, ThrottledLog* throttled_log);
+  /// @param exposure_sender  true when somebody will send exposure messages; may be absent
+  Intake(Clocks clocks, std::shared_ptr<GyroSource> gyro_source, std::function<bool()> exposure_sender, Log log,
+         ThrottledLog* throttled_log);
 
   void set_config(const Config& config);
 
@@ -68,10 +78,12 @@ class Intake {
   FrameQueue& queue() { return queue_; }
   const FrameQueue& queue() const { return queue_; }
 
-  const StampedStore<sensor_msgs::CameraInfoConstPtr>& infos() const { return infos_; }
-  bool info_seen() const { return info_seen_; }
-  const StampedStore<Exposure>& exposures() const { return exposures_; }
-  bool exposure_seen() const { return exposure_seen_; }
+  using CameraInfos = CompanionStore<sensor_msgs::CameraInfoConstPtr, SameCameraInfo>;
+  using Exposures = CompanionStore<Exposure, SameExposure>;
+  const CameraInfos& infos() const { return infos_; }
+  const Exposures& exposures() const { return exposures_; }
+  /// True when images have exposure messages, or cannot do without.
+  bool exposure_expected() const;
   std::optional<TimeNs> exposure_setting_ns() const { return exposure_setting_ns_; }
   std::optional<TimeNs> frame_period_ns() const { return frame_period_.get(); }
   const GyroReader& gyro() const { return gyro_; }
@@ -90,20 +102,21 @@ class Intake {
   enum class ShownBy { ITSELF, OTHER };
   void forget(Stream stream, ShownBy shown_by);
   std::size_t store_size() const;
+  /// Ends waiting for companions that do not come, and tells so.
+  void note_attendance(TimeNs now_ns);
 
   const Clocks clocks_;
   const std::shared_ptr<GyroSource> gyro_source_;  // locks itself
+  const std::function<bool()> exposure_sender_;
   const Log log_;
   ThrottledLog& throttled_log_;
   Config config_;
   TimeJumpDetector jumps_;
   GyroReader gyro_;
-  StampedStore<Exposure> exposures_;
-  StampedStore<sensor_msgs::CameraInfoConstPtr> infos_;
-  bool exposure_seen_ = false;
+  Exposures exposures_;
+  CameraInfos infos_;
   std::optional<TimeNs> exposure_setting_ns_;
   TranslationInput translation_;
-  bool info_seen_ = false;
   FramePeriod frame_period_;
   FrameQueue queue_;
   IntakeStatistics statistics_;

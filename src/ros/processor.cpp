@@ -29,8 +29,9 @@ Processor::Processor(Environment environment)
                        ? environment_.gyro
                        : std::make_shared<GyroSource>(GyroSource::options_of(Config()), environment_.log)),
       tracker_(TrackerOptions{}),
-      intake_({environment_.clock, environment_.steady_clock}, gyro_source_, environment_.log, &log_),
-      assembly_(intake_, {environment_.extrinsic, environment_.transform, environment_.exposure_expected}, &log_) {}
+      intake_({environment_.clock, environment_.steady_clock}, gyro_source_, environment_.exposure_expected,
+              environment_.log, &log_),
+      assembly_(intake_, {environment_.extrinsic, environment_.transform}, &log_) {}
 
 void Processor::set_config(const Config& config) {
   config.validate();
@@ -75,21 +76,25 @@ void Processor::add_imu(const sensor_msgs::Imu& imu) {
 void Processor::notice_imu(const sensor_msgs::Imu& imu) {
   const std::lock_guard<std::mutex> lock(mutex_);
   intake_.notice_imu(imu);
+  note_ready();
 }
 
 void Processor::add_exposure(const Exposure& exposure) {
   const std::lock_guard<std::mutex> lock(mutex_);
   intake_.add_exposure(exposure);
+  note_ready();
 }
 
 void Processor::add_exposure_setting(TimeNs exposure_ns) {
   const std::lock_guard<std::mutex> lock(mutex_);
   intake_.add_exposure_setting(exposure_ns);
+  note_ready();
 }
 
 void Processor::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   const std::lock_guard<std::mutex> lock(mutex_);
   intake_.add_camera_info(info);
+  note_ready();
 }
 
 void Processor::add_odometry(const nav_msgs::Odometry& odometry) {
@@ -113,11 +118,29 @@ void Processor::add_image(const sensor_msgs::ImageConstPtr& image) {
   }
   const std::lock_guard<std::mutex> lock(mutex_);
   intake_.add_frame(std::move(frame));
+  note_ready();
+}
+
+void Processor::note_ready() {
+  if (!config_) return;
+  // Not the tracker's time: another thread's, and of no matter for being ready.
+  const FrameAssembly::Terms terms{*config_, estimated_bias_rad_s_, std::nullopt, false};
+  try {
+    for (PendingFrame& frame : intake_.queue().frames()) {
+      if (frame.verdict != PassThroughReason::NONE || frame.ready_steady_ns) continue;
+      // Those behind it have to wait for it anyway.
+      if (assembly_.look(terms, &frame) == Readiness::WAITS) return;
+      frame.ready_steady_ns = intake_.steady_now();
+    }
+  } catch (const std::exception&) {
+    // next_frame meets it again, and tells.
+  }
 }
 
 std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  const TimeNs now_ns = intake_.now();
+  const TimeNs now_ns = intake_.now(), steady_ns = intake_.steady_now();
+  overload_.end(steady_ns);
   if (intake_.queue().empty()) return std::nullopt;
   PendingFrame& frame = intake_.queue().front();
   AssembledFrame assembled;
@@ -126,7 +149,13 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
     if (config_) {
       const bool timed_out = finishing || intake_.has_timed_out(frame, now_ns, config_->gyro_timeout_ns);
       const FrameAssembly::Terms terms{*config_, estimated_bias_rad_s_, tracker_.newest_frame(), timed_out};
-      if (assembly_.assemble(terms, &frame, &assembled) == Readiness::WAITS) return std::nullopt;
+      const Readiness readiness = assembly_.assemble(terms, &frame, &assembled);
+      if (readiness == Readiness::WAITS) return std::nullopt;
+      if (readiness == Readiness::READY && !finishing) {
+        const std::string overload = overload_.judge(steady_ns, frame.ready_steady_ns.value_or(steady_ns),
+                                                     intake_.queue().ready_behind_front(), intake_.frame_period_ns());
+        if (!overload.empty()) frame.settle(PassThroughReason::OVERLOAD, overload);
+      }
     } else if (frame.verdict == PassThroughReason::NONE) {
       frame.settle(PassThroughReason::BAD_CONFIGURATION, config_error_);
     }
@@ -134,9 +163,8 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
     // Without a verdict the frame would be tried again for ever, and hold up all that come after it.
     frame.settle(PassThroughReason::INTERNAL_ERROR, error.what());
   }
-  if (!frame.info) {
-    if (const sensor_msgs::CameraInfoConstPtr* info = intake_.infos().find(frame.stamp_ns)) frame.info = *info;
-  }
+  frame.info = assembly_.best_info(frame);
+  if (frame.verdict == PassThroughReason::NONE) overload_.begin(steady_ns);
   assembled.frame = intake_.queue().pop();
   ++in_progress_;
   return assembled;

@@ -21,6 +21,7 @@
 #include "ros/gyro_source.hpp"
 #include "ros/intake.hpp"
 #include "ros/messages.hpp"
+#include "ros/overload.hpp"
 #include "ros/processing.hpp"
 #include "ros/statistics.hpp"
 #include "ros/throttled_log.hpp"
@@ -37,7 +38,8 @@ class Processor {
     Log log;                        ///< required
     /// Samples that others use as well; whoever adds to it calls notice_imu. Absent: one of its own, for add_imu.
     std::shared_ptr<GyroSource> gyro;
-    /// A clock that keeps going when a simulated one stops; absent: frames wait for `clock` alone.
+    /// A clock that keeps going when a simulated one stops, by which processing keeps up or not. Absent: frames wait
+    /// for `clock` alone, and there is all the time of the world to process them.
     std::function<TimeNs()> steady_clock;
     /// R_cam_imu for (camera frame, IMU frame); absent: from the configuration only.
     std::function<std::optional<Eigen::Matrix3d>(const std::string&, const std::string&)> extrinsic;
@@ -99,6 +101,8 @@ class Processor {
   void advance(const Sink& sink, bool finishing);
   /// The foremost frame with what belongs to it, or nothing while it has to wait.
   std::optional<AssembledFrame> next_frame(bool finishing);
+  /// Remembers which frames have become ready; after every message. Needs mutex_.
+  void note_ready();
   /// Counts a frame that leaves, and tells what is wrong with it.
   void note(const FrameOutput& output);
 
@@ -115,6 +119,7 @@ class Processor {
   std::optional<Eigen::Vector3d> estimated_bias_rad_s_;
   Intake intake_;
   FrameAssembly assembly_;
+  OverloadRule overload_;
   std::size_t in_progress_ = 0;
   OutputStatistics statistics_;
 };

@@ -1,12 +1,16 @@
 // Plays a simulated recording through every fault and prints what became of the frames. Fails when a frame is lost,
 // repeated, out of order or altered.
+#include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdio>
 #include <fstream>
 #include <iostream>
 #include <map>
 #include <new>
+#include <optional>
 #include <random>
+#include <set>
 #include <sstream>
 #include <stdexcept>
 #include <string>
@@ -60,12 +64,32 @@ struct DeviceLost : DeviceError {
   DeviceLost() : DeviceError("the device was lost") {}
 };
 
+/// The value that the part `part` in (0, 1] of the values does not exceed. Precondition: not empty, in order of size.
+double percentile(const std::vector<double>& values, double part) {
+  const auto rank = static_cast<std::size_t>(std::ceil(part * static_cast<double>(values.size())));
+  return values[std::max<std::size_t>(rank, 1) - 1];
+}
+
 struct Row {
   std::string fault, stream, rate;
   ReplayResult result;
-  std::size_t allowed_waiting = 0;  ///< 0: not looked at
+  std::size_t allowed_waiting = 0;            ///< 0: not looked at
+  std::optional<double> allowed_p99_periods;  ///< of the latency
+  std::set<PassThroughReason> not_allowed{};  ///< for no frame
   bool good() const {
-    return result.balance.good() && (allowed_waiting == 0 || result.peak_waiting <= allowed_waiting);
+    for (const PassThroughReason reason : not_allowed) {
+      if (result.balance.passed_through.count(reason) > 0) return false;
+    }
+    const std::vector<double>& latencies = result.latencies_periods;
+    const bool in_time =
+        !allowed_p99_periods || latencies.empty() || percentile(latencies, 0.99) <= *allowed_p99_periods;
+    return result.balance.good() && in_time && (allowed_waiting == 0 || result.peak_waiting <= allowed_waiting);
+  }
+  std::string latency(double part) const {
+    if (result.latencies_periods.empty()) return "";
+    char text[20];
+    std::snprintf(text, sizeof(text), "%.1f", percentile(result.latencies_periods, part));
+    return text;
   }
 };
 
@@ -92,7 +116,7 @@ class Table {
 
   void make(bool quiet) {
     const Stream streams[] = {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE};
-    constexpr std::size_t kOthers = 25;
+    constexpr std::size_t kOthers = 32;
     Progress progress(std::size(kFaults) * std::size(streams) * std::size(kRates) + kOthers, "faults", quiet);
     std::size_t done = 0;
     const auto add = [&](Row row) {
@@ -104,16 +128,22 @@ class Table {
       // What may wait unsettled, and what came while one frame was processed.
       const std::size_t allowed = static_cast<std::size_t>(config_.frame_queue_size) + 1 +
                                   static_cast<std::size_t>(options.processing_ns / recording_.frame_period_ns());
-      add({fault, stream, "", replay(recording_, deliveries, options), allowed});
+      add({fault, stream, "", replay(recording_, deliveries, options), allowed, std::nullopt});
     };
     const std::vector<Delivery>& all = recording_.deliveries();
     one("none", "", all, options_);
+    const double p99_periods = percentile(rows_.back().result.latencies_periods, 0.99);
+    // Messages that are lost, or do not come, make frames late by at most this (beyond the first seconds of a stream).
+    constexpr double kAllowedPeriods = 2;
+    const auto in_time = [&] { rows_.back().allowed_p99_periods = p99_periods + kAllowedPeriods; };
     std::uint64_t seed = 1;
     for (const Fault fault : kFaults) {
       for (const Stream stream : streams) {
         for (const double rate : kRates) {
           one(to_string(fault), gyro_deblur::to_string(stream), inject(all, stream, fault, rate, seed++), options_);
           rows_.back().rate = percent(rate);
+          const bool companion = stream == Stream::CAMERA_INFO || stream == Stream::EXPOSURE;
+          if (fault == Fault::DROP && companion && rate < 0.5) in_time();
         }
       }
     }
@@ -143,6 +173,18 @@ class Table {
     one("range is 1.5 rad/s, `gyro_range` not set", "imu", clip_gyro(all, kClippedRadS), clipping);
     one("image without camera_info", "camera_info", silence(all, Stream::CAMERA_INFO, 0, begin_ns + 2 * length_ns),
         options_);
+    const TimeNs never_ns = begin_ns + 2 * length_ns;
+    one("nobody speaks", "exposure", silence(all, Stream::EXPOSURE, 0, never_ns), options_);
+    one("stops for good", "camera_info", silence(all, Stream::CAMERA_INFO, third_ns, never_ns), options_);
+    one("stops for good", "exposure", silence(all, Stream::EXPOSURE, third_ns, never_ns), options_);
+    constexpr std::size_t kSparse = 10;
+    ReplayOptions sparse = options_;
+    sparse.config.exposure_max_age_ns = kSecond;
+    one("every tenth alone", "exposure", thin_out(all, Stream::EXPOSURE, kSparse), sparse);
+    one("every tenth alone", "camera_info", thin_out(all, Stream::CAMERA_INFO, kSparse), options_);
+    // Three frames become ready at once then, and are processed at once: no overload.
+    one("comes in batches of 100 ms", "imu", in_batches(all, Stream::IMU, kSecond / 10), options_);
+    rows_.back().not_allowed = {PassThroughReason::OVERLOAD};
     for (const TimeNs step_s : {10, -10, 1, -1}) {
       one("clock steps by " + std::to_string(step_s) + " s", "all", step_clock(all, third_ns, step_s * kSecond),
           options_);
@@ -183,8 +225,10 @@ class Table {
     one("memory runs out", "engine", all, failing);
     rows_.back().rate = "10 %";
     ReplayOptions slow = options_;
-    slow.processing_ns = kSecond / 10;
-    one("processing takes 100 ms a frame", "engine", all, slow);
+    for (const int processing_ms : {40, 100}) {
+      slow.processing_ns = processing_ms * kSecond / 1000;
+      one("processing takes " + std::to_string(processing_ms) + " ms a frame", "engine", all, slow);
+    }
 
     {
       // In real time: what frames become of, and no more. How long they take is in doc/reports/neighbours.md.
@@ -207,7 +251,8 @@ class Table {
       reloaded += last.balance;
     }
     last.balance = reloaded;
-    add({"unloaded and loaded " + std::to_string(reloads_) + " times", "", "", last, 0});
+    last.latencies_periods.clear();
+    add({"unloaded and loaded " + std::to_string(reloads_) + " times", "", "", last, 0, std::nullopt});
 
     constexpr int kThreadedRuns = 8;
     Balance threaded;
@@ -220,7 +265,7 @@ class Table {
     }
     last.balance = threaded;
     add({"shut down during work, " + std::to_string(kThreadedRuns) + " times, streams and changes on threads", "all",
-         "", last, 0});
+         "", last, 0, std::nullopt});
   }
 
   bool good() const {
@@ -233,8 +278,8 @@ class Table {
   std::string markdown() const {
     std::ostringstream out;
     out << "| fault | in | rate | frames in | out | deblurred | unchanged | passed through, by reason | off | lost | "
-           "repeated | reordered | altered | most waiting |\n"
-        << "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n";
+           "repeated | reordered | altered | most waiting | latency p50 | p99 |\n"
+        << "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n";
     Balance sum;
     for (const Row& row : rows_) {
       const Balance& b = row.result.balance;
@@ -243,12 +288,12 @@ class Table {
           << b.frames_out << " | " << b.deblurred << " | " << b.unchanged << " | " << describe(b.passed_through)
           << " | " << row.result.mispredicted << " | " << b.lost << " | " << b.repeated << " | " << b.reordered << " | "
           << b.altered + b.misstamped + b.retained << " | "
-          << (row.allowed_waiting > 0 ? std::to_string(row.result.peak_waiting) : "") << " |"
-          << (row.good() ? "" : " **WRONG**") << "\n";
+          << (row.allowed_waiting > 0 ? std::to_string(row.result.peak_waiting) : "") << " | " << row.latency(0.5)
+          << " | " << row.latency(0.99) << " |" << (row.good() ? "" : " **WRONG**") << "\n";
     }
     out << "| **all** | | | " << sum.frames_in << " | " << sum.frames_out << " | " << sum.deblurred << " | "
         << sum.unchanged << " | " << describe(sum.passed_through) << " | | " << sum.lost << " | " << sum.repeated
-        << " | " << sum.reordered << " | " << sum.altered + sum.misstamped + sum.retained << " | |\n";
+        << " | " << sum.reordered << " | " << sum.altered + sum.misstamped + sum.retained << " | | | |\n";
     return out.str();
   }
 
@@ -290,7 +335,9 @@ int main_of(int argc, char** argv) {
       if (!file.flush()) throw std::runtime_error(markdown_path + ": cannot be written");
     }
     if (!table.good()) {
-      std::cerr << "fault_table: the rows with WRONG lost, repeated, reordered or altered frames, or held too many\n";
+      std::cerr
+          << "fault_table: the rows with WRONG lost, repeated, reordered or altered frames, or held too many or too "
+             "long\n";
       return 1;
     }
   } catch (const std::exception& error) {

@@ -230,6 +230,28 @@ std::vector<Delivery> silence(const std::vector<Delivery>& deliveries, Stream st
   return result;
 }
 
+std::vector<Delivery> thin_out(const std::vector<Delivery>& deliveries, Stream stream, std::size_t period) {
+  std::vector<Delivery> result;
+  std::size_t count = 0;
+  for (const Delivery& delivery : deliveries) {
+    if (stream_of(delivery) != stream || count++ % period == 0) result.push_back(delivery);
+  }
+  return result;
+}
+
+std::vector<Delivery> in_batches(const std::vector<Delivery>& deliveries, Stream stream, TimeNs batch_ns) {
+  std::vector<Delivery> result = deliveries;
+  const TimeNs begin_ns = deliveries.front().at_ns;
+  for (Delivery& delivery : result) {
+    if (stream_of(delivery) != stream) continue;
+    const TimeNs waits_ns = batch_ns - 1 - (delivery.at_ns - begin_ns) % batch_ns;
+    delivery.at_ns += waits_ns;
+    delivery.clock_ns += waits_ns;
+  }
+  sort_by_arrival(&result);
+  return result;
+}
+
 std::vector<Delivery> step_clock(const std::vector<Delivery>& deliveries, TimeNs from_ns, TimeNs step_ns) {
   std::vector<Delivery> result = deliveries;
   for (Delivery& delivery : result) {

@@ -24,6 +24,12 @@ std::vector<Delivery> inject(const std::vector<Delivery>& deliveries, Stream str
 /// Without the messages of `stream` that arrive in [from_ns, to_ns).
 std::vector<Delivery> silence(const std::vector<Delivery>& deliveries, Stream stream, TimeNs from_ns, TimeNs to_ns);
 
+/// Of `stream`, only every `period`th message (>= 1), from the first on.
+std::vector<Delivery> thin_out(const std::vector<Delivery>& deliveries, Stream stream, std::size_t period);
+
+/// Messages of `stream` arrive in batches: each when the newest of its `batch_ns` (> 0) has come.
+std::vector<Delivery> in_batches(const std::vector<Delivery>& deliveries, Stream stream, TimeNs batch_ns);
+
 /// The clock of the whole machine is set by `step_ns` at `from_ns`: stamps and the node's clock.
 std::vector<Delivery> step_clock(const std::vector<Delivery>& deliveries, TimeNs from_ns, TimeNs step_ns);
 

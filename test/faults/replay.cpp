@@ -33,7 +33,7 @@ class Deliverer {
 
   void deliver(const Delivery& delivery) {
     if (const auto* image = std::get_if<sensor_msgs::ImageConstPtr>(&delivery.message)) {
-      deliver_image(*image, delivery.frame);
+      deliver_image(*image, delivery.frame, delivery.at_ns);
     } else {
       test::deliver(delivery, processor_);
     }
@@ -46,18 +46,24 @@ class Deliverer {
     if (frame == frames_.end()) return;
     // A part of the image has its centre elsewhere.
     const bool whole = output.input->width == whole_width_ && output.input->height == whole_height_;
-    if (whole && is_mispredicted(output, recording_.center_extent_px(frame->second))) ++result->mispredicted;
+    if (whole && is_mispredicted(output, recording_.center_extent_px(frame->second.frame))) ++result->mispredicted;
+  }
+
+  /// When the frame's image arrived. Precondition: it is one of those that were delivered.
+  TimeNs arrival_ns(const FrameOutput& output) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return frames_.at(output.input.get()).arrival_ns;
   }
 
   Balance balance() const { return ledger_.balance(); }
 
  private:
-  void deliver_image(const sensor_msgs::ImageConstPtr& image, std::size_t frame) {
+  void deliver_image(const sensor_msgs::ImageConstPtr& image, std::size_t frame, TimeNs at_ns) {
     sensor_msgs::ImageConstPtr own = copy_of(image);
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       ledger_.in(own);
-      frames_[own.get()] = frame;
+      frames_[own.get()] = {frame, at_ns};
       whole_width_ = std::max(whole_width_, own->width);
       whole_height_ = own->width == whole_width_ ? own->height : whole_height_;
     }
@@ -68,7 +74,11 @@ class Deliverer {
   Processor* processor_;
   std::mutex mutex_;
   Ledger ledger_;
-  std::map<const sensor_msgs::Image*, std::size_t> frames_;
+  struct Origin {
+    std::size_t frame = 0;  // of the recording
+    TimeNs arrival_ns = 0;
+  };
+  std::map<const sensor_msgs::Image*, Origin> frames_;
   std::uint32_t whole_width_ = 0, whole_height_ = 0;
 };
 
@@ -98,8 +108,11 @@ ReplayResult replay(const Recording& recording, const std::vector<Delivery>& del
   TimeNs busy_until_ns = 0;
   const Processor::Sink sink = [&](FrameOutput&& output) {
     deliverer.take(output, &result);
-    if (output.reason != PassThroughReason::NONE || options.processing_ns == 0) return true;
-    busy_until_ns = steady_ns + options.processing_ns;
+    const TimeNs processing_ns = output.reason == PassThroughReason::NONE ? options.processing_ns : 0;
+    result.latencies_periods.push_back(static_cast<double>(steady_ns + processing_ns - deliverer.arrival_ns(output)) /
+                                       static_cast<double>(recording.frame_period_ns()));
+    if (processing_ns == 0) return true;
+    busy_until_ns = steady_ns + processing_ns;
     return false;
   };
   for (const Delivery& delivery : deliveries) {
@@ -110,6 +123,7 @@ ReplayResult replay(const Recording& recording, const std::vector<Delivery>& del
     if (processor.waiting() > 0 && steady_ns >= busy_until_ns) processor.advance(sink);
   }
   while (processor.waiting() > 0) processor.finish(sink);
+  std::sort(result.latencies_periods.begin(), result.latencies_periods.end());
   result.balance = deliverer.balance();
   result.statistics = processor.statistics();
   result.log_lines = log_lines;

@@ -24,6 +24,9 @@ struct ReplayResult {
   Balance balance;
   ProcessorStatistics statistics;
   std::size_t peak_waiting = 0;  ///< frames
+  /// From the arrival of each image until its frame has left, in frame periods of the recording; in order of size.
+  /// Empty for replay_on_threads, which plays as fast as it can.
+  std::vector<double> latencies_periods;
   /// Deblurred frames whose predicted extent at the image's centre is off by more than 1 px and a tenth.
   std::size_t mispredicted = 0;
   std::size_t log_lines = 0;

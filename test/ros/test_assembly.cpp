@@ -1,6 +1,8 @@
 #include "ros/assembly.hpp"
 
+#include <algorithm>
 #include <string>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -95,7 +97,7 @@ TEST_F(FrameAssemblyTest, ExpectedExposureIsWaitedFor) {
   EXPECT_EQ(outputs_[0].field->exposure_ns, 25 * kMs);
 
   add_frame(kStart + kMs);
-  processor_.add_exposure(exposure_message(kStart + 2 * kMs, 25 * kMs));  // another image's
+  processor_.add_exposure(exposure_message(kStart + 2 * kMs, 26 * kMs));  // another image's
   advance();
   EXPECT_EQ(outputs_.size(), 1u);
   time_out();
@@ -185,14 +187,217 @@ TEST_F(FrameAssemblyTest, CameraInfoIsMatchedByStampInAnyOrder) {
   advance();
   EXPECT_EQ(outputs_.size(), 1u);
   processor_.add_image(image_message(kStart + kMs));
-  processor_.add_camera_info(camera_info(kStart + 2 * kMs));
+  const auto next = camera_info(kStart + 2 * kMs);
+  next->D[0] = 0.01;
+  processor_.add_camera_info(next);
   advance();
-  EXPECT_EQ(outputs_.size(), 1u);
+  EXPECT_EQ(outputs_.size(), 1u) << "its neighbours differ";
   const auto info = camera_info(kStart + kMs);
   processor_.add_camera_info(info);
   advance();
   expect_deblurred(1);
   EXPECT_EQ(outputs_[1].camera_info, info);
+}
+
+TEST_F(FrameAssemblyTest, LostCameraInfoIsThatOfItsNeighbours) {
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  add_frame(kStart);
+  processor_.add_image(image_message(kStart + 33 * kMs));
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u) << "its own may still come";
+  add_frame(kStart + 66 * kMs);
+  advance();  // no time has passed
+  ASSERT_EQ(outputs_.size(), 3u);
+  for (std::size_t i = 0; i < 3; ++i) expect_deblurred(i);
+  sensor_msgs::CameraInfo expected = *camera_info(kStart + 33 * kMs);
+  EXPECT_EQ(*outputs_[1].camera_info, expected) << "all of it, with the image's stamp";
+}
+
+TEST_F(FrameAssemblyTest, LostFirstCameraInfoIsThatOfTheNextTwo) {
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  processor_.add_image(image_message(kStart));
+  add_frame(kStart + 33 * kMs);
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  add_frame(kStart + 66 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 3u);
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].camera_info->K[0], kFocalPx);
+}
+
+/// The region of interest that a camera may change from image to image; the size stays.
+sensor_msgs::CameraInfoPtr region_info(TimeNs stamp_ns, std::uint32_t y_offset_px) {
+  auto info = camera_info(stamp_ns, kWidth, 2 * kHeight);
+  info->roi.width = kWidth;
+  info->roi.height = kHeight;
+  info->roi.y_offset = y_offset_px;
+  return info;
+}
+
+TEST_F(FrameAssemblyTest, CameraInfoOutOfOrderIsWaitedForWhereNeighboursDiffer) {
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  processor_.add_camera_info(region_info(kStart - 33 * kMs, 0));
+  processor_.add_image(image_message(kStart));
+  // Behind the next two, as in the fault table.
+  processor_.add_camera_info(region_info(kStart + 33 * kMs, 20));
+  processor_.add_camera_info(region_info(kStart + 66 * kMs, 20));
+  advance();
+  EXPECT_TRUE(outputs_.empty());
+  const auto own = region_info(kStart, 10);
+  processor_.add_camera_info(own);
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].camera_info, own);
+}
+
+TEST_F(FrameAssemblyTest, LostCameraInfoBetweenOnesThatDifferPassesThroughWithoutTimeout) {
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  processor_.add_camera_info(region_info(kStart - 33 * kMs, 0));
+  processor_.add_image(image_message(kStart));
+  for (int i = 1; i <= 3; ++i) {
+    EXPECT_TRUE(outputs_.empty());
+    processor_.add_camera_info(region_info(kStart + i * 33 * kMs, 20));
+    advance();
+  }
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "no two are alike");
+  EXPECT_EQ(outputs_[0].camera_info->K[0], 0) << "whose region it is nobody knows";
+}
+
+TEST_F(FrameAssemblyTest, NeighboursCameraInfoServesNoImageOfAnotherSize) {
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  add_frame(kStart);
+  processor_.add_image(image_message(kStart + 33 * kMs, "mono8", kWidth, kHeight / 2));
+  add_frame(kStart + 66 * kMs);
+  advance();
+  EXPECT_EQ(outputs_.size(), 1u);
+  for (int i = 3; i <= 4; ++i) add_frame(kStart + i * 33 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 5u);
+  expect_passed_through(1, PassThroughReason::NO_CALIBRATION, "describe an image of its size");
+  EXPECT_EQ(outputs_[1].camera_info->height, static_cast<unsigned>(kHeight / 2));
+}
+
+TEST_F(FrameAssemblyTest, LastCameraInfoServesWhenNoneComesAfterIt) {
+  add_imu(kStart - 50 * kMs, kStart + 2 * kSecond);
+  add_frame(kStart);
+  add_frame(kStart + 33 * kMs);
+  processor_.add_image(image_message(kStart + 66 * kMs));
+  advance();
+  EXPECT_EQ(outputs_.size(), 2u);
+  time_out();
+  expect_deblurred(2);
+  EXPECT_EQ(to_time_ns(outputs_[2].camera_info->header.stamp), kStart + 66 * kMs);
+}
+
+TEST_F(FrameAssemblyTest, FramesThatPassThroughHaveTheirNeighboursCameraInfoToo) {
+  add_frame(kStart);
+  processor_.add_image(image_message(kStart + 33 * kMs));
+  add_frame(kStart + 66 * kMs);
+  auto unsupported = image_message(kStart + 99 * kMs);
+  unsupported->encoding = "nonsense";
+  processor_.add_image(unsupported);
+  time_out();
+  ASSERT_EQ(outputs_.size(), 4u);
+  for (const std::size_t i : {1u, 3u}) {
+    EXPECT_EQ(outputs_[i].camera_info->K[0], kFocalPx) << i;
+    EXPECT_EQ(outputs_[i].camera_info->header.stamp, outputs_[i].input->header.stamp) << i;
+  }
+}
+
+TEST_F(FrameAssemblyTest, LostExposureIsThatOfItsNeighbours) {
+  config_.shutter.exposure_ns = 0;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  for (int i = 0; i < 3; ++i) {
+    if (i != 1) processor_.add_exposure(exposure_message(kStart + i * 33 * kMs, 20 * kMs));
+    add_frame(kStart + i * 33 * kMs);
+  }
+  advance();
+  ASSERT_EQ(outputs_.size(), 3u);
+  for (std::size_t i = 0; i < 3; ++i) expect_deblurred(i);
+  EXPECT_EQ(outputs_[1].field->exposure_ns, 20 * kMs);
+}
+
+TEST_F(FrameAssemblyTest, LostExposureBetweenOnesThatDifferCostsTwoFrames) {
+  config_.exposure_max_age_ns = 50 * kMs;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  for (int i = 0; i < 4; ++i) {
+    EXPECT_EQ(outputs_.size(), i < 3 ? std::min<std::size_t>(static_cast<std::size_t>(i), 1) : 1u);
+    if (i != 1) processor_.add_exposure(exposure_message(kStart + i * 33 * kMs, (10 + i) * kMs));
+    add_frame(kStart + i * 33 * kMs);
+    advance();
+  }
+  ASSERT_EQ(outputs_.size(), 4u);
+  EXPECT_EQ(outputs_[1].field->exposure_ns, 10 * kMs) << "the one before, as exposure_max_age says";
+}
+
+TEST_F(FrameAssemblyTest, SilentExposureTopicIsNotWaitedForForEver) {
+  exposure_expected_ = true;
+  constexpr TimeNs kPeriod = 33 * kMs;
+  constexpr int kFrames = 40;
+  add_imu(kStart - 50 * kMs, kStart + kFrames * kPeriod + kSecond);
+  std::vector<TimeNs> latencies_ns;
+  const auto play = [&](int from, int to, bool spoken) {
+    for (int i = from; i < to; ++i) {
+      now_ns_ = kStart + i * kPeriod;
+      add_frame(kStart + i * kPeriod);
+      advance();
+      // The message comes a little after its image.
+      now_ns_ += 5 * kMs;
+      if (spoken) processor_.add_exposure(exposure_message(kStart + i * kPeriod, 20 * kMs));
+      advance();
+      for (std::size_t k = latencies_ns.size(); k < outputs_.size(); ++k) {
+        latencies_ns.push_back(now_ns_ - to_time_ns(outputs_[k].input->header.stamp));
+      }
+    }
+  };
+  play(0, kFrames / 2, false);
+  ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(kFrames / 2));
+  EXPECT_GE(latencies_ns[0], config_.gyro_timeout_ns);
+  EXPECT_EQ(latencies_ns.back(), 5 * kMs) << "looked at once more when its message would have come";
+  EXPECT_EQ(logged("images no longer wait"), 1u);
+  EXPECT_EQ(outputs_.back().field->exposure_ns, kExposure);
+  // Somebody speaks: each waits for its own again.
+  play(kFrames / 2, kFrames, true);
+  ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(kFrames));
+  EXPECT_EQ(outputs_[kFrames / 2].field->exposure_ns, kExposure);
+  EXPECT_EQ(outputs_[kFrames / 2 + 1].field->exposure_ns, 20 * kMs);
+  EXPECT_EQ(outputs_.back().field->exposure_ns, 20 * kMs);
+  EXPECT_EQ(logged("images no longer wait"), 1u);
+}
+
+TEST_F(FrameAssemblyTest, SparseExposuresHoldNoFrameUp) {
+  config_.exposure_max_age_ns = kSecond;
+  config_.shutter.exposure_ns = 0;
+  configure();
+  constexpr TimeNs kPeriod = 33 * kMs;
+  constexpr int kFrames = 100, kSettled = 30, kSparse = 10;
+  add_imu(kStart - 50 * kMs, kStart + kFrames * kPeriod + kSecond);
+  for (int i = 0; i < kFrames; ++i) {
+    now_ns_ = kStart + i * kPeriod;
+    const TimeNs exposure_ns = (10 + i / kSparse) * kMs;  // it changes, too
+    if (i % kSparse == 0) processor_.add_exposure(exposure_message(now_ns_, exposure_ns));
+    add_frame(now_ns_);
+    advance();
+    if (i < kSettled) continue;
+    ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(i + 1)) << "at once";
+    EXPECT_EQ(outputs_.back().field->exposure_ns, exposure_ns);
+  }
+  EXPECT_EQ(logged("images no longer wait"), 1u);
+}
+
+TEST_F(FrameAssemblyTest, WithoutAnyCameraInfoFramesDoNotWaitForEver) {
+  constexpr int kFrames = 30;
+  for (int i = 0; i < kFrames; ++i) {
+    now_ns_ = kStart + i * 33 * kMs;
+    processor_.add_image(image_message(now_ns_));
+    advance();
+  }
+  ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(kFrames));
+  expect_passed_through(kFrames - 1, PassThroughReason::NO_CALIBRATION, "no camera_info");
+  EXPECT_EQ(logged("images no longer wait"), 1u);
 }
 
 TEST_F(FrameAssemblyTest, WithoutCameraInfoImagesStillPass) {

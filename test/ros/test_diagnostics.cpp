@@ -20,7 +20,7 @@ class DiagnosticReportTest : public testing::Test {
   std::map<std::string, std::string> fill(double seconds = 1) {
     time_ += std::chrono::duration_cast<std::chrono::steady_clock::duration>(std::chrono::duration<double>(seconds));
     diagnostic_updater::DiagnosticStatusWrapper status;
-    report_.fill({statistics_, 2, node_ns_, time_}, &status);
+    report_.fill({statistics_, 2, node_ns_, time_, unsent_}, &status);
     level_ = status.level;
     summary_ = status.message;
     std::map<std::string, std::string> values;
@@ -32,6 +32,7 @@ class DiagnosticReportTest : public testing::Test {
   DiagnosticReport::Time time_;
   TimeNs node_ns_ = 0;
   ProcessorStatistics statistics_;
+  std::size_t unsent_ = 0;
   int level_ = -1;
   std::string summary_;
 };
@@ -63,6 +64,17 @@ TEST_F(DiagnosticReportTest, FramesThatPassThroughWarnOnceWithARemedy) {
       << summary_;
   values = fill();
   EXPECT_EQ(values["passed through, NO_GYRO"], "3");
+  EXPECT_EQ(level_, DiagnosticStatus::OK) << "none since";
+}
+
+TEST_F(DiagnosticReportTest, MessagesThatAreNotSentWarnOnce) {
+  EXPECT_EQ(fill()["messages published, not sent"], "0");
+  EXPECT_EQ(level_, DiagnosticStatus::OK);
+  unsent_ = 7;
+  EXPECT_EQ(fill()["messages published, not sent"], "7");
+  EXPECT_EQ(level_, DiagnosticStatus::WARN);
+  EXPECT_NE(summary_.find("7 messages published, but not sent"), std::string::npos) << summary_;
+  EXPECT_EQ(fill()["messages published, not sent"], "7");
   EXPECT_EQ(level_, DiagnosticStatus::OK) << "none since";
 }
 

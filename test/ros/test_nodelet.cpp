@@ -1,6 +1,12 @@
 // The nodelet in a manager, and the node, as their users see them. Waits for messages and conditions with a deadline;
 // time never decides.
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <cstdint>
 #include <filesystem>
 #include <fstream>
 #include <functional>
@@ -20,6 +26,7 @@
 #include <nodelet/NodeletList.h>
 #include <nodelet/NodeletLoad.h>
 #include <nodelet/NodeletUnload.h>
+#include <ros/header.h>
 #include <ros/master.h>
 #include <ros/network.h>
 #include <ros/ros.h>
@@ -30,6 +37,7 @@
 #include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/PointCloud.h>
+#include <std_msgs/Header.h>
 #include <std_srvs/Trigger.h>
 #include <tf2_msgs/TFMessage.h>
 #include <topic_tools/shape_shifter.h>
@@ -167,6 +175,10 @@ class NodeletTest : public CameraTopicsTest {
       EXPECT_EQ(images_[i]->header.stamp, keypoints_[i]->header.stamp);
     }
   }
+  /// Waits until all of `count` frames but two have come out: fewer wait than overload takes.
+  void keep_up_with(std::size_t count) {
+    if (count > 2) expect_frames(count - 2);
+  }
   void expect_reason(std::size_t index, PassThroughReason reason) {
     ASSERT_GT(fields_.size(), index);
     EXPECT_STREQ(to_string(static_cast<PassThroughReason>(fields_[index]->reason)), to_string(reason))
@@ -215,7 +227,10 @@ TEST_F(NodeletTest, SharpFramesComeOutBitIdenticalInOrder) {
   start();
   std::vector<sensor_msgs::ImagePtr> inputs;
   publish_imu(kStart - 50 * kMs, kStart + kSecond, 0.0);
-  for (int i = 0; i < 20; ++i) inputs.push_back(publish_frame(kStart + i * 33 * kMs));
+  for (std::size_t i = 0; i < 20; ++i) {
+    inputs.push_back(publish_frame(kStart + static_cast<TimeNs>(i) * 33 * kMs));
+    keep_up_with(inputs.size());
+  }
   expect_frames(20);
   for (std::size_t i = 0; i < 20; ++i) {
     expect_reason(i, PassThroughReason::NONE);
@@ -782,6 +797,142 @@ TEST_F(NodeletTest, CameraInfoAbsentOrUnusable) {
   }
 }
 
+TEST_F(NodeletTest, AllThatWaitsForASampleReachesASubscriber) {
+  // Frames leave as fast as they can be passed on, since the camera stands still.
+  constexpr std::size_t kFrames = 60;
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  for (std::size_t i = 0; i < kFrames; ++i) publish_frame(kStart + static_cast<TimeNs>(i) * 33 * kMs);
+  ASSERT_TRUE(diagnostics.wait_for("frames waiting", std::to_string(kFrames)));
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros::service::call(name_ + "/reset", reset));
+  expect_frames(kFrames);
+  for (std::size_t i = 0; i < kFrames; ++i) expect_reason(i, PassThroughReason::TIME_JUMP);
+}
+
+TEST_F(NodeletTest, LostCameraInfosLoseNoFrame) {
+  constexpr std::size_t kFrames = 300, kEvery = 10;
+  constexpr TimeNs kPeriod = 35 * kMs;
+  static_assert(kPeriod % kImuPeriod == 0);
+  start();
+  publish_imu(kStart - 50 * kMs, kStart + 100 * kMs, 0.0);
+  // As a camera does: the next image comes whatever became of those before it. The timeout is long: what leaves does
+  // not leave for it.
+  for (std::size_t i = 0; i < kFrames; ++i) {
+    const TimeNs stamp_ns = kStart + static_cast<TimeNs>(i) * kPeriod;
+    if (i % kEvery != 3) info_publisher_.publish(camera_info(stamp_ns));
+    image_publisher_.publish(image_message(stamp_ns));
+    publish_imu(stamp_ns + 100 * kMs + kImuPeriod, stamp_ns + 100 * kMs + kPeriod, 0.0);
+    keep_up_with(i + 1);
+  }
+  expect_frames(kFrames);
+  EXPECT_EQ(images_.size(), kFrames);
+  for (std::size_t i = 0; i < kFrames; ++i) {
+    expect_reason(i, PassThroughReason::NONE);
+    EXPECT_EQ(to_time_ns(images_[i]->header.stamp), kStart + static_cast<TimeNs>(i) * kPeriod);
+    EXPECT_EQ(infos_[i]->K[0], kFocalPx) << i;
+  }
+}
+
+/// A subscriber in another process that does not read for a while (wiki.ros.org/ROS/TCPROS).
+class StalledSubscriber {
+ public:
+  /// Throws std::runtime_error when it cannot be connected.
+  template <typename Message>
+  static StalledSubscriber to(const std::string& node, const std::string& topic) {
+    return StalledSubscriber(node, topic, ros::message_traits::datatype<Message>(),
+                             ros::message_traits::md5sum<Message>());
+  }
+  ~StalledSubscriber() { close(socket_); }
+  StalledSubscriber(const StalledSubscriber&) = delete;
+  StalledSubscriber& operator=(const StalledSubscriber&) = delete;
+
+  /// Reads on, until the message with this stamp. @return how many messages came
+  std::size_t read_until(const ros::Time& last) {
+    for (std::size_t count = 1;; ++count) {
+      std::vector<std::uint8_t> bytes = read_block();
+      std_msgs::Header header;
+      ros::serialization::IStream stream(bytes.data(), static_cast<std::uint32_t>(bytes.size()));
+      ros::serialization::deserialize(stream, header);
+      if (header.stamp == last) return count;
+    }
+  }
+
+ private:
+  StalledSubscriber(const std::string& node, const std::string& topic, const std::string& type,
+                    const std::string& md5) {
+    XmlRpc::XmlRpcValue request, response, uri, asked, answer;
+    request[0] = asked[0] = kCaller;
+    request[1] = node;
+    std::string host;
+    std::uint32_t port = 0;
+    if (!ros::master::execute("lookupNode", request, response, uri, false) ||
+        !ros::network::splitURI(static_cast<std::string&>(uri), host, port)) {
+      throw std::runtime_error("no node " + node);
+    }
+    XmlRpc::XmlRpcClient client(host.c_str(), static_cast<int>(port));
+    asked[1] = topic;
+    asked[2][0][0] = std::string("TCPROS");
+    if (!client.execute("requestTopic", asked, answer) || answer.size() < 3 || answer[2].size() < 3) {
+      throw std::runtime_error("no topic " + topic);
+    }
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(static_cast<std::uint16_t>(static_cast<int>(answer[2][2])));
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    socket_ = socket(AF_INET, SOCK_STREAM, 0);
+    if (socket_ < 0 || connect(socket_, reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
+      throw std::runtime_error("no connection to " + topic);
+    }
+    const ros::M_string fields{
+        {"callerid", kCaller}, {"topic", topic}, {"type", type}, {"md5sum", md5}, {"tcp_nodelay", "1"}};
+    boost::shared_array<std::uint8_t> header;
+    std::uint32_t length = 0;
+    ros::Header::write(fields, header, length);
+    if (send(socket_, &length, sizeof(length), 0) != sizeof(length) ||
+        send(socket_, header.get(), length, 0) != static_cast<ssize_t>(length)) {
+      throw std::runtime_error("no header to " + topic);
+    }
+    read_block();  // the publisher's header: it counts this as a subscriber now
+  }
+
+  void read(void* to, std::size_t bytes) {
+    if (recv(socket_, to, bytes, MSG_WAITALL) != static_cast<ssize_t>(bytes)) throw std::runtime_error("cut off");
+  }
+  std::vector<std::uint8_t> read_block() {
+    std::uint32_t length = 0;
+    read(&length, sizeof(length));
+    std::vector<std::uint8_t> bytes(length);
+    read(bytes.data(), bytes.size());
+    return bytes;
+  }
+
+  static constexpr char kCaller[] = "/stalled_subscriber";
+  int socket_ = -1;
+};
+
+TEST_F(NodeletTest, WhatASlowSubscriberDoesNotGetIsCounted) {
+  constexpr int kQueue = 5;
+  constexpr std::size_t kFrames = 120;  // of 300 KiB, far more than the kernel keeps for a connection
+  set("frame_queue_size", kQueue);
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  auto stalled = StalledSubscriber::to<sensor_msgs::Image>(node_, ns_ + "/deblurred/image_raw");
+  ASSERT_TRUE(diagnostics.wait_for("messages published, not sent", "0"));
+  for (std::size_t i = 0; i < kFrames; ++i) {
+    const auto image = image_message(kStart + static_cast<TimeNs>(i) * 33 * kMs, "mono8", 640, 480);
+    image->encoding = "nonsense";  // leaves at once
+    image_publisher_.publish(image);
+    keep_up_with(i + 1);
+  }
+  expect_frames(kFrames);
+  const std::size_t got = stalled.read_until(images_.back()->header.stamp);
+  EXPECT_LT(got, kFrames);
+  EXPECT_TRUE(diagnostics.wait_for("messages published, not sent", std::to_string(kFrames - got)));
+  EXPECT_EQ(mailbox_.look([&] { return diagnostics.values["messages published, not sent"]; }),
+            std::to_string(kFrames - got));
+}
+
 TEST_F(NodeletTest, EncodingsGoodAndBadComeOutInOrder) {
   start();
   publish_imu(kStart - 50 * kMs, kStart + 2 * kSecond);
@@ -790,6 +941,7 @@ TEST_F(NodeletTest, EncodingsGoodAndBadComeOutInOrder) {
   std::vector<sensor_msgs::ImagePtr> inputs;
   for (const std::string& encoding : good) {
     inputs.push_back(publish_frame(kStart + static_cast<TimeNs>(inputs.size()) * 33 * kMs, encoding));
+    keep_up_with(inputs.size());
   }
   for (const std::string& bad : {std::string("32FC1"), std::string("yuv422"), std::string("nonsense")}) {
     auto image = image_message(kStart + static_cast<TimeNs>(inputs.size()) * 33 * kMs);

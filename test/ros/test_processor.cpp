@@ -43,6 +43,91 @@ TEST_F(ProcessorTest, SinkCanStop) {
   EXPECT_EQ(processor_.waiting(), 1u);
 }
 
+/// A camera at 30 Hz and a worker that takes its time, both by the steady clock.
+class PacedProcessorTest : public ProcessorTest {
+ protected:
+  static constexpr TimeNs kPeriod = 33 * kMs;
+
+  /// Frames and samples come until `end_ns`, samples in batches; the worker looks every millisecond.
+  void play(TimeNs end_ns, TimeNs processing_ns, TimeNs batch_ns) {
+    TimeNs busy_until_ns = 0, imu_ns = -100 * kMs;
+    for (; steady_ns_ < end_ns; steady_ns_ += kMs) {
+      now_ns_ = kStart + steady_ns_;
+      if (steady_ns_ % batch_ns == 0) {
+        add_imu(kStart + imu_ns, kStart + steady_ns_);
+        imu_ns = steady_ns_ + kImuPeriod;
+      }
+      if (steady_ns_ % kPeriod == 0) add_frame(kStart + steady_ns_ - kFrameDuration);
+      if (steady_ns_ < busy_until_ns) continue;
+      processor_.advance([&](FrameOutput&& output) {
+        const bool processed = output.reason == PassThroughReason::NONE;
+        const TimeNs done_ns = steady_ns_ + (processed ? processing_ns : 0);
+        latencies_ns_.push_back(kStart + done_ns - kFrameDuration - to_time_ns(output.input->header.stamp));
+        outputs_.push_back(std::move(output));
+        if (processed) busy_until_ns = done_ns;
+        return !processed;
+      });
+    }
+  }
+  std::size_t overloaded() const {
+    const auto counts = processor_.statistics().passed_through;
+    const auto found = counts.find(PassThroughReason::OVERLOAD);
+    return found == counts.end() ? 0 : found->second;
+  }
+  std::vector<TimeNs> latencies_ns_;
+};
+
+TEST_F(PacedProcessorTest, UnderOverloadTheNewestFramesAreProcessed) {
+  constexpr TimeNs kProcessing = 100 * kMs;
+  play(6 * kSecond, kProcessing, kImuPeriod);
+  ASSERT_GT(outputs_.size(), 150u);
+  EXPECT_GT(overloaded(), outputs_.size() / 2);
+  EXPECT_NE(log_.back().find("processing takes 0.10"), std::string::npos) << log_.back();
+  for (std::size_t i = 1; i < outputs_.size(); ++i) {
+    EXPECT_EQ(to_time_ns(outputs_[i].input->header.stamp) - to_time_ns(outputs_[i - 1].input->header.stamp), kPeriod);
+  }
+  // As long as it takes, and a queue of two in front of it, and until the worker looks.
+  for (std::size_t i = 30; i < latencies_ns_.size(); ++i) {
+    EXPECT_LE(latencies_ns_[i], kProcessing + 3 * kPeriod) << i;
+  }
+}
+
+TEST_F(PacedProcessorTest, BatchesOfSamplesAreNoOverload) {
+  play(6 * kSecond, 30 * kMs, 100 * kMs);  // 9/10 of what it could do
+  ASSERT_GT(outputs_.size(), 150u);
+  EXPECT_EQ(overloaded(), 0u);
+}
+
+TEST_F(PacedProcessorTest, BurstOfFramesIsWorkedOff) {
+  play(kSecond, 10 * kMs, kImuPeriod);
+  const std::size_t before = outputs_.size();
+  constexpr std::size_t kBurst = 25;
+  steady_ns_ += static_cast<TimeNs>(kBurst) * kPeriod;
+  now_ns_ = kStart + steady_ns_;
+  add_imu(kStart + kSecond - kImuPeriod, now_ns_);
+  for (std::size_t i = 0; i < kBurst; ++i) {
+    add_frame(kStart + kSecond + static_cast<TimeNs>(i) * kPeriod - kFrameDuration);
+  }
+  play(steady_ns_ + kSecond, 10 * kMs, kImuPeriod);
+  EXPECT_GT(outputs_.size(), before + kBurst);
+  EXPECT_EQ(overloaded(), 0u);
+}
+
+TEST_F(PacedProcessorTest, WhoeverLetsEverythingOutHasTime) {
+  constexpr TimeNs kProcessing = 100 * kMs;
+  play(kSecond, kProcessing, kImuPeriod);
+  for (int i = 0; i < 20; ++i) add_frame(kStart + kSecond + i * kPeriod);
+  add_imu(kStart + kSecond, kStart + 3 * kSecond);
+  const std::size_t before = overloaded();
+  processor_.finish([&](FrameOutput&& output) {
+    steady_ns_ += kProcessing;
+    outputs_.push_back(std::move(output));
+    return true;
+  });
+  EXPECT_EQ(overloaded(), before);
+  EXPECT_EQ(processor_.waiting(), 0u);
+}
+
 TEST_F(ProcessorTest, BadConfigurationPassesFramesThroughUntilItIsMended) {
   processor_.set_config_error("gamma = -1 is outside [1e-05, 1]");
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);

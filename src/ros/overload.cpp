@@ -1,0 +1,33 @@
+#include "ros/overload.hpp"
+
+#include <vector>
+
+#include "base/median.hpp"
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+
+void OverloadRule::end(TimeNs steady_ns) {
+  constexpr std::size_t kKept = 5;
+  if (!begun_ns_) return;
+  durations_ns_.push_back(steady_ns - *begun_ns_);
+  begun_ns_.reset();
+  if (durations_ns_.size() > kKept) durations_ns_.pop_front();
+}
+
+std::string OverloadRule::judge(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
+                                std::optional<TimeNs> frame_period_ns) const {
+  // One slow frame (the first, or the first with a longer blur) is no overload: the median of three is another's.
+  constexpr std::size_t kEnough = 3;
+  if (ready_behind < kReadyQueue || !frame_period_ns || durations_ns_.size() < kEnough) return {};
+  const TimeNs waited_ns = now_ns - ready_ns;
+  if (waited_ns <= static_cast<TimeNs>(kReadyQueue) * *frame_period_ns) return {};
+  // Twice as fast as the camera: a burst of n frames is worked off within n periods.
+  const TimeNs takes_ns = median(std::vector<TimeNs>(durations_ns_.begin(), durations_ns_.end()));
+  if (2 * takes_ns <= *frame_period_ns) return {};
+  return "ready for " + seconds_text(waited_ns) + " s, and " + std::to_string(ready_behind) +
+         " newer frames are: processing takes " + seconds_text(takes_ns) + " s a frame, one comes every " +
+         seconds_text(*frame_period_ns) + " s";
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,38 @@
+// Tells overload from a burst: which frames are passed over because processing does not keep up.
+#pragma once
+
+#include <cstddef>
+#include <deque>
+#include <optional>
+#include <string>
+
+#include "gyro_deblur/time.hpp"
+
+namespace gyro_deblur {
+
+/// The newest frames matter to SLAM: when processing is slower than the camera, frames that are ready wait in a queue
+/// of two. When it is fast, more that are ready at once (the IMU's samples come in batches, a network that stalled) are
+/// a burst, which it works off. Times are of a steady clock; without one nobody is in a hurry, and nothing is overload.
+/// Not thread-safe.
+class OverloadRule {
+ public:
+  /// Frames that are ready behind the foremost one before that can be passed over.
+  static constexpr std::size_t kReadyQueue = 2;
+
+  /// Processing of a frame begins.
+  void begin(TimeNs steady_ns) { begun_ns_ = steady_ns; }
+  /// The next frame is asked for: what was begun has ended, its publishing included.
+  void end(TimeNs steady_ns);
+
+  /// Why the foremost frame, which is ready since `ready_ns`, is passed over; empty when it is processed.
+  /// @param ready_behind     frames behind it that are ready, too
+  /// @param frame_period_ns  of the camera, > 0; absent while it is not known
+  std::string judge(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
+                    std::optional<TimeNs> frame_period_ns) const;
+
+ private:
+  std::optional<TimeNs> begun_ns_;
+  std::deque<TimeNs> durations_ns_;  // of the last frames
+};
+
+}  // namespace gyro_deblur

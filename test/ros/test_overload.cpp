@@ -1,0 +1,53 @@
+#include "ros/overload.hpp"
+
+#include <optional>
+#include <string>
+
+#include <gtest/gtest.h>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr TimeNs kMs = 1'000'000, kPeriod = 33 * kMs;
+
+OverloadRule rule_after(int frames, TimeNs takes_ns) {
+  OverloadRule rule;
+  for (int i = 0; i < frames; ++i) {
+    rule.begin(i * takes_ns);
+    rule.end((i + 1) * takes_ns);
+  }
+  return rule;
+}
+
+TEST(OverloadRule, PassesOverWhatWaitsTooLongBehindSlowProcessing) {
+  const OverloadRule rule = rule_after(5, 100 * kMs);
+  const std::string text = rule.judge(kPeriod * 3, 0, 2, kPeriod);
+  EXPECT_NE(text.find("2 newer frames are: processing takes 0.100000000 s a frame"), std::string::npos) << text;
+  EXPECT_EQ(rule.judge(kPeriod * 3, 0, 1, kPeriod), "") << "one of the newest two";
+  EXPECT_EQ(rule.judge(kPeriod * 2, 0, 5, kPeriod), "") << "as long as a queue of two explains";
+  EXPECT_EQ(rule.judge(kPeriod * 3, 0, 2, std::nullopt), "") << "nobody knows the camera's rate";
+  EXPECT_EQ(rule.judge(0, 0, 20, kPeriod), "") << "a clock that stands still";
+}
+
+TEST(OverloadRule, FastProcessingWorksABurstOff) {
+  EXPECT_EQ(rule_after(5, kPeriod / 2).judge(kPeriod * 10, 0, 20, kPeriod), "");
+  EXPECT_NE(rule_after(5, kPeriod * 2 / 3).judge(kPeriod * 10, 0, 20, kPeriod), "");
+}
+
+TEST(OverloadRule, OneSlowFrameIsNoOverload) {
+  OverloadRule rule = rule_after(1, 500 * kMs);
+  EXPECT_EQ(rule.judge(kPeriod * 10, 0, 5, kPeriod), "") << "the first";
+  rule = rule_after(4, 5 * kMs);
+  rule.begin(0);
+  rule.end(500 * kMs);
+  EXPECT_EQ(rule.judge(kPeriod * 10, 0, 5, kPeriod), "");
+}
+
+TEST(OverloadRule, TimeWithoutWorkIsNotProcessing) {
+  OverloadRule rule = rule_after(5, 5 * kMs);
+  for (int i = 1; i < 10; ++i) rule.end(i * 1000 * kMs);
+  EXPECT_EQ(rule.judge(kPeriod * 10, 0, 5, kPeriod), "");
+}
+
+}  // namespace
+}  // namespace gyro_deblur
