@@ -182,9 +182,8 @@ ParameterGroup wiener_filter() {
               {"kernel_smoothing", &Kernel::smoothing_px, within(0, 5, "px"),
                "Gaussian along the motion that the inverse is smoothed with"},
               {"engine", &PipelineOptions::engine,
-               "cpu; float; opencl (first GPU, else first device), opencl:INDEX or opencl:NAME (part of the name); "
-               "auto: opencl where there is a GPU, else cpu, which also replaces a device that is absent or fails, "
-               "with one warning"},
+               "cpu; float; opencl (first GPU, else first device), opencl:INDEX or opencl:NAME (part of the name), "
+               "which cpu replaces where the device is absent or fails, with one warning; auto: cpu"},
               {"threads", &PipelineOptions::threads, within(0, 256),
                "of validation, kernels and engine, at most; 0: one for each core to run on"},
           }};

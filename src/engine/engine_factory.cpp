@@ -25,22 +25,18 @@ std::unique_ptr<Engine> make_opencl_with_fallback(const std::string& device, int
 std::unique_ptr<Engine> make_cpu(const std::string&, int threads) { return std::make_unique<CpuEngine>(threads); }
 std::unique_ptr<Engine> make_float(const std::string&, int threads) { return std::make_unique<FloatEngine>(threads); }
 
-bool always() { return true; }
-bool never() { return false; }
-
 struct EngineEntry {
   const char* name;
   bool takes_device;  ///< as NAME:DEVICE
-  bool (*serves_auto)();
   std::unique_ptr<Engine> (*make)(const std::string& device, int threads);
 };
 
-// "auto" is the first that serves: OpenCL where there is a GPU, which then has the work (doc/reports/performance.md,
-// "On a GPU"), else the cpu engine, since OpenCL on the processor is slower than it. The float engine is slower at
-// every extent and serves only who asks for it.
-constexpr EngineEntry kEngines[] = {{"opencl", true, opencl_gpu_present, make_opencl_with_fallback},
-                                    {"cpu", false, always, make_cpu},
-                                    {"float", false, never, make_float}};
+constexpr EngineEntry kEngines[] = {
+    {"cpu", false, make_cpu}, {"float", false, make_float}, {"opencl", true, make_opencl_with_fallback}};
+
+// What "auto" stands for, GPU or not: no GPU has been measured (doc/reports/performance.md, "On a GPU"), OpenCL on the
+// processor is slower, and so is the float engine at every extent.
+constexpr const char* kAuto = "cpu";
 
 std::string available_names() {
   std::string names = "auto";
@@ -55,11 +51,12 @@ std::string available_names() {
 
 std::unique_ptr<Engine> make_engine(const std::string& engine, int threads) {
   require_range("threads", threads, 0, 256);
+  const std::string wanted = engine == "auto" ? kAuto : engine;
   for (const EngineEntry& entry : kEngines) {
-    if (engine == entry.name || (engine == "auto" && entry.serves_auto())) return entry.make("", threads);
+    if (wanted == entry.name) return entry.make("", threads);
     const std::string prefix = std::string(entry.name) + ":";
-    if (entry.takes_device && engine.size() > prefix.size() && engine.compare(0, prefix.size(), prefix) == 0) {
-      return entry.make(engine.substr(prefix.size()), threads);
+    if (entry.takes_device && wanted.size() > prefix.size() && wanted.compare(0, prefix.size(), prefix) == 0) {
+      return entry.make(wanted.substr(prefix.size()), threads);
     }
   }
   throw OptionError("engine = \"" + engine + "\" is unknown; available: " + available_names());

@@ -26,7 +26,7 @@
 #include "tools/deblur_feed.hpp"
 #include "tools/deblur_output.hpp"
 #include "tools/deblur_topics.hpp"
-#include "tools/output_file.hpp"
+#include "tools/frame_report.hpp"
 #include "tools/progress.hpp"
 #include "tools/tool_main.hpp"
 
@@ -48,7 +48,6 @@ struct Arguments {
 struct Outcome {
   ProcessorStatistics statistics;
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();
-  nlohmann::json frames;
   double processing_ms = 0, bag_s = 0, wall_s = 0;
 };
 
@@ -116,7 +115,7 @@ Log log_beside(Progress& progress) {
 
 /// Plays the input through the processor into the output.
 Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& config, const Arguments& arguments,
-               rosbag::Bag& output) {
+               rosbag::Bag& output, FrameReport& report) {
   const Slice slice = slice_of(input.bag(), arguments, config);
   rosbag::View view(input.bag(), slice.read_from());
   Progress progress(view.size(), "messages", !Progress::watched());
@@ -124,7 +123,7 @@ Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& 
   feed.take_static_transforms(input.bag());
   if (arguments.start_s > 0) feed.catch_up(input.bag(), slice.read_from());
 
-  FrameWriter writer(output, OutputTopics(topics.output_namespace));
+  FrameWriter writer(output, OutputTopics(topics.output_namespace), report);
   const Processor::Sink sink = [&writer](FrameOutput&& frame) {
     writer.write(frame);
     return true;
@@ -148,11 +147,11 @@ Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& 
   output.close();
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   const double bag_s = view.size() == 0 ? 0 : (view.getEndTime() - view.getBeginTime()).toSec();
-  return {processor.statistics(), processor.bias_rad_s(), writer.take_report(), writer.processing_ms(), bag_s, wall_s};
+  return {processor.statistics(), processor.bias_rad_s(), writer.processing_ms(), bag_s, wall_s};
 }
 
-/// Takes the frames out of the outcome: they are many.
-nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics, Outcome& outcome) {
+/// What holds for all frames.
+nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics, const Outcome& outcome) {
   const ProcessorStatistics& statistics = outcome.statistics;
   const auto frame_count = static_cast<double>(statistics.frames_out);
   nlohmann::json report;
@@ -184,7 +183,6 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
   report["wall_s"] = outcome.wall_s;
   report["sustained_rate_hz"] = outcome.wall_s > 0 ? frame_count / outcome.wall_s : 0;
   report["mean_processing_ms"] = frame_count > 0 ? outcome.processing_ms / frame_count : 0;
-  report["frames"] = std::move(outcome.frames);
   return report;
 }
 
@@ -205,6 +203,7 @@ void run(const Arguments& arguments) {
   if (arguments.threads) config.pipeline.threads = *arguments.threads;
   const DeblurTopics topics = choose_topics(input, arguments.topics, config);
   if (arguments.keep_all_topics) require_free_topics(input, OutputTopics(topics.output_namespace));
+  FrameReport report(arguments.json);
   Outcome outcome;
   try {
     if (arguments.bias_seconds) {
@@ -212,14 +211,14 @@ void run(const Arguments& arguments) {
           bias_of_first(input.bag(), topics.imu, *arguments.bias_seconds, config.bias_max_stddev_rad_s);
     }
     OutputBag output(arguments.output);
-    outcome = deblur(input, topics, config, arguments, output.bag());
+    outcome = deblur(input, topics, config, arguments, output.bag(), report);
     output.finish();
   } catch (const MessageError& error) {
     throw std::runtime_error(arguments.input + ": " + error.what());
   } catch (const rosbag::BagException& error) {
     throw std::runtime_error(arguments.input + " to " + arguments.output + ": " + error.what());
   }
-  write_json(arguments.json, report_of(arguments, topics, outcome));
+  report.finish(report_of(arguments, topics, outcome));
   print_summary(arguments, topics, outcome);
 }
 

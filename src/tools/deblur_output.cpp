@@ -64,7 +64,7 @@ void FrameWriter::write(const FrameOutput& frame) {
   if (frame.markers) bag_.write(topics_.markers, time, *frame.markers);
   if (frame.tracks) bag_.write(topics_.tracks, time, *frame.tracks);
   processing_ms_ += frame.total_ms;
-  frames_.push_back(report_of(frame));
+  if (report_.wanted()) report_.add(report_of(frame));
 }
 
 }  // namespace gyro_deblur

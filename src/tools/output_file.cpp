@@ -4,6 +4,7 @@
 #include <fstream>
 #include <stdexcept>
 #include <system_error>
+#include <utility>
 
 namespace gyro_deblur {
 
@@ -17,13 +18,26 @@ void write_json(const std::string& path, const nlohmann::json& report, int inden
   if (!path.empty()) write_text(path, report.dump(indent) + "\n");
 }
 
+namespace {
+
+std::string part_of(const std::string& target) {
+  namespace fs = std::filesystem;
+  std::error_code ignored;
+  const bool replaceable = !fs::exists(target, ignored) || fs::is_regular_file(target, ignored);
+  return replaceable ? target + ".part" : target;
+}
+
+}  // namespace
+
+PartialFile::PartialFile(std::string target) : target_(std::move(target)), path_(part_of(target_)) {}
+
 PartialFile::~PartialFile() {
   std::error_code ignored;
-  if (!finished_) std::filesystem::remove(path_, ignored);
+  if (!finished_ && path_ != target_) std::filesystem::remove(path_, ignored);
 }
 
 void PartialFile::finish() {
-  std::filesystem::rename(path_, target_);
+  if (path_ != target_) std::filesystem::rename(path_, target_);
   finished_ = true;
 }
 

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <string>
-#include <utility>
 
 #include <nlohmann/json.hpp>
 
@@ -15,10 +14,10 @@ void write_text(const std::string& path, const std::string& text);
 void write_json(const std::string& path, const nlohmann::json& report, int indent = 2);
 
 /// A file that gets its name when it is complete: written beside it as NAME.part, and deleted when that does not come
-/// about.
+/// about. What is there and is no file, such as /dev/null, is written itself.
 class PartialFile {
  public:
-  explicit PartialFile(std::string target) : target_(std::move(target)), path_(target_ + ".part") {}
+  explicit PartialFile(std::string target);
   ~PartialFile();
   PartialFile(const PartialFile&) = delete;
   PartialFile& operator=(const PartialFile&) = delete;
@@ -30,7 +29,7 @@ class PartialFile {
   void finish();
 
  private:
-  std::string target_, path_;
+  const std::string target_, path_;
   bool finished_ = false;
 };
 

@@ -11,7 +11,6 @@
 
 #include "engine/fallback_engine.hpp"
 #include "engine/float/float_engine.hpp"
-#include "engine/opencl/opencl_factory.hpp"
 #include "filter_grids.hpp"
 #include "synthetic_blur.hpp"
 
@@ -213,11 +212,6 @@ TEST_F(OpenClDeviceTest, ListsWhatThereIsWhenNoneFits) {
       EXPECT_NE(std::string(error.what()).find(devices_[0]), std::string::npos) << error.what();
     }
   }
-}
-
-// A processor's OpenCL driver is slower than the CPU engine.
-TEST_F(OpenClDeviceTest, IsTakenByItselfOnlyWhenItIsAGpu) {
-  EXPECT_EQ(make_engine("auto")->name().rfind("opencl", 0) == 0, opencl_gpu_present());
 }
 
 }  // namespace

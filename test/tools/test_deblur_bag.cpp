@@ -331,6 +331,37 @@ TEST_F(DeblurBagTest, BiasAtRestMakesFramesBitIdentical) {
   for (const auto& frame : frames) EXPECT_EQ(frame["identical"], true);
 }
 
+// What is left is rosbag's index, of 64 bytes or so a message.
+TEST_F(DeblurBagTest, MemoryGrowsByNoRecordOfFrames) {
+  constexpr int kSide = 16;
+  constexpr TimeNs kPeriod = 10 * kMs;
+  std::ofstream(path("config.yaml")) << "exposure_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\nblock_size: 8\n"
+                                        "threads: 1\nvalidate: false\ndetector: FAST\ndescriptor: ORB\n";
+  const auto peak_kib = [&](int frames, const std::vector<std::string>& arguments) {
+    {
+      rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Write);
+      for (int i = 0; i < frames; ++i) {
+        const TimeNs t_ns = kStart + i * kPeriod;
+        bag.write("/imu", to_ros_time(t_ns), imu_message(t_ns, kFastRadS));
+        bag.write("/cam/image_raw", to_ros_time(t_ns), *image_message(t_ns, "mono8", kSide, kSide));
+        bag.write("/cam/camera_info", to_ros_time(t_ns), *camera_info(t_ns, kSide, kSide));
+      }
+    }
+    std::vector<std::string> command{DEBLUR_BAG, path("in.bag"), path("out.bag"), "--config", path("config.yaml")};
+    command.insert(command.end(), arguments.begin(), arguments.end());
+    const ProgramResult result = run_program(command);
+    EXPECT_EQ(result.exit_code, 0) << result.output;
+    return static_cast<double>(result.peak_memory_kib);
+  };
+  constexpr int kFew = 300, kMany = 1500;
+  for (const std::vector<std::string>& arguments :
+       {std::vector<std::string>{}, std::vector<std::string>{"--json", path("report.json")}}) {
+    const double growth_kib = peak_kib(kMany, arguments) - peak_kib(kFew, arguments);
+    EXPECT_LT(growth_kib / (kMany - kFew), 1) << "KiB a frame";
+  }
+  EXPECT_EQ(report()["frames"].size(), static_cast<std::size_t>(kFew));
+}
+
 TEST_F(DeblurBagTest, StaticTransformOfTheBagIsUsed) {
   std::ofstream(path("config.yaml")) << "exposure_time: 0.03\nvalidate: false\ndetector: FAST\ndescriptor: ORB\n";
   write_bag(kFastRadS);

@@ -14,6 +14,7 @@
 
 #include <gtest/gtest.h>
 
+#include "tools/frame_report.hpp"
 #include "tools/output_file.hpp"
 #include "tools/progress.hpp"
 #include "tools/tool_main.hpp"
@@ -138,6 +139,48 @@ TEST_F(OutputFile, ReportIsWrittenWhereOneIsWanted) {
   EXPECT_EQ(files(), 0u);
   write_json(path("report.json"), report);
   EXPECT_EQ(nlohmann::json::parse(content("report.json")), report);
+}
+
+// Renaming would put a file in the device's place.
+TEST_F(OutputFile, DeviceStaysWhatItIs) {
+  fs::create_symlink("/dev/null", path("device"));
+  for (const bool complete : {false, true}) {
+    PartialFile file(path("device"));
+    EXPECT_EQ(file.path(), path("device"));
+    write_text(file.path(), "text");
+    if (complete) file.finish();
+  }
+  EXPECT_EQ(fs::read_symlink(path("device")), "/dev/null");
+  EXPECT_EQ(files(), 1u);
+}
+
+TEST_F(OutputFile, FramesAreInTheReportBeforeItIsComplete) {
+  const nlohmann::json frames{{{"stamp_ns", 1}, {"reason", "NONE"}}, {{"stamp_ns", 2}, {"reason", "NO_GYRO"}}};
+  for (const std::size_t count : {0, 1, 2}) {
+    nlohmann::json expected{{"engine", "cpu"}, {"frames", nlohmann::json::array()}};
+    FrameReport report(path("report.json"));
+    for (std::size_t i = 0; i < count; ++i) {
+      report.add(frames[i]);
+      expected["frames"].push_back(frames[i]);
+    }
+    report.finish({{"engine", "cpu"}});
+    EXPECT_EQ(nlohmann::json::parse(content("report.json")), expected) << content("report.json");
+  }
+  {
+    FrameReport abandoned(path("report.json"));
+    // More than a stream holds back: it is on the disk, and nowhere else.
+    for (int i = 0; i < 10000; ++i) abandoned.add(frames[0]);
+    EXPECT_GT(fs::file_size(path("report.json.part")), 200000u);
+  }
+  EXPECT_EQ(nlohmann::json::parse(content("report.json"))["frames"].size(), 2u);
+  EXPECT_EQ(files(), 1u);
+
+  FrameReport none("");
+  EXPECT_FALSE(none.wanted());
+  none.finish({{"engine", "cpu"}});
+  EXPECT_EQ(files(), 1u);
+  EXPECT_THROW(FrameReport(path("none/report.json")), std::runtime_error);
+  EXPECT_THROW(FrameReport("/dev/full"), std::runtime_error);
 }
 
 /// What `work` writes to stderr when that is a log.

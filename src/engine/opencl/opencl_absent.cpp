@@ -4,8 +4,6 @@
 
 namespace gyro_deblur {
 
-bool opencl_gpu_present() { return false; }
-
 std::unique_ptr<Engine> make_opencl_engine(const std::string&, int) {
   throw DeviceError("gyro_deblur was built without OpenCL");
 }

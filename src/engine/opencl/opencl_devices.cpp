@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "engine/opencl/opencl_engine.hpp"
-#include "engine/opencl/opencl_factory.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -77,11 +76,6 @@ std::vector<std::string> opencl_devices() {
   std::vector<std::string> names;
   for (const NamedDevice& found : all_devices()) names.push_back(found.name);
   return names;
-}
-
-bool opencl_gpu_present() {
-  const std::vector<NamedDevice> all = all_devices();
-  return std::any_of(all.begin(), all.end(), [](const NamedDevice& found) { return found.is_gpu; });
 }
 
 }  // namespace gyro_deblur

@@ -8,9 +8,6 @@
 
 namespace gyro_deblur {
 
-/// False also when the library was built without OpenCL.
-bool opencl_gpu_present();
-
 /// @param device, threads  see OpenClEngine
 /// Throws DeviceError when there is no such device, it cannot be used, or the library was built without OpenCL.
 std::unique_ptr<Engine> make_opencl_engine(const std::string& device, int threads);
