@@ -64,9 +64,7 @@ mkdir -p "${ROS_LOG_DIR}"
 roscore -p "${port}" > "${OUT}/roscore.log" 2>&1 < /dev/null &
 master_pid=$!
 say "roscore on port ${port}"
-record_listeners="--listener /camera/keypoints=/record --listener /camera/blur_overlay=/record"
-launch "${OUT}/nodelet.log" bag:="${OUT}/input.bag" config:="${CONFIG}" record:="${OUT}/output.bag" \
-  conductor_args:="${record_listeners} --listener /camera/deblurred/image_raw=/record"
+launch "${OUT}/nodelet.log" bag:="${OUT}/input.bag" config:="${CONFIG}" record:="${OUT}/output.bag"
 
 step ${STEPS} "Full HD at 30 frames a second"
 say "config/scenes/fast_1080p.yaml -> demo_output/full_hd_input.bag"
@@ -74,7 +72,7 @@ rosrun gyro_deblur simulate_bag "${OUT}/full_hd_input.bag" --scene config/scenes
 # Only what is subscribed to is computed: the image, and the blur field that tells what became of it.
 launch "${OUT}/full_hd.log" bag:="${OUT}/full_hd_input.bag" config:="${GYRO_DEBLUR_ROOT}/config/default.yaml" \
   record:="${OUT}/full_hd_output.bag" outputs:="deblurred/camera_info blur_field" \
-  conductor_args:="--json ${OUT}/full_hd.json --listener /camera/blur_field=/record"
+  conductor_args:="--json ${OUT}/full_hd.json"
 rm "${OUT}/full_hd_input.bag"
 
 step ${STEPS} "Report"

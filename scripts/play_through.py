@@ -1,9 +1,12 @@
 #!/usr/bin/env python3
-"""Plays a bag through a running gyro_deblur and waits until every frame has come out.
+"""Plays a bag through a running gyro_deblur, records what comes out, and ends when the last frame has left.
 
 Waits for what it needs instead of sleeping: until the nodelet and the other nodes given by --listener have subscribed,
-until rosbag play is through, until as many frames came out as went in. Ends with status 1, and says why, when nothing
-happens for --patience seconds.
+until the clock has reached the bag's end, until as many frames came out, and are recorded, as went in. Until then
+rosbag play is kept alive: with its end it would take away what it has not sent yet, and on a busy machine that can be
+most of a bag. A recorder of its own would lose its last messages in the same way; this one knows what it has. Ends with
+status 1, and says why, when nothing happens for --patience seconds. Played are the bag's topics that somebody has
+subscribed to.
 """
 import argparse
 import json
@@ -14,7 +17,6 @@ import time
 import rosbag
 import rosgraph
 import rospy
-from sensor_msgs.msg import Image
 
 from report_tables import fail
 
@@ -41,26 +43,97 @@ class Patience:
             time.sleep(POLL_S)
 
 
-class Counter:
-    """Counts the frames of a topic."""
+class Outputs:
+    """Counts the messages of the nodelet's topics as they come, and writes those that are asked for into a bag."""
 
-    def __init__(self, topic):
-        self.count = 0
-        self.first_s = self.last_s = 0.0  # monotonic
+    # One message for every frame; there are fewer overlays and tracks.
+    OF_EVERY_FRAME = ("deblurred/image_raw", "deblurred/camera_info", "keypoints", "blur_field", "blur_markers")
+
+    def __init__(self, camera, recorded, path):
+        self.image = camera + "/deblurred/image_raw"
+        self.first_s = self.last_s = 0.0  # monotonic; of the images
+        self._recorded = frozenset(recorded)
+        self._counts = dict.fromkeys([self.image, *recorded], 0)
+        self._of_every_frame = [t for t in self._counts if t in {camera + "/" + o for o in self.OF_EVERY_FRAME}]
         self._lock = threading.Lock()
-        self._subscriber = rospy.Subscriber(topic, Image, self._on_image, queue_size=1000)
+        self._bag = rosbag.Bag(path, "w") if path else None
+        self._subscribers = [rospy.Subscriber(topic, rospy.AnyMsg, self._on_message, topic, buff_size=2**22)
+                             for topic in self._counts]
 
-    def _on_image(self, _):
+    def _on_message(self, message, topic):
         with self._lock:
-            self.last_s = time.monotonic()
-            if self.count == 0:
-                self.first_s = self.last_s
-            self.count += 1
+            if topic == self.image:
+                self.last_s = time.monotonic()
+                self.first_s = self.first_s or self.last_s
+            if self._bag and topic in self._recorded:
+                header = message._connection_header  # rospy has no other access to it
+                # A bag has no time 0, which is what simulated time is before it begins.
+                at = max(rospy.Time.now(), rospy.Time(0, 1))
+                raw = (header["type"], message._buff, header["md5sum"], None)
+                self._bag.write(topic, raw, at, raw=True, connection_header=dict(header, topic=topic))
+            self._counts[topic] += 1
+
+    def has(self, topic):
+        return topic in self._counts
+
+    def connected(self):
+        return all(subscriber.get_num_connections() > 0 for subscriber in self._subscribers)
+
+    def frames(self):
+        """Of which everything has come that comes of every frame."""
+        with self._lock:
+            return min(self._counts[topic] for topic in self._of_every_frame)
 
     def rate_hz(self):
-        """Of the frames from the first to the last."""
+        """Of the images from the first to the last."""
         span_s = self.last_s - self.first_s
-        return (self.count - 1) / span_s if span_s > 0 else 0.0
+        return (self._counts[self.image] - 1) / span_s if span_s > 0 else 0.0
+
+    def close(self):
+        for subscriber in self._subscribers:
+            subscriber.unregister()
+        with self._lock:
+            if self._bag:
+                self._bag.close()
+            self._bag = None
+
+
+class Player:
+    """rosbag play, which ends only when it is told to, or when it fails."""
+
+    def __init__(self, bag, topics, arguments):
+        command = ["rosbag", "play", "--clock", "--quiet", "--wait-for-subscribers", "--rate=%g" % arguments.rate,
+                   "--delay=%g" % arguments.delay, "--loop" if arguments.loop else "--keep-alive"]
+        if arguments.duration is not None:
+            command.append("--duration=%.6f" % arguments.duration)
+        self._process = subprocess.Popen(command + [bag, "--topics"] + topics, stdin=subprocess.DEVNULL)
+
+    def check(self):
+        if self._process.poll() is not None:
+            fail("rosbag play ended with status %d" % self._process.returncode)
+
+    def end(self):
+        self._process.terminate()
+        self._process.wait()
+
+
+class Recording:
+    """What a bag has for the nodelet."""
+
+    def __init__(self, path, camera, imu, duration_s):
+        with rosbag.Bag(path) as bag:
+            self.topics = sorted(bag.get_type_and_topic_info().topics)
+            self.end_s = bag.get_end_time()
+            end = None
+            if duration_s is not None:
+                end = rospy.Time.from_sec(bag.get_start_time() + duration_s)
+                self.end_s = min(self.end_s, end.to_sec())
+            # Raw, or what a plugin of image_transport makes of it.
+            raw = camera + "/image_raw"
+            self.images = {t: [at.to_sec() for _, _, at in bag.read_messages(topics=[t], end_time=end, raw=True)]
+                           for t in self.topics if t == raw or t.startswith(raw + "/")}
+        if not any(self.images.values()) or imu not in self.topics:
+            fail("%s: no images on %s or no samples on %s; the bag has %s" % (path, raw, imu, ", ".join(self.topics)))
 
 
 def subscribers(topic):
@@ -111,55 +184,66 @@ class Screen:
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("bag")
-    parser.add_argument("--camera", default="/camera", help="namespace of the camera [%(default)s]")
-    parser.add_argument("--imu", default="/imu", help="topic of the IMU [%(default)s]")
+    parser.add_argument("--camera", default="/camera", help="its namespace [%(default)s]")
+    parser.add_argument("--imu", default="/imu", help="topic of the IMU, may be in the camera's namespace [%(default)s]")
     parser.add_argument("--listener", action="append", default=[], metavar="TOPIC=NODE",
                         help="node that has to subscribe to a topic before the bag is played")
     parser.add_argument("--duration", type=float, help="play only so many seconds of the bag")
-    parser.add_argument("--patience", type=float, default=60.0, help="[s] to wait for something [%(default)s]")
+    parser.add_argument("--rate", type=float, default=1.0, help="speed of the clock [%(default)g]")
+    parser.add_argument("--delay", type=float, default=0.2,
+                        help="[s] before playing, for those to connect that nobody waits for [%(default)g]")
+    parser.add_argument("--loop", action="store_true", help="play again and again, until this is ended")
+    parser.add_argument("--record", metavar="BAG", help="write the outputs into this bag")
+    parser.add_argument("--outputs", nargs="+", default=[], metavar="TOPIC", help="which ones")
+    parser.add_argument("--patience", type=float, default=60.0, help="[s] to wait for something [%(default)g]")
     parser.add_argument("--json", metavar="FILE", help="write frames and rate to this file")
     parser.add_argument("--screenshot", metavar="PNG", help="at the end, a picture of the display")
     arguments = parser.parse_args(rospy.myargv()[1:])
 
     rospy.init_node("conductor")
     patience = Patience(arguments.patience)
-    image = arguments.camera + "/image_raw"
-    with rosbag.Bag(arguments.bag) as bag:
-        present = set(bag.get_type_and_topic_info().topics)
-        end = None
-        if arguments.duration is not None:
-            end = rospy.Time.from_sec(bag.get_start_time() + arguments.duration)
-        times_s = [t.to_sec() for _, _, t in bag.read_messages(topics=[image], end_time=end)]
-    expected = len(times_s)
-    wanted_rate_hz = (expected - 1) / (times_s[-1] - times_s[0]) if expected > 1 else 0.0
-    wanted = [image, arguments.camera + "/camera_info", arguments.imu, arguments.camera + "/exposure", "/tf_static"]
-    topics = [t for t in wanted if t in present]
-    if expected == 0 or arguments.imu not in present:
-        fail("%s: no images on %s or no samples on %s; the bag has %s" % (
-            arguments.bag, image, arguments.imu, ", ".join(sorted(present))))
+    camera = "/" + arguments.camera.strip("/")
+    imu = arguments.imu if arguments.imu.startswith("/") else camera + "/" + arguments.imu
+    recording = Recording(arguments.bag, camera, imu, arguments.duration)
+    outputs = Outputs(camera, arguments.outputs if arguments.record else [], arguments.record)
 
-    counter = Counter(arguments.camera + "/deblurred/image_raw")
-    for topic in topics:
-        patience.until(lambda topic=topic: subscribers(topic) - {rospy.get_name()}, "a subscriber of " + topic)
+    def listeners(topic):
+        return subscribers(topic) - {rospy.get_name()}
+
+    patience.until(outputs.connected, "the nodelet's outputs")
+    # The nodelet subscribes to its images last.
+    patience.until(lambda: any(listeners(t) for t in recording.images), "a subscriber of " + " or ".join(recording.images))
+    patience.until(lambda: listeners(imu), "a subscriber of " + imu)
     for listener in arguments.listener:
         topic, node = listener.split("=")
         patience.until(lambda t=topic, n=node: n in subscribers(t), "%s to subscribe to %s" % (node, topic))
+    topics = [t for t in recording.topics if listeners(t) and not outputs.has(t)]
+    times_s = next(recording.images[t] for t in topics if t in recording.images)
+    expected = len(times_s)
+    wanted_rate_hz = (expected - 1) / (times_s[-1] - times_s[0]) if expected > 1 else 0.0
 
     screen = Screen(arguments.screenshot, patience) if arguments.screenshot else None
 
     print("playing %d frames of %s" % (expected, arguments.bag), flush=True)
-    command = ["rosbag", "play", "--clock", "--quiet", "--wait-for-subscribers"]
-    if arguments.duration is not None:
-        command.append("--duration=%.6f" % arguments.duration)
-    player = subprocess.Popen(command + [arguments.bag, "--topics"] + topics, stdin=subprocess.DEVNULL)
-    patience.until(lambda: player.poll() is not None, "rosbag play", lambda: counter.count)
-    if player.returncode != 0:
-        fail("rosbag play ended with status %d" % player.returncode)
-    patience.until(lambda: counter.count >= expected, "the last of %d frames" % expected, lambda: counter.count)
-    print("%d of %d frames came out at %.1f Hz" % (counter.count, expected, counter.rate_hz()), flush=True)
+    player = Player(arguments.bag, topics, arguments)
+    try:
+        def played():
+            player.check()
+            return not arguments.loop and (rospy.get_time() >= recording.end_s or outputs.frames() >= expected)
+
+        def all_out():
+            player.check()
+            return outputs.frames() >= expected
+
+        patience.until(played, "the clock to go on", rospy.get_time)
+        patience.until(all_out, "the last of %d frames" % expected, outputs.frames)
+    finally:
+        player.end()
+        outputs.close()
+    print("%d of %d frames came out at %.1f Hz" % (outputs.frames(), expected, outputs.rate_hz()), flush=True)
     if arguments.json:
         with open(arguments.json, "w", encoding="utf-8") as file:
-            json.dump({"frames_in": expected, "frames_out": counter.count, "rate_hz": counter.rate_hz(),
+            json.dump({"frames_in": expected, "frames_out": outputs.frames(), "rate_hz": outputs.rate_hz(),
                        "wanted_rate_hz": wanted_rate_hz}, file)
     if screen:
         screen.take()

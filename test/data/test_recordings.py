@@ -54,14 +54,13 @@ def through_nodelet(bag, parameters, recorded, folder):
     environment = dict(os.environ, ROS_MASTER_URI="http://localhost:%d" % port, ROS_HOSTNAME="localhost",
                        ROS_LOG_DIR=os.path.join(folder, "ros_log"))
     os.makedirs(environment["ROS_LOG_DIR"], exist_ok=True)
-    listeners = " ".join("--listener /camera/%s=/record" % topic for topic in OUTPUTS)
     with open(os.path.join(folder, "roscore.log"), "w", encoding="utf-8") as log:
         master = subprocess.Popen(["roscore", "-p", str(port)], env=environment, stdin=subprocess.DEVNULL, stdout=log,
                                   stderr=log)
     try:
         launch = subprocess.run(
             ["roslaunch", "--wait", "gyro_deblur", "demo.launch", "bag:=" + bag, "config:=" + parameters,
-             "record:=" + recorded, "conductor_args:=--patience 120 " + listeners],
+             "record:=" + recorded, "conductor_args:=--patience 120"],
             env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             universal_newlines=True, timeout=500)
     finally:
