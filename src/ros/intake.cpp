@@ -113,7 +113,8 @@ void Intake::note_attendance(TimeNs now_ns) {
                                   " images in a row: images no longer wait for theirs, until it comes again");
   };
   tell("camera_info", infos_.update(now_ns, config_.gyro_timeout_ns));
-  tell("exposure message", exposures_.update(now_ns, config_.gyro_timeout_ns));
+  // A setting serves all.
+  if (!exposure_setting_ns_) tell("exposure message", exposures_.update(now_ns, config_.gyro_timeout_ns));
 }
 
 TimeNs Intake::now() {
@@ -176,8 +177,10 @@ void Intake::add_frame(PendingFrame frame) {
   frame.arrival_steady_ns = steady_now();
   note_time(Stream::IMAGE, frame.stamp_ns);
   if (frame.verdict == PassThroughReason::NONE) {
-    infos_.expect(frame.stamp_ns, frame.arrival_ns);
-    if (exposure_expected()) exposures_.expect(frame.stamp_ns, frame.arrival_ns);
+    // With a calibration file nobody has to send any.
+    const bool info_expected = infos_.seen() || !config_.calibration || !config_.calibration->camera;
+    if (info_expected) infos_.expect(frame.stamp_ns, frame.arrival_ns);
+    if (exposure_expected() && !exposure_setting_ns_) exposures_.expect(frame.stamp_ns, frame.arrival_ns);
   }
   frame_period_.add(frame.stamp_ns);
   ++statistics_.frames_in;

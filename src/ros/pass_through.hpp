@@ -17,7 +17,7 @@ enum class PassThroughReason : std::uint8_t {
   UNSUPPORTED_ENCODING = 5,  ///< pixel format that cannot be deblurred
   BAD_IMAGE = 6,             ///< empty, or its buffer does not fit its header
   BAD_CONFIGURATION = 7,     ///< a parameter is out of range
-  OVERLOAD = 8,              ///< the frame queue was full
+  OVERLOAD = 8,              ///< newer frames were ready, or the frame queue was full
   TIME_JUMP = 9,             ///< the clock was reset while the frame waited
   INTERNAL_ERROR = 10,       ///< an exception while processing; the log has its text
   GYRO_SATURATED = 11,       ///< no block's exposure is free of samples at the gyroscope's limit

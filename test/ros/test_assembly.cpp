@@ -162,6 +162,12 @@ TEST_F(FrameAssemblyTest, ExposureSettingHoldsUntilTheNext) {
   add_frame(kStart + 100 * kMs);
   advance();
   expect_passed_through(2, PassThroughReason::NO_EXPOSURE_TIME, "exposure_time = 33 is outside [1e-09, 1] s: is it in");
+  processor_.add_exposure_setting(20 * kMs);
+  for (int i = 3; i < 10; ++i) {
+    add_frame(kStart + i * 50 * kMs);
+    time_out();
+  }
+  EXPECT_EQ(logged("no longer wait"), 0u) << "nobody expects a message";
 }
 
 TEST_F(FrameAssemblyTest, ExtrinsicMayComeLater) {
@@ -247,6 +253,7 @@ TEST_F(FrameAssemblyTest, CameraInfoOutOfOrderIsWaitedForWhereNeighboursDiffer) 
   const auto own = region_info(kStart, 10);
   processor_.add_camera_info(own);
   advance();
+  ASSERT_EQ(outputs_.size(), 1u);
   expect_deblurred(0);
   EXPECT_EQ(outputs_[0].camera_info, own);
 }
@@ -260,6 +267,7 @@ TEST_F(FrameAssemblyTest, LostCameraInfoBetweenOnesThatDifferPassesThroughWithou
     processor_.add_camera_info(region_info(kStart + i * 33 * kMs, 20));
     advance();
   }
+  ASSERT_EQ(outputs_.size(), 1u);
   expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "no two are alike");
   EXPECT_EQ(outputs_[0].camera_info->K[0], 0) << "whose region it is nobody knows";
 }
@@ -286,6 +294,7 @@ TEST_F(FrameAssemblyTest, LastCameraInfoServesWhenNoneComesAfterIt) {
   advance();
   EXPECT_EQ(outputs_.size(), 2u);
   time_out();
+  ASSERT_EQ(outputs_.size(), 3u);
   expect_deblurred(2);
   EXPECT_EQ(to_time_ns(outputs_[2].camera_info->header.stamp), kStart + 66 * kMs);
 }
@@ -437,6 +446,18 @@ TEST_F(FrameAssemblyTest, CalibrationFileServesWhereThereIsNoCameraInfo) {
   EXPECT_EQ(outputs_.size(), 2u);
   time_out();
   expect_deblurred(2);
+}
+
+TEST_F(FrameAssemblyTest, WithACalibrationFileNobodyMissesCameraInfo) {
+  config_.calibration = calibration_file();
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  for (int i = 0; i < 20; ++i) {
+    processor_.add_image(image_message(kStart + i * 33 * kMs));
+    time_out();
+  }
+  expect_deblurred(19);
+  EXPECT_EQ(logged("no longer wait"), 0u);
 }
 
 TEST_F(FrameAssemblyTest, FrameThatStillWaitsGoesByItsOwnCameraInfoThatComesAfterIt) {
