@@ -1,6 +1,7 @@
 // Wiener inverses of blur along a line (paper section IV-A); those of the box, one per extent.
 #pragma once
 
+#include <cstddef>
 #include <memory>
 #include <vector>
 
@@ -57,6 +58,8 @@ class KernelBank {
 
   /// The kernel for the nearest multiple of kExtentStepPx. Valid as long as the bank.
   const LineKernel& kernel(double extent_px) const;
+
+  std::size_t size() const;  ///< kernels made so far
 
   const KernelOptions& options() const { return options_; }
 

@@ -64,8 +64,8 @@ struct KernelOptions {
   double length_factor = 4.0;  ///< length of the inverse kernel in extents
   /// Standard deviation of a Gaussian that the inverse is smoothed with along the line. Where the blur has left
   /// less than the noise, at the finest detail first, it leaves out what would be noise and ringing. Above 0 the
-  /// kernels have no jumps, which the fast engines make use of: extents above 36 px then take exact taps, above 64 px
-  /// the float engine.
+  /// kernels have no jumps at places that are known, which the fast engine makes use of: extents above 36 px are then
+  /// filtered tap by tap.
   double smoothing_px = 0.0;
   KernelDesign design = KernelDesign::LEAST_SQUARES;
 

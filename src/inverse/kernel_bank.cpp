@@ -256,6 +256,8 @@ KernelBank::KernelBank(const KernelOptions& options) : options_(options), kernel
 
 KernelBank::~KernelBank() = default;
 
+std::size_t KernelBank::size() const { return kernels_->size(); }
+
 const LineKernel& KernelBank::kernel(double extent_px) const {
   require_range("extent", extent_px, kMinKernelExtentPx, kMaxKernelExtentPx, "px");
   const int key = static_cast<int>(std::lround(extent_px / kExtentStepPx));

@@ -27,6 +27,7 @@ class FailingEngine : public Engine {
     throw Error("out of order");
   }
   std::string name() const override { return "failing"; }
+  void prepare(const std::vector<const LineKernel*>&) override { ++*calls_; }
   SlowBlocks slow_blocks() const override { return {{"the device is slow", 3}}; }
 
  private:
@@ -55,6 +56,20 @@ class FallbackEngineTest : public testing::Test {
   const LineKernel kernel_ = wiener_kernel(9, {});
   const FilterGrid blocks_ = test::one_block({80, 60}, 0.4, kernel_);
 };
+
+TEST_F(FallbackEngineTest, PreparesBoth) {
+  int others = 0;
+  FallbackEngine engine(std::make_unique<FailingEngine<DeviceError>>(0, &calls_),
+                        std::make_unique<FailingEngine<DeviceError>>(9, &others));
+  engine.prepare({&kernel_});
+  EXPECT_EQ(calls_, 1);
+  EXPECT_EQ(others, 1);
+  cv::Mat dst;
+  engine.filter(image_, blocks_, dst);  // the first fails
+  engine.prepare({&kernel_});
+  EXPECT_EQ(calls_, 2);
+  EXPECT_EQ(others, 3);
+}
 
 TEST_F(FallbackEngineTest, LosesNoFrameWhenTheDeviceFailsInMidRun) {
   FallbackEngine engine = failing_after(2);

@@ -139,6 +139,30 @@ TEST(WienerKernel, IsTheBestOfItsLength) {
   }
 }
 
+// Two ways to the same taps: a system in the box's steps, and Levinson's recursion. Places are exact as floats.
+TEST(WienerKernel, OfAnEvenPathIsThatOfItsBox) {
+  for (const double extent_px : {2.0, 5.25, 24.0, 96.25, 250.0}) {
+    for (const double length_factor : {2.0, 4.0, 8.0}) {
+      for (const double smoothing_px : {0.0, 1.5}) {
+        KernelOptions options;
+        options.length_factor = length_factor;
+        options.smoothing_px = smoothing_px;
+        LinePath path_px;
+        for (int k = 0; k < kPathInstants; ++k) path_px[k] = static_cast<float>((k / 8.0 - 0.5) * extent_px);
+        const LineKernel of_box = wiener_kernel(extent_px, options);
+        std::vector<float> of_path = wiener_kernel(path_px, options).taps;
+        // At its shortest a path's kernel has room for the path, and 3 px.
+        const auto more = static_cast<std::ptrdiff_t>(of_path.size() - of_box.taps.size());
+        if (more > 0) continue;
+        ASSERT_EQ(more, 0);
+        const Eigen::VectorXd expected =
+            Eigen::Map<const Eigen::VectorXf>(of_path.data(), static_cast<Eigen::Index>(of_path.size())).cast<double>();
+        expect_taps(of_box, expected, std::to_string(extent_px) + ' ' + std::to_string(length_factor));
+      }
+    }
+  }
+}
+
 // H* / (|H|^2 + gamma (share |1 - exp(-iw)|^2 + 1 - share)), summed over all frequencies.
 TEST(WienerKernel, IsTheFilterOfItsNoiseWhereThatIsShort) {
   KernelOptions options;
@@ -287,6 +311,7 @@ TEST(KernelBank, GivesTheNearestQuarterPixel) {
   EXPECT_EQ(bank.kernel(10.1).taps, wiener_kernel(10.0, {}).taps);
   EXPECT_EQ(bank.kernel(10.13).taps, wiener_kernel(10.25, {}).taps);
   EXPECT_EQ(&bank.kernel(10.13), &bank.kernel(10.3)) << "computed once";
+  EXPECT_EQ(bank.size(), 2u);
   EXPECT_EQ(bank.kernel(kMaxKernelExtentPx).taps, wiener_kernel(kMaxKernelExtentPx, {}).taps);
 }
 

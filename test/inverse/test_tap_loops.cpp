@@ -7,6 +7,7 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <Eigen/Dense>
 
 #include "inverse/line_taps.hpp"
 
@@ -59,7 +60,43 @@ TEST_P(TapLoopsTest, CombineColumnsByTheirFactors) {
   }
 }
 
+// Against elimination, with bands from none to full.
+TEST_P(TapLoopsTest, SolveToeplitzSystems) {
+  std::mt19937 random(6);
+  std::uniform_real_distribution<double> uniform(-1, 1);
+  for (const int n : {1, 2, 3, 8, 17, 90, 241}) {
+    for (const int band : {1, 2, 5, n / 2 + 1, n}) {
+      if (band > n) continue;
+      // The autocorrelation of noise, and something on the diagonal.
+      Eigen::VectorXd noise(band);
+      for (double& element : noise) element = uniform(random);
+      std::vector<double> lags(band);
+      for (int lag = 0; lag < band; ++lag) lags[band - 1 - lag] = noise.head(band - lag).dot(noise.tail(band - lag));
+      lags[band - 1] += 0.01;
+      Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(n, n);
+      for (int i = 0; i < n; ++i) {
+        for (int j = 0; j < n; ++j) {
+          if (std::abs(i - j) < band) matrix(i, j) = lags[band - 1 - std::abs(i - j)];
+        }
+      }
+      std::vector<double> sides(2 * n), work(5 * (n + kToeplitzRoom) + band, 7.0), solved(2 * n, 7.0);
+      for (double& side : sides) side = uniform(random);
+      loops_->solve_toeplitz(lags.data(), band, n, sides.data(), work.data(), solved.data());
+      const Eigen::MatrixXd expected =
+          matrix.partialPivLu().solve(Eigen::Map<const Eigen::MatrixXd>(sides.data(), n, 2));
+      const Eigen::Map<const Eigen::MatrixXd> actual(solved.data(), n, 2);
+      EXPECT_LT((actual - expected).cwiseAbs().maxCoeff(), 1e-7 * expected.cwiseAbs().maxCoeff()) << n << ' ' << band;
+    }
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(InstructionSets, TapLoopsTest, testing::Values("baseline", "avx2", "avx512"));
+
+TEST(TapLoops, OfTheWidestSetAreTheBest) {
+  const char* widest = "baseline";
+  for (const char* name : {"avx2", "avx512"}) widest = find_tap_loops(name) != nullptr ? name : widest;
+  EXPECT_STREQ(best_tap_loops().name, widest);
+}
 
 TEST(TapLoops, AreThereForKnownNamesAlone) {
   EXPECT_NE(find_tap_loops("baseline"), nullptr);

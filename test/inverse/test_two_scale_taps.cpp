@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <set>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -123,7 +124,78 @@ TEST_P(TwoScaleTapsTest, HaveTheCoarseWeightsInFixedPointToo) {
   }
 }
 
+TEST_P(TwoScaleTapsTest, HaveAllTheirShapesAhead) {
+  for (const double length_factor : {2.0, 4.0, 8.0}) {
+    KernelOptions options;
+    options.length_factor = length_factor;
+    std::set<TwoScaleShape> shapes;
+    std::vector<LineKernel> kernels;
+    for (const double extent_px : {36.0, 36.25, 57.25, 90.5, 151.0}) {
+      kernels.push_back(wiener_kernel(extent_px, options));
+      add_two_scale_shapes(kernels.back(), shapes);
+    }
+    TwoScaleDesigns designs;
+    designs.prepare(shapes, 1);
+    EXPECT_EQ(designs.size(), shapes.size());
+    TwoScaleTaps taps;
+    for (const LineKernel& kernel : kernels) {
+      for (int i = 0; i <= 450; ++i) {
+        make_two_scale_taps(kernel, std::cos(CV_PI / 4 * i / 450), true, *loops_, designs, taps);
+      }
+    }
+    EXPECT_EQ(designs.size(), shapes.size()) << "made in time, not ahead";
+    // Others are forgotten, and what is kept stays where it is.
+    shapes.clear();
+    add_two_scale_shapes(kernels.back(), shapes);
+    const TwoScaleDesign* kept = &designs.get(*shapes.begin());
+    designs.prepare(shapes, 2);
+    EXPECT_EQ(designs.size(), shapes.size());
+    EXPECT_EQ(&designs.get(*shapes.begin()), kept);
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(InstructionSets, TwoScaleTapsTest, testing::Values("baseline", "avx2", "avx512"));
+
+// What the spline between nodes of one sample makes of the weights is the kernel, turned round.
+TEST(LaneTaps, MakeTheKernelAgain) {
+  const LinePath path_px{-35, -30, -24, -16, 0, 20, 45, 70, 90};
+  LineKernel of_path = wiener_kernel(path_px, {});
+  LineKernel ramp;
+  for (int i = 0; i < 81; ++i) ramp.taps.push_back(static_cast<float>(i) / 3240);
+  TwoScaleTaps taps;
+  for (const LineKernel* kernel : {&of_path, &ramp}) {
+    for (const double major : {0.72, 0.9, 1.0, -0.9}) {
+      for (const bool fixed_point : {false, true}) {
+        make_lane_taps(*kernel, major, fixed_point, taps);
+        const TwoScaleFilter& filter = taps.filter;
+        ASSERT_EQ(filter.decimation, 1);
+        std::vector<float> on_axis;
+        kernel_on_major_axis(*kernel, major, on_axis);
+        const int steps = static_cast<int>(on_axis.size() / 2);
+        double largest = 0;
+        for (const float tap : on_axis) largest = std::max<double>(largest, std::abs(tap));
+        const auto weight = [&](int k) {
+          const int index = k + filter.coarse_radius;
+          if (index < 0 || index > 2 * filter.coarse_radius) return 0.0;
+          if (!fixed_point) return static_cast<double>(filter.coarse[index]);
+          const std::int32_t pair = filter.coarse_even[index / 2];
+          return std::ldexp(static_cast<std::int16_t>(index % 2 == 0 ? pair & 0xffff : pair >> 16),
+                            -filter.coarse_shift);
+        };
+        const double tolerance = fixed_point ? std::ldexp(2.1, -filter.coarse_shift) : 1e-5 * largest;
+        double sum = 0;
+        for (int k = -steps - 8; k <= steps + 8; ++k) {
+          const double made = 0.75 * weight(k) + 0.125 * (weight(k - 1) + weight(k + 1)) +
+                              (k == 0 ? filter.inner_box : 0) + (std::abs(k) <= 1 ? filter.outer_box : 0);
+          const double wanted = std::abs(k) <= steps ? on_axis[steps - k] : 0;
+          ASSERT_NEAR(made, wanted, tolerance + 1e-4 * std::abs(on_axis.front())) << major << ", step " << k;
+          sum += made;
+        }
+        EXPECT_NEAR(sum, 1, 1e-3) << major << ' ' << fixed_point;
+      }
+    }
+  }
+}
 
 }  // namespace
 }  // namespace gyro_deblur

@@ -9,6 +9,7 @@
 
 #include <gtest/gtest.h>
 
+#include "engine/cpu/cpu_engine.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "images.hpp"
 #include "synthetic_blur.hpp"
@@ -306,6 +307,38 @@ TEST(Deconvolve, RefusesWhatDoesNotFit) {
   EXPECT_THROW(
       deconvolve(random_image(20, 20, CV_8UC1, 1), PixelLayout::BGR, field_of(20, 20, 0, 10), bank, *engine, dst),
       std::invalid_argument);
+}
+
+// What is made ahead is all that frames need, at any angle and in the planes of a mosaic, and no more than that is
+// kept.
+TEST(PrepareDeconvolution, LeavesNothingToMakeForAFrame) {
+  const KernelBank bank{KernelOptions{}};
+  CpuEngine engine(2);
+  BlurFieldOptions options;
+  const auto designs_for = [&](double max_extent_px) {
+    options.max_extent_px = max_extent_px;
+    prepare_deconvolution(options, bank, engine, 2);
+    return engine.prepared_designs();
+  };
+  const std::size_t designs = designs_for(90), kernels = bank.size();
+  EXPECT_GT(designs, 0u);
+  const cv::Size size(640, 480);
+  const cv::Mat image = random_image(size.width, size.height, CV_8UC1, 3);
+  cv::Mat dst;
+  for (int step = 0; step < 40; ++step) {
+    FrameBlur field = field_of(size.width, size.height, 0, 20);
+    for (int i = 0; i < field.grid.size(); ++i) {
+      field.blocks[i].angle_rad = static_cast<float>(CV_PI * (7 * i + step) / (7.0 * field.grid.size() + 40));
+      field.blocks[i].extent_px = static_cast<float>(3 + (90 - 3) * std::fmod(0.37 * i + 0.0247 * step, 1.0));
+    }
+    const bool mosaic = step % 2 == 1;
+    deconvolve(image, mosaic ? PixelLayout::BAYER_RGGB : PixelLayout::GRAY, field, bank, engine, dst, 2);
+  }
+  EXPECT_EQ(bank.size(), kernels);
+  EXPECT_EQ(engine.prepared_designs(), designs);
+  EXPECT_GT(designs_for(150), designs);
+  EXPECT_EQ(designs_for(90), designs) << "what longer blur needs is forgotten";
+  EXPECT_EQ(designs_for(30), 0u) << "exact taps need no design";
 }
 
 }  // namespace

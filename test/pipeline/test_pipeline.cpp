@@ -1,6 +1,9 @@
 #include "gyro_deblur/pipeline.hpp"
 
 #include <cmath>
+#include <memory>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -208,6 +211,47 @@ TEST(Pipeline, TakesNewOptions) {
   p.set_options(options());
   EXPECT_TRUE(
       equal(before.image, p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image));
+}
+
+/// Writes down for what it is prepared.
+class PreparedEngine : public Engine {
+ public:
+  explicit PreparedEngine(std::vector<std::pair<double, double>>* extents_px) : extents_px_(extents_px) {}
+  void filter(const cv::Mat& src, const FilterGrid&, cv::Mat& dst) override { src.copyTo(dst); }
+  void prepare(const std::vector<const LineKernel*>& kernels) override {
+    extents_px_->emplace_back(kernels.front()->box_extent_px, kernels.back()->box_extent_px);
+  }
+  std::string name() const override { return "prepared"; }
+
+ private:
+  std::vector<std::pair<double, double>>* extents_px_;
+};
+
+// Ahead, for all extents that may come, and again only where they or the kernels are others.
+TEST(Pipeline, PreparesItsEngineForTheOptions) {
+  using Extents = std::pair<double, double>;
+  std::vector<Extents> prepared;
+  PipelineOptions o = options();
+  o.blur_field.min_extent_px = 6;
+  o.blur_field.max_extent_px = 40;
+  Pipeline p(o, [&](const std::string&, int) { return std::make_unique<PreparedEngine>(&prepared); });
+  const Extents halves_too(3, 40);
+  EXPECT_EQ(prepared, std::vector<Extents>{halves_too});
+  o.validation.tau = 9;
+  o.keypoints.max_features = 100;
+  o.blur_field.max_bend_px = 3;
+  p.set_options(o);
+  EXPECT_EQ(prepared.size(), 1u) << "nothing that kernels depend on";
+  o.kernel.gamma = 0.02;
+  p.set_options(o);
+  EXPECT_EQ(prepared.size(), 2u) << "other kernels";
+  o.threads = 1;
+  p.set_options(o);
+  EXPECT_EQ(prepared.size(), 3u) << "another engine";
+  o.blur_field.max_extent_px = 60;
+  p.set_options(o);
+  ASSERT_EQ(prepared.size(), 4u) << "longer blur";
+  EXPECT_EQ(prepared.back(), Extents(3, 60));
 }
 
 TEST(Pipeline, KeepsItsStateWhenNewOptionsAreBad) {

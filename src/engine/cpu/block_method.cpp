@@ -18,9 +18,10 @@ static_assert(kMinTwoScaleExtentPx >= kConstantRatioExtentPx, "shorter kernels h
 // interpolation shows up to longer extents.
 constexpr double kMinTwoScaleExtentNearAxisPx = 57.0;
 constexpr double kNearAxisSlope = 0.15;
-// Still nearer to an axis and up to this extent, tiles are cut so short that lanes drift by no more than this between
-// the middle row, where they lie on pixels, and the ends; 0.10 dB are lost at 58 px and 2 degrees without. But not
-// shorter than this many rows: the neighbourhood that the kernel needs comes on top for every tile.
+// Still nearer to an axis and, where two scales are smooth, up to this extent, tiles are cut so short that lanes drift
+// by no more than this between the middle row, where they lie on pixels, and the ends; 0.10 dB are lost at 58 px and 2
+// degrees without. But not shorter than this many rows: the neighbourhood that the kernel needs comes on top for every
+// tile.
 constexpr double kMaxShortTileExtentPx = 75.0;
 constexpr double kMaxShortTileSlope = 0.08;
 constexpr double kMaxLaneDriftPx = 0.2;
@@ -97,7 +98,8 @@ bool takes_two_scales(const LineKernel& kernel) {
 
 int max_lane_rows(const LineKernel& kernel, double slope) {
   const double steepness = std::abs(slope);
-  if (extent_of(kernel) > kMaxShortTileExtentPx || steepness > kMaxShortTileSlope) return kMaxTileSide;
+  if (steepness > kMaxShortTileSlope) return kMaxTileSide;
+  if (has_box(kernel) && kernel.box_extent_px > kMaxShortTileExtentPx) return kMaxTileSide;
   // Also where the slope is 0.
   if (steepness * kMaxTileSide <= 2 * kMaxLaneDriftPx) return kMaxTileSide;
   return std::max(static_cast<int>(2 * kMaxLaneDriftPx / steepness), kMinTileRows);
