@@ -5,16 +5,13 @@ import argparse
 
 import matplotlib
 
-from report_tables import fail, one_line_about, read_json, titled_table
+from report_tables import one_line_about, read_json, replace_marked, titled_table
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
 # Mustaniemi et al., ICPR 2018: 1920x1080, mean extent 90 px, GTX 1080.
 PAPER_EXTENT_PX, PAPER_MS = 90, 17
-
-# Lines of a document between which --document puts the tables.
-BEGIN_MARK, END_MARK = "<!-- benchmark tables: begin -->", "<!-- benchmark tables: end -->"
 
 STYLES = {
     "cpu-avx512": ("#d62728", "-", "o"),
@@ -166,17 +163,6 @@ def comparison_tables(compare):
     return parts
 
 
-def replace_marked(path, text):
-    """Puts the text between the marks of a document."""
-    with open(path, encoding="utf-8") as file:
-        before, _, rest = file.read().partition(BEGIN_MARK)
-    _, mark, after = rest.partition(END_MARK)
-    if not mark:
-        fail(f"{path} lacks the lines {BEGIN_MARK} and {END_MARK}")
-    with open(path, "w", encoding="utf-8") as file:
-        file.write(f"{before}{BEGIN_MARK}\n\n{text}\n{END_MARK}{after}")
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("compare", help="JSON of compare_engines")
@@ -199,7 +185,7 @@ def main():
             with open(arguments.markdown, "w", encoding="utf-8") as file:
                 file.write(text)
         if arguments.document:
-            replace_marked(arguments.document, text)
+            replace_marked(arguments.document, "benchmark tables", text)
         if arguments.plot:
             plot(compare["deconvolution"], compare["machine"], arguments.plot)
 

@@ -61,3 +61,18 @@ def table(header, rows, aligned=False):
 def titled_table(title, header, rows):
     """A line and the aligned table below it, as one text without an end of line."""
     return "\n".join([title, "", *table(header, rows, aligned=True)])
+
+
+def replace_marked(path, name, text):
+    """Puts the text between the lines "<!-- NAME: begin -->" and "<!-- NAME: end -->" of a document.
+
+    Fails with a line about the file when it lacks them.
+    """
+    begin, end = "<!-- %s: begin -->" % name, "<!-- %s: end -->" % name
+    with one_line_about(path), open(path, encoding="utf-8") as file:
+        before, _, rest = file.read().partition(begin)
+    _, mark, after = rest.partition(end)
+    if not mark:
+        fail("%s lacks the lines %s and %s" % (path, begin, end))
+    with one_line_about(path), open(path, "w", encoding="utf-8") as file:
+        file.write("%s%s\n\n%s\n%s%s" % (before, begin, text, end, after))

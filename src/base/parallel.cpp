@@ -15,6 +15,8 @@
 #include <thread>
 #include <utility>
 
+#include "base/time_slice.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -108,6 +110,7 @@ class Helpers {
 
   void help() {
     pthread_setname_np(pthread_self(), "gyro_deblur");
+    ask_for_short_turns();
     std::unique_lock<std::mutex> lock(mutex_);
     while (true) {
       Loop* loop = nullptr;

@@ -54,7 +54,7 @@ class TwoScaleDesigns {
  public:
   const TwoScaleDesign& get(const TwoScaleShape& shape);
 
-  /// Makes these on `threads` OpenMP threads (0: OpenMP's default), and forgets the others. Not during get().
+  /// Makes these on `threads` threads (0: one for each core), and forgets the others. Not during get().
   void prepare(const std::set<TwoScaleShape>& shapes, int threads);
 
   std::size_t size() const { return designs_.size(); }

@@ -9,6 +9,7 @@
 #include <image_transport/camera_common.h>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "base/time_slice.hpp"
 #include "gyro_deblur/config.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/param_conversion.hpp"
@@ -444,6 +445,7 @@ void DeblurNodelet::wake_worker() {
 }
 
 void DeblurNodelet::work() {
+  ask_for_short_turns();
   const auto sink = [this](FrameOutput&& output) {
     publish(output);
     const std::lock_guard<std::mutex> lock(worker_mutex_);

@@ -4,6 +4,8 @@
 #include <mutex>
 #include <thread>
 
+#include "base/time_slice.hpp"
+
 namespace gyro_deblur::test {
 
 void play_live(const std::vector<Delivery>& deliveries, TimeNs round_ns, TimeNs end_ns, const LiveClock& clock,
@@ -34,6 +36,7 @@ void play_live(const std::vector<Delivery>& deliveries, TimeNs round_ns, TimeNs 
       }
     }
   });
+  ask_for_short_turns();
   std::unique_lock<std::mutex> lock(mutex);
   while (!ended) {
     wakes.wait_for(lock, kPollPeriod, [&] { return has_news || ended; });

@@ -1,0 +1,30 @@
+// How the kernel shares a core among threads.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+
+namespace gyro_deblur {
+
+/// For a thread that works for some milliseconds a frame and sleeps otherwise: asks the kernel to let the calling
+/// thread run in many short turns instead of few long ones. It runs as soon as there is work then, and not when another
+/// process has had its turn, a tick of 4 ms or several; its share of the core remains the same. Linux 6.12 and newer;
+/// without effect elsewhere, and on threads with a real-time policy. Threads that this one starts are as before.
+void ask_for_short_turns();
+
+/// The kernel's struct sched_attr in its first form, see sched_setattr(2): its header and the C library's exclude each
+/// other.
+struct SchedulingAttributes {
+  std::uint32_t size = sizeof(SchedulingAttributes);
+  std::uint32_t policy = 0;
+  std::uint64_t flags = 0;
+  std::int32_t nice = 0;
+  std::uint32_t priority = 0;
+  std::uint64_t runtime_ns = 0;  ///< of SCHED_OTHER: the length of a turn; 0: the kernel knows none
+  std::uint64_t deadline_ns = 0, period_ns = 0;
+};
+
+/// Of the calling thread; nothing where the kernel does not tell.
+std::optional<SchedulingAttributes> scheduling_attributes();
+
+}  // namespace gyro_deblur
