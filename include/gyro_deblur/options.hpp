@@ -74,10 +74,11 @@ struct KernelOptions {
 
 /// Keypoint detection.
 struct KeypointOptions {
-  std::string detector = "SIFT";    ///< SIFT, ORB, AKAZE, BRISK, GFTT or FAST
-  std::string descriptor = "SIFT";  ///< SIFT, ORB, AKAZE, BRISK or NONE; must accept the detector's keypoints
-  int max_features = 1000;          ///< strongest by response
-  int grid_cols = 1;                ///< with more than one cell the limit is shared evenly among cells
+  std::string detector = "SIFT";  ///< SIFT, ORB, AKAZE, BRISK, GFTT or FAST
+  /// SIFT, ORB (not of SIFT's keypoints), AKAZE (of AKAZE's alone), BRISK or NONE
+  std::string descriptor = "SIFT";
+  int max_features = 1000;  ///< strongest by response
+  int grid_cols = 1;        ///< with more than one cell the limit is shared evenly among cells
   int grid_rows = 1;
 
   void validate() const;  ///< throws OptionError

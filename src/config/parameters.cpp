@@ -208,7 +208,7 @@ ParameterGroup keypoints() {
               {"detector", &Keypoints::detector, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"}),
                "finds keypoints", RUNNING},
               {"descriptor", &Keypoints::descriptor, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "NONE"}),
-               "describes them; AKAZE only with detector AKAZE", RUNNING},
+               "describes them; AKAZE only with detector AKAZE, ORB not with detector SIFT", RUNNING},
               {"max_features", &Keypoints::max_features, within(1, 100000), "keypoints that are kept, strongest first",
                RUNNING},
               {"grid_cols", &Keypoints::grid_cols, within(1, 64),

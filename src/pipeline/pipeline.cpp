@@ -57,10 +57,7 @@ void Pipeline::set_options(const PipelineOptions& options) {
   if (!engine_ || options.engine != options_.engine || options.threads != options_.threads) {
     engine = make_engine_(options.engine, options.threads);
   }
-  std::unique_ptr<FeatureExtractor> extractor;
-  if (!extractor_ || !(options.keypoints == options_.keypoints)) {
-    extractor = std::make_unique<FeatureExtractor>(options.keypoints);
-  }
+  const bool other_keypoints = !(options.keypoints == options_.keypoints);
   std::unique_ptr<BlurFieldEstimator> estimator;
   if (camera_ && !(options.blur_field == options_.blur_field)) {
     estimator = std::make_unique<BlurFieldEstimator>(*camera_, options.blur_field);
@@ -70,7 +67,7 @@ void Pipeline::set_options(const PipelineOptions& options) {
   std::swap(options_, copy);
   if (bank) bank_ = std::move(bank);
   if (engine) engine_ = std::move(engine);
-  if (extractor) extractor_ = std::move(extractor);
+  if (other_keypoints) extractor_.reset();
   if (estimator) estimator_ = std::move(estimator);
 }
 
@@ -132,19 +129,29 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (request.luminance) result.luminance = luminance;
   if (!request.keypoints) return result;
   const Stopwatch watch;
-  result.features = extractor_->extract(luminance);
+  extract(luminance, &result);
   result.points = rectify_points(positions(result.features.keypoints), result.field, *camera_, motion, exposure,
                                  result.reference_ns);
   result.times.keypoints_ms = watch.ms();
   return result;
 }
 
+void Pipeline::extract(const cv::Mat& luminance, PipelineResult* result) {
+  try {
+    if (!extractor_) extractor_ = std::make_unique<FeatureExtractor>(options_.keypoints);
+    result->features = extractor_->extract(luminance);
+  } catch (const std::exception& error) {
+    result->features = {};
+    result->keypoints_text = error.what();
+  }
+}
+
 PipelineResult Pipeline::detect(const cv::Mat& image, PixelLayout layout, TimeNs stamp_ns,
-                                const std::optional<CameraCalibration>& calibration) const {
+                                const std::optional<CameraCalibration>& calibration) {
   PipelineResult result;
   result.reference_ns = stamp_ns;
   const Stopwatch watch;
-  result.features = extractor_->extract(luminance8(image, layout));
+  extract(luminance8(image, layout), &result);
   const std::vector<Eigen::Vector2d> points_px = positions(result.features.keypoints);
   std::vector<Eigen::Vector3d> rays(points_px.size(),
                                     Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN()));

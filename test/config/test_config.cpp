@@ -118,7 +118,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"tau", "12"},
       {"tau_contrast", "0"},
       {"detector", "ORB"},
-      {"descriptor", "ORB"},
+      {"descriptor", "BRISK"},
       {"max_features", "500"},
       {"grid_cols", "8"},
       {"grid_rows", "6"},
@@ -176,7 +176,7 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.validation.tau, 12);
   EXPECT_EQ(c.pipeline.validation.tau_contrast, 0);
   EXPECT_EQ(c.pipeline.keypoints.detector, "ORB");
-  EXPECT_EQ(c.pipeline.keypoints.descriptor, "ORB");
+  EXPECT_EQ(c.pipeline.keypoints.descriptor, "BRISK");
   EXPECT_EQ(c.pipeline.keypoints.max_features, 500);
   EXPECT_EQ(c.pipeline.keypoints.grid_cols, 8);
   EXPECT_EQ(c.pipeline.keypoints.grid_rows, 6);

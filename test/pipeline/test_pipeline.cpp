@@ -1,6 +1,8 @@
 #include "gyro_deblur/pipeline.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -104,6 +106,36 @@ TEST(Pipeline, TellsHowManyBlocksWereSlow) {
   EXPECT_EQ(both.slow_blocks, (SlowBlocks{{"16 bit and blur below 36 px", deblurred}}));
   EXPECT_EQ(process(deep, keypoints).slow_blocks, SlowBlocks{});
   EXPECT_EQ(process(blurred_image(15), {}).slow_blocks, SlowBlocks{});
+}
+
+// What OpenCV 4.2 lacks, and the default.
+TEST(Pipeline, DetectorThatIsMissingCostsKeypointsAlone) {
+  PipelineOptions with_sift = options();
+  with_sift.keypoints = KeypointOptions();
+  ASSERT_EQ(with_sift.keypoints.detector, "SIFT");
+  const std::vector<std::string> detectors = available_detectors();
+  const bool has_sift = std::find(detectors.begin(), detectors.end(), "SIFT") != detectors.end();
+  Pipeline p(with_sift);
+  p.set_calibration(calibration());
+  const auto process = [&p](const PipelineRequest& request) {
+    return p.process(blurred_image(15), PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), request);
+  };
+  const PipelineResult result = process({});
+  EXPECT_FALSE(result.image.empty());
+  EXPECT_EQ(result.points.size(), result.features.keypoints.size());
+  const PipelineResult raw = p.detect(sharp_image(), PixelLayout::GRAY, kStampNs, calibration());
+  for (const PipelineResult* each : {&result, &raw}) {
+    EXPECT_EQ(each->features.keypoints.size() > 100, has_sift);
+    EXPECT_EQ(each->features.keypoints.empty(), !has_sift);
+    EXPECT_EQ(each->keypoints_text.find("detector = SIFT: OpenCV ") == 0, !has_sift) << each->keypoints_text;
+    EXPECT_EQ(each->keypoints_text.empty(), has_sift);
+  }
+  PipelineRequest image;
+  image.keypoints = false;
+  EXPECT_EQ(process(image).keypoints_text, "") << "nobody asked";
+  p.set_options(options());
+  EXPECT_GT(process({}).features.keypoints.size(), 100u);
+  EXPECT_EQ(process({}).keypoints_text, "");
 }
 
 TEST(Pipeline, DoesOnlyWhatIsAskedFor) {
