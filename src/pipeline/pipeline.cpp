@@ -153,13 +153,13 @@ PipelineResult Pipeline::detect(const cv::Mat& image, PixelLayout layout, TimeNs
   const Stopwatch watch;
   extract(luminance8(image, layout), &result);
   const std::vector<Eigen::Vector2d> points_px = positions(result.features.keypoints);
-  std::vector<Eigen::Vector3d> rays(points_px.size(),
-                                    Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN()));
-  if (calibration) rays = Camera(*calibration).rays(points_px);
-  for (std::size_t i = 0; i < points_px.size(); ++i) {
+  std::optional<Camera> camera;
+  if (calibration) camera.emplace(*calibration);
+  for (const Eigen::Vector2d& pixel_px : points_px) {
     RectifiedPoint point;
-    point.rectified_px = points_px[i];
-    point.normalized = rays[i].head<2>();
+    point.rectified_px = pixel_px;
+    point.normalized = Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
+    if (camera) point.normalized = camera->normalized(camera->ray(pixel_px));
     result.points.push_back(point);
   }
   result.times.keypoints_ms = watch.ms();

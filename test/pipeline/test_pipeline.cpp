@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <Eigen/Geometry>
 
 #include "synthetic_blur.hpp"
 
@@ -267,6 +268,24 @@ TEST(Pipeline, KeepsItsStateWhenNewOptionsAreBad) {
   const PipelineResult after = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
   EXPECT_TRUE(equal(before.image, after.image));
   EXPECT_EQ(before.features.keypoints.size(), after.features.keypoints.size());
+}
+
+// A rectified image is that of an ideal camera, whatever it was turned by and whether or not its motion is known.
+TEST(Pipeline, NormalizedCoordinatesAreThoseOfTheRectifiedImage) {
+  CameraCalibration turned = calibration();
+  turned.R_image_cam = Eigen::AngleAxisd(3.3 * M_PI / 180, Eigen::Vector3d(1, 2, 0.5).normalized()).toRotationMatrix();
+  Pipeline p(options());
+  p.set_calibration(turned);
+  const PipelineResult passed = p.detect(sharp_image(), PixelLayout::GRAY, kStampNs, turned);
+  const PipelineResult processed = p.process(sharp_image(), PixelLayout::GRAY, pan(0), global_shutter(), {});
+  for (const PipelineResult* result : {&passed, &processed}) {
+    ASSERT_GT(result->points.size(), 100u);
+    for (std::size_t i = 0; i < result->points.size(); ++i) {
+      const cv::Point2f& at = result->features.keypoints[i].pt;
+      const Eigen::Vector2d ideal((at.x - turned.cx_px) / kFocalPx, (at.y - turned.cy_px) / kFocalPx);
+      EXPECT_LT((result->points[i].normalized - ideal).norm() * kFocalPx, 1e-3) << "px, at " << at;
+    }
+  }
 }
 
 TEST(Pipeline, WarnsOnceAboutAnAbsentDevice) {

@@ -173,6 +173,24 @@ TEST_F(ProcessingTest, FramesThatPassThroughHaveRawKeypoints) {
   expect_raw_keypoints(3, false);
 }
 
+// camera_info's R turns the camera's frame into the rectified image's.
+TEST_F(ProcessingTest, RectifiedFramesThatPassThroughHaveNormalizedKeypointsOfTheirOwn) {
+  config_.rectified_input = true;
+  configure();
+  const auto info = camera_info(kStart);
+  const double angle_rad = 3.3 * M_PI / 180;
+  info->R = {std::cos(angle_rad), 0, std::sin(angle_rad), 0, 1, 0, -std::sin(angle_rad), 0, std::cos(angle_rad)};
+  processor_.add_image(image_message(kStart));
+  processor_.add_camera_info(info);
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "");
+  ASSERT_FALSE(outputs_[0].keypoints->keypoints.empty());
+  for (const Keypoint& keypoint : outputs_[0].keypoints->keypoints) {
+    EXPECT_NEAR(keypoint.normalized_x, (keypoint.x - (kWidth - 1) / 2.0) / kFocalPx, 1e-5);
+    EXPECT_NEAR(keypoint.normalized_y, (keypoint.y - (kHeight - 1) / 2.0) / kFocalPx, 1e-5);
+  }
+}
+
 TEST_F(ProcessingTest, OnlyWhatIsAskedForIsMade) {
   add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
   request_ = {false, false, false, false};
