@@ -31,7 +31,7 @@ struct BlurFieldOptions {
 /// Blur validation (paper section III-D): a block is rejected when the strongest gradient along the motion exceeds
 /// tau(r) = tau + tau_contrast / r. A box of extent r cannot leave more than contrast / r grey levels a pixel, so the
 /// threshold falls with the extent; tau alone (tau_contrast = 0) is the paper's constant threshold.
-/// Grey levels are those of an 8-bit image; 16-bit images are scaled.
+/// Grey levels are those of an 8-bit image; 16-bit images are scaled by their significant bits.
 /// The defaults accept at least 98.6 % of truly blurred 64 px blocks at every extent from 5 to 90 px (first images of
 /// the Oxford sets, noise up to 2 grey levels) and reject 68 / 86 / 94 / 97 / 97 % of sharp ones at 5 / 10 / 20 / 40 /
 /// 90 px.
@@ -139,6 +139,7 @@ struct PipelineOptions {
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
   std::string engine = "auto";  ///< see make_engine
   int threads = 0;              ///< of validation, kernels and engine; 0: OpenMP's default
+  int significant_bits = 0;     ///< of 16-bit images, 8 to 16; 0: guessed, see BitDepth
 
   void validate() const;  ///< throws OptionError
 };

@@ -45,6 +45,7 @@ struct PipelineResult {
   std::vector<RectifiedPoint> points;  ///< one for each of features.keypoints
   /// Why there are no keypoints though they were requested, such as a detector that OpenCV does not have; else empty.
   std::string keypoints_text;
+  int significant_bits = 8;  ///< of the image that came in, see BitDepth
   TimeNs reference_ns = 0;   ///< camera clock; at which points[].rectified_px hold
   StageTimes times;
   SlowBlocks slow_blocks;  ///< blocks that left the engine's fast path, and why
@@ -71,7 +72,8 @@ class Pipeline {
   /// Name of the engine in use. Any thread may ask during process().
   std::string engine() const;
 
-  /// What the engine has to tell the user, see Engine::take_warning; ask after set_options and after each frame.
+  /// What the user should know, of the engine (see Engine::take_warning) or a guess of significant bits; ask after
+  /// set_options and after each frame.
   std::string take_warning();
 
   /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
@@ -97,6 +99,7 @@ class Pipeline {
   std::unique_ptr<BlurFieldEstimator> estimator_;
   std::unique_ptr<KernelBank> bank_;
   std::unique_ptr<Engine> engine_;
+  BitDepth bit_depth_;
   std::unique_ptr<FeatureExtractor> extractor_;  // made when keypoints are asked for
 };
 

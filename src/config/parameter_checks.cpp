@@ -141,6 +141,7 @@ void PipelineOptions::validate() const {
   kernel.validate();
   keypoints.validate();
   check_parameters(*this);
+  static_cast<void>(BitDepth(significant_bits));
 }
 
 void Config::validate() const {

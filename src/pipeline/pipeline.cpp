@@ -57,6 +57,7 @@ void Pipeline::set_options(const PipelineOptions& options) {
   if (!engine_ || options.engine != options_.engine || options.threads != options_.threads) {
     engine = make_engine_(options.engine, options.threads);
   }
+  const bool other_depth = options.significant_bits != options_.significant_bits;
   const bool other_keypoints = !(options.keypoints == options_.keypoints);
   std::unique_ptr<BlurFieldEstimator> estimator;
   if (camera_ && !(options.blur_field == options_.blur_field)) {
@@ -68,6 +69,7 @@ void Pipeline::set_options(const PipelineOptions& options) {
   if (bank) bank_ = std::move(bank);
   if (engine) engine_ = std::move(engine);
   if (other_keypoints) extractor_.reset();
+  if (other_depth) bit_depth_ = BitDepth(options_.significant_bits);
   if (estimator) estimator_ = std::move(estimator);
 }
 
@@ -81,7 +83,10 @@ void Pipeline::set_calibration(const CameraCalibration& calibration) {
 
 std::string Pipeline::engine() const { return engine_->name(); }
 
-std::string Pipeline::take_warning() { return engine_->take_warning(); }
+std::string Pipeline::take_warning() {
+  std::string warning = engine_->take_warning();
+  return warning.empty() ? bit_depth_.take_message() : warning;
+}
 
 PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                                  const RowExposure& exposure, const PipelineRequest& request) {
@@ -90,6 +95,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
 
   PipelineResult result;
   result.reference_ns = exposure.reference_time(options_.rectify_to);
+  result.significant_bits = bit_depth_.of(image, layout);
   const Stopwatch blur_field_watch;
   result.field = estimator_->estimate(motion, exposure);
   result.times.blur_field_ms = blur_field_watch.ms();
@@ -97,7 +103,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   cv::Mat luminance;
   if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {
     const Stopwatch watch;
-    luminance = luminance8(image, layout);
+    luminance = luminance8(image, layout, result.significant_bits);
     result.field = validate_blur_field(result.field, luminance, options_.validation, options_.threads);
     result.times.validation_ms = watch.ms();
   }
@@ -106,6 +112,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (request.image && anything_to_deblur) {
     const Stopwatch watch;
     result.slow_blocks = deconvolve(image, layout, result.field, *bank_, *engine_, result.image, options_.threads);
+    keep_range(image, result.significant_bits, result.image);
     result.times.deconvolution_ms = watch.ms();
   }
   if (!request.keypoints && !request.luminance) return result;
@@ -116,7 +123,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (!result.image.empty() && image_is_luminance) {
     luminance = result.image;
   } else {
-    if (luminance.empty()) luminance = luminance8(image, layout);
+    if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
     if (anything_to_deblur) {
       const Stopwatch watch;
       cv::Mat deblurred;
@@ -150,8 +157,9 @@ PipelineResult Pipeline::detect(const cv::Mat& image, PixelLayout layout, TimeNs
                                 const std::optional<CameraCalibration>& calibration) {
   PipelineResult result;
   result.reference_ns = stamp_ns;
+  result.significant_bits = bit_depth_.of(image, layout);
   const Stopwatch watch;
-  extract(luminance8(image, layout), &result);
+  extract(luminance8(image, layout, result.significant_bits), &result);
   const std::vector<Eigen::Vector2d> points_px = positions(result.features.keypoints);
   std::optional<Camera> camera;
   if (calibration) camera.emplace(*calibration);

@@ -125,7 +125,8 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   if (!result.image.empty()) output->image = to_image(result.image, *frame.image);
   if (request.keypoints) output->keypoints = to_message(result, pipeline.options().keypoints, header);
   if (request.overlay) {
-    output->overlay = to_bgr_image(draw_overlay(luminance8(view.image, view.layout), result.field), header);
+    output->overlay =
+        to_bgr_image(draw_overlay(luminance8(view.image, view.layout, result.significant_bits), result.field), header);
   }
   if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
   add_field(assembled, motion, result.field, output);

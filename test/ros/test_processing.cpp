@@ -293,6 +293,42 @@ TEST_F(ProcessingTest, BlocksThatLeaveTheFastPathAreCountedByReason) {
   EXPECT_EQ(processor_.statistics().slow_blocks, (SlowBlocks{{reason, 2 * blocks}})) << "since the start";
 }
 
+TEST_F(ProcessingTest, TwelveBitsOfSixteenAreSaidOnceAndKept) {
+  add_imu(kStart - 50 * kMs, kStart + 400 * kMs);
+  request_.overlay = true;
+  for (int i = 0; i < 3; ++i) {
+    const TimeNs stamp_ns = kStart + i * 80 * kMs;
+    const auto image = image_message(stamp_ns, "mono16");
+    for (std::size_t at = 0; at < image->data.size(); at += 2) {
+      const int value = (image->data[at] | image->data[at + 1] << 8) >> 4;
+      image->data[at] = static_cast<std::uint8_t>(value);
+      image->data[at + 1] = static_cast<std::uint8_t>(value >> 8);
+    }
+    processor_.add_image(image);
+    processor_.add_camera_info(camera_info(stamp_ns));
+  }
+  add_imu(kStart + 405 * kMs, kStart + 600 * kMs);
+  add_frame(kStart + 240 * kMs);  // the same in 8 bit
+  advance();
+  ASSERT_EQ(outputs_.size(), 4u);
+  const std::size_t expected = outputs_[3].keypoints->keypoints.size();
+  const auto grey_levels = [](const FrameOutput& output) {
+    return cv::mean(view_image(*output.overlay).image)[0];  // of the picture that the lines are drawn on
+  };
+  for (std::size_t i = 0; i < 3; ++i) {
+    expect_deblurred(i);
+    const cv::Mat image = view_image(*outputs_[i].image).image;
+    double greatest = 0;
+    cv::minMaxLoc(image, nullptr, &greatest);
+    EXPECT_LE(greatest, 4095);
+    EXPECT_GT(greatest, 3000);
+    EXPECT_NEAR(grey_levels(outputs_[i]), grey_levels(outputs_[3]), 2);
+    EXPECT_NEAR(static_cast<double>(outputs_[i].keypoints->keypoints.size()), static_cast<double>(expected),
+                0.05 * static_cast<double>(expected));
+  }
+  EXPECT_EQ(logged("12 significant bits"), 1u);
+}
+
 TEST_F(ProcessingTest, ByteOrderMakesNoDifference) {
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   const auto little = image_message(kStart, "mono16");
