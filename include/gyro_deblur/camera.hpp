@@ -53,6 +53,10 @@ class Camera {
   /// the distortion model folds back (a polynomial does so somewhere outside the field of view it was fitted to).
   Eigen::Vector2d project(const Eigen::Vector3d& direction) const;
 
+  /// Direction (any length, z > 0 in the image's frame) to where an ideal image of focal length 1 has it: x/z, y/z of
+  /// the image's frame, which for rectified images is turned against the camera's.
+  Eigen::Vector2d normalized(const Eigen::Vector3d& direction) const;
+
  private:
   CameraCalibration calibration_;
   Eigen::Matrix3d R_image_cam_;

@@ -1,6 +1,7 @@
 // Detection and description with any OpenCV feature.
 #pragma once
 
+#include <string>
 #include <vector>
 
 #include <opencv2/features2d.hpp>
@@ -15,12 +16,16 @@ struct Features {
   cv::Mat descriptors;
 };
 
+/// Those of KeypointOptions that the OpenCV which this was built with has: SIFT is in its main modules since 4.4.
+std::vector<std::string> available_detectors();
+std::vector<std::string> available_descriptors();
+
 /// A detector and a descriptor by name, a limit by response, and an optional grid that spreads it evenly.
 /// Not thread-safe (OpenCV's features are not).
 class FeatureExtractor {
  public:
-  /// Throws OptionError for unknown names (it lists them), a descriptor that does not accept the detector, or SIFT with
-  /// an OpenCV older than 4.4, where it is not in the main modules.
+  /// Throws OptionError for options that are not valid, and for a name that OpenCV does not have (it lists those that
+  /// it has).
   explicit FeatureExtractor(const KeypointOptions& options);
 
   /// @param luminance CV_8UC1; smaller than about 16x16 gives no keypoints

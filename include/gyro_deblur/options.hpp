@@ -31,7 +31,7 @@ struct BlurFieldOptions {
 /// Blur validation (paper section III-D): a block is rejected when the strongest gradient along the motion exceeds
 /// tau(r) = tau + tau_contrast / r. A box of extent r cannot leave more than contrast / r grey levels a pixel, so the
 /// threshold falls with the extent; tau alone (tau_contrast = 0) is the paper's constant threshold.
-/// Grey levels are those of an 8-bit image; 16-bit images are scaled.
+/// Grey levels are those of an 8-bit image; 16-bit images are scaled by their significant bits.
 /// The defaults accept at least 98.6 % of truly blurred 64 px blocks at every extent from 5 to 90 px (first images of
 /// the Oxford sets, noise up to 2 grey levels) and reject 68 / 86 / 94 / 97 / 97 % of sharp ones at 5 / 10 / 20 / 40 /
 /// 90 px.
@@ -74,10 +74,11 @@ struct KernelOptions {
 
 /// Keypoint detection.
 struct KeypointOptions {
-  std::string detector = "SIFT";    ///< SIFT, ORB, AKAZE, BRISK, GFTT or FAST
-  std::string descriptor = "SIFT";  ///< SIFT, ORB, AKAZE, BRISK or NONE; must accept the detector's keypoints
-  int max_features = 1000;          ///< strongest by response
-  int grid_cols = 1;                ///< with more than one cell the limit is shared evenly among cells
+  std::string detector = "SIFT";  ///< SIFT, ORB, AKAZE, BRISK, GFTT or FAST
+  /// SIFT, ORB (not of SIFT's keypoints), AKAZE (of AKAZE's alone), BRISK or NONE
+  std::string descriptor = "SIFT";
+  int max_features = 1000;  ///< strongest by response
+  int grid_cols = 1;        ///< with more than one cell the limit is shared evenly among cells
   int grid_rows = 1;
 
   void validate() const;  ///< throws OptionError
@@ -138,6 +139,7 @@ struct PipelineOptions {
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
   std::string engine = "auto";  ///< see make_engine
   int threads = 0;              ///< of validation, kernels and engine, at most; 0: one for each core
+  int significant_bits = 0;     ///< of 16-bit images, 8 to 16; 0: guessed, see BitDepth
 
   void validate() const;  ///< throws OptionError
 };

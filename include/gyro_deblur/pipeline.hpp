@@ -43,7 +43,10 @@ struct PipelineResult {
   cv::Mat luminance;  ///< deblurred, CV_8UC1; may share memory with the input; empty when not requested
   Features features;  ///< in pixels of the image as it arrived
   std::vector<RectifiedPoint> points;  ///< one for each of features.keypoints
-  TimeNs reference_ns = 0;             ///< camera clock; at which points[].rectified_px hold
+  /// Why there are no keypoints though they were requested, such as a detector that OpenCV does not have; else empty.
+  std::string keypoints_text;
+  int significant_bits = 8;  ///< of the image that came in, see BitDepth
+  TimeNs reference_ns = 0;   ///< camera clock; at which points[].rectified_px hold
   StageTimes times;
   SlowBlocks slow_blocks;  ///< blocks that left the engine's fast path, and why
 };
@@ -69,7 +72,8 @@ class Pipeline {
   /// Name of the engine in use. Any thread may ask during process().
   std::string engine() const;
 
-  /// What the engine has to tell the user, see Engine::take_warning; ask after set_options and after each frame.
+  /// What the user should know, of the engine (see Engine::take_warning) or a guess of significant bits; ask after
+  /// set_options and after each frame.
   std::string take_warning();
 
   /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
@@ -83,16 +87,20 @@ class Pipeline {
   /// @param stamp_ns     becomes the result's reference time
   /// @param calibration  for the normalised coordinates, which are NaN without it
   PipelineResult detect(const cv::Mat& image, PixelLayout layout, TimeNs stamp_ns,
-                        const std::optional<CameraCalibration>& calibration) const;
+                        const std::optional<CameraCalibration>& calibration);
 
  private:
+  /// Fills features, or keypoints_text.
+  void extract(const cv::Mat& luminance, PipelineResult* result);
+
   EngineFactory make_engine_;
   PipelineOptions options_;
   std::unique_ptr<Camera> camera_;
   std::unique_ptr<BlurFieldEstimator> estimator_;
   std::unique_ptr<KernelBank> bank_;
   std::unique_ptr<Engine> engine_;
-  std::unique_ptr<FeatureExtractor> extractor_;
+  BitDepth bit_depth_;
+  std::unique_ptr<FeatureExtractor> extractor_;  // made when keypoints are asked for
 };
 
 }  // namespace gyro_deblur

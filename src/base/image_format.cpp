@@ -2,14 +2,14 @@
 
 #include <stdexcept>
 #include <unordered_map>
+#include <utility>
 
 #include <opencv2/imgproc.hpp>
 
+#include "gyro_deblur/option_error.hpp"
+
 namespace gyro_deblur {
 namespace {
-
-// 65535 / 255: takes full scale to full scale.
-constexpr double kScale16To8 = 1.0 / 257.0;
 
 /// Colour of a mosaic. OpenCV names a pattern by the second row's second and third pixel, ROS by the first row's first
 /// two.
@@ -39,6 +39,33 @@ int luminance_conversion(PixelLayout layout) {
     default:
       return cv::COLOR_BGR2GRAY;  // BGR, and what demosaicing gives
   }
+}
+
+double full_scale(int significant_bits) { return (1 << significant_bits) - 1; }
+
+/// The bits that are set in any colour of a CV_16U image.
+std::uint16_t used_bits(const cv::Mat& image, PixelLayout layout) {
+  const int channels = image.channels(), values = image.cols * channels;
+  const bool has_alpha = layout == PixelLayout::BGRA || layout == PixelLayout::RGBA;
+  std::uint16_t used = 0;
+  for (int y = 0; y < image.rows; ++y) {
+    const auto* row = image.ptr<std::uint16_t>(y);
+    if (has_alpha) {
+      for (int x = 0; x < values; x += channels) used |= row[x] | row[x + 1] | row[x + 2];
+    } else {
+      for (int x = 0; x < values; ++x) used |= row[x];
+    }
+  }
+  return used;
+}
+
+int guess_significant_bits(std::uint16_t used) {
+  constexpr std::uint16_t kLowest = 3;
+  if ((used & kLowest) == 0) return 16;
+  for (const int bits : {10, 12, 14}) {
+    if (used < (1 << bits)) return bits;
+  }
+  return 16;
 }
 
 // Demosaicing needs a full 2x2 cell with a neighbour on each side; smaller mosaics are taken as grey.
@@ -92,7 +119,29 @@ int channels_of(PixelLayout layout) {
   }
 }
 
-cv::Mat luminance8(const cv::Mat& image, PixelLayout layout) {
+BitDepth::BitDepth(int significant_bits) : given_(significant_bits) {
+  if (given_ == 0 || (given_ >= 8 && given_ <= 16)) return;
+  throw OptionError("significant_bits = " + std::to_string(given_) + " is neither 0 (guessed) nor in [8, 16]");
+}
+
+int BitDepth::of(const cv::Mat& image, PixelLayout layout) {
+  if (image.depth() != CV_16U) return 8;
+  if (given_ != 0) return given_;
+  constexpr std::uint16_t kHighest = 1 << 15;
+  if ((used_ & kHighest) != 0) return guessed_;  // it cannot change any more
+  used_ = static_cast<std::uint16_t>(used_ | used_bits(image, layout));
+  const int guess = guess_significant_bits(used_);
+  if (guess != guessed_) {
+    guessed_ = guess;
+    message_ = "16-bit images are taken to have " + std::to_string(guess) +
+               " significant bits, from all pixels so far; set significant_bits where the camera has another number";
+  }
+  return guessed_;
+}
+
+std::string BitDepth::take_message() { return std::exchange(message_, {}); }
+
+cv::Mat luminance8(const cv::Mat& image, PixelLayout layout, int significant_bits) {
   if (image.depth() != CV_8U && image.depth() != CV_16U) {
     throw std::invalid_argument("image depth must be CV_8U or CV_16U, got OpenCV depth " +
                                 std::to_string(image.depth()));
@@ -118,10 +167,17 @@ cv::Mat luminance8(const cv::Mat& image, PixelLayout layout) {
   }
   if (gray.depth() == CV_16U) {
     cv::Mat gray8;
-    gray.convertTo(gray8, CV_8U, kScale16To8);
+    gray.convertTo(gray8, CV_8U, 255 / full_scale(significant_bits));
     return gray8;
   }
   return gray;
+}
+
+void keep_range(const cv::Mat& input, int significant_bits, cv::Mat& output) {
+  if (output.depth() != CV_16U || significant_bits >= 16) return;
+  cv::Mat limit;
+  cv::max(input, cv::Scalar::all(full_scale(significant_bits)), limit);
+  cv::min(output, limit, output);
 }
 
 }  // namespace gyro_deblur

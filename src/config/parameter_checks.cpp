@@ -1,9 +1,13 @@
 // Which values are allowed: what the rows of the table say, and what no single row can say.
 #include <cmath>
 #include <limits>
+#include <map>
 #include <sstream>
+#include <string>
+#include <vector>
 
 #include "config/parameters.hpp"
+#include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
@@ -58,6 +62,17 @@ std::string unit_hint(double value_s, double max_s) {
   return {};
 }
 
+/// Detectors whose keypoints a descriptor cannot take. AKAZE describes in its own scale space only. ORB reads `octave`
+/// as a pyramid level, where SIFT packs octave, layer and offset into it and so asks for a pyramid of millions of
+/// levels.
+const std::vector<std::string>& refused_detectors(const std::string& descriptor) {
+  static const std::map<std::string, std::vector<std::string>> kRefused{
+      {"AKAZE", {"SIFT", "ORB", "BRISK", "GFTT", "FAST"}}, {"ORB", {"SIFT"}}};
+  static const std::vector<std::string> kNone;
+  const auto found = kRefused.find(descriptor);
+  return found == kRefused.end() ? kNone : found->second;
+}
+
 }  // namespace
 
 std::string to_string(const Limits& limits) {
@@ -86,10 +101,14 @@ void KernelOptions::validate() const { check_parameters(*this); }
 
 void KeypointOptions::validate() const {
   check_parameters(*this);
-  // AKAZE describes in its own scale space and refuses keypoints that do not come from it.
-  if (descriptor == "AKAZE" && detector != "AKAZE") {
-    throw OptionError("descriptor = \"AKAZE\" needs detector \"AKAZE\", not \"" + detector + "\"");
+  const std::vector<std::string>& refused = refused_detectors(descriptor);
+  if (std::find(refused.begin(), refused.end(), detector) == refused.end()) return;
+  std::string accepted;
+  for (const std::string& name : find_parameter("detector")->choices) {
+    if (std::find(refused.begin(), refused.end(), name) == refused.end()) accepted += ' ' + name;
   }
+  throw OptionError("descriptor = \"" + descriptor + "\" cannot describe the keypoints of detector = \"" + detector +
+                    "\", only those of" + accepted);
 }
 
 void TrackerOptions::validate() const {
@@ -122,6 +141,7 @@ void PipelineOptions::validate() const {
   kernel.validate();
   keypoints.validate();
   check_parameters(*this);
+  static_cast<void>(BitDepth(significant_bits));
 }
 
 void Config::validate() const {

@@ -111,6 +111,15 @@ ParameterGroup camera_timing() {
       }};
 }
 
+ParameterGroup image() {
+  return {"image",
+          "",
+          {
+              {"significant_bits", &PipelineOptions::significant_bits, within(0, 16),
+               "of 16-bit images, 8 to 16; 0: the fewest of 10, 12, 14, 16 that hold all pixels so far", RUNNING},
+          }};
+}
+
 ParameterGroup gyroscope() {
   return {"gyroscope",
           "",
@@ -208,7 +217,7 @@ ParameterGroup keypoints() {
               {"detector", &Keypoints::detector, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"}),
                "finds keypoints", RUNNING},
               {"descriptor", &Keypoints::descriptor, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "NONE"}),
-               "describes them; AKAZE only with detector AKAZE", RUNNING},
+               "describes them; AKAZE only with detector AKAZE, ORB not with detector SIFT", RUNNING},
               {"max_features", &Keypoints::max_features, within(1, 100000), "keypoints that are kept, strongest first",
                RUNNING},
               {"grid_cols", &Keypoints::grid_cols, within(1, 64),
@@ -238,9 +247,9 @@ ParameterGroup feature_tracks() {
 }  // namespace
 
 const std::vector<ParameterGroup>& parameter_groups() {
-  static const std::vector<ParameterGroup> kGroups{calibration_files(), camera_timing(), gyroscope(),
-                                                   translation(),       blur_field(),    wiener_filter(),
-                                                   validation(),        keypoints(),     feature_tracks()};
+  static const std::vector<ParameterGroup> kGroups{calibration_files(), camera_timing(), image(),         gyroscope(),
+                                                   translation(),       blur_field(),    wiener_filter(), validation(),
+                                                   keypoints(),         feature_tracks()};
   return kGroups;
 }
 

@@ -130,7 +130,6 @@ void FeatureTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& c
                            cv::OPTFLOW_USE_INITIAL_FLOW);
 
   const double dt_s = to_seconds(exposure.start(0) - exposure_->start(0));
-  const Eigen::Matrix3d& R_image_cam = camera.calibration().R_image_cam;
   std::vector<Track> followed;
   // For the epipolar geometry: undistorted pixels of an ideal camera, with the rotation taken out of the first.
   std::vector<cv::Point2f> ideal_before, ideal_after;
@@ -146,7 +145,7 @@ void FeatureTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& c
     ideal_before.push_back(to_cv(focal_px * direction.value_or(camera.ray(track.pixel_px)).hnormalized()));
     ideal_after.push_back(to_cv(focal_px * ray.hnormalized()));
     track.pixel_px = to_eigen(after[i]);
-    const Eigen::Vector2d normalized = (R_image_cam * ray).hnormalized();
+    const Eigen::Vector2d normalized = camera.normalized(ray);
     track.velocity_1_s = (normalized - track.normalized) / dt_s;
     track.normalized = normalized;
     ++track.length;
@@ -198,7 +197,7 @@ void FeatureTracker::add_corners(const cv::Mat& luminance, const Camera& camera)
     track.id = next_id_;
     next_id_ = (next_id_ + 1) % kIds;
     track.pixel_px = to_eigen(corner);
-    track.normalized = (camera.calibration().R_image_cam * ray).hnormalized();
+    track.normalized = camera.normalized(ray);
     tracks_.push_back(track);
   }
 }

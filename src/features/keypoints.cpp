@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 #include <numeric>
 #include <stdexcept>
 #include <string>
@@ -13,9 +12,6 @@
 
 namespace gyro_deblur {
 namespace {
-
-// SIFT's patent ran out in 2020; OpenCV took it into the main modules with 4.4.
-#define GYRO_DEBLUR_HAS_SIFT (CV_VERSION_MAJOR > 4 || (CV_VERSION_MAJOR == 4 && CV_VERSION_MINOR >= 4))
 
 // Blurred frames have little contrast, and deblurring returns only part of it. The limit is max_features, chosen by
 // response; thresholds only keep the detectors from drowning in noise, and are therefore below OpenCV's defaults.
@@ -35,31 +31,24 @@ constexpr int kEverything = 1000000;
 // Below this no detector has room for its patch.
 constexpr int kMinSidePx = 16;
 
-/// Detectors whose keypoints each descriptor takes. AKAZE describes in its own scale space only. ORB reads `octave` as
-/// a pyramid level, where SIFT packs octave, layer and offset into it and so asks for a pyramid of millions of levels.
-const std::map<std::string, std::vector<std::string>>& accepted_detectors() {
-  static const std::map<std::string, std::vector<std::string>> table = {
-      {"SIFT", {"AKAZE", "BRISK", "FAST", "GFTT", "ORB", "SIFT"}},
-      {"ORB", {"AKAZE", "BRISK", "FAST", "GFTT", "ORB"}},
-      {"AKAZE", {"AKAZE"}},
-      {"BRISK", {"AKAZE", "BRISK", "FAST", "GFTT", "ORB", "SIFT"}},
-      {"NONE", {"AKAZE", "BRISK", "FAST", "GFTT", "ORB", "SIFT"}},
-  };
-  return table;
-}
-
-cv::Ptr<cv::Feature2D> make_sift(const char* option) {
-#if GYRO_DEBLUR_HAS_SIFT
-  static_cast<void>(option);
+/// With an OpenCV that has no SIFT there is none to make; the build says which it is.
+cv::Ptr<cv::Feature2D> make_sift() {
+#if GYRO_DEBLUR_SIFT
   return cv::SIFT::create(0, kSiftOctaveLayers, kSiftContrastThreshold, kSiftEdgeThreshold, kSiftSigma);
 #else
-  throw OptionError(std::string(option) + " = SIFT needs OpenCV 4.4 or newer; this is " CV_VERSION
-                                          ". Available: ORB, AKAZE, BRISK, GFTT, FAST");
+  return nullptr;
 #endif
 }
 
-cv::Ptr<cv::Feature2D> make_feature(const char* option, const std::string& name, int wanted) {
-  if (name == "SIFT") return make_sift(option);
+std::string join(const std::vector<std::string>& names) {
+  std::string list;
+  for (const std::string& name : names) list += (list.empty() ? "" : ", ") + name;
+  return list;
+}
+
+/// Null for a name that is not known here.
+cv::Ptr<cv::Feature2D> make_feature(const std::string& name, int wanted) {
+  if (name == "SIFT") return make_sift();
   if (name == "ORB") {
     // Harris score, 8 levels 1.2 apart and 31 px patches are OpenCV's defaults, after Rublee et al. 2011.
     return cv::ORB::create(wanted, 1.2f, 8, 31, 0, 2, cv::ORB::HARRIS_SCORE, 31, kFastThreshold);
@@ -68,8 +57,20 @@ cv::Ptr<cv::Feature2D> make_feature(const char* option, const std::string& name,
   if (name == "BRISK") return cv::BRISK::create(kBriskThreshold);
   if (name == "GFTT") return cv::GFTTDetector::create(wanted, kGfttQuality, kGfttMinDistancePx);
   if (name == "FAST") return cv::FastFeatureDetector::create(kFastThreshold);
-  throw OptionError(std::string(option) + " = \"" + name +
-                    "\" is unknown; available: SIFT, ORB, AKAZE, BRISK, GFTT, FAST");
+  return nullptr;
+}
+
+std::vector<std::string> available(std::vector<std::string> names) {
+  const auto absent = [](const std::string& name) { return name != "NONE" && !make_feature(name, 1); };
+  names.erase(std::remove_if(names.begin(), names.end(), absent), names.end());
+  return names;
+}
+
+/// Throws OptionError where OpenCV has none of that name.
+cv::Ptr<cv::Feature2D> require_feature(const char* option, const std::string& name, int wanted) {
+  if (cv::Ptr<cv::Feature2D> feature = make_feature(name, wanted)) return feature;
+  throw OptionError(std::string(option) + " = " + name + ": OpenCV " CV_VERSION " has none; it has the detectors " +
+                    join(available_detectors()) + " and the descriptors " + join(available_descriptors()));
 }
 
 bool stronger(const cv::KeyPoint& a, const cv::KeyPoint& b) {
@@ -146,26 +147,18 @@ std::vector<int> assign_sift_octaves(const cv::Size& size, std::vector<cv::KeyPo
 
 }  // namespace
 
+std::vector<std::string> available_detectors() { return available({"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"}); }
+
+std::vector<std::string> available_descriptors() { return available({"SIFT", "ORB", "AKAZE", "BRISK", "NONE"}); }
+
 FeatureExtractor::FeatureExtractor(const KeypointOptions& options) : options_(options) {
   options_.validate();
   const bool has_grid = options_.grid_cols * options_.grid_rows > 1;
-  detector_ = make_feature("detector", options_.detector, has_grid ? kEverything : options_.max_features);
-  const auto accepted = accepted_detectors().find(options_.descriptor);
-  if (accepted == accepted_detectors().end()) {
-    throw OptionError("descriptor = \"" + options_.descriptor +
-                      "\" is unknown; available: SIFT, ORB, AKAZE, BRISK, NONE");
-  }
-  const std::vector<std::string>& detectors = accepted->second;
-  if (std::find(detectors.begin(), detectors.end(), options_.detector) == detectors.end()) {
-    std::string list;
-    for (const std::string& name : detectors) list += (list.empty() ? "" : ", ") + name;
-    throw OptionError("descriptor = " + options_.descriptor +
-                      " does not accept the keypoints of detector = " + options_.detector + ", only those of " + list);
-  }
+  detector_ = require_feature("detector", options_.detector, has_grid ? kEverything : options_.max_features);
   if (options_.descriptor == options_.detector) {
     descriptor_ = detector_;
   } else if (options_.descriptor != "NONE") {
-    descriptor_ = make_feature("descriptor", options_.descriptor, options_.max_features);
+    descriptor_ = require_feature("descriptor", options_.descriptor, options_.max_features);
   }
 }
 

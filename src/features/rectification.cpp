@@ -2,14 +2,11 @@
 
 #include <algorithm>
 
-#include <Eigen/Geometry>
-
 namespace gyro_deblur {
 
 std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& points_px, const FrameBlur& field,
                                            const Camera& camera, const CameraMotion& motion,
                                            const RowExposure& exposure, TimeNs reference_ns) {
-  const Eigen::Matrix3d& R_image_cam = camera.calibration().R_image_cam;
   std::vector<RectifiedPoint> result;
   result.reserve(points_px.size());
   for (const Eigen::Vector2d& raw_px : points_px) {
@@ -31,7 +28,7 @@ std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& p
         direction = moved;
       }
     }
-    point.normalized = (R_image_cam * direction).hnormalized();
+    point.normalized = camera.normalized(direction);
     result.push_back(point);
   }
   return result;

@@ -77,4 +77,8 @@ Eigen::Vector2d Camera::project(const Eigen::Vector3d& direction) const {
           calibration_.fy_px * distorted.y() + calibration_.cy_px};
 }
 
+Eigen::Vector2d Camera::normalized(const Eigen::Vector3d& direction) const {
+  return (R_image_cam_ * direction).hnormalized();
+}
+
 }  // namespace gyro_deblur

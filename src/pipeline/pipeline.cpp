@@ -57,10 +57,8 @@ void Pipeline::set_options(const PipelineOptions& options) {
   if (!engine_ || options.engine != options_.engine || options.threads != options_.threads) {
     engine = make_engine_(options.engine, options.threads);
   }
-  std::unique_ptr<FeatureExtractor> extractor;
-  if (!extractor_ || !(options.keypoints == options_.keypoints)) {
-    extractor = std::make_unique<FeatureExtractor>(options.keypoints);
-  }
+  const bool other_depth = options.significant_bits != options_.significant_bits;
+  const bool other_keypoints = !(options.keypoints == options_.keypoints);
   std::unique_ptr<BlurFieldEstimator> estimator;
   if (camera_ && !(options.blur_field == options_.blur_field)) {
     estimator = std::make_unique<BlurFieldEstimator>(*camera_, options.blur_field);
@@ -75,7 +73,8 @@ void Pipeline::set_options(const PipelineOptions& options) {
   std::swap(options_, copy);
   if (bank) bank_ = std::move(bank);
   if (engine) engine_ = std::move(engine);
-  if (extractor) extractor_ = std::move(extractor);
+  if (other_keypoints) extractor_.reset();
+  if (other_depth) bit_depth_ = BitDepth(options_.significant_bits);
   if (estimator) estimator_ = std::move(estimator);
 }
 
@@ -89,7 +88,10 @@ void Pipeline::set_calibration(const CameraCalibration& calibration) {
 
 std::string Pipeline::engine() const { return engine_->name(); }
 
-std::string Pipeline::take_warning() { return engine_->take_warning(); }
+std::string Pipeline::take_warning() {
+  std::string warning = engine_->take_warning();
+  return warning.empty() ? bit_depth_.take_message() : warning;
+}
 
 PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                                  const RowExposure& exposure, const PipelineRequest& request) {
@@ -98,6 +100,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
 
   PipelineResult result;
   result.reference_ns = exposure.reference_time(options_.rectify_to);
+  result.significant_bits = bit_depth_.of(image, layout);
   const Stopwatch blur_field_watch;
   result.field = estimator_->estimate(motion, exposure);
   result.times.blur_field_ms = blur_field_watch.ms();
@@ -105,7 +108,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   cv::Mat luminance;
   if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {
     const Stopwatch watch;
-    luminance = luminance8(image, layout);
+    luminance = luminance8(image, layout, result.significant_bits);
     result.field = validate_blur_field(result.field, luminance, options_.validation, options_.threads);
     result.times.validation_ms = watch.ms();
   }
@@ -114,6 +117,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (request.image && anything_to_deblur) {
     const Stopwatch watch;
     result.slow_blocks = deconvolve(image, layout, result.field, *bank_, *engine_, result.image, options_.threads);
+    keep_range(image, result.significant_bits, result.image);
     result.times.deconvolution_ms = watch.ms();
   }
   if (!request.keypoints && !request.luminance) return result;
@@ -124,7 +128,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (!result.image.empty() && image_is_luminance) {
     luminance = result.image;
   } else {
-    if (luminance.empty()) luminance = luminance8(image, layout);
+    if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
     if (anything_to_deblur) {
       const Stopwatch watch;
       cv::Mat deblurred;
@@ -137,27 +141,38 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (request.luminance) result.luminance = luminance;
   if (!request.keypoints) return result;
   const Stopwatch watch;
-  result.features = extractor_->extract(luminance);
+  extract(luminance, &result);
   result.points = rectify_points(positions(result.features.keypoints), result.field, *camera_, motion, exposure,
                                  result.reference_ns);
   result.times.keypoints_ms = watch.ms();
   return result;
 }
 
+void Pipeline::extract(const cv::Mat& luminance, PipelineResult* result) {
+  try {
+    if (!extractor_) extractor_ = std::make_unique<FeatureExtractor>(options_.keypoints);
+    result->features = extractor_->extract(luminance);
+  } catch (const std::exception& error) {
+    result->features = {};
+    result->keypoints_text = error.what();
+  }
+}
+
 PipelineResult Pipeline::detect(const cv::Mat& image, PixelLayout layout, TimeNs stamp_ns,
-                                const std::optional<CameraCalibration>& calibration) const {
+                                const std::optional<CameraCalibration>& calibration) {
   PipelineResult result;
   result.reference_ns = stamp_ns;
+  result.significant_bits = bit_depth_.of(image, layout);
   const Stopwatch watch;
-  result.features = extractor_->extract(luminance8(image, layout));
+  extract(luminance8(image, layout, result.significant_bits), &result);
   const std::vector<Eigen::Vector2d> points_px = positions(result.features.keypoints);
-  std::vector<Eigen::Vector3d> rays(points_px.size(),
-                                    Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN()));
-  if (calibration) rays = Camera(*calibration).rays(points_px);
-  for (std::size_t i = 0; i < points_px.size(); ++i) {
+  std::optional<Camera> camera;
+  if (calibration) camera.emplace(*calibration);
+  for (const Eigen::Vector2d& pixel_px : points_px) {
     RectifiedPoint point;
-    point.rectified_px = points_px[i];
-    point.normalized = rays[i].head<2>();
+    point.rectified_px = pixel_px;
+    point.normalized = Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
+    if (camera) point.normalized = camera->normalized(camera->ray(pixel_px));
     result.points.push_back(point);
   }
   result.times.keypoints_ms = watch.ms();

@@ -114,6 +114,9 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
   } else {
     status->summary(DiagnosticStatus::OK, "running");
   }
+  if (!now.statistics.keypoints_text.empty()) {
+    status->mergeSummary(DiagnosticStatus::ERROR, "no keypoints: " + now.statistics.keypoints_text);
+  }
   add_frames(now, status);
   add_unsent(now, status);
   add_blocks(now, status);

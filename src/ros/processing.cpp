@@ -110,6 +110,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   output->stages = result.times;
   output->slow_blocks = result.slow_blocks;
   output->engine_warning = pipeline.take_warning();
+  output->keypoints_text = result.keypoints_text;
 
   const std_msgs::Header& header = frame.image->header;
   if (request.tracks) {
@@ -124,7 +125,8 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   if (!result.image.empty()) output->image = to_image(result.image, *frame.image);
   if (request.keypoints) output->keypoints = to_message(result, pipeline.options().keypoints, header);
   if (request.overlay) {
-    output->overlay = to_bgr_image(draw_overlay(luminance8(view.image, view.layout), result.field), header);
+    output->overlay =
+        to_bgr_image(draw_overlay(luminance8(view.image, view.layout, result.significant_bits), result.field), header);
   }
   if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
   add_field(assembled, motion, result.field, output);
@@ -133,7 +135,8 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
 }
 
 /// Keypoints of a frame that passes through; an empty array when it can have none.
-KeypointArrayPtr raw_keypoints(const AssembledFrame& assembled, PassThroughReason reason) {
+/// @param text  set to why, where they could not be found
+KeypointArrayPtr raw_keypoints(const AssembledFrame& assembled, PassThroughReason reason, std::string* text) {
   const PendingFrame& frame = assembled.frame;
   auto none = boost::make_shared<KeypointArray>();
   none->header = frame.image->header;
@@ -151,8 +154,9 @@ KeypointArrayPtr raw_keypoints(const AssembledFrame& assembled, PassThroughReaso
       }
     }
     assembled.pipeline->set_options(assembled.options);
-    return to_message(assembled.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration),
-                      assembled.options.keypoints, none->header);
+    const PipelineResult result = assembled.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration);
+    *text = result.keypoints_text;
+    return to_message(result, assembled.options.keypoints, none->header);
   } catch (const std::exception&) {
     return none;  // the frame has its reason already
   }
@@ -193,7 +197,9 @@ FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request
   output.camera_info =
       frame.info ? frame.info : sensor_msgs::CameraInfoConstPtr(uncalibrated_camera_info(*frame.image));
   if (!output.blur_field) output.blur_field = pass_through_message(output.reason, output.reason_text, *frame.image);
-  if (request.keypoints && !output.keypoints) output.keypoints = raw_keypoints(assembled, output.reason);
+  if (request.keypoints && !output.keypoints) {
+    output.keypoints = raw_keypoints(assembled, output.reason, &output.keypoints_text);
+  }
   if (request.markers && !output.markers) output.markers = no_markers(frame.image->header);
   output.total_ms = elapsed_ms(start);
   return output;

@@ -34,6 +34,7 @@ struct FrameOutput {
   sensor_msgs::CameraInfoConstPtr camera_info;  ///< the input's; one that is not calibrated when there was none
   BlurFieldPtr blur_field;
   KeypointArrayPtr keypoints;                  ///< null when not requested
+  std::string keypoints_text;                  ///< why there could be no keypoints though requested; else empty
   sensor_msgs::ImagePtr overlay;               ///< null when not requested, or without a blur field
   visualization_msgs::MarkerArrayPtr markers;  ///< null when not requested
   sensor_msgs::PointCloudPtr tracks;           ///< null when not requested, or when the pipeline did not run

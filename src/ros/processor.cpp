@@ -176,6 +176,9 @@ void Processor::note(const FrameOutput& output) {
   if (!output.translation_text.empty()) {
     log_(LogLevel::WARNING, "translation", name + " is deblurred with the rotation alone: " + output.translation_text);
   }
+  if (!output.keypoints_text.empty()) {
+    log_(LogLevel::ERROR, "keypoints", name + " has no keypoints: " + output.keypoints_text);
+  }
   // A jump has told its one message already.
   if (output.reason != PassThroughReason::NONE && output.reason != PassThroughReason::TIME_JUMP) {
     log_(level_of(output.reason), to_string(output.reason),

@@ -9,6 +9,7 @@ void OutputStatistics::count(const FrameOutput& output) {
     for (const BlockBlur& block : output.field->blocks) ++blocks[block.status];
   }
   for (const auto& [reason, number] : output.slow_blocks) slow_blocks[reason] += number;
+  keypoints_text = output.keypoints_text;
   if (output.translated) ++frames_translated;
   if (!output.translation_text.empty()) {
     ++frames_not_translated;

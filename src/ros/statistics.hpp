@@ -25,6 +25,7 @@ struct OutputStatistics {
   std::size_t frames_translated = 0;          ///< whose blur field has the odometry's translation
   std::size_t frames_not_translated = 0;      ///< without, though an odometry is there
   std::string translation_text;               ///< why the newest of those is without
+  std::string keypoints_text;                 ///< why the newest frame could have no keypoints; else empty
 
   void count(const FrameOutput& output);
 };

@@ -37,6 +37,7 @@ struct Arguments {
   ValidationOptions validation;
   KernelOptions kernel;
   std::string engine = "auto";
+  int significant_bits = 0;
   int threads = 0;
 };
 
@@ -162,7 +163,10 @@ void run(const Arguments& arguments) {
         image.cols, image.rows, read_displacement(arguments.field[0], arguments.field_offset),
         read_displacement(arguments.field[1], arguments.field_offset), arguments.blur_field);
   }
-  const cv::Mat luminance = luminance8(image, layout);
+  BitDepth depth(arguments.significant_bits);
+  const int bits = depth.of(image, layout);
+  if (const std::string message = depth.take_message(); !message.empty()) std::cerr << "warning: " << message << "\n";
+  const cv::Mat luminance = luminance8(image, layout, bits);
   field = validate_blur_field(field, luminance, arguments.validation);
 
   const KernelBank bank(arguments.kernel);
@@ -170,6 +174,7 @@ void run(const Arguments& arguments) {
   cv::Mat deblurred;
   const auto start = std::chrono::steady_clock::now();
   deconvolve(image, layout, field, bank, *engine, deblurred);
+  keep_range(image, bits, deblurred);
   const double deconvolution_ms =
       std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
 
@@ -233,6 +238,9 @@ int main_of(int argc, char** argv) {
   app.add_option("--block-size", arguments.blur_field.block_size_px, "side of a block [px], even")
       ->capture_default_str();
   app.add_option("--max-extent-px", arguments.blur_field.max_extent_px, "blocks with more blur are left alone")
+      ->capture_default_str();
+  app.add_option("--significant-bits", arguments.significant_bits,
+                 "of a 16-bit image, 8 to 16; 0: the fewest of 10, 12, 14, 16 that hold all its pixels")
       ->capture_default_str();
   app.add_flag_callback(
       "--no-validation", [&] { arguments.validation.enabled = false; },

@@ -75,14 +75,19 @@ void read_camera(const rosbag::Bag& bag, const sensor_msgs::Image& image, const 
 /// Follows points from image to image.
 class PairCollector {
  public:
-  PairCollector(const std::map<TimeNs, Exposure>& exposures, TimeNs configured_exposure_ns,
-                const FrameTrackerOptions& tracker, Footage* footage)
-      : exposures_(exposures), configured_exposure_ns_(configured_exposure_ns), tracker_(tracker), footage_(footage) {}
+  PairCollector(const std::map<TimeNs, Exposure>& exposures, const Config& config, const FrameTrackerOptions& tracker,
+                Footage* footage)
+      : exposures_(exposures),
+        configured_exposure_ns_(config.shutter.exposure_ns),
+        bit_depth_(config.pipeline.significant_bits),
+        tracker_(tracker),
+        footage_(footage) {}
 
   void add(TimeNs stamp_ns, const ImageView& pixels) {
     const FrameTime now{stamp_ns, exposure_of(stamp_ns)};
     if (now.exposure_ns == 0) ++footage_->without_exposure;
-    std::vector<PointPair> points = tracker_.next(luminance8(pixels.image, pixels.layout));
+    const int bits = bit_depth_.of(pixels.image, pixels.layout);
+    std::vector<PointPair> points = tracker_.next(luminance8(pixels.image, pixels.layout, bits));
     // Across lost frames the motion is too large to be followed.
     constexpr TimeNs kLongestStep = 250'000'000;
     if (last_ && now.stamp_ns > last_->stamp_ns && now.stamp_ns - last_->stamp_ns <= kLongestStep) {
@@ -105,6 +110,7 @@ class PairCollector {
 
   const std::map<TimeNs, Exposure>& exposures_;
   TimeNs configured_exposure_ns_;
+  BitDepth bit_depth_;
   FrameTracker tracker_;
   std::optional<FrameTime> last_;
   Footage* footage_;
@@ -149,7 +155,7 @@ Footage read_footage(const InputBag& input, const FootageTopics& topics, const F
   Progress progress(view.size(), "images", options.quiet);
   FrameTrackerOptions tracker;
   tracker.max_points = options.points;
-  PairCollector collector(exposures, config.shutter.exposure_ns, tracker, &footage);
+  PairCollector collector(exposures, config, tracker, &footage);
   for (const rosbag::MessageInstance& instance : view) {
     const auto image = read_message<sensor_msgs::Image>(instance);
     if (!image) continue;

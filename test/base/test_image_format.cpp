@@ -1,11 +1,16 @@
 #include "gyro_deblur/image_format.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
+
+#include "gyro_deblur/option_error.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -133,6 +138,87 @@ TEST(Luminance8, LeavesItsInputAlone) {
       EXPECT_EQ(cv::norm(before, image, cv::NORM_INF), 0) << static_cast<int>(layout) << ", depth " << depth;
     }
   }
+}
+
+cv::Mat deep(const std::vector<int>& values) {
+  cv::Mat image(1, static_cast<int>(values.size()), CV_16UC1);
+  for (int x = 0; x < image.cols; ++x) image.at<std::uint16_t>(0, x) = static_cast<std::uint16_t>(values[x]);
+  return image;
+}
+
+TEST(BitDepthOf, IsTheFewestThatHoldEveryPixelSoFar) {
+  struct Case {
+    std::vector<int> values;
+    int bits;
+  };
+  const Case cases[] = {{{0, 1023, 5}, 10},
+                        {{1, 0}, 10},
+                        {{0, 1024, 5}, 12},
+                        {{4095, 7}, 12},
+                        {{4096, 7}, 14},
+                        {{16383}, 14},
+                        {{16384, 1}, 16},
+                        {{65535}, 16},
+                        {{0, 0}, 16},
+                        // Aligned to the high bits: 12 and 14 bits, bright and dark.
+                        {{4095 << 4, 3 << 4}, 16},
+                        {{40 << 4, 3 << 4}, 16},
+                        {{16383 << 2, 1 << 2}, 16},
+                        {{21 << 2}, 16}};
+  for (const Case& c : cases) EXPECT_EQ(BitDepth().of(deep(c.values), PixelLayout::GRAY), c.bits) << c.values[0];
+}
+
+TEST(BitDepthOf, GrowsAloneAndSaysSoOnce) {
+  BitDepth depth;
+  EXPECT_EQ(depth.take_message(), "");
+  const auto of = [&depth](int value) { return depth.of(deep({value, 1, 2}), PixelLayout::GRAY); };
+  EXPECT_EQ(of(700), 10);
+  EXPECT_NE(depth.take_message().find("have 10 significant bits"), std::string::npos);
+  EXPECT_EQ(of(3000), 12);
+  for (const int darker : {10, 700, 4095, 2}) EXPECT_EQ(of(darker), 12);
+  EXPECT_NE(depth.take_message().find("have 12 significant bits"), std::string::npos);
+  EXPECT_EQ(depth.take_message(), "");
+  EXPECT_EQ(of(65535), 16);
+  EXPECT_EQ(of(700), 16);
+}
+
+TEST(BitDepthOf, IsWhatWasGiven) {
+  for (const int given : {8, 11, 16}) {
+    BitDepth depth(given);
+    EXPECT_EQ(depth.of(deep({700, 1}), PixelLayout::GRAY), given);
+    EXPECT_EQ(depth.of(cv::Mat(2, 2, CV_8UC1, cv::Scalar(9)), PixelLayout::GRAY), 8);
+    EXPECT_EQ(depth.take_message(), "");
+  }
+  for (const int bad : {-1, 1, 7, 17}) EXPECT_THROW(BitDepth{bad}, OptionError);
+}
+
+TEST(BitDepthOf, IsThatOfColoursAlone) {
+  EXPECT_EQ(BitDepth().of(cv::Mat(2, 2, CV_16UC4, cv::Scalar(5, 6, 7, 65535)), PixelLayout::BGRA), 10);
+  EXPECT_EQ(BitDepth().of(cv::Mat(2, 2, CV_16UC3, cv::Scalar(5, 6, 4095)), PixelLayout::RGB), 12);
+  EXPECT_EQ(BitDepth().of(cv::Mat(4, 4, CV_16UC1, cv::Scalar(4095)), PixelLayout::BAYER_RGGB), 12);
+}
+
+TEST(Luminance8, TakesFullScaleOfTheSignificantBitsToFullScale) {
+  for (int bits = 8; bits <= 16; ++bits) {
+    const int full = (1 << bits) - 1;
+    const cv::Mat luminance = luminance8(deep({0, full / 2, full, std::min(full + 1, 65535)}), PixelLayout::GRAY, bits);
+    EXPECT_EQ(luminance.at<uchar>(0, 0), 0);
+    EXPECT_NEAR(luminance.at<uchar>(0, 1), 127.5, 0.5) << bits;
+    EXPECT_EQ(luminance.at<uchar>(0, 2), 255) << bits;
+    EXPECT_EQ(luminance.at<uchar>(0, 3), 255) << bits;
+  }
+}
+
+TEST(KeepRange, TakesBackWhatFilteringAdded) {
+  cv::Mat output = deep({0, 4095, 4096, 60000, 5000, 4999});
+  keep_range(deep({0, 9, 4095, 4000, 5000, 5000}), 12, output);
+  EXPECT_EQ(cv::norm(output, deep({0, 4095, 4095, 4095, 5000, 4999}), cv::NORM_INF), 0);
+  cv::Mat alpha(1, 1, CV_16UC4, cv::Scalar(5000, 7, 7, 65535));
+  keep_range(cv::Mat(1, 1, CV_16UC4, cv::Scalar(4000, 7, 7, 65535)), 12, alpha);
+  EXPECT_EQ(alpha.at<cv::Vec4w>(0, 0), cv::Vec4w(4095, 7, 7, 65535));
+  cv::Mat whole = deep({65535});
+  keep_range(deep({1}), 16, whole);
+  EXPECT_EQ(whole.at<std::uint16_t>(0, 0), 65535);
 }
 
 }  // namespace

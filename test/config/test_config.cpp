@@ -47,20 +47,21 @@ std::string dump(const Config& c) {
   s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nbias_window " << c.bias_window_ns
     << "\nbias_max_stddev " << c.bias_max_stddev_rad_s << "\ntime_jump " << c.time_jump_ns << "\nrectify_to "
     << static_cast<int>(c.pipeline.rectify_to) << "\nengine " << c.pipeline.engine << "\nthreads " << c.pipeline.threads
-    << "\nblock_size " << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px
-    << "\nmax_extent " << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
-    << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing "
-    << c.pipeline.kernel.smoothing_px << "\nvalidate " << c.pipeline.validation.enabled << "\ntau "
-    << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\ndetector "
-    << c.pipeline.keypoints.detector << "\ndescriptor " << c.pipeline.keypoints.descriptor << "\nmax_features "
-    << c.pipeline.keypoints.max_features << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
-    << c.pipeline.keypoints.grid_rows << "\np_cam_imu " << c.p_cam_imu_m.transpose() << "\nscene_depth "
-    << c.translation.scene_depth_m << ' ' << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns
-    << ' ' << c.translation.max_speed_m_s << ' ' << c.translation.max_acceleration_m_s2 << ' '
-    << c.translation.max_stddev_m_s << ' ' << static_cast<int>(c.odometry_clock) << ' '
-    << static_cast<int>(c.odometry_twist_frame) << "\ntracker " << c.tracker.max_tracks << ' '
-    << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' '
-    << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' ' << c.tracker.levels;
+    << "\nsignificant_bits " << c.pipeline.significant_bits << "\nblock_size " << c.pipeline.blur_field.block_size_px
+    << "\nmin_extent " << c.pipeline.blur_field.min_extent_px << "\nmax_extent " << c.pipeline.blur_field.max_extent_px
+    << "\nmax_bend " << c.pipeline.blur_field.max_bend_px << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor "
+    << c.pipeline.kernel.length_factor << "\nsmoothing " << c.pipeline.kernel.smoothing_px << "\nvalidate "
+    << c.pipeline.validation.enabled << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
+    << c.pipeline.validation.tau_contrast << "\ndetector " << c.pipeline.keypoints.detector << "\ndescriptor "
+    << c.pipeline.keypoints.descriptor << "\nmax_features " << c.pipeline.keypoints.max_features << "\ngrid "
+    << c.pipeline.keypoints.grid_cols << ' ' << c.pipeline.keypoints.grid_rows << "\np_cam_imu "
+    << c.p_cam_imu_m.transpose() << "\nscene_depth " << c.translation.scene_depth_m << ' '
+    << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns << ' ' << c.translation.max_speed_m_s
+    << ' ' << c.translation.max_acceleration_m_s2 << ' ' << c.translation.max_stddev_m_s << ' '
+    << static_cast<int>(c.odometry_clock) << ' ' << static_cast<int>(c.odometry_twist_frame) << "\ntracker "
+    << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' '
+    << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' '
+    << c.tracker.levels;
   return s.str();
 }
 
@@ -107,6 +108,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"rectify_to", "stamp"},
       {"engine", "float"},
       {"threads", "2"},
+      {"significant_bits", "12"},
       {"block_size", "32"},
       {"min_extent", "4"},
       {"max_extent", "100.5"},
@@ -118,7 +120,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"tau", "12"},
       {"tau_contrast", "0"},
       {"detector", "ORB"},
-      {"descriptor", "ORB"},
+      {"descriptor", "BRISK"},
       {"max_features", "500"},
       {"grid_cols", "8"},
       {"grid_rows", "6"},
@@ -165,6 +167,7 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.rectify_to, RectifyTo::STAMP);
   EXPECT_EQ(c.pipeline.engine, "float");
   EXPECT_EQ(c.pipeline.threads, 2);
+  EXPECT_EQ(c.pipeline.significant_bits, 12);
   EXPECT_EQ(c.pipeline.blur_field.block_size_px, 32);
   EXPECT_EQ(c.pipeline.blur_field.min_extent_px, 4);
   EXPECT_EQ(c.pipeline.blur_field.max_extent_px, 100.5);
@@ -176,7 +179,7 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.validation.tau, 12);
   EXPECT_EQ(c.pipeline.validation.tau_contrast, 0);
   EXPECT_EQ(c.pipeline.keypoints.detector, "ORB");
-  EXPECT_EQ(c.pipeline.keypoints.descriptor, "ORB");
+  EXPECT_EQ(c.pipeline.keypoints.descriptor, "BRISK");
   EXPECT_EQ(c.pipeline.keypoints.max_features, 500);
   EXPECT_EQ(c.pipeline.keypoints.grid_cols, 8);
   EXPECT_EQ(c.pipeline.keypoints.grid_rows, 6);

@@ -58,17 +58,29 @@ TEST(Options, KernelLimits) {
   expect_limits(&KernelOptions::smoothing_px, "kernel_smoothing", {0.0, 5.0}, {-0.001, 5.001, kNan});
 }
 
+TEST(Options, SignificantBitsLimits) {
+  expect_limits(&PipelineOptions::significant_bits, "significant_bits", {0, 8, 16}, {-1, 1, 7, 17});
+}
+
 TEST(Options, KeypointLimits) {
   using O = KeypointOptions;
   expect_limits<O, std::string>(&O::detector, "detector", {"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"},
                                 {"", "sift", "SURF"});
-  expect_limits<O, std::string>(&O::descriptor, "descriptor", {"SIFT", "ORB", "BRISK", "NONE"}, {"", "GFTT", "AKAZE"});
+  expect_limits<O, std::string>(&O::descriptor, "descriptor", {"SIFT", "BRISK", "NONE"},
+                                {"", "GFTT", "AKAZE", "ORB"});  // the last two not with the detector SIFT
   expect_limits(&O::max_features, "max_features", {1, 100000}, {0, -1, 100001});
   expect_limits(&O::grid_cols, "grid_cols", {1, 64}, {0, 65});
   expect_limits(&O::grid_rows, "grid_rows", {1, 64}, {0, 65});
   O akaze;
   akaze.detector = akaze.descriptor = "AKAZE";
   EXPECT_NO_THROW(akaze.validate());
+  O orb;
+  orb.descriptor = "ORB";
+  EXPECT_EQ(option_error([&] { orb.validate(); }),
+            "descriptor = \"ORB\" cannot describe the keypoints of detector = \"SIFT\", only those of ORB AKAZE BRISK "
+            "GFTT FAST");
+  orb.detector = "FAST";
+  EXPECT_NO_THROW(orb.validate());
   O unknown;
   unknown.detector = "SURF";
   EXPECT_NE(option_error([&] { unknown.validate(); }).find("SIFT ORB AKAZE BRISK GFTT FAST"), std::string::npos);

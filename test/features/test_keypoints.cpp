@@ -2,25 +2,24 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
-#include <opencv2/core/version.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "option_error_text.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-#if CV_VERSION_MAJOR > 4 || CV_VERSION_MINOR >= 4
-const std::vector<std::string> kDetectors = {"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"};
-const std::vector<std::string> kDescriptors = {"SIFT", "ORB", "AKAZE", "BRISK", "NONE"};
-#else
-const std::vector<std::string> kDetectors = {"ORB", "AKAZE", "BRISK", "GFTT", "FAST"};
-const std::vector<std::string> kDescriptors = {"ORB", "AKAZE", "BRISK", "NONE"};
-#endif
+const std::vector<std::string> kDetectors = available_detectors();
+const std::vector<std::string> kDescriptors = available_descriptors();
+
+/// Whether SIFT is expected: the build has it, unless this runs with the library that is built without.
+bool expect_sift() { return GYRO_DEBLUR_SIFT != 0 && std::getenv("GYRO_DEBLUR_WITHOUT_SIFT") == nullptr; }
 
 KeypointOptions options_of(const std::string& detector, const std::string& descriptor, int max_features = 200) {
   KeypointOptions options;
@@ -28,6 +27,10 @@ KeypointOptions options_of(const std::string& detector, const std::string& descr
   options.descriptor = descriptor;
   options.max_features = max_features;
   return options;
+}
+
+std::string refusal(const KeypointOptions& options) {
+  return test::option_error([&] { options.validate(); });
 }
 
 bool is_accepted(const std::string& detector, const std::string& descriptor) {
@@ -42,9 +45,13 @@ TEST(FeatureExtractor, RunsEveryPairItAccepts) {
       SCOPED_TRACE(detector + " + " + descriptor);
       const KeypointOptions options = options_of(detector, descriptor);
       if (!is_accepted(detector, descriptor)) {
+        EXPECT_EQ(refusal(options).rfind("descriptor = \"" + descriptor + "\" cannot describe the keypoints of ", 0),
+                  0u);
+        EXPECT_NE(refusal(options).find("detector = \"" + detector + '"'), std::string::npos);
         EXPECT_THROW(FeatureExtractor{options}, OptionError);
         continue;
       }
+      EXPECT_EQ(refusal(options), "");
       const Features features = FeatureExtractor(options).extract(image);
       // Descriptors drop what is near the border, much of it when the detector has large patches.
       EXPECT_GE(features.keypoints.size(), detector == descriptor ? 190u : 50u);
@@ -62,6 +69,24 @@ TEST(FeatureExtractor, RunsEveryPairItAccepts) {
           EXPECT_LE(keypoint.response, features.keypoints[i - 1].response);
         }
       }
+    }
+  }
+}
+
+TEST(FeatureExtractor, NamesWhatThereIsInPlaceOfSift) {
+  EXPECT_EQ(std::count(kDetectors.begin(), kDetectors.end(), "SIFT"), expect_sift() ? 1 : 0);
+  EXPECT_EQ(std::count(kDescriptors.begin(), kDescriptors.end(), "SIFT"), expect_sift() ? 1 : 0);
+  EXPECT_EQ(kDetectors.size(), expect_sift() ? 6u : 5u);
+  EXPECT_EQ(kDescriptors.size(), expect_sift() ? 5u : 4u);
+  for (const char* detector : {"SIFT", "FAST"}) {
+    const std::string message = test::option_error([&] { FeatureExtractor extractor(options_of(detector, "SIFT")); });
+    if (expect_sift()) {
+      EXPECT_EQ(message, "");
+    } else {
+      EXPECT_NE(message.find(" = SIFT: OpenCV "), std::string::npos) << message;
+      EXPECT_NE(message.find("detectors ORB, AKAZE, BRISK, GFTT, FAST and the descriptors ORB, AKAZE, BRISK, NONE"),
+                std::string::npos)
+          << message;
     }
   }
 }

@@ -1,5 +1,6 @@
 #include "gyro_deblur/pipeline.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <memory>
 #include <string>
@@ -7,6 +8,7 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <Eigen/Geometry>
 
 #include "synthetic_blur.hpp"
 
@@ -107,6 +109,115 @@ TEST(Pipeline, TellsHowManyBlocksWereSlow) {
   EXPECT_EQ(both.slow_blocks, (SlowBlocks{{"16 bit and blur below 36 px", deblurred}}));
   EXPECT_EQ(process(deep, keypoints).slow_blocks, SlowBlocks{});
   EXPECT_EQ(process(blurred_image(15), {}).slow_blocks, SlowBlocks{});
+}
+
+// What OpenCV 4.2 lacks, and the default.
+TEST(Pipeline, DetectorThatIsMissingCostsKeypointsAlone) {
+  PipelineOptions with_sift = options();
+  with_sift.keypoints = KeypointOptions();
+  ASSERT_EQ(with_sift.keypoints.detector, "SIFT");
+  const std::vector<std::string> detectors = available_detectors();
+  const bool has_sift = std::find(detectors.begin(), detectors.end(), "SIFT") != detectors.end();
+  Pipeline p(with_sift);
+  p.set_calibration(calibration());
+  const auto process = [&p](const PipelineRequest& request) {
+    return p.process(blurred_image(15), PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), request);
+  };
+  const PipelineResult result = process({});
+  EXPECT_FALSE(result.image.empty());
+  EXPECT_EQ(result.points.size(), result.features.keypoints.size());
+  const PipelineResult raw = p.detect(sharp_image(), PixelLayout::GRAY, kStampNs, calibration());
+  for (const PipelineResult* each : {&result, &raw}) {
+    EXPECT_EQ(each->features.keypoints.size() > 100, has_sift);
+    EXPECT_EQ(each->features.keypoints.empty(), !has_sift);
+    EXPECT_EQ(each->keypoints_text.find("detector = SIFT: OpenCV ") == 0, !has_sift) << each->keypoints_text;
+    EXPECT_EQ(each->keypoints_text.empty(), has_sift);
+  }
+  PipelineRequest image;
+  image.keypoints = false;
+  EXPECT_EQ(process(image).keypoints_text, "") << "nobody asked";
+  p.set_options(options());
+  EXPECT_GT(process({}).features.keypoints.size(), 100u);
+  EXPECT_EQ(process({}).keypoints_text, "");
+}
+
+/// An 8-bit image as a camera of `bits` gives it in 16: it and 1/2^(bits - 8) grey levels of nothing below.
+cv::Mat in_16_bits(const cv::Mat& image, int bits, int shift = 0) {
+  cv::Mat wide;
+  image.convertTo(wide, CV_16U, ((1 << bits) - 1) / 255.0 * (1 << shift));
+  if (shift > 0) cv::bitwise_and(wide, cv::Scalar::all(65535 ^ ((1 << shift) - 1)), wide);
+  return wide;
+}
+
+// Grey levels are those of the camera's full scale, however many bits it has.
+TEST(Pipeline, SameSceneGivesTheSameInEveryDepth) {
+  struct Depth {
+    int bits, shift, given;
+  };
+  const Depth depths[] = {{10, 0, 0}, {12, 0, 0}, {14, 0, 0},  {16, 0, 0},
+                          {12, 4, 0}, {14, 2, 0}, {11, 0, 11}, {12, 0, 12}};
+  struct Seen {
+    std::size_t deblurred, rejected, keypoints;
+  };
+  for (const bool is_sharp : {true, false}) {
+    for (const PixelLayout layout : {PixelLayout::GRAY, PixelLayout::BAYER_RGGB, PixelLayout::RGB}) {
+      // A mosaic of grey.
+      cv::Mat image = is_sharp ? sharp_image() : blurred_image(15);
+      if (layout == PixelLayout::RGB) cv::merge(std::vector<cv::Mat>{image, image, image}, image);
+      const auto see = [&](const cv::Mat& pixels, int given, int bits) -> Seen {
+        PipelineOptions o = options();
+        o.significant_bits = given;
+        Pipeline p(o);
+        p.set_calibration(calibration());
+        const PipelineResult r = p.process(pixels, layout, pan(rate_for(15)), global_shutter(), {});
+        EXPECT_EQ(r.significant_bits, bits);
+        EXPECT_EQ(p.take_warning().empty(), given != 0 || bits == 8 || bits == 16);
+        EXPECT_EQ(p.take_warning(), "");
+        if (!r.image.empty()) {
+          EXPECT_EQ(r.image.type(), pixels.type());
+          double greatest = 0;
+          cv::minMaxLoc(r.image.reshape(1), nullptr, &greatest);
+          EXPECT_LE(greatest, (1 << bits) - 1);
+        }
+        return {r.field.count(BlockStatus::DEBLURRED), r.field.count(BlockStatus::REJECTED),
+                r.features.keypoints.size()};
+      };
+      const Seen expected = see(image, 0, 8);
+      if (is_sharp) {
+        EXPECT_GE(expected.rejected, 15u) << "of 20";
+      } else {
+        EXPECT_GE(expected.deblurred, 18u);
+      }
+      for (const Depth& depth : depths) {
+        SCOPED_TRACE(testing::Message() << depth.bits << " bits << " << depth.shift << ", sharp " << is_sharp
+                                        << ", layout " << static_cast<int>(layout));
+        const Seen seen =
+            see(in_16_bits(image, depth.bits, depth.shift), depth.given, depth.shift > 0 ? 16 : depth.bits);
+        // Finer values may carry one block over the threshold.
+        EXPECT_NEAR(static_cast<double>(seen.deblurred), static_cast<double>(expected.deblurred), 1);
+        EXPECT_NEAR(static_cast<double>(seen.rejected), static_cast<double>(expected.rejected), 1);
+        EXPECT_NEAR(static_cast<double>(seen.keypoints), static_cast<double>(expected.keypoints),
+                    0.05 * static_cast<double>(expected.keypoints));
+      }
+    }
+  }
+}
+
+TEST(Pipeline, DarkFramesDoNotChangeTheScale) {
+  Pipeline p = pipeline();
+  const auto bits = [&p](double brightness) {
+    const cv::Mat image = in_16_bits(blurred_image(15) * brightness, 12);
+    const PipelineResult result = p.process(image, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
+    EXPECT_EQ(p.detect(image, PixelLayout::GRAY, kStampNs, std::nullopt).significant_bits, result.significant_bits);
+    return result.significant_bits;
+  };
+  EXPECT_EQ(bits(0.05), 10);
+  EXPECT_EQ(bits(1), 12);
+  for (const double brightness : {0.05, 1.0, 0.2, 0.0}) EXPECT_EQ(bits(brightness), 12);
+  PipelineOptions o = options();
+  o.significant_bits = 14;
+  p.set_options(o);
+  EXPECT_EQ(bits(1), 14);
 }
 
 TEST(Pipeline, DoesOnlyWhatIsAskedFor) {
@@ -279,6 +390,24 @@ TEST(Pipeline, KeepsItsStateWhenNewOptionsAreBad) {
   const PipelineResult after = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
   EXPECT_TRUE(equal(before.image, after.image));
   EXPECT_EQ(before.features.keypoints.size(), after.features.keypoints.size());
+}
+
+// A rectified image is that of an ideal camera, whatever it was turned by and whether or not its motion is known.
+TEST(Pipeline, NormalizedCoordinatesAreThoseOfTheRectifiedImage) {
+  CameraCalibration turned = calibration();
+  turned.R_image_cam = Eigen::AngleAxisd(3.3 * M_PI / 180, Eigen::Vector3d(1, 2, 0.5).normalized()).toRotationMatrix();
+  Pipeline p(options());
+  p.set_calibration(turned);
+  const PipelineResult passed = p.detect(sharp_image(), PixelLayout::GRAY, kStampNs, turned);
+  const PipelineResult processed = p.process(sharp_image(), PixelLayout::GRAY, pan(0), global_shutter(), {});
+  for (const PipelineResult* result : {&passed, &processed}) {
+    ASSERT_GT(result->points.size(), 100u);
+    for (std::size_t i = 0; i < result->points.size(); ++i) {
+      const cv::Point2f& at = result->features.keypoints[i].pt;
+      const Eigen::Vector2d ideal((at.x - turned.cx_px) / kFocalPx, (at.y - turned.cy_px) / kFocalPx);
+      EXPECT_LT((result->points[i].normalized - ideal).norm() * kFocalPx, 1e-3) << "px, at " << at;
+    }
+  }
 }
 
 TEST(Pipeline, WarnsOnceAboutAnAbsentDevice) {

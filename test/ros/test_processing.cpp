@@ -173,6 +173,24 @@ TEST_F(ProcessingTest, FramesThatPassThroughHaveRawKeypoints) {
   expect_raw_keypoints(3, true);  // a reset takes from no frame what has come for it
 }
 
+// camera_info's R turns the camera's frame into the rectified image's.
+TEST_F(ProcessingTest, RectifiedFramesThatPassThroughHaveNormalizedKeypointsOfTheirOwn) {
+  config_.rectified_input = true;
+  configure();
+  const auto info = camera_info(kStart);
+  const double angle_rad = 3.3 * M_PI / 180;
+  info->R = {std::cos(angle_rad), 0, std::sin(angle_rad), 0, 1, 0, -std::sin(angle_rad), 0, std::cos(angle_rad)};
+  processor_.add_image(image_message(kStart));
+  processor_.add_camera_info(info);
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "");
+  ASSERT_FALSE(outputs_[0].keypoints->keypoints.empty());
+  for (const Keypoint& keypoint : outputs_[0].keypoints->keypoints) {
+    EXPECT_NEAR(keypoint.normalized_x, (keypoint.x - (kWidth - 1) / 2.0) / kFocalPx, 1e-5);
+    EXPECT_NEAR(keypoint.normalized_y, (keypoint.y - (kHeight - 1) / 2.0) / kFocalPx, 1e-5);
+  }
+}
+
 TEST_F(ProcessingTest, OnlyWhatIsAskedForIsMade) {
   add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
   request_ = {false, false, false, false};
@@ -273,6 +291,42 @@ TEST_F(ProcessingTest, BlocksThatLeaveTheFastPathAreCountedByReason) {
   EXPECT_EQ(reason.rfind("16 bit and blur below", 0), 0u) << reason;
   EXPECT_EQ(count, blocks);
   EXPECT_EQ(processor_.statistics().slow_blocks, (SlowBlocks{{reason, 2 * blocks}})) << "since the start";
+}
+
+TEST_F(ProcessingTest, TwelveBitsOfSixteenAreSaidOnceAndKept) {
+  add_imu(kStart - 50 * kMs, kStart + 400 * kMs);
+  request_.overlay = true;
+  for (int i = 0; i < 3; ++i) {
+    const TimeNs stamp_ns = kStart + i * 80 * kMs;
+    const auto image = image_message(stamp_ns, "mono16");
+    for (std::size_t at = 0; at < image->data.size(); at += 2) {
+      const int value = (image->data[at] | image->data[at + 1] << 8) >> 4;
+      image->data[at] = static_cast<std::uint8_t>(value);
+      image->data[at + 1] = static_cast<std::uint8_t>(value >> 8);
+    }
+    processor_.add_image(image);
+    processor_.add_camera_info(camera_info(stamp_ns));
+  }
+  add_imu(kStart + 405 * kMs, kStart + 600 * kMs);
+  add_frame(kStart + 240 * kMs);  // the same in 8 bit
+  advance();
+  ASSERT_EQ(outputs_.size(), 4u);
+  const std::size_t expected = outputs_[3].keypoints->keypoints.size();
+  const auto grey_levels = [](const FrameOutput& output) {
+    return cv::mean(view_image(*output.overlay).image)[0];  // of the picture that the lines are drawn on
+  };
+  for (std::size_t i = 0; i < 3; ++i) {
+    expect_deblurred(i);
+    const cv::Mat image = view_image(*outputs_[i].image).image;
+    double greatest = 0;
+    cv::minMaxLoc(image, nullptr, &greatest);
+    EXPECT_LE(greatest, 4095);
+    EXPECT_GT(greatest, 3000);
+    EXPECT_NEAR(grey_levels(outputs_[i]), grey_levels(outputs_[3]), 2);
+    EXPECT_NEAR(static_cast<double>(outputs_[i].keypoints->keypoints.size()), static_cast<double>(expected),
+                0.05 * static_cast<double>(expected));
+  }
+  EXPECT_EQ(logged("12 significant bits"), 1u);
 }
 
 TEST_F(ProcessingTest, ByteOrderMakesNoDifference) {

@@ -1,5 +1,6 @@
 #include "ros/processor.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <memory>
 #include <new>
@@ -156,6 +157,38 @@ TEST_F(ProcessorTest, ConfigurationThatCannotBeUsedChangesNothing) {
   add_frame(kStart);
   advance();
   expect_deblurred(0);
+}
+
+TEST_F(ProcessorTest, DescriptorThatCannotDescribeChangesNothing) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  Config bad = config_;
+  bad.pipeline.keypoints.detector = "SIFT";
+  bad.pipeline.keypoints.descriptor = "ORB";
+  EXPECT_THROW(processor_.set_config(bad), OptionError);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].keypoints->detector, "FAST");
+  EXPECT_FALSE(outputs_[0].keypoints->keypoints.empty());
+}
+
+// Also with an OpenCV that lacks their detector.
+TEST_F(ProcessorTest, DefaultKeypointsAreNoConditionForImages) {
+  config_.pipeline.keypoints = KeypointOptions();
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  const std::vector<std::string> available = available_detectors();
+  const bool has_detector = std::count(available.begin(), available.end(), "SIFT") > 0;
+  add_frame(kStart);
+  add_frame(kStart + 2 * kSecond);  // passes through
+  advance();
+  time_out();
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_deblurred(0);
+  expect_passed_through(1, PassThroughReason::NO_GYRO, "");
+  for (const FrameOutput& output : outputs_) EXPECT_EQ(output.keypoints->keypoints.empty(), !has_detector);
+  EXPECT_EQ(logged("has no keypoints: detector = SIFT"), has_detector ? 0u : 1u) << "and counted";
+  EXPECT_EQ(processor_.statistics().keypoints_text.empty(), has_detector);
 }
 
 TEST_F(ProcessorTest, AbsentDeviceIsSaidOnceAndReplaced) {
