@@ -1,6 +1,7 @@
 // When each row of a frame was exposed (paper section III-C).
 #pragma once
 
+#include <cstddef>
 #include <deque>
 #include <optional>
 
@@ -25,21 +26,33 @@ struct ShutterTiming {
 };
 
 /// Throws OptionError "NAME = ... s is longer than the frame period ..." when rows would still be read while the next
-/// frame is: a wrong unit, most likely. Jitter of stamps is allowed for.
+/// frame is: a wrong unit, most likely.
 /// @param frame_period_ns  > 0
-void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns);
+/// @param tolerance        of the period, > 0; by default that of one that is told, as it is of rounded data sheets
+void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns, double tolerance = 0.1);
 
-/// The time from frame to frame, from the stamps as they come. Lost frames and single bad stamps do not disturb it.
+/// The time from frame to frame, from the stamps as they come, which scatter when a driver stamps on arrival. Lost
+/// frames make it longer.
 class FramePeriod {
  public:
   void add(TimeNs stamp_ns);
   void clear();
-  /// Median of the last intervals [ns], > 0; nothing before there are enough of them.
+  /// Median time [ns], > 0, from each of the last frames to the one a span later, over the span; nothing before there
+  /// are enough of them. A few bad stamps do not disturb it.
   std::optional<TimeNs> get() const;
+  /// Throws OptionError as the function does, once enough frames have come to know. However stamps scatter within a
+  /// period, a readout that is not longer than the true one passes.
+  void require_plausible_readout(const char* name, TimeNs readout_ns) const;
 
  private:
-  std::optional<TimeNs> last_stamp_ns_;
-  std::deque<TimeNs> intervals_ns_;
+  std::optional<TimeNs> estimate() const;
+  std::size_t span() const;  // in frames; even, so that pairs of frames with about the same stamp do not matter
+
+  struct Stamp {
+    TimeNs t_ns;
+    int resets;  // of time, that came before
+  };
+  std::deque<Stamp> stamps_;
 };
 
 /// Exposure of the rows of one frame, in the camera clock: row y of N is exposed from

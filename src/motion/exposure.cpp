@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <sstream>
+#include <utility>
 #include <vector>
 
 #include "base/median.hpp"
@@ -44,12 +45,15 @@ TimeNs phase_offset_ns(const ShutterTiming& timing, StampPhase phase) {
   return std::llround(static_cast<double>(timing.exposure_ns) * fraction_of(phase));
 }
 
+/// Of a frame period. The longest span makes the tolerance a tenth; there are more than as many of them among the
+/// frames that are kept, so that the median can tell.
+constexpr std::size_t kShortestSpan = 2, kLongestSpan = 30, kKeptFrames = 75, kFewestFrames = 6;
+
 }  // namespace
 
-void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns) {
-  constexpr double kJitter = 0.1;  // of the period; drivers that stamp on arrival scatter by some milliseconds
+void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns, double tolerance) {
   const double readout_s = std::abs(to_seconds(readout_ns)), period_s = to_seconds(frame_period_ns);
-  if (readout_s <= (1 + kJitter) * period_s) return;
+  if (readout_s <= (1 + tolerance) * period_s) return;
   std::ostringstream text;
   text << name << " = " << to_seconds(readout_ns) << " s is longer than the frame period " << period_s
        << " s: is its unit right?";
@@ -57,20 +61,45 @@ void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame
 }
 
 void FramePeriod::add(TimeNs stamp_ns) {
-  constexpr std::size_t kKept = 15;
-  if (last_stamp_ns_ && stamp_ns > *last_stamp_ns_) {
-    intervals_ns_.push_back(stamp_ns - *last_stamp_ns_);
-    if (intervals_ns_.size() > kKept) intervals_ns_.pop_front();
+  int resets = 0;
+  if (!stamps_.empty()) {
+    resets = stamps_.back().resets;
+    // Scatter takes a stamp back by less.
+    const std::optional<TimeNs> period_ns = estimate();
+    if (stamp_ns < (period_ns ? stamps_.back().t_ns - *period_ns : stamps_.front().t_ns)) ++resets;
   }
-  last_stamp_ns_ = stamp_ns;
+  stamps_.push_back({stamp_ns, resets});
+  if (stamps_.size() > kKeptFrames) stamps_.pop_front();
 }
 
-void FramePeriod::clear() { *this = FramePeriod(); }
+void FramePeriod::clear() { stamps_.clear(); }
 
-std::optional<TimeNs> FramePeriod::get() const {
-  constexpr std::size_t kEnough = 5;
-  if (intervals_ns_.size() < kEnough) return std::nullopt;
-  return median(std::vector<TimeNs>(intervals_ns_.begin(), intervals_ns_.end()));
+std::size_t FramePeriod::span() const {
+  return std::max(2 * (stamps_.size() * kLongestSpan / kKeptFrames / 2), kShortestSpan);
+}
+
+std::optional<TimeNs> FramePeriod::get() const { return stamps_.size() < kFewestFrames ? std::nullopt : estimate(); }
+
+std::optional<TimeNs> FramePeriod::estimate() const {
+  std::vector<TimeNs> periods_ns;
+  const std::size_t n = span();
+  for (std::size_t i = n; i < stamps_.size(); ++i) {
+    const Stamp &from = stamps_[i - n], &to = stamps_[i];
+    const TimeNs period_ns = (to.t_ns - from.t_ns) / static_cast<TimeNs>(n);
+    if (from.resets == to.resets && period_ns > 0) periods_ns.push_back(period_ns);
+  }
+  if (periods_ns.empty()) return std::nullopt;
+  return median(std::move(periods_ns));
+}
+
+void FramePeriod::require_plausible_readout(const char* name, TimeNs readout_ns) const {
+  // One period of scatter over a span of n makes the estimate 1 / n too short, for which 2 / n would do. Three are a
+  // tenth at the longest span, and allow for frames that wait for their stamps in a queue of three.
+  constexpr std::size_t kScatterFrames = 3;
+  const std::optional<TimeNs> period_ns = get();
+  if (!period_ns || span() <= kScatterFrames) return;
+  const double tolerance = static_cast<double>(kScatterFrames) / static_cast<double>(span());
+  gyro_deblur::require_plausible_readout(name, readout_ns, *period_ns, tolerance);
 }
 
 RowExposure::RowExposure(TimeNs stamp_ns, int rows, const ShutterTiming& timing)

@@ -207,12 +207,10 @@ Readiness FrameAssembly::find_exposure(const Terms& terms, PendingFrame* frame, 
   ShutterTiming timing;
   const Readiness readiness = find_timing(terms, frame, &timing);
   if (readiness != Readiness::READY) return readiness;
-  if (const std::optional<TimeNs> period_ns = intake_.frame_period_ns()) {
-    try {
-      require_plausible_readout("readout_time", timing.readout_ns, *period_ns);
-    } catch (const OptionError& error) {
-      return settle(frame, PassThroughReason::BAD_CONFIGURATION, error.what());
-    }
+  try {
+    intake_.frame_period().require_plausible_readout("readout_time", timing.readout_ns);
+  } catch (const OptionError& error) {
+    return settle(frame, PassThroughReason::BAD_CONFIGURATION, error.what());
   }
   try {
     assembled->exposure.emplace(frame->stamp_ns, static_cast<int>(frame->image->height), timing);

@@ -85,7 +85,7 @@ class Intake {
   /// True when images have exposure messages, or cannot do without.
   bool exposure_expected() const;
   std::optional<TimeNs> exposure_setting_ns() const { return exposure_setting_ns_; }
-  std::optional<TimeNs> frame_period_ns() const { return frame_period_.get(); }
+  const FramePeriod& frame_period() const { return frame_period_; }
   const GyroReader& gyro() const { return gyro_; }
   std::string imu_frame() const { return gyro_source_->frame_id(); }
   /// True while the IMU is expected to follow a reset of time: what it brings is still old.

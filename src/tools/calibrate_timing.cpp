@@ -71,12 +71,10 @@ void warn(const TimingEstimate& estimate, const Footage& footage) {
     say("the exposure messages bring a readout time of " + std::to_string(to_seconds(*footage.message_readout_ns)) +
         " s of their own, which holds before readout_time");
   }
-  if (const std::optional<TimeNs> period_ns = footage.period.get()) {
-    try {
-      require_plausible_readout("readout_time", to_ns(estimate.readout_s.value), *period_ns);
-    } catch (const OptionError& error) {
-      say(error.what());
-    }
+  try {
+    footage.period.require_plausible_readout("readout_time", to_ns(estimate.readout_s.value));
+  } catch (const OptionError& error) {
+    say(error.what());
   }
 }
 

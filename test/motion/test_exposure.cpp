@@ -1,5 +1,6 @@
 #include "gyro_deblur/exposure.hpp"
 
+#include <random>
 #include <string>
 
 #include <gtest/gtest.h>
@@ -138,6 +139,85 @@ TEST(FramePeriod, IsTheMedianOfTheIntervals) {
   EXPECT_EQ(period.get(), kPeriod);
   period.clear();
   EXPECT_FALSE(period.get());
+}
+
+/// Stamps of a camera of 30 Hz whose driver stamps frames on arrival.
+struct Driver {
+  const char* name;
+  double scatter_s;  ///< standard deviation
+  int burst;         ///< so many frames arrive together
+  double dropped;    ///< part of the frames
+};
+
+constexpr double kPeriodS = 1 / 30.0;
+constexpr Driver kDrivers[] = {{"exact", 0, 1, 0},           {"scatter 4 ms", 4e-3, 1, 0},
+                               {"scatter 5 ms", 5e-3, 1, 0}, {"scatter 6 ms", 6e-3, 1, 0},
+                               {"pairs", 0.2e-3, 2, 0},      {"pairs, scatter 6 ms", 6e-3, 2, 0},
+                               {"dropped", 0, 1, 0.1},       {"dropped pairs", 0.2e-3, 2, 0.1},
+                               {"all of it", 6e-3, 2, 0.1},  {"threes", 0.2e-3, 3, 0}};
+
+/// Calls `each(frames so far, period)` after every frame of two minutes in all, anew every ten seconds.
+template <typename Each>
+void drive(const Driver& driver, Each&& each) {
+  std::mt19937 random(7);
+  std::normal_distribution<double> scatter_s(0, driver.scatter_s);
+  std::bernoulli_distribution drops(driver.dropped);
+  for (int part = 0; part < 12; ++part) {
+    FramePeriod period;
+    int frames = 0;
+    for (int i = 0; i < 300; ++i) {
+      const int arrives = i - i % driver.burst + driver.burst - 1;
+      const double stamp_s = 100 + arrives * kPeriodS + (driver.scatter_s > 0 ? scatter_s(random) : 0);
+      if (drops(random)) continue;
+      period.add(to_ns(stamp_s));
+      each(++frames, period);
+    }
+  }
+}
+
+bool refuses(const FramePeriod& period, double readout_s) {
+  try {
+    period.require_plausible_readout("readout", to_ns(readout_s));
+    return false;
+  } catch (const OptionError&) {
+    return true;
+  }
+}
+
+TEST(FramePeriod, NoScatterOfStampsRefusesAReadoutOfAPeriod) {
+  for (const Driver& driver : kDrivers) {
+    int refused = 0;
+    drive(driver, [&refused](int, const FramePeriod& period) {
+      refused += refuses(period, kPeriodS) + refuses(period, -kPeriodS);
+    });
+    EXPECT_EQ(refused, 0) << driver.name;
+  }
+}
+
+TEST(FramePeriod, AReadoutThatCannotBeIsRefusedWhateverTheScatter) {
+  for (const Driver& driver : kDrivers) {
+    int passed_soon = 0, passed_later = 0;
+    drive(driver, [&](int frames, const FramePeriod& period) {
+      // A data sheet's microseconds taken for ten, and half as much again: what the time of two frames looks like.
+      if (frames >= 25) passed_soon += !refuses(period, 10 * kPeriodS);
+      if (frames >= 75) passed_later += !refuses(period, 1.5 * kPeriodS);
+    });
+    EXPECT_EQ(passed_soon, 0) << driver.name;
+    EXPECT_EQ(passed_later, 0) << driver.name;
+  }
+}
+
+TEST(FramePeriod, ResetsOfTimeAndPausesRefuseNothing) {
+  for (const int from : {3, 4, 5, 8, 20, 70}) {
+    for (const double step_s : {-1000.0, -5.0, -0.9, -0.3, -0.1, -0.05, -0.03, 0.0, 0.1, 5.0, 1000.0}) {
+      FramePeriod period;
+      for (int i = 0; i < 200; ++i) {
+        period.add(to_ns(2000 + i * kPeriodS + (i >= from ? step_s : 0)));
+        EXPECT_FALSE(refuses(period, kPeriodS)) << step_s << " s from " << from << ", frame " << i;
+      }
+      EXPECT_TRUE(refuses(period, 1.2 * kPeriodS)) << step_s << " s from " << from;
+    }
+  }
 }
 
 TEST(FramePeriod, BoundsTheReadout) {

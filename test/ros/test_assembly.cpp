@@ -594,6 +594,17 @@ TEST_F(FrameAssemblyTest, ReadoutLongerThanTheFramePeriodIsNamed) {
                         "readout_time = 0.02 s is longer than the frame period 0.01 s");
 }
 
+TEST_F(FrameAssemblyTest, ReadoutOfAPeriodPassesWhenFramesAreStampedInPairs) {
+  config_.shutter.readout_ns = 33'300'000;
+  configure();
+  constexpr TimeNs kPeriod = 33'333'333;
+  for (int i = 0; i < 100; ++i) {
+    add_frame(kStart + i / 2 * 2 * kPeriod + i % 2 * kMs);
+    time_out();
+    expect_passed_through(static_cast<std::size_t>(i), PassThroughReason::NO_GYRO, "there are none");
+  }
+}
+
 TEST_F(FrameAssemblyTest, UnusableCameraInfoIsNamedAtOnce) {
   const auto pass = [this](TimeNs stamp_ns, const sensor_msgs::CameraInfoPtr& info) {
     processor_.add_image(image_message(stamp_ns));
