@@ -26,7 +26,9 @@ class MadeOnce {
       if (!entry) entry = std::make_unique<Slot>();
       slot = entry.get();
     }
-    std::call_once(slot->once, [&] { slot->value.emplace(make()); });
+    // Not std::call_once, which does not survive an exception everywhere (GCC bug 66146).
+    const std::lock_guard<std::mutex> lock(slot->mutex);
+    if (!slot->value) slot->value.emplace(make());
     return *slot->value;
   }
 
@@ -45,7 +47,7 @@ class MadeOnce {
 
  private:
   struct Slot {
-    std::once_flag once;
+    std::mutex mutex;
     std::optional<Value> value;
   };
   mutable std::mutex mutex_;
