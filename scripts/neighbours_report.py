@@ -90,7 +90,8 @@ def main():
         with one_line_about(arguments.markdown), open(arguments.markdown, "w", encoding="utf-8") as file:
             file.write(text)
     if arguments.document:
-        replace_marked(arguments.document, "neighbours tables", text)
+        replace_marked(arguments.document, "neighbours tables",
+                       text + "\n![latency and processor time](../images/neighbours.png)\n")
 
 
 if __name__ == "__main__":

@@ -2,10 +2,10 @@
 
 #include <pthread.h>
 #include <sched.h>
+#include <time.h>
 
 #include <algorithm>
 #include <atomic>
-#include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
@@ -20,11 +20,13 @@
 namespace gyro_deblur {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
-// Less work than this is not worth another thread: waking one takes 40 to 60 us until it runs, and 3 to 5 us of the
-// time of the one that wakes it (two cores of a virtual machine).
-constexpr std::chrono::nanoseconds kWorthHelp{50'000};
+// Work for each helper that is worth waking it. Waking takes 9 us (two cores of a virtual machine), but a helper whose
+// core a neighbour takes in the middle of a piece keeps the loop waiting for the neighbour's turn. With 0.05 ms frames
+// of 752x480 px, loops of less than 1 ms, took 1.8 ms alone and up to 37 to 53 ms (p95) on a busy machine; on one
+// thread 1.7 ms alone and 4 to 14 ms. Results: doc/reports/neighbours.md.
+constexpr double kWorthHelpS = 500e-6;
+// So much of a loop tells how long the rest takes.
+constexpr double kProbeS = 50e-6;
 
 #ifdef GYRO_DEBLUR_TSAN
 std::atomic<int> help_at_once{1};
@@ -141,17 +143,22 @@ class Helpers {
   int threads_ = 0;
 };
 
+/// Processor time of this thread: what a neighbour takes meanwhile is no work.
+double thread_time_s() {
+  timespec time{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
+  return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
+}
+
 /// Works alone until what is left is worth help. @return how many of `most` helpers it is worth; 0: it is done
 int begin_alone(Loop& loop, int most) {
   if (help_at_once > 0) return most;
-  const auto start = Clock::now();
+  const double start_s = thread_time_s();
   while (loop.step(0)) {
-    const auto elapsed = Clock::now() - start;
-    if (elapsed < kWorthHelp) continue;
-    const int begun = loop.begun();
-    const double rest = std::chrono::duration<double>(elapsed) / std::chrono::duration<double>(kWorthHelp) *
-                        (loop.count() - begun) / begun;
-    if (rest >= 1) return static_cast<int>(std::min<double>(rest, most));
+    const double elapsed_s = thread_time_s() - start_s;
+    if (elapsed_s < kProbeS) continue;
+    const double begun = loop.begun(), helpers = elapsed_s * (loop.count() - begun) / begun / kWorthHelpS;
+    if (helpers >= 1) return static_cast<int>(std::min<double>(helpers, most));
   }
   return 0;
 }
