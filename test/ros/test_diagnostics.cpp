@@ -78,6 +78,16 @@ TEST_F(DiagnosticReportTest, MessagesThatAreNotSentWarnOnce) {
   EXPECT_EQ(level_, DiagnosticStatus::OK) << "none since";
 }
 
+TEST_F(DiagnosticReportTest, KeypointsThatCannotBeFoundAreAnError) {
+  statistics_.keypoints_text = "detector = SIFT: OpenCV 4.2.0 has none";
+  fill();
+  EXPECT_EQ(level_, DiagnosticStatus::ERROR);
+  EXPECT_NE(summary_.find("no keypoints: detector = SIFT: OpenCV 4.2.0 has none"), std::string::npos) << summary_;
+  statistics_.keypoints_text.clear();
+  fill();
+  EXPECT_EQ(level_, DiagnosticStatus::OK);
+}
+
 TEST_F(DiagnosticReportTest, MostlyRejectedBlocksWarn) {
   statistics_.blocks = {{BlockStatus::DEBLURRED, 50}, {BlockStatus::REJECTED, 50}};
   EXPECT_EQ(fill()["blocks, REJECTED"], "50");
