@@ -45,10 +45,9 @@ class UnsentMessages::Tap : public ros::SubscriberLink {
       }
     }
     ++next_;
-    held_.erase(
-        std::remove_if(held_.begin(), held_.end(),
-                       [this, round](const Held& each) { return each.round != round && holders(each, round) == 0; }),
-        held_.end());
+    held_.erase(std::remove_if(held_.begin(), held_.end(),
+                               [round](const Held& each) { return each.round != round && holders(each, round) == 0; }),
+                held_.end());
   }
 
   void getPublishTypes(bool& serialize, bool& nocopy, const std::type_info& /*type*/) override {
