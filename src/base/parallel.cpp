@@ -2,10 +2,10 @@
 
 #include <pthread.h>
 #include <sched.h>
-#include <time.h>
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
@@ -20,13 +20,14 @@
 namespace gyro_deblur {
 namespace {
 
+using Clock = std::chrono::steady_clock;  // its time is read without a system call, see begin_alone
+
 // Work for each helper that is worth waking it. Waking takes 9 us (two cores of a virtual machine), but a helper whose
-// core a neighbour takes in the middle of a piece keeps the loop waiting for the neighbour's turn. With 0.05 ms frames
-// of 752x480 px, loops of less than 1 ms, took 1.8 ms alone and up to 37 to 53 ms (p95) on a busy machine; on one
-// thread 1.7 ms alone and 4 to 14 ms. Results: doc/reports/neighbours.md.
-constexpr double kWorthHelpS = 500e-6;
-// So much of a loop tells how long the rest takes.
-constexpr double kProbeS = 50e-6;
+// core a neighbour takes in the middle of a piece keeps the loop waiting for the neighbour's turn, and every system
+// call is a chance for the kernel to give this thread's core away. With 0.05 ms frames of 752x480 px took as long as on
+// one thread on a machine without a neighbour, 1.7 to 1.8 ms, and beside one their p95 was 37 to 53 ms instead of 4
+// to 14.
+constexpr std::chrono::nanoseconds kWorthHelp{2'000'000};
 
 #ifdef GYRO_DEBLUR_TSAN
 std::atomic<int> help_at_once{1};
@@ -143,21 +144,24 @@ class Helpers {
   int threads_ = 0;
 };
 
-/// Processor time of this thread: what a neighbour takes meanwhile is no work.
-double thread_time_s() {
-  timespec time{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
-  return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
-}
-
-/// Works alone until what is left is worth help. @return how many of `most` helpers it is worth; 0: it is done
+/// Works alone until it is known whether the rest is worth help. Makes no system call.
+/// @return how many of `most` helpers it is worth; 0: it is done
 int begin_alone(Loop& loop, int most) {
   if (help_at_once > 0) return most;
-  const double start_s = thread_time_s();
-  while (loop.step(0)) {
-    const double elapsed_s = thread_time_s() - start_s;
-    if (elapsed_s < kProbeS) continue;
-    const double begun = loop.begun(), helpers = elapsed_s * (loop.count() - begun) / begun / kWorthHelpS;
+  auto before = Clock::now();
+  std::chrono::nanoseconds elapsed{0}, longest{0};
+  for (int steps = 1; loop.step(0); ++steps) {
+    const auto now = Clock::now();
+    elapsed += now - before;
+    longest = std::max(longest, now - before);
+    before = now;
+    // The longest step may have been interrupted: it tells nothing.
+    constexpr int kStepsThatTell = 3;
+    if (steps < kStepsThatTell) continue;
+    const int begun = loop.begun();
+    const double step_ns = static_cast<double>((elapsed - longest).count()) / (steps - 1);
+    const double rest_ns = step_ns * steps * (loop.count() - begun) / begun;
+    const double helpers = rest_ns / static_cast<double>(kWorthHelp.count());
     if (helpers >= 1) return static_cast<int>(std::min<double>(helpers, most));
   }
   return 0;

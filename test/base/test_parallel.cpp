@@ -93,12 +93,12 @@ TEST(RunParallel, GivesThreadsThatWorkAtTheSameTimeNumbersOfTheirOwn) {
 // The cause of frames that take twenty times as long beside a busy process, and of the time that is taken from it.
 TEST(RunParallel, ThreadsSleepBetweenLoops) {
   constexpr int kLoops = 20, kAllCores = 0;
-  run_parallel(8, kAllCores, 1, [](int) { work_for(250e-6); });  // starts them
+  run_parallel(40, kAllCores, 1, [](int) { work_for(250e-6); });  // starts them
   const double before_s = time_of_others_s();
   double worked_s = 0;
   std::mutex mutex;
   for (int i = 0; i < kLoops; ++i) {
-    run_parallel(8, kAllCores, 1, [&, caller = std::this_thread::get_id()](int) {
+    run_parallel(40, kAllCores, 1, [&, caller = std::this_thread::get_id()](int) {
       work_for(250e-6);
       const std::lock_guard<std::mutex> lock(mutex);
       if (std::this_thread::get_id() != caller) worked_s += 250e-6;
