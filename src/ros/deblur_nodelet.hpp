@@ -92,6 +92,7 @@ class DeblurNodelet : public nodelet::Nodelet {
 
   std::unique_ptr<image_transport::ImageTransport> transport_;
   std::shared_ptr<SharedImu> imu_;
+  std::shared_ptr<StereoCamera> stereo_;
   std::mutex exposure_mutex_;  // for the next two
   ros::Subscriber exposure_subscriber_;
   std::unique_ptr<ExposureAdapter> exposure_adapter_;  // null for the package's own message

@@ -23,6 +23,7 @@
 #include "ros/messages.hpp"
 #include "ros/processing.hpp"
 #include "ros/statistics.hpp"
+#include "ros/stereo_rig.hpp"
 #include "ros/throttled_log.hpp"
 
 namespace gyro_deblur {
@@ -37,6 +38,8 @@ class Processor {
     Log log;                        ///< required
     /// Samples that others use as well; whoever adds to it calls notice_imu. Absent: one of its own, for add_imu.
     std::shared_ptr<GyroSource> gyro;
+    /// The camera's place in a stereo rig; absent: it has no partners.
+    std::shared_ptr<StereoCamera> stereo;
     /// A clock that keeps going when a simulated one stops; absent: frames wait for `clock` alone.
     std::function<TimeNs()> steady_clock;
     /// R_cam_imu for (camera frame, IMU frame); absent: from the configuration only.
@@ -99,6 +102,7 @@ class Processor {
   void advance(const Sink& sink, bool finishing);
   /// The foremost frame with what belongs to it, or nothing while it has to wait.
   std::optional<AssembledFrame> next_frame(bool finishing);
+  FrameOutput process_with_partners(const AssembledFrame& assembled);
   /// Counts a frame that leaves, and tells what is wrong with it.
   void note(const FrameOutput& output);
 

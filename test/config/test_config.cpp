@@ -44,23 +44,24 @@ std::string dump(const Config& c) {
     << static_cast<int>(c.on_calibration_conflict) << ' ' << c.calibration_files.size() << ' ' << c.calibration_camera
     << "\nrectified_input " << c.rectified_input << "\nR ";
   if (c.R_cam_imu) s << *c.R_cam_imu;
-  s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nbias_window " << c.bias_window_ns
-    << "\nbias_max_stddev " << c.bias_max_stddev_rad_s << "\ntime_jump " << c.time_jump_ns << "\nrectify_to "
-    << static_cast<int>(c.pipeline.rectify_to) << "\nengine " << c.pipeline.engine << "\nthreads " << c.pipeline.threads
-    << "\nblock_size " << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px
-    << "\nmax_extent " << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
-    << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing "
-    << c.pipeline.kernel.smoothing_px << "\nvalidate " << c.pipeline.validation.enabled << "\ntau "
-    << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\ndetector "
-    << c.pipeline.keypoints.detector << "\ndescriptor " << c.pipeline.keypoints.descriptor << "\nmax_features "
-    << c.pipeline.keypoints.max_features << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
-    << c.pipeline.keypoints.grid_rows << "\np_cam_imu " << c.p_cam_imu_m.transpose() << "\nscene_depth "
-    << c.translation.scene_depth_m << ' ' << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns
-    << ' ' << c.translation.max_speed_m_s << ' ' << c.translation.max_acceleration_m_s2 << ' '
-    << c.translation.max_stddev_m_s << ' ' << static_cast<int>(c.odometry_clock) << ' '
-    << static_cast<int>(c.odometry_twist_frame) << "\ntracker " << c.tracker.max_tracks << ' '
-    << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' '
-    << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' ' << c.tracker.levels;
+  s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nstereo_patience "
+    << c.stereo_patience_ns << "\nbias_window " << c.bias_window_ns << "\nbias_max_stddev " << c.bias_max_stddev_rad_s
+    << "\ntime_jump " << c.time_jump_ns << "\nrectify_to " << static_cast<int>(c.pipeline.rectify_to) << "\nengine "
+    << c.pipeline.engine << "\nthreads " << c.pipeline.threads << "\nblock_size " << c.pipeline.blur_field.block_size_px
+    << "\nmin_extent " << c.pipeline.blur_field.min_extent_px << "\nmax_extent " << c.pipeline.blur_field.max_extent_px
+    << "\nmax_bend " << c.pipeline.blur_field.max_bend_px << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor "
+    << c.pipeline.kernel.length_factor << "\nsmoothing " << c.pipeline.kernel.smoothing_px << "\nvalidate "
+    << c.pipeline.validation.enabled << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
+    << c.pipeline.validation.tau_contrast << "\ndetector " << c.pipeline.keypoints.detector << "\ndescriptor "
+    << c.pipeline.keypoints.descriptor << "\nmax_features " << c.pipeline.keypoints.max_features << "\ngrid "
+    << c.pipeline.keypoints.grid_cols << ' ' << c.pipeline.keypoints.grid_rows << "\np_cam_imu "
+    << c.p_cam_imu_m.transpose() << "\nscene_depth " << c.translation.scene_depth_m << ' '
+    << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns << ' ' << c.translation.max_speed_m_s
+    << ' ' << c.translation.max_acceleration_m_s2 << ' ' << c.translation.max_stddev_m_s << ' '
+    << static_cast<int>(c.odometry_clock) << ' ' << static_cast<int>(c.odometry_twist_frame) << "\ntracker "
+    << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' '
+    << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' '
+    << c.tracker.levels;
   return s.str();
 }
 
@@ -85,6 +86,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"gyro_range", "34.9066"},
       {"gyro_timeout", "0"},
       {"frame_queue_size", "3"},
+      {"stereo_patience", "0.25"},
       {"bias_window", "2"},
       {"bias_max_stddev", "0.1"},
       {"time_jump_threshold", "1"},
