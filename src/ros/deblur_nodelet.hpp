@@ -83,7 +83,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   XmlRpc::XmlRpcValue given_parameters_;  // those of the configuration, as they were when the nodelet was loaded
   boost::recursive_mutex reconfigure_mutex_;
   std::unique_ptr<dynamic_reconfigure::Server<DeblurConfig>> reconfigure_;
-  DeblurConfig dynamic_;  // last accepted values
+  DeblurConfig dynamic_ = DeblurConfig::__getDefault__();  // last accepted values
   bool reconfigure_ready_ = false;
 
   tf2::BufferCore tf_buffer_;
