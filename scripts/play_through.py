@@ -185,7 +185,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("bag")
     parser.add_argument("--camera", default="/camera", help="its namespace [%(default)s]")
-    parser.add_argument("--imu", default="/imu", help="topic of the IMU, may be in the camera's namespace [%(default)s]")
+    parser.add_argument("--imu", default="/imu", help="its topic, may be in that namespace [%(default)s]")
     parser.add_argument("--listener", action="append", default=[], metavar="TOPIC=NODE",
                         help="node that has to subscribe to a topic before the bag is played")
     parser.add_argument("--duration", type=float, help="play only so many seconds of the bag")
@@ -212,7 +212,7 @@ def main():
 
     patience.until(outputs.connected, "the nodelet's outputs")
     # The nodelet subscribes to its images last.
-    patience.until(lambda: any(listeners(t) for t in recording.images), "a subscriber of " + " or ".join(recording.images))
+    patience.until(lambda: any(map(listeners, recording.images)), "a subscriber of " + " or ".join(recording.images))
     patience.until(lambda: listeners(imu), "a subscriber of " + imu)
     for listener in arguments.listener:
         topic, node = listener.split("=")

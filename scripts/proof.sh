@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Proof by tools, in build/proof: every test of the package itself that needs no ROS master under AddressSanitizer and
+# Proof by tools, in build/proof: every test of the package itself, nodelets and all, under AddressSanitizer and
 # UndefinedBehaviorSanitizer, those of what works with threads under ThreadSanitizer, the fuzz targets for a bounded
 # time, the soak. Fails when one of them finds something, or a test hangs. --quick: fuzzers for 10 s each instead of
 # 60 s, the soak 1 min instead of 10 min. Half an hour on two free cores, most of it compiling; a second time, a quarter
@@ -139,6 +139,38 @@ run_tests() {
   say "${total} cases in $# binaries clean, $((SECONDS - begin)) s"
 }
 
+# run_nodelet_test FOLDER [ARGUMENTS...]: the nodelets, which test_nodelet_faults loads into itself, so that they are
+# watched as it is, beside a master of their own.
+run_nodelet_test() {
+  local folder="$1" port master status=0 log="$1/test_nodelet_faults.log" passed begin="${SECONDS}"
+  shift
+  end_when_out_of_time
+  port="$(/usr/bin/python3 -c 'import socket; s = socket.socket(); s.bind(("localhost", 0)); print(s.getsockname()[1])')"
+  (
+    export ROS_MASTER_URI="http://localhost:${port}" ROS_HOSTNAME=localhost ROS_LOG_DIR="${folder}/ros_log"
+    mkdir -p "${ROS_LOG_DIR}"
+    roscore -p "${port}" > "${folder}/roscore.log" 2>&1 < /dev/null &
+    master=$!
+    trap 'kill -INT "${master}" 2> /dev/null; wait "${master}"' EXIT
+    # Where pluginlib finds this folder's nodelets. roscpp waits for the master.
+    limited "${log}" "${folder}/devel/env.sh" "${folder}/devel/lib/gyro_deblur/test_nodelet_faults" "$@"
+  ) || status=$?
+  ((status == 0)) || exit "${status}"
+  passed="$(sed -n 's/^\[  PASSED  \] \([0-9]*\) test.*/\1/p' "${log}")"
+  [[ -n "${passed}" ]] || fail "test_nodelet_faults said nothing of its tests; its log is ${log}"
+  say "test_nodelet_faults, nodelets in their manager's process: ${passed} cases clean, $((SECONDS - begin)) s"
+}
+
+# want_leaks FOLDER: fails when leaks of the package's own in parallel loops are not reported.
+want_leaks() {
+  local log="$1/leak_in_parallel.log" found
+  "$1/devel/lib/gyro_deblur/leak_in_parallel" > "${log}" 2>&1 && fail "leaks in a parallel loop are not reported"
+  found="$(sed -n 's/^SUMMARY: .* leaked in \([0-9]*\) allocation(s).*/\1/p' "${log}")"
+  # Of 100; the address of the last one of each thread may lie about somewhere.
+  ((${found:-0} >= 90)) || fail "of 100 leaks in a parallel loop ${found:-none} are reported; see ${log}"
+  say "leak_in_parallel: ${found} of 100 leaks reported, as it has to be"
+}
+
 command -v clang++ > /dev/null || fail "there is no clang++"
 asan_folder="${GYRO_DEBLUR_BUILD}/proof/asan"
 fuzzers=(config_yaml calibration_yaml bag_messages image_header exposure)
@@ -147,20 +179,22 @@ if wanted asan || wanted fuzz; then
 fi
 
 # What the package's tests are: a new one is among them, other than those of recorded data and of experiments. Those of
-# a nodelet want a master; test_deblur_bag starts deblur_bag on bags, whose messages the fuzz target bag_messages goes
+# a nodelet want a master, and only one of them loads it into its own process; test_deblur_bag starts deblur_bag on bags, whose messages the fuzz target bag_messages goes
 # through.
 mapfile -t test_sources < <(printf '%s\n' test/*/test_*.cpp |
   grep -v -E '^test/(data|experiments)/|/test_(nodelet|nodelet_faults|deblur_bag)\.cpp$')
 
 if wanted asan; then
-  step ${STEPS} "AddressSanitizer and UndefinedBehaviorSanitizer: every test of the package that needs no master"
+  step ${STEPS} "AddressSanitizer and UndefinedBehaviorSanitizer: every test of the package"
   mapfile -t asan_tests < <(basename -s .cpp "${test_sources[@]}")
-  make_targets "${asan_folder}" "${asan_tests[@]}"
+  make_targets "${asan_folder}" "${asan_tests[@]}" leak_in_parallel test_nodelet_faults
+  want_leaks "${asan_folder}"
   run_tests "${asan_folder}" "${asan_tests[@]}"
+  run_nodelet_test "${asan_folder}"
 fi
 
 if wanted tsan; then
-  step ${STEPS} "ThreadSanitizer: buffers, queue, engines, kernels, processor"
+  step ${STEPS} "ThreadSanitizer: buffers, queue, engines, kernels, processor, nodelets"
   tsan_folder="${GYRO_DEBLUR_BUILD}/proof/tsan"
   # Of what several threads share or is divided among them, and each test that has threads of its own.
   mapfile -t tsan_tests < <({
@@ -170,11 +204,12 @@ if wanted tsan; then
     grep -l '#include <thread>' "${test_sources[@]}" | xargs basename -s .cpp
   } | sort -u)
   configure "${tsan_folder}" -DGYRO_DEBLUR_SANITIZE=thread
-  make_targets "${tsan_folder}" "${tsan_tests[@]}" fault_table
+  make_targets "${tsan_folder}" "${tsan_tests[@]}" fault_table test_nodelet_faults
   run_tests "${tsan_folder}" "${tsan_tests[@]}"
   end_when_out_of_time
   limited "${tsan_folder}/fault_table.log" "${tsan_folder}/devel/lib/gyro_deblur/fault_table" --seconds 1 --reloads 5 \
     --quiet || exit 1
+  run_nodelet_test "${tsan_folder}"
   say "fault_table, with a thread for each stream: clean"
 fi
 

@@ -3,7 +3,8 @@
 
 Starts a master of its own, loads one nodelet for each camera with slam_front_end.launch, publishes the bag's images to
 both cameras and its IMU once, at the bag's pace, and measures the time from publishing an image to receiving the
-deblurred one. Keypoints are subscribed to as well, so that they are computed. Prints a table and the machine's load.
+deblurred one. Keypoints are subscribed to as well, so that they are computed. Prints a table, how many pairs had one image
+deblurred and the other left blurred, and the machine's load.
 """
 import argparse
 import collections
@@ -49,6 +50,7 @@ class Listener:
 
         self.images = {camera: collections.OrderedDict() for camera in CAMERAS}
         self.reasons = collections.Counter()
+        self.deblurred = {camera: {} for camera in CAMERAS}  # by stamp; absent for an image without blur
         self.keypoints = 0  # messages; taking their many keypoints apart in Python would slow everything down
         self._lock = threading.Lock()
         self._subscribers = []
@@ -64,9 +66,12 @@ class Listener:
         with self._lock:
             self.images[camera][message.header.stamp.to_nsec()] = now
 
-    def _on_field(self, message, _):
+    def _on_field(self, message, camera):
+        status = np.array(list(message.status))
         with self._lock:
             self.reasons[message.reason] += 1
+            if message.reason != message.REASON_NONE or np.any(status != message.SHARP):
+                self.deblurred[camera][message.header.stamp.to_nsec()] = bool(np.any(status == message.DEBLURRED))
 
     def _on_keypoints(self, *_):
         with self._lock:
@@ -131,7 +136,9 @@ def measure(bag_path, camera, imu_topic, seconds):
                                     in_order=list(out) == sorted(out))
     apart = [1e3 * abs(listener.images[CAMERAS[0]][s] - listener.images[CAMERAS[1]][s])
              for s in listener.images[CAMERAS[0]] if s in listener.images[CAMERAS[1]]]
-    result["pairs"] = dict(percentiles(apart), complete=len(apart))
+    of_pair = [listener.deblurred[c] for c in CAMERAS]
+    result["pairs"] = dict(percentiles(apart), complete=len(apart),
+                           unlike=sum(of_pair[0][s] != of_pair[1][s] for s in of_pair[0] if s in of_pair[1]))
     return result
 
 
@@ -142,6 +149,7 @@ def main():
     parser.add_argument("--imu", default="/imu", help="topic in the bag [%(default)s]")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE",
                         help="parameter of the nodelets besides detector ORB, 1000 features, one thread each")
+    parser.add_argument("--set1", action="append", default=[], metavar="KEY=VALUE", help="of the second one alone")
     parser.add_argument("--seconds", type=float, default=1e9, help="play only so much of the bag")
     parser.add_argument("--json", metavar="FILE", help="write everything to this file")
     arguments = parser.parse_args()
@@ -152,6 +160,11 @@ def main():
         with open(config, "w", encoding="utf-8") as file:
             file.write("detector: ORB\ndescriptor: ORB\nmax_features: 1000\nthreads: 1\n")
             file.writelines("%s: %s\n" % tuple(item.split("=", 1)) for item in arguments.set)
+        config1 = os.path.join(folder, "config1.yaml")
+        with open(config, encoding="utf-8") as file, open(config1, "w", encoding="utf-8") as file1:
+            keys1 = {item.split("=", 1)[0] for item in arguments.set1}
+            file1.writelines(line for line in file if line.split(":")[0] not in keys1)
+            file1.writelines("%s: %s\n" % tuple(item.split("=", 1)) for item in arguments.set1)
         port = free_port()
         os.environ.update(ROS_MASTER_URI="http://localhost:%d" % port, ROS_HOSTNAME="localhost",
                           ROS_LOG_DIR=os.path.join(folder, "log"))
@@ -159,7 +172,7 @@ def main():
             log = open(os.path.join(folder, "launch.log"), "w", encoding="utf-8")
             processes.append(subprocess.Popen(
                 ["roslaunch", "-p", str(port), "gyro_deblur", "slam_front_end.launch", "camera:=" + CAMERAS[0],
-                 "camera1:=" + CAMERAS[1], "imu:=/imu", "config:=" + config],
+                 "camera1:=" + CAMERAS[1], "imu:=/imu", "config:=" + config, "config1:=" + config1],
                 stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL))
             while subprocess.run(["rosparam", "get", "/run_id"], stdout=subprocess.DEVNULL,
                                  stderr=subprocess.DEVNULL, check=False).returncode != 0:
@@ -181,6 +194,7 @@ def main():
     pairs = result["pairs"]
     rows.append(["images of a pair apart", pairs["complete"], "", *percentile_cells(pairs)])
     print("\n".join(table(["", "out", "dropped", "p50", "p95", "p99"], rows)))
+    print("pairs of which one image is deblurred and one left blurred: %d" % pairs["unlike"])
     if result["passed_through"]:
         print("passed through, by reason: %s" % result["passed_through"])
 

@@ -64,6 +64,8 @@ struct Config {
   TimeNs bias_window_ns = 1'000'000'000;  ///< of ~estimate_gyro_bias
   double bias_max_stddev_rad_s = 0.05;    ///< of single samples at rest
   TimeNs time_jump_ns = 500'000'000;      ///< a stamp that goes back by more is a clock reset
+  /// How long an image waits until the other one of its stereo pair is decided on; 0: each camera on its own.
+  TimeNs stereo_patience_ns = 100'000'000;
 
   void validate() const;  ///< throws OptionError
 };

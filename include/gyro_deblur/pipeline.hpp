@@ -27,6 +27,8 @@ struct PipelineRequest {
   bool image = true;       ///< the deblurred image
   bool keypoints = true;   ///< keypoints and rectification (implies the deblurred luminance)
   bool luminance = false;  ///< the deblurred luminance
+  /// Asked with the validated field before anything is deblurred. False: every block that would be is REJECTED.
+  std::function<bool(const FrameBlur&)> permit = {};
 };
 
 /// Wall time of each stage [ms]; 0 for a stage that did not run.

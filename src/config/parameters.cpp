@@ -146,6 +146,16 @@ ParameterGroup gyroscope() {
           }};
 }
 
+ParameterGroup stereo() {
+  return {"stereo",
+          "",
+          {
+              {"stereo_patience", &Config::stereo_patience_ns, within(0, 10, "s"),
+               "of the cameras in one process with the same IMU both images of a stamp are deblurred, or neither: how "
+               "long one waits for the other to be decided on; 0: each on its own"},
+          }};
+}
+
 ParameterGroup translation() {
   return {"translation",
           "Used when there is an odometry and the depth of the scene is known; see doc/guides/translation.md.",
@@ -247,9 +257,9 @@ ParameterGroup feature_tracks() {
 }  // namespace
 
 const std::vector<ParameterGroup>& parameter_groups() {
-  static const std::vector<ParameterGroup> kGroups{calibration_files(), camera_timing(), image(),         gyroscope(),
-                                                   translation(),       blur_field(),    wiener_filter(), validation(),
-                                                   keypoints(),         feature_tracks()};
+  static const std::vector<ParameterGroup> kGroups{
+      calibration_files(), camera_timing(), image(),      gyroscope(), stereo(),        translation(),
+      blur_field(),        wiener_filter(), validation(), keypoints(), feature_tracks()};
   return kGroups;
 }
 

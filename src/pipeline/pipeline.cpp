@@ -34,6 +34,12 @@ void require_fit(const cv::Mat& image, PixelLayout layout, const CameraCalibrati
   }
 }
 
+void reject_all(FrameBlur* field) {
+  for (BlockBlur& block : field->blocks) {
+    if (block.status == BlockStatus::DEBLURRED) block.status = BlockStatus::REJECTED;
+  }
+}
+
 std::vector<Eigen::Vector2d> positions(const std::vector<cv::KeyPoint>& keypoints) {
   std::vector<Eigen::Vector2d> points;
   points.reserve(keypoints.size());
@@ -112,6 +118,8 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     result.field = validate_blur_field(result.field, luminance, options_.validation, options_.threads);
     result.times.validation_ms = watch.ms();
   }
+
+  if (request.permit && !request.permit(result.field)) reject_all(&result.field);
 
   const bool anything_to_deblur = result.field.count(BlockStatus::DEBLURRED) > 0;
   if (request.image && anything_to_deblur) {

@@ -58,6 +58,7 @@ dynamic_reconfigure::Config entries_of(const DeblurConfig& config) {
 DeblurNodelet::~DeblurNodelet() {
   // First of all: a change of parameters may subscribe anew.
   reconfigure_.reset();
+  if (stereo_) stereo_->set_patience(0);  // nobody waits for its partners, nor they for it
   // Shutting a subscription down waits for its callback in progress; after this no callback runs any more.
   if (imu_) imu_->stop_listening(this);
   exposure_subscriber_.shutdown();
@@ -143,6 +144,7 @@ void DeblurNodelet::onInit() {
   imu_ = config ? SharedImu::get(imu_topic, GyroSource::options_of(*config))
                 : SharedImu::unshared(imu_topic, GyroSource::options_of(Config()));
   environment.gyro = imu_->source();
+  environment.stereo = stereo_ = std::make_shared<StereoCamera>(StereoRig::get(imu_topic), nh.resolveName("image_raw"));
   processor_ = std::make_unique<Processor>(std::move(environment));
   try {
     if (config) processor_->set_config(*config);

@@ -91,7 +91,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   XmlRpc::XmlRpcValue given_parameters_;  // those of the configuration, as they were when the nodelet was loaded
   boost::recursive_mutex reconfigure_mutex_;
   std::unique_ptr<dynamic_reconfigure::Server<DeblurConfig>> reconfigure_;
-  DeblurConfig dynamic_;  // last accepted values
+  DeblurConfig dynamic_ = DeblurConfig::__getDefault__();  // last accepted values
   bool reconfigure_ready_ = false;
 
   tf2::BufferCore tf_buffer_;
@@ -100,6 +100,7 @@ class DeblurNodelet : public nodelet::Nodelet {
 
   std::unique_ptr<image_transport::ImageTransport> transport_;
   std::shared_ptr<SharedImu> imu_;
+  std::shared_ptr<StereoCamera> stereo_;
   std::mutex exposure_mutex_;  // for the next two
   ros::Subscriber exposure_subscriber_;
   std::unique_ptr<ExposureAdapter> exposure_adapter_;  // null for the package's own message

@@ -40,6 +40,9 @@ const char* remedy(PassThroughReason reason) {
       return "the log has the error";
     case PassThroughReason::GYRO_SATURATED:
       return "the camera turns faster than the gyroscope measures: set a larger range in its driver and in gyro_range";
+    case PassThroughReason::PARTNER:
+      return "see why the other image of the pair passes through, or set stereo_patience: 0 for cameras that are no "
+             "pair";
   }
   return "";
 }

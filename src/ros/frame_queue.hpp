@@ -30,6 +30,7 @@ struct PendingFrame {
   /// Not NONE: it is settled that the frame passes through unchanged, and why.
   PassThroughReason verdict = PassThroughReason::NONE;
   std::string verdict_text;
+  bool verdict_told = false;  ///< to the partners of a stereo camera
 
   void settle(PassThroughReason reason, const std::string& text) {
     verdict = reason;

@@ -28,6 +28,8 @@ const char* to_string(PassThroughReason reason) {
       return "INTERNAL_ERROR";
     case PassThroughReason::GYRO_SATURATED:
       return "GYRO_SATURATED";
+    case PassThroughReason::PARTNER:
+      return "PARTNER";
   }
   return "UNKNOWN";
 }

@@ -21,6 +21,7 @@ enum class PassThroughReason : std::uint8_t {
   TIME_JUMP = 9,             ///< the clock was reset while the frame waited
   INTERNAL_ERROR = 10,       ///< an exception while processing; the log has its text
   GYRO_SATURATED = 11,       ///< no block's exposure is free of samples at the gyroscope's limit
+  PARTNER = 12,              ///< the other image of a stereo pair stays blurred
 };
 
 /// Name of the reason, e.g. "NO_GYRO". Never null.

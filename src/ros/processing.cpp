@@ -105,8 +105,12 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   pipeline.set_calibration(*frame.calibration);
   const FrameMotion motion(assembled, &output->translation_text);
   output->translated = motion.is_translated();
-  PipelineResult result = pipeline.process(view.image, view.layout, motion.motion(), *assembled.exposure,
-                                           PipelineRequest{request.image, request.keypoints, request.tracks});
+  PipelineRequest wanted{request.image, request.keypoints, request.tracks};
+  std::string refusal;
+  if (request.permit) {
+    wanted.permit = [&](const FrameBlur& field) { return (refusal = request.permit(field)).empty(); };
+  }
+  PipelineResult result = pipeline.process(view.image, view.layout, motion.motion(), *assembled.exposure, wanted);
   output->stages = result.times;
   output->slow_blocks = result.slow_blocks;
   output->engine_warning = pipeline.take_warning();
@@ -129,8 +133,13 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
         to_bgr_image(draw_overlay(luminance8(view.image, view.layout, result.significant_bits), result.field), header);
   }
   if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
-  add_field(assembled, motion, result.field, output);
-  output->field = std::move(result.field);
+  if (refusal.empty()) {
+    add_field(assembled, motion, result.field, output);
+    output->field = std::move(result.field);
+  } else {
+    output->reason = PassThroughReason::PARTNER;
+    output->reason_text = refusal;
+  }
   output->messages_ms += elapsed_ms(start);
 }
 

@@ -1,6 +1,7 @@
 // Makes of an assembled frame what leaves.
 #pragma once
 
+#include <functional>
 #include <optional>
 #include <string>
 
@@ -25,6 +26,8 @@ struct FrameRequest {
   bool overlay = false;
   bool markers = false;
   bool tracks = false;
+  /// Asked with the validated field before anything is deblurred; a text refuses, and says why. Absent: permitted.
+  std::function<std::string(const FrameBlur&)> permit = {};
 };
 
 /// A frame on its way out: one for every frame that came in, in the same order.

@@ -14,6 +14,7 @@ LogLevel level_of(PassThroughReason reason) {
     case PassThroughReason::NO_GYRO:
     case PassThroughReason::GYRO_SATURATED:
     case PassThroughReason::OVERLOAD:
+    case PassThroughReason::PARTNER:
       return LogLevel::WARNING;
     default:
       return LogLevel::ERROR;
@@ -55,6 +56,7 @@ void Processor::set_config(const Config& config) {
   config_error_.clear();
   pipeline_ = std::move(pipeline);
   intake_.set_config(config);
+  if (environment_.stereo) environment_.stereo->set_patience(config.stereo_patience_ns);
 }
 
 void Processor::set_config_error(const std::string& text) {
@@ -62,6 +64,8 @@ void Processor::set_config_error(const std::string& text) {
   config_.reset();
   pipeline_.reset();
   config_error_ = text;
+  if (environment_.stereo)
+    environment_.stereo->set_patience(Config().stereo_patience_ns);  // its partners pass through, too
 }
 
 void Processor::add_imu(const sensor_msgs::Imu& imu) {
@@ -117,8 +121,10 @@ void Processor::add_image(const sensor_msgs::ImageConstPtr& image) {
     frame.settle(error.reason(), error.what());
   }
   const std::lock_guard<std::mutex> lock(mutex_);
+  if (environment_.stereo) environment_.stereo->announce(frame.stamp_ns);
   intake_.add_frame(std::move(frame));
   note_ready();
+  tell_partners();
 }
 
 void Processor::note_ready() {
@@ -134,6 +140,15 @@ void Processor::note_ready() {
     }
   } catch (const std::exception&) {
     // next_frame meets it again, and tells.
+  }
+}
+
+void Processor::tell_partners() {
+  if (!environment_.stereo) return;
+  for (PendingFrame& each : intake_.queue().frames()) {
+    if (each.verdict == PassThroughReason::NONE || each.verdict_told) continue;
+    environment_.stereo->pass_through(each.stamp_ns, each.verdict);
+    each.verdict_told = true;
   }
 }
 
@@ -170,6 +185,19 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
   return assembled;
 }
 
+FrameOutput Processor::process_with_partners(const AssembledFrame& assembled) {
+  FrameRequest request = environment_.request ? environment_.request() : FrameRequest();
+  StereoCamera* const stereo = environment_.stereo.get();
+  if (!stereo) return process(assembled, request, &tracker_);
+  const TimeNs stamp_ns = assembled.frame.stamp_ns;
+  const PassThroughReason verdict = assembled.frame.verdict;
+  verdict == PassThroughReason::NONE ? stereo->begin(stamp_ns) : stereo->pass_through(stamp_ns, verdict);
+  request.permit = [stereo, stamp_ns](const FrameBlur& field) { return stereo->decide(stamp_ns, field); };
+  FrameOutput output = process(assembled, request, &tracker_);
+  if (output.reason != PassThroughReason::NONE) stereo->pass_through(stamp_ns, output.reason);
+  return output;
+}
+
 void Processor::note(const FrameOutput& output) {
   statistics_.count(output);
   const std::string name = "frame " + seconds_text(to_time_ns(output.input->header.stamp));
@@ -191,9 +219,8 @@ void Processor::advance(const Sink& sink, bool finishing) {
   while (std::optional<AssembledFrame> assembled = next_frame(finishing)) {
     FrameOutput output;
     try {
-      const FrameRequest request = environment_.request ? environment_.request() : FrameRequest();
       const TimeNs waited_ns = intake_.steady_now() - assembled->frame.arrival_steady_ns;
-      output = process(*assembled, request, &tracker_);
+      output = process_with_partners(*assembled);
       output.waiting_ms = static_cast<double>(waited_ns) * 1e-6;
       if (!output.engine_warning.empty()) environment_.log(LogLevel::WARNING, output.engine_warning);
     } catch (...) {

@@ -24,6 +24,7 @@
 #include "ros/overload.hpp"
 #include "ros/processing.hpp"
 #include "ros/statistics.hpp"
+#include "ros/stereo_rig.hpp"
 #include "ros/throttled_log.hpp"
 
 namespace gyro_deblur {
@@ -38,6 +39,8 @@ class Processor {
     Log log;                        ///< required
     /// Samples that others use as well; whoever adds to it calls notice_imu. Absent: one of its own, for add_imu.
     std::shared_ptr<GyroSource> gyro;
+    /// The camera's place in a stereo rig; absent: it has no partners.
+    std::shared_ptr<StereoCamera> stereo;
     /// A clock that keeps going when a simulated one stops, by which processing keeps up or not. Absent: frames wait
     /// for `clock` alone, and there is all the time of the world to process them.
     std::function<TimeNs()> steady_clock;
@@ -103,6 +106,9 @@ class Processor {
   std::optional<AssembledFrame> next_frame(bool finishing);
   /// Remembers which frames have become ready; after every message. Needs mutex_.
   void note_ready();
+  /// Partners need not wait until frames that are settled leave. Needs mutex_.
+  void tell_partners();
+  FrameOutput process_with_partners(const AssembledFrame& assembled);
   /// Counts a frame that leaves, and tells what is wrong with it.
   void note(const FrameOutput& output);
 

@@ -146,8 +146,8 @@ TEST(Parameters, EveryMemberHasARow) {
   }
   {
     const auto& [pipeline, gyro, shutter, a, b, c, d, e, translation, tracker, f, g, h, i, calibration, j, k, l, m, n,
-                 o] = Config();
-    EXPECT_EQ(parameters_of<Config>().size(), count(a, b, c, d, e, f, g, h, i, j, k, l, m, n, o));
+                 o, p] = Config();
+    EXPECT_EQ(parameters_of<Config>().size(), count(a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p));
     EXPECT_EQ(count(pipeline, gyro, shutter, translation, tracker, calibration), 6u);
   }
 }

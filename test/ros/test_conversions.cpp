@@ -229,7 +229,8 @@ TEST(BlurField, ConstantsEqualTheCores) {
       {BlurField::REASON_OVERLOAD, PassThroughReason::OVERLOAD},
       {BlurField::REASON_TIME_JUMP, PassThroughReason::TIME_JUMP},
       {BlurField::REASON_INTERNAL_ERROR, PassThroughReason::INTERNAL_ERROR},
-      {BlurField::REASON_GYRO_SATURATED, PassThroughReason::GYRO_SATURATED}};
+      {BlurField::REASON_GYRO_SATURATED, PassThroughReason::GYRO_SATURATED},
+      {BlurField::REASON_PARTNER, PassThroughReason::PARTNER}};
   for (const auto& [constant, reason] : reasons) EXPECT_EQ(constant, static_cast<int>(reason)) << to_string(reason);
 }
 
@@ -441,7 +442,7 @@ TEST(Names, AgreeWithTheMessage) {
     }
   }
   EXPECT_EQ(statuses, 6);
-  EXPECT_EQ(reasons, 12);
+  EXPECT_EQ(reasons, 13);
 }
 
 }  // namespace

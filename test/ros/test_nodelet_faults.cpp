@@ -18,6 +18,8 @@
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
+#include <opencv2/core.hpp>
+#include <opencv2/imgproc.hpp>
 
 #include "camera_topics.hpp"
 #include "message_builders.hpp"
@@ -312,6 +314,7 @@ class StereoTest : public NodeletFaultTest {
           [this, &camera](const BlurFieldConstPtr& field) { mailbox_.put([&] { camera.fields.push_back(field); }); });
       name_ = camera.ns + "/deblur";
       set_camera_parameters();
+      set("stereo_patience", kLongTimeoutS);
     }
   }
 
@@ -326,9 +329,11 @@ class StereoTest : public NodeletFaultTest {
     }));
   }
   void unload(std::size_t i) { ASSERT_TRUE(loader_.unload(cameras_[i].ns + "/deblur")); }
-  void publish(std::size_t i, TimeNs stamp_ns) {
+  void publish(std::size_t i, TimeNs stamp_ns, const std::string& encoding = "mono8") {
     Camera& camera = cameras_[i];
-    camera.inputs.push_back(image_message(stamp_ns));
+    const sensor_msgs::ImagePtr image = image_message(stamp_ns);
+    image->encoding = encoding;
+    camera.inputs.push_back(image);
     camera.info_publisher.publish(camera_info(stamp_ns));
     camera.image_publisher.publish(camera.inputs.back());
   }
@@ -412,6 +417,111 @@ TEST_F(StereoTest, TimeJumpOfTheImuIsOneForEachCamera) {
     }
     unload(i);
   }
+}
+
+/// Which images left with other pixels than they came with, and how many pairs are not alike in that.
+class StereoPairTest : public StereoTest {
+ protected:
+  void publish(std::size_t i, TimeNs stamp_ns, const cv::Mat& pixels) {
+    Camera& camera = cameras_[i];
+    const sensor_msgs::ImagePtr like = image_message(stamp_ns);
+    camera.inputs.push_back(to_image(pixels, *like));
+    camera.info_publisher.publish(camera_info(stamp_ns));
+    camera.image_publisher.publish(camera.inputs.back());
+  }
+  template <typename T>
+  void set(std::size_t i, const std::string& parameter, const T& value) {
+    nh_.setParam(cameras_[i].ns + "/deblur/" + parameter, value);
+  }
+  bool changed(std::size_t i, std::size_t k) const {
+    return cameras_[i].images[k]->data != cameras_[i].inputs[k]->data;
+  }
+  /// @param unlike  pairs of which one image is deblurred
+  void expect_pairs(std::size_t count, std::size_t unlike) {
+    std::size_t found = 0;
+    for (std::size_t k = 0; k < count; ++k) {
+      ASSERT_EQ(cameras_[0].images[k]->header.stamp, cameras_[1].images[k]->header.stamp);
+      found += changed(0, k) != changed(1, k);
+    }
+    EXPECT_EQ(found, unlike) << "of " << count << " pairs";
+  }
+
+  /// One camera may keep a single image waiting, and passes the others of a burst through.
+  void overload() {
+    constexpr std::size_t kPairs = 8;
+    set(1, "frame_queue_size", 1);
+    for (const std::size_t i : {0u, 1u}) ASSERT_NO_FATAL_FAILURE(load(i));
+    for (std::size_t k = 0; k < kPairs; ++k) {
+      for (const std::size_t i : {0u, 1u}) StereoTest::publish(i, kStart + static_cast<TimeNs>(k) * kFramePeriod);
+    }
+    ASSERT_TRUE(wait_for(1, kPairs - 1));
+    publish_imu(kStart - 50 * kMs, kStart + kPairs * kFramePeriod + kSecond);
+    for (const std::size_t i : {0u, 1u}) ASSERT_TRUE(wait_for(i, kPairs));
+    for (std::size_t k = 0; k + 1 < kPairs; ++k) EXPECT_EQ(cameras_[1].fields[k]->reason, BlurField::REASON_OVERLOAD);
+    for (const std::size_t i : {0u, 1u}) unload(i);
+  }
+
+  /// Validation accepts what one camera sees, a soft wall, and rejects what the other one does: edges as sharp as they
+  /// cannot be at this rate.
+  void see_a_wall() {
+    constexpr std::size_t kPairs = 9;
+    cv::Mat wall, edges(kHeight, kWidth, CV_8UC1);
+    cv::GaussianBlur(texture(), wall, {}, 12);
+    for (int x = 0; x < kWidth; ++x) edges.col(x).setTo(x / 8 % 2 == 0 ? 0 : 255);
+    for (const std::size_t i : {0u, 1u}) {
+      set(i, "validate", true);
+      ASSERT_NO_FATAL_FAILURE(load(i));
+    }
+    // The first images of a camera are waited for by nobody: these leave at once.
+    for (const std::size_t i : {0u, 1u}) {
+      StereoTest::publish(i, kStart - kPeriod, "mono12");
+      ASSERT_TRUE(wait_for(i, 1));
+    }
+    for (std::size_t k = 1; k < kPairs; ++k) {
+      const TimeNs stamp_ns = kStart + static_cast<TimeNs>(k - 1) * kPeriod;
+      publish(0, stamp_ns, wall);
+      publish(1, stamp_ns, edges);
+      publish_imu(k == 1 ? kStart - 50 * kMs : stamp_ns + kImuPeriod, stamp_ns + kPeriod);
+      for (const std::size_t i : {0u, 1u}) ASSERT_TRUE(wait_for(i, k + 1)) << "camera " << i << ", pair " << k;
+    }
+    for (std::size_t k = 1; k < kPairs; ++k) {
+      EXPECT_EQ(cameras_[1].fields[k]->reason, BlurField::REASON_NONE) << "it is processed";
+      EXPECT_FALSE(changed(1, k));
+    }
+    for (const std::size_t i : {0u, 1u}) unload(i);
+  }
+};
+
+TEST_F(StereoPairTest, BothPassThroughWhenOneIsOverloaded) {
+  ASSERT_NO_FATAL_FAILURE(overload());
+  expect_pairs(8, 0);
+  for (std::size_t k = 0; k < 7; ++k) {
+    EXPECT_EQ(cameras_[0].fields[k]->reason, BlurField::REASON_PARTNER);
+    EXPECT_NE(
+        cameras_[0].fields[k]->reason_text.find(cameras_[1].ns + "/image_raw passes this image through: OVERLOAD"),
+        std::string::npos)
+        << cameras_[0].fields[k]->reason_text;
+    EXPECT_EQ(cameras_[0].images[k].get(), cameras_[0].inputs[k].get());
+  }
+  EXPECT_TRUE(changed(0, 7)) << "the newest is deblurred by both";
+}
+
+TEST_F(StereoPairTest, EachOnItsOwnWhenOneIsOverloaded) {
+  for (const std::size_t i : {0u, 1u}) set(i, "stereo_patience", 0.0);
+  ASSERT_NO_FATAL_FAILURE(overload());
+  expect_pairs(8, 7);
+}
+
+TEST_F(StereoPairTest, BothStayBlurredWhenValidationRejectsTheWholeOfOne) {
+  ASSERT_NO_FATAL_FAILURE(see_a_wall());
+  expect_pairs(9, 0);
+  for (std::size_t k = 1; k < 9; ++k) EXPECT_EQ(cameras_[0].fields[k]->reason, BlurField::REASON_PARTNER);
+}
+
+TEST_F(StereoPairTest, EachOnItsOwnWhenValidationRejectsTheWholeOfOne) {
+  for (const std::size_t i : {0u, 1u}) set(i, "stereo_patience", 0.0);
+  ASSERT_NO_FATAL_FAILURE(see_a_wall());
+  expect_pairs(9, 8);
 }
 
 TEST_F(StereoTest, OtherLimitsOfStampsAreNotShared) {

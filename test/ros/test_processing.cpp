@@ -16,6 +16,28 @@ using namespace test;
 
 class ProcessingTest : public ProcessorTest {};
 
+TEST_F(ProcessingTest, RefusedFrameLeavesAsItCameAndIsStillTracked) {
+  request_.tracks = true;
+  request_.permit = [](const FrameBlur& field) {
+    EXPECT_EQ(field.count(BlockStatus::DEBLURRED), field.blocks.size());
+    return std::string("/cam1 says no");
+  };
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_passed_through(0, PassThroughReason::PARTNER, "/cam1 says no");
+  ASSERT_NE(outputs_[0].tracks, nullptr);
+  EXPECT_FALSE(outputs_[0].keypoints->keypoints.empty());
+  for (const Keypoint& keypoint : outputs_[0].keypoints->keypoints) {
+    EXPECT_FALSE(keypoint.deblurred || keypoint.rectified);
+  }
+  request_.permit = [](const FrameBlur&) { return std::string(); };
+  add_imu(kStart + 105 * kMs, kStart + 200 * kMs);
+  add_frame(kStart + 100 * kMs);
+  advance();
+  expect_deblurred(1);
+}
+
 TEST_F(ProcessingTest, SharpFrameLeavesAsTheVeryMessage) {
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs, 0.0);
   const auto image = add_frame(kStart);

@@ -1,0 +1,229 @@
+#include "ros/stereo_rig.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cstdlib>
+#include <utility>
+
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// More than frames may wait in a camera's queue (frame_queue_size).
+constexpr std::size_t kPairsKept = 1100;
+
+struct Registry {
+  std::mutex mutex;
+  std::map<std::string, std::weak_ptr<StereoRig>> rigs;
+};
+
+Registry& registry() {
+  static Registry instance;
+  return instance;
+}
+
+}  // namespace
+
+void StereoRig::Habit::miss() { score_ = std::min(score_ + kMiss, kMost); }
+
+void StereoRig::Habit::hit() { score_ = std::max(score_ - 1, 0); }
+
+void StereoRig::Habit::came_late() { score_ = std::max(score_ - kMiss - 1, 0); }
+
+std::shared_ptr<StereoRig> StereoRig::get(const std::string& imu_topic) {
+  Registry& all = registry();
+  const std::lock_guard<std::mutex> lock(all.mutex);
+  std::weak_ptr<StereoRig>& entry = all.rigs[imu_topic];
+  std::shared_ptr<StereoRig> rig = entry.lock();
+  if (!rig) entry = rig = std::make_shared<StereoRig>();
+  return rig;
+}
+
+void StereoRig::join(Id id, const std::string& name, TimeNs patience_ns) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  members_[id].name = name;
+  members_[id].patience_ns = patience_ns;
+}
+
+void StereoRig::leave(Id id) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    members_.erase(id);
+    for (const std::shared_ptr<Pair>& pair : pairs_) pair->places.erase(id);
+  }
+  changed_.notify_all();
+}
+
+void StereoRig::announce(Id id, TimeNs stamp_ns) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const auto member = members_.find(id);
+    if (member == members_.end()) return;
+    // The newest first: a recording that is played again has the same stamps.
+    const auto found = std::find_if(pairs_.rbegin(), pairs_.rend(), [&](const std::shared_ptr<Pair>& pair) {
+      return std::abs(pair->stamp_ns - stamp_ns) <= kTolerance && pair->places.count(id) == 0;
+    });
+    std::shared_ptr<Pair> pair;
+    if (found != pairs_.rend()) {
+      pair = *found;
+      if (pair->agreed) member->second.sending.came_late();
+    } else {
+      pair = std::make_shared<Pair>();
+      pair->number = ++pairs_made_;
+      pair->stamp_ns = stamp_ns;
+      pairs_.push_back(pair);
+      if (pairs_.size() > kPairsKept) pairs_.pop_front();
+    }
+    pair->places[id] = {stamp_ns, Phase::COME};
+    member->second.newest = pair->number;
+  }
+  changed_.notify_all();
+}
+
+std::shared_ptr<StereoRig::Pair> StereoRig::find(Id id, TimeNs stamp_ns) const {
+  // Of images with the same stamp the one that nothing has been said of is meant: they leave in order.
+  std::shared_ptr<Pair> stated;
+  for (const std::shared_ptr<Pair>& pair : pairs_) {
+    const auto place = pair->places.find(id);
+    if (place == pair->places.end() || place->second.stamp_ns != stamp_ns) continue;
+    if (place->second.phase != Phase::STATED) return pair;
+    stated = pair;
+  }
+  return stated;
+}
+
+void StereoRig::begin(Id id, TimeNs stamp_ns) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const std::shared_ptr<Pair> pair = find(id, stamp_ns);
+    if (!pair || pair->places[id].phase != Phase::COME) return;
+    pair->places[id].phase = Phase::BEGUN;
+  }
+  changed_.notify_all();
+}
+
+void StereoRig::refuse(const std::shared_ptr<Pair>& pair, Id id, const std::string& why) {
+  pair->places[id].phase = Phase::STATED;
+  if (!pair->agreed && pair->refusal.empty()) pair->refusal = members_[id].name + " " + why;
+}
+
+void StereoRig::refuse(Id id, TimeNs stamp_ns, const std::string& why) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const std::shared_ptr<Pair> pair = find(id, stamp_ns);
+    if (!pair) return;
+    refuse(pair, id, why);
+  }
+  changed_.notify_all();
+}
+
+void StereoRig::agree(Id id, TimeNs stamp_ns) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const std::shared_ptr<Pair> pair = find(id, stamp_ns);
+    if (!pair) return;
+    pair->places[id].phase = Phase::STATED;
+  }
+  changed_.notify_all();
+}
+
+StereoRig::Blocking StereoRig::blocking(const Pair& pair, Id id) const {
+  for (const auto& [other, member] : members_) {
+    if (other == id) continue;
+    const auto place = pair.places.find(other);
+    if (place != pair.places.end()) {
+      if (place->second.phase == Phase::STATED) continue;
+      return {other, true, !member.deciding.is_bad() || place->second.phase == Phase::BEGUN};
+    }
+    const bool left_out = member.newest > pair.number;
+    if (member.newest > 0 && !left_out && !member.sending.is_bad()) return {other, false, true};
+  }
+  return {};
+}
+
+void StereoRig::note_habits(const Pair& pair, Id id) {
+  for (auto& [other, member] : members_) {
+    if (other == id || member.newest == 0) continue;
+    const auto place = pair.places.find(other);
+    if (place != pair.places.end()) {
+      member.sending.hit();
+      if (place->second.phase == Phase::STATED) member.deciding.hit();
+    } else if (member.sending.is_bad()) {
+      member.sending.miss();  // not waited for, and not there
+    }
+  }
+}
+
+std::string StereoRig::give_up(const std::shared_ptr<Pair>& pair, Id id, const Blocking& blocking, bool waited) {
+  Member& other = members_[blocking.id];
+  if (waited) (blocking.has_come ? other.deciding : other.sending).miss();
+  const std::string stamp = seconds_text(pair->places[id].stamp_ns) + " s";
+  const std::string within = waited ? " within " + std::to_string(members_[id].patience_ns / 1'000'000) + " ms" : "";
+  refuse(pair, id, "has not waited for this image any longer");
+  return blocking.has_come ? other.name + " has not decided on its image of " + stamp + within
+                           : other.name + " has not had an image of " + stamp + within;
+}
+
+std::string StereoRig::meet(Id id, TimeNs stamp_ns) {
+  std::unique_lock<std::mutex> lock(mutex_);
+  const std::shared_ptr<Pair> pair = find(id, stamp_ns);
+  if (!pair) return {};
+  pair->places[id].phase = Phase::STATED;
+  changed_.notify_all();
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::nanoseconds(members_[id].patience_ns);
+  bool waited = false, timed_out = false;
+  Blocking blocked;
+  while (true) {
+    if (pair->places.count(id) == 0 || pair->agreed) return {};  // it has left the rig, or all of them have said yes
+    if (!pair->refusal.empty()) {
+      note_habits(*pair, id);
+      return pair->refusal;
+    }
+    const Blocking before = blocked;
+    blocked = blocking(*pair, id);
+    const auto left_out = members_.find(before.id);
+    if (before.id && !before.has_come && blocked.id != before.id && pair->places.count(before.id) == 0 &&
+        left_out != members_.end()) {
+      left_out->second.sending.miss();  // waited for in vain
+    }
+    if (!blocked.id) {
+      note_habits(*pair, id);
+      pair->agreed = true;
+      changed_.notify_all();
+      return {};
+    }
+    if (timed_out || !blocked.worth_waiting) {
+      const std::string why = give_up(pair, id, blocked, waited);
+      changed_.notify_all();
+      return why;
+    }
+    waited = true;
+    timed_out = changed_.wait_until(lock, deadline) == std::cv_status::timeout;
+  }
+}
+
+StereoCamera::StereoCamera(std::shared_ptr<StereoRig> rig, std::string name)
+    : rig_(std::move(rig)), name_(std::move(name)) {}
+
+StereoCamera::~StereoCamera() { rig_->leave(this); }
+
+void StereoCamera::set_patience(TimeNs patience_ns) {
+  patience_ns > 0 ? rig_->join(this, name_, patience_ns) : rig_->leave(this);
+}
+
+void StereoCamera::pass_through(TimeNs stamp_ns, PassThroughReason reason) {
+  rig_->refuse(this, stamp_ns, std::string("passes this image through: ") + to_string(reason));
+}
+
+std::string StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field) {
+  if (field.count(BlockStatus::DEBLURRED) > 0) return rig_->meet(this, stamp_ns);
+  if (field.count(BlockStatus::SHARP) == field.blocks.size()) {
+    rig_->agree(this, stamp_ns);
+  } else {
+    rig_->refuse(this, stamp_ns, "has no block of this image that may be deblurred");
+  }
+  return {};
+}
+
+}  // namespace gyro_deblur

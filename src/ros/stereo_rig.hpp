@@ -1,0 +1,136 @@
+// Cameras of one process whose images are matched with each other: both of a pair are deblurred, or neither.
+#pragma once
+
+#include <condition_variable>
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+
+#include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/time.hpp"
+#include "ros/pass_through.hpp"
+
+namespace gyro_deblur {
+
+/// Where the cameras of a rig meet. Of each image a camera says that it has come, that work on it has begun, and what
+/// would become of it. An image that would be deblurred waits, in its camera's worker, for what the others say of
+/// theirs with the same stamp. One that stays blurred is refused to all: it passes through, has no block that may be
+/// deblurred though some are blurred, or its camera would have to wait too long. What has been agreed on stays.
+///
+/// An image of which nothing has to be removed agrees with everything. There is no waiting for an image that its camera
+/// has left out (a later one has come), nor for a camera that has sent none yet.
+class StereoRig {
+ public:
+  /// Stamps of a pair: VINS-Fusion pairs images up to so far apart, exact matching has them within.
+  static constexpr TimeNs kTolerance = 3'000'000;
+
+  /// The one of this process for cameras with this IMU, which is made when nobody has one.
+  /// @param imu_topic  resolved name
+  static std::shared_ptr<StereoRig> get(const std::string& imu_topic);
+
+ private:
+  friend class StereoCamera;
+  using Id = const void*;
+
+  /// How well another camera has been in time. Three misses in a row, or more than a third in the long run, and nobody
+  /// waits any more, until it is in time again.
+  class Habit {
+   public:
+    void miss();
+    void hit();
+    void came_late();  ///< a miss counted that was a hit
+    bool is_bad() const { return score_ >= kBad; }
+
+   private:
+    static constexpr int kMiss = 2, kBad = 3 * kMiss, kMost = kBad + kMiss;
+    int score_ = 0;
+  };
+
+  struct Member {
+    std::string name;
+    TimeNs patience_ns = 0;
+    std::uint64_t newest = 0;  ///< number of the pair that its last image belongs to; 0: none has come
+    Habit sending;             ///< its image has come when a partner's is ready
+    Habit deciding;            ///< and is decided on in time
+  };
+
+  enum class Phase { COME, BEGUN, STATED };
+  struct Place {
+    TimeNs stamp_ns = 0;
+    Phase phase = Phase::COME;
+  };
+
+  /// Images of one instant.
+  struct Pair {
+    std::uint64_t number = 0;  ///< grows with the order in which the first images of pairs come
+    TimeNs stamp_ns = 0;       ///< of the first
+    std::map<Id, Place> places;
+    bool agreed = false;
+    std::string refusal;  ///< why none is deblurred; only while not agreed
+  };
+
+  /// Whom an image has to wait for.
+  struct Blocking {
+    Id id = nullptr;
+    bool has_come = false;
+    bool worth_waiting = false;
+  };
+
+  void join(Id id, const std::string& name, TimeNs patience_ns);
+  void leave(Id id);
+  void announce(Id id, TimeNs stamp_ns);
+  void begin(Id id, TimeNs stamp_ns);
+  void refuse(Id id, TimeNs stamp_ns, const std::string& why);
+  void agree(Id id, TimeNs stamp_ns);
+  std::string meet(Id id, TimeNs stamp_ns);
+
+  // These need mutex_.
+  std::shared_ptr<Pair> find(Id id, TimeNs stamp_ns) const;
+  void refuse(const std::shared_ptr<Pair>& pair, Id id, const std::string& why);
+  Blocking blocking(const Pair& pair, Id id) const;
+  /// Once an image is decided on: which of the others had been in time.
+  void note_habits(const Pair& pair, Id id);
+  std::string give_up(const std::shared_ptr<Pair>& pair, Id id, const Blocking& blocking, bool waited);
+
+  std::mutex mutex_;  // everything below
+  std::condition_variable changed_;
+  std::map<Id, Member> members_;
+  std::deque<std::shared_ptr<Pair>> pairs_;  // by number
+  std::uint64_t pairs_made_ = 0;
+};
+
+/// A camera's place in a rig; any thread. It takes part while it has patience.
+class StereoCamera {
+ public:
+  /// @param name  that partners know it by
+  StereoCamera(std::shared_ptr<StereoRig> rig, std::string name);
+  ~StereoCamera();
+  StereoCamera(const StereoCamera&) = delete;
+  StereoCamera& operator=(const StereoCamera&) = delete;
+
+  /// How long an image of it waits at most for its partners. 0, as at first: it neither waits nor is waited for;
+  /// whoever waits already goes on.
+  void set_patience(TimeNs patience_ns);
+
+  /// An image has come in; before anything else is said of it.
+  void announce(TimeNs stamp_ns) { rig_->announce(this, stamp_ns); }
+  /// Work on it begins.
+  void begin(TimeNs stamp_ns) { rig_->begin(this, stamp_ns); }
+  /// It passes through; whatever was said before, if not too late.
+  void pass_through(TimeNs stamp_ns, PassThroughReason reason);
+  /// May the image be deblurred? Waits for the partners, as long as it has patience, where blocks are to be deblurred.
+  /// @param field  validated
+  /// @return why not, with the partner's name; empty: it may
+  std::string decide(TimeNs stamp_ns, const FrameBlur& field);
+
+ private:
+  const std::shared_ptr<StereoRig> rig_;
+  const std::string name_;
+};
+
+}  // namespace gyro_deblur

@@ -1,0 +1,322 @@
+// Cameras that decide together. Who waits, waits in a thread of its own for as long as it takes: the patience is either
+// none or longer than any test, so that time decides nothing.
+#include "ros/stereo_rig.hpp"
+
+#include <algorithm>
+#include <array>
+#include <future>
+#include <memory>
+#include <random>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr TimeNs kMs = 1'000'000;
+constexpr TimeNs kPeriod = 50 * kMs;
+constexpr TimeNs kNone = 1;  // as good as
+constexpr TimeNs kEndless = 3'600'000 * kMs;
+
+/// A field whose blocks have these statuses.
+FrameBlur field(const std::vector<BlockStatus>& statuses) {
+  FrameBlur field;
+  for (const BlockStatus status : statuses) {
+    field.blocks.emplace_back();
+    field.blocks.back().status = status;
+  }
+  return field;
+}
+FrameBlur blurred() { return field({BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED}); }
+FrameBlur sharp() { return field({BlockStatus::SHARP, BlockStatus::SHARP}); }
+FrameBlur rejected() { return field({BlockStatus::SHARP, BlockStatus::REJECTED}); }
+
+class StereoRigTest : public testing::Test {
+ protected:
+  void make(TimeNs patience_ns, int cameras = 2) {
+    patience_ns_ = patience_ns;
+    for (int i = 0; i < cameras; ++i) {
+      cameras_.push_back(std::make_unique<StereoCamera>(rig_, "/cam" + std::to_string(i)));
+      cameras_.back()->set_patience(patience_ns_);
+    }
+  }
+  StereoCamera& camera(std::size_t i) { return *cameras_[i]; }
+  void announce(TimeNs stamp_ns) {
+    for (const auto& camera : cameras_) camera->announce(stamp_ns);
+  }
+  /// In a thread of its own.
+  std::future<std::string> decide(std::size_t i, TimeNs stamp_ns, const FrameBlur& field = blurred()) {
+    return std::async(std::launch::async, [this, i, stamp_ns, field] {
+      camera(i).begin(stamp_ns);
+      return camera(i).decide(stamp_ns, field);
+    });
+  }
+
+  TimeNs patience_ns_ = 0;
+  const std::shared_ptr<StereoRig> rig_ = std::make_shared<StereoRig>();
+  std::vector<std::unique_ptr<StereoCamera>> cameras_;
+};
+
+TEST_F(StereoRigTest, OneCameraDecidesAlone) {
+  make(kEndless, 1);
+  camera(0).announce(kPeriod);
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred()), "");
+}
+
+TEST_F(StereoRigTest, BothWaitForEachOther) {
+  make(kEndless, 3);
+  for (TimeNs stamp_ns = kPeriod; stamp_ns < 20 * kPeriod; stamp_ns += kPeriod) {
+    announce(stamp_ns);
+    auto first = decide(0, stamp_ns), second = decide(1, stamp_ns);
+    EXPECT_EQ(camera(2).decide(stamp_ns, blurred()), "");
+    EXPECT_EQ(first.get(), "");
+    EXPECT_EQ(second.get(), "");
+  }
+}
+
+TEST_F(StereoRigTest, ImageThatPassesThroughTakesItsPartnerAlong) {
+  make(kEndless);
+  announce(kPeriod);
+  auto waits = decide(0, kPeriod);
+  camera(1).pass_through(kPeriod, PassThroughReason::OVERLOAD);
+  EXPECT_EQ(waits.get(), "/cam1 passes this image through: OVERLOAD");
+  announce(2 * kPeriod);
+  camera(1).pass_through(2 * kPeriod, PassThroughReason::NO_CALIBRATION);  // before anybody asks
+  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred()), "/cam1 passes this image through: NO_CALIBRATION");
+}
+
+TEST_F(StereoRigTest, ImageThatStaysBlurredTakesItsPartnerAlongAndOneThatIsSharpDoesNot) {
+  make(kEndless);
+  announce(kPeriod);
+  EXPECT_EQ(camera(1).decide(kPeriod, rejected()), "") << "it is processed, though nothing may be deblurred";
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred()), "/cam1 has no block of this image that may be deblurred");
+  announce(2 * kPeriod);
+  EXPECT_EQ(camera(1).decide(2 * kPeriod, sharp()), "");
+  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred()), "");
+  for (const BlockStatus status : {BlockStatus::TOO_LARGE, BlockStatus::BENT, BlockStatus::NO_GYRO}) {
+    const TimeNs stamp_ns = (3 + static_cast<int>(status)) * kPeriod;
+    announce(stamp_ns);
+    camera(1).decide(stamp_ns, field({BlockStatus::SHARP, status}));
+    EXPECT_NE(camera(0).decide(stamp_ns, blurred()), "") << to_string(status);
+  }
+}
+
+TEST_F(StereoRigTest, WhoGivesUpBindsThePartner) {
+  make(kNone);
+  announce(kPeriod);
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred()), "/cam1 has not decided on its image of 0.050000000 s within 0 ms");
+  EXPECT_EQ(camera(1).decide(kPeriod, blurred()), "/cam0 has not waited for this image any longer");
+}
+
+TEST_F(StereoRigTest, WhatIsAgreedOnStays) {
+  make(kEndless);
+  announce(kPeriod);
+  auto first = decide(0, kPeriod);
+  EXPECT_EQ(camera(1).decide(kPeriod, blurred()), "");
+  camera(1).pass_through(kPeriod, PassThroughReason::INTERNAL_ERROR);  // too late
+  EXPECT_EQ(first.get(), "");
+}
+
+TEST_F(StereoRigTest, LostImageHoldsNobodyUp) {
+  make(kEndless);
+  announce(kPeriod);
+  camera(0).announce(2 * kPeriod);
+  auto first = decide(0, 2 * kPeriod);
+  camera(1).announce(3 * kPeriod);
+  EXPECT_EQ(first.get(), "");
+  camera(0).announce(3 * kPeriod);
+  auto second = decide(0, 3 * kPeriod);
+  EXPECT_EQ(camera(1).decide(3 * kPeriod, blurred()), "");
+  EXPECT_EQ(second.get(), "");
+}
+
+TEST_F(StereoRigTest, SilentCameraCostsThreeImages) {
+  make(kNone);
+  camera(0).announce(kPeriod);
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred()), "") << "no image of the other has ever come";
+  announce(2 * kPeriod);
+  camera(1).pass_through(2 * kPeriod, PassThroughReason::OVERLOAD);
+  for (TimeNs i = 3; i < 20; ++i) {
+    camera(0).announce(i * kPeriod);
+    EXPECT_EQ(camera(0).decide(i * kPeriod, blurred()).empty(), i >= 6) << i;
+  }
+  // It comes back, and its images count at once.
+  announce(20 * kPeriod);
+  camera(1).pass_through(20 * kPeriod, PassThroughReason::OVERLOAD);
+  EXPECT_NE(camera(0).decide(20 * kPeriod, blurred()), "");
+}
+
+TEST_F(StereoRigTest, CameraOfAnotherRateIsNotWaitedForLong) {
+  make(kNone);
+  int refused = 0;
+  for (TimeNs i = 1; i <= 100; ++i) {
+    camera(0).announce(i * kPeriod);
+    if (i % 2 == 0) {
+      camera(1).announce(i * kPeriod);
+      EXPECT_EQ(camera(1).decide(i * kPeriod, sharp()), "");
+    }
+    refused += !camera(0).decide(i * kPeriod, blurred()).empty();
+  }
+  EXPECT_LE(refused, 6);
+}
+
+TEST_F(StereoRigTest, CameraThatIsSilentForAWhileIsWaitedForAgain) {
+  make(kNone);
+  announce(kPeriod);
+  camera(1).decide(kPeriod, sharp());
+  TimeNs i = 2;
+  for (; i < 10; ++i) {
+    camera(0).announce(i * kPeriod);
+    camera(0).decide(i * kPeriod, blurred());
+  }
+  // Its images come late again, as they do when nobody waits for them.
+  int refused = 0;
+  for (; i < 20; ++i) {
+    camera(0).announce(i * kPeriod);
+    refused += !camera(0).decide(i * kPeriod, blurred()).empty();
+    camera(1).announce(i * kPeriod);
+  }
+  EXPECT_GT(refused, 0);
+}
+
+TEST_F(StereoRigTest, SlowCameraIsWaitedForOnlyWhileItIsAtTheImage) {
+  make(kNone);
+  const std::string waited = " s within 0 ms", not_waited = " s";
+  const auto expect = [this](TimeNs i, const std::string& end) {
+    const std::string why = camera(0).decide(i * kPeriod, blurred());
+    EXPECT_EQ(why.substr(why.size() - std::min(why.size(), end.size())), end) << i << ": " << why;
+  };
+  TimeNs i = 1;
+  for (; i <= 3; ++i) {
+    announce(i * kPeriod);
+    expect(i, waited);
+  }
+  announce(i * kPeriod);
+  expect(i++, not_waited);
+  announce(i * kPeriod);
+  camera(1).begin(i * kPeriod);
+  expect(i++, waited);
+  // In time again.
+  for (int k = 0; k < 3; ++k, ++i) {
+    announce(i * kPeriod);
+    camera(1).decide(i * kPeriod, sharp());
+    EXPECT_EQ(camera(0).decide(i * kPeriod, blurred()), "");
+  }
+  announce(i * kPeriod);
+  expect(i, waited);
+}
+
+TEST_F(StereoRigTest, StampsOfAPairMayDifferByThreeMilliseconds) {
+  make(kNone);
+  camera(0).announce(kPeriod);
+  camera(1).announce(kPeriod + 3 * kMs);
+  camera(1).pass_through(kPeriod + 3 * kMs, PassThroughReason::OVERLOAD);
+  EXPECT_NE(camera(0).decide(kPeriod, blurred()), "");
+  camera(0).announce(2 * kPeriod);
+  camera(1).announce(2 * kPeriod + 3 * kMs + 1);
+  camera(1).pass_through(2 * kPeriod + 3 * kMs + 1, PassThroughReason::OVERLOAD);
+  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred()), "") << "a later image: it has none of this instant";
+}
+
+TEST_F(StereoRigTest, LeavingWakesThePartnerAndOneself) {
+  make(kEndless);
+  announce(kPeriod);
+  auto partner = decide(0, kPeriod);
+  cameras_[1].reset();
+  EXPECT_EQ(partner.get(), "");
+  cameras_[1] = std::make_unique<StereoCamera>(rig_, "/cam1");
+  cameras_[1]->set_patience(patience_ns_);
+  announce(2 * kPeriod);
+  auto oneself = decide(0, 2 * kPeriod);
+  camera(0).set_patience(0);
+  EXPECT_EQ(oneself.get(), "");
+  EXPECT_EQ(camera(1).decide(2 * kPeriod, blurred()), "");
+}
+
+TEST_F(StereoRigTest, RecordingThatIsPlayedAgainIsDecidedAnew) {
+  make(kEndless);
+  for (int loop = 0; loop < 3; ++loop) {
+    for (TimeNs i = 1; i <= 5; ++i) {
+      announce(i * kPeriod);
+      const bool passes = (i + loop) % 2 == 0;
+      if (passes) camera(1).pass_through(i * kPeriod, PassThroughReason::OVERLOAD);
+      auto first = decide(0, i * kPeriod);
+      if (!passes) {
+        EXPECT_EQ(camera(1).decide(i * kPeriod, blurred()), "") << loop << ' ' << i;
+      }
+      EXPECT_EQ(first.get().empty(), !passes) << loop << ' ' << i;
+    }
+  }
+}
+
+TEST_F(StereoRigTest, CamerasOfOneImuMeet) {
+  EXPECT_EQ(StereoRig::get("/imu"), StereoRig::get("/imu")) << "while somebody has it";
+  const auto rig = StereoRig::get("/imu");
+  EXPECT_EQ(StereoRig::get("/imu"), rig);
+  EXPECT_NE(StereoRig::get("/imu1"), rig);
+}
+
+/// Cameras that lose, pass through, reject and hurry at random, with hardly any patience: what comes out of an instant
+/// is alike.
+TEST_F(StereoRigTest, WhateverHappensPairsAreAlike) {
+  constexpr std::size_t kCameras = 2;
+  constexpr TimeNs kImages = 3000;
+  make(kMs, kCameras);
+  enum class Outcome { LOST, DEBLURRED, BLURRED, SHARP };
+  std::array<std::vector<Outcome>, kCameras> outcomes;
+  std::array<std::thread, kCameras> workers;
+  // All have come before the work begins, as in a backlog.
+  std::mt19937 random(7);
+  std::array<std::vector<unsigned>, kCameras> fates;
+  for (TimeNs i = 0; i < kImages; ++i) {
+    for (std::size_t c = 0; c < kCameras; ++c) fates[c].push_back(random() % 20);
+  }
+  constexpr TimeNs kAtATime = 500;
+  for (TimeNs begin = 0; begin < kImages; begin += kAtATime) {
+    for (TimeNs i = begin; i < begin + kAtATime; ++i) {
+      for (std::size_t c = 0; c < kCameras; ++c) {
+        if (fates[c][i] != 0) camera(c).announce((i + 1) * kPeriod);
+      }
+    }
+    for (std::size_t c = 0; c < kCameras; ++c) {
+      workers[c] = std::thread([&, c] {
+        for (TimeNs i = begin; i < begin + kAtATime; ++i) {
+          const TimeNs stamp_ns = (i + 1) * kPeriod;
+          const unsigned fate = fates[c][i];
+          if (fate == 0) {
+            outcomes[c].push_back(Outcome::LOST);
+            continue;
+          }
+          if (fate <= 3) {
+            camera(c).pass_through(stamp_ns, PassThroughReason::OVERLOAD);
+            outcomes[c].push_back(Outcome::BLURRED);
+            continue;
+          }
+          camera(c).begin(stamp_ns);
+          if (fate <= 6) {
+            camera(c).decide(stamp_ns, fate <= 5 ? rejected() : sharp());
+            outcomes[c].push_back(fate <= 5 ? Outcome::BLURRED : Outcome::SHARP);
+            continue;
+          }
+          const bool permitted = camera(c).decide(stamp_ns, blurred()).empty();
+          outcomes[c].push_back(permitted ? Outcome::DEBLURRED : Outcome::BLURRED);
+        }
+      });
+    }
+    for (std::thread& worker : workers) worker.join();
+  }
+  int deblurred = 0;
+  for (TimeNs i = 0; i < kImages; ++i) {
+    const Outcome first = outcomes[0][i], second = outcomes[1][i];
+    deblurred += first == Outcome::DEBLURRED && second == Outcome::DEBLURRED;
+    EXPECT_FALSE(first == Outcome::DEBLURRED && second == Outcome::BLURRED) << i;
+    EXPECT_FALSE(first == Outcome::BLURRED && second == Outcome::DEBLURRED) << i;
+  }
+  EXPECT_GT(deblurred, 0);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
