@@ -9,6 +9,7 @@ int main() {
   constexpr std::size_t kBytes = 64;
   // Kept from the compiler, which would see that nobody needs them.
   static void* volatile newest = nullptr;
+  const gyro_deblur::HelpAtOnce on_all_threads;
   gyro_deblur::run_parallel(kBlocks, kThreads, 1, [](int) { newest = std::malloc(kBytes); });
   newest = nullptr;
   return 0;
