@@ -48,21 +48,20 @@ std::string dump(const Config& c) {
     << c.stereo_patience_ns << "\nbias_window " << c.bias_window_ns << "\nbias_max_stddev " << c.bias_max_stddev_rad_s
     << "\ntime_jump " << c.time_jump_ns << "\nrectify_to " << static_cast<int>(c.pipeline.rectify_to) << "\nengine "
     << c.pipeline.engine << "\nthreads " << c.pipeline.threads << "\nsignificant_bits " << c.pipeline.significant_bits
-    << "\nblock_size " << c.pipeline.blur_field.block_size_px
-    << "\nmin_extent " << c.pipeline.blur_field.min_extent_px << "\nmax_extent " << c.pipeline.blur_field.max_extent_px
-    << "\nmax_bend " << c.pipeline.blur_field.max_bend_px << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor "
-    << c.pipeline.kernel.length_factor << "\nsmoothing " << c.pipeline.kernel.smoothing_px << "\nvalidate "
-    << c.pipeline.validation.enabled << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
-    << c.pipeline.validation.tau_contrast << "\ndetector " << c.pipeline.keypoints.detector << "\ndescriptor "
-    << c.pipeline.keypoints.descriptor << "\nmax_features " << c.pipeline.keypoints.max_features << "\ngrid "
-    << c.pipeline.keypoints.grid_cols << ' ' << c.pipeline.keypoints.grid_rows << "\np_cam_imu "
-    << c.p_cam_imu_m.transpose() << "\nscene_depth " << c.translation.scene_depth_m << ' '
-    << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns << ' ' << c.translation.max_speed_m_s
-    << ' ' << c.translation.max_acceleration_m_s2 << ' ' << c.translation.max_stddev_m_s << ' '
-    << static_cast<int>(c.odometry_clock) << ' ' << static_cast<int>(c.odometry_twist_frame) << "\ntracker "
-    << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' '
-    << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' '
-    << c.tracker.levels;
+    << "\nblock_size " << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px
+    << "\nmax_extent " << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
+    << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing "
+    << c.pipeline.kernel.smoothing_px << "\nvalidate " << c.pipeline.validation.enabled << "\ntau "
+    << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\ndetector "
+    << c.pipeline.keypoints.detector << "\ndescriptor " << c.pipeline.keypoints.descriptor << "\nmax_features "
+    << c.pipeline.keypoints.max_features << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
+    << c.pipeline.keypoints.grid_rows << "\np_cam_imu " << c.p_cam_imu_m.transpose() << "\nscene_depth "
+    << c.translation.scene_depth_m << ' ' << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns
+    << ' ' << c.translation.max_speed_m_s << ' ' << c.translation.max_acceleration_m_s2 << ' '
+    << c.translation.max_stddev_m_s << ' ' << static_cast<int>(c.odometry_clock) << ' '
+    << static_cast<int>(c.odometry_twist_frame) << "\ntracker " << c.tracker.max_tracks << ' '
+    << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' '
+    << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' ' << c.tracker.levels;
   return s.str();
 }
 
