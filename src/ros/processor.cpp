@@ -167,8 +167,9 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
       const Readiness readiness = assembly_.assemble(terms, &frame, &assembled);
       if (readiness == Readiness::WAITS) return std::nullopt;
       if (readiness == Readiness::READY && !finishing) {
-        const std::string overload = overload_.judge(steady_ns, frame.ready_steady_ns.value_or(steady_ns),
-                                                     intake_.queue().ready_behind_front(), intake_.frame_period_ns());
+        const std::string overload =
+            overload_.judge(steady_ns, frame.ready_steady_ns.value_or(steady_ns), intake_.queue().ready_behind_front(),
+                            intake_.frame_period().get());
         if (!overload.empty()) frame.settle(PassThroughReason::OVERLOAD, overload);
       }
     } else if (frame.verdict == PassThroughReason::NONE) {
