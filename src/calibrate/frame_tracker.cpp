@@ -1,6 +1,9 @@
 #include "calibrate/frame_tracker.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <functional>
+#include <numeric>
 #include <stdexcept>
 #include <utility>
 
@@ -16,46 +19,192 @@ const cv::Size kWindow(21, 21);
 /// With the window above, steps of about 300 px from frame to frame are followed.
 constexpr int kPyramidLevels = 4;
 
+const cv::TermCriteria& until() {
+  static const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.003);
+  return criteria;
+}
+
+/// Which of `from` are found in `to`, and come back from there.
+/// @param to      [in] where the search begins when levels == 0 [out]
+/// @param levels  of the pyramid that are searched beyond the finest
+std::vector<bool> match(const std::vector<cv::Mat>& from_pyramid, const std::vector<cv::Mat>& to_pyramid,
+                        const std::vector<cv::Point2f>& from, int levels, double max_return_px,
+                        std::vector<cv::Point2f>* to) {
+  std::vector<bool> good(from.size(), false);
+  if (from.empty()) return good;
+  const int flags = levels == 0 ? cv::OPTFLOW_USE_INITIAL_FLOW : 0;
+  std::vector<unsigned char> found, found_back;
+  std::vector<cv::Point2f> back = from;
+  cv::calcOpticalFlowPyrLK(from_pyramid, to_pyramid, from, *to, found, cv::noArray(), kWindow, levels, until(), flags);
+  cv::calcOpticalFlowPyrLK(to_pyramid, from_pyramid, *to, back, found_back, cv::noArray(), kWindow, levels, until(),
+                           flags);
+  for (std::size_t i = 0; i < from.size(); ++i) {
+    good[i] = found[i] != 0 && found_back[i] != 0 && cv::norm(back[i] - from[i]) <= max_return_px;
+  }
+  return good;
+}
+
+/// How the surroundings of each point are distorted between two frames: the affine map that fits its neighbours best.
+std::vector<cv::Matx22d> local_distortions(const std::vector<cv::Point2f>& from, const std::vector<cv::Point2f>& to) {
+  constexpr std::size_t kNeighbours = 12, kFewest = 6;
+  constexpr double kMostDistortion = 0.5;
+  std::vector<cv::Matx22d> distortions(from.size(), cv::Matx22d::eye());
+  std::vector<std::size_t> order(from.size());
+  for (std::size_t i = 0; i < from.size(); ++i) {
+    std::iota(order.begin(), order.end(), std::size_t{0});
+    const std::size_t count = std::min(kNeighbours + 1, order.size());
+    if (count < kFewest + 1) continue;
+    std::partial_sort(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(count), order.end(),
+                      [&](std::size_t a, std::size_t b) { return cv::norm(from[a] - from[i]) < cv::norm(from[b] - from[i]); });
+    cv::Point2d from_mean, to_mean;
+    for (std::size_t k = 0; k < count; ++k) {
+      from_mean += cv::Point2d(from[order[k]]) / static_cast<double>(count);
+      to_mean += cv::Point2d(to[order[k]]) / static_cast<double>(count);
+    }
+    cv::Matx22d moment = cv::Matx22d::zeros(), cross = cv::Matx22d::zeros();
+    for (std::size_t k = 0; k < count; ++k) {
+      const cv::Point2d a = cv::Point2d(from[order[k]]) - from_mean, b = cv::Point2d(to[order[k]]) - to_mean;
+      moment += cv::Matx22d(a.x * a.x, a.x * a.y, a.x * a.y, a.y * a.y);
+      cross += cv::Matx22d(b.x * a.x, b.x * a.y, b.y * a.x, b.y * a.y);
+    }
+    bool invertible = false;
+    const cv::Matx22d A = cross * moment.inv(cv::DECOMP_LU, &invertible);
+    if (invertible && cv::norm(A - cv::Matx22d::eye()) < kMostDistortion) distortions[i] = A;
+  }
+  return distortions;
+}
+
+/// Half of the side of a tile of a mosaic: the window, and room to move.
+constexpr int kTileReach = 16;
+constexpr int kTile = 2 * kTileReach + 1;
+
+/// The surroundings of all points beside each other, distorted.
+cv::Mat mosaic(const cv::Mat& image, const std::vector<cv::Point2f>& points,
+               const std::vector<cv::Matx22d>& distortions) {
+  const int rows = kTile * static_cast<int>(points.size());
+  cv::Mat map_x(rows, kTile, CV_32F), map_y(rows, kTile, CV_32F), result;
+  for (int y = 0; y < rows; ++y) {
+    const auto i = static_cast<std::size_t>(y / kTile);
+    for (int x = 0; x < kTile; ++x) {
+      const cv::Vec2d offset =
+          distortions[i] * cv::Vec2d(static_cast<double>(x) - kTileReach, static_cast<double>(y % kTile) - kTileReach);
+      map_x.at<float>(y, x) = points[i].x + static_cast<float>(offset[0]);
+      map_y.at<float>(y, x) = points[i].y + static_cast<float>(offset[1]);
+    }
+  }
+  cv::remap(image, result, map_x, map_y, cv::INTER_CUBIC, cv::BORDER_REFLECT_101);
+  return result;
+}
+
+/// Moves the points to where their surroundings fit best, distortion allowed for: without that, a patch that turns or
+/// grows pulls its point along, all points of a surface alike.
+/// @param to  [in] where they are to within some pixels [out]
+std::vector<bool> align(const cv::Mat& from_image, const cv::Mat& to_image, const std::vector<cv::Point2f>& from,
+                        double max_return_px, std::vector<cv::Point2f>* to) {
+  if (from.empty()) return {};
+  const std::vector<cv::Matx22d> distortions = local_distortions(from, *to);
+  const std::vector<cv::Matx22d> none(from.size(), cv::Matx22d::eye());
+  const cv::Mat from_tiles = mosaic(from_image, from, none), to_tiles = mosaic(to_image, *to, distortions);
+  std::vector<cv::Point2f> centers;
+  for (std::size_t i = 0; i < from.size(); ++i) {
+    centers.emplace_back(static_cast<float>(kTileReach), static_cast<float>(kTile * static_cast<int>(i) + kTileReach));
+  }
+  std::vector<cv::Point2f> found = centers;
+  std::vector<cv::Mat> from_pyramid, to_pyramid;
+  cv::buildOpticalFlowPyramid(from_tiles, from_pyramid, kWindow, 0);
+  cv::buildOpticalFlowPyramid(to_tiles, to_pyramid, kWindow, 0);
+  const std::vector<bool> good = match(from_pyramid, to_pyramid, centers, 0, max_return_px, &found);
+  for (std::size_t i = 0; i < from.size(); ++i) {
+    const cv::Vec2d moved = distortions[i] * cv::Vec2d(found[i].x - centers[i].x, found[i].y - centers[i].y);
+    (*to)[i] += cv::Point2f(static_cast<float>(moved[0]), static_cast<float>(moved[1]));
+  }
+  return good;
+}
+
 }  // namespace
 
 void FrameTrackerOptions::validate() const {
   require_range("max_points", max_points, 10, 10000);
+  require_range("window_frames", window_frames, 2, 20);
   require_range("max_return", max_return_px, 1e-6, 10, "px");
 }
 
 FrameTracker::FrameTracker(const FrameTrackerOptions& options) : options_(options) { options.validate(); }
 
-std::vector<PointPair> FrameTracker::next(const cv::Mat& luminance) {
-  if (luminance.type() != CV_8UC1 || luminance.empty() ||
-      (!previous_.empty() && luminance.size() != previous_.size())) {
+void FrameTracker::add(const FrameTime& time, const cv::Mat& luminance) {
+  if (luminance.type() != CV_8UC1 || luminance.empty() || (!size_.empty() && luminance.size() != size_)) {
     throw std::invalid_argument("FrameTracker: frames have to be CV_8UC1 and of one size");
   }
+  size_ = luminance.size();
   std::vector<cv::Mat> pyramid;
-  cv::buildOpticalFlowPyramid(luminance, pyramid, kWindow, kPyramidLevels);
-  std::vector<PointPair> pairs;
-  if (!previous_.empty()) {
-    constexpr double kQuality = 0.01;
-    // Spread over the image: rows are what a rolling shutter is seen in.
-    const double min_distance_px = 0.5 * std::sqrt(static_cast<double>(luminance.total()) / options_.max_points);
-    std::vector<cv::Point2f> from, to, back;
-    cv::goodFeaturesToTrack(previous_, from, options_.max_points, kQuality, min_distance_px);
-    if (!from.empty()) {
-      const cv::TermCriteria until(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.003);
-      cv::cornerSubPix(previous_, from, cv::Size(3, 3), cv::Size(-1, -1), until);
-      std::vector<unsigned char> found, found_back;
-      cv::calcOpticalFlowPyrLK(pyramid_, pyramid, from, to, found, cv::noArray(), kWindow, kPyramidLevels, until);
-      cv::calcOpticalFlowPyrLK(pyramid, pyramid_, to, back, found_back, cv::noArray(), kWindow, kPyramidLevels, until);
-      const cv::Rect2f inside(0, 0, static_cast<float>(luminance.cols - 1), static_cast<float>(luminance.rows - 1));
-      for (std::size_t i = 0; i < from.size(); ++i) {
-        if (found[i] == 0 || found_back[i] == 0 || !inside.contains(to[i])) continue;
-        if (cv::norm(back[i] - from[i]) > options_.max_return_px) continue;
-        pairs.push_back({Eigen::Vector2d(from[i].x, from[i].y), Eigen::Vector2d(to[i].x, to[i].y)});
-      }
-    }
+  constexpr bool kShareInput = false;  // the caller may overwrite it
+  cv::buildOpticalFlowPyramid(luminance, pyramid, kWindow, kPyramidLevels, true, cv::BORDER_REFLECT_101,
+                              cv::BORDER_CONSTANT, kShareInput);
+  for (Anchor& anchor : growing_) {
+    windows_[anchor.window].frames.push_back(time);
+    follow(&anchor, pyramid, luminance.size());
   }
-  luminance.copyTo(previous_);
-  pyramid_ = std::move(pyramid);
-  return pairs;
+  if (!growing_.empty() &&
+      windows_[growing_.front().window].frames.size() >= static_cast<std::size_t>(options_.window_frames)) {
+    growing_.pop_front();
+  }
+  start(time, luminance, pyramid);
+  previous_ = std::move(pyramid);
+}
+
+void FrameTracker::start(const FrameTime& time, const cv::Mat& luminance, const std::vector<cv::Mat>& pyramid) {
+  constexpr double kQuality = 0.01;
+  // Spread over the image: rows are what a rolling shutter is seen in.
+  const double min_distance_px = 0.5 * std::sqrt(static_cast<double>(luminance.total()) / options_.max_points);
+  Anchor anchor{windows_.size(), pyramid, {}, {}, {}};
+  cv::goodFeaturesToTrack(luminance, anchor.points, options_.max_points, kQuality, min_distance_px);
+  TrackWindow window;
+  window.frames = {time};
+  if (!anchor.points.empty()) cv::cornerSubPix(luminance, anchor.points, cv::Size(3, 3), cv::Size(-1, -1), until());
+  for (const cv::Point2f& point : anchor.points) {
+    anchor.tracks.push_back(window.tracks.size());
+    window.tracks.push_back({Eigen::Vector2d(point.x, point.y)});
+  }
+  anchor.last = anchor.points;
+  windows_.push_back(std::move(window));
+  growing_.push_back(std::move(anchor));
+}
+
+void FrameTracker::follow(Anchor* anchor, const std::vector<cv::Mat>& pyramid, const cv::Size& size) {
+  std::vector<cv::Point2f> to;
+  std::vector<bool> good =
+      match(previous_, pyramid, anchor->last, kPyramidLevels, options_.max_return_px, &to);
+  TrackWindow& window = windows_[anchor->window];
+  const std::vector<bool> aligned = align(anchor->pyramid[0], pyramid[0], anchor->points, options_.max_return_px, &to);
+  std::transform(good.begin(), good.end(), aligned.begin(), good.begin(), std::logical_and<bool>());
+  const cv::Rect2f inside(0, 0, static_cast<float>(size.width - 1), static_cast<float>(size.height - 1));
+  Anchor next{anchor->window, std::move(anchor->pyramid), {}, {}, {}};
+  for (std::size_t i = 0; i < to.size(); ++i) {
+    if (!good[i] || !inside.contains(to[i])) continue;
+    window.tracks[anchor->tracks[i]].to_px.emplace_back(to[i].x, to[i].y);
+    next.points.push_back(anchor->points[i]);
+    next.last.push_back(to[i]);
+    next.tracks.push_back(anchor->tracks[i]);
+  }
+  *anchor = std::move(next);
+}
+
+void FrameTracker::cut() {
+  growing_.clear();
+  previous_.clear();
+}
+
+std::vector<TrackWindow> FrameTracker::take() {
+  cut();
+  std::vector<TrackWindow> taken;
+  for (TrackWindow& window : windows_) {
+    window.tracks.erase(std::remove_if(window.tracks.begin(), window.tracks.end(),
+                                       [](const PointTrack& track) { return track.to_px.empty(); }),
+                        window.tracks.end());
+    if (window.frames.size() >= 2) taken.push_back(std::move(window));
+  }
+  windows_.clear();
+  return taken;
 }
 
 }  // namespace gyro_deblur

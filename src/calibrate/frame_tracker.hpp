@@ -1,41 +1,75 @@
-// Points followed from frame to frame, for calibration.
+// Points followed through a few frames, for calibration.
 #pragma once
 
+#include <deque>
 #include <vector>
 
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
+#include "gyro_deblur/time.hpp"
+
 namespace gyro_deblur {
 
-/// Where one point of the scene is in two frames [px], in the pixels of the image as it arrives.
-struct PointPair {
-  Eigen::Vector2d from_px, to_px;
+/// A frame's time, camera clock, and exposure.
+struct FrameTime {
+  TimeNs stamp_ns = 0;
+  TimeNs exposure_ns = 0;  ///< [0, 1 s]; 0 when it is not known: an estimated time offset then contains half of it
+};
+
+/// Where one point of the scene is in some frames, in the pixels of the images as they arrive.
+struct PointTrack {
+  Eigen::Vector2d from_px;               ///< in the first frame
+  std::vector<Eigen::Vector2d> to_px{};  ///< in those after it, one after the other, until it is lost
+};
+
+/// A few frames, one after the other, and the points of the first that are found again.
+struct TrackWindow {
+  std::vector<FrameTime> frames;
+  std::vector<PointTrack> tracks;  ///< each in the second frame at least
 };
 
 struct FrameTrackerOptions {
-  int max_points = 200;        ///< [10, 10000] for each pair of frames
+  int max_points = 200;        ///< [10, 10000] of each window
+  int window_frames = 4;       ///< [2, 20] that a window has at most
   double max_return_px = 0.3;  ///< (0, 10]: a point tracked there and back must come back to within this
 
   void validate() const;  ///< throws OptionError
 };
 
-/// Corners tracked from each frame to the next by pyramidal Lucas-Kanade, and back as a check. Every pair of frames
-/// starts with corners of its own, so that no drift builds up.
+/// Follows corners by pyramidal Lucas-Kanade, there and back as a check. Every frame starts a window with corners of its
+/// own; what is found in later frames is aligned with its surroundings in the first, so that no drift builds up.
 class FrameTracker {
  public:
   /// Throws OptionError.
   explicit FrameTracker(const FrameTrackerOptions& options = {});
 
   /// @param luminance  CV_8UC1, all of the same size
-  /// @return the points of the frame before that are found in this one; none for the first frame
   /// Throws std::invalid_argument for another type or size.
-  std::vector<PointPair> next(const cv::Mat& luminance);
+  void add(const FrameTime& time, const cv::Mat& luminance);
+
+  /// The next frame has nothing to do with those before it.
+  void cut();
+
+  /// The windows so far, in the order of their first frames, those that still grow among them. Forgets all frames.
+  std::vector<TrackWindow> take();
 
  private:
+  struct Anchor {
+    std::size_t window;  ///< of windows_
+    std::vector<cv::Mat> pyramid;
+    std::vector<cv::Point2f> points, last;  ///< in the first frame and in the newest, of the tracks that go on
+    std::vector<std::size_t> tracks;        ///< of the window
+  };
+
+  void start(const FrameTime& time, const cv::Mat& luminance, const std::vector<cv::Mat>& pyramid);
+  void follow(Anchor* anchor, const std::vector<cv::Mat>& pyramid, const cv::Size& size);
+
   FrameTrackerOptions options_;
-  std::vector<cv::Mat> pyramid_;  // of the frame before
-  cv::Mat previous_;
+  std::vector<TrackWindow> windows_;
+  std::deque<Anchor> growing_;
+  std::vector<cv::Mat> previous_;  ///< pyramid of the frame before
+  cv::Size size_;
 };
 
 }  // namespace gyro_deblur

@@ -21,18 +21,6 @@ class TimingError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// A frame's time, camera clock, and exposure.
-struct FrameTime {
-  TimeNs stamp_ns = 0;
-  TimeNs exposure_ns = 0;  ///< [0, 1 s]; 0 when it is not known: the time offset then contains half of it
-};
-
-/// Two frames, one after the other, and what was tracked between them.
-struct FramePair {
-  FrameTime from, to;
-  std::vector<PointPair> points;
-};
-
 struct TimingOptions {
   StampRow stamp_row = StampRow::FIRST;        ///< that stamps refer to
   StampPhase stamp_phase = StampPhase::START;  ///< that stamps refer to
@@ -50,8 +38,8 @@ struct TimingOptions {
   void validate() const;  ///< throws OptionError
 };
 
-/// A value with its standard deviation, which allows for errors that the points of a pair of frames and its neighbours
-/// have in common (a camera that also moves sideways), as long as they average out over the recording.
+/// A value with its standard deviation, from the scatter of the residuals. It allows for errors that the points of a
+/// window and of its neighbours have in common, as long as they average out over the recording.
 struct Estimate {
   double value = 0;
   double stddev = 0;  ///< 0 when the value was not estimated
@@ -64,12 +52,12 @@ struct RatePair {
   Eigen::Vector3d gyro_rad_s;   ///< of the camera, by the gyroscope with the estimated values
 };
 
-/// Where one point was found in the second frame, less where it was predicted [px].
+/// Where one point was found in a later frame of its window, less where it was predicted [px].
 struct TimingResidual {
-  double row_px = 0;             ///< in the second frame
+  double row_px = 0;             ///< in the later frame
   Eigen::Vector2d without_px;    ///< prediction: it does not move
-  Eigen::Vector2d at_start_px;   ///< with the values after the search, before the estimation
-  Eigen::Vector2d estimated_px;  ///< with the estimated values
+  Eigen::Vector2d at_start_px;   ///< the rotation by the values after the search, before the estimation
+  Eigen::Vector2d estimated_px;  ///< rotation and translation by the estimated values
 };
 
 struct TimingEstimate {
@@ -80,23 +68,28 @@ struct TimingEstimate {
   Eigen::Vector3d rotation_stddev_rad = Eigen::Vector3d::Zero();  ///< about the camera's axes; 0 when not estimated
   double correlation = 0;  ///< [-1, 1] of the angular speeds of image and gyroscope at the offset that was searched for
   std::size_t pairs = 0;   ///< of frames that were used
-  std::size_t points = 0;
+  std::size_t points = 0;  ///< found again, each frame of a window counted
+  double speed_per_s = 0;  ///< of the camera, root mean square of an axis, in depths of the scene a second
   double median_without_px = 0, median_at_start_px = 0, median_px = 0;  ///< of the residuals' lengths
   std::vector<RatePair> rates;
   std::vector<TimingResidual> residuals;
 };
 
 /// Compares the rotation by the gyroscope with the motion of points in the image. Coarse to fine: the offset where the
-/// angular speeds correlate best; the rotation between the axes in closed form (Wahba's problem, by SVD); then all
-/// values together by robust least squares (Cauchy's weights, Levenberg-Marquardt) on the points' positions, each
-/// predicted from the middle of its row's exposure in one frame to that in the other. Translation is not modelled: it
-/// adds to the residuals and to the standard deviations, and biases the result where it goes with the rotation.
-/// @param pairs    in pixels of `camera`'s image
+/// angular speeds correlate best; the rotation between the axes in closed form (Wahba's problem, by SVD), both as if the
+/// camera only turned; then all values together by robust least squares (Cauchy's weights, Levenberg-Marquardt) on the
+/// points' positions, each predicted from the mean of its row's exposure in the first frame of its window to that in a
+/// later one. The camera's way through each window and the points' inverse depths are estimated with them and
+/// eliminated by Schur complements, as in bundle adjustment (Triggs et al., 2000), so that of two frames only the
+/// distance to the epipolar line counts, and of more also that a point has one depth. How fast the camera is found to
+/// be on the average of the recording limits its way in each window (empirical Bayes, MacKay 1992): of a camera that
+/// turns on the spot both coordinates of every point count.
+/// @param windows  in pixels of `camera`'s image; of two frames or more, the more of four the better
 /// @param samples  IMU clock, strictly increasing
 /// Throws OptionError for bad options, TimingError when the recording does not determine the values: too few pairs of
 /// frames or points, no motion, no agreement of image and gyroscope, rotation about one axis only where the extrinsic
 /// is wanted.
-TimingEstimate estimate_timing(const Camera& camera, const std::vector<FramePair>& pairs,
+TimingEstimate estimate_timing(const Camera& camera, const std::vector<TrackWindow>& windows,
                                const std::vector<GyroSample>& samples, const TimingOptions& options);
 
 }  // namespace gyro_deblur

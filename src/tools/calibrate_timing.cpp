@@ -48,7 +48,7 @@ TimingResult estimate(const Arguments& arguments, const Config& config, const Fo
   TimingResult result;
   result.bag = arguments.bag;
   result.rotation_from = !options.R_cam_imu ? "estimated" : config.R_cam_imu ? "as configured" : "tf";
-  result.estimate = estimate_timing(Camera(footage.camera), footage.pairs, footage.samples, options);
+  result.estimate = estimate_timing(Camera(footage.camera), footage.windows, footage.samples, options);
   result.sensor_readout_s = {result.estimate.readout_s.value / footage.readout_part,
                              result.estimate.readout_s.stddev / footage.readout_part};
   return result;
@@ -61,7 +61,7 @@ void warn(const TimingEstimate& estimate, const Footage& footage) {
   if (estimate.time_offset_s.stddev > kLooseOffsetS || estimate.readout_s.stddev > kLooseReadoutS ||
       std::max({estimate.bias_rad_s[0].stddev, estimate.bias_rad_s[1].stddev, estimate.bias_rad_s[2].stddev}) >
           kLooseBiasRadS) {
-    say("the recording leaves a wide margin: record longer, with faster turns about all axes and less translation");
+    say("the recording leaves a wide margin: record longer, with faster turns about all axes");
   }
   if (footage.without_exposure > 0) {
     say(std::to_string(footage.without_exposure) + " of " + std::to_string(footage.frames) +
@@ -119,7 +119,7 @@ int main_of(int argc, char** argv) {
   app.add_flag("--fixed-bias", arguments.fixed_bias, "gyro_bias is known: do not estimate it");
   app.add_flag("--estimate-rotation", arguments.estimate_rotation,
                "estimate R_cam_imu from nothing although it is known");
-  app.add_option("--points", arguments.footage.points, "tracked in each pair of images [100]")
+  app.add_option("--points", arguments.footage.points, "of each image that are tracked in those after it [100]")
       ->check(CLI::Range(10, 10000));
   app.add_option("--start", arguments.footage.start_s, "[s] since the bag's first message [0]")
       ->check(CLI::NonNegativeNumber);

@@ -86,17 +86,18 @@ class PairCollector {
   void add(TimeNs stamp_ns, const ImageView& pixels) {
     const FrameTime now{stamp_ns, exposure_of(stamp_ns)};
     if (now.exposure_ns == 0) ++footage_->without_exposure;
-    const int bits = bit_depth_.of(pixels.image, pixels.layout);
-    std::vector<PointPair> points = tracker_.next(luminance8(pixels.image, pixels.layout, bits));
     // Across lost frames the motion is too large to be followed.
     constexpr TimeNs kLongestStep = 250'000'000;
-    if (last_ && now.stamp_ns > last_->stamp_ns && now.stamp_ns - last_->stamp_ns <= kLongestStep) {
-      footage_->pairs.push_back({*last_, now, std::move(points)});
-    }
-    last_ = now;
+    if (last_ns_ && (now.stamp_ns <= *last_ns_ || now.stamp_ns - *last_ns_ > kLongestStep)) tracker_.cut();
+    const int bits = bit_depth_.of(pixels.image, pixels.layout);
+    tracker_.add(now, luminance8(pixels.image, pixels.layout, bits));
+    last_ns_ = now.stamp_ns;
     footage_->period.add(now.stamp_ns);
     ++footage_->frames;
   }
+
+  /// After the last image.
+  void finish() { footage_->windows = tracker_.take(); }
 
  private:
   TimeNs exposure_of(TimeNs stamp_ns) {
@@ -112,7 +113,7 @@ class PairCollector {
   TimeNs configured_exposure_ns_;
   BitDepth bit_depth_;
   FrameTracker tracker_;
-  std::optional<FrameTime> last_;
+  std::optional<TimeNs> last_ns_;
   Footage* footage_;
 };
 
@@ -167,6 +168,7 @@ Footage read_footage(const InputBag& input, const FootageTopics& topics, const F
     collector.add(to_time_ns(image->header.stamp), pixels);
     progress.done(footage.frames);
   }
+  collector.finish();
   if (footage.frames == 0) throw std::runtime_error("no image on " + topics.image);
   footage.R_cam_imu = extrinsic_of(bag, camera_frame, imu_frame);
   return footage;

@@ -24,14 +24,14 @@ struct FootageTopics {
 struct FootageOptions {
   double start_s = 0;           ///< of the images, since the bag's first message
   std::optional<double> end_s;  ///< absent: the bag's end
-  int points = 100;             ///< tracked in each pair of images
+  int points = 100;             ///< of each image that are tracked in those after it
   bool quiet = false;           ///< no progress
 };
 
 struct Footage {
   CameraCalibration camera;
   double readout_part = 1;  ///< of the sensor's readout that the image's region of interest takes
-  std::vector<FramePair> pairs;
+  std::vector<TrackWindow> windows;
   std::vector<GyroSample> samples;
   std::optional<Eigen::Matrix3d> R_cam_imu;  ///< of tf
   std::size_t frames = 0;

@@ -119,10 +119,10 @@ void print_summary(const TimingResult& result) {
     std::printf(" (%s)\n", result.rotation_from.c_str());
   }
   std::printf(
-      "%zu pairs of frames, %zu points; correlation of the angular speeds %.3f; median residual %.2f px without "
-      "gyroscope, %.2f px with it, %.2f px refined\n",
-      estimate.pairs, estimate.points, estimate.correlation, estimate.median_without_px, estimate.median_at_start_px,
-      estimate.median_px);
+      "%zu pairs of frames, %zu points; correlation of the angular speeds %.3f; translation %.2f depths/s on each axis; "
+      "median residual %.2f px without gyroscope, %.2f px with it, %.2f px refined and with translation\n",
+      estimate.pairs, estimate.points, estimate.correlation, estimate.speed_per_s, estimate.median_without_px,
+      estimate.median_at_start_px, estimate.median_px);
   std::fflush(stdout);
 }
 
@@ -144,6 +144,7 @@ nlohmann::json report_of(const TimingResult& result, const FootageTopics& topics
   report["correlation"] = e.correlation;
   report["pairs"] = e.pairs;
   report["points"] = e.points;
+  report["speed_depths_s"] = e.speed_per_s;
   report["median_residual_px"] = {{"without_gyroscope", e.median_without_px},
                                   {"before_refinement", e.median_at_start_px},
                                   {"estimated", e.median_px}};

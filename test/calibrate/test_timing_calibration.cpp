@@ -8,7 +8,9 @@
 
 #include <gtest/gtest.h>
 #include <Eigen/Geometry>
+#include <opencv2/imgproc.hpp>
 
+#include "base/median.hpp"
 #include "calibrate/frame_tracker.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "sim/simulator.hpp"
@@ -61,10 +63,12 @@ void expect_close(const Errors& errors) {
 
 // --- exact points, without images ---
 
-/// A shaken camera that sees points at infinity, each row at its own time.
+/// A shaken camera that sees points 1.5 to 4.5 m away, each row at its own time.
 class Footage {
  public:
-  explicit Footage(const Truth& truth) : truth_(truth), camera_(calibration()), motion_(motion()) {}
+  /// @param sway_m  of the camera; zero: it turns on the spot
+  explicit Footage(const Truth& truth, const Eigen::Vector3d& sway_m = Eigen::Vector3d::Zero())
+      : truth_(truth), camera_(calibration()), motion_(motion(sway_m)) {}
 
   static CameraCalibration calibration() {
     CameraCalibration c;
@@ -78,30 +82,34 @@ class Footage {
     return c;
   }
 
-  std::vector<FramePair> pairs(int count, double noise_px, StampRow stamp_row, StampPhase stamp_phase) const {
-    std::mt19937 random(5);
-    std::uniform_real_distribution<double> x(40, 600), y(40, 440);
+  /// Windows of two frames, or of more.
+  std::vector<TrackWindow> windows(int count, double noise_px, StampRow stamp_row, StampPhase stamp_phase,
+                                   int frames = 2, unsigned seed = 5) const {
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<double> x(40, 600), y(40, 440), depth_m(1.5, 4.5);
     std::normal_distribution<double> noise(0, noise_px);
-    std::vector<FramePair> result;
+    const ShutterTiming timing{kExposure, truth_.readout_ns, stamp_row, stamp_phase};
+    std::vector<TrackWindow> result;
     for (int i = 0; i < count; ++i) {
-      FramePair pair;
-      ShutterTiming timing{kExposure, truth_.readout_ns, stamp_row, stamp_phase};
-      pair.from = {kStart + i * kPeriod, kExposure};
-      pair.to = {kStart + (i + 1) * kPeriod, kExposure};
-      const RowExposure from(pair.from.stamp_ns, 480, timing), to(pair.to.stamp_ns, 480, timing);
-      for (int k = 0; k < 40; ++k) {
-        const Eigen::Vector2d a(x(random), y(random));
-        const Eigen::Vector3d world = orientation(from.middle(a.y())) * camera_.ray(a);
-        // The row decides the time, and the time the row.
-        Eigen::Vector2d b = a;
-        for (int iteration = 0; iteration < 20; ++iteration) {
-          b = camera_.project(orientation(to.middle(b.y())).conjugate() * world);
-          if (!b.allFinite()) break;
-        }
-        if (!b.allFinite() || b.x() < 0 || b.x() > 639 || b.y() < 0 || b.y() > 479) continue;
-        pair.points.push_back({a, b + Eigen::Vector2d(noise(random), noise(random))});
+      TrackWindow window;
+      std::vector<RowExposure> rows;
+      for (int k = 0; k < frames; ++k) {
+        window.frames.push_back({kStart + (i + k) * kPeriod, kExposure});
+        rows.emplace_back(window.frames.back().stamp_ns, 480, timing);
       }
-      result.push_back(pair);
+      for (int n = 0; n < 40; ++n) {
+        const Eigen::Vector2d at(x(random), y(random));
+        const sim::Pose pose = pose_at(rows[0].middle(at.y()));
+        const Eigen::Vector3d world = pose.p_world_m + pose.R_world_cam * (camera_.ray(at) * depth_m(random));
+        PointTrack track{shown(rows[0], world)};
+        for (std::size_t k = 1; k < rows.size(); ++k) {
+          const Eigen::Vector2d to = shown(rows[k], world);
+          if (!to.allFinite() || to.x() < 0 || to.x() > 639 || to.y() < 0 || to.y() > 479) break;
+          track.to_px.push_back(to + Eigen::Vector2d(noise(random), noise(random)));
+        }
+        if (!track.to_px.empty()) window.tracks.push_back(track);
+      }
+      result.push_back(window);
     }
     return result;
   }
@@ -122,14 +130,33 @@ class Footage {
                           kExposure = 12'000'000;
 
  private:
-  static std::unique_ptr<sim::Motion> motion() {
+  static std::unique_ptr<sim::Motion> motion(const Eigen::Vector3d& sway_m) {
     sim::VectorCurve angle, position;
     angle.sines = {{Eigen::Vector3d(5, 9, 2) * kDeg, 1.3, 0.2, {}},
                    {Eigen::Vector3d(-4, 2, 5) * kDeg, 2.1, 1.0, {}},
                    {Eigen::Vector3d(1, -3, 4) * kDeg, 0.45, 2.0, {}}};
+    // In step with the rotation: what a drone does that tilts to fly, and what does not average out.
+    position.sines = {{sway_m, 0.45, 2.0, {}}, {Eigen::Vector3d(0.1 * sway_m.z(), 0.1 * sway_m.x(), 0), 1.3, 0.2, {}}};
     return sim::make_curve_motion(angle, position);
   }
-  Eigen::Quaterniond orientation(TimeNs t_ns) const { return motion_->pose(to_seconds(t_ns - kZero)).R_world_cam; }
+  sim::Pose pose_at(TimeNs t_ns) const { return motion_->pose(to_seconds(t_ns - kZero)); }
+
+  /// Where a point is smeared around: the mean of its path during the exposure of its row.
+  Eigen::Vector2d shown(const RowExposure& rows, const Eigen::Vector3d& world_m) const {
+    constexpr int kSlices = 20, kIterations = 20;
+    Eigen::Vector2d px(320, 240);
+    // The row decides the time, and the time the row.
+    for (int iteration = 0; iteration < kIterations && px.allFinite(); ++iteration) {
+      const TimeNs start_ns = rows.start(px.y());
+      Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+      for (int i = 0; i < kSlices; ++i) {
+        const sim::Pose pose = pose_at(start_ns + static_cast<TimeNs>((i + 0.5) / kSlices * kExposure));
+        sum += camera_.project(pose.R_world_cam.conjugate() * (world_m - pose.p_world_m));
+      }
+      px = sum / kSlices;
+    }
+    return px;
+  }
 
   Truth truth_;
   Camera camera_;
@@ -151,7 +178,7 @@ TEST(EstimateTiming, FindsTheTruthFromExactPoints) {
       options.stamp_row = row;
       options.stamp_phase = row == StampRow::FIRST ? StampPhase::START : StampPhase::END;
       const TimingEstimate estimate = estimate_timing(
-          footage.camera(), footage.pairs(kFrames, 0, row, options.stamp_phase), footage.gyro(kFrames), options);
+          footage.camera(), footage.windows(kFrames, 0, row, options.stamp_phase), footage.gyro(kFrames), options);
       const Errors errors = errors_of(estimate, truth);
       EXPECT_LT(std::abs(errors.offset_ms), 0.02);
       EXPECT_NEAR(estimate.readout_s.value, to_seconds(truth.readout_ns), 5e-5);
@@ -169,7 +196,7 @@ TEST(EstimateTiming, StandardDeviationsAreThoseOfTheErrors) {
   constexpr int kFrames = 100;
   TimingOptions options;
   const TimingEstimate estimate =
-      estimate_timing(footage.camera(), footage.pairs(kFrames, 0.5, options.stamp_row, options.stamp_phase),
+      estimate_timing(footage.camera(), footage.windows(kFrames, 0.5, options.stamp_row, options.stamp_phase),
                       footage.gyro(kFrames), options);
   constexpr double kSigmas = 4;
   const Errors errors = errors_of(estimate, truth);
@@ -188,7 +215,7 @@ TEST(EstimateTiming, EverySignMatters) {
   constexpr int kFrames = 100;
   TimingOptions options;
   options.R_cam_imu = truth.R_cam_imu;
-  const auto pairs = footage.pairs(kFrames, 0.1, options.stamp_row, options.stamp_phase);
+  const auto pairs = footage.windows(kFrames, 0.1, options.stamp_row, options.stamp_phase);
   const TimingEstimate right = estimate_timing(footage.camera(), pairs, footage.gyro(kFrames), options);
   EXPECT_LT(right.median_px, 0.2);
   EXPECT_EQ(right.rotation_stddev_rad.norm(), 0) << "given, not estimated";
@@ -208,24 +235,71 @@ TEST(EstimateTiming, GrossErrorsOfTrackingDoNoHarm) {
   const Footage footage(truth);
   constexpr int kFrames = 100;
   TimingOptions options;
-  auto pairs = footage.pairs(kFrames, 0.2, options.stamp_row, options.stamp_phase);
+  auto pairs = footage.windows(kFrames, 0.2, options.stamp_row, options.stamp_phase);
   std::mt19937 random(3);
   std::uniform_real_distribution<double> offset(-60, 60);
-  for (FramePair& pair : pairs) {
-    for (std::size_t i = 0; i < pair.points.size(); i += 5) {
-      pair.points[i].to_px += Eigen::Vector2d(offset(random), offset(random));
+  for (TrackWindow& pair : pairs) {
+    for (std::size_t i = 0; i < pair.tracks.size(); i += 5) {
+      pair.tracks[i].to_px[0] += Eigen::Vector2d(offset(random), offset(random));
     }
   }
   expect_close(errors_of(estimate_timing(footage.camera(), pairs, footage.gyro(kFrames), options), truth));
+}
+
+TEST(EstimateTiming, FindsTheTruthOfACameraThatMoves) {
+  // A metre a second, three metres away, in step with the rotation: as far as the rotation moves the points.
+  const Truth truth{4'000'000, 25'000'000, {0.01, -0.02, 0.03}, rotation({0.1, -0.05, 1.6})};
+  const Footage footage(truth, {0.3, -0.2, 0.25});
+  constexpr int kFrames = 120, kWindow = 4, kRuns = 6;
+  double squares = 0;
+  int values = 0;
+  for (unsigned run = 0; run < kRuns; ++run) {
+    const TimingEstimate estimate = estimate_timing(
+        footage.camera(), footage.windows(kFrames, 0.2, StampRow::FIRST, StampPhase::START, kWindow, run),
+        footage.gyro(kFrames + kWindow), {});
+    const Errors errors = errors_of(estimate, truth);
+    EXPECT_LT(std::abs(errors.offset_ms), 0.25);
+    EXPECT_LT(std::abs(errors.readout_percent), 1.5);
+    EXPECT_LT(errors.bias_rad_s, 0.0015);
+    EXPECT_LT(errors.rotation_deg, 0.15);
+    EXPECT_LT(estimate.median_px, 0.4);
+    EXPECT_GT(estimate.median_at_start_px, 3) << "there is nothing to see of the translation";
+    const auto add = [&](double error, double stddev) {
+      squares += error * error / (stddev * stddev);
+      ++values;
+    };
+    add(1e-3 * errors.offset_ms, estimate.time_offset_s.stddev);
+    add(estimate.readout_s.value - to_seconds(truth.readout_ns), estimate.readout_s.stddev);
+    for (int axis = 0; axis < 3; ++axis) {
+      add(estimate.bias_rad_s[axis].value - truth.bias_rad_s[axis], estimate.bias_rad_s[axis].stddev);
+    }
+    const Eigen::AngleAxisd turn(Eigen::Matrix3d(estimate.R_cam_imu * truth.R_cam_imu.transpose()));
+    for (int axis = 0; axis < 3; ++axis) {
+      add(turn.angle() * turn.axis()[axis], estimate.rotation_stddev_rad[axis]);
+    }
+  }
+  // The mean of 48 squares of normal errors, which would be 1.
+  EXPECT_LT(squares / values, 2.5);
+  EXPECT_GT(squares / values, 0.4);
+}
+
+TEST(EstimateTiming, TheEpipolarLineOfTwoFramesIsEnough) {
+  const Truth truth{4'000'000, 25'000'000, {0.01, -0.02, 0.03}, rotation({0.1, -0.05, 1.6})};
+  const Footage footage(truth, {0.3, -0.2, 0.25});
+  constexpr int kFrames = 120;
+  const TimingEstimate estimate =
+      estimate_timing(footage.camera(), footage.windows(kFrames, 0.2, StampRow::FIRST, StampPhase::START),
+                      footage.gyro(kFrames), {});
+  expect_close(errors_of(estimate, truth));
 }
 
 TEST(EstimateTiming, SaysWhatIsNotDetermined) {
   const Truth truth{4'000'000, 25'000'000, {0.01, -0.02, 0.03}, rotation({0.1, -0.05, 1.6})};
   const Footage footage(truth);
   constexpr int kFrames = 60;
-  const auto pairs = footage.pairs(kFrames, 0.1, StampRow::FIRST, StampPhase::START);
+  const auto pairs = footage.windows(kFrames, 0.1, StampRow::FIRST, StampPhase::START);
   const auto gyro = footage.gyro(kFrames);
-  const auto error = [&](const std::vector<FramePair>& p, const std::vector<GyroSample>& g,
+  const auto error = [&](const std::vector<TrackWindow>& p, const std::vector<GyroSample>& g,
                          const TimingOptions& options) -> std::string {
     try {
       estimate_timing(footage.camera(), p, g, options);
@@ -251,9 +325,9 @@ TEST(EstimateTiming, SaysWhatIsNotDetermined) {
   auto one_axis = pairs;
   for (std::size_t i = 0; i < one_axis.size(); ++i) {
     const double angle = 0.03 * std::sin(0.5 * static_cast<double>(i));
-    for (PointPair& point : one_axis[i].points) {
-      point.to_px = footage.camera().project(Eigen::AngleAxisd(-angle, Eigen::Vector3d::UnitY()) *
-                                             footage.camera().ray(point.from_px));
+    for (PointTrack& point : one_axis[i].tracks) {
+      point.to_px[0] = footage.camera().project(Eigen::AngleAxisd(-angle, Eigen::Vector3d::UnitY()) *
+                                                footage.camera().ray(point.from_px));
     }
   }
   for (GyroSample& sample : one_axis_gyro) {
@@ -344,18 +418,13 @@ TEST(EstimateTiming, MeetsItsLimitsOnSimulatedFootage) {
     constexpr int kFrames = 60;
     sim::Simulator simulator(scene_of(c, kFrames));
     FrameTracker tracker;
-    std::vector<FramePair> pairs;
-    FrameTime last;
     for (int i = 0; i < kFrames; ++i) {
       const sim::Frame frame = simulator.frame(i);
-      const FrameTime now{frame.stamp_ns, frame.timing.exposure_ns};
-      std::vector<PointPair> points = tracker.next(frame.image);
-      if (i > 0) pairs.push_back({last, now, std::move(points)});
-      last = now;
+      tracker.add({frame.stamp_ns, frame.timing.exposure_ns}, frame.image);
     }
     std::vector<GyroSample> samples;
     for (const sim::ImuSample& sample : simulator.imu()) samples.push_back({sample.t_ns, sample.rate_rad_s});
-    const TimingEstimate estimate = estimate_timing(simulator.camera(), pairs, samples, {});
+    const TimingEstimate estimate = estimate_timing(simulator.camera(), tracker.take(), samples, {});
     print_row(c.name, estimate, c.truth);
     SCOPED_TRACE(c.name);
     expect_close(errors_of(estimate, c.truth));
@@ -367,20 +436,73 @@ TEST(EstimateTiming, MeetsItsLimitsOnSimulatedFootage) {
 
 // --- tracker ---
 
-TEST(FrameTracker, FollowsAShift) {
-  const cv::Mat texture = sim::procedural_texture(700, 500, 3);
+cv::Mat grey_texture() {
   cv::Mat grey;
-  cv::extractChannel(texture, grey, 1);
+  cv::extractChannel(sim::procedural_texture(700, 500, 3), grey, 1);
+  return grey;
+}
+
+TEST(FrameTracker, FollowsAShift) {
+  const cv::Mat grey = grey_texture();
   FrameTracker tracker;
-  EXPECT_TRUE(tracker.next(grey(cv::Rect(100, 50, 500, 400))).empty()) << "nothing comes before the first";
-  const std::vector<PointPair> pairs = tracker.next(grey(cv::Rect(123, 39, 500, 400)));
-  ASSERT_GT(pairs.size(), 50u);
-  for (const PointPair& pair : pairs) {
-    EXPECT_LT((pair.to_px - pair.from_px - Eigen::Vector2d(-23, 11)).norm(), 0.1);
+  tracker.add({1, 0}, grey(cv::Rect(100, 50, 500, 400)));
+  EXPECT_TRUE(tracker.take().empty()) << "nothing comes after the first";
+  for (int i = 0; i < 6; ++i) tracker.add({i, 0}, grey(cv::Rect(40 + 23 * i, 60 - 11 * i, 500, 400)));
+  EXPECT_THROW(tracker.add({9, 0}, grey), std::invalid_argument) << "another size";
+  const std::vector<TrackWindow> windows = tracker.take();
+  ASSERT_EQ(windows.size(), 5u);
+  for (std::size_t w = 0; w < windows.size(); ++w) {
+    ASSERT_EQ(windows[w].frames.size(), std::min<std::size_t>(4, 6 - w));
+    EXPECT_EQ(windows[w].frames[1].stamp_ns, static_cast<TimeNs>(w) + 1);
+    ASSERT_GT(windows[w].tracks.size(), 50u);
+    std::size_t to_the_end = 0;
+    for (const PointTrack& track : windows[w].tracks) {
+      for (std::size_t k = 0; k < track.to_px.size(); ++k) {
+        const double steps = static_cast<double>(k) + 1;
+        EXPECT_LT((track.to_px[k] - track.from_px - steps * Eigen::Vector2d(-23, 11)).norm(), 0.1);
+      }
+      to_the_end += track.to_px.size() + 1 == windows[w].frames.size();
+    }
+    EXPECT_GT(to_the_end, 40u);
   }
-  EXPECT_THROW(tracker.next(grey), std::invalid_argument) << "another size";
-  EXPECT_THROW(FrameTracker().next(texture), std::invalid_argument) << "another type";
-  EXPECT_THROW(FrameTracker({5, 0.3}), OptionError);
+  EXPECT_THROW(FrameTracker().add({}, cv::Mat(400, 500, CV_8UC3)), std::invalid_argument) << "another type";
+  EXPECT_THROW(FrameTracker({5, 4, 0.3}), OptionError);
+  EXPECT_THROW(FrameTracker({200, 1, 0.3}), OptionError);
+}
+
+TEST(FrameTracker, KnowsNothingAcrossACut) {
+  const cv::Mat grey = grey_texture();
+  FrameTracker tracker;
+  for (int i = 0; i < 2; ++i) tracker.add({i, 0}, grey(cv::Rect(40 + 5 * i, 60, 500, 400)));
+  tracker.cut();
+  for (int i = 2; i < 5; ++i) tracker.add({i, 0}, grey(cv::Rect(40 + 5 * i, 60, 500, 400)));
+  const std::vector<TrackWindow> windows = tracker.take();
+  ASSERT_EQ(windows.size(), 3u);
+  EXPECT_EQ(windows[0].frames.size(), 2u);
+  EXPECT_EQ(windows[1].frames.size(), 3u);
+  EXPECT_EQ(windows[1].frames[0].stamp_ns, 2);
+}
+
+TEST(FrameTracker, IsNotPulledAlongByAPatchThatTurnsAndGrows) {
+  // 2 degrees and 3 % a frame: what pulls on a point is the same in every frame, and adds up over a window.
+  const cv::Mat grey = grey_texture();
+  FrameTracker tracker;
+  std::vector<cv::Mat> maps;
+  for (int i = 0; i < 4; ++i) {
+    cv::Mat image;
+    maps.push_back(cv::getRotationMatrix2D({350, 250}, 2.0 * i, std::pow(1.03, i)));
+    cv::warpAffine(grey, image, maps.back(), grey.size(), cv::INTER_CUBIC);
+    tracker.add({i, 0}, image);
+  }
+  const std::vector<TrackWindow> windows = tracker.take();
+  std::vector<double> errors_px;
+  for (const PointTrack& track : windows.front().tracks) {
+    if (track.to_px.size() < 3) continue;
+    const cv::Mat to = maps[3] * cv::Vec3d(track.from_px.x(), track.from_px.y(), 1);
+    errors_px.push_back((track.to_px[2] - Eigen::Vector2d(to.at<double>(0), to.at<double>(1))).norm());
+  }
+  ASSERT_GT(errors_px.size(), 60u);
+  EXPECT_LT(median(errors_px), 0.03);
 }
 
 }  // namespace

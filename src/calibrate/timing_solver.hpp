@@ -1,0 +1,43 @@
+// Robust least squares over all windows: timing, the camera's way and the points' depths.
+#pragma once
+
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "calibrate/timing_model.hpp"
+#include "calibrate/window_structure.hpp"
+
+namespace gyro_deblur {
+
+class TimingSolver {
+ public:
+  /// Keeps references.
+  TimingSolver(const TimingModel& model, const std::vector<WindowPoints>& windows);
+
+  /// Moves the state to the least cost. Throws TimingError when the recording does not determine it.
+  void solve(TimingState* state);
+
+  /// After solve: variances of the values, in their order.
+  const Eigen::VectorXd& variances() const { return variances_; }
+  /// After solve: the residuals of one window with its translation [px].
+  std::vector<Eigen::Vector2d> residuals(const TimingState& state, std::size_t window) const;
+  /// After solve.
+  const StructurePriors& priors() const { return priors_; }
+
+ private:
+  WindowFit fit_of(const TimingState& state, const RotationTrack& gyro, std::size_t window) const;
+  double fit_all(const TimingState& state, std::vector<WindowStructure>* structures) const;
+  std::vector<ReducedEquations> linearise(const TimingState& state) const;
+  double improve(TimingState* state, double* damping);
+  void update_priors(const TimingState& state);
+  Eigen::VectorXd variances_of(const std::vector<ReducedEquations>& equations) const;
+
+  const TimingModel& model_;
+  const std::vector<WindowPoints>& windows_;
+  std::vector<WindowStructure> structures_;
+  StructurePriors priors_;
+  Eigen::VectorXd variances_;
+};
+
+}  // namespace gyro_deblur

@@ -1,0 +1,176 @@
+#include "calibrate/timing_start.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <sstream>
+
+#include <Eigen/Geometry>
+#include <Eigen/SVD>
+
+#include "base/median.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr double kMinCorrelation = 0.5;
+constexpr TimeNs kSearchStepNs = 1'000'000;
+
+Eigen::Vector3d log_rotation(const Eigen::Matrix3d& R) {
+  const Eigen::AngleAxisd rotation(R);
+  return rotation.angle() * rotation.axis();
+}
+
+/// The rotation R that minimises sum of weight |b - R a|^2 (Wahba's problem; Markley's SVD solution).
+/// @param moment  sum of weight * b a^T
+Eigen::Matrix3d solve_wahba(const Eigen::Matrix3d& moment) {
+  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(moment, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  const double sign = svd.matrixU().determinant() * svd.matrixV().determinant();
+  return svd.matrixU() * Eigen::Vector3d(1, 1, sign).asDiagonal() * svd.matrixV().transpose();
+}
+
+/// Weights of Cauchy's loss, whose scale follows the errors.
+std::vector<double> cauchy_weights(const std::vector<double>& errors) {
+  const double scale = std::max(2 * median(errors), 1e-6);
+  std::vector<double> weights;
+  for (const double error : errors) weights.push_back(1 / (1 + error * error / (scale * scale)));
+  return weights;
+}
+
+/// Rotation that takes the rays of the first frame to those of the second, as if all rows were exposed at once; the
+/// weights keep what disagrees from counting.
+Eigen::Matrix3d image_rotation(const Camera& camera, const WindowPoints& points) {
+  constexpr int kIterations = 5;
+  std::vector<Eigen::Vector3d> from, to;
+  for (const Sighting& sighting : points.sightings) {
+    if (sighting.frame != 1) continue;
+    from.push_back(points.anchors[sighting.anchor].ray.normalized());
+    to.push_back(camera.ray(sighting.px).normalized());
+  }
+  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
+  std::vector<double> weights(from.size(), 1.0);
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();
+    std::vector<double> errors;
+    for (std::size_t i = 0; i < from.size(); ++i) moment += weights[i] * to[i] * from[i].transpose();
+    R = solve_wahba(moment);
+    for (std::size_t i = 0; i < from.size(); ++i) errors.push_back((to[i] - R * from[i]).norm());
+    weights = cauchy_weights(errors);
+  }
+  return R;
+}
+
+/// Pearson's, -1 where it is not defined.
+class Correlation {
+ public:
+  void add(double a, double b) { n_ += 1, a_ += a, b_ += b, aa_ += a * a, bb_ += b * b, ab_ += a * b; }
+  double value() const {
+    const double variance_a = aa_ - a_ * a_ / n_, variance_b = bb_ - b_ * b_ / n_;
+    if (n_ < static_cast<double>(kMinPairs) || !(variance_a > 0) || !(variance_b > 0)) return -1;
+    return (ab_ - a_ * b_ / n_) / std::sqrt(variance_a * variance_b);
+  }
+
+ private:
+  double n_ = 0, a_ = 0, b_ = 0, aa_ = 0, bb_ = 0, ab_ = 0;
+};
+
+}  // namespace
+
+TimingStart::TimingStart(const TimingModel& model, const std::vector<WindowPoints>& windows)
+    : model_(model), windows_(windows) {
+  // Scene points move against the camera.
+  for (const WindowPoints& points : windows) {
+    image_rotations_.push_back(-log_rotation(image_rotation(model.camera(), points)));
+  }
+}
+
+double TimingStart::interval_s(const WindowPoints& points, const TimingState& state) const {
+  return model_.frame_times_s(points, state)[0];
+}
+
+std::vector<Eigen::Vector3d> TimingStart::gyro_rotations(const TimingState& state) const {
+  const RotationTrack gyro = model_.track(state);
+  std::vector<Eigen::Vector3d> rotations;
+  for (const WindowPoints& points : windows_) {
+    const std::vector<FrameTime>& frames = points.window->frames;
+    const TimeRange range{model_.middle_of(frames[0], state.readout_s), model_.middle_of(frames[1], state.readout_s)};
+    rotations.emplace_back(gyro.covers(range)
+                               ? Eigen::Vector3d(-log_rotation(gyro.homography(range.begin_ns, range.end_ns)))
+                               : Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN()));
+  }
+  return rotations;
+}
+
+double TimingStart::search_offset(TimeNs search_ns, TimingState* state) const {
+  TimingState plain = *state;
+  plain.time_offset_s = 0;
+  plain.R_cam_imu.setIdentity();
+  const RotationTrack gyro = model_.track(plain);  // camera clock = IMU clock here
+  const auto correlate = [&](TimeNs offset_ns) {
+    Correlation correlation;
+    for (std::size_t i = 0; i < windows_.size(); ++i) {
+      const std::vector<FrameTime>& frames = windows_[i].window->frames;
+      const TimeRange range{model_.middle_of(frames[0], state->readout_s) + offset_ns,
+                            model_.middle_of(frames[1], state->readout_s) + offset_ns};
+      if (!gyro.covers(range)) continue;
+      const double dt_s = to_seconds(range.end_ns - range.begin_ns);
+      correlation.add(image_rotations_[i].norm() / dt_s,
+                      Eigen::AngleAxisd(gyro.homography(range.begin_ns, range.end_ns)).angle() / dt_s);
+    }
+    return correlation.value();
+  };
+  const TimeNs center_ns = to_ns(state->time_offset_s);
+  TimeNs best_ns = center_ns;
+  double best = correlate(center_ns);
+  for (TimeNs shift_ns = kSearchStepNs; shift_ns <= search_ns; shift_ns += kSearchStepNs) {
+    for (const TimeNs offset_ns : {center_ns - shift_ns, center_ns + shift_ns}) {
+      const double value = correlate(offset_ns);
+      if (value <= best) continue;
+      best = value;
+      best_ns = offset_ns;
+    }
+  }
+  state->time_offset_s = to_seconds(best_ns);
+  if (best < kMinCorrelation) {
+    std::ostringstream text;
+    text.precision(2);
+    text << "the angular speeds of image and gyroscope do not agree at any offset within " << to_seconds(search_ns)
+         << " s of " << to_seconds(center_ns) << " s: the best correlation is " << best << ", " << kMinCorrelation
+         << " is needed; is there motion, do the recordings belong together, are the rates in rad/s?";
+    throw TimingError(text.str());
+  }
+  return best;
+}
+
+void TimingStart::find_rotation(TimingState* state) const {
+  TimingState plain = *state;
+  plain.R_cam_imu.setIdentity();
+  const std::vector<Eigen::Vector3d> by_gyro = gyro_rotations(plain);
+  std::vector<Eigen::Vector3d> from, to;
+  for (std::size_t i = 0; i < by_gyro.size(); ++i) {
+    if (!by_gyro[i].allFinite()) continue;
+    from.push_back(by_gyro[i]);
+    to.push_back(image_rotations_[i]);
+  }
+  std::vector<double> weights(from.size(), 1.0);
+  constexpr int kIterations = 10;
+  Eigen::Matrix3d moment;
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    moment.setZero();
+    for (std::size_t i = 0; i < from.size(); ++i) moment += weights[i] * to[i] * from[i].transpose();
+    state->R_cam_imu = solve_wahba(moment);
+    std::vector<double> errors;
+    for (std::size_t i = 0; i < from.size(); ++i) errors.push_back((to[i] - state->R_cam_imu * from[i]).norm());
+    weights = cauchy_weights(errors);
+  }
+  // Turning about one axis only leaves the turn about it open.
+  const Eigen::Vector3d spread = Eigen::JacobiSVD<Eigen::Matrix3d>(moment).singularValues();
+  constexpr double kLeastSpread = 0.02;
+  if (spread[1] < kLeastSpread * spread[0]) {
+    throw TimingError(
+        "the rotation between IMU and camera is not determined: the recording turns about one axis only; turn it about "
+        "others too, or give R_cam_imu");
+  }
+}
+
+}  // namespace gyro_deblur
