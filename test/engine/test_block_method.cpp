@@ -2,6 +2,7 @@
 #include "engine/cpu/block_method.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <set>
 #include <string>
 #include <vector>
@@ -16,6 +17,9 @@ namespace gyro_deblur {
 namespace {
 
 using test::random_image;
+
+constexpr double kAngle_rad = 0.4;  // far from an axis
+constexpr double kSlope = 0.42;
 
 /// As a path at uneven speed gives it: nobody knows its shape.
 LineKernel without_box(int taps) {
@@ -41,6 +45,7 @@ struct SlowCase {
   SlowReason reason;
   LineKernel kernel;
   int depth;
+  double angle_rad = kAngle_rad;
 };
 
 std::vector<SlowCase> slow_cases() {
@@ -49,6 +54,7 @@ std::vector<SlowCase> slow_cases() {
   return {{SlowReason::ZERO_KERNEL, zero, CV_8U},
           {SlowReason::SMALL_GAMMA, wiener_kernel(60, with_gamma(0.007)), CV_8U},
           {SlowReason::DEEP_SHORT_BLUR, wiener_kernel(35.75, {}), CV_16U},
+          {SlowReason::DEEP_UNEVEN_BLUR, without_box(201), CV_16U, 0.1},
           {SlowReason::LONG_SHORT_BLUR, wiener_kernel(33, of_length(8)), CV_8U}};
 }
 
@@ -57,7 +63,7 @@ TEST(SlowReason, IsGivenForEveryKernelThatNoFastMethodTakes) {
   ASSERT_EQ(static_cast<int>(cases.size()), kSlowReasons);
   std::set<std::string> words;
   for (const SlowCase& c : cases) {
-    EXPECT_EQ(slow_reason(c.kernel, c.depth), c.reason) << in_words(c.reason);
+    EXPECT_EQ(slow_reason(c.kernel, std::tan(c.angle_rad), c.depth), c.reason) << in_words(c.reason);
     words.insert(in_words(c.reason));
   }
   EXPECT_EQ(words.size(), cases.size()) << "reasons can be told apart";
@@ -66,23 +72,37 @@ TEST(SlowReason, IsGivenForEveryKernelThatNoFastMethodTakes) {
 
 // The other side of each limit.
 TEST(SlowReason, IsNotGivenWhereAFastMethodServes) {
-  EXPECT_EQ(slow_reason(wiener_kernel(60, with_gamma(0.009)), CV_8U), std::nullopt);
-  EXPECT_EQ(slow_reason(wiener_kernel(36, {}), CV_16U), std::nullopt);
-  EXPECT_EQ(slow_reason(without_box(9), CV_8U), std::nullopt);
+  EXPECT_EQ(slow_reason(wiener_kernel(60, with_gamma(0.009)), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(slow_reason(wiener_kernel(36, {}), kSlope, CV_16U), std::nullopt);
+  EXPECT_EQ(slow_reason(without_box(9), kSlope, CV_8U), std::nullopt);
   for (const int depth : {CV_8U, CV_16U}) {
-    EXPECT_EQ(slow_reason(without_box(145), depth), std::nullopt);
-    EXPECT_EQ(slow_reason(without_box(259), depth), std::nullopt);
-    EXPECT_EQ(slow_reason(without_box(4001), depth), std::nullopt);
+    EXPECT_EQ(slow_reason(without_box(145), kSlope, depth), std::nullopt);
+    EXPECT_EQ(slow_reason(without_box(259), kSlope, depth), std::nullopt);
+    EXPECT_EQ(slow_reason(without_box(4001), kSlope, depth), std::nullopt);
   }
-  EXPECT_EQ(slow_reason(wiener_kernel(32, of_length(8)), CV_8U), std::nullopt);
-  EXPECT_EQ(slow_reason(wiener_kernel(500, of_length(8)), CV_8U), std::nullopt);
+  EXPECT_EQ(slow_reason(wiener_kernel(32, of_length(8)), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(slow_reason(wiener_kernel(500, of_length(8)), kSlope, CV_8U), std::nullopt);
   for (const double extent_px : {1.0, 5.0, 35.0, 36.0, 57.0, 130.0, 500.0}) {
-    EXPECT_EQ(slow_reason(wiener_kernel(extent_px, {}), CV_8U), std::nullopt) << extent_px;
+    EXPECT_EQ(slow_reason(wiener_kernel(extent_px, {}), kSlope, CV_8U), std::nullopt) << extent_px;
+  }
+}
+
+// Beside an axis: not along it, where short tiles serve, nor further off.
+TEST(SlowReason, IsGivenForDeepUnevenBlurBesideAnAxisAlone) {
+  for (const double slope : {0.09, -0.09, 0.14, -0.14}) {
+    EXPECT_EQ(slow_reason(without_box(145), slope, CV_16U), SlowReason::DEEP_UNEVEN_BLUR) << slope;
+    EXPECT_EQ(slow_reason(without_box(145), slope, CV_8U), std::nullopt) << slope;
+    EXPECT_EQ(slow_reason(without_box(229), slope, CV_16U), std::nullopt) << slope << ", 57 px";
+    EXPECT_EQ(slow_reason(wiener_kernel(40, {}), slope, CV_16U), std::nullopt) << slope << ", even speed";
+  }
+  for (const double slope : {0.0, 0.07, -0.07, 0.16, 1.0}) {
+    EXPECT_EQ(slow_reason(without_box(145), slope, CV_16U), std::nullopt) << slope;
   }
 }
 
 TEST(SlowReason, NamesItsLimits) {
   EXPECT_EQ(in_words(SlowReason::DEEP_SHORT_BLUR), "16 bit and blur below 36 px");
+  EXPECT_EQ(in_words(SlowReason::DEEP_UNEVEN_BLUR), "16 bit and blur at uneven speed below 57 px beside an axis");
   EXPECT_EQ(in_words(SlowReason::LONG_SHORT_BLUR), "more than 257 taps for blur below 36 px");
 }
 
@@ -93,12 +113,12 @@ TEST(SlowReason, IsTheGainOfAKernelWithoutABox) {
     for (int i = 0; i < taps; ++i) kernel.taps.push_back((i % 2 == 0 ? gain : -gain) / static_cast<float>(taps));
     return kernel;
   };
-  EXPECT_EQ(slow_reason(alternating(301, 70), CV_8U), std::nullopt);
-  EXPECT_EQ(slow_reason(alternating(301, 90), CV_8U), SlowReason::SMALL_GAMMA);
-  EXPECT_EQ(slow_reason(alternating(201, 90), CV_8U), std::nullopt);
+  EXPECT_EQ(slow_reason(alternating(301, 70), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(slow_reason(alternating(301, 90), kSlope, CV_8U), SlowReason::SMALL_GAMMA);
+  EXPECT_EQ(slow_reason(alternating(201, 90), kSlope, CV_8U), std::nullopt);
   EXPECT_FALSE(takes_lanes(alternating(201, 90), 0.5, CV_8U));
   EXPECT_TRUE(takes_lanes(alternating(201, 70), 0.5, CV_8U));
-  EXPECT_EQ(slow_reason(alternating(201, 90), CV_16U), SlowReason::SMALL_GAMMA);
+  EXPECT_EQ(slow_reason(alternating(201, 90), kSlope, CV_16U), SlowReason::SMALL_GAMMA);
 }
 
 TEST(CpuEngineSlowBlocks, AreCountedByReason) {
@@ -112,15 +132,15 @@ TEST(CpuEngineSlowBlocks, AreCountedByReason) {
     const cv::Mat image = random_image(static_cast<int>(cases.size()) * 3 * 24, 20, depth, 3);
     const FilterGrid grid = test::make_grid(image.size(), 24, [&](int i) -> BlockFilter {
       const SlowCase& c = cases[i / 3];
-      if (i % 3 == 1) return {0.4, i % 2 == 0 ? nullptr : &fast};
-      if (c.depth != depth) return {0.4, &fast};
+      if (i % 3 == 1) return {kAngle_rad, i % 2 == 0 ? nullptr : &fast};
+      if (c.depth != depth) return {kAngle_rad, &fast};
       ++expected[in_words(c.reason)];
-      return {0.4, &c.kernel};
+      return {c.angle_rad, &c.kernel};
     });
     cv::Mat dst;
     engine.filter(image, grid, dst);
     EXPECT_EQ(engine.slow_blocks(), expected);
-    ASSERT_EQ(expected.size(), depth == CV_8U ? 3u : 1u);
+    ASSERT_EQ(expected.size(), depth == CV_8U ? 3u : 2u);
     for (const auto& [reason, count] : expected) EXPECT_EQ(count, 2u) << reason;
     // The next image starts from nothing.
     engine.filter(image, test::one_block(image.size(), 0.4, fast), dst);

@@ -109,18 +109,19 @@ TEST_P(CpuEngineTest, LongKernelsStayCloseAndRestoreAsWell) {
   }
 }
 
-// Kernels of no known shape, along lines of any direction; none is left to the float engine.
+// Kernels of no known shape, along lines of any direction; only short ones in 16 bit beside an axis are left to the
+// float engine.
 TEST_P(CpuEngineTest, LongUnevenPathsStayCloseAndRestoreAsWell) {
   const LinePath paths[] = {{-0.29f, -0.245f, -0.18f, -0.1f, 0, 0.125f, 0.275f, 0.45f, 0.71f},  // speeds up
                             {0.9f, 0.7f, 0.5f, 0.25f, 0, -0.05f, -0.1f, -0.05f, 0}};            // turns back
   const cv::Mat sharp = test::textured_image(256, 192, 2);
   for (const LinePath& path : paths) {
-    for (const double extent_px : {40.0, 66.0, 105.0}) {
+    for (const double extent_px : {40.0, 50.0, 66.0, 105.0}) {
       LinePath path_px = path;
       for (float& place_px : path_px) place_px *= static_cast<float>(extent_px / extent_of(path));
       double pooled = 0;
       int angles = 0;
-      for (const int degrees : {0, 2, 45, 88, 121, 176}) {
+      for (const int degrees : {0, 2, 5, 45, 85, 88, 121, 176}) {
         const double angle_rad = degrees * CV_PI / 180;
         const cv::Mat blurred = test::expose(test::blur_along_path(sharp, angle_rad, path_px), 1, degrees);
         FrameBlur field = uniform_blur_field(256, 192, angle_rad, extent_px, wide_options());
@@ -137,7 +138,9 @@ TEST_P(CpuEngineTest, LongUnevenPathsStayCloseAndRestoreAsWell) {
         CpuEngine fast(2, *kernels_);
         cv::Mat deep, of_deep;
         blurred.convertTo(deep, CV_16U, 257);
-        EXPECT_EQ(deconvolve(deep, PixelLayout::GRAY, field, *bank_, fast, of_deep), SlowBlocks{});
+        const bool beside_axis = degrees == 5 || degrees == 85;
+        EXPECT_EQ(deconvolve(deep, PixelLayout::GRAY, field, *bank_, fast, of_deep).empty(),
+                  !beside_axis || extent_px > 57);
         of_deep.convertTo(of_deep, CV_8U, 1 / 257.0);
         const double deep_loss_db = psnr_db(mean_square(expected, sharp)) - psnr_db(mean_square(of_deep, sharp));
         EXPECT_LE(deep_loss_db, 0.1) << extent_px << " px, " << degrees << " deg, 16 bit";

@@ -53,7 +53,7 @@ void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.major_is_y = line.major_is_y;
   plan.slope = line.slope;
   plan.max_rows = kMaxTileSide;
-  plan.slow = slow_reason(kernel, depth);
+  plan.slow = slow_reason(kernel, line.slope, depth);
   if (plan.slow) return;
   plan.lanes = takes_lanes(kernel, line.slope, depth);
   if (plan.lanes) {
