@@ -73,9 +73,9 @@ double percentile(const std::vector<double>& values, double part) {
 struct Row {
   std::string fault, stream, rate;
   ReplayResult result;
-  std::size_t allowed_waiting = 0;            ///< 0: not looked at
-  std::optional<double> allowed_p99_periods;  ///< of the latency
-  std::set<PassThroughReason> not_allowed{};  ///< for no frame
+  std::size_t allowed_waiting = 0;              ///< 0: not looked at
+  std::optional<double> allowed_p99_periods{};  ///< of the latency
+  std::set<PassThroughReason> not_allowed{};    ///< for no frame
   bool good() const {
     for (const PassThroughReason reason : not_allowed) {
       if (result.balance.passed_through.count(reason) > 0) return false;
