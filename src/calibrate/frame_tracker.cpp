@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <numeric>
 #include <stdexcept>
 #include <utility>
@@ -171,22 +170,34 @@ void FrameTracker::start(const FrameTime& time, const cv::Mat& luminance, const 
 }
 
 void FrameTracker::follow(Anchor* anchor, const std::vector<cv::Mat>& pyramid, const cv::Size& size) {
+  const auto keep = [anchor](const std::vector<bool>& good, std::vector<cv::Point2f>* to) {
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < good.size(); ++i) {
+      if (!good[i]) continue;
+      anchor->points[kept] = anchor->points[i];
+      anchor->tracks[kept] = anchor->tracks[i];
+      (*to)[kept] = (*to)[i];
+      ++kept;
+    }
+    anchor->points.resize(kept);
+    anchor->tracks.resize(kept);
+    to->resize(kept);
+  };
   std::vector<cv::Point2f> to;
-  std::vector<bool> good =
-      match(previous_, pyramid, anchor->last, kPyramidLevels, options_.max_return_px, &to);
-  TrackWindow& window = windows_[anchor->window];
-  const std::vector<bool> aligned = align(anchor->pyramid[0], pyramid[0], anchor->points, options_.max_return_px, &to);
-  std::transform(good.begin(), good.end(), aligned.begin(), good.begin(), std::logical_and<bool>());
-  const cv::Rect2f inside(0, 0, static_cast<float>(size.width - 1), static_cast<float>(size.height - 1));
-  Anchor next{anchor->window, std::move(anchor->pyramid), {}, {}, {}};
+  keep(match(previous_, pyramid, anchor->last, kPyramidLevels, options_.max_return_px, &to), &to);
+  std::vector<bool> good = align(anchor->pyramid[0], pyramid[0], anchor->points, options_.max_return_px, &to);
+  // What is beyond the border is made up.
+  const int reach = kWindow.width / 2;
+  const cv::Rect2f inside(static_cast<float>(reach), static_cast<float>(reach),
+                          static_cast<float>(size.width - 2 * reach), static_cast<float>(size.height - 2 * reach));
   for (std::size_t i = 0; i < to.size(); ++i) {
-    if (!good[i] || !inside.contains(to[i])) continue;
-    window.tracks[anchor->tracks[i]].to_px.emplace_back(to[i].x, to[i].y);
-    next.points.push_back(anchor->points[i]);
-    next.last.push_back(to[i]);
-    next.tracks.push_back(anchor->tracks[i]);
+    good[i] = good[i] && inside.contains(anchor->points[i]) && inside.contains(to[i]);
   }
-  *anchor = std::move(next);
+  keep(good, &to);
+  for (std::size_t i = 0; i < to.size(); ++i) {
+    windows_[anchor->window].tracks[anchor->tracks[i]].to_px.emplace_back(to[i].x, to[i].y);
+  }
+  anchor->last = std::move(to);
 }
 
 void FrameTracker::cut() {

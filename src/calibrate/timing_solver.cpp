@@ -51,7 +51,7 @@ std::vector<ReducedEquations> TimingSolver::linearise(const TimingState& state) 
   return result;
 }
 
-void TimingSolver::update_priors(const TimingState& state) {
+void TimingSolver::update_priors(const TimingState& state, bool translates) {
   const RotationTrack gyro = model_.track(state);
   std::vector<double> lengths;
   double squares = 0, count = 0, unknowns = 0;
@@ -68,7 +68,7 @@ void TimingSolver::update_priors(const TimingState& state) {
       std::max(kLeastFreedom, 1 - (unknowns + count) / (2 * std::max(1.0, static_cast<double>(lengths.size()))));
   constexpr double kLeastSpeed = 1e-5;
   priors_.noise_px = std::max(median(lengths) / kRayleighMedian / std::sqrt(freedom), kLeastNoisePx);
-  if (count > 0) priors_.speed_per_s = std::max(std::sqrt(squares / count), kLeastSpeed);
+  if (translates && count > 0) priors_.speed_per_s = std::max(std::sqrt(squares / count), kLeastSpeed);
 }
 
 double TimingSolver::improve(TimingState* state, double* damping) {
@@ -107,27 +107,42 @@ double TimingSolver::improve(TimingState* state, double* damping) {
 Eigen::VectorXd TimingSolver::variances_of(const std::vector<ReducedEquations>& equations) const {
   const Eigen::Index values = model_.values();
   Eigen::MatrixXd H = Eigen::MatrixXd::Zero(values, values);
-  for (const ReducedEquations& one : equations) H += one.H;
-  constexpr std::size_t kMostLags = 10;
-  const std::size_t lags = std::min(kMostLags, equations.size() / 4);
-  Eigen::MatrixXd alone, scatter = Eigen::MatrixXd::Zero(values, values);
-  for (std::size_t lag = 0; lag <= lags; ++lag) {
-    Eigen::MatrixXd products = Eigen::MatrixXd::Zero(values, values);
-    for (std::size_t i = lag; i < equations.size(); ++i) {
-      products += equations[i].gradient * equations[i - lag].gradient.transpose();
-    }
-    const double weight = 1 - static_cast<double>(lag) / static_cast<double>(lags + 1);
-    if (lag == 0) alone = products;
-    scatter += lag == 0 ? products : Eigen::MatrixXd(weight * (products + products.transpose()));
+  Eigen::VectorXd gradient = Eigen::VectorXd::Zero(values);
+  for (const ReducedEquations& one : equations) {
+    H += one.H;
+    gradient += one.gradient;
   }
-  const Eigen::FullPivLU<Eigen::MatrixXd> lu(H);
-  if (!lu.isInvertible()) {
+  const auto require_determined = [](const Eigen::FullPivLU<Eigen::MatrixXd>& lu) {
+    if (lu.isInvertible()) return;
     throw TimingError("the recording does not determine the values: there is too little motion");
+  };
+  require_determined(Eigen::FullPivLU<Eigen::MatrixXd>(H));
+  constexpr std::size_t kBlockWindows = 20, kFewestBlocks = 10;
+  const std::size_t blocks = std::max(kFewestBlocks, equations.size() / kBlockWindows);
+  Eigen::VectorXd variances = Eigen::VectorXd::Zero(values);
+  for (std::size_t block = 0; block < blocks; ++block) {
+    Eigen::MatrixXd others_H = H;
+    Eigen::VectorXd others_gradient = gradient;
+    for (std::size_t i = block * equations.size() / blocks; i < (block + 1) * equations.size() / blocks; ++i) {
+      others_H -= equations[i].H;
+      others_gradient -= equations[i].gradient;
+    }
+    const Eigen::FullPivLU<Eigen::MatrixXd> lu(others_H);
+    require_determined(lu);
+    variances += lu.solve(others_gradient).cwiseAbs2();
   }
-  const Eigen::MatrixXd inverse = lu.inverse();
-  return (inverse * scatter * inverse.transpose())
-      .diagonal()
-      .cwiseMax((inverse * alone * inverse.transpose()).diagonal());
+  return variances * (static_cast<double>(blocks - 1) / static_cast<double>(blocks));
+}
+
+void TimingSolver::descend(bool translates, TimingState* state) {
+  double damping = 1e-3;
+  constexpr int kMaxIterations = 30;
+  constexpr double kDone = 0.01;  // of the steps of differentiation
+  for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
+    const double length = improve(state, &damping);
+    update_priors(*state, translates);
+    if (length < kDone) break;
+  }
 }
 
 void TimingSolver::solve(TimingState* state) {
@@ -141,14 +156,20 @@ void TimingSolver::solve(TimingState* state) {
       if (residual.allFinite()) lengths.push_back(residual.norm());
     }
   }
-  priors_ = {std::max(median(lengths) / kRayleighMedian, kLeastNoisePx), 1};
-  double damping = 1e-3;
-  constexpr int kMaxIterations = 30;
-  constexpr double kDone = 0.01;  // of the steps of differentiation
-  for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
-    const double length = improve(state, &damping);
-    update_priors(*state);
-    if (length < kDone) break;
+  // On the spot a steady way and a bias look all but alike, and errors of tracking and the gyroscope's noise pass for a
+  // small one. So the camera is at rest unless a way explains much more than that.
+  constexpr double kAtRestPerS = 1e-6, kFirstSpeedPerS = 1, kWorthIt = 0.5;
+  priors_ = {std::max(median(lengths) / kRayleighMedian, kLeastNoisePx), kAtRestPerS};
+  descend(false, state);
+  const TimingState at_rest = *state;
+  const StructurePriors priors_at_rest = priors_;
+  const std::vector<WindowStructure> structures_at_rest = structures_;
+  priors_.speed_per_s = kFirstSpeedPerS;
+  descend(true, state);
+  if (priors_.noise_px > kWorthIt * priors_at_rest.noise_px) {
+    *state = at_rest;
+    priors_ = priors_at_rest;
+    structures_ = structures_at_rest;
   }
   fit_all(*state, &structures_);
   variances_ = variances_of(linearise(*state));

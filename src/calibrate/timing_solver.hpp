@@ -30,7 +30,9 @@ class TimingSolver {
   double fit_all(const TimingState& state, std::vector<WindowStructure>* structures) const;
   std::vector<ReducedEquations> linearise(const TimingState& state) const;
   double improve(TimingState* state, double* damping);
-  void update_priors(const TimingState& state);
+  /// To the least cost, with or without translation.
+  void descend(bool translates, TimingState* state);
+  void update_priors(const TimingState& state, bool translates);
   Eigen::VectorXd variances_of(const std::vector<ReducedEquations>& equations) const;
 
   const TimingModel& model_;

@@ -203,7 +203,10 @@ TEST(EstimateTiming, StandardDeviationsAreThoseOfTheErrors) {
   EXPECT_LT(std::abs(errors.offset_ms), kSigmas * 1e3 * estimate.time_offset_s.stddev);
   EXPECT_GT(estimate.time_offset_s.stddev, 1e-6);
   EXPECT_LT(std::abs(errors.readout_percent) / 100 * to_seconds(truth.readout_ns), kSigmas * estimate.readout_s.stddev);
-  EXPECT_LT(errors.bias_rad_s, kSigmas * estimate.bias_rad_s[0].stddev);
+  for (int axis = 0; axis < 3; ++axis) {
+    EXPECT_LT(std::abs(estimate.bias_rad_s[axis].value - truth.bias_rad_s[axis]),
+              kSigmas * estimate.bias_rad_s[axis].stddev);
+  }
   EXPECT_LT(errors.rotation_deg * kDeg, kSigmas * estimate.rotation_stddev_rad.norm());
   expect_close(errors);
 }
@@ -215,7 +218,8 @@ TEST(EstimateTiming, EverySignMatters) {
   constexpr int kFrames = 100;
   TimingOptions options;
   options.R_cam_imu = truth.R_cam_imu;
-  const auto pairs = footage.windows(kFrames, 0.1, options.stamp_row, options.stamp_phase);
+  constexpr int kWindow = 4;
+  const auto pairs = footage.windows(kFrames - kWindow, 0.1, options.stamp_row, options.stamp_phase, kWindow);
   const TimingEstimate right = estimate_timing(footage.camera(), pairs, footage.gyro(kFrames), options);
   EXPECT_LT(right.median_px, 0.2);
   EXPECT_EQ(right.rotation_stddev_rad.norm(), 0) << "given, not estimated";
@@ -502,7 +506,7 @@ TEST(FrameTracker, IsNotPulledAlongByAPatchThatTurnsAndGrows) {
     errors_px.push_back((track.to_px[2] - Eigen::Vector2d(to.at<double>(0), to.at<double>(1))).norm());
   }
   ASSERT_GT(errors_px.size(), 60u);
-  EXPECT_LT(median(errors_px), 0.03);
+  EXPECT_LT(median(errors_px), 0.05);
 }
 
 }  // namespace
