@@ -46,6 +46,10 @@ def end(process):
         process.wait()
 
 
+# So slow that no machine is overloaded by the frames, which come at 30 Hz: overload lets frames pass unchanged.
+NODELET_RATE = 0.05
+
+
 def through_nodelet(bag, parameters, recorded, folder):
     """Plays a bag through the nodelet, under roslaunch with a master of its own, and records what comes out."""
     with socket.socket() as probe:
@@ -60,7 +64,7 @@ def through_nodelet(bag, parameters, recorded, folder):
     try:
         launch = subprocess.run(
             ["roslaunch", "--wait", "gyro_deblur", "demo.launch", "bag:=" + bag, "config:=" + parameters,
-             "record:=" + recorded, "conductor_args:=--patience 120"],
+             "record:=" + recorded, "conductor_args:=--patience 120 --rate %g" % NODELET_RATE],
             env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             universal_newlines=True, timeout=500)
     finally:
