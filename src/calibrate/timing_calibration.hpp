@@ -38,8 +38,8 @@ struct TimingOptions {
   void validate() const;  ///< throws OptionError
 };
 
-/// A value with its standard deviation, from the scatter of the residuals. It allows for errors that the points of a
-/// window and of its neighbours have in common, as long as they average out over the recording.
+/// A value with its standard deviation, from how the value changes when parts of the recording are left out. It allows
+/// for errors that the points of a second have in common, and, by experience, for those of tracking that never change.
 struct Estimate {
   double value = 0;
   double stddev = 0;  ///< 0 when the value was not estimated
@@ -48,7 +48,7 @@ struct Estimate {
 /// Mean rates between two frames, for a plot.
 struct RatePair {
   TimeNs t_ns = 0;              ///< middle between the frames, camera clock
-  Eigen::Vector3d image_rad_s;  ///< of the camera, as the image moved (of a global shutter)
+  Eigen::Vector3d image_rad_s;  ///< of the camera, as the image moved (a global shutter that only turned)
   Eigen::Vector3d gyro_rad_s;   ///< of the camera, by the gyroscope with the estimated values
 };
 

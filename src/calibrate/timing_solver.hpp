@@ -33,6 +33,8 @@ class TimingSolver {
   /// To the least cost, with or without translation.
   void descend(bool translates, TimingState* state);
   void update_priors(const TimingState& state, bool translates);
+  /// By the jackknife: how the values change when a block of neighbouring windows is left out (Kuensch, 1989), each in
+  /// one step. Its weight in the recording is allowed for, and what neighbours have in common.
   Eigen::VectorXd variances_of(const std::vector<ReducedEquations>& equations) const;
 
   const TimingModel& model_;

@@ -215,7 +215,7 @@ TEST(EstimateTiming, EverySignMatters) {
   // The same footage with one thing turned round must not fit: the estimate follows, or the residual grows.
   const Truth truth{4'000'000, 25'000'000, {0.01, -0.02, 0.03}, rotation({0.1, -0.05, 1.6})};
   const Footage footage(truth);
-  constexpr int kFrames = 100;
+  constexpr int kFrames = 60;
   TimingOptions options;
   options.R_cam_imu = truth.R_cam_imu;
   constexpr int kWindow = 4;
@@ -254,7 +254,7 @@ TEST(EstimateTiming, FindsTheTruthOfACameraThatMoves) {
   // A metre a second, three metres away, in step with the rotation: as far as the rotation moves the points.
   const Truth truth{4'000'000, 25'000'000, {0.01, -0.02, 0.03}, rotation({0.1, -0.05, 1.6})};
   const Footage footage(truth, {0.3, -0.2, 0.25});
-  constexpr int kFrames = 120, kWindow = 4, kRuns = 6;
+  constexpr int kFrames = 120, kWindow = 4, kRuns = 4;
   double squares = 0;
   int values = 0;
   for (unsigned run = 0; run < kRuns; ++run) {
@@ -282,9 +282,9 @@ TEST(EstimateTiming, FindsTheTruthOfACameraThatMoves) {
       add(turn.angle() * turn.axis()[axis], estimate.rotation_stddev_rad[axis]);
     }
   }
-  // The mean of 48 squares of normal errors, which would be 1.
-  EXPECT_LT(squares / values, 2.5);
-  EXPECT_GT(squares / values, 0.4);
+  // A quarter: standard deviations allow for errors of tracking that these points do not have.
+  EXPECT_LT(squares / values, 0.6);
+  EXPECT_GT(squares / values, 0.1);
 }
 
 TEST(EstimateTiming, TheEpipolarLineOfTwoFramesIsEnough) {
@@ -421,7 +421,9 @@ TEST(EstimateTiming, MeetsItsLimitsOnSimulatedFootage) {
   for (const Case& c : cases) {
     constexpr int kFrames = 60;
     sim::Simulator simulator(scene_of(c, kFrames));
-    FrameTracker tracker;
+    FrameTrackerOptions tracking;
+    tracking.max_points = 100;  // as calibrate_timing
+    FrameTracker tracker(tracking);
     for (int i = 0; i < kFrames; ++i) {
       const sim::Frame frame = simulator.frame(i);
       tracker.add({frame.stamp_ns, frame.timing.exposure_ns}, frame.image);
