@@ -231,13 +231,13 @@ class PhoneSharp(Recording):
             report = json.load(file)
         known = np.array([[0, -1, 0], [-1, 0, 0], [0, 0, -1]])
         R = np.reshape(report["R_cam_imu"], (3, 3))
-        self.assertLess(np.degrees(np.arccos((np.trace(R.T @ known) - 1) / 2)), 4)
+        self.assertLess(np.degrees(np.arccos((np.trace(R.T @ known) - 1) / 2)), 1.5)
         self.assertLess(abs(report["time_offset_s"]["value"]), 0.01)
         readout = report["readout_time_s"]
         self.assertGreater(readout["value"], 0.02)
         self.assertLess(readout["value"], 0.0333 + 2 * readout["stddev"])
         residual = report["median_residual_px"]
-        self.assertLess(residual["estimated"], 0.5 * residual["without_gyroscope"])
+        self.assertLess(residual["estimated"], 0.05 * residual["without_gyroscope"])
 
 
 if __name__ == "__main__":
