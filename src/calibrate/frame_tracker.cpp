@@ -53,8 +53,9 @@ std::vector<cv::Matx22d> local_distortions(const std::vector<cv::Point2f>& from,
     std::iota(order.begin(), order.end(), std::size_t{0});
     const std::size_t count = std::min(kNeighbours + 1, order.size());
     if (count < kFewest + 1) continue;
-    std::partial_sort(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(count), order.end(),
-                      [&](std::size_t a, std::size_t b) { return cv::norm(from[a] - from[i]) < cv::norm(from[b] - from[i]); });
+    std::partial_sort(
+        order.begin(), order.begin() + static_cast<std::ptrdiff_t>(count), order.end(),
+        [&](std::size_t a, std::size_t b) { return cv::norm(from[a] - from[i]) < cv::norm(from[b] - from[i]); });
     cv::Point2d from_mean, to_mean;
     for (std::size_t k = 0; k < count; ++k) {
       from_mean += cv::Point2d(from[order[k]]) / static_cast<double>(count);

@@ -37,8 +37,8 @@ struct FrameTrackerOptions {
   void validate() const;  ///< throws OptionError
 };
 
-/// Follows corners by pyramidal Lucas-Kanade, there and back as a check. Every frame starts a window with corners of its
-/// own; what is found in later frames is aligned with its surroundings in the first, so that no drift builds up.
+/// Follows corners by pyramidal Lucas-Kanade, there and back as a check. Every frame starts a window with corners of
+/// its own; what is found in later frames is aligned with its surroundings in the first, so that no drift builds up.
 class FrameTracker {
  public:
   /// Throws OptionError.

@@ -120,8 +120,7 @@ void report_rates(const TimingStart& start, const TimingModel& model, const Timi
   for (std::size_t i = 0; i < windows.size(); ++i) {
     const TimeNs from_ns = model.middle_of(windows[i].window->frames.front(), state.readout_s);
     const double dt_s = start.interval_s(windows[i], state);
-    estimate->rates.push_back(
-        {from_ns + to_ns(0.5 * dt_s), start.image_rotations()[i] / dt_s, by_gyro[i] / dt_s});
+    estimate->rates.push_back({from_ns + to_ns(0.5 * dt_s), start.image_rotations()[i] / dt_s, by_gyro[i] / dt_s});
   }
 }
 
@@ -146,8 +145,9 @@ TimingEstimate estimate_timing(const Camera& camera, const std::vector<TrackWind
   if (samples.size() < 2) throw TimingError("there are " + std::to_string(samples.size()) + " gyroscope samples");
   const TimingModel model(camera, samples, options);
   std::vector<WindowPoints> points = select_points(camera, windows);
-  TimingState state{to_seconds(options.time_offset_ns), to_seconds(options.readout_ns), options.bias_rad_s,
-                    options.R_cam_imu ? require_rotation("R_cam_imu", *options.R_cam_imu) : Eigen::Matrix3d::Identity()};
+  TimingState state{
+      to_seconds(options.time_offset_ns), to_seconds(options.readout_ns), options.bias_rad_s,
+      options.R_cam_imu ? require_rotation("R_cam_imu", *options.R_cam_imu) : Eigen::Matrix3d::Identity()};
   TimingEstimate estimate;
   {
     const TimingStart start(model, points);
@@ -163,11 +163,11 @@ TimingEstimate estimate_timing(const Camera& camera, const std::vector<TrackWind
   estimate.speed_per_s = solver.priors().speed_per_s;
   estimate.pairs = points.size();
   for (std::size_t i = 0; i < points.size(); ++i) {
-    const std::vector<Eigen::Vector2d> at_end = solver.residuals(state, i);
+    const std::vector<Eigen::Vector2d> at_end = solver.residuals(i);
     for (std::size_t k = 0; k < at_end.size(); ++k) {
       const Sighting& sighting = points[i].sightings[k];
-      estimate.residuals.push_back({sighting.px.y(), sighting.px - points[i].anchors[sighting.anchor].px,
-                                    at_start[i][k], at_end[k]});
+      estimate.residuals.push_back(
+          {sighting.px.y(), sighting.px - points[i].anchors[sighting.anchor].px, at_start[i][k], at_end[k]});
     }
   }
   estimate.points = estimate.residuals.size();

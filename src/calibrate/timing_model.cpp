@@ -213,9 +213,8 @@ std::vector<Eigen::Matrix3Xd> TimingDerivatives::of(const WindowPoints& points,
     if (!turned_rays[i].allFinite()) {
       J.setConstant(std::numeric_limits<double>::quiet_NaN());
     } else {
-      const Eigen::Matrix3Xd difference =
-          turn_at(sighting.frame, sighting.px.y()) -
-          center_.gyro.homography(from_ns, to_ns) * turn_at(0, anchor.px.y());
+      const Eigen::Matrix3Xd difference = turn_at(sighting.frame, sighting.px.y()) -
+                                          center_.gyro.homography(from_ns, to_ns) * turn_at(0, anchor.px.y());
       for (Eigen::Index k = 0; k < J.cols(); ++k) J.col(k) = difference.col(k).cross(turned_rays[i]);
     }
     result.push_back(std::move(J));

@@ -64,8 +64,8 @@ class TimingModel {
   TimeNs time_of(const FrameTime& frame, double row_px, double readout_s) const;
   TimeNs middle_of(const FrameTime& frame, double readout_s) const;
 
-  /// Rays of the anchors of all sightings, turned by the gyroscope from the mean of their row's exposure into camera axes
-  /// at the mean of the sighting's; NaN where it does not cover the time between.
+  /// Rays of the anchors of all sightings, turned by the gyroscope from the mean of their row's exposure into camera
+  /// axes at the mean of the sighting's; NaN where it does not cover the time between.
   std::vector<Eigen::Vector3d> turned_rays(const WindowPoints& points, const RotationTrack& gyro,
                                            const TimingState& state) const;
 

@@ -83,8 +83,7 @@ Eigen::Vector3d WindowFit::displacement(std::size_t sighting, const WindowStruct
 }
 
 Eigen::Vector3d WindowFit::ray(std::size_t sighting, const WindowStructure& structure) const {
-  const double inverse_depth =
-      structure.inverse_depths[static_cast<Eigen::Index>(points_.sightings[sighting].anchor)];
+  const double inverse_depth = structure.inverse_depths[static_cast<Eigen::Index>(points_.sightings[sighting].anchor)];
   return turned_rays_[sighting] - inverse_depth * displacement(sighting, structure);
 }
 

@@ -17,8 +17,8 @@ struct WindowStructure {
 
 /// What residuals are weighed against.
 struct StructurePriors {
-  double noise_px = 1;      ///< > 0: standard deviation of a coordinate of a sighting
-  double speed_per_s = 1;   ///< > 0: of the camera, each axis, in depths a second
+  double noise_px = 1;     ///< > 0: standard deviation of a coordinate of a sighting
+  double speed_per_s = 1;  ///< > 0: of the camera, each axis, in depths a second
 };
 
 /// Normal equations of the timing after everything else was eliminated.
@@ -55,7 +55,8 @@ class WindowFit {
 
   /// Sum of squares of the speeds [1/s^2], each axis, and of how many the images determine.
   /// @return of how many depths they do
-  double add_speeds(const WindowStructure& structure, const StructurePriors& priors, double* squares, double* count) const;
+  double add_speeds(const WindowStructure& structure, const StructurePriors& priors, double* squares,
+                    double* count) const;
 
  private:
   struct Equations;

@@ -119,7 +119,8 @@ void print_summary(const TimingResult& result) {
     std::printf(" (%s)\n", result.rotation_from.c_str());
   }
   std::printf(
-      "%zu pairs of frames, %zu points; correlation of the angular speeds %.3f; translation %.2f depths/s on each axis; "
+      "%zu pairs of frames, %zu points; correlation of the angular speeds %.3f; translation %.2f depths/s on each "
+      "axis; "
       "median residual %.2f px without gyroscope, %.2f px with it, %.2f px refined and with translation\n",
       estimate.pairs, estimate.points, estimate.correlation, estimate.speed_per_s, estimate.median_without_px,
       estimate.median_at_start_px, estimate.median_px);

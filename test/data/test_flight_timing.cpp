@@ -18,8 +18,8 @@ void expect_calibrated(std::size_t flight, TimeNs exposure_ns, TimeNs readout_ns
   const std::string folder = GYRO_DEBLUR_DATA_DIR;
   if (!std::filesystem::exists(folder + "/trajectories")) GTEST_SKIP() << "no " << folder << "/trajectories";
   constexpr double kSeconds = 12;
-  const test::FlightTiming timing = test::calibrate_flight(
-      {test::recorded_flights().at(flight), kSeconds, 1, exposure_ns, readout_ns}, folder);
+  const test::FlightTiming timing =
+      test::calibrate_flight({test::recorded_flights().at(flight), kSeconds, 1, exposure_ns, readout_ns}, folder);
   std::printf("offset %.3f ms, readout %.3f ms, bias %.4f rad/s, rotation %.3f degrees wrong; normalised %.2f\n",
               timing.offset_ms(), timing.readout_ms(), timing.bias_rad_s(), timing.rotation_deg(),
               std::sqrt(timing.normalised_square()));
@@ -29,7 +29,7 @@ void expect_calibrated(std::size_t flight, TimeNs exposure_ns, TimeNs readout_ns
             readout_ns == 0 ? kGlobalReadoutMs : kReadoutPart * kNanoseconds * static_cast<double>(readout_ns));
   EXPECT_LT(timing.bias_rad_s(), kBiasRadS);
   EXPECT_LT(timing.rotation_deg(), kRotationDeg);
-  constexpr double kSigmas = 4;
+  constexpr double kSigmas = 3;
   for (Eigen::Index i = 0; i < timing.errors.size(); ++i) {
     EXPECT_LT(std::abs(timing.errors[i]), kSigmas * timing.stddevs[i]) << "value " << i;
   }

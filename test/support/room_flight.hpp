@@ -34,8 +34,9 @@ inline std::vector<RecordedFlight> recorded_flights() {
           {"TUM VI room2", "tum_vi_room2.txt", 110.5, 30, tum_vi}};
 }
 
-/// The poses of the camera without the scatter of the motion capture: means over a Gaussian of 15 ms, which keeps what a
-/// hand or a drone can do (up to some 8 Hz). Taken as it is, TUM VI's scatter of 3 mrad would be a camera that rattles.
+/// The poses of the camera without the scatter of the motion capture: means over a Gaussian of 15 ms, which keeps what
+/// a hand or a drone can do (up to some 8 Hz). Taken as it is, TUM VI's scatter of 3 mrad would be a camera that
+/// rattles.
 inline std::vector<sim::TrajectorySample> smoothed_camera_poses(const std::vector<sim::TrajectorySample>& imu_poses,
                                                                 const Eigen::Matrix3d& R_cam_imu) {
   constexpr double kSigmaS = 0.015, kReachS = 3 * kSigmaS;
@@ -102,8 +103,8 @@ inline sim::Scene room_flight_scene(const RecordedFlight& flight, const std::str
   scene.camera.fps = 20;
   scene.frames = static_cast<int>(seconds * scene.camera.fps);
   scene.lead_ns = 800'000'000;
-  std::vector<sim::TrajectorySample> poses = smoothed_camera_poses(
-      sim::load_trajectory(folder + "/trajectories/" + flight.file), flight.R_cam_imu);
+  std::vector<sim::TrajectorySample> poses =
+      smoothed_camera_poses(sim::load_trajectory(folder + "/trajectories/" + flight.file), flight.R_cam_imu);
   Eigen::AlignedBox3d flown_m;
   for (sim::TrajectorySample& sample : poses) {
     sample.t_s /= speed;
