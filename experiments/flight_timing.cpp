@@ -52,13 +52,11 @@ void run(const Arguments& arguments) {
     for (const TimeNs exposure_ns : {15'000'000, 30'000'000}) {
       for (const TimeNs readout_ns : {0, 20'000'000}) {
         constexpr double kLeadsS = 2;
-        const test::FlightCase c{flight,
-                                 std::min(arguments.seconds, flight.length_s / arguments.speed - kLeadsS),
-                                 arguments.speed,
-                                 exposure_ns,
-                                 readout_ns,
-                                 arguments.width_px,
-                                 arguments.seed};
+        const test::FlightCase c{
+            flight,          std::min(arguments.seconds, flight.length_s / arguments.speed - kLeadsS),
+            arguments.speed, exposure_ns,
+            readout_ns,      arguments.width_px,
+            arguments.seed};
         const std::string row = row_of(c, test::calibrate_flight(c, arguments.data));
         std::fputs(row.c_str(), stdout);
         std::fflush(stdout);

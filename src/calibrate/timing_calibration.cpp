@@ -163,7 +163,7 @@ TimingEstimate estimate_timing(const Camera& camera, const std::vector<TrackWind
   estimate.speed_per_s = solver.priors().speed_per_s;
   estimate.pairs = points.size();
   for (std::size_t i = 0; i < points.size(); ++i) {
-    const std::vector<Eigen::Vector2d> at_end = solver.residuals(state, i);
+    const std::vector<Eigen::Vector2d> at_end = solver.residuals(i);
     for (std::size_t k = 0; k < at_end.size(); ++k) {
       const Sighting& sighting = points[i].sightings[k];
       estimate.residuals.push_back(

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <string>
+#include <utility>
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
@@ -21,59 +21,59 @@ constexpr double kLeastNoisePx = 0.02;
 TimingSolver::TimingSolver(const TimingModel& model, const std::vector<WindowPoints>& windows)
     : model_(model), windows_(windows) {}
 
-WindowFit TimingSolver::fit_of(const TimingState& state, const RotationTrack& gyro, std::size_t window) const {
-  const WindowPoints& points = windows_[window];
-  return {model_.camera(), points, model_.turned_rays(points, gyro, state), model_.passages(points, gyro, state),
-          model_.frame_times_s(points, state)};
-}
-
-std::vector<Eigen::Vector2d> TimingSolver::residuals(const TimingState& state, std::size_t window) const {
-  return fit_of(state, model_.track(state), window).residuals(structures_[window]);
-}
-
-double TimingSolver::fit_all(const TimingState& state, std::vector<WindowStructure>* structures) const {
+std::vector<WindowFit> TimingSolver::fits_of(const TimingState& state) const {
   const RotationTrack gyro = model_.track(state);
-  double cost = 0;
-  for (std::size_t i = 0; i < windows_.size(); ++i) {
-    cost += fit_of(state, gyro, i).improve(&(*structures)[i], priors_);
+  std::vector<WindowFit> fits;
+  fits.reserve(windows_.size());
+  for (const WindowPoints& points : windows_) {
+    fits.emplace_back(model_.camera(), points, model_.turned_rays(points, gyro, state),
+                      model_.passages(points, gyro, state), model_.frame_times_s(points, state));
   }
+  return fits;
+}
+
+double TimingSolver::fit(const std::vector<WindowFit>& fits, std::vector<WindowStructure>* structures) const {
+  double cost = 0;
+  for (std::size_t i = 0; i < fits.size(); ++i) cost += fits[i].improve(&(*structures)[i], priors_);
   return cost;
 }
 
 std::vector<ReducedEquations> TimingSolver::linearise(const TimingState& state) const {
   const TimingDerivatives derivatives(model_, state);
-  const RotationTrack gyro = model_.track(state);
   std::vector<ReducedEquations> result;
-  for (std::size_t i = 0; i < windows_.size(); ++i) {
-    const WindowFit fit = fit_of(state, gyro, i);
-    result.push_back(fit.reduce(structures_[i], priors_, derivatives.of(windows_[i], fit.turned_rays())));
+  result.reserve(fits_.size());
+  for (std::size_t i = 0; i < fits_.size(); ++i) {
+    result.push_back(fits_[i].reduce(structures_[i], priors_, derivatives.of(windows_[i], fits_[i].turned_rays())));
   }
   return result;
 }
 
-void TimingSolver::update_priors(const TimingState& state, bool translates) {
-  const RotationTrack gyro = model_.track(state);
+double TimingSolver::median_residual_px() const {
   std::vector<double> lengths;
-  double squares = 0, count = 0, unknowns = 0;
-  for (std::size_t i = 0; i < windows_.size(); ++i) {
-    const WindowFit fit = fit_of(state, gyro, i);
-    for (const Eigen::Vector2d& residual : fit.residuals(structures_[i])) {
+  for (std::size_t i = 0; i < fits_.size(); ++i) {
+    for (const Eigen::Vector2d& residual : residuals(i)) {
       if (residual.allFinite()) lengths.push_back(residual.norm());
     }
-    unknowns += fit.add_speeds(structures_[i], priors_, &squares, &count);
+  }
+  return median(lengths);
+}
+
+void TimingSolver::update_priors(bool translates) {
+  double squares = 0, speeds = 0, depths = 0, coordinates = 0;
+  for (std::size_t i = 0; i < fits_.size(); ++i) {
+    depths += fits_[i].add_speeds(structures_[i], priors_, &squares, &speeds);
+    coordinates += 2 * static_cast<double>(windows_[i].sightings.size());
   }
   // What was fitted has taken its part of the noise.
-  constexpr double kLeastFreedom = 0.1;
-  const double freedom =
-      std::max(kLeastFreedom, 1 - (unknowns + count) / (2 * std::max(1.0, static_cast<double>(lengths.size()))));
-  constexpr double kLeastSpeed = 1e-5;
-  priors_.noise_px = std::max(median(lengths) / kRayleighMedian / std::sqrt(freedom), kLeastNoisePx);
-  if (translates && count > 0) priors_.speed_per_s = std::max(std::sqrt(squares / count), kLeastSpeed);
+  constexpr double kLeastFreedom = 0.1, kLeastSpeedPerS = 1e-5;
+  const double freedom = std::max(kLeastFreedom, 1 - (depths + speeds) / coordinates);
+  priors_.noise_px = std::max(median_residual_px() / kRayleighMedian / std::sqrt(freedom), kLeastNoisePx);
+  if (translates && speeds > 0) priors_.speed_per_s = std::max(std::sqrt(squares / speeds), kLeastSpeedPerS);
 }
 
 double TimingSolver::improve(TimingState* state, double* damping) {
   const std::vector<double> steps = model_.steps_of_differentiation();
-  const double cost = fit_all(*state, &structures_);
+  const double cost = fit(fits_, &structures_);
   Eigen::MatrixXd H = Eigen::MatrixXd::Zero(model_.values(), model_.values());
   Eigen::VectorXd gradient = Eigen::VectorXd::Zero(model_.values());
   for (const ReducedEquations& equations : linearise(*state)) {
@@ -90,9 +90,11 @@ double TimingSolver::improve(TimingState* state, double* damping) {
     const TimingState next = model_.moved(*state, step);
     constexpr double kLongestReadoutS = 1, kLargestBias = 1;
     if (std::abs(next.readout_s) > kLongestReadoutS || next.bias_rad_s.cwiseAbs().maxCoeff() > kLargestBias) continue;
+    std::vector<WindowFit> fits = fits_of(next);
     std::vector<WindowStructure> structures = structures_;
-    if (!(fit_all(next, &structures) < cost)) continue;
+    if (!(fit(fits, &structures) < cost)) continue;
     *state = next;
+    fits_ = std::move(fits);
     structures_ = std::move(structures);
     *damping /= 100;
     double length = 0;
@@ -144,38 +146,32 @@ void TimingSolver::descend(bool translates, TimingState* state) {
   constexpr double kDone = 0.01;  // of the steps of differentiation
   for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
     const double length = improve(state, &damping);
-    update_priors(*state, translates);
+    update_priors(translates);
     if (length < kDone) break;
   }
 }
 
 void TimingSolver::solve(TimingState* state) {
-  const RotationTrack gyro = model_.track(*state);
+  fits_ = fits_of(*state);
   structures_.clear();
-  std::vector<double> lengths;
-  for (std::size_t i = 0; i < windows_.size(); ++i) {
-    const WindowFit fit = fit_of(*state, gyro, i);
-    structures_.push_back(fit.at_rest());
-    for (const Eigen::Vector2d& residual : fit.residuals(structures_[i])) {
-      if (residual.allFinite()) lengths.push_back(residual.norm());
-    }
-  }
+  for (const WindowFit& fit : fits_) structures_.push_back(fit.at_rest());
   // On the spot a steady way and a bias look all but alike, and errors of tracking and the gyroscope's noise pass for a
   // small one. So the camera is at rest unless a way explains much more than that.
   constexpr double kAtRestPerS = 1e-6, kFirstSpeedPerS = 1, kWorthIt = 0.5;
-  priors_ = {std::max(median(lengths) / kRayleighMedian, kLeastNoisePx), kAtRestPerS};
+  priors_ = {std::max(median_residual_px() / kRayleighMedian, kLeastNoisePx), kAtRestPerS};
   descend(false, state);
-  const TimingState at_rest = *state;
+  const TimingState state_at_rest = *state;
   const StructurePriors priors_at_rest = priors_;
   const std::vector<WindowStructure> structures_at_rest = structures_;
   priors_.speed_per_s = kFirstSpeedPerS;
   descend(true, state);
   if (priors_.noise_px > kWorthIt * priors_at_rest.noise_px) {
-    *state = at_rest;
+    *state = state_at_rest;
     priors_ = priors_at_rest;
     structures_ = structures_at_rest;
+    fits_ = fits_of(*state);
   }
-  fit_all(*state, &structures_);
+  fit(fits_, &structures_);
   variances_ = variances_of(linearise(*state));
 }
 

@@ -21,24 +21,30 @@ class TimingSolver {
   /// After solve: variances of the values, in their order.
   const Eigen::VectorXd& variances() const { return variances_; }
   /// After solve: the residuals of one window with its translation [px].
-  std::vector<Eigen::Vector2d> residuals(const TimingState& state, std::size_t window) const;
+  std::vector<Eigen::Vector2d> residuals(std::size_t window) const {
+    return fits_[window].residuals(structures_[window]);
+  }
   /// After solve.
   const StructurePriors& priors() const { return priors_; }
 
  private:
-  WindowFit fit_of(const TimingState& state, const RotationTrack& gyro, std::size_t window) const;
-  double fit_all(const TimingState& state, std::vector<WindowStructure>* structures) const;
+  std::vector<WindowFit> fits_of(const TimingState& state) const;
+  /// The least cost by the structures.
+  double fit(const std::vector<WindowFit>& fits, std::vector<WindowStructure>* structures) const;
   std::vector<ReducedEquations> linearise(const TimingState& state) const;
+  double median_residual_px() const;
+  /// One step of Levenberg and Marquardt. Returns its length in steps of differentiation; 0 when nothing costs less.
   double improve(TimingState* state, double* damping);
   /// To the least cost, with or without translation.
   void descend(bool translates, TimingState* state);
-  void update_priors(const TimingState& state, bool translates);
+  void update_priors(bool translates);
   /// By the jackknife: how the values change when a block of neighbouring windows is left out (Kuensch, 1989), each in
   /// one step. Its weight in the recording is allowed for, and what neighbours have in common.
   Eigen::VectorXd variances_of(const std::vector<ReducedEquations>& equations) const;
 
   const TimingModel& model_;
   const std::vector<WindowPoints>& windows_;
+  std::vector<WindowFit> fits_;  ///< of the state
   std::vector<WindowStructure> structures_;
   StructurePriors priors_;
   Eigen::VectorXd variances_;

@@ -143,17 +143,20 @@ class Footage {
 
   /// Where a point is smeared around: the mean of its path during the exposure of its row.
   Eigen::Vector2d shown(const RowExposure& rows, const Eigen::Vector3d& world_m) const {
-    constexpr int kSlices = 20, kIterations = 20;
+    constexpr int kSlices = 6, kMaxIterations = 20;
+    constexpr double kConvergedPx = 1e-6;
     Eigen::Vector2d px(320, 240);
     // The row decides the time, and the time the row.
-    for (int iteration = 0; iteration < kIterations && px.allFinite(); ++iteration) {
+    for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
       const TimeNs start_ns = rows.start(px.y());
       Eigen::Vector2d sum = Eigen::Vector2d::Zero();
       for (int i = 0; i < kSlices; ++i) {
         const sim::Pose pose = pose_at(start_ns + static_cast<TimeNs>((i + 0.5) / kSlices * kExposure));
         sum += camera_.project(pose.R_world_cam.conjugate() * (world_m - pose.p_world_m));
       }
+      const double moved_px = (sum / kSlices - px).norm();
       px = sum / kSlices;
+      if (!(moved_px > kConvergedPx)) break;
     }
     return px;
   }
@@ -198,7 +201,7 @@ TEST(EstimateTiming, StandardDeviationsAreThoseOfTheErrors) {
   const TimingEstimate estimate =
       estimate_timing(footage.camera(), footage.windows(kFrames, 0.5, options.stamp_row, options.stamp_phase),
                       footage.gyro(kFrames), options);
-  constexpr double kSigmas = 4;
+  constexpr double kSigmas = 2;  // which allow for errors of tracking, that these points do not have
   const Errors errors = errors_of(estimate, truth);
   EXPECT_LT(std::abs(errors.offset_ms), kSigmas * 1e3 * estimate.time_offset_s.stddev);
   EXPECT_GT(estimate.time_offset_s.stddev, 1e-6);

@@ -29,7 +29,7 @@ void expect_calibrated(std::size_t flight, TimeNs exposure_ns, TimeNs readout_ns
             readout_ns == 0 ? kGlobalReadoutMs : kReadoutPart * kNanoseconds * static_cast<double>(readout_ns));
   EXPECT_LT(timing.bias_rad_s(), kBiasRadS);
   EXPECT_LT(timing.rotation_deg(), kRotationDeg);
-  constexpr double kSigmas = 4;
+  constexpr double kSigmas = 3;
   for (Eigen::Index i = 0; i < timing.errors.size(); ++i) {
     EXPECT_LT(std::abs(timing.errors[i]), kSigmas * timing.stddevs[i]) << "value " << i;
   }
