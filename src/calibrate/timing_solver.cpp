@@ -134,7 +134,7 @@ Eigen::VectorXd TimingSolver::variances_of(const std::vector<ReducedEquations>& 
     variances += lu.solve(others_gradient).cwiseAbs2();
   }
   // Tracking errs by some hundredths of a pixel alike in all frames, which does not show in the scatter: over the
-  // flights of doc/reports/timing.md errors are 1.6 times as large as that says.
+  // flights of doc/reports/timing.md errors are 1.9 times as large as that says.
   constexpr double kErrorOverScatter = 2;
   return kErrorOverScatter * kErrorOverScatter * static_cast<double>(blocks - 1) / static_cast<double>(blocks) *
          variances;

@@ -13,13 +13,12 @@ namespace {
 
 constexpr double kNanoseconds = 1e-6;  // in milliseconds
 
-/// Twelve seconds; experiments/flight_timing.cpp flies for forty.
-void expect_calibrated(std::size_t flight, TimeNs exposure_ns, TimeNs readout_ns) {
+/// @param seconds  experiments/flight_timing.cpp flies for forty
+void expect_calibrated(std::size_t flight, double seconds, TimeNs exposure_ns, TimeNs readout_ns) {
   const std::string folder = GYRO_DEBLUR_DATA_DIR;
   if (!std::filesystem::exists(folder + "/trajectories")) GTEST_SKIP() << "no " << folder << "/trajectories";
-  constexpr double kSeconds = 12;
   const test::FlightTiming timing =
-      test::calibrate_flight({test::recorded_flights().at(flight), kSeconds, 1, exposure_ns, readout_ns}, folder);
+      test::calibrate_flight({test::recorded_flights().at(flight), seconds, 1, exposure_ns, readout_ns}, folder);
   std::printf("offset %.3f ms, readout %.3f ms, bias %.4f rad/s, rotation %.3f degrees wrong; normalised %.2f\n",
               timing.offset_ms(), timing.readout_ms(), timing.bias_rad_s(), timing.rotation_deg(),
               std::sqrt(timing.normalised_square()));
@@ -38,9 +37,9 @@ void expect_calibrated(std::size_t flight, TimeNs exposure_ns, TimeNs readout_ns
   EXPECT_GT(timing.estimate.speed_per_s, 0.1);
 }
 
-TEST(FlightTiming, EurocRollingShutter) { expect_calibrated(0, 15'000'000, 20'000'000); }
-TEST(FlightTiming, EurocLongExposureGlobalShutter) { expect_calibrated(1, 30'000'000, 0); }
-TEST(FlightTiming, HandHeldLongExposureRollingShutter) { expect_calibrated(2, 30'000'000, 20'000'000); }
+TEST(FlightTiming, EurocRollingShutter) { expect_calibrated(0, 12, 15'000'000, 20'000'000); }
+TEST(FlightTiming, EurocLongExposureGlobalShutter) { expect_calibrated(1, 12, 30'000'000, 0); }
+TEST(FlightTiming, HandHeldLongExposureRollingShutter) { expect_calibrated(2, 20, 30'000'000, 20'000'000); }
 
 }  // namespace
 }  // namespace gyro_deblur
