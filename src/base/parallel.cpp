@@ -113,7 +113,7 @@ class Helpers {
 
   void help() {
     pthread_setname_np(pthread_self(), "gyro_deblur");
-    ask_for_short_turns();
+    ask_for_turns_of_a_frame();
     std::unique_lock<std::mutex> lock(mutex_);
     while (true) {
       Loop* loop = nullptr;

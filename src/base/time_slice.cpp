@@ -12,9 +12,11 @@ std::optional<SchedulingAttributes> scheduling_attributes() {
   return attributes;
 }
 
-void ask_for_short_turns() {
-  // The shortest turn that the kernel gives: see "EEVDF Scheduler" in its documentation.
-  constexpr std::uint64_t kTurnNs = 100'000;
+void ask_for_turns_of_a_frame() {
+  // See "EEVDF Scheduler" in the kernel's documentation. Of frames of 1.7 ms beside a busy process on every core (6.18,
+  // two cores of a virtual machine, turns of 1.4 ms by default), so many lost a tick: 9 % with turns of 3 ms, 12 % with
+  // the default, 26 % with 0.1 ms; of frames of 1.1 ms 1, 5 and 12 %.
+  constexpr std::uint64_t kTurnNs = 3'000'000;
   constexpr std::uint64_t kResetOnFork = 1;  // SCHED_FLAG_RESET_ON_FORK
   std::optional<SchedulingAttributes> attributes = scheduling_attributes();
   if (!attributes || (attributes->policy != SCHED_OTHER && attributes->policy != SCHED_BATCH)) return;

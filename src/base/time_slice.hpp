@@ -7,10 +7,10 @@
 namespace gyro_deblur {
 
 /// For a thread that works for some milliseconds a frame and sleeps otherwise: asks the kernel to let the calling
-/// thread run in many short turns instead of few long ones. It runs as soon as there is work then, and not when another
-/// process has had its turn, a tick of 4 ms or several; its share of the core remains the same. Linux 6.12 and newer;
-/// without effect elsewhere, and on threads with a real-time policy. Threads that this one starts are as before.
-void ask_for_short_turns();
+/// thread work on a frame in one turn, where another process wants the core as well. A turn that ends in the middle of
+/// a frame costs at least a tick, 4 ms at 250 Hz; the thread's share of the core remains the same. Linux 6.12 and
+/// newer; without effect elsewhere, and on threads with a real-time policy. Threads that this one starts are as before.
+void ask_for_turns_of_a_frame();
 
 /// The kernel's struct sched_attr in its first form, see sched_setattr(2): its header and the C library's exclude each
 /// other.

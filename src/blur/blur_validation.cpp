@@ -3,19 +3,19 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <cstdlib>
 #include <stdexcept>
 #include <vector>
 
 #include "base/parallel.hpp"
+#include "blur/gradient_loops.hpp"
 
 namespace gyro_deblur {
 namespace {
 
 // The Sobel pair sums to 8 on a ramp of one grey level a pixel.
 constexpr double kSobelScale = 1.0 / 8;
-// Cosine and sine in fixed point, because compilers vectorise the maximum of integers without fast-math. The largest
-// sum, 4 * 255 * sqrt(2) * 2^20, fits into 31 bits.
+// Cosine and sine in fixed point: integers' sums are the same with every instruction set. The largest one, 4 * 255 *
+// sqrt(2) * 2^20, fits into 31 bits.
 constexpr double kFixedPointOne = 1 << 20;
 
 /// `block` and one replicated pixel around it.
@@ -38,19 +38,8 @@ float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double
   const int dy = static_cast<int>(std::lround(std::sin(angle_rad) * kFixedPointOne));
   thread_local std::vector<std::int16_t> padded;
   load_with_border(luminance, block, padded);
-  const int stride = block.width + 2;
-  int strongest = 0;
-  for (int y = 0; y < block.height; ++y) {
-    const std::int16_t* above = padded.data() + y * stride;
-    const std::int16_t* here = above + stride;
-    const std::int16_t* below = here + stride;
-    for (int x = 0; x < block.width; ++x) {
-      const int diagonal_down = below[x + 2] - above[x], diagonal_up = above[x + 2] - below[x];
-      const int gx = 2 * (here[x + 2] - here[x]) + diagonal_down + diagonal_up;
-      const int gy = 2 * (below[x + 1] - above[x + 1]) + diagonal_down - diagonal_up;
-      strongest = std::max(strongest, std::abs(dx * gx + dy * gy));
-    }
-  }
+  static const GradientLoops& loops = best_gradient_loops();
+  const int strongest = loops.strongest_gradient(padded.data(), block.width, block.height, dx, dy);
   return static_cast<float>(strongest * (kSobelScale / kFixedPointOne));
 }
 

@@ -14,12 +14,7 @@ const TapLoops* const kSets[] = {
 
 }  // namespace
 
-const TapLoops& best_tap_loops() {
-  for (const TapLoops* loops : kSets) {
-    if (runs_instruction_set(loops->name)) return *loops;
-  }
-  return baseline::kTapLoops;
-}
+const TapLoops& best_tap_loops() { return best_copy(kSets); }
 
 const TapLoops* find_tap_loops(const char* name) { return find_copy(kSets, name); }
 

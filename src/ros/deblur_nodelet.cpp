@@ -447,7 +447,7 @@ void DeblurNodelet::wake_worker() {
 }
 
 void DeblurNodelet::work() {
-  ask_for_short_turns();
+  ask_for_turns_of_a_frame();
   const auto sink = [this](FrameOutput&& output) {
     publish(output);
     const std::lock_guard<std::mutex> lock(worker_mutex_);

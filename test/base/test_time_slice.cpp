@@ -7,17 +7,17 @@
 namespace gyro_deblur {
 namespace {
 
-TEST(ShortTurns, AreOfTheThreadThatAsksAlone) {
+TEST(TurnsOfAFrame, AreOfTheThreadThatAsksAlone) {
   const auto others = scheduling_attributes();
   if (!others || others->runtime_ns == 0) GTEST_SKIP() << "this kernel has no turns to ask for";
   std::optional<SchedulingAttributes> asking, started_by_it;
   std::thread([&] {
-    ask_for_short_turns();
+    ask_for_turns_of_a_frame();
     asking = scheduling_attributes();
     std::thread([&] { started_by_it = scheduling_attributes(); }).join();
   }).join();
   ASSERT_TRUE(asking && started_by_it);
-  EXPECT_EQ(asking->runtime_ns, 100'000u);
+  EXPECT_EQ(asking->runtime_ns, 3'000'000u);
   EXPECT_EQ(asking->policy, others->policy);
   EXPECT_EQ(asking->nice, others->nice);
   if (others->nice >= 0) {

@@ -14,12 +14,7 @@ const BlockKernels* const kSets[] = {
 
 }  // namespace
 
-const BlockKernels& best_block_kernels() {
-  for (const BlockKernels* kernels : kSets) {
-    if (runs_instruction_set(kernels->name)) return *kernels;
-  }
-  return baseline::kKernels;
-}
+const BlockKernels& best_block_kernels() { return best_copy(kSets); }
 
 const BlockKernels* find_block_kernels(const char* name) { return find_copy(kSets, name); }
 
