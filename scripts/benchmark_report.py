@@ -5,7 +5,7 @@ import argparse
 
 import matplotlib
 
-from report_tables import one_line_about, read_json, replace_marked, titled_table
+from report_tables import add_table_arguments, one_line_about, read_json, titled_table, write_tables
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -168,8 +168,7 @@ def main():
     parser.add_argument("compare", help="JSON of compare_engines")
     parser.add_argument("--fidelity", help="JSON of measure_fidelity")
     parser.add_argument("--plot", help="where to draw time against extent")
-    parser.add_argument("--markdown", help="where to write the tables")
-    parser.add_argument("--document", help="file whose part between the two marks becomes the tables")
+    add_table_arguments(parser)
     arguments = parser.parse_args()
     compare = read_json(arguments.compare)
     with one_line_about(arguments.compare):
@@ -180,13 +179,9 @@ def main():
             parts += fidelity_tables(fidelity)
     text = "\n\n".join(parts) + "\n"
     print(text)
-    with one_line_about(arguments.compare):
-        if arguments.markdown:
-            with open(arguments.markdown, "w", encoding="utf-8") as file:
-                file.write(text)
-        if arguments.document:
-            replace_marked(arguments.document, "benchmark tables", text)
-        if arguments.plot:
+    write_tables(arguments, "benchmark tables", text)
+    if arguments.plot:
+        with one_line_about(arguments.compare):
             plot(compare["deconvolution"], compare["machine"], arguments.plot)
 
 

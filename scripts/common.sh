@@ -42,6 +42,20 @@ source_devel_space() {
   set -u
 }
 
+# take_update_doc ARGUMENTS...: sets `update_doc`, whether --update-doc is among them, and `arguments`, the others.
+# shellcheck disable=SC2034
+take_update_doc() {
+  local argument
+  update_doc=false
+  arguments=()
+  for argument in "$@"; do
+    case "${argument}" in
+      --update-doc) update_doc=true ;;
+      *) arguments+=("${argument}") ;;
+    esac
+  done
+}
+
 # Every script: -h or --help first prints the comment at its head.
 case "${1:-}" in
   -h | --help)

@@ -8,15 +8,7 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
 cd "${GYRO_DEBLUR_ROOT}"
 
-update_doc=false
-arguments=()
-for argument in "$@"; do
-  case "${argument}" in
-    --update-doc) update_doc=true ;;
-    *) arguments+=("${argument}") ;;
-  esac
-done
-
+take_update_doc "$@"
 scripts/install_dependencies.sh build demo
 scripts/build.sh --target fault_table
 table="${GYRO_DEBLUR_BUILD}/fault_table.md"

@@ -5,7 +5,7 @@ import argparse
 
 import matplotlib
 
-from report_tables import number, one_line_about, read_json, replace_marked, titled_table
+from report_tables import add_table_arguments, number, one_line_about, read_json, titled_table, write_tables
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen first)
@@ -78,20 +78,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("json", help="numbers of neighbours")
     parser.add_argument("png", help="picture to write")
-    parser.add_argument("--markdown", help="where to write the tables")
-    parser.add_argument("--document", help="file whose part between two marks becomes the tables")
+    add_table_arguments(parser)
     arguments = parser.parse_args()
     report = read_json(arguments.json)
     with one_line_about(arguments.json):
         text = tables(report)
         draw(report, arguments.png)
     print(text)
-    if arguments.markdown:
-        with one_line_about(arguments.markdown), open(arguments.markdown, "w", encoding="utf-8") as file:
-            file.write(text)
-    if arguments.document:
-        replace_marked(arguments.document, "neighbours tables",
-                       text + "\n![latency and processor time](../images/neighbours.png)\n")
+    write_tables(arguments, "neighbours tables", text, "\n![latency and processor time](../images/neighbours.png)\n")
 
 
 if __name__ == "__main__":

@@ -76,3 +76,18 @@ def replace_marked(path, name, text):
         fail("%s lacks the lines %s and %s" % (path, begin, end))
     with one_line_about(path), open(path, "w", encoding="utf-8") as file:
         file.write("%s%s\n\n%s\n%s%s" % (before, begin, text, end, after))
+
+
+def add_table_arguments(parser):
+    """The options of a report's tables: --markdown and --document. See write_tables."""
+    parser.add_argument("--markdown", help="where to write the tables")
+    parser.add_argument("--document", help="file whose part between two marks becomes the tables")
+
+
+def write_tables(arguments, name, text, below=""):
+    """Writes the text where add_table_arguments' options say; into the document with what stands below it there."""
+    if arguments.markdown:
+        with one_line_about(arguments.markdown), open(arguments.markdown, "w", encoding="utf-8") as file:
+            file.write(text)
+    if arguments.document:
+        replace_marked(arguments.document, name, text + below)

@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """scripts/report_tables.py, and that the reports that use it end with one clear line on bad input."""
 
+import argparse
 import contextlib
 import io
 import json
@@ -107,6 +108,22 @@ class BadInput(unittest.TestCase):
         self.assertRegex(self.said(report_tables.read_json, path), f"^tool.py: {path}: 'utf-8' codec can't decode ")
         path.write_text('{"name": "ä", "values": [1, null]}', encoding="utf-8")
         self.assertEqual(report_tables.read_json(path), {"name": "ä", "values": [1, None]})
+
+
+class WriteTables(unittest.TestCase):
+    def test_goes_where_the_options_say(self):
+        with tempfile.TemporaryDirectory() as folder:
+            tables, document = (pathlib.Path(folder) / name for name in ("tables.md", "page.md"))
+            page = "above\n<!-- tables: begin -->\n\nold\n\n<!-- tables: end -->\nbelow\n"
+            document.write_text(page)
+            parser = argparse.ArgumentParser()
+            report_tables.add_table_arguments(parser)
+            report_tables.write_tables(parser.parse_args([]), "tables", "| new |\n")
+            self.assertEqual(document.read_text(), page)
+            options = parser.parse_args(["--markdown", str(tables), "--document", str(document)])
+            report_tables.write_tables(options, "tables", "| new |\n", "\n![plot](plot.png)\n")
+            self.assertEqual(tables.read_text(), "| new |\n")
+            self.assertEqual(document.read_text(), page.replace("old\n", "| new |\n\n![plot](plot.png)\n"))
 
 
 class Programs(unittest.TestCase):
