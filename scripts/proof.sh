@@ -179,8 +179,8 @@ if wanted asan || wanted fuzz; then
 fi
 
 # What the package's tests are: a new one is among them, other than those of recorded data and of experiments. Those of
-# a nodelet want a master, and only one of them loads it into its own process; test_deblur_bag starts deblur_bag on bags, whose messages the fuzz target bag_messages goes
-# through.
+# a nodelet want a master, and only one of them loads it into its own process; test_deblur_bag starts deblur_bag on
+# bags, whose messages the fuzz target bag_messages goes through.
 mapfile -t test_sources < <(printf '%s\n' test/*/test_*.cpp |
   grep -v -E '^test/(data|experiments)/|/test_(nodelet|nodelet_faults|deblur_bag)\.cpp$')
 

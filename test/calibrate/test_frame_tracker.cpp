@@ -1,0 +1,85 @@
+#include "calibrate/frame_tracker.hpp"
+
+#include <cmath>
+#include <vector>
+
+#include <gtest/gtest.h>
+#include <opencv2/imgproc.hpp>
+
+#include "base/median.hpp"
+#include "sim/simulator.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+cv::Mat grey_texture() {
+  cv::Mat grey;
+  cv::extractChannel(sim::procedural_texture(700, 500, 3), grey, 1);
+  return grey;
+}
+
+TEST(FrameTracker, FollowsAShift) {
+  const cv::Mat grey = grey_texture();
+  FrameTracker tracker;
+  tracker.add({1, 0}, grey(cv::Rect(100, 50, 500, 400)));
+  EXPECT_TRUE(tracker.take().empty()) << "nothing comes after the first";
+  for (int i = 0; i < 6; ++i) tracker.add({i, 0}, grey(cv::Rect(40 + 23 * i, 60 - 11 * i, 500, 400)));
+  EXPECT_THROW(tracker.add({9, 0}, grey), std::invalid_argument) << "another size";
+  const std::vector<TrackWindow> windows = tracker.take();
+  ASSERT_EQ(windows.size(), 5u);
+  for (std::size_t w = 0; w < windows.size(); ++w) {
+    ASSERT_EQ(windows[w].frames.size(), std::min<std::size_t>(4, 6 - w));
+    EXPECT_EQ(windows[w].frames[1].stamp_ns, static_cast<TimeNs>(w) + 1);
+    ASSERT_GT(windows[w].tracks.size(), 50u);
+    std::size_t to_the_end = 0;
+    for (const PointTrack& track : windows[w].tracks) {
+      for (std::size_t k = 0; k < track.to_px.size(); ++k) {
+        const double steps = static_cast<double>(k) + 1;
+        EXPECT_LT((track.to_px[k] - track.from_px - steps * Eigen::Vector2d(-23, 11)).norm(), 0.1);
+      }
+      to_the_end += track.to_px.size() + 1 == windows[w].frames.size();
+    }
+    EXPECT_GT(to_the_end, 40u);
+  }
+  EXPECT_THROW(FrameTracker().add({}, cv::Mat(400, 500, CV_8UC3)), std::invalid_argument) << "another type";
+  EXPECT_THROW(FrameTracker({5, 4, 0.3}), OptionError);
+  EXPECT_THROW(FrameTracker({200, 1, 0.3}), OptionError);
+}
+
+TEST(FrameTracker, KnowsNothingAcrossACut) {
+  const cv::Mat grey = grey_texture();
+  FrameTracker tracker;
+  for (int i = 0; i < 2; ++i) tracker.add({i, 0}, grey(cv::Rect(40 + 5 * i, 60, 500, 400)));
+  tracker.cut();
+  for (int i = 2; i < 5; ++i) tracker.add({i, 0}, grey(cv::Rect(40 + 5 * i, 60, 500, 400)));
+  const std::vector<TrackWindow> windows = tracker.take();
+  ASSERT_EQ(windows.size(), 3u);
+  EXPECT_EQ(windows[0].frames.size(), 2u);
+  EXPECT_EQ(windows[1].frames.size(), 3u);
+  EXPECT_EQ(windows[1].frames[0].stamp_ns, 2);
+}
+
+TEST(FrameTracker, IsNotPulledAlongByAPatchThatTurnsAndGrows) {
+  // 2 degrees and 3 % a frame: what pulls on a point is the same in every frame, and adds up over a window.
+  const cv::Mat grey = grey_texture();
+  FrameTracker tracker;
+  std::vector<cv::Mat> maps;
+  for (int i = 0; i < 4; ++i) {
+    cv::Mat image;
+    maps.push_back(cv::getRotationMatrix2D({350, 250}, 2.0 * i, std::pow(1.03, i)));
+    cv::warpAffine(grey, image, maps.back(), grey.size(), cv::INTER_CUBIC);
+    tracker.add({i, 0}, image);
+  }
+  const std::vector<TrackWindow> windows = tracker.take();
+  std::vector<double> errors_px;
+  for (const PointTrack& track : windows.front().tracks) {
+    if (track.to_px.size() < 3) continue;
+    const cv::Mat to = maps[3] * cv::Vec3d(track.from_px.x(), track.from_px.y(), 1);
+    errors_px.push_back((track.to_px[2] - Eigen::Vector2d(to.at<double>(0), to.at<double>(1))).norm());
+  }
+  ASSERT_GT(errors_px.size(), 60u);
+  EXPECT_LT(median(errors_px), 0.05);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
