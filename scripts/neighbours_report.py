@@ -52,7 +52,7 @@ def tables(report):
 
 def draw(report, path):
     streams = report["streams"]
-    figure, axes = plt.subplots(len(streams), 2, figsize=(10, 3 * len(streams)), squeeze=False,
+    figure, axes = plt.subplots(len(streams), 2, figsize=(10, 3.4 * len(streams)), squeeze=False,
                                 constrained_layout=True)
     for (latency, processor), stream in zip(axes, streams):
         places = range(len(BESIDE))
@@ -67,7 +67,7 @@ def draw(report, path):
             axis.set_xlabel(label)
             axis.invert_yaxis()
             axis.grid(axis="x", alpha=0.3)
-            axis.legend(loc="lower right")
+            axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncol=4, frameon=False)
         latency.set_yticks(places, BESIDE.values())
         processor.set_yticks(places, [""] * len(BESIDE))
         latency.set_title(title(stream))
