@@ -19,15 +19,13 @@ constexpr double kSobelScale = 1.0 / 8;
 constexpr double kFixedPointOne = 1 << 20;
 
 /// `block` and one replicated pixel around it.
-void load_with_border(const cv::Mat& luminance, const cv::Rect& block, std::vector<std::int16_t>& padded) {
-  const int stride = block.width + 2;
-  padded.resize(static_cast<std::size_t>(stride) * (block.height + 2));
-  for (int y = -1; y <= block.height; ++y) {
-    const std::uint8_t* from = luminance.ptr<std::uint8_t>(std::clamp(block.y + y, 0, luminance.rows - 1));
-    std::int16_t* to = padded.data() + (y + 1) * stride;
-    to[0] = from[std::max(block.x - 1, 0)];
-    std::copy_n(from + block.x, block.width, to + 1);
-    to[stride - 1] = from[std::min(block.br().x, luminance.cols - 1)];
+void load_with_border(const cv::Mat& luminance, const cv::Rect& block, std::vector<std::uint8_t>& padded) {
+  padded.clear();
+  for (int y = block.y - 1; y <= block.br().y; ++y) {
+    const std::uint8_t* from = luminance.ptr<std::uint8_t>(std::clamp(y, 0, luminance.rows - 1));
+    padded.push_back(from[std::max(block.x - 1, 0)]);
+    padded.insert(padded.end(), from + block.x, from + block.br().x);
+    padded.push_back(from[std::min(block.br().x, luminance.cols - 1)]);
   }
 }
 
@@ -36,11 +34,19 @@ void load_with_border(const cv::Mat& luminance, const cv::Rect& block, std::vect
 float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double angle_rad) {
   const int dx = static_cast<int>(std::lround(std::cos(angle_rad) * kFixedPointOne));
   const int dy = static_cast<int>(std::lround(std::sin(angle_rad) * kFixedPointOne));
-  thread_local std::vector<std::int16_t> padded;
-  load_with_border(luminance, block, padded);
   static const GradientLoops& loops = best_gradient_loops();
-  const int strongest = loops.strongest_gradient(padded.data(), block.width, block.height, dx, dy);
-  return static_cast<float>(strongest * (kSobelScale / kFixedPointOne));
+  const auto strongest_in = [&](const std::uint8_t* around, std::ptrdiff_t stride) {
+    return static_cast<float>(loops.strongest_gradient(around, stride, block.width, block.height, dx, dy) *
+                              (kSobelScale / kFixedPointOne));
+  };
+  const cv::Rect around(block.x - 1, block.y - 1, block.width + 2, block.height + 2);
+  if ((around & cv::Rect({}, luminance.size())) == around) {
+    return strongest_in(luminance.ptr<std::uint8_t>(around.y, around.x),
+                        static_cast<std::ptrdiff_t>(luminance.step[0]));
+  }
+  thread_local std::vector<std::uint8_t> padded;
+  load_with_border(luminance, block, padded);
+  return strongest_in(padded.data(), around.width);
 }
 
 namespace {

@@ -1,6 +1,7 @@
 // The loop that validation spends its time in: one interface, compiled once per instruction set.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 namespace gyro_deblur {
@@ -9,9 +10,10 @@ namespace gyro_deblur {
 struct GradientLoops {
   const char* name;
   /// The largest |dx gx + dy gy| over a block, with the Sobel pair (gx, gy) in grey levels times 8.
-  /// @param padded  the block and one pixel around it, height + 2 rows of width + 2 elements in [0, 255]
+  /// @param around  the pixel above and left of the block's first one: those around the block are read, too
+  /// @param stride  between rows
   /// @param dx, dy  within +-2^20, the sum of their squares at most 2^40
-  int (*strongest_gradient)(const std::int16_t* padded, int width, int height, int dx, int dy);
+  int (*strongest_gradient)(const std::uint8_t* around, std::ptrdiff_t stride, int width, int height, int dx, int dy);
 };
 
 namespace baseline {
