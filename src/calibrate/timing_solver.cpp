@@ -88,7 +88,8 @@ double TimingSolver::improve(TimingState* state, double* damping) {
     *damping *= 10;
     if (!step.allFinite()) continue;
     const TimingState next = model_.moved(*state, step);
-    constexpr double kLongestReadoutS = 1, kLargestBias = 1;
+    // Gyroscope and shutter take up to 1, and the derivatives are taken a little beyond.
+    constexpr double kLongestReadoutS = 0.99, kLargestBias = 0.99;
     if (std::abs(next.readout_s) > kLongestReadoutS || next.bias_rad_s.cwiseAbs().maxCoeff() > kLargestBias) continue;
     std::vector<WindowFit> fits = fits_of(next);
     std::vector<WindowStructure> structures = structures_;

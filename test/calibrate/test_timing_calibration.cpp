@@ -209,7 +209,7 @@ TEST(EstimateTiming, FindsTheTruthOfACameraThatMoves) {
   // A metre a second, three metres away, in step with the rotation: as far as the rotation moves the points.
   const Truth truth{4'000'000, 25'000'000, {0.01, -0.02, 0.03}, rotation({0.1, -0.05, 1.6})};
   const Footage footage(truth, {0.3, -0.2, 0.25});
-  constexpr int kFrames = 120, kWindow = 4, kRuns = 2;
+  constexpr int kFrames = 120, kWindow = 4, kRuns = 4;
   double squares = 0;
   int values = 0;
   for (unsigned run = 0; run < kRuns; ++run) {
