@@ -1,5 +1,6 @@
 #include "calibrate/frame_tracker.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -32,14 +33,21 @@ TEST(FrameTracker, FollowsAShift) {
     EXPECT_EQ(windows[w].frames[1].stamp_ns, static_cast<TimeNs>(w) + 1);
     ASSERT_GT(windows[w].tracks.size(), 50u);
     std::size_t to_the_end = 0;
+    std::vector<double> errors_px;
     for (const PointTrack& track : windows[w].tracks) {
       for (std::size_t k = 0; k < track.to_px.size(); ++k) {
         const double steps = static_cast<double>(k) + 1;
-        EXPECT_LT((track.to_px[k] - track.from_px - steps * Eigen::Vector2d(-23, 11)).norm(), 0.1);
+        errors_px.push_back((track.to_px[k] - track.from_px - steps * Eigen::Vector2d(-23, 11)).norm());
+        // Compilers differ in the texture's last bits, and so in which corners are found: the weakest may be this far
+        // off.
+        EXPECT_LT(errors_px.back(), 0.3);
       }
       to_the_end += track.to_px.size() + 1 == windows[w].frames.size();
     }
     EXPECT_GT(to_the_end, 40u);
+    std::sort(errors_px.begin(), errors_px.end());
+    EXPECT_LT(errors_px[errors_px.size() * 98 / 100], 0.1);
+    EXPECT_LT(median(errors_px), 0.02);
   }
   EXPECT_THROW(FrameTracker().add({}, cv::Mat(400, 500, CV_8UC3)), std::invalid_argument) << "another type";
   EXPECT_THROW(FrameTracker({5, 4, 0.3}), OptionError);
