@@ -16,14 +16,15 @@ constexpr int kMaxFineRadius = 12;
 
 }  // namespace
 
-void make_exact_taps(const LineKernel& kernel, double angle_rad, bool byte_weights, ExactTaps& exact) {
-  const bool major_is_y = direction_of(angle_rad).major_is_y;
-  const std::vector<KernelTap>& taps = exact.rotated;
-  rotate_kernel(kernel, angle_rad, exact.rotated, exact.on_axis);
+void make_exact_taps(const LineKernel& kernel, const LineDirection& direction, bool byte_weights, ExactTaps& exact) {
+  make_line_steps(kernel, direction, exact.line);
+  const std::vector<StepTaps>& steps = exact.line.steps;
   float largest = 0;
-  for (const KernelTap& tap : taps) largest = std::max(largest, std::abs(tap.weight));
   double sum = 0;
-  for (const KernelTap& tap : taps) sum += tap.weight;
+  for (const StepTaps& step : steps) {
+    largest = std::max(largest, std::max(std::abs(step.lower), std::abs(step.upper)));
+    sum += static_cast<double>(step.lower) + step.upper;
+  }
   // As large as there is room for, one unit left for errors of neighbours; and such that the sum, which decides the
   // brightness, is a whole number.
   const bool bytes = byte_weights && kernel.radius() > kMaxFineRadius;
@@ -31,15 +32,13 @@ void make_exact_taps(const LineKernel& kernel, double angle_rad, bool byte_weigh
   double unit = (max_weight - 1) / std::max<double>(largest, std::numeric_limits<float>::min());
   if (std::abs(sum) * unit >= 1) unit = std::floor(std::abs(sum) * unit) / std::abs(sum);
 
-  exact.pairs.clear();
+  exact.pairs.resize(steps.size());
   ExactFilter& filter = exact.filter;
   filter = {};
   filter.weights_are_bytes = bytes;
   filter.scale = static_cast<float>(1 / unit);
   filter.n_min = std::numeric_limits<int>::max();
   filter.n_max = std::numeric_limits<int>::min();
-  const auto m_of = [&](const KernelTap& tap) { return major_is_y ? tap.dy : tap.dx; };
-  const auto n_of = [&](const KernelTap& tap) { return major_is_y ? tap.dx : tap.dy; };
   // Rounding errors are passed on along the line, which is blurred in that direction and hardly sees their alternation:
   // that of a step's sum, and that of how it is shared between two neighbours.
   double sum_error = 0, share_error = 0;
@@ -49,23 +48,25 @@ void make_exact_taps(const LineKernel& kernel, double angle_rad, bool byte_weigh
     error = value - rounded;
     return rounded;
   };
-  for (std::size_t i = 0; i < taps.size(); ++i) {
-    // Convolution: output at p takes input at p - tap. Two neighbours across make one pair.
-    const bool paired =
-        i + 1 < taps.size() && m_of(taps[i + 1]) == m_of(taps[i]) && n_of(taps[i + 1]) == n_of(taps[i]) + 1;
-    const double low = (paired ? taps[i + 1].weight : taps[i].weight) * unit;
-    const double high = paired ? taps[i].weight * unit : 0.0;
+  PairTap* pair = exact.pairs.data();
+  int m = exact.line.first_m - 1;
+  for (const StepTaps& step : steps) {
+    ++m;
+    if (step.lower == 0 && step.upper == 0) continue;
+    // Convolution: output at p takes input at p - tap, so that the upper one of two neighbours comes first.
+    const bool has_lower = step.lower != 0, has_upper = step.upper != 0;
+    const double low = (has_upper ? step.upper : step.lower) * unit;
+    const double high = has_upper ? step.lower * unit : 0.0;
     const std::int32_t both = round_with(low + high, sum_error);
-    const std::int32_t fixed_low = paired ? round_with(low, share_error) : both;
-    const PairTap pair{-m_of(taps[i]), -n_of(taps[i]) - (paired ? 1 : 0), pack_int16(fixed_low, both - fixed_low)};
-    filter.radius_m = std::max(filter.radius_m, std::abs(pair.m));
-    filter.n_min = std::min(filter.n_min, pair.n);
-    filter.n_max = std::max(filter.n_max, pair.n);
-    exact.pairs.push_back(pair);
-    if (paired) ++i;
+    const std::int32_t fixed_low = has_lower && has_upper ? round_with(low, share_error) : both;
+    const int n = -step.across - (has_upper ? 1 : 0);
+    *pair++ = {-m, n, pack_int16(fixed_low, both - fixed_low)};
+    filter.radius_m = std::max(filter.radius_m, std::abs(m));
+    filter.n_min = std::min(filter.n_min, n);
+    filter.n_max = std::max(filter.n_max, n);
   }
   filter.taps = exact.pairs.data();
-  filter.count = static_cast<int>(exact.pairs.size());
+  filter.count = static_cast<int>(pair - exact.pairs.data());
 }
 
 }  // namespace gyro_deblur

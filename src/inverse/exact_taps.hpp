@@ -12,12 +12,11 @@ namespace gyro_deblur {
 struct ExactTaps {
   ExactFilter filter{};  ///< points into `pairs`
   std::vector<PairTap> pairs;
-  std::vector<KernelTap> rotated;
-  std::vector<float> on_axis;
+  LineSteps line;
 };
 
-/// rotate_kernel()'s taps in fixed point.
+/// make_line_steps()'s taps in fixed point.
 /// @param byte_weights  the engine takes weights in bytes; they are used where that does no harm
-void make_exact_taps(const LineKernel& kernel, double angle_rad, bool byte_weights, ExactTaps& exact);
+void make_exact_taps(const LineKernel& kernel, const LineDirection& direction, bool byte_weights, ExactTaps& exact);
 
 }  // namespace gyro_deblur

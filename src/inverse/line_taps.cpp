@@ -46,51 +46,39 @@ LineDirection direction_of(double angle_rad) {
 //   cubic weights across (4 pixels)                3.17 / 4.29 / 3.85 / 3.06, worst 4.01
 // The last has twice the taps, half steps and bilinear a quarter more, and nothing but the nearest pixel differs by
 // more than 0.11 dB. A kernel sampled four times finer gains 0.5 dB at 5 px and loses 0.3 dB at 8 px.
-void rotate_kernel(const LineKernel& kernel, double angle_rad, std::vector<KernelTap>& taps,
-                   std::vector<float>& on_axis) {
-  const LineDirection line = direction_of(angle_rad);
-  kernel_on_major_axis(kernel, line.major, on_axis);
-  const int steps = static_cast<int>(on_axis.size() / 2);
-  taps.clear();
-  for (int m = -steps; m <= steps; ++m) {
-    const double weight = on_axis[m + steps];
-    const LinearSplat splat(m * line.slope);
-    const auto add = [&](int n, double share) {
-      const float w = static_cast<float>(weight * share);
-      if (w == 0) return;
-      taps.push_back(line.major_is_y ? KernelTap{n, m, w} : KernelTap{m, n, w});
-    };
-    add(splat.index, splat.lower);
-    add(splat.index + 1, splat.upper);
+void make_line_steps(const LineKernel& kernel, const LineDirection& direction, LineSteps& line) {
+  kernel_on_major_axis(kernel, direction.major, line.on_axis);
+  const std::vector<float>& on_axis = line.on_axis;
+  const int middle = static_cast<int>(on_axis.size() / 2);
+  // What lies beyond the first and the last weight is left out.
+  int begin = 0, end = static_cast<int>(on_axis.size());
+  while (begin < end && on_axis[begin] == 0) ++begin;
+  while (begin < end && on_axis[end - 1] == 0) --end;
+  line.major_is_y = direction.major_is_y;
+  line.first_m = begin - middle;
+  line.steps.resize(end - begin);
+  for (int i = begin; i < end; ++i) {
+    const LinearSplat splat((i - middle) * direction.slope);
+    const double weight = on_axis[i];
+    line.steps[i - begin] = {splat.index, static_cast<float>(weight * splat.lower),
+                             static_cast<float>(weight * splat.upper)};
   }
 }
 
 std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad) {
+  LineSteps line;
+  make_line_steps(kernel, direction_of(angle_rad), line);
   std::vector<KernelTap> taps;
-  std::vector<float> on_axis;
-  rotate_kernel(kernel, angle_rad, taps, on_axis);
-  return taps;
-}
-
-void make_line_steps(const LineKernel& kernel, double angle_rad, LineSteps& line) {
-  line.steps.clear();
-  line.first_m = 0;
-  line.major_is_y = direction_of(angle_rad).major_is_y;
-  for (const KernelTap& tap : rotate_kernel(kernel, angle_rad)) {
-    const int m = line.major_is_y ? tap.dy : tap.dx;
-    const int n = line.major_is_y ? tap.dx : tap.dy;
-    if (line.steps.empty()) line.first_m = m;
-    const int step = m - line.first_m;
-    // Steps without taps stay with their neighbour.
-    while (static_cast<int>(line.steps.size()) < step) {
-      line.steps.push_back({line.steps.back().across, 0, 0});
-    }
-    if (static_cast<int>(line.steps.size()) == step) {
-      line.steps.push_back({n, tap.weight, 0});
-    } else {
-      line.steps.back().upper = tap.weight;
-    }
+  int m = line.first_m;
+  for (const StepTaps& step : line.steps) {
+    const auto add = [&](int n, float weight) {
+      if (weight != 0) taps.push_back(line.major_is_y ? KernelTap{n, m, weight} : KernelTap{m, n, weight});
+    };
+    add(step.across, step.lower);
+    add(step.across + 1, step.upper);
+    ++m;
   }
+  return taps;
 }
 
 namespace {

@@ -16,34 +16,32 @@ struct LineDirection {
 };
 LineDirection direction_of(double angle_rad);
 
-/// A non-zero element of a rotated kernel.
-struct KernelTap {
-  int dx, dy;
-  float weight;
-};
-
-/// Non-zero elements of `kernel` rotated to `angle_rad` (paper section IV-B); their weights sum to the kernel's sum.
-/// Steps of the major axis in rising order, at each one or two taps, neighbours across. The second form uses the room
-/// that `taps` and `on_axis` have.
-std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad);
-void rotate_kernel(const LineKernel& kernel, double angle_rad, std::vector<KernelTap>& taps,
-                   std::vector<float>& on_axis);
-
 /// The taps at a step of the major axis: neighbours across.
 struct StepTaps {
   std::int32_t across;  ///< of the lower one
-  float lower, upper;   ///< weights of `across` and across + 1
+  float lower, upper;   ///< weights of `across` and across + 1; one or both may be 0
 };
 
 /// A rotated kernel step by step.
 struct LineSteps {
   bool major_is_y = false;
   int first_m = 0;              ///< step of the major axis that steps.front() is
-  std::vector<StepTaps> steps;  ///< one for each step from there on
+  std::vector<StepTaps> steps;  ///< one for each step from there on; the first and the last have weight
+  std::vector<float> on_axis;   ///< room that making them takes
 };
 
-/// The taps of rotate_kernel() by step of the major axis. Uses the room that `line` has.
-void make_line_steps(const LineKernel& kernel, double angle_rad, LineSteps& line);
+/// `kernel` rotated onto a line (paper section IV-B); the weights sum to the kernel's sum. Uses the room that `line`
+/// has.
+void make_line_steps(const LineKernel& kernel, const LineDirection& direction, LineSteps& line);
+
+/// A non-zero element of a rotated kernel.
+struct KernelTap {
+  int dx, dy;
+  float weight;
+};
+
+/// The same, tap by tap in rising order.
+std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad);
 
 /// The kernel on unit steps of a line's major axis: each tap, at position * major, is weighted onto the two nearest
 /// steps. major: cosine or sine of the line's angle, whichever is larger in size: 0.7 to 1, or the negative of it.

@@ -91,9 +91,9 @@ sensor_msgs::ImagePtr to_image(const cv::Mat& pixels, const sensor_msgs::Image& 
   message->is_bigendian = host_is_big_endian();
   const std::size_t row_bytes = static_cast<std::size_t>(pixels.cols) * pixels.elemSize();
   message->step = static_cast<std::uint32_t>(row_bytes);
-  message->data.resize(row_bytes * static_cast<std::size_t>(pixels.rows));
+  message->data.reserve(row_bytes * static_cast<std::size_t>(pixels.rows));  // resize() would clear it first
   for (int y = 0; y < pixels.rows; ++y) {
-    std::memcpy(message->data.data() + static_cast<std::size_t>(y) * row_bytes, pixels.ptr(y), row_bytes);
+    message->data.insert(message->data.end(), pixels.ptr(y), pixels.ptr(y) + row_bytes);
   }
   return message;
 }

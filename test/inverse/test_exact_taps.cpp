@@ -35,7 +35,7 @@ TEST(ExactTaps, AreTheRotatedTapsMirroredAndRounded) {
     for (const bool byte_weights : {false, true}) {
       for (int degrees = 0; degrees < 180; degrees += 13) {
         const double angle_rad = degrees * CV_PI / 180;
-        make_exact_taps(kernel, angle_rad, byte_weights, exact);
+        make_exact_taps(kernel, direction_of(angle_rad), byte_weights, exact);
         std::map<std::pair<int, int>, double> missing = weights_of(exact.filter);
         const bool major_is_y = direction_of(angle_rad).major_is_y;
         for (const KernelTap& tap : rotate_kernel(kernel, angle_rad)) {
@@ -58,7 +58,7 @@ TEST(ExactTaps, KeepTheSumAndStayWithinTheirBits) {
     const LineKernel kernel = wiener_kernel(extent_px, {});
     for (const bool byte_weights : {false, true}) {
       for (int degrees = 0; degrees < 180; degrees += 13) {
-        make_exact_taps(kernel, degrees * CV_PI / 180, byte_weights, exact);
+        make_exact_taps(kernel, direction_of(degrees * CV_PI / 180), byte_weights, exact);
         const ExactFilter& filter = exact.filter;
         // Short kernels have fine weights whatever the engine takes.
         EXPECT_EQ(filter.weights_are_bytes, byte_weights && kernel.radius() > 12) << extent_px;

@@ -64,7 +64,7 @@ void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
       make_lane_taps(kernel, line.major, depth == CV_8U, plan.two_scale);
     }
   } else {
-    make_exact_taps(kernel, block.angle_rad, kernels_.has_byte_weights, plan.exact);
+    make_exact_taps(kernel, line, kernels_.has_byte_weights, plan.exact);
   }
 }
 

@@ -227,7 +227,7 @@ void OpenClEngine::Impl::plan(const cv::Mat& src, const FilterGrid& grid, const 
   lines_.resize(std::max(lines_.size(), blocks.size()));
   run_parallel(count, threads, 1, [&](int i) {
     const BlockFilter& block = grid.blocks[blocks[i]];
-    make_line_steps(*block.kernel, block.angle_rad, lines_[i]);
+    make_line_steps(*block.kernel, direction_of(block.angle_rad), lines_[i]);
   });
 
   tile_list_.clear();
