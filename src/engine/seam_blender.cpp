@@ -73,13 +73,14 @@ template <typename Pixel, typename Count>
 inline void mix_four(const Pixel* above_left, const Pixel* above_right, const Pixel* below_left,
                      const Pixel* below_right, const std::uint16_t* weights, int weight_below, Count count,
                      Pixel* out) {
-  const std::uint32_t below = weight_below, above = kOne - below;
+  const Wide<Pixel> below = static_cast<Wide<Pixel>>(weight_below), above = kOne - below;
 #pragma omp simd
   for (int i = 0; i < count; ++i) {
-    const std::uint32_t weight = weights[i], rest = kOne - weight;
-    const std::uint32_t sum_above = above_left[i] * rest + above_right[i] * weight;
-    const std::uint32_t sum_below = below_left[i] * rest + below_right[i] * weight;
-    const std::uint32_t sum = sum_above * above + sum_below * below + kOne * kOne / 2;
+    const Wide<Pixel> weight = weights[i], rest = kOne - weight;
+    const Wide<Pixel> sum_above = above_left[i] * rest + above_right[i] * weight;
+    const Wide<Pixel> sum_below = below_left[i] * rest + below_right[i] * weight;
+    const std::uint32_t sum =
+        static_cast<std::uint32_t>(sum_above) * above + static_cast<std::uint32_t>(sum_below) * below + kOne * kOne / 2;
     out[i] = static_cast<Pixel>(sum / (kOne * kOne));
   }
 }
@@ -136,10 +137,12 @@ void SeamBlender::plan(const FilterGrid& grid, int type) {
   fades_ = blends_ && some_copied;
 
   const std::size_t pixel_bytes = CV_ELEM_SIZE(type);
-  offsets_.resize(grid.blocks.size());
+  places_.clear();
   std::size_t total = 0;
   for (int block = 0; block < cols * rows; ++block) {
-    offsets_[block] = total;
+    const int col = block % cols, row = block / cols;
+    places_.push_back(
+        {grid.rect(block), {margin_x_[col], margin_y_[row], margin_x_[col + 1], margin_y_[row + 1]}, total});
     if (is_copied(block)) continue;
     std::size_t pixels = 0;
     for (const Strip strip : {TOP, BOTTOM, LEFT, RIGHT}) pixels += strip_rect(block, strip).area();
@@ -148,20 +151,14 @@ void SeamBlender::plan(const FilterGrid& grid, int type) {
   if (results_.size() < total) results_.resize(total);
 }
 
-SeamBlender::Margins SeamBlender::margins(int block) const {
-  const int col = block % grid_->cols(), row = block / grid_->cols();
-  return {margin_x_[col], margin_y_[row], margin_x_[col + 1], margin_y_[row + 1]};
-}
-
 cv::Rect SeamBlender::reach(int block) const {
-  const cv::Rect rect = grid_->rect(block);
-  const Margins m = margins(block);
+  const auto& [rect, m, offset] = places_[block];
   return {rect.x - m.left, rect.y - m.top, rect.width + m.left + m.right, rect.height + m.top + m.bottom};
 }
 
 cv::Rect SeamBlender::strip_rect(int block, Strip strip) const {
-  const cv::Rect rect = grid_->rect(block), whole = reach(block);
-  const Margins m = margins(block);
+  const auto& [rect, m, offset] = places_[block];
+  const cv::Rect whole = reach(block);
   // The upper and the lower strip have the corners.
   const int inner_y = rect.y + m.top, inner_height = rect.height - m.top - m.bottom;
   switch (strip) {
@@ -178,13 +175,12 @@ cv::Rect SeamBlender::strip_rect(int block, Strip strip) const {
 
 template <typename Pixel>
 std::array<SeamBlender::Part<Pixel>, 5> SeamBlender::parts(int block, cv::Mat& dst) {
-  const cv::Rect rect = grid_->rect(block);
-  const Margins m = margins(block);
+  const auto& [rect, m, offset] = places_[block];
   const cv::Rect inner(rect.x + m.left, rect.y + m.top, rect.width - m.left - m.right, rect.height - m.top - m.bottom);
   std::array<Part<Pixel>, 5> parts;
   parts[0] = {inner, inner.empty() ? nullptr : pixel<Pixel>(dst, inner.x, inner.y),
               static_cast<std::ptrdiff_t>(dst.step1())};
-  Pixel* to = reinterpret_cast<Pixel*>(results_.data() + offsets_[block]);
+  Pixel* to = reinterpret_cast<Pixel*>(results_.data() + offset);
   for (const Strip strip : {TOP, BOTTOM, LEFT, RIGHT}) {
     const cv::Rect of_strip = strip_rect(block, strip);
     parts[1 + strip] = {of_strip, to, static_cast<std::ptrdiff_t>(of_strip.width) * channels_};
@@ -235,7 +231,7 @@ template void SeamBlender::store_channel(int, int, const std::uint16_t*, cv::Mat
 template <typename Pixel>
 SeamBlender::View<Pixel> SeamBlender::view(int block, Strip strip, int x, int y, const cv::Mat& src) const {
   if (is_copied(block)) return {pixel<Pixel>(src, x, y), static_cast<std::ptrdiff_t>(src.step1())};
-  const Pixel* from = reinterpret_cast<const Pixel*>(results_.data() + offsets_[block]);
+  const Pixel* from = reinterpret_cast<const Pixel*>(results_.data() + places_[block].offset);
   for (const Strip before : {TOP, BOTTOM, LEFT}) {
     if (before < strip) from += static_cast<std::ptrdiff_t>(strip_rect(block, before).area()) * channels_;
   }
@@ -271,8 +267,7 @@ void SeamBlender::blend_below(int block, const cv::Mat& src, cv::Mat& dst) const
   const int below = block + grid_->cols();
   const bool upper_copied = is_copied(block), lower_copied = is_copied(below);
   if (upper_copied && lower_copied) return;
-  const cv::Rect rect = grid_->rect(block);
-  const Margins m = margins(block);
+  const auto& [rect, m, offset] = places_[block];
   const int x = rect.x + m.left, count = (rect.width - m.left - m.right) * channels_;
   const int y0 = rect.br().y - m.bottom;
   const View<Pixel> upper = view<Pixel>(block, BOTTOM, x, y0, src), lower = view<Pixel>(below, TOP, x, y0, src);
@@ -287,8 +282,8 @@ template <typename Pixel>
 void SeamBlender::blend_corner(int block, const cv::Mat& src, cv::Mat& dst) const {
   const int cols = grid_->cols();
   const int owners[2][2] = {{block, block + 1}, {block + cols, block + cols + 1}};
-  const Margins m = margins(block);
-  const cv::Point corner = grid_->rect(block).br() - cv::Point(m.right, m.bottom);
+  const Margins& m = places_[block].margins;
+  const cv::Point corner = places_[block].rect.br() - cv::Point(m.right, m.bottom);
   View<Pixel> views[2][2];
   bool all_filtered = true;
   for (int row = 0; row < 2; ++row) {
@@ -325,8 +320,7 @@ void SeamBlender::fade(int block, const cv::Mat& src, cv::Mat& dst) const {
     const bool inside = col + dx >= 0 && col + dx < cols && row + dy >= 0 && row + dy < grid_->rows();
     return inside && is_copied(block + dy * cols + dx);
   };
-  const cv::Rect rect = grid_->rect(block);
-  const Margins m = margins(block);
+  const auto& [rect, m, offset] = places_[block];
   // Begin and end of the parts before, between and behind the margins.
   const int xs[] = {rect.x, rect.x + m.left, rect.br().x - m.right, rect.br().x};
   const int ys[] = {rect.y, rect.y + m.top, rect.br().y - m.bottom, rect.br().y};
@@ -364,7 +358,7 @@ void SeamBlender::blend_as(const cv::Mat& src, int threads, cv::Mat& dst) const 
   const int cols = grid_->cols(), count = cols * grid_->rows();
   constexpr int kBlocksAtATime = 16;
   run_parallel(count, threads, kBlocksAtATime, [&](int block) {
-    const Margins m = margins(block);
+    const Margins& m = places_[block].margins;
     if (m.right > 0) blend_right<Pixel>(block, src, dst);
     if (m.bottom > 0) blend_below<Pixel>(block, src, dst);
     if (m.right > 0 && m.bottom > 0) blend_corner<Pixel>(block, src, dst);

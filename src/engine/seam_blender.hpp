@@ -73,8 +73,14 @@ class SeamBlender {
     int left, top, right, bottom;
   };
 
+  /// Where a block is; worked out once a plan.
+  struct Place {
+    cv::Rect rect;
+    Margins margins;
+    std::size_t offset;  ///< in results_ [bytes]
+  };
+
   bool is_copied(int block) const { return grid_->blocks[block].kernel == nullptr; }
-  Margins margins(int block) const;
   /// Pixels of a block that are computed for a border, from margin to margin.
   cv::Rect strip_rect(int block, Strip strip) const;
   template <typename Pixel>
@@ -94,7 +100,7 @@ class SeamBlender {
   const FilterGrid* grid_ = nullptr;
   int channels_ = 1;
   std::vector<int> margin_x_, margin_y_;  // by border of the grid, the edges of the image included
-  std::vector<std::size_t> offsets_;      // of blocks in results_ [bytes]
+  std::vector<Place> places_;             // of the blocks
   std::vector<std::uint8_t> results_;     // strips of all filtered blocks
   bool blends_ = false, fades_ = false;
 };

@@ -33,6 +33,8 @@ namespace {
 constexpr TimeNs kTransferNs = 10'000'000;
 /// Buffers and kernels are made in the first of it, which does not count.
 constexpr double kWarmUpS = 2;
+/// What is compared is measured in turns, so many times: the machine's own speed may drift by a third within minutes.
+constexpr int kRounds = 4;
 /// What every core must have to give to a process that is always busy.
 constexpr double kQuietShare = 0.97;
 /// Of a frame's period, the work of the consumer on each core: a front end with tracking and mapping.
@@ -68,6 +70,14 @@ struct Run {
   std::vector<double> late_ms;     ///< by how much an image arrived late: what the machine makes of any thread
   double processor_s = 0, wall_s = 0;
   std::size_t deblurred = 0;  ///< frames
+
+  void add(const Run& other) {
+    latency_ms.insert(latency_ms.end(), other.latency_ms.begin(), other.latency_ms.end());
+    late_ms.insert(late_ms.end(), other.late_ms.begin(), other.late_ms.end());
+    processor_s += other.processor_s;
+    wall_s += other.wall_s;
+    deblurred += other.deblurred;
+  }
 
   nlohmann::json report() const {
     nlohmann::json report;
@@ -303,14 +313,22 @@ class Measurement {
     report_["stream"] = stream_.name;
     report_["rate_hz"] = stream_.rate_hz;
     const Quietness before = look_around(counts_);
-    const Run alone = run(false);
+    Run alone, busy, one, other;
+    BusySpeed speed;
+    for (int round = 0; round < kRounds; ++round) {
+      alone.add(run(seconds_ / kRounds));
+      busy.add(beside_busy(seconds_ / kRounds, &speed));
+      package_.start(seconds_ / kRounds, false);
+      second_.start(seconds_ / kRounds, false);
+      one.add(package_.finish());
+      other.add(second_.finish());
+    }
     report_["alone"] = alone.report();
-    beside_busy(alone);
+    judge_run("busy", busy, alone);
+    judge_busy_speed(speed, busy);
     beside_consumers(before.units_per_s);
-    package_.start(seconds_, false);
-    second_.start(seconds_, false);
-    judge_run("two at once", package_.finish(), alone);
-    judge_run("two at once, the other", second_.finish(), alone);
+    judge_run("two at once", one, alone);
+    judge_run("two at once, the other", other, alone);
     const Quietness after = look_around(counts_);
     report_["quiet_before"] = before.shares;
     report_["quiet_after"] = after.shares;
@@ -320,8 +338,8 @@ class Measurement {
   }
 
  private:
-  Run run(bool feeds_consumers) {
-    package_.start(seconds_, feeds_consumers);
+  Run run(double seconds, bool feeds_consumers = false) {
+    package_.start(seconds, feeds_consumers);
     return package_.finish();
   }
 
@@ -338,24 +356,33 @@ class Measurement {
     judge(beside + ": processor time against alone", run.processor_s / alone.processor_s, kMaxProcessorRatio);
   }
 
-  double busy_units_per_s(const std::function<void()>& meanwhile) {
+  /// What busy processes do in a time; their sum over rounds.
+  struct BusySpeed {
+    double units_without = 0, seconds_without = 0, units_with = 0, seconds_with = 0;
+  };
+
+  void count_units(const std::function<void()>& meanwhile, double* units, double* seconds) const {
     const auto begin = std::chrono::steady_clock::now();
     const std::uint64_t before = units_done(*counts_, cores_);
     meanwhile();
-    const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begin;
-    return static_cast<double>(units_done(*counts_, cores_) - before) / took.count();
+    *units += static_cast<double>(units_done(*counts_, cores_) - before);
+    *seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   }
 
-  void beside_busy(const Run& alone) {
+  Run beside_busy(double seconds, BusySpeed* speed) {
     NeighbourProcesses busy;
     busy.start_busy(counts_);
-    const auto nothing = [this] { sleep_s(seconds_ / 2); };
-    const double before = busy_units_per_s(nothing);
+    const auto nothing = [seconds] { sleep_s(seconds / 2); };
     Run run_beside;
-    const double with = busy_units_per_s([&] { run_beside = run(false); });
-    const double without = (before + busy_units_per_s(nothing)) / 2;
-    judge_run("busy", run_beside, alone);
-    const double used = run_beside.processor_s / (run_beside.wall_s * static_cast<double>(cores_));
+    count_units(nothing, &speed->units_without, &speed->seconds_without);
+    count_units([&] { run_beside = run(seconds); }, &speed->units_with, &speed->seconds_with);
+    count_units(nothing, &speed->units_without, &speed->seconds_without);
+    return run_beside;
+  }
+
+  void judge_busy_speed(const BusySpeed& speed, const Run& run) {
+    const double without = speed.units_without / speed.seconds_without, with = speed.units_with / speed.seconds_with;
+    const double used = run.processor_s / (run.wall_s * static_cast<double>(cores_));
     report_["busy_speed"] = {{"without", without}, {"with", with}, {"used_by_package", used}};
     judge("busy: speed that the neighbours lose", 1 - with / without, used + kSpeedTolerance);
   }
@@ -386,7 +413,7 @@ class Measurement {
     }
     NeighbourProcesses consumers;
     consumers.start_consumers(counts_, units);
-    const Run run_beside = run(true);
+    const Run run_beside = run(seconds_, true);
     with = consumer_ms();
     report_["consumer"] = run_beside.report();
     const double package_ms = 1e3 * run_beside.processor_s / static_cast<double>(run_beside.latency_ms.size());
@@ -426,7 +453,7 @@ int main_of(int argc, char** argv) {
   double seconds = 20;
   bool even_if_busy = false, keypoints = false;
   CLI::App app{"Measures streams of frames beside other processes, in real time.", "neighbours"};
-  app.add_option("--seconds", seconds, "of each run [20]")->check(CLI::Range(1.0, 600.0));
+  app.add_option("--seconds", seconds, "of each of them, in all [20]")->check(CLI::Range(1.0, 600.0));
   app.add_option("--config", config_path, "keys of config/default.yaml");
   app.add_option("--json", json_path, "where to write the numbers");
   app.add_option("--only", only, "one stream: 752x480 or 1920x1080")->check(CLI::IsMember({"752x480", "1920x1080"}));

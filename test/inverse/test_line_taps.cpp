@@ -1,6 +1,7 @@
 #include "inverse/line_taps.hpp"
 
 #include <cmath>
+#include <initializer_list>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -86,7 +87,7 @@ TEST(LineSteps, LieOnTheLineAndHaveTheWeightsOfTheAxis) {
   const LineKernel wiener = wiener_kernel(17.3, {});
   LineSteps line;  // used again and again
   std::vector<float> on_axis;
-  for (const LineKernel* kernel : {&lopsided, &wiener, &sparse, &zero}) {
+  for (const LineKernel* kernel : std::initializer_list<const LineKernel*>{&lopsided, &wiener, &sparse, &zero}) {
     for (int degrees = -90; degrees <= 180; degrees += 15) {
       const LineDirection direction = direction_of(radians(degrees));
       make_line_steps(*kernel, direction, line);

@@ -18,7 +18,7 @@ struct TileGeometry {
 
 /// A plane of pixels, at least 1x1, that goes on with its edge pixels outside: rows [0, rows) of columns [0, cols), and
 /// the columns around its edges again, with `pad` columns more. Nothing changes farther out than that, so that a pad as
-/// wide as what is read at a time is enough.
+/// wide as what is read at a time is enough. pad = 0: no columns outside.
 template <typename Pixel>
 struct SourcePlane {
   const Pixel* origin;    ///< pixel (m, n) = (0, 0)
@@ -34,7 +34,7 @@ struct SourcePlane {
 /// What the inner loops need for a tile.
 struct TileNeeds {
   std::size_t scratch_floats;  ///< 64-byte aligned
-  int columns;                 ///< read at a time: least `pad` of the source
+  int columns;  ///< least `pad` of the source: what is read at a time where that may be outside; 0 for exact taps
 };
 
 constexpr int kMaxTileSide = 72;  ///< a block of 64 px and its margins

@@ -94,6 +94,8 @@ struct CubicWeights {
   }
 };
 
+constexpr int kCacheLineBytes = 64;
+
 // ---- Exact taps ----
 
 // Outputs that are summed together: enough independent sums to hide the latency of a multiply-add.
@@ -143,17 +145,59 @@ inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filte
   }
 }
 
+/// Copies `columns` columns, whole cache lines, of a tile's neighbourhood, which may reach beyond the image, to rows of
+/// `stride` bytes.
+inline void copy_neighbourhood(const SourcePlane<std::uint8_t>& source, const ExactLayout& layout, int columns,
+                               std::uint8_t* to, int stride) {
+  const int n = layout.first_n;
+  const auto row_at = [&](int r) { return source.origin + clamp_to(layout.first_m + r, source.rows) * source.stride; };
+#if defined(__AVX512BW__)
+  const auto bits_below = [](int end) { return end <= 0 ? 0 : end >= 64 ? ~0ull : (1ull << end) - 1; };
+  for (int i = 0; i < columns; i += 64) {
+    const __mmask64 before = bits_below(-n - i), inside = bits_below(source.cols - n - i) & ~before;
+    if (inside == ~0ull) {
+      for (int r = 0; r < layout.rows; ++r) {
+        _mm512_storeu_si512(to + r * stride + i, _mm512_loadu_si512(row_at(r) + n + i));
+      }
+      continue;
+    }
+    const int last = source.cols - 1;
+    for (int r = 0; r < layout.rows; ++r) {
+      const std::uint8_t* row = row_at(r);
+      const __m512i edges = _mm512_mask_set1_epi8(_mm512_set1_epi8((char)row[last]), before, (char)row[0]);
+      _mm512_storeu_si512(to + r * stride + i, _mm512_mask_loadu_epi8(edges, inside, row + n + i));
+    }
+  }
+#else
+  const int before = n >= 0 ? 0 : (-n < columns ? -n : columns), end = source.cols - n;
+  const int inside = (end < before ? before : (end < columns ? end : columns)) - before;
+  for (int r = 0; r < layout.rows; ++r, to += stride) {
+    const std::uint8_t* row = row_at(r);
+    if (before > 0) std::memset(to, row[0], before);
+    std::memcpy(to + before, row + n + before, inside);
+    if (before + inside < columns) std::memset(to + before + inside, row[source.cols - 1], columns - before - inside);
+  }
+#endif
+}
+
+/// Of a neighbourhood: a pair begins in the last column.
+inline int pair_columns(const ExactLayout& layout) { return round_up(layout.width + 1, kCacheLineBytes); }
+
 TileNeeds exact_pairs_needs(const TileGeometry& tile, const ExactFilter& filter) {
   const ExactLayout layout(tile, filter);
-  return {static_cast<std::size_t>(layout.rows) * layout.width, layout.width + 1};
+  const std::size_t pairs = static_cast<std::size_t>(layout.rows) * layout.width;
+  return {pairs + static_cast<std::size_t>(layout.rows) * pair_columns(layout) / sizeof(float), 0};
 }
 
 void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
                     float* scratch, std::uint8_t* out) {
   const ExactLayout layout(tile, filter);
+  const int columns = pair_columns(layout);
   std::int32_t* pairs = reinterpret_cast<std::int32_t*>(scratch);
+  std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(pairs + layout.rows * layout.width);
+  copy_neighbourhood(source, layout, columns, bytes, columns);
   for (int r = 0; r < layout.rows; ++r) {
-    const std::uint8_t* from = read_row(source, layout.first_m + r, layout.first_n, layout.width + 1);
+    const std::uint8_t* from = bytes + r * columns;
     std::int32_t* to = pairs + r * layout.width;
     for (int i = 0; i < layout.width; ++i) to[i] = from[i] | (from[i + 1] << 16);
   }
@@ -187,16 +231,14 @@ struct Quad {
   std::int32_t weights;  // a byte each
 };
 
-/// The neighbourhood's rows as bytes, with room for whole vectors.
-inline int quad_stride(const ExactLayout& layout) { return round_up(layout.width, 64) + 64; }
-
-/// Bytes of a row that are copied: whole vectors.
-inline int quad_columns(const ExactLayout& layout) { return round_up(layout.width, 64); }
+/// Of a neighbourhood, and room for a vector that begins in the last of them.
+inline int quad_columns(const ExactLayout& layout) { return round_up(layout.width, kCacheLineBytes); }
+inline int quad_stride(const ExactLayout& layout) { return quad_columns(layout) + 64; }
 
 TileNeeds exact_quads_needs(const TileGeometry& tile, const ExactFilter& filter) {
   const ExactLayout layout(tile, filter);
   const std::size_t bytes = static_cast<std::size_t>(layout.rows) * quad_stride(layout);
-  return {(bytes + filter.count * sizeof(Quad)) / sizeof(float), quad_columns(layout)};
+  return {(bytes + filter.count * sizeof(Quad)) / sizeof(float), 0};
 }
 
 inline std::int32_t pack_bytes(std::int32_t a, std::int32_t b, std::int32_t c, std::int32_t d) {
@@ -208,12 +250,7 @@ void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
   const ExactLayout layout(tile, filter);
   const int stride = quad_stride(layout);
   std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(scratch);
-  for (int r = 0; r < layout.rows; ++r) {
-    const std::uint8_t* from = read_row(source, layout.first_m + r, layout.first_n, quad_columns(layout));
-    for (int i = 0; i < quad_columns(layout); i += 64) {
-      _mm512_storeu_si512(bytes + r * stride + i, _mm512_loadu_si512(from + i));
-    }
-  }
+  copy_neighbourhood(source, layout, quad_columns(layout), bytes, stride);
 
   Quad* list = reinterpret_cast<Quad*>(bytes + layout.rows * stride);
   int count = 0;
@@ -293,7 +330,6 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
 
 // Vectors of lanes and coarse outputs that are summed together: 8 independent sums hide the latency of an FMA.
 constexpr int kLaneVectors = 2;
-constexpr int kCacheLineBytes = 64;
 constexpr int kCoarseOutputs = kCoarseGuard + 1;
 
 /// How samples on the lanes and results on the lanes are kept. Samples come in groups of kGroup lanes; vector p (of 2)

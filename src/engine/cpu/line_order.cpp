@@ -112,7 +112,7 @@ SourcePlane<Pixel> upright_plane(const cv::Mat& channel, int pad, int threads, s
   const std::ptrdiff_t stride = reserve_rows(channel.rows, 4 * pad, edges);
   const int cols = channel.cols, copied = std::min(pad, cols);
   constexpr int kRowsAtATime = 32;
-  run_parallel(channel.rows, threads, kRowsAtATime, [&](int y) {
+  run_parallel(pad > 0 ? channel.rows : 0, threads, kRowsAtATime, [&](int y) {
     const Pixel *from = channel.ptr<Pixel>(y), first = from[0], last = from[cols - 1];
     Pixel* to = std::fill_n(edges.data() + y * stride, pad, first);
     to = std::fill_n(std::copy_n(from, copied, to), pad - copied, last);
@@ -138,7 +138,7 @@ SourcePlane<Pixel> transposed_plane(const cv::Mat& channel, int pad, int threads
     const int band = std::min(kBand, channel.cols - x);
     transpose(channel.ptr<Pixel>(0) + x, channel.step1(), channel.rows, band, storage.data() + x * stride + pad,
               stride);
-    for (int i = x; i < x + band; ++i) {
+    for (int i = x; pad > 0 && i < x + band; ++i) {
       Pixel* row = storage.data() + i * stride;
       std::fill_n(row, pad, row[pad]);
       std::fill_n(row + pad + channel.rows, pad, row[pad + channel.rows - 1]);
