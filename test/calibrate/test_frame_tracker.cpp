@@ -38,15 +38,18 @@ TEST(FrameTracker, FollowsAShift) {
       for (std::size_t k = 0; k < track.to_px.size(); ++k) {
         const double steps = static_cast<double>(k) + 1;
         errors_px.push_back((track.to_px[k] - track.from_px - steps * Eigen::Vector2d(-23, 11)).norm());
-        // Compilers differ in the texture's last bits, and so in which corners are found: the weakest may be this far
-        // off.
-        EXPECT_LT(errors_px.back(), 0.3);
+        // The image ends within the window of a corner that is nearer to its border.
+        constexpr int kWholeWindowPx = 12;
+        const auto is_inside = [](const Eigen::Vector2d& p) {
+          return cv::Rect2d(kWholeWindowPx, kWholeWindowPx, 500 - 2 * kWholeWindowPx, 400 - 2 * kWholeWindowPx)
+              .contains({p.x(), p.y()});
+        };
+        const bool whole = is_inside(track.from_px) && is_inside(track.to_px[k]);
+        EXPECT_LT(errors_px.back(), whole ? 0.1 : 0.3) << track.from_px.transpose();
       }
       to_the_end += track.to_px.size() + 1 == windows[w].frames.size();
     }
     EXPECT_GT(to_the_end, 40u);
-    std::sort(errors_px.begin(), errors_px.end());
-    EXPECT_LT(errors_px[errors_px.size() * 98 / 100], 0.1);
     EXPECT_LT(median(errors_px), 0.02);
   }
   EXPECT_THROW(FrameTracker().add({}, cv::Mat(400, 500, CV_8UC3)), std::invalid_argument) << "another type";
