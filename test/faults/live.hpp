@@ -11,22 +11,24 @@
 namespace gyro_deblur::test {
 
 /// The clock of a node whose camera starts now: shows `begin_ns` at first and goes on with the steady clock, a little
-/// faster than that, so that frames come at every phase of the kernel's ticks: 20 s at 20 Hz go 2.5 times through those
-/// of 4 ms. A steady rate has one or a few of them, and a run would measure those.
+/// faster than that, so that frames come at every phase of the kernel's ticks. A steady rate has one or a few of them,
+/// and a run would measure those.
 class LiveClock {
  public:
-  explicit LiveClock(TimeNs begin_ns) : begin_ns_(begin_ns) {}
+  /// @param length_s  within which it goes through all phases of ticks of 4 ms (250 Hz), the same number of times
+  explicit LiveClock(TimeNs begin_ns, double length_s = 8) : rate_(1 + kTickS / length_s), begin_ns_(begin_ns) {}
   TimeNs now() const {
     const std::chrono::duration<double, std::nano> passed = std::chrono::steady_clock::now() - start_;
-    return begin_ns_ + static_cast<TimeNs>(passed.count() * kRate);
+    return begin_ns_ + static_cast<TimeNs>(passed.count() * rate_);
   }
   /// When the clock shows `t_ns`.
   std::chrono::steady_clock::time_point when(TimeNs t_ns) const {
-    return start_ + std::chrono::nanoseconds(static_cast<TimeNs>(static_cast<double>(t_ns - begin_ns_) / kRate));
+    return start_ + std::chrono::nanoseconds(static_cast<TimeNs>(static_cast<double>(t_ns - begin_ns_) / rate_));
   }
 
  private:
-  static constexpr double kRate = 1.0005;
+  static constexpr double kTickS = 0.004;
+  double rate_;
   TimeNs begin_ns_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };

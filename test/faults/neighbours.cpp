@@ -109,7 +109,7 @@ Run run_stream(const std::vector<Delivery>& deliveries, TimeNs length_ns, const 
                const FrameRequest& request, double seconds, const std::function<void()>& on_frame) {
   Run run;
   const TimeNs begin_ns = deliveries.front().at_ns, counts_from_ns = begin_ns + to_ns(kWarmUpS);
-  const LiveClock clock(begin_ns);
+  const LiveClock clock(begin_ns, seconds);
   Processor::Environment environment;
   environment.clock = environment.steady_clock = [&clock] { return clock.now(); };
   environment.log = [&clock, counts_from_ns](LogLevel level, const std::string& text) {
@@ -313,11 +313,13 @@ class Measurement {
     report_["stream"] = stream_.name;
     report_["rate_hz"] = stream_.rate_hz;
     const Quietness before = look_around(counts_);
-    Run alone, busy, one, other;
-    BusySpeed speed;
+    Run alone, busy, consumed, one, other;
+    BusySpeed busy_speed;
+    ConsumerSpeed consumer_speed;
     for (int round = 0; round < kRounds; ++round) {
       alone.add(run(seconds_ / kRounds));
-      busy.add(beside_busy(seconds_ / kRounds, &speed));
+      busy.add(beside_busy(seconds_ / kRounds, &busy_speed));
+      consumed.add(beside_consumers(seconds_ / kRounds, before.units_per_s, &consumer_speed));
       package_.start(seconds_ / kRounds, false);
       second_.start(seconds_ / kRounds, false);
       one.add(package_.finish());
@@ -325,8 +327,9 @@ class Measurement {
     }
     report_["alone"] = alone.report();
     judge_run("busy", busy, alone);
-    judge_busy_speed(speed, busy);
-    beside_consumers(before.units_per_s);
+    judge_busy_speed(busy_speed, busy);
+    report_["consumer"] = consumed.report();
+    judge_consumer_speed(consumer_speed, consumed);
     judge_run("two at once", one, alone);
     judge_run("two at once, the other", other, alone);
     const Quietness after = look_around(counts_);
@@ -387,36 +390,42 @@ class Measurement {
     judge("busy: speed that the neighbours lose", 1 - with / without, used + kSpeedTolerance);
   }
 
-  double consumer_ms() const {
-    double sum = 0, frames = 0;
+  /// How long consumers work on frames; sums over rounds.
+  struct ConsumerSpeed {
+    double ms_without = 0, frames_without = 0, ms_with = 0, frames_with = 0;
+  };
+
+  void count_consumed(double* ms, double* frames) const {
     for (std::size_t i = 0; i < cores_; ++i) {
       const int consumed = std::min<int>(counts_->consumed[i], kMaxFrames);
-      sum = std::accumulate(counts_->consumer_ms[i], counts_->consumer_ms[i] + consumed, sum);
-      frames += consumed;
+      *ms = std::accumulate(counts_->consumer_ms[i], counts_->consumer_ms[i] + consumed, *ms);
+      *frames += consumed;
     }
-    return sum / frames;
   }
 
-  void beside_consumers(double units_per_s) {
+  Run beside_consumers(double seconds, double units_per_s, ConsumerSpeed* speed) {
     const int units = static_cast<int>(kConsumerLoad * units_per_s / stream_.rate_hz);
-    double without = 0, with = 0;
     {
       NeighbourProcesses consumers;
       consumers.start_consumers(counts_, units);
       auto next = std::chrono::steady_clock::now();
-      for (int frame = 0; frame < (kWarmUpS + seconds_) * stream_.rate_hz; ++frame) {
+      for (int frame = 0; frame < (kWarmUpS + seconds) * stream_.rate_hz; ++frame) {
         next += std::chrono::nanoseconds(to_ns(1 / stream_.rate_hz));
         std::this_thread::sleep_until(next);
         for (std::size_t i = 0; i < cores_; ++i) sem_post(&counts_->frames[i]);
       }
-      without = consumer_ms();
+      count_consumed(&speed->ms_without, &speed->frames_without);
     }
     NeighbourProcesses consumers;
     consumers.start_consumers(counts_, units);
-    const Run run_beside = run(seconds_, true);
-    with = consumer_ms();
-    report_["consumer"] = run_beside.report();
-    const double package_ms = 1e3 * run_beside.processor_s / static_cast<double>(run_beside.latency_ms.size());
+    const Run run_beside = run(seconds, true);
+    count_consumed(&speed->ms_with, &speed->frames_with);
+    return run_beside;
+  }
+
+  void judge_consumer_speed(const ConsumerSpeed& speed, const Run& run) {
+    const double without = speed.ms_without / speed.frames_without, with = speed.ms_with / speed.frames_with;
+    const double package_ms = 1e3 * run.processor_s / static_cast<double>(run.latency_ms.size());
     report_["consumer_speed"] = {{"without_ms", without}, {"with_ms", with}, {"package_ms", package_ms}};
     judge("consumer: time of its work on a frame against without", with / without,
           (without + package_ms) / without + kSpeedTolerance);
@@ -453,7 +462,7 @@ int main_of(int argc, char** argv) {
   double seconds = 20;
   bool even_if_busy = false, keypoints = false;
   CLI::App app{"Measures streams of frames beside other processes, in real time.", "neighbours"};
-  app.add_option("--seconds", seconds, "of each of them, in all [20]")->check(CLI::Range(1.0, 600.0));
+  app.add_option("--seconds", seconds, "of each of them, in all its turns [20]")->check(CLI::Range(1.0, 600.0));
   app.add_option("--config", config_path, "keys of config/default.yaml");
   app.add_option("--json", json_path, "where to write the numbers");
   app.add_option("--only", only, "one stream: 752x480 or 1920x1080")->check(CLI::IsMember({"752x480", "1920x1080"}));
@@ -483,7 +492,11 @@ int main_of(int argc, char** argv) {
     }
     if (!json_path.empty()) {
       std::ofstream file(json_path);
-      file << nlohmann::json{{"cores", cores_to_run_on().size()}, {"seconds", seconds}, {"streams", reports}}.dump(1)
+      file << nlohmann::json{{"cores", cores_to_run_on().size()},
+                             {"seconds", seconds},
+                             {"rounds", kRounds},
+                             {"streams", reports}}
+                  .dump(1)
            << "\n";
       if (!file.flush()) throw std::runtime_error(json_path + ": cannot be written");
     }

@@ -109,24 +109,20 @@ void store_in_part(const Pixel* line_order, const cv::Rect& tile, bool major_is_
 
 template <typename Pixel>
 SourcePlane<Pixel> upright_plane(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& edges) {
+  const Pixel* origin = channel.ptr<Pixel>();
+  const auto origin_stride = static_cast<std::ptrdiff_t>(channel.step1());
+  if (pad == 0) return {origin, origin_stride, channel.rows, channel.cols, origin, origin, origin_stride, 0};
   const std::ptrdiff_t stride = reserve_rows(channel.rows, 4 * pad, edges);
   const int cols = channel.cols, copied = std::min(pad, cols);
   constexpr int kRowsAtATime = 32;
-  run_parallel(pad > 0 ? channel.rows : 0, threads, kRowsAtATime, [&](int y) {
+  run_parallel(channel.rows, threads, kRowsAtATime, [&](int y) {
     const Pixel *from = channel.ptr<Pixel>(y), first = from[0], last = from[cols - 1];
     Pixel* to = std::fill_n(edges.data() + y * stride, pad, first);
     to = std::fill_n(std::copy_n(from, copied, to), pad - copied, last);
     to = std::copy_n(from + cols - copied, copied, std::fill_n(to, pad - copied, first));
     std::fill_n(to, pad, last);
   });
-  return {channel.ptr<Pixel>(),
-          static_cast<std::ptrdiff_t>(channel.step1()),
-          channel.rows,
-          cols,
-          edges.data() + pad,
-          edges.data() + 3 * pad - cols,
-          stride,
-          pad};
+  return {origin, origin_stride, channel.rows, cols, edges.data() + pad, edges.data() + 3 * pad - cols, stride, pad};
 }
 
 template <typename Pixel>

@@ -18,12 +18,12 @@ struct PlaneBuffers {
   std::vector<Pixel> edges, transposed;
 };
 
-/// The channel itself, for a major axis along y, with copies of its left and right edges in `edges`. All of this is for
-/// std::uint8_t and std::uint16_t; `threads` >= 1.
+/// The channel itself, for a major axis along y, with copies of its left and right edges in `edges` where pad > 0. All
+/// of this is for std::uint8_t and std::uint16_t; `threads` >= 1.
 template <typename Pixel>
 SourcePlane<Pixel> upright_plane(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& edges);
 
-/// The transposed channel in `storage`, for a major axis along x, with its edges repeated.
+/// The transposed channel in `storage`, for a major axis along x, with `pad` pixels of its edges repeated.
 template <typename Pixel>
 SourcePlane<Pixel> transposed_plane(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& storage);
 
