@@ -12,7 +12,7 @@
 namespace gyro_deblur::benchmark {
 namespace {
 
-// As in src/engine/cpu/block_kernels_impl.hpp: coarse outputs that are summed together, and lanes in a group of int16
+// As in src/engine/cpu/two_scale_impl.hpp: coarse outputs that are summed together, and lanes in a group of int16
 // samples.
 constexpr int kCoarseOutputs = kCoarseGuard + 1;
 constexpr int kLaneGroup = 32;

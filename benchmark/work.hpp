@@ -19,7 +19,7 @@ struct Work {
 /// Work of the float engine.
 Work work_of_float(const FilterGrid& grid);
 
-/// Work of the cpu engine. Follows the loops of src/engine/cpu/block_kernels_impl.hpp with vectors of `lanes` floats.
+/// Work of the cpu engine. Follows the loops of src/engine/cpu/*_impl.hpp with vectors of `lanes` floats.
 Work work_of_cpu(const FilterGrid& grid, int lanes);
 
 }  // namespace gyro_deblur::benchmark

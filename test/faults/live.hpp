@@ -15,7 +15,7 @@ namespace gyro_deblur::test {
 /// and a run would measure those.
 class LiveClock {
  public:
-  /// @param length_s  within which it goes through all phases of ticks of 4 ms (250 Hz), the same number of times
+  /// @param length_s  within which it goes once through all phases of ticks of 4 ms (250 Hz)
   explicit LiveClock(TimeNs begin_ns, double length_s = 8) : rate_(1 + kTickS / length_s), begin_ns_(begin_ns) {}
   TimeNs now() const {
     const std::chrono::duration<double, std::nano> passed = std::chrono::steady_clock::now() - start_;

@@ -134,7 +134,7 @@ SourcePlane<Pixel> transposed_plane(const cv::Mat& channel, int pad, int threads
     const int band = std::min(kBand, channel.cols - x);
     transpose(channel.ptr<Pixel>(0) + x, channel.step1(), channel.rows, band, storage.data() + x * stride + pad,
               stride);
-    for (int i = x; pad > 0 && i < x + band; ++i) {
+    for (int i = x; i < x + band; ++i) {
       Pixel* row = storage.data() + i * stride;
       std::fill_n(row, pad, row[pad]);
       std::fill_n(row + pad + channel.rows, pad, row[pad + channel.rows - 1]);

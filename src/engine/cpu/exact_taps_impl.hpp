@@ -1,0 +1,240 @@
+// Inner loops of exact taps, once per instruction set (see base/vectors_impl.hpp).
+#pragma once
+
+#include "engine/cpu/pixel_vectors_impl.hpp"
+
+namespace gyro_deblur {
+namespace GYRO_DEBLUR_ISA {
+namespace {
+
+// Outputs that are summed together: enough independent sums to hide the latency of a multiply-add.
+constexpr int kExactRows = GYRO_DEBLUR_VECTOR_BYTES == 64 ? 4 : 2;
+constexpr int kExactVectors = GYRO_DEBLUR_VECTOR_BYTES == 64 ? 3 : 2;
+
+struct ExactLayout {
+  int rows, width, first_m, first_n;
+  ExactLayout(const TileGeometry& tile, const ExactFilter& filter)
+      : rows(round_up(tile.m_count, kExactRows) + 2 * filter.radius_m),
+        // Whole vectors are read for the last outputs.
+        width(round_up(round_up(tile.n_count, kLanes) + filter.n_max - filter.n_min, kLanes) + kLanes),
+        first_m(tile.m_begin - filter.radius_m),
+        first_n(tile.n_begin + filter.n_min) {}
+};
+
+/// Lets `sum` fill the sums for kExactRows by kVectors outputs from (m, n) on, and stores those inside the tile.
+template <int kVectors, typename Sum>
+inline void store_exact_outputs(const TileGeometry& tile, const ExactFilter& filter, std::uint8_t* out, int stride,
+                                int m, int n, Sum sum) {
+  IntVector sums[kExactRows][kVectors];
+  sum((m + filter.radius_m) * stride + n - filter.n_min, sums);
+  for (int row = 0; row < kExactRows && m + row < tile.m_count; ++row) {
+    for (int v = 0; v < kVectors; ++v) {
+      store_pixels(out + (m + row) * kTileStride + n + v * kLanes,
+                   __builtin_convertvector(sums[row][v], Vector) * filter.scale);
+    }
+  }
+}
+
+/// Walks over the tile's outputs, kExactRows by at most kExactVectors, and lets sum(at, sums) fill the sums, which are
+/// 0, for the outputs whose first one is at offset `at` of the neighbourhood, whose rows are `stride` apart.
+template <typename Sum>
+inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filter, std::uint8_t* out, int stride,
+                              Sum sum) {
+  static_assert(kExactVectors == 2 || kExactVectors == 3, "");
+  for (int m = 0; m < tile.m_count; m += kExactRows) {
+    int n = 0;
+    for (; n + (kExactVectors - 1) * kLanes < tile.n_count; n += kExactVectors * kLanes) {
+      store_exact_outputs<kExactVectors>(tile, filter, out, stride, m, n, sum);
+    }
+    if (n + kLanes < tile.n_count) {
+      store_exact_outputs<kExactVectors - 1>(tile, filter, out, stride, m, n, sum);
+    } else if (n < tile.n_count) {
+      store_exact_outputs<1>(tile, filter, out, stride, m, n, sum);
+    }
+  }
+}
+
+/// Copies `columns` columns, whole cache lines, of a tile's neighbourhood, which may reach beyond the image, to rows of
+/// `stride` bytes. Masked where it does: with long taps that is every third tile of a small image.
+inline void copy_neighbourhood(const SourcePlane<std::uint8_t>& source, const ExactLayout& layout, int columns,
+                               std::uint8_t* to, int stride) {
+  const int n = layout.first_n;
+  const auto row_at = [&](int r) { return source.origin + clamp_to(layout.first_m + r, source.rows) * source.stride; };
+#if defined(__AVX512BW__)
+  const auto bits_below = [](int end) { return end <= 0 ? 0 : end >= 64 ? ~0ull : (1ull << end) - 1; };
+  for (int i = 0; i < columns; i += 64) {
+    const __mmask64 before = bits_below(-n - i), inside = bits_below(source.cols - n - i) & ~before;
+    if (inside == ~0ull) {
+      for (int r = 0; r < layout.rows; ++r) {
+        _mm512_storeu_si512(to + r * stride + i, _mm512_loadu_si512(row_at(r) + n + i));
+      }
+      continue;
+    }
+    const int last = source.cols - 1;
+    for (int r = 0; r < layout.rows; ++r) {
+      const std::uint8_t* row = row_at(r);
+      const __m512i edges = _mm512_mask_set1_epi8(_mm512_set1_epi8((char)row[last]), before, (char)row[0]);
+      _mm512_storeu_si512(to + r * stride + i, _mm512_mask_loadu_epi8(edges, inside, row + n + i));
+    }
+  }
+#else
+  const int before = n >= 0 ? 0 : (-n < columns ? -n : columns), end = source.cols - n;
+  const int inside = (end < before ? before : (end < columns ? end : columns)) - before;
+  for (int r = 0; r < layout.rows; ++r, to += stride) {
+    const std::uint8_t* row = row_at(r);
+    if (before > 0) std::memset(to, row[0], before);
+    std::memcpy(to + before, row + n + before, inside);
+    if (before + inside < columns) std::memset(to + before + inside, row[source.cols - 1], columns - before - inside);
+  }
+#endif
+}
+
+/// Of a neighbourhood: a pair begins in the last column.
+inline int pair_columns(const ExactLayout& layout) { return round_up(layout.width + 1, kCacheLineBytes); }
+
+TileNeeds exact_pairs_needs(const TileGeometry& tile, const ExactFilter& filter) {
+  const ExactLayout layout(tile, filter);
+  const std::size_t pairs = static_cast<std::size_t>(layout.rows) * layout.width;
+  return {pairs + static_cast<std::size_t>(layout.rows) * pair_columns(layout) / sizeof(float), 0};
+}
+
+void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+                    float* scratch, std::uint8_t* out) {
+  const ExactLayout layout(tile, filter);
+  const int columns = pair_columns(layout);
+  std::int32_t* pairs = reinterpret_cast<std::int32_t*>(scratch);
+  std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(pairs + layout.rows * layout.width);
+  copy_neighbourhood(source, layout, columns, bytes, columns);
+  for (int r = 0; r < layout.rows; ++r) {
+    const std::uint8_t* from = bytes + r * columns;
+    std::int32_t* to = pairs + r * layout.width;
+    for (int i = 0; i < layout.width; ++i) to[i] = from[i] | (from[i + 1] << 16);
+  }
+  for_exact_outputs(tile, filter, out, layout.width, [&](int at, auto& sums) {
+    constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
+    IntVector acc[kExactRows][kVectors] = {};  // local, so that it stays in registers
+    for (int t = 0; t < filter.count; ++t) {
+      const PairTap& tap = filter.taps[t];
+      const std::int32_t* from = pairs + at + tap.m * layout.width + tap.n;
+      const IntVector weights = IntVector{} + tap.weights;
+      for (int row = 0; row < kExactRows; ++row) {
+        for (int v = 0; v < kVectors; ++v) {
+          acc[row][v] = multiply_pairs(acc[row][v], load(from + row * layout.width + v * kLanes), weights);
+        }
+      }
+    }
+    for (int row = 0; row < kExactRows; ++row) {
+      for (int v = 0; v < kVectors; ++v) sums[row][v] = acc[row][v];
+    }
+  });
+}
+
+#if defined(__AVX512VBMI__) && defined(__AVX512VNNI__)
+
+// Two steps of the line at once: bytes (m, n), (m, n + 1) of one and (m', n'), (m', n' + 1) of the next are put side by
+// side for 16 outputs by one permutation, and multiplied by one dot product with weights in bytes.
+constexpr bool kHasByteWeights = true;
+
+struct Quad {
+  int lower, upper;      // places of the first byte of either step in the neighbourhood, relative to the output
+  std::int32_t weights;  // a byte each
+};
+
+/// Of a neighbourhood, and room for a vector that begins in the last of them.
+inline int quad_columns(const ExactLayout& layout) { return round_up(layout.width, kCacheLineBytes); }
+inline int quad_stride(const ExactLayout& layout) { return quad_columns(layout) + 64; }
+
+TileNeeds exact_quads_needs(const TileGeometry& tile, const ExactFilter& filter) {
+  const ExactLayout layout(tile, filter);
+  const std::size_t bytes = static_cast<std::size_t>(layout.rows) * quad_stride(layout);
+  return {(bytes + filter.count * sizeof(Quad)) / sizeof(float), 0};
+}
+
+inline std::int32_t pack_bytes(std::int32_t a, std::int32_t b, std::int32_t c, std::int32_t d) {
+  return (a & 0xff) | (b & 0xff) << 8 | (c & 0xff) << 16 | static_cast<std::int32_t>((d & 0xffu) << 24);
+}
+
+void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+                    float* scratch, std::uint8_t* out) {
+  const ExactLayout layout(tile, filter);
+  const int stride = quad_stride(layout);
+  std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(scratch);
+  copy_neighbourhood(source, layout, quad_columns(layout), bytes, stride);
+
+  Quad* list = reinterpret_cast<Quad*>(bytes + layout.rows * stride);
+  int count = 0;
+  const auto low_half = [](std::int32_t weights) {
+    return static_cast<std::int32_t>(static_cast<std::uint32_t>(weights) << 16) >> 16;
+  };
+  for (int t = 0; t < filter.count; t += 2) {
+    const PairTap& lower = filter.taps[t];
+    std::int32_t w[4] = {low_half(lower.weights), lower.weights >> 16, 0, 0};
+    Quad quad{lower.m * stride + lower.n, lower.m * stride + lower.n, 0};
+    if (t + 1 < filter.count) {
+      const PairTap& upper = filter.taps[t + 1];
+      quad.upper = upper.m * stride + upper.n;
+      w[2] = low_half(upper.weights);
+      w[3] = upper.weights >> 16;
+    }
+    quad.weights = pack_bytes(w[0], w[1], w[2], w[3]);
+    list[count++] = quad;
+  }
+
+  // From two vectors of bytes, i, i + 1 of the first and i, i + 1 of the second for i = 16 v .. 16 v + 15.
+  static_assert(kExactVectors * 16 < 64, "a vector of bytes reaches three groups of 16 and the byte after");
+  const __m512i group_step = _mm512_set1_epi8(16);
+  const __m512i counting = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  __m512i order[kExactVectors];
+  order[0] =
+      _mm512_add_epi32(_mm512_mullo_epi32(counting, _mm512_set1_epi32(0x01010101)), _mm512_set1_epi32(0x41400100));
+  for (int v = 1; v < kExactVectors; ++v) order[v] = _mm512_add_epi8(order[v - 1], group_step);
+
+  for_exact_outputs(tile, filter, out, stride, [&](int at, auto& sums) {
+    constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
+    IntVector acc[kExactRows][kVectors] = {};  // local, so that it stays in registers
+    for (int q = 0; q < count; ++q) {
+      const std::uint8_t *lower = bytes + at + list[q].lower, *upper = bytes + at + list[q].upper;
+      const __m512i weights = _mm512_set1_epi32(list[q].weights);
+      for (int row = 0; row < kExactRows; ++row, lower += stride, upper += stride) {
+        const __m512i first = _mm512_loadu_si512(lower), second = _mm512_loadu_si512(upper);
+        for (int v = 0; v < kVectors; ++v) {
+          const __m512i pixels = _mm512_permutex2var_epi8(first, order[v], second);
+          acc[row][v] = (IntVector)_mm512_dpbusd_epi32((__m512i)acc[row][v], pixels, weights);
+        }
+      }
+    }
+    for (int row = 0; row < kExactRows; ++row) {
+      for (int v = 0; v < kVectors; ++v) sums[row][v] = acc[row][v];
+    }
+  });
+}
+
+TileNeeds exact_needs(const TileGeometry& tile, const ExactFilter& filter) {
+  return filter.weights_are_bytes ? exact_quads_needs(tile, filter) : exact_pairs_needs(tile, filter);
+}
+
+void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+              float* scratch, std::uint8_t* out) {
+  if (filter.weights_are_bytes) {
+    exact_quads_u8(source, tile, filter, scratch, out);
+  } else {
+    exact_pairs_u8(source, tile, filter, scratch, out);
+  }
+}
+
+#else
+
+constexpr bool kHasByteWeights = false;
+
+TileNeeds exact_needs(const TileGeometry& tile, const ExactFilter& filter) { return exact_pairs_needs(tile, filter); }
+
+void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+              float* scratch, std::uint8_t* out) {
+  exact_pairs_u8(source, tile, filter, scratch, out);
+}
+
+#endif
+
+}  // namespace
+}  // namespace GYRO_DEBLUR_ISA
+}  // namespace gyro_deblur
