@@ -1,0 +1,27 @@
+// Where the gyroscope says that a corner has gone by the next image.
+#pragma once
+
+#include <optional>
+
+#include <Eigen/Core>
+
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+
+namespace gyro_deblur {
+
+/// Direction, at `to_ns`, of what the pixel saw at `from_ns`; nothing where the motion is not known.
+std::optional<Eigen::Vector3d> turned_ray(const Eigen::Vector2d& pixel_px, const Camera& camera,
+                                          const CameraMotion& motion, TimeNs from_ns, TimeNs to_ns);
+
+/// Pixel, at `to_ns`, of what `pixel_px` shows in the image of `from`, whatever row it is in then.
+std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
+                                               const CameraMotion& motion, const RowExposure& from, TimeNs to_ns);
+
+/// Pixel, in the image of `to`, of what `pixel_px` shows in that of `from`.
+std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
+                                               const CameraMotion& motion, const RowExposure& from,
+                                               const RowExposure& to);
+
+}  // namespace gyro_deblur

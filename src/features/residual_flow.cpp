@@ -1,0 +1,108 @@
+#include "features/residual_flow.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include <opencv2/imgproc.hpp>
+#include <opencv2/video/tracking.hpp>
+
+#include "base/median.hpp"
+#include "features/corner_prediction.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr double kCornerQuality = 0.01;
+/// What Lucas-Kanade leaves on blurred frames where all neighbours agree [px].
+constexpr double kFloorPx = 0.1;
+
+bool inside(const cv::Point2f& p, const cv::Size& size, float margin) {
+  return p.x >= margin && p.y >= margin && p.x <= static_cast<float>(size.width - 1) - margin &&
+         p.y <= static_cast<float>(size.height - 1) - margin;
+}
+
+}  // namespace
+
+void ResidualFlow::reset() {
+  exposure_.reset();
+  samples_.clear();
+  corners_.clear();
+}
+
+const std::vector<ResidualFlow::Sample>& ResidualFlow::follow(const cv::Mat& luminance, const Camera& camera,
+                                                              const CameraMotion& motion,
+                                                              const RowExposure& exposure) {
+  const cv::Size window(options_.window_px, options_.window_px);
+  std::vector<cv::Mat> pyramid;
+  cv::buildOpticalFlowPyramid(luminance, pyramid, window, options_.levels, true, cv::BORDER_REFLECT_101,
+                              cv::BORDER_CONSTANT, false);
+  samples_.clear();
+  if (exposure_ && !corners_.empty()) {
+    std::vector<cv::Point2f> before, start;
+    for (const cv::Point2f& corner : corners_) {
+      const auto at = predicted_pixel({corner.x, corner.y}, camera, motion, *exposure_, exposure);
+      if (!at) continue;
+      const cv::Point2f start_px(static_cast<float>(at->x()), static_cast<float>(at->y()));
+      if (!inside(start_px, luminance.size(), 0)) continue;
+      before.push_back(corner);
+      start.push_back(start_px);
+    }
+    if (!before.empty()) {
+      const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 20, 0.03);
+      std::vector<cv::Point2f> after = start, back;
+      std::vector<uchar> found, found_back;
+      std::vector<float> unused;
+      cv::calcOpticalFlowPyrLK(pyramid_, pyramid, before, after, found, unused, window, options_.levels, criteria,
+                               cv::OPTFLOW_USE_INITIAL_FLOW);
+      for (std::size_t i = 0; i < after.size(); ++i) back.push_back(after[i] - (start[i] - before[i]));
+      cv::calcOpticalFlowPyrLK(pyramid, pyramid_, after, back, found_back, unused, window, options_.levels, criteria,
+                               cv::OPTFLOW_USE_INITIAL_FLOW);
+      for (std::size_t i = 0; i < after.size(); ++i) {
+        if (!found[i] || !found_back[i] || !inside(after[i], luminance.size(), 0)) continue;
+        if (cv::norm(back[i] - before[i]) > options_.max_round_trip_px) continue;
+        const Eigen::Vector2d pixel_px(after[i].x, after[i].y);
+        // Where the rotation takes it by the time that the row in which it was found is exposed.
+        const auto at = predicted_pixel({before[i].x, before[i].y}, camera, motion, *exposure_,
+                                        exposure.middle(pixel_px.y()));
+        if (!at) continue;
+        const TimeNs since_ns = exposure.middle(pixel_px.y()) - exposure_->middle(before[i].y);
+        samples_.push_back({pixel_px, (pixel_px - *at) / to_seconds(since_ns), since_ns});
+      }
+    }
+  }
+  corners_.clear();
+  cv::goodFeaturesToTrack(luminance, corners_, options_.max_corners, kCornerQuality, options_.min_distance_px);
+  pyramid_ = std::move(pyramid);
+  exposure_ = exposure;
+  return samples_;
+}
+
+std::vector<std::optional<ResidualVelocity>> ResidualFlow::velocities(const BlockGrid& grid) const {
+  std::vector<std::optional<ResidualVelocity>> velocities(grid.size());
+  const std::size_t count = options_.neighbours;
+  if (samples_.size() < count) return velocities;
+  std::vector<std::pair<double, const Sample*>> nearest(samples_.size());
+  for (int i = 0; i < grid.size(); ++i) {
+    const Eigen::Vector2d center_px = grid.center(i);
+    for (std::size_t k = 0; k < samples_.size(); ++k) {
+      nearest[k] = {(samples_[k].pixel_px - center_px).squaredNorm(), &samples_[k]};
+    }
+    std::nth_element(nearest.begin(), nearest.begin() + count - 1, nearest.end(),
+                     [](const auto& a, const auto& b) { return a.first < b.first; });
+    ResidualVelocity& velocity = velocities[i].emplace();
+    double spread_px_s = 0;
+    for (int axis = 0; axis < 2; ++axis) {
+      std::vector<double> of_axis, deviations;
+      for (std::size_t k = 0; k < count; ++k) of_axis.push_back(nearest[k].second->velocity_px_s[axis]);
+      velocity.velocity_px_s[axis] = median(of_axis);
+      for (const double v : of_axis) deviations.push_back(std::abs(v - velocity.velocity_px_s[axis]));
+      spread_px_s = std::max(spread_px_s, 1.4826 * median(deviations));
+    }
+    const double floor_px_s = kFloorPx / to_seconds(nearest.front().second->since_ns);
+    velocity.stddev_px_s = std::hypot(floor_px_s, 1.2533 * spread_px_s / std::sqrt(static_cast<double>(count)));
+  }
+  return velocities;
+}
+
+}  // namespace gyro_deblur
