@@ -51,7 +51,7 @@ void run(const Case& c, double seconds, const ResidualFlowOptions& options) {
   const BlockGrid grid(752, 480, 64);
   std::vector<double> of_gyro, of_flow, of_carried, of_gated, normalised, corners;
   double ms = 0;
-  std::vector<std::optional<ResidualVelocity>> before;
+  ResidualField before;
   for (int i = 0; i < simulator.frames(); ++i) {
     const sim::Frame frame = simulator.frame(i);
     const RowExposure exposure = simulator.exposure(i);
@@ -68,7 +68,9 @@ void run(const Case& c, double seconds, const ResidualFlowOptions& options) {
       const Eigen::Vector2d center = grid.center(b), truth = simulator.truth_displacement(i, center);
       const double y = center.y();
       const Eigen::Vector3d ray = simulator.camera().ray(center);
-      const auto place = [&](TimeNs t) { return simulator.camera().project(rotation.homography(exposure.middle(y), t) * ray); };
+      const auto place = [&](TimeNs t) {
+        return simulator.camera().project(rotation.homography(exposure.middle(y), t) * ray);
+      };
       const Eigen::Vector2d by_gyro = place(exposure.end(y)) - place(exposure.start(y));
       if (!truth.allFinite() || !by_gyro.allFinite()) continue;
       of_gyro.push_back((by_gyro - truth).norm());
@@ -88,8 +90,8 @@ void run(const Case& c, double seconds, const ResidualFlowOptions& options) {
   const auto row = [&](const std::vector<double>& v) {
     std::printf(" %5.2f %5.2f %5.2f |", percentile(v, 0.5), percentile(v, 0.75), percentile(v, 0.9));
   };
-  std::printf("%-13s %2.0f ms, %2.0f ms, x%.1f, %.2f/%.0f |", c.flight.name, 1e3 * c.exposure_s, 1e3 * c.readout_s, c.speed,
-              c.contrast, c.noise);
+  std::printf("%-13s %2.0f ms, %2.0f ms, x%.1f, %.2f/%.0f |", c.flight.name, 1e3 * c.exposure_s, 1e3 * c.readout_s,
+              c.speed, c.contrast, c.noise);
   row(of_gyro), row(of_flow), row(of_carried), row(of_gated);
   std::printf(" norm. %.2f %.2f | corners %.0f | %.1f ms\n", percentile(normalised, 0.5), percentile(normalised, 0.9),
               percentile(corners, 0.5), ms / simulator.frames());
@@ -105,6 +107,9 @@ int main_of(int argc, char** argv) {
   app.add_flag("--all", all);
   app.add_option("--corners", options.max_corners);
   app.add_option("--distance", options.min_distance_px);
+  app.add_option("--width", options.largest_width_px);
+  app.add_option("--iterations", options.iterations);
+  app.add_option("--round-trip", options.max_round_trip_px);
   app.add_option("--window", options.window_px);
   app.add_option("--levels", options.levels);
   app.add_option("--neighbours", options.neighbours);

@@ -36,6 +36,10 @@ constexpr double kStraightPathShare = 0.02;
 /// either side of the line.
 BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options);
 
+/// Whether a residual velocity is far enough from none to be one, for a path within `exposure_ns`: a camera that only
+/// turns is deblurred by its gyroscope alone.
+bool is_certain(const ResidualVelocity& residual, TimeNs exposure_ns);
+
 /// Computes blur fields for one camera; keeps the rays of the block centres, which depend only on calibration and grid.
 class BlurFieldEstimator {
  public:
@@ -48,7 +52,9 @@ class BlurFieldEstimator {
   /// not cover are NO_GYRO with extent 0; so are those whose centre, or whose path, lies beyond the range of the lens
   /// model. Where translation cancels so much of the rotation that what is left may be less than min_extent_px at
   /// the block's own depth, it is left alone (SHARP).
-  FrameBlur estimate(const CameraMotion& motion, const RowExposure& exposure) const;
+  /// @param residuals  of the blocks of grid(), or empty: added to the paths where it is certain, see is_certain()
+  FrameBlur estimate(const CameraMotion& motion, const RowExposure& exposure,
+                     const ResidualField& residuals = {}) const;
 
   const BlockGrid& grid() const { return grid_; }
 

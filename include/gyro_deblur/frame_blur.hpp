@@ -60,6 +60,16 @@ double axial_angle(double dx, double dy);
 /// Difference of two axial angles [rad], in [0, pi/2].
 double axial_difference(double a_rad, double b_rad);
 
+/// Motion of what a block shows beside what the camera's known motion makes of it: translation over depth, an object
+/// that moves by itself, a bias of the gyroscope.
+struct ResidualVelocity {
+  Eigen::Vector2d velocity_px_s = Eigen::Vector2d::Zero();
+  double stddev_px_s = 0;  ///< of each component
+};
+
+/// One for each block of a grid, row by row, nothing where it is not known; or empty: known nowhere.
+using ResidualField = std::vector<std::optional<ResidualVelocity>>;
+
 /// Blur of one block along a line.
 struct BlockBlur {
   float angle_rad = 0;  ///< axial, [0, pi), x right, y down
@@ -70,6 +80,8 @@ struct BlockBlur {
   /// Halfway between the path's ends, and its mean in time, from where the point is at the middle of the exposure.
   Eigen::Vector2f chord_middle_px = Eigen::Vector2f::Zero();
   Eigen::Vector2f mean_place_px = Eigen::Vector2f::Zero();
+  /// What the path has beside the camera's known motion; nothing where that is not known, or not certain enough.
+  std::optional<ResidualVelocity> residual = std::nullopt;
 
   /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
   /// point into the middle of the line that it stands for (to 0.4 px up to 60 px, at the limit of evenness), the kernel

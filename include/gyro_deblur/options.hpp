@@ -136,6 +136,7 @@ struct PipelineOptions {
   ValidationOptions validation;
   KernelOptions kernel;
   KeypointOptions keypoints;
+  bool motion_from_images = true;  ///< what the gyroscope does not know of a motion, see ResidualFlow
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
   std::string engine = "auto";  ///< see make_engine
   int threads = 0;              ///< of validation, kernels and engine, at most; 0: one for each core

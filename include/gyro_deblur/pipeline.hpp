@@ -22,6 +22,8 @@
 
 namespace gyro_deblur {
 
+class ResidualFlow;
+
 /// What a caller wants of a frame; nothing else is computed.
 struct PipelineRequest {
   bool image = true;       ///< the deblurred image
@@ -33,6 +35,7 @@ struct PipelineRequest {
 
 /// Wall time of each stage [ms]; 0 for a stage that did not run.
 struct StageTimes {
+  double flow_ms = 0;  ///< of corners since the image before
   double blur_field_ms = 0;
   double validation_ms = 0;
   double deconvolution_ms = 0;
@@ -62,6 +65,7 @@ class Pipeline {
  public:
   /// Throws OptionError. Prepares for all blur that the options let through, see prepare_deconvolution().
   explicit Pipeline(const PipelineOptions& options, EngineFactory engine_factory = make_engine);
+  ~Pipeline();
 
   /// Throws OptionError and keeps the former options when the new ones are not valid. Rebuilds what depends on the
   /// options that differ, prepared for the first frame as in the constructor, and nothing else.
@@ -78,8 +82,12 @@ class Pipeline {
   /// set_options and after each frame.
   std::string take_warning();
 
+  /// Exposure of the image before, from which corners are followed: how far back the next call's `motion` should reach.
+  std::optional<TimeRange> newest_frame() const;
+
   /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
-  /// @param motion  of the camera over the frame; blocks it does not cover are NO_GYRO
+  /// @param motion  of the camera over the frame; blocks it does not cover are NO_GYRO. What it does not know of the
+  ///                motion is found in the images, where it reaches back to the one before
   /// Throws std::invalid_argument when the image does not fit, std::logic_error before set_calibration.
   PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                          const RowExposure& exposure, const PipelineRequest& request);
@@ -102,6 +110,7 @@ class Pipeline {
   std::unique_ptr<KernelBank> bank_;
   std::unique_ptr<Engine> engine_;
   BitDepth bit_depth_;
+  std::unique_ptr<ResidualFlow> flow_;           // where asked for
   std::unique_ptr<FeatureExtractor> extractor_;  // made when keypoints are asked for
 };
 

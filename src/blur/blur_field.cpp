@@ -112,6 +112,13 @@ BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_p
   return blur;
 }
 
+bool is_certain(const ResidualVelocity& residual, TimeNs exposure_ns) {
+  // Of a normal error, one block in 500 is farther out than the first; less than the second is not seen in an image.
+  constexpr double kSigmas = 3.5, kLeastPx = 0.2;
+  const double speed_px_s = residual.velocity_px_s.norm();
+  return speed_px_s > kSigmas * residual.stddev_px_s && speed_px_s * to_seconds(exposure_ns) > kLeastPx;
+}
+
 BlurFieldEstimator::BlurFieldEstimator(const Camera& camera, const BlurFieldOptions& options)
     : camera_(camera), options_(options) {
   options.validate();
@@ -122,7 +129,12 @@ BlurFieldEstimator::BlurFieldEstimator(const Camera& camera, const BlurFieldOpti
   rays_ = camera_.rays(centers);
 }
 
-FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExposure& exposure) const {
+FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExposure& exposure,
+                                       const ResidualField& residuals) const {
+  if (!residuals.empty() && residuals.size() != static_cast<std::size_t>(grid_.size())) {
+    throw std::invalid_argument(std::to_string(residuals.size()) + " residual velocities for a grid of " +
+                                std::to_string(grid_.size()) + " blocks");
+  }
   const BlockBlur unknown{0, 0, BlockStatus::NO_GYRO};
   FrameBlur field;
   field.grid = grid_;
@@ -135,8 +147,11 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
     const TimeNs start_ns = exposure.start(y_px), middle_ns = exposure.middle(y_px), end_ns = exposure.end(y_px);
     if (!motion.covers({start_ns, end_ns})) continue;
     std::array<Eigen::Matrix3d, kPathInstants> maps;  // from the middle of the exposure
+    std::array<double, kPathInstants> since_middle_s;
     for (int k = 0; k < kPathInstants; ++k) {
-      maps[k] = motion.homography(middle_ns, start_ns + (end_ns - start_ns) * k / (kPathInstants - 1));
+      const TimeNs instant_ns = start_ns + (end_ns - start_ns) * k / (kPathInstants - 1);
+      maps[k] = motion.homography(middle_ns, instant_ns);
+      since_middle_s[k] = to_seconds(instant_ns - middle_ns);
     }
     const bool translates =
         motion.rotation(middle_ns, start_ns) != maps.front() || motion.rotation(middle_ns, end_ns) != maps.back();
@@ -146,14 +161,22 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
     }
     for (int i = first; i < first + grid_.cols(); ++i) {
       const Eigen::Vector2d center_px = grid_.center(i);
+      std::optional<ResidualVelocity> residual;
+      if (!residuals.empty() && residuals[i] && is_certain(*residuals[i], end_ns - start_ns)) residual = residuals[i];
+      // It is beside the rotation, and has in it what an odometry would tell.
+      const std::array<Eigen::Matrix3d, kPathInstants>& used = residual && translates ? rotation_maps : maps;
       std::array<Eigen::Vector2d, kPathInstants> path_px;
-      for (int k = 0; k < kPathInstants; ++k) path_px[k] = camera_.project(maps[k] * rays_[i]) - center_px;
+      for (int k = 0; k < kPathInstants; ++k) {
+        path_px[k] = camera_.project(used[k] * rays_[i]) - center_px;
+        if (residual) path_px[k] += since_middle_s[k] * residual->velocity_px_s;
+      }
       if (!std::all_of(path_px.begin(), path_px.end(), [](const auto& place_px) { return place_px.allFinite(); })) {
         continue;
       }
       BlockBlur& block = field.blocks[i];
       block = classify_path(path_px, options_);
-      if (!translates) continue;
+      block.residual = residual;
+      if (!translates || residual) continue;
       // The share that translation has in the path, there and back within the exposure, too.
       std::array<Eigen::Vector2d, kPathInstants> translation_px;
       double longest_px = 0;

@@ -189,6 +189,8 @@ ParameterGroup blur_field() {
                "at least min_extent; larger blur is left alone", RUNNING},
               {"max_bend", &Blur::max_bend_px, within(0, 100, "px"),
                "blur off a line by more than this and 2 % of its length is left alone", RUNNING},
+              {"motion_from_images", &PipelineOptions::motion_from_images,
+               "what the gyroscope does not know of the motion is taken from corners followed between images", RUNNING},
           }};
 }
 

@@ -11,6 +11,8 @@
 #include <opencv2/imgproc.hpp>
 #include <opencv2/video/tracking.hpp>
 
+#include "features/corner_prediction.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -31,31 +33,6 @@ bool inside(const cv::Point2f& p, const cv::Size& size) {
 
 cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
 Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
-
-/// Direction, at the time that the pixel of the later image sees, of what the earlier image saw; nothing where the
-/// motion is not known.
-std::optional<Eigen::Vector3d> turned(const Eigen::Vector2d& pixel_px, const Camera& camera, const CameraMotion& motion,
-                                      TimeNs from_ns, TimeNs to_ns) {
-  if (!motion.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) return std::nullopt;
-  return motion.homography(from_ns, to_ns) * camera.ray(pixel_px);
-}
-
-/// Pixel in the image of `to` of what `pixel_px` shows in that of `from`.
-Eigen::Vector2d predicted(const Eigen::Vector2d& pixel_px, const Camera& camera, const CameraMotion& motion,
-                          const RowExposure& from, const RowExposure& to) {
-  const double last_row = camera.calibration().height_px - 1.0;
-  Eigen::Vector2d at_px = pixel_px;
-  // The row decides when it is seen, and that decides the row.
-  for (int iteration = 0; iteration < 3; ++iteration) {
-    const TimeNs seen_ns = to.middle(std::clamp(at_px.y(), 0.0, last_row));
-    const auto direction = turned(pixel_px, camera, motion, from.middle(pixel_px.y()), seen_ns);
-    if (!direction) return pixel_px;
-    const Eigen::Vector2d next_px = camera.project(*direction);
-    if (!next_px.allFinite()) return pixel_px;
-    at_px = next_px;
-  }
-  return at_px;
-}
 
 std::vector<cv::Mat> pyramid_of(const cv::Mat& luminance, const TrackerOptions& options) {
   std::vector<cv::Mat> pyramid;
@@ -117,7 +94,8 @@ void FeatureTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& c
   std::vector<cv::Point2f> before, after, back;
   for (const Track& track : tracks_) {
     before.push_back(to_cv(track.pixel_px));
-    after.push_back(to_cv(predicted(track.pixel_px, camera, motion, *exposure_, exposure)));
+    after.push_back(
+        to_cv(predicted_pixel(track.pixel_px, camera, motion, *exposure_, exposure).value_or(track.pixel_px)));
   }
   const std::vector<cv::Point2f> start = after;
   std::vector<uchar> found, found_back;
@@ -141,7 +119,7 @@ void FeatureTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& c
     const Eigen::Vector3d ray = camera.ray(to_eigen(after[i]));
     if (!ray.allFinite()) continue;
     const auto direction =
-        turned(track.pixel_px, camera, motion, exposure_->middle(track.pixel_px.y()), exposure.middle(after[i].y));
+        turned_ray(track.pixel_px, camera, motion, exposure_->middle(track.pixel_px.y()), exposure.middle(after[i].y));
     ideal_before.push_back(to_cv(focal_px * direction.value_or(camera.ray(track.pixel_px)).hnormalized()));
     ideal_after.push_back(to_cv(focal_px * ray.hnormalized()));
     track.pixel_px = to_eigen(after[i]);

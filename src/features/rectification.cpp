@@ -20,12 +20,15 @@ std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& p
     if (status != BlockStatus::REJECTED && status != BlockStatus::NO_GYRO &&
         motion.covers({std::min(seen_ns, reference_ns), std::max(seen_ns, reference_ns)})) {
       const Eigen::Vector3d seen = camera.ray(raw_px - block.shown_offset_px());
-      const Eigen::Vector3d moved = motion.homography(seen_ns, reference_ns) * seen;
-      const Eigen::Vector2d moved_px = camera.project(moved);
-      if (moved_px.allFinite()) {
+      const Eigen::Vector3d moved =
+          (block.residual ? motion.rotation(seen_ns, reference_ns) : motion.homography(seen_ns, reference_ns)) * seen;
+      Eigen::Vector2d moved_px = camera.project(moved);
+      if (block.residual) moved_px += to_seconds(reference_ns - seen_ns) * block.residual->velocity_px_s;
+      const Eigen::Vector3d seen_there = block.residual ? camera.ray(moved_px) : moved;
+      if (moved_px.allFinite() && seen_there.allFinite()) {
         point.rectified_px = moved_px;
         point.rectified = true;
-        direction = moved;
+        direction = seen_there;
       }
     }
     point.normalized = camera.normalized(direction);

@@ -14,7 +14,9 @@ namespace gyro_deblur {
 namespace {
 
 constexpr double kCornerQuality = 0.01;
-/// What Lucas-Kanade leaves on blurred frames where all neighbours agree [px].
+/// Over a longer one a mean velocity says little of the one within an exposure.
+constexpr TimeNs kLongestStepNs = 250'000'000;
+/// What Lucas-Kanade leaves on blurred frames where all neighbours agree, in the smaller image [px].
 constexpr double kFloorPx = 0.1;
 
 bool inside(const cv::Point2f& p, const cv::Size& size, float margin) {
@@ -24,32 +26,52 @@ bool inside(const cv::Point2f& p, const cv::Size& size, float margin) {
 
 }  // namespace
 
+std::optional<TimeRange> ResidualFlow::newest_frame() const {
+  if (!exposure_) return std::nullopt;
+  return exposure_->frame();
+}
+
 void ResidualFlow::reset() {
   exposure_.reset();
   samples_.clear();
   corners_.clear();
 }
 
+cv::Mat ResidualFlow::shrink(const cv::Mat& luminance) {
+  cv::Mat small = luminance;
+  for (scale_ = 1; small.cols > options_.largest_width_px; scale_ *= 2) {
+    cv::Mat half;
+    cv::pyrDown(small, half);  // its pixel (x, y) is at (2 x, 2 y)
+    small = half;
+  }
+  return small;
+}
+
 const std::vector<ResidualFlow::Sample>& ResidualFlow::follow(const cv::Mat& luminance, const Camera& camera,
-                                                              const CameraMotion& motion,
-                                                              const RowExposure& exposure) {
+                                                              const CameraMotion& motion, const RowExposure& exposure) {
   const cv::Size window(options_.window_px, options_.window_px);
+  const cv::Mat small = shrink(luminance);
+  const auto scale = static_cast<float>(scale_);
   std::vector<cv::Mat> pyramid;
-  cv::buildOpticalFlowPyramid(luminance, pyramid, window, options_.levels, true, cv::BORDER_REFLECT_101,
+  cv::buildOpticalFlowPyramid(small, pyramid, window, options_.levels, true, cv::BORDER_REFLECT_101,
                               cv::BORDER_CONSTANT, false);
   samples_.clear();
-  if (exposure_ && !corners_.empty()) {
+  if (exposure_) {
+    const TimeNs step_ns = exposure.start(0) - exposure_->start(0);
+    if (step_ns <= 0 || step_ns > kLongestStepNs) reset();
+  }
+  if (exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size()) {
     std::vector<cv::Point2f> before, start;
     for (const cv::Point2f& corner : corners_) {
-      const auto at = predicted_pixel({corner.x, corner.y}, camera, motion, *exposure_, exposure);
+      const auto at = predicted_pixel({scale * corner.x, scale * corner.y}, camera, motion, *exposure_, exposure);
       if (!at) continue;
-      const cv::Point2f start_px(static_cast<float>(at->x()), static_cast<float>(at->y()));
-      if (!inside(start_px, luminance.size(), 0)) continue;
+      const cv::Point2f start_px(static_cast<float>(at->x()) / scale, static_cast<float>(at->y()) / scale);
+      if (!inside(start_px, small.size(), 0)) continue;
       before.push_back(corner);
       start.push_back(start_px);
     }
     if (!before.empty()) {
-      const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 20, 0.03);
+      const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, options_.iterations, 0.03);
       std::vector<cv::Point2f> after = start, back;
       std::vector<uchar> found, found_back;
       std::vector<float> unused;
@@ -59,27 +81,27 @@ const std::vector<ResidualFlow::Sample>& ResidualFlow::follow(const cv::Mat& lum
       cv::calcOpticalFlowPyrLK(pyramid, pyramid_, after, back, found_back, unused, window, options_.levels, criteria,
                                cv::OPTFLOW_USE_INITIAL_FLOW);
       for (std::size_t i = 0; i < after.size(); ++i) {
-        if (!found[i] || !found_back[i] || !inside(after[i], luminance.size(), 0)) continue;
+        if (!found[i] || !found_back[i] || !inside(after[i], small.size(), 0)) continue;
         if (cv::norm(back[i] - before[i]) > options_.max_round_trip_px) continue;
-        const Eigen::Vector2d pixel_px(after[i].x, after[i].y);
+        const Eigen::Vector2d from_px(scale * before[i].x, scale * before[i].y);
+        const Eigen::Vector2d pixel_px(scale * after[i].x, scale * after[i].y);
         // Where the rotation takes it by the time that the row in which it was found is exposed.
-        const auto at = predicted_pixel({before[i].x, before[i].y}, camera, motion, *exposure_,
-                                        exposure.middle(pixel_px.y()));
+        const auto at = predicted_pixel(from_px, camera, motion, *exposure_, exposure.middle(pixel_px.y()));
         if (!at) continue;
-        const TimeNs since_ns = exposure.middle(pixel_px.y()) - exposure_->middle(before[i].y);
+        const TimeNs since_ns = exposure.middle(pixel_px.y()) - exposure_->middle(from_px.y());
         samples_.push_back({pixel_px, (pixel_px - *at) / to_seconds(since_ns), since_ns});
       }
     }
   }
   corners_.clear();
-  cv::goodFeaturesToTrack(luminance, corners_, options_.max_corners, kCornerQuality, options_.min_distance_px);
+  cv::goodFeaturesToTrack(small, corners_, options_.max_corners, kCornerQuality, options_.min_distance_px);
   pyramid_ = std::move(pyramid);
   exposure_ = exposure;
   return samples_;
 }
 
-std::vector<std::optional<ResidualVelocity>> ResidualFlow::velocities(const BlockGrid& grid) const {
-  std::vector<std::optional<ResidualVelocity>> velocities(grid.size());
+ResidualField ResidualFlow::velocities(const BlockGrid& grid) const {
+  ResidualField velocities(grid.size());
   const std::size_t count = options_.neighbours;
   if (samples_.size() < count) return velocities;
   std::vector<std::pair<double, const Sample*>> nearest(samples_.size());
@@ -99,7 +121,7 @@ std::vector<std::optional<ResidualVelocity>> ResidualFlow::velocities(const Bloc
       for (const double v : of_axis) deviations.push_back(std::abs(v - velocity.velocity_px_s[axis]));
       spread_px_s = std::max(spread_px_s, 1.4826 * median(deviations));
     }
-    const double floor_px_s = kFloorPx / to_seconds(nearest.front().second->since_ns);
+    const double floor_px_s = scale_ * kFloorPx / to_seconds(nearest.front().second->since_ns);
     velocity.stddev_px_s = std::hypot(floor_px_s, 1.2533 * spread_px_s / std::sqrt(static_cast<double>(count)));
   }
   return velocities;

@@ -1,5 +1,5 @@
-// What the gyroscope does not know of an image's motion (translation over depth, objects that move by themselves, a bias),
-// from corners followed from the image before.
+// What the gyroscope does not know of an image's motion (translation over depth, objects that move by themselves, a
+// bias), from corners followed from the image before.
 #pragma once
 
 #include <optional>
@@ -12,22 +12,20 @@
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/rotation_track.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
 
-/// A velocity beside that of the rotation, in the image.
-struct ResidualVelocity {
-  Eigen::Vector2d velocity_px_s = Eigen::Vector2d::Zero();
-  double stddev_px_s = 0;  ///< of each component
-};
-
-/// How corners are followed.
+/// How corners are followed. Lengths are those of the image that they are followed in: halved until it is no wider than
+/// largest_width_px.
 struct ResidualFlowOptions {
-  int max_corners = 300;
-  double min_distance_px = 20;
-  int window_px = 21;
-  int levels = 3;
-  double max_round_trip_px = 1.5;
+  int largest_width_px = 500;
+  int max_corners = 200;
+  double min_distance_px = 12;
+  int window_px = 15;
+  int levels = 2;
+  int iterations = 10;
+  double max_round_trip_px = 0.75;
   int neighbours = 9;  ///< corners that a block's velocity is the median of
 };
 
@@ -50,16 +48,23 @@ class ResidualFlow {
                                     const RowExposure& exposure);
 
   /// Of each block of the newest image, at its exposure; nothing where too few corners are near.
-  std::vector<std::optional<ResidualVelocity>> velocities(const BlockGrid& grid) const;
+  ResidualField velocities(const BlockGrid& grid) const;
 
   const std::vector<Sample>& samples() const { return samples_; }
 
+  /// Exposure of the newest image: how far back the next call's `motion` should reach. Nothing before the first one.
+  std::optional<TimeRange> newest_frame() const;
+
+  /// Forgets the images.
   void reset();
 
  private:
   ResidualFlowOptions options_;
-  std::vector<cv::Mat> pyramid_;      // of the newest image
-  std::vector<cv::Point2f> corners_;  // of the newest image
+  cv::Mat shrink(const cv::Mat& luminance);
+
+  std::vector<cv::Mat> pyramid_;      // of the newest image, smaller
+  std::vector<cv::Point2f> corners_;  // of it, in its pixels
+  double scale_ = 1;                  // pixels of the image in one of it
   std::optional<RowExposure> exposure_;
   std::vector<Sample> samples_;
 };

@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "features/residual_flow.hpp"
 #include "gyro_deblur/blur_validation.hpp"
 
 namespace gyro_deblur {
@@ -54,6 +55,8 @@ Pipeline::Pipeline(const PipelineOptions& options, EngineFactory engine_factory)
   set_options(options);
 }
 
+Pipeline::~Pipeline() = default;
+
 void Pipeline::set_options(const PipelineOptions& options) {
   // Everything that may throw comes before the first assignment, so that a failure leaves the former state.
   options.validate();
@@ -82,7 +85,12 @@ void Pipeline::set_options(const PipelineOptions& options) {
   if (other_keypoints) extractor_.reset();
   if (other_depth) bit_depth_ = BitDepth(options_.significant_bits);
   if (estimator) estimator_ = std::move(estimator);
+  if (options_.motion_from_images != (flow_ != nullptr)) {
+    flow_ = options_.motion_from_images ? std::make_unique<ResidualFlow>() : nullptr;
+  }
 }
+
+std::optional<TimeRange> Pipeline::newest_frame() const { return flow_ ? flow_->newest_frame() : std::nullopt; }
 
 void Pipeline::set_calibration(const CameraCalibration& calibration) {
   if (camera_ && camera_->calibration() == calibration) return;
@@ -90,6 +98,7 @@ void Pipeline::set_calibration(const CameraCalibration& calibration) {
   auto estimator = std::make_unique<BlurFieldEstimator>(*camera, options_.blur_field);
   camera_ = std::move(camera);
   estimator_ = std::move(estimator);
+  if (flow_) flow_->reset();
 }
 
 std::string Pipeline::engine() const { return engine_->name(); }
@@ -107,14 +116,22 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   PipelineResult result;
   result.reference_ns = exposure.reference_time(options_.rectify_to);
   result.significant_bits = bit_depth_.of(image, layout);
-  const Stopwatch blur_field_watch;
-  result.field = estimator_->estimate(motion, exposure);
-  result.times.blur_field_ms = blur_field_watch.ms();
-
   cv::Mat luminance;
-  if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {
+  ResidualField residuals;
+  if (flow_) {
     const Stopwatch watch;
     luminance = luminance8(image, layout, result.significant_bits);
+    flow_->follow(luminance, *camera_, motion, exposure);
+    residuals = flow_->velocities(estimator_->grid());
+    result.times.flow_ms = watch.ms();
+  }
+  const Stopwatch blur_field_watch;
+  result.field = estimator_->estimate(motion, exposure, residuals);
+  result.times.blur_field_ms = blur_field_watch.ms();
+
+  if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {
+    const Stopwatch watch;
+    if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
     result.field = validate_blur_field(result.field, luminance, options_.validation, options_.threads);
     result.times.validation_ms = watch.ms();
   }
