@@ -56,8 +56,7 @@ void run(const Case& c, double seconds, const ResidualFlowOptions& options) {
     const sim::Frame frame = simulator.frame(i);
     const RowExposure exposure = simulator.exposure(i);
     const auto begin = std::chrono::steady_clock::now();
-    flow.follow(frame.image, simulator.camera(), rotation, exposure);
-    const auto velocities = flow.velocities(grid);
+    const ResidualField velocities = flow.follow(frame.image, simulator.camera(), rotation, exposure, grid);
     ms += std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin).count();
     if (i < 2) {
       before = velocities;
@@ -75,10 +74,10 @@ void run(const Case& c, double seconds, const ResidualFlowOptions& options) {
       if (!truth.allFinite() || !by_gyro.allFinite()) continue;
       of_gyro.push_back((by_gyro - truth).norm());
       Eigen::Vector2d add = Eigen::Vector2d::Zero(), carried = add, gated = add;
-      if (velocities[b]) {
+      if (!velocities.empty() && velocities[b]) {
         carried = add = velocities[b]->velocity_px_s * c.exposure_s;
-        if (before[b]) carried += 0.5 * (velocities[b]->velocity_px_s - before[b]->velocity_px_s) * c.exposure_s;
-        if (velocities[b]->velocity_px_s.norm() > 2.5 * velocities[b]->stddev_px_s) gated = add;
+        if (false) carried += 0.5 * (velocities[b]->velocity_px_s - before[b]->velocity_px_s) * c.exposure_s;
+        if (velocities[b]->velocity_px_s.norm() > 3.5 * velocities[b]->stddev_px_s && add.norm() > .2) gated = add;
         normalised.push_back((by_gyro + add - truth).norm() / (1.18 * velocities[b]->stddev_px_s * c.exposure_s));
       }
       of_flow.push_back((by_gyro + add - truth).norm());
@@ -111,6 +110,8 @@ int main_of(int argc, char** argv) {
   app.add_option("--iterations", options.iterations);
   app.add_option("--round-trip", options.max_round_trip_px);
   app.add_option("--window", options.window_px);
+  app.add_option("--plane", options.iterations_of_plane);
+  app.add_option("--slope", options.slope_prior);
   app.add_option("--levels", options.levels);
   app.add_option("--neighbours", options.neighbours);
   CLI11_PARSE(app, argc, argv);

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <opencv2/imgproc.hpp>
 #include <opencv2/video/tracking.hpp>
 
@@ -35,6 +37,7 @@ void ResidualFlow::reset() {
   exposure_.reset();
   samples_.clear();
   corners_.clear();
+  means_.clear();
 }
 
 cv::Mat ResidualFlow::shrink(const cv::Mat& luminance) {
@@ -47,60 +50,81 @@ cv::Mat ResidualFlow::shrink(const cv::Mat& luminance) {
   return small;
 }
 
-const std::vector<ResidualFlow::Sample>& ResidualFlow::follow(const cv::Mat& luminance, const Camera& camera,
-                                                              const CameraMotion& motion, const RowExposure& exposure) {
-  const cv::Size window(options_.window_px, options_.window_px);
-  const cv::Mat small = shrink(luminance);
-  const auto scale = static_cast<float>(scale_);
-  std::vector<cv::Mat> pyramid;
-  cv::buildOpticalFlowPyramid(small, pyramid, window, options_.levels, true, cv::BORDER_REFLECT_101,
-                              cv::BORDER_CONSTANT, false);
-  samples_.clear();
+ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
+                                   const RowExposure& exposure, const BlockGrid& grid) {
   if (exposure_) {
     const TimeNs step_ns = exposure.start(0) - exposure_->start(0);
     if (step_ns <= 0 || step_ns > kLongestStepNs) reset();
   }
+  const cv::Mat small = shrink(luminance);
+  std::vector<cv::Mat> pyramid;
+  cv::buildOpticalFlowPyramid(small, pyramid, {options_.window_px, options_.window_px}, options_.levels, true,
+                              cv::BORDER_REFLECT_101, cv::BORDER_CONSTANT, false);
+  samples_.clear();
+  ResidualField carried;
   if (exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size()) {
-    std::vector<cv::Point2f> before, start;
-    for (const cv::Point2f& corner : corners_) {
-      const auto at = predicted_pixel({scale * corner.x, scale * corner.y}, camera, motion, *exposure_, exposure);
-      if (!at) continue;
-      const cv::Point2f start_px(static_cast<float>(at->x()) / scale, static_cast<float>(at->y()) / scale);
-      if (!inside(start_px, small.size(), 0)) continue;
-      before.push_back(corner);
-      start.push_back(start_px);
+    follow_corners(pyramid, camera, motion, exposure);
+    ResidualField means = mean_velocities(grid);
+    const double half_s = 0.5 * to_seconds(exposure.start(0) - exposure_->start(0));
+    const TimeNs mean_ns = exposure.start(0) - to_ns(half_s);
+    carried = means;
+    for (std::size_t i = 0; i < means.size() && means_.size() == means.size(); ++i) {
+      if (!means[i] || !means_[i]) continue;
+      const Eigen::Vector2d change =
+          (means[i]->velocity_px_s - means_[i]->velocity_px_s) * half_s / to_seconds(mean_ns - mean_ns_);
+      carried[i]->velocity_px_s += change;
+      // That the change goes on is likely, not certain.
+      carried[i]->stddev_px_s = std::hypot(means[i]->stddev_px_s, 0.5 * change.norm());
     }
-    if (!before.empty()) {
-      const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, options_.iterations, 0.03);
-      std::vector<cv::Point2f> after = start, back;
-      std::vector<uchar> found, found_back;
-      std::vector<float> unused;
-      cv::calcOpticalFlowPyrLK(pyramid_, pyramid, before, after, found, unused, window, options_.levels, criteria,
-                               cv::OPTFLOW_USE_INITIAL_FLOW);
-      for (std::size_t i = 0; i < after.size(); ++i) back.push_back(after[i] - (start[i] - before[i]));
-      cv::calcOpticalFlowPyrLK(pyramid, pyramid_, after, back, found_back, unused, window, options_.levels, criteria,
-                               cv::OPTFLOW_USE_INITIAL_FLOW);
-      for (std::size_t i = 0; i < after.size(); ++i) {
-        if (!found[i] || !found_back[i] || !inside(after[i], small.size(), 0)) continue;
-        if (cv::norm(back[i] - before[i]) > options_.max_round_trip_px) continue;
-        const Eigen::Vector2d from_px(scale * before[i].x, scale * before[i].y);
-        const Eigen::Vector2d pixel_px(scale * after[i].x, scale * after[i].y);
-        // Where the rotation takes it by the time that the row in which it was found is exposed.
-        const auto at = predicted_pixel(from_px, camera, motion, *exposure_, exposure.middle(pixel_px.y()));
-        if (!at) continue;
-        const TimeNs since_ns = exposure.middle(pixel_px.y()) - exposure_->middle(from_px.y());
-        samples_.push_back({pixel_px, (pixel_px - *at) / to_seconds(since_ns), since_ns});
-      }
-    }
+    means_ = std::move(means);
+    mean_ns_ = mean_ns;
+  } else {
+    means_.clear();
   }
   corners_.clear();
   cv::goodFeaturesToTrack(small, corners_, options_.max_corners, kCornerQuality, options_.min_distance_px);
   pyramid_ = std::move(pyramid);
   exposure_ = exposure;
-  return samples_;
+  return carried;
 }
 
-ResidualField ResidualFlow::velocities(const BlockGrid& grid) const {
+void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
+                                  const RowExposure& exposure) {
+  const cv::Size window(options_.window_px, options_.window_px), size = pyramid.front().size();
+  const auto scale = static_cast<float>(scale_);
+  std::vector<cv::Point2f> before, start;
+  for (const cv::Point2f& corner : corners_) {
+    const auto at = predicted_pixel({scale * corner.x, scale * corner.y}, camera, motion, *exposure_, exposure);
+    if (!at) continue;
+    const cv::Point2f start_px(static_cast<float>(at->x()) / scale, static_cast<float>(at->y()) / scale);
+    if (!inside(start_px, size, 0)) continue;
+    before.push_back(corner);
+    start.push_back(start_px);
+  }
+  if (before.empty()) return;
+  const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, options_.iterations, 0.03);
+  std::vector<cv::Point2f> after = start, back;
+  std::vector<uchar> found, found_back;
+  std::vector<float> unused;
+  cv::calcOpticalFlowPyrLK(pyramid_, pyramid, before, after, found, unused, window, options_.levels, criteria,
+                           cv::OPTFLOW_USE_INITIAL_FLOW);
+  for (std::size_t i = 0; i < after.size(); ++i) back.push_back(after[i] - (start[i] - before[i]));
+  cv::calcOpticalFlowPyrLK(pyramid, pyramid_, after, back, found_back, unused, window, options_.levels, criteria,
+                           cv::OPTFLOW_USE_INITIAL_FLOW);
+  for (std::size_t i = 0; i < after.size(); ++i) {
+    if (!found[i] || !found_back[i] || !inside(after[i], size, 0)) continue;
+    if (cv::norm(back[i] - before[i]) > options_.max_round_trip_px) continue;
+    const Eigen::Vector2d from_px(scale * before[i].x, scale * before[i].y);
+    const Eigen::Vector2d pixel_px(scale * after[i].x, scale * after[i].y);
+    // Where the rotation takes it by the time that the row in which it was found is exposed.
+    const auto at = predicted_pixel(from_px, camera, motion, *exposure_, exposure.middle(pixel_px.y()));
+    if (!at) continue;
+    const TimeNs since_ns = exposure.middle(pixel_px.y()) - exposure_->middle(from_px.y());
+    samples_.push_back({pixel_px, (pixel_px - *at) / to_seconds(since_ns), since_ns});
+  }
+}
+
+ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid) const {
   ResidualField velocities(grid.size());
   const std::size_t count = options_.neighbours;
   if (samples_.size() < count) return velocities;
@@ -112,17 +136,44 @@ ResidualField ResidualFlow::velocities(const BlockGrid& grid) const {
     }
     std::nth_element(nearest.begin(), nearest.begin() + count - 1, nearest.end(),
                      [](const auto& a, const auto& b) { return a.first < b.first; });
+    const double reach_px2 = nearest[count - 1].first;
     ResidualVelocity& velocity = velocities[i].emplace();
-    double spread_px_s = 0;
+    double variance = 0;
     for (int axis = 0; axis < 2; ++axis) {
-      std::vector<double> of_axis, deviations;
+      std::vector<double> of_axis, deviations(count);
       for (std::size_t k = 0; k < count; ++k) of_axis.push_back(nearest[k].second->velocity_px_s[axis]);
-      velocity.velocity_px_s[axis] = median(of_axis);
-      for (const double v : of_axis) deviations.push_back(std::abs(v - velocity.velocity_px_s[axis]));
-      spread_px_s = std::max(spread_px_s, 1.4826 * median(deviations));
+      Eigen::Vector3d plane(median(of_axis), 0, 0);
+      double spread = 0;
+      Eigen::Matrix3d information = Eigen::Matrix3d::Identity();
+      for (int iteration = 0; iteration < options_.iterations_of_plane + 1; ++iteration) {
+        const auto residual = [&](std::size_t k) {
+          const Eigen::Vector2d d = nearest[k].second->pixel_px - center_px;
+          return of_axis[k] - plane.dot(Eigen::Vector3d(1, d.x(), d.y()));
+        };
+        for (std::size_t k = 0; k < count; ++k) deviations[k] = std::abs(residual(k));
+        spread = std::max(1.4826 * median(deviations), 1e-3);
+        if (iteration == options_.iterations_of_plane) break;
+        Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
+        Eigen::Vector3d right = Eigen::Vector3d::Zero();
+        // A slope is believed where the corners tell it.
+        normal(1, 1) = normal(2, 2) = options_.slope_prior * reach_px2;
+        for (std::size_t k = 0; k < count; ++k) {
+          const Eigen::Vector2d d = nearest[k].second->pixel_px - center_px;
+          const Eigen::Vector3d row(1, d.x(), d.y());
+          const double r = residual(k) / (2.0 * spread);
+          const double near = 1 / (1 + nearest[k].first / (0.5 * reach_px2));
+          const double weight = near / (1 + r * r) / (1 + r * r);
+          normal += weight * row * row.transpose();
+          right += weight * of_axis[k] * row;
+        }
+        plane = normal.ldlt().solve(right);
+        information = normal;
+      }
+      velocity.velocity_px_s[axis] = plane[0];
+      variance = std::max(variance, spread * spread * information.inverse()(0, 0));
     }
     const double floor_px_s = scale_ * kFloorPx / to_seconds(nearest.front().second->since_ns);
-    velocity.stddev_px_s = std::hypot(floor_px_s, 1.2533 * spread_px_s / std::sqrt(static_cast<double>(count)));
+    velocity.stddev_px_s = std::sqrt(floor_px_s * floor_px_s + variance);
   }
   return velocities;
 }

@@ -20,13 +20,15 @@ namespace gyro_deblur {
 /// largest_width_px.
 struct ResidualFlowOptions {
   int largest_width_px = 500;
-  int max_corners = 200;
-  double min_distance_px = 12;
-  int window_px = 15;
+  int max_corners = 300;
+  double min_distance_px = 9;
+  int window_px = 11;
   int levels = 2;
-  int iterations = 10;
+  int iterations = 6;
   double max_round_trip_px = 0.75;
-  int neighbours = 9;  ///< corners that a block's velocity is the median of
+  int iterations_of_plane = 3;
+  double slope_prior = 0.02;
+  int neighbours = 12;  ///< corners that a block's velocity is the median of
 };
 
 /// Residual velocities of the images of one camera. Not thread-safe.
@@ -44,11 +46,11 @@ class ResidualFlow {
   /// Follows the corners of the image before into this one.
   /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
   /// @param motion     from the image before to this one; corners beyond what it covers are left out
-  const std::vector<Sample>& follow(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
-                                    const RowExposure& exposure);
-
-  /// Of each block of the newest image, at its exposure; nothing where too few corners are near.
-  ResidualField velocities(const BlockGrid& grid) const;
+  /// @param grid       of the blocks
+  /// @return of each block of this image, at the middle of its exposure: the mean since the image before, carried on by
+  ///         what has changed since the one before that; nothing where too few corners are near
+  ResidualField follow(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
+                       const RowExposure& exposure, const BlockGrid& grid);
 
   const std::vector<Sample>& samples() const { return samples_; }
 
@@ -61,12 +63,18 @@ class ResidualFlow {
  private:
   ResidualFlowOptions options_;
   cv::Mat shrink(const cv::Mat& luminance);
+  void follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
+                      const RowExposure& exposure);
+  /// Since the image before.
+  ResidualField mean_velocities(const BlockGrid& grid) const;
 
   std::vector<cv::Mat> pyramid_;      // of the newest image, smaller
   std::vector<cv::Point2f> corners_;  // of it, in its pixels
   double scale_ = 1;                  // pixels of the image in one of it
   std::optional<RowExposure> exposure_;
   std::vector<Sample> samples_;
+  ResidualField means_;  // since the image before
+  TimeNs mean_ns_ = 0;   // the middle of the time that they are means over
 };
 
 }  // namespace gyro_deblur

@@ -121,8 +121,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (flow_) {
     const Stopwatch watch;
     luminance = luminance8(image, layout, result.significant_bits);
-    flow_->follow(luminance, *camera_, motion, exposure);
-    residuals = flow_->velocities(estimator_->grid());
+    residuals = flow_->follow(luminance, *camera_, motion, exposure, estimator_->grid());
     result.times.flow_ms = watch.ms();
   }
   const Stopwatch blur_field_watch;
