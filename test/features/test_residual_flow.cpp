@@ -1,0 +1,184 @@
+#include "features/residual_flow.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+#include <yaml-cpp/yaml.h>
+#include <opencv2/imgproc.hpp>
+
+#include "gyro_deblur/blur_field.hpp"
+#include "sim/scene.hpp"
+#include "sim/simulator.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using sim::Simulator;
+
+constexpr int kBlockPx = 64;
+
+Simulator simulator_of(const std::string& motion) {
+  return Simulator(sim::parse_scene(YAML::Load(R"(
+frames: 8
+seed: 5
+camera: {size: [640, 480], intrinsics: [400, 400, 320, 240], fps: 20, exposure_time: 0.02, readout_time: 0.015, noise: 2}
+imu: {rate: 400}
+planes: [{size: [9, 7], position: [0, 0, 2], texture_size: [2400, 1800], texture_seed: 4}]
+)" + motion),
+                                    "", "residual flow"));
+}
+
+RotationTrack rotation_of(const Simulator& simulator, const Eigen::Vector3d& bias_rad_s = Eigen::Vector3d::Zero()) {
+  std::vector<GyroSample> samples;
+  for (const sim::ImuSample& s : simulator.imu()) samples.push_back({s.t_ns, s.rate_rad_s + bias_rad_s});
+  return RotationTrack(samples, GyroOptions{}, Eigen::Matrix3d::Identity());
+}
+
+/// The path of a block by its gyroscope and its residual velocity, less the true one [px].
+struct Errors {
+  std::vector<double> by_gyroscope_px, by_both_px;
+  std::size_t certain = 0, blocks = 0;
+};
+
+Errors errors_of(const Simulator& simulator, const CameraMotion& rotation) {
+  ResidualFlow flow;
+  const BlockGrid grid(640, 480, kBlockPx);
+  Errors errors;
+  for (int i = 0; i < simulator.frames(); ++i) {
+    const RowExposure exposure = simulator.exposure(i);
+    const ResidualField residuals = flow.follow(simulator.frame(i).image, simulator.camera(), rotation, exposure, grid);
+    if (i == 0) {
+      EXPECT_TRUE(residuals.empty()) << "there is nothing to follow from";
+    }
+    if (i < 2) continue;
+    for (int b = 0; b < grid.size(); ++b) {
+      const Eigen::Vector2d center_px = grid.center(b), truth_px = simulator.truth_displacement(i, center_px);
+      const double y = center_px.y();
+      const Eigen::Vector3d ray = simulator.camera().ray(center_px);
+      const auto place = [&](TimeNs t_ns) -> Eigen::Vector2d {
+        return simulator.camera().project(rotation.homography(exposure.middle(y), t_ns) * ray);
+      };
+      const Eigen::Vector2d by_gyroscope_px = place(exposure.end(y)) - place(exposure.start(y));
+      if (!truth_px.allFinite() || !by_gyroscope_px.allFinite()) continue;
+      ++errors.blocks;
+      errors.by_gyroscope_px.push_back((by_gyroscope_px - truth_px).norm());
+      Eigen::Vector2d both_px = by_gyroscope_px;
+      if (!residuals.empty() && residuals[b] && is_certain(*residuals[b], exposure.timing().exposure_ns)) {
+        ++errors.certain;
+        both_px += to_seconds(exposure.timing().exposure_ns) * residuals[b]->velocity_px_s;
+      }
+      errors.by_both_px.push_back((both_px - truth_px).norm());
+    }
+  }
+  return errors;
+}
+
+double percentile(std::vector<double> values, double part) {
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(part * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+TEST(ResidualFlow, TellsTheTranslationThatTheGyroscopeDoesNotKnow) {
+  const Simulator simulator = simulator_of(R"(
+motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
+  position: {sines: [{amplitude: [0.25, 0.15, 0.2], frequency: 0.8, phase: 70}]}}
+)");
+  const Errors errors = errors_of(simulator, rotation_of(simulator));
+  EXPECT_GT(percentile(errors.by_gyroscope_px, 0.5), 2);
+  EXPECT_LT(percentile(errors.by_both_px, 0.5), 0.25);
+  EXPECT_LT(percentile(errors.by_both_px, 0.9), 0.6);
+}
+
+TEST(ResidualFlow, LeavesATurningCameraToItsGyroscope) {
+  const Simulator simulator = simulator_of(R"(
+motion: {type: spline, rotation: {sines: [{amplitude: [9, 12, 6], frequency: 1.7, phase: 20}]}}
+)");
+  const Errors errors = errors_of(simulator, rotation_of(simulator));
+  EXPECT_LT(errors.certain, errors.blocks / 50);
+  EXPECT_LT(percentile(errors.by_both_px, 0.99), 0.2 + percentile(errors.by_gyroscope_px, 0.99));
+}
+
+TEST(ResidualFlow, MendsABiasThatNobodyTold) {
+  const Simulator simulator = simulator_of(R"(
+motion: {type: spline, rotation: {sines: [{amplitude: [6, 8, 4], frequency: 1.3, phase: 20}]}}
+)");
+  const Errors errors = errors_of(simulator, rotation_of(simulator, {0.05, -0.05, 0.05}));
+  EXPECT_GT(percentile(errors.by_gyroscope_px, 0.5), 0.4);
+  EXPECT_LT(percentile(errors.by_both_px, 0.5), 0.25);
+}
+
+class StillCamera : public ::testing::Test {
+ protected:
+  static constexpr TimeNs kPeriodNs = 50'000'000;
+
+  StillCamera() {
+    CameraCalibration calibration;
+    calibration.width_px = 640;
+    calibration.height_px = 480;
+    calibration.fx_px = calibration.fy_px = 400;
+    calibration.cx_px = 319.5;
+    calibration.cy_px = 239.5;
+    camera_ = Camera(calibration);
+    std::vector<GyroSample> samples;
+    for (TimeNs t_ns = -kPeriodNs; t_ns < 100 * kPeriodNs; t_ns += 5'000'000) samples.push_back({t_ns, {0, 0, 0}});
+    rotation_ = RotationTrack(samples, GyroOptions{}, Eigen::Matrix3d::Identity());
+    cv::extractChannel(sim::procedural_texture(900, 700, 3), texture_, 1);
+  }
+
+  ResidualField follow(TimeNs stamp_ns, const cv::Mat& image) {
+    ShutterTiming timing;
+    timing.exposure_ns = 10'000'000;
+    return flow_.follow(image, camera_, rotation_, RowExposure(stamp_ns, 480, timing), grid_);
+  }
+  cv::Mat view(int x, int y) const { return texture_(cv::Rect(x, y, 640, 480)); }
+
+  Camera camera_{CameraCalibration{}};
+  RotationTrack rotation_{{}, GyroOptions{}, Eigen::Matrix3d::Identity()};
+  BlockGrid grid_{640, 480, kBlockPx};
+  cv::Mat texture_;
+  ResidualFlow flow_;
+};
+
+TEST_F(StillCamera, SeesAShiftAsAVelocity) {
+  for (int i = 0; i < 4; ++i) {
+    const ResidualField residuals = follow(i * kPeriodNs, view(100 - 6 * i, 80 + 4 * i));
+    if (i < 2) continue;
+    ASSERT_EQ(residuals.size(), static_cast<std::size_t>(grid_.size()));
+    for (const auto& residual : residuals) {
+      ASSERT_TRUE(residual);
+      EXPECT_NEAR(residual->velocity_px_s.x(), 6 / 0.05, 4) << "within 0.2 px a frame";
+      EXPECT_NEAR(residual->velocity_px_s.y(), -4 / 0.05, 4);
+      EXPECT_LT(residual->stddev_px_s, 10);
+    }
+  }
+}
+
+TEST_F(StillCamera, SeesNothingAtRest) {
+  for (int i = 0; i < 3; ++i) {
+    for (const auto& residual : follow(i * kPeriodNs, view(100, 80))) {
+      EXPECT_TRUE(!residual || !is_certain(*residual, 10'000'000));
+    }
+  }
+}
+
+TEST_F(StillCamera, KnowsNothingAcrossACutOrALongBreakOrWithoutTexture) {
+  follow(0, view(100, 80));
+  cv::Mat other;
+  cv::flip(view(150, 120), other, -1);
+  std::size_t certain = 0;
+  for (const auto& residual : follow(kPeriodNs, other)) certain += residual && is_certain(*residual, 10'000'000);
+  EXPECT_LE(certain, static_cast<std::size_t>(grid_.size()) / 20);
+  EXPECT_TRUE(follow(20 * kPeriodNs, view(100, 80)).empty()) << "a second later";
+  EXPECT_TRUE(follow(19 * kPeriodNs, view(100, 80)).empty()) << "back in time";
+  const cv::Mat wall(480, 640, CV_8UC1, cv::Scalar(90));
+  for (int i = 20; i < 23; ++i) {
+    for (const auto& residual : follow(i * kPeriodNs, wall)) EXPECT_FALSE(residual && i > 20);
+  }
+}
+
+}  // namespace
+}  // namespace gyro_deblur
