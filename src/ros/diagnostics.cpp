@@ -102,6 +102,7 @@ void DiagnosticReport::add(const FrameOutput& output) {
   latencies_["waiting"].add(output.waiting_ms);
   latencies_["processing"].add(output.total_ms);
   if (!output.field) return;
+  latencies_["motion from images"].add(output.stages.flow_ms);
   latencies_["blur field"].add(output.stages.blur_field_ms);
   latencies_["validation"].add(output.stages.validation_ms);
   latencies_["deconvolution"].add(output.stages.deconvolution_ms);

@@ -31,7 +31,16 @@ BlurFieldPtr to_message(const FrameBlur& field, const std_msgs::Header& header) 
   message->angle.reserve(field.blocks.size());
   message->extent.reserve(field.blocks.size());
   message->status.reserve(field.blocks.size());
+  message->source.reserve(field.blocks.size());
+  message->residual_x.reserve(field.blocks.size());
+  message->residual_y.reserve(field.blocks.size());
+  message->residual_stddev.reserve(field.blocks.size());
   for (const BlockBlur& block : field.blocks) {
+    const ResidualVelocity residual = block.residual.value_or(ResidualVelocity{});
+    message->source.push_back(block.residual ? BlurField::SOURCE_IMAGES : BlurField::SOURCE_GYROSCOPE);
+    message->residual_x.push_back(static_cast<float>(residual.velocity_px_s.x()));
+    message->residual_y.push_back(static_cast<float>(residual.velocity_px_s.y()));
+    message->residual_stddev.push_back(static_cast<float>(residual.stddev_px_s));
     message->angle.push_back(block.angle_rad);
     message->extent.push_back(block.extent_px);
     message->status.push_back(static_cast<std::uint8_t>(block.status));
