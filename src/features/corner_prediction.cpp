@@ -10,24 +10,34 @@ std::optional<Eigen::Vector3d> turned_ray(const Eigen::Vector2d& pixel_px, const
   return motion.rotation(from_ns, to_ns) * camera.ray(pixel_px);
 }
 
-std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
-                                               const CameraMotion& motion, const RowExposure& from, TimeNs to_ns) {
-  const auto direction = turned_ray(pixel_px, camera, motion, from.middle(pixel_px.y()), to_ns);
-  if (!direction) return std::nullopt;
-  const Eigen::Vector2d at_px = camera.project(*direction);
+namespace {
+
+std::optional<Eigen::Vector2d> pixel_of(const Eigen::Vector3d& ray, const Camera& camera, const CameraMotion& motion,
+                                        TimeNs from_ns, TimeNs to_ns) {
+  if (!motion.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) return std::nullopt;
+  const Eigen::Vector2d at_px = camera.project(motion.rotation(from_ns, to_ns) * ray);
   if (!at_px.allFinite()) return std::nullopt;
   return at_px;
+}
+
+}  // namespace
+
+std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
+                                               const CameraMotion& motion, const RowExposure& from, TimeNs to_ns) {
+  return pixel_of(camera.ray(pixel_px), camera, motion, from.middle(pixel_px.y()), to_ns);
 }
 
 std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
                                                const CameraMotion& motion, const RowExposure& from,
                                                const RowExposure& to) {
   const double last_row = camera.calibration().height_px - 1.0;
+  const Eigen::Vector3d ray = camera.ray(pixel_px);  // undistorting takes most of the time
+  const TimeNs from_ns = from.middle(pixel_px.y());
   Eigen::Vector2d at_px = pixel_px;
   // The row decides when it is seen, and that decides the row.
-  for (int iteration = 0; iteration < 3; ++iteration) {
-    const auto next_px =
-        predicted_pixel(pixel_px, camera, motion, from, to.middle(std::clamp(at_px.y(), 0.0, last_row)));
+  const int iterations = to.timing().readout_ns == 0 ? 1 : 3;
+  for (int iteration = 0; iteration < iterations; ++iteration) {
+    const auto next_px = pixel_of(ray, camera, motion, from_ns, to.middle(std::clamp(at_px.y(), 0.0, last_row)));
     if (!next_px) return std::nullopt;
     at_px = *next_px;
   }
