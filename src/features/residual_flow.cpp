@@ -69,9 +69,11 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
     const TimeNs mean_ns = exposure.start(0) - to_ns(half_s);
     carried = means;
     for (std::size_t i = 0; i < means.size() && means_.size() == means.size(); ++i) {
-      if (!means[i] || !means_[i]) continue;
+      if (!means[i]) continue;
+      const auto before_px_s = mean_before(grid, static_cast<int>(i), camera, motion, exposure);
+      if (!before_px_s) continue;
       const Eigen::Vector2d change =
-          (means[i]->velocity_px_s - means_[i]->velocity_px_s) * half_s / to_seconds(mean_ns - mean_ns_);
+          (means[i]->velocity_px_s - *before_px_s) * half_s / to_seconds(mean_ns - mean_ns_);
       carried[i]->velocity_px_s += change;
       // That the change goes on is likely, not certain.
       carried[i]->stddev_px_s = std::hypot(means[i]->stddev_px_s, 0.5 * change.norm());
@@ -86,6 +88,37 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
   pyramid_ = std::move(pyramid);
   exposure_ = exposure;
   return carried;
+}
+
+std::optional<Eigen::Vector2d> ResidualFlow::mean_before(const BlockGrid& grid, int block, const Camera& camera,
+                                                         const CameraMotion& motion,
+                                                         const RowExposure& exposure) const {
+  const Eigen::Vector2d center_px = grid.center(block);
+  const auto there_px = predicted_pixel(center_px, camera, motion, exposure, *exposure_);
+  if (!there_px) return std::nullopt;
+  const double size = grid.block_size_px();
+  const double col = std::clamp((there_px->x() + 0.5) / size - 0.5, 0.0, grid.cols() - 1.0);
+  const double row = std::clamp((there_px->y() + 0.5) / size - 0.5, 0.0, grid.rows() - 1.0);
+  const int col0 = static_cast<int>(col), row0 = static_cast<int>(row);
+  const double u = col - col0, v = row - row0;
+  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+  for (const int r : {row0, row0 + 1}) {
+    for (const int c : {col0, col0 + 1}) {
+      const double weight = (r == row0 ? 1 - v : v) * (c == col0 ? 1 - u : u);
+      if (weight == 0) continue;
+      const auto& mean = means_[r * grid.cols() + c];
+      if (!mean) return std::nullopt;
+      sum += weight * mean->velocity_px_s;
+    }
+  }
+  constexpr double kStepS = 0.01;
+  const auto a = predicted_pixel(*there_px, camera, motion, *exposure_, exposure.middle(center_px.y()));
+  const auto b = turned_ray(*there_px + kStepS * sum, camera, motion, exposure_->middle(there_px->y()),
+                                 exposure.middle(center_px.y()));
+  if (!a || !b) return std::nullopt;
+  const Eigen::Vector2d b_px = camera.project(*b);
+  if (!b_px.allFinite()) return std::nullopt;
+  return (b_px - *a) / kStepS;
 }
 
 void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,

@@ -19,16 +19,16 @@ namespace gyro_deblur {
 /// How corners are followed. Lengths are those of the image that they are followed in: halved until it is no wider than
 /// largest_width_px.
 struct ResidualFlowOptions {
-  int largest_width_px = 500;
+  int largest_width_px = 250;
   int max_corners = 300;
-  double min_distance_px = 9;
-  int window_px = 11;
+  double min_distance_px = 6;
+  int window_px = 9;
   int levels = 2;
   int iterations = 6;
   double max_round_trip_px = 0.75;
   int iterations_of_plane = 3;
   double slope_prior = 0.02;
-  int neighbours = 12;  ///< corners that a block's velocity is the median of
+  int neighbours = 16;  ///< corners that a block's velocity is the median of
 };
 
 /// Residual velocities of the images of one camera. Not thread-safe.
@@ -65,6 +65,8 @@ class ResidualFlow {
   cv::Mat shrink(const cv::Mat& luminance);
   void follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
                       const RowExposure& exposure);
+  std::optional<Eigen::Vector2d> mean_before(const BlockGrid& grid, int block, const Camera& camera,
+                                             const CameraMotion& motion, const RowExposure& exposure) const;
   /// Since the image before.
   ResidualField mean_velocities(const BlockGrid& grid) const;
 

@@ -55,6 +55,7 @@ Pipeline::Pipeline(const PipelineOptions& options, EngineFactory engine_factory)
   set_options(options);
 }
 
+Pipeline::Pipeline(Pipeline&&) noexcept = default;
 Pipeline::~Pipeline() = default;
 
 void Pipeline::set_options(const PipelineOptions& options) {

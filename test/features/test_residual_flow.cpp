@@ -43,7 +43,7 @@ struct Errors {
   std::size_t certain = 0, blocks = 0;
 };
 
-Errors errors_of(const Simulator& simulator, const CameraMotion& rotation) {
+Errors errors_of(Simulator simulator, const CameraMotion& rotation) {
   ResidualFlow flow;
   const BlockGrid grid(640, 480, kBlockPx);
   Errors errors;
