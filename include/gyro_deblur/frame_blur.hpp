@@ -1,6 +1,7 @@
 // The blur of one image: a grid of blocks, each blurred along a line of its own.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -48,6 +49,14 @@ class BlockGrid {
   /// Index of the block that holds the pixel; coordinates outside the image are clamped to it.
   int index_at(double x_px, double y_px) const;
 
+  /// Four blocks whose centres are around a pixel, and their shares in a bilinear interpolation, which sum to 1; beyond
+  /// the outermost centres those on the border.
+  struct Neighbour {
+    int index;
+    double share;
+  };
+  std::array<Neighbour, 4> around(const Eigen::Vector2d& pixel_px) const;
+
   bool operator==(const BlockGrid& other) const;
 
  private:
@@ -84,9 +93,8 @@ struct BlockBlur {
   std::optional<ResidualVelocity> residual = std::nullopt;
 
   /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
-  /// point into the middle of the line that it stands for (to 0.4 px up to 60 px, at the limit of evenness), the kernel
-  /// of an uneven path to where the point was; across the line, and where nothing is filtered, blur stays centred on
-  /// its mean.
+  /// point towards the middle of the line that it stands for, the farther the longer it is, the kernel of an uneven path
+  /// to where the point was; across the line, and where nothing is filtered, blur stays centred on its mean.
   Eigen::Vector2d shown_offset_px() const;
 };
 

@@ -52,6 +52,28 @@ int BlockGrid::index_at(double x_px, double y_px) const {
   return y / block_size_px_ * cols_ + x / block_size_px_;
 }
 
+std::array<BlockGrid::Neighbour, 4> BlockGrid::around(const Eigen::Vector2d& pixel_px) const {
+  struct Between {
+    int first, second;
+    double share_of_second;
+  };
+  const auto between = [this](double place_px, int count, int length_px) -> Between {
+    const auto center = [&](int i) {
+      return 0.5 * (i * block_size_px_ + std::min((i + 1) * block_size_px_, length_px) - 1);
+    };
+    const double first = std::clamp((place_px - center(0)) / block_size_px_, 0.0, std::max(0, count - 2) * 1.0);
+    const int i = static_cast<int>(first);
+    if (i + 1 >= count) return {i, i, 0};
+    return {i, i + 1, std::clamp((place_px - center(i)) / (center(i + 1) - center(i)), 0.0, 1.0)};
+  };
+  const Between col = between(pixel_px.x(), cols_, width_px_), row = between(pixel_px.y(), rows_, height_px_);
+  const double u = col.share_of_second, v = row.share_of_second;
+  return {{{row.first * cols_ + col.first, (1 - v) * (1 - u)},
+           {row.first * cols_ + col.second, (1 - v) * u},
+           {row.second * cols_ + col.first, v * (1 - u)},
+           {row.second * cols_ + col.second, v * u}}};
+}
+
 bool BlockGrid::operator==(const BlockGrid& other) const {
   return width_px_ == other.width_px_ && height_px_ == other.height_px_ && block_size_px_ == other.block_size_px_;
 }
@@ -64,8 +86,13 @@ Eigen::Vector2d BlockBlur::shown_offset_px() const {
   const Eigen::Vector2d mean_px = mean_place_px.cast<double>();
   if (status != BlockStatus::DEBLURRED) return mean_px;
   const Eigen::Vector2d line(std::cos(angle_rad), std::sin(angle_rad));
-  const double along_px = uneven_path_px ? 0 : line.dot(chord_middle_px.cast<double>());
-  return along_px * line + (mean_px - line.dot(mean_px) * line);
+  // What a corner needs to be told from a box: of an extent near it, blur's own centre remains. Measured on corners at
+  // 10 to 60 px by experiments/motion_from_images, whose slopes it brings to 1 within 0.05.
+  constexpr double kCornerPx = 7.5;
+  const Eigen::Vector2d middle_px =
+      (1 - kCornerPx / std::max<double>(extent_px, kCornerPx)) * (chord_middle_px.cast<double>() - mean_px);
+  const double along_px = uneven_path_px ? -line.dot(mean_px) : line.dot(middle_px);
+  return mean_px + along_px * line;
 }
 
 double axial_angle(double dx, double dy) {

@@ -44,4 +44,14 @@ std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, 
   return at_px;
 }
 
+std::optional<Eigen::Vector2d> mean_offset(const Eigen::Vector2d& pixel_px, const Camera& camera,
+                                           const CameraMotion& motion, const RowExposure& exposure) {
+  const Eigen::Vector3d ray = camera.ray(pixel_px);
+  const TimeNs middle_ns = exposure.middle(pixel_px.y());
+  const auto first_px = pixel_of(ray, camera, motion, middle_ns, exposure.start(pixel_px.y()));
+  const auto last_px = pixel_of(ray, camera, motion, middle_ns, exposure.end(pixel_px.y()));
+  if (!first_px || !last_px) return std::nullopt;
+  return (*first_px + *last_px - 2 * pixel_px) / 6;  // Simpson's rule
+}
+
 }  // namespace gyro_deblur

@@ -25,4 +25,9 @@ std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, 
                                                const CameraMotion& motion, const RowExposure& from,
                                                const RowExposure& to);
 
+/// Where what is at `pixel_px` in the middle of its row's exposure is on average within it, less `pixel_px`: a blurred
+/// corner is seen there. Nothing where the rotation is not known.
+std::optional<Eigen::Vector2d> mean_offset(const Eigen::Vector2d& pixel_px, const Camera& camera,
+                                           const CameraMotion& motion, const RowExposure& exposure);
+
 }  // namespace gyro_deblur

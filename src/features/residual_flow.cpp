@@ -20,6 +20,8 @@ constexpr double kCornerQuality = 0.01;
 constexpr TimeNs kLongestStepNs = 250'000'000;
 /// What Lucas-Kanade leaves on blurred frames where all neighbours agree, in the smaller image [px].
 constexpr double kFloorPx = 0.1;
+/// Of the change that is carried on: a velocity need not go on changing as it did. Measured on recorded flights.
+constexpr double kDoubtOfChange = 0.25;
 
 bool inside(const cv::Point2f& p, const cv::Size& size, float margin) {
   return p.x >= margin && p.y >= margin && p.x <= static_cast<float>(size.width - 1) - margin &&
@@ -64,19 +66,17 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
   ResidualField carried;
   if (exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size()) {
     follow_corners(pyramid, camera, motion, exposure);
+    const TimeNs step_ns = exposure.start(0) - exposure_->start(0), mean_ns = exposure.start(0) - step_ns / 2;
     ResidualField means = mean_velocities(grid);
-    const double half_s = 0.5 * to_seconds(exposure.start(0) - exposure_->start(0));
-    const TimeNs mean_ns = exposure.start(0) - to_ns(half_s);
     carried = means;
-    for (std::size_t i = 0; i < means.size() && means_.size() == means.size(); ++i) {
+    for (int i = 0; i < grid.size() && means_.size() == means.size(); ++i) {
       if (!means[i]) continue;
-      const auto before_px_s = mean_before(grid, static_cast<int>(i), camera, motion, exposure);
+      const auto before_px_s = velocity_before(i, *means[i], grid, camera, motion, exposure);
       if (!before_px_s) continue;
-      const Eigen::Vector2d change =
-          (means[i]->velocity_px_s - *before_px_s) * half_s / to_seconds(mean_ns - mean_ns_);
-      carried[i]->velocity_px_s += change;
-      // That the change goes on is likely, not certain.
-      carried[i]->stddev_px_s = std::hypot(means[i]->stddev_px_s, 0.5 * change.norm());
+      const Eigen::Vector2d change_px_s =
+          (means[i]->velocity_px_s - *before_px_s) * (to_seconds(step_ns / 2) / to_seconds(mean_ns - mean_ns_));
+      carried[i]->velocity_px_s += change_px_s;
+      carried[i]->stddev_px_s = std::hypot(means[i]->stddev_px_s, kDoubtOfChange * change_px_s.norm());
     }
     means_ = std::move(means);
     mean_ns_ = mean_ns;
@@ -90,35 +90,31 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
   return carried;
 }
 
-std::optional<Eigen::Vector2d> ResidualFlow::mean_before(const BlockGrid& grid, int block, const Camera& camera,
-                                                         const CameraMotion& motion,
-                                                         const RowExposure& exposure) const {
+std::optional<Eigen::Vector2d> ResidualFlow::velocity_before(int block, const ResidualVelocity& mean,
+                                                             const BlockGrid& grid, const Camera& camera,
+                                                             const CameraMotion& motion,
+                                                             const RowExposure& exposure) const {
   const Eigen::Vector2d center_px = grid.center(block);
-  const auto there_px = predicted_pixel(center_px, camera, motion, exposure, *exposure_);
+  const TimeNs now_ns = exposure.middle(center_px.y());
+  const Eigen::Vector2d moved_px = to_seconds(exposure.start(0) - exposure_->start(0)) * mean.velocity_px_s;
+  const auto there_px = predicted_pixel(center_px - moved_px, camera, motion, exposure, *exposure_);
   if (!there_px) return std::nullopt;
-  const double size = grid.block_size_px();
-  const double col = std::clamp((there_px->x() + 0.5) / size - 0.5, 0.0, grid.cols() - 1.0);
-  const double row = std::clamp((there_px->y() + 0.5) / size - 0.5, 0.0, grid.rows() - 1.0);
-  const int col0 = static_cast<int>(col), row0 = static_cast<int>(row);
-  const double u = col - col0, v = row - row0;
-  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
-  for (const int r : {row0, row0 + 1}) {
-    for (const int c : {col0, col0 + 1}) {
-      const double weight = (r == row0 ? 1 - v : v) * (c == col0 ? 1 - u : u);
-      if (weight == 0) continue;
-      const auto& mean = means_[r * grid.cols() + c];
-      if (!mean) return std::nullopt;
-      sum += weight * mean->velocity_px_s;
-    }
+  Eigen::Vector2d velocity_px_s = Eigen::Vector2d::Zero();
+  for (const BlockGrid::Neighbour& neighbour : grid.around(*there_px)) {
+    if (neighbour.share == 0) continue;
+    if (!means_[neighbour.index]) return std::nullopt;
+    velocity_px_s += neighbour.share * means_[neighbour.index]->velocity_px_s;
   }
-  constexpr double kStepS = 0.01;
-  const auto a = predicted_pixel(*there_px, camera, motion, *exposure_, exposure.middle(center_px.y()));
-  const auto b = turned_ray(*there_px + kStepS * sum, camera, motion, exposure_->middle(there_px->y()),
-                                 exposure.middle(center_px.y()));
-  if (!a || !b) return std::nullopt;
-  const Eigen::Vector2d b_px = camera.project(*b);
-  if (!b_px.allFinite()) return std::nullopt;
-  return (b_px - *a) / kStepS;
+  // As an arrow in the image it turns, and grows towards the border, with the camera's rotation.
+  constexpr double kArrowS = 0.01;
+  const RowExposure& then = *exposure_;
+  const TimeNs then_ns = then.middle(there_px->y());
+  const auto foot = turned_ray(*there_px, camera, motion, then_ns, now_ns);
+  const auto head = turned_ray(*there_px + kArrowS * velocity_px_s, camera, motion, then_ns, now_ns);
+  if (!foot || !head) return std::nullopt;
+  const Eigen::Vector2d turned_px_s = (camera.project(*head) - camera.project(*foot)) / kArrowS;
+  if (!turned_px_s.allFinite()) return std::nullopt;
+  return turned_px_s;
 }
 
 void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
@@ -147,8 +143,13 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
   for (std::size_t i = 0; i < after.size(); ++i) {
     if (!found[i] || !found_back[i] || !inside(after[i], size, 0)) continue;
     if (cv::norm(back[i] - before[i]) > options_.max_round_trip_px) continue;
-    const Eigen::Vector2d from_px(scale * before[i].x, scale * before[i].y);
-    const Eigen::Vector2d pixel_px(scale * after[i].x, scale * after[i].y);
+    Eigen::Vector2d from_px(scale * before[i].x, scale * before[i].y);
+    Eigen::Vector2d pixel_px(scale * after[i].x, scale * after[i].y);
+    const auto from_offset_px = mean_offset(from_px, camera, motion, *exposure_);
+    const auto offset_px = mean_offset(pixel_px, camera, motion, exposure);
+    if (!from_offset_px || !offset_px) continue;
+    from_px -= *from_offset_px;
+    pixel_px -= *offset_px;
     // Where the rotation takes it by the time that the row in which it was found is exposed.
     const auto at = predicted_pixel(from_px, camera, motion, *exposure_, exposure.middle(pixel_px.y()));
     if (!at) continue;

@@ -28,7 +28,7 @@ struct ResidualFlowOptions {
   double max_round_trip_px = 0.75;
   int iterations_of_plane = 3;
   double slope_prior = 0.02;
-  int neighbours = 16;  ///< corners that a block's velocity is the median of
+  int neighbours = 20;  ///< corners that a block's velocity is a plane through
 };
 
 /// Residual velocities of the images of one camera. Not thread-safe.
@@ -65,8 +65,12 @@ class ResidualFlow {
   cv::Mat shrink(const cv::Mat& luminance);
   void follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
                       const RowExposure& exposure);
-  std::optional<Eigen::Vector2d> mean_before(const BlockGrid& grid, int block, const Camera& camera,
-                                             const CameraMotion& motion, const RowExposure& exposure) const;
+  /// What the image before had for the velocity of what a block shows now, as it would be seen now; nothing where that
+  /// is not known.
+  /// @param mean  of the block, since the image before
+  std::optional<Eigen::Vector2d> velocity_before(int block, const ResidualVelocity& mean, const BlockGrid& grid,
+                                                 const Camera& camera, const CameraMotion& motion,
+                                                 const RowExposure& exposure) const;
   /// Since the image before.
   ResidualField mean_velocities(const BlockGrid& grid) const;
 
