@@ -47,6 +47,9 @@ class BitDepth {
 /// @param significant_bits  of 16-bit images: 2^bits - 1 becomes 255, more too
 cv::Mat luminance8(const cv::Mat& image, PixelLayout layout, int significant_bits = 16);
 
+/// Colours (BGR, depth as it is) of a Bayer mosaic, CV_8UC1 or CV_16UC1. Precondition: is_bayer(layout).
+cv::Mat demosaiced(const cv::Mat& mosaic, PixelLayout layout);
+
 /// Takes what filtering has added to `output` beyond the range of significant bits out of it again; a pixel that was
 /// beyond it in `input` keeps that value. Precondition: same size and type.
 void keep_range(const cv::Mat& input, int significant_bits, cv::Mat& output);

@@ -3,25 +3,64 @@
 
 #include <opencv2/core.hpp>
 
+#include <Eigen/Core>
+
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/image_format.hpp"
+#include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
 
-/// Where each pixel of the image at `reference_ns` is found in the image as it arrived: CV_32FC2 of the camera's size,
-/// NaN where nothing is known. Agrees with rectify_points(): what that moves from q to p is found for p at q. Worked
-/// out on a grid of 16 px, linear between (the error of that is below 0.02 px up to 5 rad/s and 20 ms of readout at a
-/// focal length of 460 px).
-/// @param field   of the whole image; residual velocities are interpolated between the centres of blocks, and are 0 for
-///                those that have none
-/// @param motion  blocks whose times to the reference it does not cover stay where they are
-cv::Mat global_shutter_map(const FrameBlur& field, const Camera& camera, const CameraMotion& motion,
-                           const RowExposure& exposure, TimeNs reference_ns);
+/// Where a global-shutter image takes its pixels from: known at nodes, cubic between them.
+class GlobalShutterMap {
+ public:
+  static constexpr int kStepPx =
+      16;  ///< between nodes; the centres of blocks of 32 px and its multiples are among them
 
-/// The image resampled by the map, bilinearly; pixels without a place in it, and those from beyond its border, are 0.
-/// @param image  any type that cv::remap takes; not a Bayer mosaic
-cv::Mat to_global_shutter(const cv::Mat& image, const cv::Mat& map);
+  GlobalShutterMap() = default;
+
+  /// Nothing is known.
+  bool empty() const { return nodes_px_.empty(); }
+  cv::Size size() const { return size_; }
+
+  /// Where the image as it arrived shows what the global-shutter image shows at `pixel_px`; may lie beyond its border.
+  /// Preconditions: not empty, a pixel of the image.
+  Eigen::Vector2d at(const Eigen::Vector2d& pixel_px) const;
+
+ private:
+  friend GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera, const CameraMotion& motion,
+                                             const RowExposure& exposure, TimeNs reference_ns, int threads);
+  friend cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, ImageBorder border, int threads);
+  /// The pixels of rows [begin, begin + whole_px.rows) in cv::remap's fixed point.
+  void fill(int begin, cv::Mat* whole_px, cv::Mat* fractions) const;
+
+  cv::Size size_;
+  cv::Mat nodes_px_;  // CV_32FC2; one step more than what encloses the image on all sides
+};
+
+/// True when all rows are exposed at once, around the reference time: the image is what a map would make of it, except
+/// for BlockBlur::shown_offset_px(), which is not worth resampling it.
+bool is_global_shutter(const RowExposure& exposure, TimeNs reference_ns);
+
+/// Takes every row to `reference_ns`. The inverse of rectify_points(): what that moves from q to p is found for p at q,
+/// to 0.02 px at 5 rad/s and 20 ms of readout (to 0.25 px within 16 px of the corners of a wide lens, to 0.1 px where
+/// neighbouring blocks are moved by 1 px more or less). Blocks that rectify_points() leaves alone move as their
+/// neighbours do: an image has to stay whole. For the same reason rows whose time to the reference `motion` does not
+/// cover are moved as far as the nearest row that it covers, and what is beyond the lens model as what is nearest
+/// within. Empty where `motion` covers no row, or nothing lies within the lens model.
+/// @param field    of the whole image (at least one block)
+/// @param threads  at most; 0: one for each core
+GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera, const CameraMotion& motion,
+                                    const RowExposure& exposure, TimeNs reference_ns, int threads = 0);
+
+/// The image resampled by the map, once and bilinearly.
+/// @param image   CV_8U or CV_16U of the map's size, 1, 3 or 4 channels, sides below 32768 px; not a Bayer mosaic
+/// @param border  what is put where the map leaves the image
+/// Throws std::invalid_argument when image and map do not fit, or the map is empty.
+cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, ImageBorder border = ImageBorder::BLACK,
+                          int threads = 0);
 
 }  // namespace gyro_deblur

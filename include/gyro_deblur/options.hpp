@@ -99,8 +99,14 @@ struct TrackerOptions {
   void validate() const;  ///< throws OptionError
 };
 
-/// The instant at which rectified keypoints hold.
+/// The instant at which rectified keypoints, and the global-shutter image, hold.
 enum class RectifyTo { FIRST_ROW, MIDDLE_ROW, LAST_ROW, STAMP };
+
+/// What a global-shutter image has where the rolling-shutter one ends.
+enum class ImageBorder {
+  BLACK,
+  REPLICATE  ///< the nearest pixel
+};
 
 /// Gyroscope intake.
 struct GyroOptions {
@@ -138,6 +144,7 @@ struct PipelineOptions {
   KeypointOptions keypoints;
   bool motion_from_images = true;  ///< what the gyroscope does not know of a motion, see ResidualFlow
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
+  ImageBorder global_shutter_border = ImageBorder::BLACK;
   std::string engine = "auto";  ///< see make_engine
   int threads = 0;              ///< of validation, kernels and engine, at most; 0: one for each core
   int significant_bits = 0;     ///< of 16-bit images, 8 to 16; 0: guessed, see BitDepth

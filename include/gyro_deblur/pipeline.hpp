@@ -26,9 +26,10 @@ class ResidualFlow;
 
 /// What a caller wants of a frame; nothing else is computed.
 struct PipelineRequest {
-  bool image = true;       ///< the deblurred image
-  bool keypoints = true;   ///< keypoints and rectification (implies the deblurred luminance)
-  bool luminance = false;  ///< the deblurred luminance
+  bool image = true;            ///< the deblurred image
+  bool keypoints = true;        ///< keypoints and rectification (implies the deblurred luminance)
+  bool luminance = false;       ///< the deblurred luminance
+  bool global_shutter = false;  ///< the deblurred image with all rows moved to the reference time
   /// Asked with the validated field before anything is deblurred. False: every block that would be is REJECTED.
   std::function<bool(const FrameBlur&)> permit = {};
 };
@@ -40,18 +41,25 @@ struct StageTimes {
   double validation_ms = 0;
   double deconvolution_ms = 0;
   double keypoints_ms = 0;
+  double global_shutter_ms = 0;
 };
 
 struct PipelineResult {
-  FrameBlur field;    ///< validated
-  cv::Mat image;      ///< deblurred; empty when not requested, or when no block was changed (use the input)
+  FrameBlur field;  ///< validated
+  /// Deblurred; empty when neither it nor the global-shutter image was requested, or when no block was changed (use the
+  /// input).
+  cv::Mat image;
   cv::Mat luminance;  ///< deblurred, CV_8UC1; may share memory with the input; empty when not requested
-  Features features;  ///< in pixels of the image as it arrived
+  /// The deblurred image at the reference time; empty when not requested, or where no motion is known: it cannot be
+  /// told then. A mosaic's is BGR, except when all rows were exposed around the reference time: then it is `image`, or
+  /// the input, itself, and shares its memory.
+  cv::Mat global_shutter;
+  Features features;                   ///< in pixels of the image as it arrived
   std::vector<RectifiedPoint> points;  ///< one for each of features.keypoints
   /// Why there are no keypoints though they were requested, such as a detector that OpenCV does not have; else empty.
   std::string keypoints_text;
   int significant_bits = 8;  ///< of the image that came in, see BitDepth
-  TimeNs reference_ns = 0;   ///< camera clock; at which points[].rectified_px hold
+  TimeNs reference_ns = 0;   ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;
   SlowBlocks slow_blocks;  ///< blocks that left the engine's fast path, and why
 };
@@ -101,6 +109,9 @@ class Pipeline {
                         const std::optional<CameraCalibration>& calibration);
 
  private:
+  /// @param image  deblurred
+  void move_to_reference(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
+                         const RowExposure& exposure, PipelineResult* result) const;
   /// Fills features, or keypoints_text.
   void extract(const cv::Mat& luminance, PipelineResult* result);
 

@@ -154,14 +154,10 @@ cv::Mat luminance8(const cv::Mat& image, PixelLayout layout, int significant_bit
 
   cv::Mat gray = image;
   if (is_bayer(layout)) {
-    if (image.cols >= kMinBayerSidePx && image.rows >= kMinBayerSidePx) {
-      // OpenCV's direct conversion (COLOR_Bayer*2GRAY) leaves a checkerboard of up to 8 % on a uniform colour, which
-      // validation would take for sharp edges.
-      cv::Mat color;
-      cv::cvtColor(image, color, demosaicing(layout));
-      gray = cv::Mat();  // it would be written into the mosaic, which has the same type
-      cv::cvtColor(color, gray, luminance_conversion(layout));
-    }
+    // OpenCV's direct conversion (COLOR_Bayer*2GRAY) leaves a checkerboard of up to 8 % on a uniform colour, which
+    // validation would take for sharp edges.
+    gray = cv::Mat();  // it would be written into the mosaic, which has the same type
+    cv::cvtColor(demosaiced(image, layout), gray, luminance_conversion(layout));
   } else if (layout != PixelLayout::GRAY) {
     cv::cvtColor(image, gray, luminance_conversion(layout));
   }
@@ -171,6 +167,13 @@ cv::Mat luminance8(const cv::Mat& image, PixelLayout layout, int significant_bit
     return gray8;
   }
   return gray;
+}
+
+cv::Mat demosaiced(const cv::Mat& mosaic, PixelLayout layout) {
+  const bool is_large = mosaic.cols >= kMinBayerSidePx && mosaic.rows >= kMinBayerSidePx;
+  cv::Mat color;
+  cv::cvtColor(mosaic, color, is_large ? demosaicing(layout) : cv::COLOR_GRAY2BGR);
+  return color;
 }
 
 void keep_range(const cv::Mat& input, int significant_bits, cv::Mat& output) {

@@ -117,6 +117,8 @@ ParameterGroup image() {
           {
               {"significant_bits", &PipelineOptions::significant_bits, within(0, 16),
                "of 16-bit images, 8 to 16; 0: the fewest of 10, 12, 14, 16 that hold all pixels so far", RUNNING},
+              {"global_shutter_border", &PipelineOptions::global_shutter_border,
+               "what the global-shutter image has where the image ends: nothing, or the nearest pixel"},
           }};
 }
 
@@ -235,7 +237,8 @@ ParameterGroup keypoints() {
               {"grid_cols", &Keypoints::grid_cols, within(1, 64),
                "columns of the grid over which the limit is shared evenly", RUNNING},
               {"grid_rows", &Keypoints::grid_rows, within(1, 64), "rows of that grid", RUNNING},
-              {"rectify_to", &PipelineOptions::rectify_to, "the instant at which rectified points hold"},
+              {"rectify_to", &PipelineOptions::rectify_to,
+               "the instant at which rectified points and the global-shutter image hold"},
           }};
 }
 

@@ -50,6 +50,11 @@ inline const Names<RectifyTo>& names_of(RectifyTo) {
   return kNames;
 }
 
+inline const Names<ImageBorder>& names_of(ImageBorder) {
+  static const Names<ImageBorder> kNames{{"black", ImageBorder::BLACK}, {"replicate", ImageBorder::REPLICATE}};
+  return kNames;
+}
+
 inline const Names<OdometryClock>& names_of(OdometryClock) {
   static const Names<OdometryClock> kNames{{"camera", OdometryClock::CAMERA}, {"imu", OdometryClock::IMU}};
   return kNames;

@@ -1,97 +1,246 @@
 #include "gyro_deblur/image_rectification.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstdint>
 #include <limits>
+#include <stdexcept>
+#include <string>
 #include <vector>
 
 #include <opencv2/imgproc.hpp>
 
 #include "base/parallel.hpp"
+#include "features/point_motion.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-constexpr int kStepPx = 16;
+constexpr int kStepPx = GlobalShutterMap::kStepPx;
 
-/// Residual velocities [px/s] of blocks, to be interpolated.
-class VelocityField {
- public:
-  explicit VelocityField(const FrameBlur& field) : grid_(field.grid) {
-    for (const BlockBlur& block : field.blocks) {
-      velocities_.push_back(block.residual ? block.residual->velocity_px_s : Eigen::Vector2d::Zero());
-      moves_ = moves_ || block.residual;
+/// What is known at nodes kStepPx apart, cubic between them (Catmull and Rom): the displacement bends most where a lens
+/// distorts most, and linear between nodes it would be wrong by a third of a pixel in the corners of a wide lens.
+using Weights = std::array<double, 4>;
+Weights cubic_weights(double u) {
+  return {0.5 * u * (u * (2 - u) - 1), 0.5 * (u * u * (3 * u - 5) + 2), 0.5 * u * (u * (4 - 3 * u) + 1),
+          0.5 * u * u * (u - 1)};
+}
+
+/// Where nodes are in x, or y: the first is outside the image, and the second half a pixel before its first pixel.
+double node_px(int index) { return (index - 1) * kStepPx - 0.5; }
+
+/// The four nodes around a place.
+struct Between {
+  int first;
+  Weights weights;
+};
+
+/// @param nodes  in a row or column
+Between between(double pixel_px, int nodes) {
+  constexpr double kBeyond = 2;  // cells; a pixel at the border comes from beyond it
+  const int cells = nodes - 3;
+  const double at = std::clamp((pixel_px + 0.5) / kStepPx, -kBeyond, cells + kBeyond);
+  const int cell = std::clamp(static_cast<int>(at), 0, cells - 1);
+  return {cell, cubic_weights(at - cell)};
+}
+
+Eigen::Vector2d interpolate(const cv::Mat& nodes, const Eigen::Vector2d& pixel_px) {
+  const Between x = between(pixel_px.x(), nodes.cols), y = between(pixel_px.y(), nodes.rows);
+  Eigen::Vector2d value(0, 0);
+  for (int j = 0; j < 4; ++j) {
+    const auto* row = nodes.ptr<cv::Vec2f>(y.first + j) + x.first;
+    Eigen::Vector2d of_row(0, 0);
+    for (int i = 0; i < 4; ++i) of_row += x.weights[i] * Eigen::Vector2d(row[i][0], row[i][1]);
+    value += y.weights[j] * of_row;
+  }
+  return value;
+}
+
+bool is_known(const cv::Vec2f& value) { return std::isfinite(value[0]) && std::isfinite(value[1]); }
+
+/// Gives nodes that are not known the mean of those around them that are, from there on outwards.
+/// @return false when none is known
+bool fill_gaps(cv::Mat* nodes) {
+  const cv::Rect all(0, 0, nodes->cols, nodes->rows);
+  for (;;) {
+    const cv::Mat before = nodes->clone();
+    int known = 0, filled = 0;
+    for (int row = 0; row < nodes->rows; ++row) {
+      for (int col = 0; col < nodes->cols; ++col) {
+        if (is_known(before.at<cv::Vec2f>(row, col))) {
+          ++known;
+          continue;
+        }
+        const cv::Rect around = cv::Rect(col - 1, row - 1, 3, 3) & all;
+        cv::Vec2f sum(0, 0);
+        int count = 0;
+        for (int y = around.y; y < around.br().y; ++y) {
+          for (int x = around.x; x < around.br().x; ++x) {
+            const cv::Vec2f& near = before.at<cv::Vec2f>(y, x);
+            if (!is_known(near)) continue;
+            sum += near;
+            ++count;
+          }
+        }
+        if (count == 0) continue;
+        nodes->at<cv::Vec2f>(row, col) = sum / count;
+        ++filled;
+      }
+    }
+    if (known == 0) return false;
+    if (filled == 0) return true;
+  }
+}
+
+/// When each row of nodes is seen; the time of the nearest that the motion covers where it does not cover its own.
+/// Empty when it covers none.
+std::vector<TimeNs> times_of(int rows, int height_px, const CameraMotion& motion, const RowExposure& exposure,
+                             TimeNs reference_ns) {
+  std::vector<TimeNs> times_ns, covered_ns;
+  for (int row = 0; row < rows; ++row) {
+    const double y_px = node_px(row);
+    times_ns.push_back(exposure.middle(y_px));
+    // The outermost nodes lie beyond the image, and perhaps beyond what is known of the motion.
+    for (const double row_px : {y_px, std::clamp(y_px, 0.0, height_px - 1.0)}) {
+      const TimeNs seen_ns = exposure.middle(row_px);
+      if (!motion.covers({std::min(seen_ns, reference_ns), std::max(seen_ns, reference_ns)})) continue;
+      covered_ns.push_back(seen_ns);
+      break;
     }
   }
-
-  Eigen::Vector2d at(const Eigen::Vector2d& pixel_px) const {
-    if (!moves_) return Eigen::Vector2d::Zero();
-    const double size = grid_.block_size_px();
-    const double col = std::clamp((pixel_px.x() + 0.5) / size - 0.5, 0.0, grid_.cols() - 1.0);
-    const double row = std::clamp((pixel_px.y() + 0.5) / size - 0.5, 0.0, grid_.rows() - 1.0);
-    const int col0 = std::min(static_cast<int>(col), std::max(0, grid_.cols() - 2));
-    const int row0 = std::min(static_cast<int>(row), std::max(0, grid_.rows() - 2));
-    const int col1 = std::min(col0 + 1, grid_.cols() - 1), row1 = std::min(row0 + 1, grid_.rows() - 1);
-    const double u = col - col0, v = row - row0;
-    const auto block = [&](int r, int c) { return velocities_[r * grid_.cols() + c]; };
-    return (1 - v) * ((1 - u) * block(row0, col0) + u * block(row0, col1)) +
-           v * ((1 - u) * block(row1, col0) + u * block(row1, col1));
-  }
-
- private:
-  BlockGrid grid_;
-  std::vector<Eigen::Vector2d> velocities_;
-  bool moves_ = false;
-};
+  if (covered_ns.empty()) return {};
+  const auto [first, last] = std::minmax_element(covered_ns.begin(), covered_ns.end());
+  // Of times on both sides of the reference those between are covered, too.
+  for (TimeNs& time_ns : times_ns) time_ns = std::clamp(time_ns, *first, *last);
+  return times_ns;
+}
 
 }  // namespace
 
-cv::Mat global_shutter_map(const FrameBlur& field, const Camera& camera, const CameraMotion& motion,
-                           const RowExposure& exposure, TimeNs reference_ns) {
-  const int width = camera.calibration().width_px, height = camera.calibration().height_px;
-  const VelocityField velocities(field);
-  // Nodes lie outside the image on all sides, so that every pixel is between four.
-  const int cols = (width - 1) / kStepPx + 2, rows = (height - 1) / kStepPx + 2;
-  cv::Mat nodes(rows, cols, CV_32FC2);
-  run_parallel(rows, 1, 1, [&](int row) {
+Eigen::Vector2d GlobalShutterMap::at(const Eigen::Vector2d& pixel_px) const { return interpolate(nodes_px_, pixel_px); }
+
+bool is_global_shutter(const RowExposure& exposure, TimeNs reference_ns) {
+  return exposure.timing().readout_ns == 0 && exposure.middle(0) == reference_ns;
+}
+
+GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera, const CameraMotion& motion,
+                                    const RowExposure& exposure, TimeNs reference_ns, int threads) {
+  const int width_px = field.grid.width_px(), height_px = field.grid.height_px();
+  // One on either side, and the first of another cell behind the image.
+  const auto nodes_for = [](int length_px) { return (length_px + kStepPx - 1) / kStepPx + 3; };
+  const int rows = nodes_for(height_px), cols = nodes_for(width_px);
+  const std::vector<TimeNs> times_ns = times_of(rows, height_px, motion, exposure, reference_ns);
+  if (times_ns.empty()) return {};
+  const PointMotion point_motion(field, camera, motion);
+  const auto to_node = [](const Eigen::Vector2d& px) {
+    return cv::Vec2f(static_cast<float>(px.x()), static_cast<float>(px.y()));
+  };
+  cv::Mat moves_px(rows, cols, CV_32FC2);  // of the image as it arrived
+  run_parallel(rows, threads, 1, [&](int row) {
+    const PointMotion::Turn turn = point_motion.turn(times_ns[row], reference_ns);
     for (int col = 0; col < cols; ++col) {
-      const Eigen::Vector2d at_px(std::min(col * kStepPx, width - 1), std::min(row * kStepPx, height - 1));
-      const Eigen::Vector3d ray = camera.ray(at_px);
-      Eigen::Vector2d from_px = at_px;
-      // The row decides when it is seen, and that decides the row.
-      for (int iteration = 0; iteration < 3; ++iteration) {
-        const TimeNs seen_ns = exposure.middle(std::clamp(from_px.y(), 0.0, height - 1.0));
-        if (!motion.covers({std::min(seen_ns, reference_ns), std::max(seen_ns, reference_ns)})) {
-          from_px = at_px;
-          break;
-        }
-        from_px = camera.project(motion.rotation(reference_ns, seen_ns) * ray) +
-                  to_seconds(seen_ns - reference_ns) * velocities.at(from_px);
-        if (!from_px.allFinite()) break;
-      }
-      nodes.at<cv::Vec2f>(row, col) = {static_cast<float>(from_px.x()), static_cast<float>(from_px.y())};
+      const Eigen::Vector2d pixel_px(node_px(col), node_px(row));
+      moves_px.at<cv::Vec2f>(row, col) = to_node(point_motion.moved(pixel_px, turn).pixel_px - pixel_px);
     }
   });
-  cv::Mat map(height, width, CV_32FC2);
-  for (int y = 0; y < height; ++y) {
-    const int row = y / kStepPx, y0 = row * kStepPx, y1 = std::min(y0 + kStepPx, height - 1);
-    const float v = y1 > y0 ? static_cast<float>(y - y0) / static_cast<float>(y1 - y0) : 0;
-    for (int col = 0; col + 1 < cols; ++col) {
-      const int x0 = col * kStepPx, x1 = std::min(x0 + kStepPx, width - 1);
-      const cv::Vec2f left = nodes.at<cv::Vec2f>(row, col) * (1 - v) + nodes.at<cv::Vec2f>(row + 1, col) * v;
-      const cv::Vec2f right = nodes.at<cv::Vec2f>(row, col + 1) * (1 - v) + nodes.at<cv::Vec2f>(row + 1, col + 1) * v;
-      const cv::Vec2f step = (right - left) * (1.0f / static_cast<float>(std::max(1, x1 - x0)));
-      for (int x = x0; x < std::min(x0 + kStepPx, width); ++x) {
-        map.at<cv::Vec2f>(y, x) = left + step * static_cast<float>(x - x0);
-      }
+  if (!fill_gaps(&moves_px)) return {};
+
+  GlobalShutterMap map;
+  map.size_ = {width_px, height_px};
+  map.nodes_px_.create(rows, cols, CV_32FC2);
+  run_parallel(rows, threads, 1, [&](int row) {
+    for (int col = 0; col < cols; ++col) {
+      const Eigen::Vector2d pixel_px(node_px(col), node_px(row));
+      Eigen::Vector2d from_px = pixel_px;
+      // What a row is moved by changes slowly from row to row: a tenth of the error is left each time.
+      constexpr int kIterations = 5;
+      for (int i = 0; i < kIterations; ++i) from_px = pixel_px - interpolate(moves_px, from_px);
+      map.nodes_px_.at<cv::Vec2f>(row, col) = to_node(from_px);
     }
-  }
+  });
   return map;
 }
 
-cv::Mat to_global_shutter(const cv::Mat& image, const cv::Mat& map) {
-  cv::Mat moved;
-  cv::remap(image, moved, map, cv::noArray(), cv::INTER_LINEAR, cv::BORDER_CONSTANT, cv::Scalar::all(0));
+void GlobalShutterMap::fill(int begin, cv::Mat* whole_px, cv::Mat* fractions) const {
+  // Cubic from row to row and to places four pixels apart, linear between those.
+  constexpr int kPlacesPerCell = 4, kPlacePx = kStepPx / kPlacesPerCell;
+  // Bits below those of cv::remap's fractions: with them 32 bit hold seven times the difference of any two places.
+  constexpr int kBits = 6, kHalf = 1 << (kBits - 1);
+  constexpr float kScale = 1 << (cv::INTER_BITS + kBits);
+  constexpr float kFarPx = std::numeric_limits<std::int16_t>::max() - 2;
+  constexpr std::int32_t kFraction = cv::INTER_TAB_SIZE - 1;
+  const int cells = nodes_px_.cols - 3, values = 2 * nodes_px_.cols;
+  std::array<std::array<float, 4>, kPlacesPerCell> weights;
+  for (int place = 0; place < kPlacesPerCell; ++place) {
+    const Weights exact = cubic_weights(static_cast<double>(place) / kPlacesPerCell);
+    std::transform(exact.begin(), exact.end(), weights[place].begin(), [](double w) { return static_cast<float>(w); });
+  }
+  std::vector<float> of_row(values);
+  std::vector<std::int32_t> places(2 * (cells * kPlacesPerCell + 1));
+  for (int y = 0; y < whole_px->rows; ++y) {
+    const Between rows = between(begin + y, nodes_px_.rows);
+    const float* above[4];
+    float down[4];
+    for (int j = 0; j < 4; ++j) {
+      above[j] = nodes_px_.ptr<float>(rows.first + j);
+      down[j] = kScale * static_cast<float>(rows.weights[j]);
+    }
+    for (int i = 0; i < values; ++i) {
+      const float value = down[0] * above[0][i] + down[1] * above[1][i] + down[2] * above[2][i] + down[3] * above[3][i];
+      of_row[i] = std::min(std::max(value, -kScale * kFarPx), kScale * kFarPx);
+    }
+    for (int cell = 0; cell < cells; ++cell) {
+      const float* node = &of_row[2 * cell];
+      for (int place = 0; place < kPlacesPerCell; ++place) {
+        const auto& w = weights[place];
+        std::int32_t* to = &places[2 * (cell * kPlacesPerCell + place)];
+        for (int k = 0; k < 2; ++k) {
+          to[k] =
+              static_cast<std::int32_t>(w[0] * node[k] + w[1] * node[k + 2] + w[2] * node[k + 4] + w[3] * node[k + 6]);
+        }
+      }
+    }
+    for (int k = 0; k < 2; ++k)
+      places[2 * cells * kPlacesPerCell + k] = static_cast<std::int32_t>(of_row[2 * (cells + 1) + k]);
+    auto* whole = whole_px->ptr<std::int16_t>(y);
+    auto* fraction = fractions->ptr<std::uint16_t>(y);
+    for (int place = 0; place < cells * kPlacesPerCell; ++place) {
+      const std::int32_t x = places[2 * place], x_step = places[2 * place + 2] - x;
+      const std::int32_t y_at = places[2 * place + 1], y_step = places[2 * place + 3] - y_at;
+      for (int i = 0; i < kPlacePx; ++i) {
+        // A place lies half a pixel before the first of its pixels.
+        const std::int32_t x_fixed = (x + x_step * (2 * i + 1) / (2 * kPlacePx) + kHalf) >> kBits;
+        const std::int32_t y_fixed = (y_at + y_step * (2 * i + 1) / (2 * kPlacePx) + kHalf) >> kBits;
+        whole[2 * i] = static_cast<std::int16_t>(x_fixed >> cv::INTER_BITS);
+        whole[2 * i + 1] = static_cast<std::int16_t>(y_fixed >> cv::INTER_BITS);
+        fraction[i] = static_cast<std::uint16_t>((y_fixed & kFraction) * cv::INTER_TAB_SIZE + (x_fixed & kFraction));
+      }
+      whole += 2 * kPlacePx;
+      fraction += kPlacePx;
+    }
+  }
+}
+
+cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, ImageBorder border, int threads) {
+  if (map.empty() || image.size() != map.size() || (image.depth() != CV_8U && image.depth() != CV_16U)) {
+    throw std::invalid_argument("image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
+                                " px, OpenCV depth " + std::to_string(image.depth()) + ", does not fit a map of " +
+                                std::to_string(map.size().width) + "x" + std::to_string(map.size().height) + " px");
+  }
+  cv::Mat moved(image.size(), image.type());
+  const int border_type = border == ImageBorder::REPLICATE ? cv::BORDER_REPLICATE : cv::BORDER_CONSTANT;
+  const int whole_cells_px = (image.cols + kStepPx - 1) / kStepPx * kStepPx;
+  // The map of so many rows stays in the fast caches.
+  constexpr int kRows = 16;
+  run_parallel((image.rows + kRows - 1) / kRows, threads, 1, [&](int strip) {
+    const int begin = strip * kRows;
+    cv::Mat rows = moved.rowRange(begin, std::min(begin + kRows, image.rows));
+    cv::Mat whole_px(rows.rows, whole_cells_px, CV_16SC2), fractions(rows.rows, whole_cells_px, CV_16UC1);
+    map.fill(begin, &whole_px, &fractions);
+    cv::remap(image, rows, whole_px.colRange(0, image.cols), fractions.colRange(0, image.cols), cv::INTER_LINEAR,
+              border_type, cv::Scalar::all(0));
+  });
   return moved;
 }
 

@@ -7,6 +7,7 @@
 
 #include "features/residual_flow.hpp"
 #include "gyro_deblur/blur_validation.hpp"
+#include "gyro_deblur/image_rectification.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -136,14 +137,18 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     result.times.validation_ms = watch.ms();
   }
 
-  if (request.permit && !request.permit(result.field)) reject_all(&result.field);
+  const bool permitted = !request.permit || request.permit(result.field);
+  if (!permitted) reject_all(&result.field);
 
   const bool anything_to_deblur = result.field.count(BlockStatus::DEBLURRED) > 0;
-  if (request.image && anything_to_deblur) {
+  if ((request.image || request.global_shutter) && anything_to_deblur) {
     const Stopwatch watch;
     result.slow_blocks = deconvolve(image, layout, result.field, *bank_, *engine_, result.image, options_.threads);
     keep_range(image, result.significant_bits, result.image);
     result.times.deconvolution_ms = watch.ms();
+  }
+  if (request.global_shutter && permitted) {
+    move_to_reference(result.image.empty() ? image : result.image, layout, motion, exposure, &result);
   }
   if (!request.keypoints && !request.luminance) return result;
 
@@ -171,6 +176,23 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
                                  result.reference_ns);
   result.times.keypoints_ms = watch.ms();
   return result;
+}
+
+void Pipeline::move_to_reference(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
+                                 const RowExposure& exposure, PipelineResult* result) const {
+  if (result->field.count(BlockStatus::NO_GYRO) == result->field.blocks.size()) return;
+  const Stopwatch watch;
+  if (is_global_shutter(exposure, result->reference_ns)) {
+    result->global_shutter = image;
+  } else {
+    const GlobalShutterMap map =
+        global_shutter_map(result->field, *camera_, motion, exposure, result->reference_ns, options_.threads);
+    if (map.empty()) return;
+    // A mosaic's pixels lose their colours where they are moved by fractions of a pixel.
+    result->global_shutter = to_global_shutter(is_bayer(layout) ? demosaiced(image, layout) : image, map,
+                                               options_.global_shutter_border, options_.threads);
+  }
+  result->times.global_shutter_ms = watch.ms();
 }
 
 void Pipeline::extract(const cv::Mat& luminance, PipelineResult* result) {

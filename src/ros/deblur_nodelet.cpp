@@ -106,6 +106,8 @@ DeblurNodelet::~DeblurNodelet() {
   blur_field_publisher_.shutdown();
   marker_publisher_.shutdown();
   track_publisher_.shutdown();
+  global_shutter_publisher_.shutdown();
+  global_shutter_info_publisher_.shutdown();
 }
 
 void DeblurNodelet::log(LogLevel level, const std::string& text) const {
@@ -295,6 +297,11 @@ void DeblurNodelet::advertise(std::uint32_t queue_size) {
   image_publisher_ = transport_->advertise("deblurred/image_raw", queue_size, on_image_change, on_image_change);
   info_publisher_ = nh.advertise<sensor_msgs::CameraInfo>(
       image_transport::getCameraInfoTopic(image_publisher_.getTopic()), queue_size, on_topic_change, on_topic_change);
+  global_shutter_publisher_ =
+      transport_->advertise("global_shutter/image_raw", queue_size, on_image_change, on_image_change);
+  global_shutter_info_publisher_ =
+      nh.advertise<sensor_msgs::CameraInfo>(image_transport::getCameraInfoTopic(global_shutter_publisher_.getTopic()),
+                                            queue_size, on_topic_change, on_topic_change);
   overlay_publisher_ = transport_->advertise("blur_overlay", queue_size, on_image_change, on_image_change);
   keypoint_publisher_ = nh.advertise<KeypointArray>("keypoints", queue_size, on_topic_change, on_topic_change);
   blur_field_publisher_ = nh.advertise<BlurField>("blur_field", queue_size, on_topic_change, on_topic_change);
@@ -305,7 +312,8 @@ void DeblurNodelet::advertise(std::uint32_t queue_size) {
   for (const std::string& topic :
        {image_publisher_.getTopic(), info_publisher_.getTopic(), overlay_publisher_.getTopic(),
         keypoint_publisher_.getTopic(), blur_field_publisher_.getTopic(), track_publisher_.getTopic(),
-        marker_publisher_.getTopic()}) {
+        marker_publisher_.getTopic(), global_shutter_publisher_.getTopic(),
+        global_shutter_info_publisher_.getTopic()}) {
     unsent_.watch(topic);
   }
 }
@@ -313,7 +321,7 @@ void DeblurNodelet::advertise(std::uint32_t queue_size) {
 bool DeblurNodelet::has_listener() const {
   return is_heard(image_publisher_) || is_heard(info_publisher_) || is_heard(overlay_publisher_) ||
          is_heard(keypoint_publisher_) || is_heard(blur_field_publisher_) || is_heard(marker_publisher_) ||
-         is_heard(track_publisher_);
+         is_heard(track_publisher_) || is_heard(global_shutter_publisher_) || is_heard(global_shutter_info_publisher_);
 }
 
 FrameRequest DeblurNodelet::request() const {
@@ -323,6 +331,7 @@ FrameRequest DeblurNodelet::request() const {
   request.overlay = is_heard(overlay_publisher_);
   request.markers = is_heard(marker_publisher_);
   request.tracks = is_heard(track_publisher_);
+  request.global_shutter = is_heard(global_shutter_publisher_) || is_heard(global_shutter_info_publisher_);
   return request;
 }
 
@@ -484,6 +493,10 @@ void DeblurNodelet::publish(const FrameOutput& output) {
   if (output.overlay) overlay_publisher_.publish(output.overlay);
   if (output.markers) marker_publisher_.publish(output.markers);
   if (output.tracks) track_publisher_.publish(output.tracks);
+  if (output.global_shutter) {
+    global_shutter_publisher_.publish(output.global_shutter);
+    global_shutter_info_publisher_.publish(output.global_shutter_info);
+  }
 }
 
 void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {

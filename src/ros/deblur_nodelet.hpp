@@ -121,6 +121,8 @@ class DeblurNodelet : public nodelet::Nodelet {
   image_transport::Publisher overlay_publisher_;
   ros::Publisher marker_publisher_;
   ros::Publisher track_publisher_;
+  image_transport::Publisher global_shutter_publisher_;
+  ros::Publisher global_shutter_info_publisher_;
   UnsentMessages unsent_;
   bool shutting_down_ = false;
 

@@ -109,6 +109,7 @@ void DiagnosticReport::add(const FrameOutput& output) {
   latencies_["keypoints"].add(output.stages.keypoints_ms);
   latencies_["messages"].add(output.messages_ms);
   if (output.tracks) latencies_["tracks"].add(output.tracks_ms);
+  if (output.global_shutter) latencies_["global shutter"].add(output.stages.global_shutter_ms);
 }
 
 void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) {

@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <utility>
 
+#include <sensor_msgs/image_encodings.h>
 #include <boost/make_shared.hpp>
 
 #include "gyro_deblur/image_format.hpp"
@@ -92,6 +93,20 @@ void add_field(const AssembledFrame& assembled, const FrameMotion& motion, const
   output->blur_field->reason_text = output->reason_text;
 }
 
+/// Image and camera_info at the reference time.
+void add_global_shutter(const PipelineResult& result, const PendingFrame& frame, FrameOutput* output) {
+  auto image = to_image(result.global_shutter, *frame.image);
+  if (result.global_shutter.channels() != view_image(*frame.image).image.channels()) {
+    namespace encodings = sensor_msgs::image_encodings;  // a mosaic has become colours
+    image->encoding = result.global_shutter.depth() == CV_16U ? encodings::BGR16 : encodings::BGR8;
+  }
+  auto info = frame.info ? boost::make_shared<sensor_msgs::CameraInfo>(*frame.info)
+                         : boost::make_shared<sensor_msgs::CameraInfo>(*uncalibrated_camera_info(*frame.image));
+  image->header.stamp = info->header.stamp = to_ros_time(result.reference_ns);
+  output->global_shutter = image;
+  output->global_shutter_info = info;
+}
+
 /// Precondition: the frame is ready.
 void deblur(const AssembledFrame& assembled, const FrameRequest& request, FeatureTracker* tracker,
             FrameOutput* output) {
@@ -105,7 +120,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   pipeline.set_calibration(*frame.calibration);
   const FrameMotion motion(assembled, &output->translation_text);
   output->translated = motion.is_translated();
-  PipelineRequest wanted{request.image, request.keypoints, request.tracks};
+  PipelineRequest wanted{request.image, request.keypoints, request.tracks, request.global_shutter};
   std::string refusal;
   if (request.permit) {
     wanted.permit = [&](const FrameBlur& field) { return (refusal = request.permit(field)).empty(); };
@@ -126,7 +141,8 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   }
 
   start = std::chrono::steady_clock::now();
-  if (!result.image.empty()) output->image = to_image(result.image, *frame.image);
+  if (request.image && !result.image.empty()) output->image = to_image(result.image, *frame.image);
+  if (!result.global_shutter.empty()) add_global_shutter(result, frame, output);
   if (request.keypoints) output->keypoints = to_message(result, pipeline.options().keypoints, header);
   if (request.overlay) {
     output->overlay =
@@ -183,6 +199,8 @@ void pass_through_failed(const std::string& text, FrameOutput* output) {
   output->overlay.reset();
   output->markers.reset();
   output->tracks.reset();
+  output->global_shutter.reset();
+  output->global_shutter_info.reset();
 }
 
 }  // namespace
@@ -205,6 +223,10 @@ FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request
   }
   output.camera_info =
       frame.info ? frame.info : sensor_msgs::CameraInfoConstPtr(uncalibrated_camera_info(*frame.image));
+  if (request.global_shutter && !output.global_shutter) {
+    output.global_shutter = output.input;
+    output.global_shutter_info = output.camera_info;
+  }
   if (!output.blur_field) output.blur_field = pass_through_message(output.reason, output.reason_text, *frame.image);
   if (request.keypoints && !output.keypoints) {
     output.keypoints = raw_keypoints(assembled, output.reason, &output.keypoints_text);

@@ -26,6 +26,7 @@ struct FrameRequest {
   bool overlay = false;
   bool markers = false;
   bool tracks = false;
+  bool global_shutter = false;
   /// Asked with the validated field before anything is deblurred; a text refuses, and says why. Absent: permitted.
   std::function<std::string(const FrameBlur&)> permit = {};
 };
@@ -41,6 +42,11 @@ struct FrameOutput {
   sensor_msgs::ImagePtr overlay;               ///< null when not requested, or without a blur field
   visualization_msgs::MarkerArrayPtr markers;  ///< null when not requested
   sensor_msgs::PointCloudPtr tracks;           ///< null when not requested, or when the pipeline did not run
+  /// With all rows, and the stamp, at the reference time; the very input message and camera_info where the motion is
+  /// not known, and for a frame that passes through. Null when not requested, and for a frame whose stamp would not
+  /// come after that of the one before.
+  sensor_msgs::ImageConstPtr global_shutter;
+  sensor_msgs::CameraInfoConstPtr global_shutter_info;
   PassThroughReason reason = PassThroughReason::NONE;
   std::string reason_text;
   std::optional<FrameBlur> field;  ///< of the core; absent when the pipeline did not run

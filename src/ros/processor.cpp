@@ -206,6 +206,22 @@ FrameOutput Processor::process_with_partners(const AssembledFrame& assembled) {
   return output;
 }
 
+void Processor::keep_global_shutter_in_order(FrameOutput* output) {
+  if (!output->global_shutter) return;
+  const MovedStamp stamp{to_time_ns(output->input->header.stamp), to_time_ns(output->global_shutter->header.stamp)};
+  if (last_moved_ && stamp.input_ns > last_moved_->input_ns && stamp.output_ns <= last_moved_->output_ns) {
+    output->global_shutter.reset();
+    output->global_shutter_info.reset();
+    log_(LogLevel::WARNING, "global_shutter",
+         "frame " + seconds_text(stamp.input_ns) +
+             " has no global-shutter image: it passes through unmoved, and the one "
+             "before was moved to " +
+             seconds_text(last_moved_->output_ns) + "; rectify_to: middle_row moves stamps least");
+    return;
+  }
+  last_moved_ = stamp;
+}
+
 void Processor::note(const FrameOutput& output) {
   statistics_.count(output);
   const std::string name = "frame " + seconds_text(to_time_ns(output.input->header.stamp));
@@ -242,6 +258,7 @@ void Processor::advance(const Sink& sink, bool finishing) {
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       --in_progress_;
+      keep_global_shutter_in_order(&output);
       note(output);
     }
     if (!sink(std::move(output))) return;

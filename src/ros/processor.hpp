@@ -111,6 +111,8 @@ class Processor {
   /// Partners need not wait until frames that are settled leave. Needs mutex_.
   void tell_partners();
   FrameOutput process_with_partners(const AssembledFrame& assembled);
+  /// Stamps of global-shutter images are not those that came in, and grow all the same. Needs both mutexes.
+  void keep_global_shutter_in_order(FrameOutput* output);
   /// Counts a frame that leaves, and tells what is wrong with it.
   void note(const FrameOutput& output);
 
@@ -119,6 +121,10 @@ class Processor {
   const std::shared_ptr<GyroSource> gyro_source_;  // locks itself; taken after mutex_
   std::mutex advance_mutex_;                       // one thread at a time takes frames out; taken before mutex_
   FeatureTracker tracker_;                         // of the thread that holds advance_mutex_ alone
+  struct MovedStamp {
+    TimeNs input_ns, output_ns;
+  };
+  std::optional<MovedStamp> last_moved_;  // of the newest global-shutter image; of that thread, too
 
   mutable std::mutex mutex_;  // everything below
   std::optional<Config> config_;

@@ -253,6 +253,8 @@ int main_of(int argc, char** argv) {
   app.add_option("--threads", arguments.threads, "at most [those of the configuration]")->check(CLI::Range(0, 256));
   app.add_flag("--overlay", arguments.request.overlay, "also write blur_overlay");
   app.add_flag("--tracks", arguments.request.tracks, "also write feature_tracks");
+  app.add_flag("--global-shutter", arguments.request.global_shutter,
+               "also write global_shutter/image_raw and its camera_info");
   app.add_flag("--markers", arguments.request.markers, "also write blur_markers");
   app.add_option("--json", arguments.json, "also write what was done as JSON");
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });

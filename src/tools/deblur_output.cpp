@@ -46,6 +46,7 @@ nlohmann::json report_of(const FrameOutput& output) {
                            {"validation", output.stages.validation_ms},
                            {"deconvolution", output.stages.deconvolution_ms},
                            {"keypoints", output.stages.keypoints_ms},
+                           {"global_shutter", output.stages.global_shutter_ms},
                            {"messages", output.messages_ms},
                            {"total", output.total_ms}};
   return frame;
@@ -63,6 +64,10 @@ void FrameWriter::write(const FrameOutput& frame) {
   if (frame.overlay) bag_.write(topics_.overlay, time, *frame.overlay);
   if (frame.markers) bag_.write(topics_.markers, time, *frame.markers);
   if (frame.tracks) bag_.write(topics_.tracks, time, *frame.tracks);
+  if (frame.global_shutter) {
+    bag_.write(topics_.global_shutter, time, *frame.global_shutter);
+    bag_.write(topics_.global_shutter_info, time, *frame.global_shutter_info);
+  }
   processing_ms_ += frame.total_ms;
   if (report_.wanted()) report_.add(report_of(frame));
 }

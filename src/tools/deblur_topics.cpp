@@ -82,10 +82,12 @@ OutputTopics::OutputTopics(const std::string& name_space)
       blur_field(name_space + "/blur_field"),
       overlay(name_space + "/blur_overlay"),
       markers(name_space + "/blur_markers"),
-      tracks(name_space + "/feature_tracks") {}
+      tracks(name_space + "/feature_tracks"),
+      global_shutter(name_space + "/global_shutter/image_raw"),
+      global_shutter_info(name_space + "/global_shutter/camera_info") {}
 
 std::set<std::string> OutputTopics::all() const {
-  return {image, camera_info, keypoints, blur_field, overlay, markers, tracks};
+  return {image, camera_info, keypoints, blur_field, overlay, markers, tracks, global_shutter, global_shutter_info};
 }
 
 bool reads_driver_messages(const Config& config) {

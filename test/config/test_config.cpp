@@ -46,7 +46,8 @@ std::string dump(const Config& c) {
   if (c.R_cam_imu) s << *c.R_cam_imu;
   s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nstereo_patience "
     << c.stereo_patience_ns << "\nbias_window " << c.bias_window_ns << "\nbias_max_stddev " << c.bias_max_stddev_rad_s
-    << "\ntime_jump " << c.time_jump_ns << "\nrectify_to " << static_cast<int>(c.pipeline.rectify_to) << "\nengine "
+    << "\ntime_jump " << c.time_jump_ns << "\nrectify_to " << static_cast<int>(c.pipeline.rectify_to)
+    << "\nglobal_shutter_border " << static_cast<int>(c.pipeline.global_shutter_border) << "\nengine "
     << c.pipeline.engine << "\nthreads " << c.pipeline.threads << "\nsignificant_bits " << c.pipeline.significant_bits
     << "\nblock_size " << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px
     << "\nmax_extent " << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
@@ -107,6 +108,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"odometry_clock", "imu"},
       {"odometry_twist_frame", "parent"},
       {"rectify_to", "stamp"},
+      {"global_shutter_border", "replicate"},
       {"engine", "float"},
       {"threads", "2"},
       {"significant_bits", "12"},

@@ -181,7 +181,8 @@ TEST(RectifyPointsByStatus, StartsWhereTheSceneWasNotWhereItIsShown) {
   const AnalyticMotion motion = AnalyticMotion::handshake();
   const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);
   FrameBlur field = field_of(BlockStatus::DEBLURRED);
-  const Eigen::Vector2d raw(100, 20), offset(3, 0);  // along the row, which keeps its time
+  // In the middle of a block, where its neighbours' offsets do not count; along the row, which keeps its time.
+  const Eigen::Vector2d raw(95.5, 20), offset(3, 0);
   const Eigen::Vector2d expected =
       rectify_points({raw - offset}, field, camera, motion, exposure, reference_ns)[0].rectified_px;
   BlockBlur& block = field.blocks[field.grid.index_at(raw.x(), raw.y())];

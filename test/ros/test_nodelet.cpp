@@ -339,6 +339,8 @@ TEST_F(NodeletTest, CameraIsSubscribedWhileSomebodyListens) {
   listens(ignore<sensor_msgs::Image>("blur_overlay"));
   listens(ignore<visualization_msgs::MarkerArray>("blur_markers"));
   listens(ignore<sensor_msgs::PointCloud>("feature_tracks"));
+  listens(ignore<sensor_msgs::Image>("global_shutter/image_raw"));
+  listens(ignore<sensor_msgs::CameraInfo>("global_shutter/camera_info"));
   EXPECT_EQ(imu_publisher_.getNumSubscribers(), 1u);
 }
 
@@ -368,6 +370,33 @@ TEST_F(NodeletTest, OverlayAndMarkersComeInTheImagesFrame) {
   ASSERT_EQ(markers[0]->markers.size(), 1u);
   EXPECT_EQ(markers[0]->markers[0].header.frame_id, kCameraFrame);
   EXPECT_FALSE(markers[0]->markers[0].points.empty());
+}
+
+TEST_F(NodeletTest, GlobalShutterImageComesWithItsCameraInfoToWhoListens) {
+  start();
+  std::vector<sensor_msgs::ImageConstPtr> images;
+  std::vector<sensor_msgs::CameraInfoConstPtr> infos;
+  const ros::Subscriber subscriber = nh_.subscribe<sensor_msgs::Image>(
+      ns_ + "/global_shutter/image_raw", 10,
+      [&](const sensor_msgs::ImageConstPtr& m) { mailbox_.put([&] { images.push_back(m); }); });
+  const ros::Subscriber info_subscriber = nh_.subscribe<sensor_msgs::CameraInfo>(
+      ns_ + "/global_shutter/camera_info", 10,
+      [&](const sensor_msgs::CameraInfoConstPtr& m) { mailbox_.put([&] { infos.push_back(m); }); });
+  for (const ros::Subscriber* each : {&subscriber, &info_subscriber}) {
+    ASSERT_TRUE(poll_until([&] { return publishes_to_us(node_, each->getTopic()); })) << each->getTopic();
+  }
+  publish_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  publish_frame(kStart);
+  expect_frames(1);
+  ASSERT_TRUE(mailbox_.wait([&] { return !images.empty() && !infos.empty(); }));
+  // Row (N - 1) / 2 begins half a row before the middle of the readout.
+  const TimeNs instant_ns = kStart + kReadout * (kHeight - 1) / (2 * kHeight) + kExposure / 2;
+  EXPECT_EQ(to_time_ns(images[0]->header.stamp), instant_ns);
+  EXPECT_EQ(to_time_ns(infos[0]->header.stamp), instant_ns);
+  EXPECT_EQ(images[0]->header.frame_id, kCameraFrame);
+  EXPECT_EQ(infos[0]->K, infos_[0]->K);
+  EXPECT_EQ(images[0]->encoding, images_[0]->encoding);
+  EXPECT_NE(images[0]->data, images_[0]->data);
 }
 
 dynamic_reconfigure::Config reconfigure(const std::string& name, const dynamic_reconfigure::Config& change) {

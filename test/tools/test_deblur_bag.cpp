@@ -321,6 +321,25 @@ TEST_F(DeblurBagTest, KeepsAllTopicsAndWritesPictures) {
   EXPECT_EQ(read<visualization_msgs::MarkerArray>("out.bag", "/elsewhere/blur_markers").size(), 5u);
 }
 
+TEST_F(DeblurBagTest, WritesGlobalShutterImagesWithTheirOwnStamps) {
+  write_bag(kFastRadS);
+  ASSERT_EQ(run({"--global-shutter"}).exit_code, 0);
+  const auto inputs = read<sensor_msgs::Image>("in.bag", "/cam/image_raw");
+  const auto images = read<sensor_msgs::Image>("out.bag", "/cam/global_shutter/image_raw");
+  const auto infos = read<sensor_msgs::CameraInfo>("out.bag", "/cam/global_shutter/camera_info");
+  const auto keypoints = read<KeypointArray>("out.bag", "/cam/keypoints");
+  ASSERT_EQ(images.size(), inputs.size());
+  ASSERT_EQ(infos.size(), inputs.size());
+  for (std::size_t i = 0; i < inputs.size(); ++i) {
+    const bool covered = i + 1 < inputs.size();
+    EXPECT_EQ(images[i]->header.stamp, covered ? keypoints[i]->reference_time : inputs[i]->header.stamp);
+    EXPECT_EQ(infos[i]->header.stamp, images[i]->header.stamp);
+    EXPECT_EQ(images[i]->data == inputs[i]->data, !covered);
+  }
+  ASSERT_EQ(run().exit_code, 0);
+  EXPECT_TRUE(read<sensor_msgs::Image>("out.bag", "/cam/global_shutter/image_raw").empty());
+}
+
 TEST_F(DeblurBagTest, BiasAtRestMakesFramesBitIdentical) {
   write_bag(0.9);
   const ProgramResult result = run({"--estimate-bias-first", "1.5"});

@@ -1,0 +1,52 @@
+// Where a point of an image is at another instant: the one rule by which keypoints and whole images are rectified.
+#pragma once
+
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+
+namespace gyro_deblur {
+
+/// Motion of an image's points by rotation, translation where it is known, and the residual velocities of its blocks.
+/// What is said of blocks holds at their centres and is linear between them (beyond the outermost ones it stays what it
+/// is there), so that the image of a line does not break. Refers to what it was made of.
+class PointMotion {
+ public:
+  /// @param field  of the whole image, at least one block
+  PointMotion(const FrameBlur& field, const Camera& camera, const CameraMotion& motion);
+
+  /// Motion between two instants.
+  struct Turn {
+    Eigen::Matrix3d rotation, homography;
+    double seconds;
+  };
+  /// Precondition: the motion covers the time between the two.
+  Turn turn(TimeNs from_ns, TimeNs to_ns) const;
+
+  struct Place {
+    Eigen::Vector2d pixel_px;
+    Eigen::Vector3d direction;  ///< in the camera's frame, any length
+  };
+  /// Where a scene point goes in a turn that the image shows at `shown_px` at its beginning. Blocks with a residual
+  /// velocity go by rotation and that, others by the homography. Not finite beyond the range of the lens model.
+  Place moved(const Eigen::Vector2d& shown_px, const Turn& turn) const;
+
+ private:
+  /// Of the blocks around a pixel.
+  struct Mean {
+    Eigen::Vector2d shown_offset_px, velocity_px_s;  ///< where there is no residual velocity, it counts as 0
+    double share_with_residual;                      ///< [0, 1]
+  };
+  Mean mean_at(const Eigen::Vector2d& pixel_px) const;
+
+  const Camera& camera_;
+  const CameraMotion& motion_;
+  BlockGrid grid_;
+  std::vector<Mean> blocks_;
+};
+
+}  // namespace gyro_deblur

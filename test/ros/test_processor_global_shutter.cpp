@@ -1,0 +1,172 @@
+#include <string>
+
+#include <gtest/gtest.h>
+
+#include "processor_test.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using namespace test;
+
+/// The middle of the middle row's exposure; row (N - 1) / 2 begins half a row before the middle of the readout.
+constexpr TimeNs kToReference = kReadout * (kHeight - 1) / (2 * kHeight) + kExposure / 2;
+
+class ProcessorGlobalShutterTest : public ProcessorTest {
+ protected:
+  ProcessorGlobalShutterTest() { request_.global_shutter = true; }
+
+  TimeNs moved_ns(std::size_t index) const { return to_time_ns(outputs_.at(index).global_shutter->header.stamp); }
+  void expect_moved(std::size_t index) const {
+    const FrameOutput& output = outputs_.at(index);
+    ASSERT_NE(output.global_shutter, nullptr);
+    EXPECT_EQ(moved_ns(index), to_time_ns(output.input->header.stamp) + kToReference);
+    EXPECT_EQ(output.global_shutter->header.frame_id, output.input->header.frame_id);
+    EXPECT_NE(output.global_shutter->data, output.image->data);
+    sensor_msgs::CameraInfo info = *output.global_shutter_info;
+    EXPECT_EQ(info.header.stamp, output.global_shutter->header.stamp);
+    info.header.stamp = output.camera_info->header.stamp;
+    EXPECT_EQ(info, *output.camera_info) << "nothing but the stamp is another";
+  }
+  void expect_unmoved(std::size_t index) const {
+    const FrameOutput& output = outputs_.at(index);
+    EXPECT_EQ(output.global_shutter, output.input) << "the very message that came in";
+    EXPECT_EQ(output.global_shutter_info, output.camera_info);
+  }
+};
+
+TEST_F(ProcessorGlobalShutterTest, CarriesTheInstantOfItsRows) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  expect_deblurred(0);
+  expect_moved(0);
+  EXPECT_EQ(outputs_[0].global_shutter->encoding, "mono8");
+  EXPECT_EQ(outputs_[0].keypoints->reference_time, outputs_[0].global_shutter->header.stamp);
+  EXPECT_GT(outputs_[0].stages.global_shutter_ms, 0);
+}
+
+TEST_F(ProcessorGlobalShutterTest, NeedsNoOtherOutput) {
+  request_.image = request_.keypoints = false;
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  const auto input = add_frame(kStart);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  ASSERT_NE(outputs_[0].global_shutter, nullptr);
+  EXPECT_EQ(moved_ns(0), kStart + kToReference);
+  EXPECT_EQ(outputs_[0].image, input);
+  EXPECT_EQ(outputs_[0].keypoints, nullptr);
+  request_.global_shutter = false;
+  add_imu(kStart + 105 * kMs, kStart + 200 * kMs);
+  add_frame(kStart + 100 * kMs);
+  advance();
+  EXPECT_EQ(outputs_.at(1).global_shutter, nullptr);
+  EXPECT_EQ(outputs_[1].global_shutter_info, nullptr);
+}
+
+TEST_F(ProcessorGlobalShutterTest, EncodingsStayAndMosaicsBecomeColours) {
+  const std::pair<std::string, std::string> encodings[] = {
+      {"mono8", "mono8"}, {"mono16", "mono16"}, {"rgb8", "rgb8"},        {"bgr8", "bgr8"},
+      {"bgra8", "bgra8"}, {"8UC1", "8UC1"},     {"bayer_rggb8", "bgr8"}, {"bayer_grbg16", "bgr16"}};
+  add_imu(kStart - 50 * kMs, kStart + 2 * kSecond);
+  TimeNs stamp_ns = kStart;
+  for (const auto& [encoding, expected] : encodings) {
+    processor_.add_image(image_message(stamp_ns, encoding));
+    processor_.add_camera_info(camera_info(stamp_ns));
+    advance();
+    expect_moved(outputs_.size() - 1);
+    const sensor_msgs::Image& image = *outputs_.back().global_shutter;
+    EXPECT_EQ(image.encoding, expected);
+    EXPECT_EQ(image.width, static_cast<unsigned>(kWidth));
+    EXPECT_EQ(image.step, view_image(image).image.elemSize() * kWidth);
+    EXPECT_EQ(outputs_.back().image->encoding, encoding) << "the deblurred image stays what it was";
+    stamp_ns += 100 * kMs;
+  }
+}
+
+TEST_F(ProcessorGlobalShutterTest, WhatPassesThroughKeepsItsStamp) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  add_frame(kStart + 400 * kMs);
+  time_out();
+  expect_moved(0);
+  expect_passed_through(1, PassThroughReason::NO_GYRO, "");
+  expect_unmoved(1);
+  // Nor does a frame that its partner keeps from being deblurred.
+  request_.permit = [](const FrameBlur&) { return std::string("/cam1 says no"); };
+  add_imu(kStart + 700 * kMs, kStart + 900 * kMs);
+  add_frame(kStart + 800 * kMs);
+  advance();
+  expect_passed_through(2, PassThroughReason::PARTNER, "/cam1 says no");
+  expect_unmoved(2);
+}
+
+TEST_F(ProcessorGlobalShutterTest, AFrameWithoutCameraInfoPassesWithOne) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  processor_.add_image(image_message(kStart));
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "");
+  expect_unmoved(0);
+}
+
+TEST_F(ProcessorGlobalShutterTest, AStillCameraIsMovedByNothing) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs, 0.0);
+  add_frame(kStart);
+  advance();
+  EXPECT_EQ(moved_ns(0), kStart + kToReference);
+  EXPECT_EQ(outputs_[0].global_shutter->data, outputs_[0].input->data);
+}
+
+TEST_F(ProcessorGlobalShutterTest, AGlobalShutterIsStampedAndLeftAlone) {
+  config_.shutter.readout_ns = 0;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  EXPECT_EQ(moved_ns(0), kStart + kExposure / 2);
+  EXPECT_EQ(outputs_[0].global_shutter->data, outputs_[0].image->data);
+  EXPECT_NE(outputs_[0].global_shutter->data, outputs_[0].input->data);
+}
+
+// At 30 Hz, to the last row: 30 ms + 20 ms after the stamp, and the next one passes through with its own.
+TEST_F(ProcessorGlobalShutterTest, StampsNeverGoBack) {
+  config_.pipeline.rectify_to = RectifyTo::LAST_ROW;
+  config_.shutter.exposure_ns = 33 * kMs;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  ASSERT_GT(moved_ns(0), kStart + 33 * kMs);
+  request_.permit = [](const FrameBlur&) { return std::string("/cam1 says no"); };
+  add_frame(kStart + 33 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  EXPECT_EQ(outputs_[1].global_shutter, nullptr);
+  EXPECT_EQ(outputs_[1].global_shutter_info, nullptr);
+  EXPECT_EQ(outputs_[1].image, outputs_[1].input) << "every other output has the frame";
+  EXPECT_EQ(logged("has no global-shutter image"), 1u);
+  request_.permit = nullptr;
+  add_imu(kStart + 105 * kMs, kStart + 300 * kMs);
+  add_frame(kStart + 66 * kMs);
+  advance();
+  ASSERT_NE(outputs_.at(2).global_shutter, nullptr);
+  EXPECT_GT(moved_ns(2), moved_ns(0));
+}
+
+// A bag that is played again: time begins anew.
+TEST_F(ProcessorGlobalShutterTest, StampsGoBackWhereTimeDoes) {
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  processor_.reset();
+  now_ns_ = kStart - 10 * kSecond;
+  add_imu(now_ns_ - 50 * kMs, now_ns_ + 100 * kMs);
+  add_frame(now_ns_);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_moved(1);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
