@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <limits>
 #include <stdexcept>
@@ -47,14 +48,15 @@ Between between(double pixel_px, int nodes) {
 
 Eigen::Vector2d interpolate(const cv::Mat& nodes, const Eigen::Vector2d& pixel_px) {
   const Between x = between(pixel_px.x(), nodes.cols), y = between(pixel_px.y(), nodes.rows);
-  Eigen::Vector2d value(0, 0);
+  double value[2] = {0, 0};
   for (int j = 0; j < 4; ++j) {
-    const auto* row = nodes.ptr<cv::Vec2f>(y.first + j) + x.first;
-    Eigen::Vector2d of_row(0, 0);
-    for (int i = 0; i < 4; ++i) of_row += x.weights[i] * Eigen::Vector2d(row[i][0], row[i][1]);
-    value += y.weights[j] * of_row;
+    const float* row = nodes.ptr<float>(y.first + j) + 2 * static_cast<std::ptrdiff_t>(x.first);
+    for (int k = 0; k < 2; ++k) {
+      value[k] += y.weights[j] * (x.weights[0] * row[k] + x.weights[1] * row[k + 2] + x.weights[2] * row[k + 4] +
+                                  x.weights[3] * row[k + 6]);
+    }
   }
-  return value;
+  return {value[0], value[1]};
 }
 
 bool is_known(const cv::Vec2f& value) { return std::isfinite(value[0]) && std::isfinite(value[1]); }
@@ -150,12 +152,14 @@ GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera
   map.size_ = {width_px, height_px};
   map.nodes_px_.create(rows, cols, CV_32FC2);
   run_parallel(rows, threads, 1, [&](int row) {
+    Eigen::Vector2d move_px(0, 0);
     for (int col = 0; col < cols; ++col) {
       const Eigen::Vector2d pixel_px(node_px(col), node_px(row));
-      Eigen::Vector2d from_px = pixel_px;
-      // What a row is moved by changes slowly from row to row: a tenth of the error is left each time.
-      constexpr int kIterations = 5;
-      for (int i = 0; i < kIterations; ++i) from_px = pixel_px - interpolate(moves_px, from_px);
+      // What a row is moved by changes slowly from row to row: a tenth of the error is left each time. It is a pixel or
+      // so at first, beside a node that is known.
+      const int iterations = col == 0 ? 5 : 3;
+      for (int i = 0; i < iterations; ++i) move_px = interpolate(moves_px, pixel_px - move_px);
+      const Eigen::Vector2d from_px = pixel_px - move_px;
       map.nodes_px_.at<cv::Vec2f>(row, col) = to_node(from_px);
     }
   });

@@ -59,15 +59,16 @@ PointMotion::Turn PointMotion::turn(TimeNs from_ns, TimeNs to_ns) const {
 PointMotion::Place PointMotion::moved(const Eigen::Vector2d& shown_px, const Turn& turn) const {
   const Mean mean = mean_at(shown_px);
   const Eigen::Vector3d seen = camera_.ray(shown_px - mean.shown_offset_px);
-  Place place;
-  place.direction = turn.homography * seen;
-  place.pixel_px = camera_.project(place.direction);
-  if (mean.share_with_residual == 0) return place;
+  const Eigen::Vector3d direction = turn.homography * seen;
+  Place place{camera_.project(direction), std::nullopt};
+  if (mean.share_with_residual == 0) {
+    place.direction = direction;
+    return place;
+  }
   if (turn.rotation != turn.homography) {
     place.pixel_px += mean.share_with_residual * (camera_.project(turn.rotation * seen) - place.pixel_px);
   }
   place.pixel_px += turn.seconds * mean.velocity_px_s;
-  place.direction = camera_.ray(place.pixel_px);
   return place;
 }
 

@@ -1,6 +1,7 @@
 // Where a point of an image is at another instant: the one rule by which keypoints and whole images are rectified.
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
@@ -29,7 +30,8 @@ class PointMotion {
 
   struct Place {
     Eigen::Vector2d pixel_px;
-    Eigen::Vector3d direction;  ///< in the camera's frame, any length
+    /// In the camera's frame, any length; nothing where it is that of the pixel, which takes undistorting it.
+    std::optional<Eigen::Vector3d> direction;
   };
   /// Where a scene point goes in a turn that the image shows at `shown_px` at its beginning. Blocks with a residual
   /// velocity go by rotation and that, others by the homography. Not finite beyond the range of the lens model.

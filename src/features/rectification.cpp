@@ -22,10 +22,11 @@ std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& p
     if (status != BlockStatus::REJECTED && status != BlockStatus::NO_GYRO &&
         motion.covers({std::min(seen_ns, reference_ns), std::max(seen_ns, reference_ns)})) {
       const PointMotion::Place moved = point_motion.moved(raw_px, point_motion.turn(seen_ns, reference_ns));
-      if (moved.pixel_px.allFinite() && moved.direction.allFinite()) {
+      const Eigen::Vector3d seen_there = moved.direction ? *moved.direction : camera.ray(moved.pixel_px);
+      if (moved.pixel_px.allFinite() && seen_there.allFinite()) {
         point.rectified_px = moved.pixel_px;
         point.rectified = true;
-        direction = moved.direction;
+        direction = seen_there;
       }
     }
     point.normalized = camera.normalized(direction);
