@@ -19,10 +19,11 @@ namespace {
 constexpr std::array<BlockStatus, 6> kStatuses{BlockStatus::DEBLURRED, BlockStatus::SHARP,   BlockStatus::REJECTED,
                                                BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO, BlockStatus::BENT};
 
-cv::Scalar color_bgr(BlockStatus status) {
-  const cv::Vec3b rgb = status_color_rgb(status);
+cv::Scalar color_bgr(const cv::Vec3b& rgb) {
   return {static_cast<double>(rgb[2]), static_cast<double>(rgb[1]), static_cast<double>(rgb[0])};
 }
+
+cv::Scalar color_bgr(BlockStatus status) { return color_bgr(status_color_rgb(status)); }
 
 /// Fractional bits of the coordinates that the drawing functions take.
 constexpr int kShift = 4;
@@ -40,6 +41,20 @@ double median_extent_px(const FrameBlur& field) {
     if (blur.status == BlockStatus::DEBLURRED) extents.push_back(blur.extent_px);
   }
   return median(extents);
+}
+
+/// What blocks move beside the known motion: how many do, and the median of how far within the exposure.
+std::string residual_text(const FrameBlur& field) {
+  std::vector<double> lengths_px;
+  for (int i = 0; i < field.grid.size(); ++i) {
+    if (const auto segment = residual_segment(field, i)) {
+      lengths_px.push_back((segment->to_px - segment->from_px).norm());
+    }
+  }
+  if (lengths_px.empty()) return {};
+  char text[64];
+  std::snprintf(text, sizeof(text), "%zu with %.1f px from images", lengths_px.size(), median(lengths_px));
+  return text;
 }
 
 struct LegendLine {
@@ -101,6 +116,8 @@ void draw_legend(cv::Mat& image, const FrameBlur& field, int paths, double scale
     const std::size_t count = field.count(status);
     if (count > 0) lines.push_back({std::to_string(count) + " " + fate(status), color_bgr(status)});
   }
+  const std::string from_images = residual_text(field);
+  if (!from_images.empty()) lines.push_back({from_images, color_bgr(residual_color_rgb())});
   if (paths < field.grid.size()) {
     const std::string drawn = "paths of " + std::to_string(paths) + " of " + std::to_string(field.grid.size());
     lines.push_back({drawn, cv::Scalar::all(255)});
@@ -168,6 +185,15 @@ BlurSegment blur_segment(const FrameBlur& field, int index) {
   return {center_px - half_px, center_px + half_px};
 }
 
+cv::Vec3b residual_color_rgb() { return {255, 150, 0}; }
+
+std::optional<BlurSegment> residual_segment(const FrameBlur& field, int index) {
+  const BlockBlur& blur = field.blocks.at(index);
+  if (!blur.residual) return std::nullopt;
+  const Eigen::Vector2d center_px = field.grid.center(index);
+  return BlurSegment{center_px, center_px + to_seconds(field.exposure_ns) * blur.residual->velocity_px_s};
+}
+
 std::vector<char> paths_apart(const FrameBlur& field, double gap_px) {
   std::vector<char> chosen(field.blocks.size(), 0);
   std::vector<std::pair<int, BlurSegment>> paths;
@@ -200,8 +226,7 @@ cv::Mat draw_overlay(const cv::Mat& luminance, const FrameBlur& field) {
   const int thickness = std::max(1, static_cast<int>(std::lround(scale)));
   constexpr double kGapPx = 8;  // at VGA
   const std::vector<char> has_path = paths_apart(field, kGapPx * scale);
-  const auto draw_path = [&](int index, const cv::Scalar& color, int extra_px) {
-    const BlurSegment segment = blur_segment(field, index);
+  const auto draw_segment = [&](const BlurSegment& segment, const cv::Scalar& color, int extra_px) {
     cv::line(image, fixed_point(segment.from_px), fixed_point(segment.to_px), color, thickness + extra_px, cv::LINE_AA,
              kShift);
   };
@@ -210,12 +235,22 @@ cv::Mat draw_overlay(const cv::Mat& luminance, const FrameBlur& field) {
                static_cast<int>(std::lround((1.5 * thickness + 0.5 * extra_px) * (1 << kShift))), color, cv::FILLED,
                cv::LINE_AA, kShift);
   };
+  const auto draw_ring = [&](int index, const cv::Scalar& color, int extra_px) {
+    cv::circle(image, fixed_point(field.grid.center(index)), (5 * thickness) << kShift, color, thickness + extra_px,
+               cv::LINE_AA, kShift);
+  };
+  const cv::Scalar residual_color = color_bgr(residual_color_rgb());
   // A dark rim first keeps the colours legible on bright ground; later blocks must not be rimmed over earlier ones.
   constexpr int kRimPx = 2;
   for (const int rim_px : {kRimPx, 0}) {
     for (int i = 0; i < field.grid.size(); ++i) {
       const cv::Scalar color = rim_px > 0 ? cv::Scalar::all(0) : color_bgr(field.blocks[i].status);
-      if (has_path[i]) draw_path(i, color, rim_px);
+      const cv::Scalar of_images = rim_px > 0 ? color : residual_color;
+      const std::optional<BlurSegment> residual = residual_segment(field, i);
+      // From below to above, so that a short path is seen on the ring, and a residual along the path on that.
+      if (residual) draw_ring(i, of_images, rim_px);
+      if (has_path[i]) draw_segment(blur_segment(field, i), color, rim_px);
+      if (residual && has_path[i]) draw_segment(*residual, of_images, rim_px);
       draw_dot(i, color, rim_px);
     }
   }

@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <optional>
 
 #include <Eigen/Core>
 #include <boost/make_shared.hpp>
@@ -15,7 +16,7 @@ namespace {
 
 constexpr char kMarkerNamespace[] = "blur";
 /// At the depth of the lines.
-constexpr double kMarkerWidthPx = 2, kMarkerGapPx = 8;
+constexpr double kMarkerWidthPx = 2, kMarkerGapPx = 8, kMarkerHalfTickPx = 4;
 
 }  // namespace
 
@@ -142,22 +143,28 @@ visualization_msgs::MarkerArrayPtr to_markers(const FrameBlur& field, const Came
   marker.scale.x = kMarkerWidthPx / camera.calibration().fx_px;
 
   std::vector<Eigen::Vector2d> ends_px;
-  ends_px.reserve(2 * field.blocks.size());
-  const std::vector<char> has_path = paths_apart(field, kMarkerGapPx);
-  const Eigen::Vector2d half_dot_px(kMarkerWidthPx, 0);
-  for (int i = 0; i < field.grid.size(); ++i) {
-    const Eigen::Vector2d center_px = field.grid.center(i);
-    const BlurSegment segment = has_path[static_cast<std::size_t>(i)]
-                                    ? blur_segment(field, i)
-                                    : BlurSegment{center_px - half_dot_px, center_px + half_dot_px};
+  std::vector<cv::Vec3b> colors_rgb;  // of each segment
+  const auto add = [&](const BlurSegment& segment, const cv::Vec3b& color_rgb) {
     ends_px.push_back(segment.from_px);
     ends_px.push_back(segment.to_px);
+    colors_rgb.push_back(color_rgb);
+  };
+  const std::vector<char> has_path = paths_apart(field, kMarkerGapPx);
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const Eigen::Vector2d center_px = field.grid.center(i), half_dot_px(kMarkerWidthPx, 0),
+                          half_tick_px(0, kMarkerHalfTickPx);
+    const bool drawn = has_path[static_cast<std::size_t>(i)] != 0;
+    add(drawn ? blur_segment(field, i) : BlurSegment{center_px - half_dot_px, center_px + half_dot_px},
+        status_color_rgb(field.blocks[static_cast<std::size_t>(i)].status));
+    const std::optional<BlurSegment> residual = residual_segment(field, i);
+    if (!residual) continue;
+    add(drawn ? *residual : BlurSegment{center_px - half_tick_px, center_px + half_tick_px}, residual_color_rgb());
   }
   const std::vector<Eigen::Vector3d> rays = camera.rays(ends_px);
-  for (std::size_t i = 0; i < field.blocks.size(); ++i) {
+  for (std::size_t i = 0; i < colors_rgb.size(); ++i) {
     // rviz drops a whole marker for one point that is not finite.
     if (!rays[2 * i].allFinite() || !rays[2 * i + 1].allFinite()) continue;
-    const cv::Vec3b rgb = status_color_rgb(field.blocks[i].status);
+    const cv::Vec3b& rgb = colors_rgb[i];
     std_msgs::ColorRGBA color;
     color.r = static_cast<float>(rgb[0]) / 255.f;
     color.g = static_cast<float>(rgb[1]) / 255.f;

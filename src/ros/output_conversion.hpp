@@ -34,8 +34,8 @@ KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions&
 sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const std_msgs::Header& header);
 
 /// The blur paths as lines at a depth of 1 m in the camera's frame, in the colours of the overlay; short ones for
-/// blocks whose path would cover another's. One marker with a fixed namespace and id, so that each image's replaces the
-/// one before.
+/// blocks whose path would cover another's. In a colour of its own, what the images add to a block's motion; a tick
+/// where the path is not drawn. One marker with a fixed namespace and id, so that each image's replaces the one before.
 visualization_msgs::MarkerArrayPtr to_markers(const FrameBlur& field, const Camera& camera,
                                               const std_msgs::Header& header);
 

@@ -22,6 +22,8 @@ cv::Vec3b bgr(BlockStatus status) {
   return {rgb[2], rgb[1], rgb[0]};
 }
 
+double distance(const cv::Vec3b& a, const cv::Vec3b& b) { return cv::norm(cv::Vec3i(a) - cv::Vec3i(b)); }
+
 FrameBlur field_of(int width_px, int height_px, double angle_rad, double extent_px) {
   return uniform_blur_field(width_px, height_px, angle_rad, extent_px, {});
 }
@@ -124,6 +126,64 @@ TEST(DrawOverlay, LegendTellsFieldsApart) {
   EXPECT_FALSE(differs(a, a));
   EXPECT_TRUE(differs(a, b));
   EXPECT_TRUE(differs(a, c));
+}
+
+TEST(ResidualSegment, IsTheWayWithinTheExposureFromTheCentre) {
+  FrameBlur field = field_of(640, 480, 0, 20);
+  field.exposure_ns = 20'000'000;
+  EXPECT_FALSE(residual_segment(field, 11));
+  field.blocks[11].residual = ResidualVelocity{{300, -400}, 10};
+  const auto segment = residual_segment(field, 11);
+  ASSERT_TRUE(segment);
+  EXPECT_LT((segment->from_px - Eigen::Vector2d(95.5, 95.5)).norm(), 1e-9);
+  EXPECT_LT((segment->to_px - Eigen::Vector2d(101.5, 87.5)).norm(), 1e-9);
+}
+
+TEST(DrawOverlay, MarksBlocksThatHaveMotionFromImagesAndDrawsIt) {
+  const cv::Mat grey(960, 1280, CV_8UC1, cv::Scalar(120));  // lines are 2 px wide
+  const cv::Vec3b rgb = residual_color_rgb(), orange(rgb[2], rgb[1], rgb[0]);
+  for (const BlockStatus status : kAll) EXPECT_GT(distance(bgr(status), orange), 75) << to_string(status);
+  FrameBlur field = field_of(1280, 960, 0, 40);
+  field.exposure_ns = 20'000'000;
+  const int with = field.grid.index_at(700, 500), without = with + 1;
+  const cv::Mat before = draw_overlay(grey, field);
+  field.blocks[with].residual = ResidualVelocity{{0, 1000}, 10};  // 20 px down
+  cv::Mat image = draw_overlay(grey, field);
+  const int x = static_cast<int>(field.grid.center(with).x()), y = static_cast<int>(field.grid.center(with).y());
+  EXPECT_LT(distance(image.at<cv::Vec3b>(y + 16, x), orange), 60) << "the line";
+  EXPECT_EQ(image.at<cv::Vec3b>(y - 16, x), cv::Vec3b(120, 120, 120)) << "in its direction alone";
+  EXPECT_EQ(image.at<cv::Vec3b>(y + 26, x), cv::Vec3b(120, 120, 120)) << "beyond its end";
+  EXPECT_LT(distance(image.at<cv::Vec3b>(y - 10, x), orange), 60) << "the ring";
+  EXPECT_LT(distance(image.at<cv::Vec3b>(y, x), bgr(BlockStatus::DEBLURRED)), 40) << "the status stays";
+  const cv::Rect beside = field.grid.rect(without);
+  EXPECT_EQ(cv::norm(image(beside), before(beside), cv::NORM_INF), 0) << "nothing is from images there";
+  // Where its path is not drawn, the ring alone tells.
+  for (BlockBlur& blur : field.blocks) blur.extent_px = 150;
+  const std::vector<char> drawn = paths_apart(field, 16);
+  const int hidden = static_cast<int>(std::find(drawn.begin() + with, drawn.end(), 0) - drawn.begin());
+  field.blocks[hidden].residual = field.blocks[with].residual;
+  image = draw_overlay(grey, field);
+  const Eigen::Vector2d center = field.grid.center(hidden);
+  const auto at = [&](int dy) {
+    return image.at<cv::Vec3b>(static_cast<int>(center.y()) + dy, static_cast<int>(center.x()));
+  };
+  EXPECT_LT(distance(at(-10), orange), 60);
+  EXPECT_EQ(at(16), cv::Vec3b(120, 120, 120));
+}
+
+TEST(DrawOverlay, LegendHasTheMedianOfWhatImagesTell) {
+  const cv::Mat grey(480, 752, CV_8UC1, cv::Scalar(120));
+  FrameBlur field = field_of(752, 480, M_PI / 2, 40);
+  field.exposure_ns = 20'000'000;
+  for (int i = 60; i < field.grid.size(); ++i) field.blocks[i].residual = ResidualVelocity{{100.0, 0}, 10};
+  const cv::Rect legend(0, 0, 160, 60);
+  const cv::Mat a = draw_overlay(grey, field)(legend);
+  field.blocks.back().residual->velocity_px_s.x() = 900;
+  EXPECT_EQ(cv::norm(a, draw_overlay(grey, field)(legend), cv::NORM_INF), 0) << "one of many";
+  for (BlockBlur& blur : field.blocks) {
+    if (blur.residual) blur.residual->velocity_px_s.x() = 900;
+  }
+  EXPECT_GT(cv::norm(a, draw_overlay(grey, field)(legend), cv::NORM_INF), 50);
 }
 
 TEST(DrawOverlay, CopesWithSmallImagesAndLongPaths) {
