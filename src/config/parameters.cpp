@@ -160,7 +160,7 @@ ParameterGroup stereo() {
 
 ParameterGroup translation() {
   return {"translation",
-          "Used when there is an odometry and the depth of the scene is known; see doc/guides/translation.md.",
+          "Used when there is an odometry and the depth of the scene is known; see doc/guides/motion.md.",
           {
               {"scene_depth", &Translation::scene_depth_m, within(0, 1000, "m"),
                "median along the optical axis; 0: only from the scene_depth topic"},

@@ -192,7 +192,9 @@ TEST(BlurField, CarriesEverything) {
   std_msgs::Header header;
   header.frame_id = "camera";
   header.stamp = ros::Time(12, 34);
-  const auto message = to_message(example_field(), header);
+  FrameBlur field = example_field();
+  field.blocks[2].residual = ResidualVelocity{{30, -40}, 5};
+  const auto message = to_message(field, header);
   EXPECT_EQ(message->header.stamp, header.stamp);
   EXPECT_EQ(message->header.frame_id, "camera");
   EXPECT_EQ(message->reason, 0);
@@ -206,6 +208,11 @@ TEST(BlurField, CarriesEverything) {
   EXPECT_EQ(message->status[1], BlurField::REJECTED);
   EXPECT_FLOAT_EQ(message->angle[0], 0.5f);
   EXPECT_FLOAT_EQ(message->extent[3], 12);
+  EXPECT_EQ(message->source, (std::vector<std::uint8_t>{BlurField::SOURCE_GYROSCOPE, BlurField::SOURCE_GYROSCOPE,
+                                                        BlurField::SOURCE_IMAGES, BlurField::SOURCE_GYROSCOPE}));
+  EXPECT_EQ(message->residual_x, (std::vector<float>{0, 0, 30, 0}));
+  EXPECT_EQ(message->residual_y, (std::vector<float>{0, 0, -40, 0}));
+  EXPECT_EQ(message->residual_stddev, (std::vector<float>{0, 0, 5, 0}));
   EXPECT_EQ(message->exposure_time.toNSec(), kExposure);
   EXPECT_EQ(message->readout_time.toNSec(), -kReadout);
 }
@@ -443,13 +450,15 @@ TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
 TEST(Names, AgreeWithTheMessage) {
   std::ifstream file(GYRO_DEBLUR_SOURCE_DIR "/msg/BlurField.msg");
   ASSERT_TRUE(file);
-  const std::regex constant(R"(^uint8 (REASON_)?([A-Z_]+)=(\d+).*)");
-  int statuses = 0, reasons = 0;
+  const std::regex constant(R"(^uint8 (REASON_|SOURCE_)?([A-Z_]+)=(\d+).*)");
+  int statuses = 0, reasons = 0, sources = 0;
   for (std::string line; std::getline(file, line);) {
     std::smatch match;
     if (!std::regex_match(line, match, constant)) continue;
     const int value = std::stoi(match[3]);
-    if (match[1].matched) {
+    if (match[1] == "SOURCE_") {
+      ++sources;  // only the message has them
+    } else if (match[1].matched) {
       EXPECT_EQ(to_string(static_cast<PassThroughReason>(value)), match[2].str());
       ++reasons;
     } else {
@@ -459,6 +468,7 @@ TEST(Names, AgreeWithTheMessage) {
   }
   EXPECT_EQ(statuses, 6);
   EXPECT_EQ(reasons, 13);
+  EXPECT_EQ(sources, 2);
 }
 
 }  // namespace
