@@ -18,6 +18,7 @@
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rectification.hpp"
+#include "gyro_deblur/residual_rotation.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
@@ -59,7 +60,9 @@ struct PipelineResult {
   /// Why there are no keypoints though they were requested, such as a detector that OpenCV does not have; else empty.
   std::string keypoints_text;
   int significant_bits = 8;  ///< of the image that came in, see BitDepth
-  TimeNs reference_ns = 0;   ///< camera clock; at which points[].rectified_px and global_shutter hold
+  /// What the residual velocities have in common; nothing where too few are known.
+  std::optional<ResidualRotation> residual_rotation;
+  TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;
   SlowBlocks slow_blocks;  ///< blocks that left the engine's fast path, and why
 };

@@ -124,6 +124,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     const Stopwatch watch;
     luminance = luminance8(image, layout, result.significant_bits);
     residuals = flow_->follow(luminance, *camera_, motion, exposure, estimator_->grid());
+    result.residual_rotation = fit_residual_rotation(residuals, estimator_->grid(), *camera_, motion, exposure);
     result.times.flow_ms = watch.ms();
   }
   const Stopwatch blur_field_watch;

@@ -1,8 +1,12 @@
 #include "ros/diagnostics.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <cstdio>
 
+#include "base/median.hpp"
 #include "ros/pass_through.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -71,6 +75,26 @@ void add_translation(const ProcessorStatistics& now, DiagnosticStatusWrapper* st
   status->add("odometry refused", now.odometry_refused);
 }
 
+/// What the images have shown to be wrong, and what to do.
+std::string error_text(const GyroError& error, const Eigen::Vector3d& bias_rad_s) {
+  char text[160];
+  switch (error.kind) {
+    case GyroError::Kind::BIAS:
+      std::snprintf(text, sizeof(text), " rad/s beside the gyroscope for %.0f s: a bias; call ", error.seconds);
+      return "the images turn by " + vector_text(-error.vector) + text +
+             "estimate_gyro_bias at rest, or set gyro_bias to " + vector_text(bias_rad_s + error.vector);
+    case GyroError::Kind::EXTRINSIC:
+      std::snprintf(text, sizeof(text), "for %.0f s: R_cam_imu is off by about %.1f deg; calibrate it", error.seconds,
+                    error.vector.norm() * 180 / M_PI);
+      return std::string("the images turn about another axis than the gyroscope ") + text;
+    case GyroError::Kind::TIME_OFFSET:
+      std::snprintf(text, sizeof(text), "%s the gyroscope for %.0f s: add %.4f s to time_offset",
+                    error.time_offset_s > 0 ? "before" : "after", error.seconds, error.time_offset_s);
+      return std::string("the images turn ") + text;
+  }
+  return "";
+}
+
 void add_gyro_buffer(const DiagnosticReport::Moment& now, DiagnosticStatusWrapper* status) {
   const ProcessorStatistics& statistics = now.statistics;
   if (!statistics.newest_imu_ns) {
@@ -93,6 +117,7 @@ void DiagnosticReport::Latency::add(double ms) {
 void DiagnosticReport::start(const ProcessorStatistics& statistics, Time time) {
   const std::lock_guard<std::mutex> lock(mutex_);
   latencies_.clear();
+  from_images_ = {};
   last_ = statistics;
   last_time_ = time;
 }
@@ -110,6 +135,14 @@ void DiagnosticReport::add(const FrameOutput& output) {
   latencies_["messages"].add(output.messages_ms);
   if (output.tracks) latencies_["tracks"].add(output.tracks_ms);
   if (output.global_shutter) latencies_["global shutter"].add(output.stages.global_shutter_ms);
+  for (const BlockBlur& block : output.field->blocks) {
+    if (!block.residual) continue;
+    from_images_.blocks_px.push_back(block.residual->velocity_px_s.norm() * to_seconds(output.field->exposure_ns));
+  }
+  if (output.residual_rotation) {
+    from_images_.rotation_sum_rad_s += output.residual_rotation->rate_rad_s;
+    ++from_images_.rotations;
+  }
 }
 
 void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) {
@@ -125,6 +158,7 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
   add_frames(now, status);
   add_unsent(now, status);
   add_blocks(now, status);
+  add_motion_from_images(now, status);
   add_imu(now, status);
   status->add("time jumps", now.statistics.time_jumps);
   add_translation(now.statistics, status);
@@ -132,6 +166,7 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
   add_latencies(status);
   status->add("engine", now.statistics.engine.empty() ? "none" : now.statistics.engine);
   latencies_.clear();
+  from_images_ = {};
   last_ = now.statistics;
   last_unsent_ = now.unsent;
   last_time_ = now.time;
@@ -186,6 +221,20 @@ void DiagnosticReport::add_blocks(const Moment& now, DiagnosticStatusWrapper* st
         "%zu of %zu blurred blocks rejected: the images contradict the predicted blur; check R_cam_imu, "
         "time_offset and exposure_time with blur_overlay",
         rejected, judged);
+  }
+}
+
+void DiagnosticReport::add_motion_from_images(const Moment& now, DiagnosticStatusWrapper* status) const {
+  status->add("blocks with motion from images", now.statistics.blocks_from_images);
+  if (!from_images_.blocks_px.empty()) {
+    status->addf("motion from images, median [px]", "%.2f", median(from_images_.blocks_px));
+  }
+  if (from_images_.rotations > 0) {
+    status->add("rotation beside the gyroscope, mean [rad/s]",
+                vector_text(from_images_.rotation_sum_rad_s / static_cast<double>(from_images_.rotations)));
+  }
+  if (now.statistics.gyro_error) {
+    status->mergeSummary(DiagnosticStatus::WARN, error_text(*now.statistics.gyro_error, now.statistics.bias_rad_s));
   }
 }
 

@@ -6,8 +6,10 @@
 #include <map>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include <diagnostic_updater/DiagnosticStatusWrapper.h>
+#include <Eigen/Core>
 
 #include "gyro_deblur/time.hpp"
 #include "ros/processing.hpp"
@@ -43,14 +45,22 @@ class DiagnosticReport {
     std::size_t count = 0;
     void add(double ms);
   };
+  /// What the images of a period tell beside the gyroscope.
+  struct FromImages {
+    std::vector<double> blocks_px;  ///< within the exposure, of the blocks for which it is used
+    Eigen::Vector3d rotation_sum_rad_s = Eigen::Vector3d::Zero();
+    std::size_t rotations = 0;
+  };
   // What they report of the last period needs mutex_.
   void add_frames(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_unsent(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_blocks(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
+  void add_motion_from_images(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_latencies(diagnostic_updater::DiagnosticStatusWrapper* status) const;
 
   std::mutex mutex_;  // everything below
   std::map<std::string, Latency> latencies_;
+  FromImages from_images_;
   ProcessorStatistics last_;
   std::size_t last_unsent_ = 0;
   Time last_time_ = std::chrono::steady_clock::now();

@@ -127,6 +127,12 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   }
   PipelineResult result = pipeline.process(view.image, view.layout, motion.motion(), *assembled.exposure, wanted);
   output->stages = result.times;
+  if (result.residual_rotation) {
+    const Eigen::Matrix3d R_imu_cam = assembled.R_cam_imu.transpose();
+    output->residual_rotation = result.residual_rotation;
+    output->residual_rotation->rate_rad_s = R_imu_cam * result.residual_rotation->rate_rad_s;
+    output->residual_rotation->known_rad_s = R_imu_cam * result.residual_rotation->known_rad_s;
+  }
   output->slow_blocks = result.slow_blocks;
   output->engine_warning = pipeline.take_warning();
   output->keypoints_text = result.keypoints_text;

@@ -13,6 +13,7 @@
 #include "gyro_deblur/engine.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
+#include "gyro_deblur/residual_rotation.hpp"
 #include "ros/assembly.hpp"
 #include "ros/messages.hpp"
 #include "ros/pass_through.hpp"
@@ -49,16 +50,17 @@ struct FrameOutput {
   sensor_msgs::CameraInfoConstPtr global_shutter_info;
   PassThroughReason reason = PassThroughReason::NONE;
   std::string reason_text;
-  std::optional<FrameBlur> field;  ///< of the core; absent when the pipeline did not run
-  SlowBlocks slow_blocks;          ///< that left the engine's fast path, by reason
-  std::string engine_warning;      ///< what the engine has to tell; mostly empty
-  bool translated = false;         ///< odometry and depth were used
-  std::string translation_text;    ///< why not, where an odometry is expected; else empty
-  StageTimes stages;               ///< [ms]
-  double tracks_ms = 0;            ///< of following corners
-  double waiting_ms = 0;           ///< steady time in the queue; left to the caller
-  double messages_ms = 0;          ///< conversion from and to messages, overlay and markers
-  double total_ms = 0;             ///< of processing, without waiting
+  std::optional<FrameBlur> field;                     ///< of the core; absent when the pipeline did not run
+  SlowBlocks slow_blocks;                             ///< that left the engine's fast path, by reason
+  std::string engine_warning;                         ///< what the engine has to tell; mostly empty
+  bool translated = false;                            ///< odometry and depth were used
+  std::string translation_text;                       ///< why not, where an odometry is expected; else empty
+  std::optional<ResidualRotation> residual_rotation;  ///< axes of the IMU; absent where images tell too little
+  StageTimes stages;                                  ///< [ms]
+  double tracks_ms = 0;                               ///< of following corners
+  double waiting_ms = 0;                              ///< steady time in the queue; left to the caller
+  double messages_ms = 0;                             ///< conversion from and to messages, overlay and markers
+  double total_ms = 0;                                ///< of processing, without waiting
 };
 
 /// The last station of a frame. Depends on nothing but the frame, the request and the images that the tracker has seen.

@@ -56,6 +56,7 @@ void Processor::set_config(const Config& config) {
   config_error_.clear();
   pipeline_ = std::move(pipeline);
   intake_.set_config(config);
+  gyro_errors_.clear();
   if (environment_.stereo) environment_.stereo->set_patience(config.stereo_patience_ns);
 }
 
@@ -224,7 +225,9 @@ void Processor::keep_global_shutter_in_order(FrameOutput* output) {
 
 void Processor::note(const FrameOutput& output) {
   statistics_.count(output);
-  const std::string name = "frame " + seconds_text(to_time_ns(output.input->header.stamp));
+  const TimeNs stamp_ns = to_time_ns(output.input->header.stamp);
+  const std::string name = "frame " + seconds_text(stamp_ns);
+  if (output.residual_rotation) gyro_errors_.add(stamp_ns, *output.residual_rotation);
   if (!output.translation_text.empty()) {
     log_(LogLevel::WARNING, "translation", name + " is deblurred with the rotation alone: " + output.translation_text);
   }
@@ -278,6 +281,7 @@ void Processor::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
   intake_.reset();
   estimated_bias_rad_s_.reset();
+  gyro_errors_.clear();
   log_.clear();
 }
 
@@ -288,12 +292,19 @@ bool Processor::estimate_bias(std::string* text) {
     return false;
   }
   const std::optional<Eigen::Vector3d> bias_rad_s = gyro_deblur::estimate_bias(intake_.gyro(), *config_, text);
-  if (bias_rad_s) estimated_bias_rad_s_ = bias_rad_s;
+  if (bias_rad_s) {
+    estimated_bias_rad_s_ = bias_rad_s;
+    gyro_errors_.clear();
+  }
   return bias_rad_s.has_value();
 }
 
 Eigen::Vector3d Processor::bias_rad_s() const {
   const std::lock_guard<std::mutex> lock(mutex_);
+  return bias_in_use();
+}
+
+Eigen::Vector3d Processor::bias_in_use() const {
   if (estimated_bias_rad_s_) return *estimated_bias_rad_s_;
   return config_ ? config_->gyro.bias_rad_s : Config().gyro.bias_rad_s;
 }
@@ -309,6 +320,8 @@ ProcessorStatistics Processor::statistics() const {
   if (!statistics.gyro_available.empty()) statistics.newest_imu_ns = statistics.gyro_available.end_ns;
   if (pipeline_) statistics.engine = pipeline_->engine();
   statistics.configuration_error = config_error_;
+  statistics.bias_rad_s = bias_in_use();
+  statistics.gyro_error = gyro_errors_.find();
   return statistics;
 }
 

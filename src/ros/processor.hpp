@@ -16,6 +16,7 @@
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
+#include "gyro_deblur/residual_rotation.hpp"
 #include "ros/assembly.hpp"
 #include "ros/gyro_bias.hpp"
 #include "ros/gyro_source.hpp"
@@ -101,6 +102,7 @@ class Processor {
   ProcessorStatistics statistics() const;
 
  private:
+  Eigen::Vector3d bias_in_use() const;  // needs mutex_
   void advance(const Sink& sink, bool finishing);
   /// Exposure of the images from which corners are followed; nothing where there is none.
   std::optional<TimeRange> followed() const;
@@ -136,6 +138,7 @@ class Processor {
   OverloadRule overload_;
   std::size_t in_progress_ = 0;
   OutputStatistics statistics_;
+  GyroErrorWatch gyro_errors_;  // with the configuration and bias in use
 };
 
 }  // namespace gyro_deblur

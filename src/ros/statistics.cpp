@@ -6,7 +6,10 @@ void OutputStatistics::count(const FrameOutput& output) {
   ++frames_out;
   if (output.reason != PassThroughReason::NONE) ++passed_through[output.reason];
   if (output.field) {
-    for (const BlockBlur& block : output.field->blocks) ++blocks[block.status];
+    for (const BlockBlur& block : output.field->blocks) {
+      ++blocks[block.status];
+      if (block.residual) ++blocks_from_images;
+    }
   }
   for (const auto& [reason, number] : output.slow_blocks) slow_blocks[reason] += number;
   keypoints_text = output.keypoints_text;

@@ -6,8 +6,11 @@
 #include <optional>
 #include <string>
 
+#include <Eigen/Core>
+
 #include "gyro_deblur/engine.hpp"
 #include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/residual_rotation.hpp"
 #include "gyro_deblur/time.hpp"
 #include "ros/gyro_source.hpp"
 #include "ros/intake.hpp"
@@ -21,6 +24,7 @@ struct OutputStatistics {
   std::size_t frames_out = 0;
   std::map<PassThroughReason, std::size_t> passed_through;
   std::map<BlockStatus, std::size_t> blocks;  ///< of the frames that were not passed through
+  std::size_t blocks_from_images = 0;         ///< of those, whose motion is also from the images
   SlowBlocks slow_blocks;                     ///< that left the engine's fast path, by reason
   std::size_t frames_translated = 0;          ///< whose blur field has the odometry's translation
   std::size_t frames_not_translated = 0;      ///< without, though an odometry is there
@@ -32,11 +36,13 @@ struct OutputStatistics {
 
 /// Of a processor; those of the IMU are since the start of its source.
 struct ProcessorStatistics : ImuStatistics, IntakeStatistics, OutputStatistics {
-  std::size_t waiting = 0;              ///< frames that have not left
-  std::optional<TimeNs> newest_imu_ns;  ///< IMU clock
-  TimeRange gyro_available;             ///< IMU clock
-  std::string engine;                   ///< empty while the configuration cannot be used
-  std::string configuration_error;      ///< empty when it can
+  std::size_t waiting = 0;                               ///< frames that have not left
+  std::optional<TimeNs> newest_imu_ns;                   ///< IMU clock
+  TimeRange gyro_available;                              ///< IMU clock
+  Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< in use
+  std::optional<GyroError> gyro_error;                   ///< that the images have shown since it is; axes of the IMU
+  std::string engine;                                    ///< empty while the configuration cannot be used
+  std::string configuration_error;                       ///< empty when it can
 };
 
 }  // namespace gyro_deblur

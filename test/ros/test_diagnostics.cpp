@@ -140,6 +140,54 @@ TEST_F(DiagnosticReportTest, TimesAreThoseOfThePeriod) {
   EXPECT_EQ(fill().count("waiting mean [ms]"), 0u);
 }
 
+TEST_F(DiagnosticReportTest, MotionFromImagesIsCountedAndItsSizeTold) {
+  auto values = fill();
+  EXPECT_EQ(values["blocks with motion from images"], "0");
+  EXPECT_EQ(values.count("motion from images, median [px]"), 0u);
+  FrameOutput output;
+  output.field.emplace();
+  output.field->exposure_ns = 20'000'000;
+  output.field->blocks.resize(8);
+  for (int i = 0; i < 5; ++i) output.field->blocks[i].residual = ResidualVelocity{{30.0 * (i + 1), 40.0 * (i + 1)}, 5};
+  output.residual_rotation.emplace();
+  output.residual_rotation->rate_rad_s = {0.25, 0, -0.5};
+  report_.add(output);
+  output.residual_rotation->rate_rad_s = {0.75, 0, -0.5};
+  report_.add(output);
+  statistics_.count(output);
+  values = fill();
+  EXPECT_EQ(values["blocks with motion from images"], "5");
+  EXPECT_EQ(values["motion from images, median [px]"], "3.00");
+  EXPECT_EQ(values["rotation beside the gyroscope, mean [rad/s]"], "[0.500000, 0.000000, -0.500000]");
+  EXPECT_EQ(level_, DiagnosticStatus::OK);
+  values = fill();
+  EXPECT_EQ(values["blocks with motion from images"], "5");
+  EXPECT_EQ(values.count("motion from images, median [px]"), 0u) << "none since";
+  EXPECT_EQ(values.count("rotation beside the gyroscope, mean [rad/s]"), 0u);
+}
+
+TEST_F(DiagnosticReportTest, AnErrorOfTheGyroscopeWarnsWithTheRemedy) {
+  const auto summary_has = [&](const std::string& part) {
+    fill();
+    EXPECT_EQ(level_, DiagnosticStatus::WARN);
+    EXPECT_NE(summary_.find(part), std::string::npos) << summary_;
+  };
+  statistics_.bias_rad_s = {0.01, 0, 0};
+  statistics_.gyro_error.emplace();
+  statistics_.gyro_error->vector = {0.05, 0, -0.05};
+  statistics_.gyro_error->seconds = 9.9;
+  summary_has("the images turn by [-0.050000, -0.000000, 0.050000] rad/s beside the gyroscope for 10 s: a bias");
+  summary_has("call estimate_gyro_bias at rest, or set gyro_bias to [0.060000, 0.000000, -0.050000]");
+  statistics_.gyro_error->kind = GyroError::Kind::EXTRINSIC;
+  summary_has("R_cam_imu is off by about 4.1 deg");
+  statistics_.gyro_error->kind = GyroError::Kind::TIME_OFFSET;
+  statistics_.gyro_error->time_offset_s = -0.015;
+  summary_has("after the gyroscope for 10 s: add -0.0150 s to time_offset");
+  statistics_.gyro_error.reset();
+  fill();
+  EXPECT_EQ(level_, DiagnosticStatus::OK);
+}
+
 TEST_F(DiagnosticReportTest, TranslationIsToldOfWhereThereIsOdometry) {
   EXPECT_EQ(fill().count("frames with translation"), 0u);
   statistics_.frames_not_translated = 2;
