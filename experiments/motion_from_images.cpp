@@ -1,133 +1,273 @@
-// How wrong the displacement of blocks is that the gyroscope tells, and with what the images tell besides.
+// What the images tell of the motion that the gyroscope does not know, on recorded flights through a simulated room.
+// Writes the tables of doc/reports/motion_from_images.md.
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
 #include <CLI/CLI.hpp>
-#include <opencv2/imgproc.hpp>
+#include <opencv2/core.hpp>
 
-#include "features/residual_flow.hpp"
-#include "gyro_deblur/options.hpp"
-#include "room_flight.hpp"
-#include "sim/simulator.hpp"
+#include "displacement_errors.hpp"
+#include "footage.hpp"
+#include "gyro_deblur/pipeline.hpp"
+#include "result_table.hpp"
+#include "tools/output_file.hpp"
+#include "tools/progress.hpp"
+#include "tools/tool_main.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::experiments {
 namespace {
 
-double percentile(std::vector<double> v, double part) {
-  if (v.empty()) return NAN;
-  const auto at = v.begin() + static_cast<std::ptrdiff_t>(part * static_cast<double>(v.size() - 1));
-  std::nth_element(v.begin(), at, v.end());
-  return *at;
-}
-
-struct Case {
-  test::RecordedFlight flight;
-  double exposure_s, readout_s, speed, contrast, noise;
+struct Arguments {
+  std::string data = GYRO_DEBLUR_DATA_DIR, output;
+  std::vector<std::string> parts;
+  double seconds = 4;
+  bool quick = false, quiet = false;
 };
 
-void run(const Case& c, double seconds, const ResidualFlowOptions& options) {
-  sim::Scene scene = test::room_flight_scene(c.flight, GYRO_DEBLUR_DATA_DIR, seconds, c.speed);
-  scene.camera.calibration.width_px = 752;
-  scene.camera.calibration.height_px = 480;
-  scene.camera.calibration.fx_px = scene.camera.calibration.fy_px = 460;
-  scene.camera.calibration.cx_px = 375.5;
-  scene.camera.calibration.cy_px = 239.5;
-  scene.camera.exposures_ns = {to_ns(c.exposure_s)};
-  scene.camera.readout_ns = to_ns(c.readout_s);
-  scene.camera.noise = c.noise;
-  for (sim::Plane& plane : scene.planes) {
-    plane.texture.convertTo(plane.texture, -1, c.contrast, 128 * (1 - c.contrast) * 0.7);
+std::vector<double> of(const std::vector<BlockErrors>& errors, double BlockErrors::*value) {
+  std::vector<double> values;
+  for (const BlockErrors& e : errors) {
+    if (!std::isnan(e.*value)) values.push_back(e.*value);
   }
-  sim::Simulator simulator(scene);
-  std::vector<GyroSample> samples;
-  for (const sim::ImuSample& s : simulator.imu()) samples.push_back({s.t_ns, s.rate_rad_s});
-  GyroOptions gyro;
-  const RotationTrack rotation(samples, gyro, scene.imu.R_cam_imu);
-  ResidualFlow flow(options);
-  const BlockGrid grid(752, 480, 64);
-  std::vector<double> of_gyro, of_flow, of_carried, of_gated, normalised, corners;
-  double ms = 0;
-  ResidualField before;
-  for (int i = 0; i < simulator.frames(); ++i) {
-    const sim::Frame frame = simulator.frame(i);
-    const RowExposure exposure = simulator.exposure(i);
-    const auto begin = std::chrono::steady_clock::now();
-    const ResidualField velocities = flow.follow(frame.image, simulator.camera(), rotation, exposure, grid);
-    ms += std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin).count();
-    if (i < 2) {
-      before = velocities;
-      continue;
+  return values;
+}
+
+std::string median_and_p90(const std::vector<double>& values) {
+  return text_of(quantile(values, 0.5), 2) + " / " + text_of(quantile(values, 0.9), 2);
+}
+
+std::string used_share(const std::vector<BlockErrors>& errors) {
+  const auto used = std::count_if(errors.begin(), errors.end(), [](const BlockErrors& e) { return e.from_images; });
+  return text_of(100.0 * static_cast<double>(used) / static_cast<double>(errors.size()), 1);
+}
+
+std::string conditions(const FootageCase& c, const Light& light) {
+  return c.conditions() + (light.name[0] == 0 ? "" : std::string(", ") + light.name);
+}
+
+/// Frames in which the images' median is worse than the gyroscope's by more than a limit.
+int worse_frames(const std::vector<BlockErrors>& errors, int* frames) {
+  constexpr double kLimitPx = 0.2;
+  int worse = 0;
+  *frames = 0;
+  for (std::size_t begin = 0, end; begin < errors.size(); begin = end) {
+    std::vector<double> alone, images;
+    for (end = begin; end < errors.size() && errors[end].frame == errors[begin].frame; ++end) {
+      alone.push_back(errors[end].residual_px);
+      images.push_back(errors[end].images_px);
     }
-    corners.push_back(static_cast<double>(flow.samples().size()));
-    for (int b = 0; b < grid.size(); ++b) {
-      const Eigen::Vector2d center = grid.center(b), truth = simulator.truth_displacement(i, center);
-      const double y = center.y();
-      const Eigen::Vector3d ray = simulator.camera().ray(center);
-      const auto place = [&](TimeNs t) {
-        return simulator.camera().project(rotation.homography(exposure.middle(y), t) * ray);
-      };
-      const Eigen::Vector2d by_gyro = place(exposure.end(y)) - place(exposure.start(y));
-      if (!truth.allFinite() || !by_gyro.allFinite()) continue;
-      of_gyro.push_back((by_gyro - truth).norm());
-      Eigen::Vector2d add = Eigen::Vector2d::Zero(), carried = add, gated = add;
-      if (!velocities.empty() && velocities[b]) {
-        carried = add = velocities[b]->velocity_px_s * c.exposure_s;
-        if (false) carried += 0.5 * (velocities[b]->velocity_px_s - before[b]->velocity_px_s) * c.exposure_s;
-        if (velocities[b]->velocity_px_s.norm() > 3.5 * velocities[b]->stddev_px_s && add.norm() > .2) gated = add;
-        normalised.push_back((by_gyro + add - truth).norm() / (1.18 * velocities[b]->stddev_px_s * c.exposure_s));
+    ++*frames;
+    if (quantile(images, 0.5) > quantile(alone, 0.5) + kLimitPx) ++worse;
+  }
+  return worse;
+}
+
+class Study {
+ public:
+  explicit Study(const Arguments& arguments) : arguments_(arguments) {}
+
+  void run();
+
+ private:
+  bool asked(const std::string& part) const {
+    return arguments_.parts.empty() ||
+           std::find(arguments_.parts.begin(), arguments_.parts.end(), part) != arguments_.parts.end();
+  }
+  void displacement(const FootageCase& c, const Footage& footage, const Light& light);
+  void wrong_bias(const FootageCase& c, const Footage& footage);
+  void held(const FootageCase& c, const Footage& footage, const Light& light);
+  void hardship(const char* what, const FootageCase& c, const Sequence& sequence);
+  void dropped(const FootageCase& c, const Footage& footage);
+  void write() const;
+
+  Arguments arguments_;
+  ResultTable displacement_{{"flight", "conditions", "gyroscope alone [px]", "true velocity, median depth [px]",
+                             "images [px]", "error / standard deviation", "blocks by images [%]"}};
+  std::string samples_ = "flight,conditions,residual_px,velocity_px,images_px\n";
+  ResultTable held_{{"flight", "camera", "conditions", "change, p99 [px]", "largest [px]", "blocks by images [%]",
+                     "frames altered by the images"}};
+  ResultTable bias_{{"flight", "conditions", "gyroscope alone [px]", "images [px]", "blocks by images [%]"}};
+  ResultTable hardship_{{"flight", "what", "gyroscope alone [px]", "images [px]", "blocks by images [%]",
+                         "frames worse by more than 0.2 px"}};
+};
+
+void Study::displacement(const FootageCase& c, const Footage& footage, const Light& light) {
+  const auto errors = displacement_errors(all_frames(footage), light, footage.rotation());
+  displacement_.add({c.flight.name, conditions(c, light), median_and_p90(of(errors, &BlockErrors::residual_px)),
+                     median_and_p90(of(errors, &BlockErrors::velocity_px)),
+                     median_and_p90(of(errors, &BlockErrors::images_px)),
+                     median_and_p90(of(errors, &BlockErrors::normalized)), used_share(errors)});
+  constexpr std::size_t kEvery = 7;  // no divisor of the number of blocks of a row or a frame
+  for (std::size_t k = 0; k < errors.size(); k += kEvery) {
+    samples_ += std::string(c.flight.name) + ",\"" + conditions(c, light) + "\"," + text_of(errors[k].residual_px, 3) +
+                "," + text_of(errors[k].velocity_px, 3) + "," + text_of(errors[k].images_px, 3) + "\n";
+  }
+}
+
+void Study::wrong_bias(const FootageCase& c, const Footage& footage) {
+  constexpr double kBiasRadS = 0.05;
+  const auto errors = displacement_errors(all_frames(footage), kDaylight, footage.rotation(kBiasRadS));
+  bias_.add({c.flight.name, c.conditions(), median_and_p90(of(errors, &BlockErrors::residual_px)),
+             median_and_p90(of(errors, &BlockErrors::images_px)), used_share(errors)});
+}
+
+void Study::held(const FootageCase& c, const Footage& footage, const Light& light) {
+  const RotationTrack rotation = footage.rotation();
+  const auto errors = displacement_errors(all_frames(footage), light, rotation);
+  PipelineOptions with, without;
+  without.motion_from_images = false;
+  Pipeline images(with), alone(without);
+  PipelineRequest request;
+  request.keypoints = false;
+  int altered = 0;
+  for (Pipeline* pipeline : {&images, &alone}) pipeline->set_calibration(footage.camera().calibration());
+  for (int i = 0; i < footage.frames(); ++i) {
+    const cv::Mat image = footage.image(i, light);
+    std::vector<cv::Mat> shown;
+    for (Pipeline* pipeline : {&images, &alone}) {
+      const cv::Mat deblurred =
+          pipeline->process(image, PixelLayout::GRAY, rotation, footage.exposure(i), request).image;
+      shown.push_back(deblurred.empty() ? image : deblurred);
+    }
+    if (cv::norm(shown[0], shown[1], cv::NORM_INF) != 0) ++altered;
+  }
+  const std::vector<double> changes = of(errors, &BlockErrors::change_px);
+  held_.add({c.flight.name, c.path == CameraPath::TURNING ? "turns" : "rests", conditions(c, light),
+             text_of(quantile(changes, 0.99), 2), text_of(quantile(changes, 1), 2), used_share(errors),
+             std::to_string(altered) + " of " + std::to_string(footage.frames())});
+}
+
+void Study::hardship(const char* what, const FootageCase& c, const Sequence& sequence) {
+  const auto errors = displacement_errors(sequence, kDaylight, sequence.of_frame.front()->rotation());
+  int frames = 0;
+  const int worse = worse_frames(errors, &frames);
+  hardship_.add({c.flight.name, what, median_and_p90(of(errors, &BlockErrors::residual_px)),
+                 median_and_p90(of(errors, &BlockErrors::images_px)), used_share(errors),
+                 std::to_string(worse) + " of " + std::to_string(frames)});
+}
+
+void Study::dropped(const FootageCase& c, const Footage& footage) {
+  constexpr double kShare = 0.1;
+  constexpr std::uint64_t kSeed = 5;
+  cv::RNG rng(kSeed);
+  Sequence kept;
+  for (int i = 0; i < footage.frames(); ++i) {
+    if (rng.uniform(0.0, 1.0) < kShare) continue;
+    kept.frames.push_back(i);
+    kept.of_frame.push_back(&footage);
+  }
+  hardship("one frame in ten lost", c, kept);
+}
+
+void Study::run() {
+  if (!std::filesystem::exists(arguments_.data + "/trajectories")) {
+    throw std::runtime_error("there is no " + arguments_.data + "/trajectories; see test/data/README.md");
+  }
+  if (!arguments_.output.empty()) std::filesystem::create_directories(arguments_.output);
+  const double seconds = arguments_.quick ? std::min(arguments_.seconds, 0.5) : arguments_.seconds;
+  const double few_seconds = std::min(seconds, 2.0);
+  constexpr TimeNs kLongNs = 30'000'000, kShortNs = 15'000'000, kReadoutNs = 20'000'000;
+  constexpr double kFast = 1.7;
+  std::vector<test::RecordedFlight> flights = test::recorded_flights();
+  if (arguments_.quick) flights.resize(1);
+  std::vector<std::function<void()>> steps;
+  const bool moving = asked("displacement");
+  for (const test::RecordedFlight& flight : flights) {
+    const auto film = [&arguments = arguments_](const FootageCase& c, double s) {
+      return Footage(c, arguments.data, s);
+    };
+    const FootageCase normal{flight, kLongNs};
+    steps.push_back([=] {
+      if (!moving && !asked("bias") && !asked("hardship")) return;
+      const Footage footage = film(normal, seconds);
+      if (moving) displacement(normal, footage, kDaylight), displacement(normal, footage, kLowLight);
+      if (asked("bias")) wrong_bias(normal, footage);
+      if (!asked("hardship")) return;
+      dropped(normal, footage);
+      FootageCase other = normal;
+      other.texture_seed = 1;
+      const Footage elsewhere = film(other, seconds);
+      constexpr int kScene = 10;  // frames
+      Sequence cut = all_frames(footage);
+      for (int i = 0; i < footage.frames(); ++i) {
+        if (i / kScene % 2 == 1) cut.of_frame[i] = &elsewhere;
       }
-      of_flow.push_back((by_gyro + add - truth).norm());
-      of_carried.push_back((by_gyro + carried - truth).norm());
-      of_gated.push_back((by_gyro + gated - truth).norm());
+      hardship("another scene every ten frames", normal, cut);
+    });
+    for (const FootageCase& c : {FootageCase{flight, kShortNs}, FootageCase{flight, kLongNs, kReadoutNs}}) {
+      steps.push_back([=] {
+        if (moving) displacement(c, film(c, seconds), kDaylight);
+      });
     }
-    before = velocities;
+    steps.push_back([=] {
+      const FootageCase fast{flight, kLongNs, 0, kFast};
+      if (!moving) return;
+      const Footage footage = film(fast, seconds);
+      displacement(fast, footage, kDaylight);
+      displacement(fast, footage, kLowLight);
+    });
+    for (const CameraPath path : {CameraPath::TURNING, CameraPath::RESTING}) {
+      steps.push_back([=] {
+        const FootageCase c{flight, kLongNs, 0, 1, path};
+        if (!asked("held")) return;
+        const Footage footage = film(c, few_seconds);
+        for (const Light& light : {kDaylight, kLowLight}) held(c, footage, light);
+      });
+    }
+    for (const Walls walls : {Walls::PLAIN, Walls::CHECKERED}) {
+      steps.push_back([=] {
+        const FootageCase c{flight, kLongNs, 0, 1, CameraPath::FLIGHT, walls};
+        if (!asked("hardship")) return;
+        const Footage footage = film(c, few_seconds);
+        hardship(walls == Walls::PLAIN ? "walls without texture" : "checkered walls", c, all_frames(footage));
+      });
+    }
   }
-  const auto row = [&](const std::vector<double>& v) {
-    std::printf(" %5.2f %5.2f %5.2f |", percentile(v, 0.5), percentile(v, 0.75), percentile(v, 0.9));
-  };
-  std::printf("%-13s %2.0f ms, %2.0f ms, x%.1f, %.2f/%.0f |", c.flight.name, 1e3 * c.exposure_s, 1e3 * c.readout_s,
-              c.speed, c.contrast, c.noise);
-  row(of_gyro), row(of_flow), row(of_carried), row(of_gated);
-  std::printf(" norm. %.2f %.2f | corners %.0f | %.1f ms\n", percentile(normalised, 0.5), percentile(normalised, 0.9),
-              percentile(corners, 0.5), ms / simulator.frames());
-  std::fflush(stdout);
+  Progress progress(steps.size(), "steps", arguments_.quiet);
+  for (std::size_t k = 0; k < steps.size(); ++k) {
+    steps[k]();
+    progress.done(k + 1);
+  }
+  write();
+}
+
+void Study::write() const {
+  const std::vector<std::pair<const char*, const ResultTable*>> tables = {
+      {"displacement", &displacement_}, {"held", &held_}, {"bias", &bias_}, {"hardship", &hardship_}};
+  for (const auto& [name, table] : tables) {
+    if (!asked(name)) continue;
+    std::printf("%s\n", table->markdown().c_str());
+    if (!arguments_.output.empty()) table->write(arguments_.output, name);
+  }
+  if (!arguments_.output.empty() && asked("displacement")) {
+    write_text(arguments_.output + "/displacement_samples.csv", samples_);
+  }
 }
 
 int main_of(int argc, char** argv) {
-  double seconds = 4;
-  bool all = false;
-  ResidualFlowOptions options;
-  CLI::App app{"", "motion_from_images"};
-  app.add_option("--seconds", seconds);
-  app.add_flag("--all", all);
-  app.add_option("--corners", options.max_corners);
-  app.add_option("--distance", options.min_distance_px);
-  app.add_option("--width", options.largest_width_px);
-  app.add_option("--iterations", options.iterations);
-  app.add_option("--round-trip", options.max_round_trip_px);
-  app.add_option("--window", options.window_px);
-  app.add_option("--plane", options.iterations_of_plane);
-  app.add_option("--slope", options.slope_prior);
-  app.add_option("--levels", options.levels);
-  app.add_option("--neighbours", options.neighbours);
-  CLI11_PARSE(app, argc, argv);
-  for (const auto& flight : test::recorded_flights()) {
-    run({flight, 0.030, 0, 1, 1, 2}, seconds, options);
-    if (all) {
-      run({flight, 0.015, 0, 1, 1, 2}, seconds, options);
-      run({flight, 0.030, 0.020, 1, 1, 2}, seconds, options);
-      run({flight, 0.030, 0, 1, 0.35, 4}, seconds, options);
-      run({flight, 0.030, 0, 1.7, 1, 2}, seconds, options);
-    }
-  }
-  return 0;
+  Arguments arguments;
+  CLI::App app{
+      "Flies recorded trajectories through a textured room and compares the motion that images add to the gyroscope's "
+      "with what is true.",
+      "motion_from_images"};
+  app.add_option("--out", arguments.output, "folder for tables and samples");
+  app.add_option("--data", arguments.data, "recorded data, with trajectories/");
+  app.add_option("--seconds", arguments.seconds, "of each flight [4]")->check(CLI::Range(0.5, 15.0));
+  app.add_option("--part", arguments.parts, "of the measurements, again for more [all]")
+      ->check(CLI::IsMember({"displacement", "held", "bias", "hardship"}));
+  app.add_flag("--quick", arguments.quick, "half a second of one flight");
+  app.add_flag("--quiet", arguments.quiet, "no progress");
+  return run_tool(app, argc, argv, [&arguments] { Study(arguments).run(); });
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::experiments
 
-int main(int argc, char** argv) { return gyro_deblur::main_of(argc, argv); }
+int main(int argc, char** argv) { return gyro_deblur::experiments::main_of(argc, argv); }

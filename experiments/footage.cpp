@@ -1,0 +1,158 @@
+#include "footage.hpp"
+
+#include <cstdio>
+#include <memory>
+#include <utility>
+
+#include <opencv2/imgproc.hpp>
+
+#include "base/median.hpp"
+
+namespace gyro_deblur::experiments {
+namespace {
+
+constexpr double kFull16 = 257;  // of a grey level in 16 bits
+constexpr int kGrey = 120;
+
+/// Another motion without its translation, and without its rotation, too.
+class HeldMotion : public sim::Motion {
+ public:
+  HeldMotion(std::shared_ptr<const Motion> motion, bool turns) : motion_(std::move(motion)), turns_(turns) {}
+  sim::Span span() const override { return motion_->span(); }
+  sim::Pose pose(double t_s) const override {
+    const sim::Pose first = motion_->pose(0);
+    return turns_ ? sim::Pose{motion_->pose(t_s).R_world_cam, first.p_world_m} : first;
+  }
+  Eigen::Vector3d rate(double t_s) const override {
+    return turns_ ? motion_->rate(t_s) : Eigen::Vector3d(Eigen::Vector3d::Zero());
+  }
+  Eigen::Vector3d acceleration(double) const override { return Eigen::Vector3d::Zero(); }
+
+ private:
+  std::shared_ptr<const Motion> motion_;
+  bool turns_;
+};
+
+cv::Mat checkered(const cv::Size& size_px, double width_m) {
+  constexpr double kSquareM = 0.2;
+  constexpr int kDark = 60, kBright = 190;
+  const double square_px = kSquareM * size_px.width / width_m;
+  cv::Mat texture(size_px, CV_8UC1);
+  for (int y = 0; y < texture.rows; ++y) {
+    for (int x = 0; x < texture.cols; ++x) {
+      const bool odd = (static_cast<int>(x / square_px) + static_cast<int>(y / square_px)) % 2 != 0;
+      texture.at<uchar>(y, x) = static_cast<uchar>(odd ? kDark : kBright);
+    }
+  }
+  return texture;
+}
+
+void paint(Walls walls, std::uint64_t seed, std::vector<sim::Plane>* planes) {
+  for (std::size_t i = 0; i < planes->size(); ++i) {
+    sim::Plane& plane = (*planes)[i];
+    const cv::Size size_px = plane.texture.size();
+    if (walls == Walls::CHECKERED) plane.texture = checkered(size_px, plane.width_m);
+    // Left are the floor and one wall.
+    if (walls == Walls::PLAIN && i != 0 && i != 4) plane.texture = cv::Mat(size_px, CV_8UC1, cv::Scalar(kGrey));
+    if (walls == Walls::TEXTURED && seed != 0) {
+      plane.texture = sim::procedural_texture(size_px.width, size_px.height, 1000 * seed + i);
+    }
+  }
+}
+
+sim::Scene scene_of(const FootageCase& c, const std::string& data, double seconds) {
+  sim::Scene scene = test::room_flight_scene(c.flight, data, seconds, c.speed);
+  CameraCalibration& calibration = scene.camera.calibration;
+  calibration.width_px = 752;
+  calibration.height_px = 480;
+  calibration.fx_px = calibration.fy_px = 460;
+  calibration.cx_px = 375.5;
+  calibration.cy_px = 239.5;
+  scene.camera.exposures_ns = {c.exposure_ns};
+  scene.camera.readout_ns = c.readout_ns;
+  scene.camera.encoding = "mono16";
+  scene.imu.gyro_noise_rad_s = 0.003;
+  scene.imu.R_cam_imu = c.flight.R_cam_imu;
+  if (c.path != CameraPath::FLIGHT) {
+    scene.motion = std::make_shared<HeldMotion>(scene.motion, c.path == CameraPath::TURNING);
+  }
+  paint(c.walls, c.texture_seed, &scene.planes);
+  return scene;
+}
+
+cv::Mat lit(const cv::Mat& wide, const Light& light, std::uint64_t seed) {
+  // Less contrast about a level somewhat darker than the middle.
+  constexpr double kLevel = 90;
+  cv::Mat image, noise(wide.size(), CV_32F);
+  wide.convertTo(image, CV_32F, light.contrast / kFull16, kLevel * (1 - light.contrast));
+  cv::RNG rng(seed);
+  rng.fill(noise, cv::RNG::NORMAL, 0, light.noise);
+  image += noise;
+  image.convertTo(image, CV_8U);
+  return image;
+}
+
+}  // namespace
+
+std::string FootageCase::conditions() const {
+  char text[100];
+  std::snprintf(text, sizeof(text), "%.0f ms", 1e3 * to_seconds(exposure_ns));
+  std::string conditions = text;
+  if (readout_ns != 0) {
+    std::snprintf(text, sizeof(text), ", readout %.0f ms", 1e3 * to_seconds(readout_ns));
+    conditions += text;
+  }
+  if (speed != 1) {
+    std::snprintf(text, sizeof(text), ", x%.1f", speed);
+    conditions += text;
+  }
+  return conditions;
+}
+
+Footage::Footage(const FootageCase& footage_case, const std::string& data, double seconds)
+    : simulator_(scene_of(footage_case, data, seconds)) {
+  for (int i = 0; i < simulator_.frames(); ++i) frames_.push_back(simulator_.frame(i).image);
+}
+
+cv::Mat Footage::image(int i, const Light& light) const {
+  return lit(frames_[i], light, static_cast<std::uint64_t>(i) + 1);
+}
+
+cv::Mat Footage::sharp(int i, const Light& light) {
+  constexpr std::uint64_t kOther = 1'000'000;
+  return lit(simulator_.sharp(i), light, static_cast<std::uint64_t>(i) + kOther);
+}
+
+RotationTrack Footage::rotation(double bias_rad_s) const {
+  std::vector<GyroSample> samples;
+  for (const sim::ImuSample& sample : simulator_.imu()) {
+    samples.push_back({sample.t_ns, sample.rate_rad_s + Eigen::Vector3d::Constant(bias_rad_s)});
+  }
+  return RotationTrack(samples, GyroOptions{}, simulator_.scene().imu.R_cam_imu);
+}
+
+BodyVelocity Footage::velocity(int i) const {
+  constexpr TimeNs kStepNs = 500'000;
+  BodyVelocity velocity;
+  velocity.axes_ns = velocity.t_ns = simulator_.reference_time(i);
+  const Eigen::Quaterniond R_cam_world = simulator_.pose(velocity.t_ns).R_world_cam.conjugate();
+  velocity.velocity_m_s =
+      R_cam_world *
+      (simulator_.pose(velocity.t_ns + kStepNs).p_world_m - simulator_.pose(velocity.t_ns - kStepNs).p_world_m) /
+      to_seconds(2 * kStepNs);
+  const sim::Scene& scene = simulator_.scene();
+  velocity.acceleration_m_s2 = R_cam_world * scene.motion->acceleration(to_seconds(velocity.t_ns - scene.start_ns));
+  return velocity;
+}
+
+double Footage::median_depth_m(int i, const BlockGrid& grid) const {
+  const sim::Pose pose = simulator_.pose(simulator_.reference_time(i));
+  std::vector<double> depths_m;
+  for (int b = 0; b < grid.size(); ++b) {
+    const auto point_m = simulator_.scene_point(i, grid.center(b));
+    if (point_m) depths_m.push_back((pose.R_world_cam.conjugate() * (*point_m - pose.p_world_m)).z());
+  }
+  return median(depths_m);
+}
+
+}  // namespace gyro_deblur::experiments

@@ -1,0 +1,79 @@
+// What a simulated camera sees on a recorded flight through a room, rendered once and lit as often as needed.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+#include "gyro_deblur/time.hpp"
+#include "gyro_deblur/translation.hpp"
+#include "room_flight.hpp"
+#include "sim/simulator.hpp"
+
+namespace gyro_deblur::experiments {
+
+/// Light of the scene and noise of the sensor.
+struct Light {
+  const char* name;
+  double contrast;  ///< (0, 1]: factor on grey levels
+  double noise;     ///< standard deviation [grey levels]
+};
+constexpr Light kDaylight{"", 1, 2}, kLowLight{"low light", 0.35, 4};
+
+enum class CameraPath { FLIGHT, TURNING, RESTING };  ///< as recorded; at the first position; in the first pose
+enum class Walls {
+  TEXTURED,
+  PLAIN,     ///< all but two are of one grey
+  CHECKERED  ///< squares of 0.2 m
+};
+
+struct FootageCase {
+  test::RecordedFlight flight;
+  TimeNs exposure_ns = 30'000'000;
+  TimeNs readout_ns = 0;
+  double speed = 1;
+  CameraPath path = CameraPath::FLIGHT;
+  Walls walls = Walls::TEXTURED;
+  std::uint64_t texture_seed = 0;  ///< equal ones give equal textures
+
+  /// For tables: "30 ms, readout 20 ms, x1.7".
+  std::string conditions() const;
+};
+
+/// Frames of 752x480 at 20 Hz with a focal length of 460 px, and a gyroscope of 200 Hz with noise of 0.003 rad/s.
+class Footage {
+ public:
+  /// @param data  folder that holds trajectories/
+  /// Throws OptionError when the trajectory cannot be read.
+  Footage(const FootageCase& footage_case, const std::string& data, double seconds);
+
+  const sim::Simulator& truth() const { return simulator_; }
+  const Camera& camera() const { return simulator_.camera(); }
+  RowExposure exposure(int i) const { return simulator_.exposure(i); }
+  int frames() const { return static_cast<int>(frames_.size()); }
+
+  /// Frame i, CV_8UC1, blurred.
+  cv::Mat image(int i, const Light& light) const;
+  /// The same without blur: every row at the middle of its exposure.
+  cv::Mat sharp(int i, const Light& light);
+
+  /// The gyroscope, all of it.
+  /// @param bias_rad_s  of the sensor, on each axis, that nobody knows of
+  RotationTrack rotation(double bias_rad_s = 0) const;
+  /// The camera's true velocity over frame i, for TranslatedMotion.
+  BodyVelocity velocity(int i) const;
+  /// Median over the centres of blocks, along the optical axis at the middle of frame i.
+  double median_depth_m(int i, const BlockGrid& grid) const;
+
+ private:
+  sim::Simulator simulator_;
+  std::vector<cv::Mat> frames_;  // CV_16UC1 without noise, 257 a grey level
+};
+
+}  // namespace gyro_deblur::experiments
