@@ -7,9 +7,6 @@
 #include "gyro_deblur/blur_field.hpp"
 
 namespace gyro_deblur::experiments {
-namespace {
-
-/// From the start to the end of the exposure of its row.
 Eigen::Vector2d displacement_px(const Camera& camera, const CameraMotion& motion, const RowExposure& exposure,
                                 const Eigen::Vector2d& pixel_px) {
   const TimeNs middle_ns = exposure.middle(pixel_px.y());
@@ -17,8 +14,6 @@ Eigen::Vector2d displacement_px(const Camera& camera, const CameraMotion& motion
   return camera.project(motion.homography(middle_ns, exposure.end(pixel_px.y())) * ray) -
          camera.project(motion.homography(middle_ns, exposure.start(pixel_px.y())) * ray);
 }
-
-}  // namespace
 
 Sequence all_frames(const Footage& footage) {
   Sequence sequence;

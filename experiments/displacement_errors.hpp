@@ -9,6 +9,10 @@
 
 namespace gyro_deblur::experiments {
 
+/// Of what the pixel sees at the middle of its row's exposure, from the start to the end of that exposure.
+Eigen::Vector2d displacement_px(const Camera& camera, const CameraMotion& motion, const RowExposure& exposure,
+                                const Eigen::Vector2d& pixel_px);
+
 /// One block of one frame [px over the exposure].
 struct BlockErrors {
   int frame = 0;

@@ -1,6 +1,7 @@
 // What the images tell of the motion that the gyroscope does not know, on recorded flights through a simulated room.
 // Writes the tables of doc/reports/motion_from_images.md.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
@@ -14,9 +15,11 @@
 #include <opencv2/core.hpp>
 
 #include "displacement_errors.hpp"
+#include "feature_gain.hpp"
 #include "footage.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "result_table.hpp"
+#include "shutter_errors.hpp"
 #include "tools/output_file.hpp"
 #include "tools/progress.hpp"
 #include "tools/tool_main.hpp"
@@ -85,6 +88,8 @@ class Study {
   void held(const FootageCase& c, const Footage& footage, const Light& light);
   void hardship(const char* what, const FootageCase& c, const Sequence& sequence);
   void dropped(const FootageCase& c, const Footage& footage);
+  void features(const FootageCase& c, Footage* footage, const Light& light);
+  void shutter(const FootageCase& c, const Footage& footage, const Light& light);
   void write() const;
 
   Arguments arguments_;
@@ -96,6 +101,10 @@ class Study {
   ResultTable bias_{{"flight", "conditions", "gyroscope alone [px]", "images [px]", "blocks by images [%]"}};
   ResultTable hardship_{{"flight", "what", "gyroscope alone [px]", "images [px]", "blocks by images [%]",
                          "frames worse by more than 0.2 px"}};
+  ResultTable features_{{"flight", "conditions", "tracks: blurred, rotation, images, truth", "SIFT", "ORB",
+                         "images' share of the truth's gain: tracks, SIFT, ORB [%]"}};
+  std::array<FeatureCounts, 4> all_features_;
+  ResultTable shutter_{{"flight", "conditions", "as it arrived [px]", "rotation [px]", "images [px]", "truth [px]"}};
 };
 
 void Study::displacement(const FootageCase& c, const Footage& footage, const Light& light) {
@@ -166,6 +175,44 @@ void Study::dropped(const FootageCase& c, const Footage& footage) {
   hardship("one frame in ten lost", c, kept);
 }
 
+std::string gain_share(const std::array<FeatureCounts, 4>& counts, double FeatureCounts::*count) {
+  const double blurred = counts[0].*count, images = counts[2].*count, truth = counts[3].*count;
+  return text_of(100 * (images - blurred) / (truth - blurred), 0);
+}
+
+std::vector<std::string> feature_cells(const std::array<FeatureCounts, 4>& counts) {
+  std::vector<std::string> cells;
+  std::string shares;
+  for (double FeatureCounts::*count : {&FeatureCounts::tracks, &FeatureCounts::sift, &FeatureCounts::orb}) {
+    std::string cell;
+    for (const FeatureCounts& of_knowledge : counts)
+      cell += (cell.empty() ? "" : ", ") + text_of(of_knowledge.*count, 0);
+    cells.push_back(cell);
+    shares += (shares.empty() ? "" : ", ") + gain_share(counts, count);
+  }
+  cells.push_back(shares);
+  return cells;
+}
+
+void Study::features(const FootageCase& c, Footage* footage, const Light& light) {
+  constexpr int kStep = 8;
+  const auto counts = feature_counts(*footage, light, kStep);
+  std::vector<std::string> row = {c.flight.name, conditions(c, light)};
+  for (std::string& cell : feature_cells(counts)) row.push_back(std::move(cell));
+  features_.add(row);
+  for (std::size_t k = 0; k < counts.size(); ++k) {
+    all_features_[k].tracks += counts[k].tracks;
+    all_features_[k].sift += counts[k].sift;
+    all_features_[k].orb += counts[k].orb;
+  }
+}
+
+void Study::shutter(const FootageCase& c, const Footage& footage, const Light& light) {
+  std::vector<std::string> row = {c.flight.name, conditions(c, light)};
+  for (const std::vector<double>& distances : shutter_errors(footage, light)) row.push_back(median_and_p90(distances));
+  shutter_.add(row);
+}
+
 void Study::run() {
   if (!std::filesystem::exists(arguments_.data + "/trajectories")) {
     throw std::runtime_error("there is no " + arguments_.data + "/trajectories; see test/data/README.md");
@@ -185,9 +232,10 @@ void Study::run() {
     };
     const FootageCase normal{flight, kLongNs};
     steps.push_back([=] {
-      if (!moving && !asked("bias") && !asked("hardship")) return;
-      const Footage footage = film(normal, seconds);
+      if (!moving && !asked("bias") && !asked("hardship") && !asked("features")) return;
+      Footage footage = film(normal, seconds);
       if (moving) displacement(normal, footage, kDaylight), displacement(normal, footage, kLowLight);
+      if (asked("features")) features(normal, &footage, kDaylight), features(normal, &footage, kLowLight);
       if (asked("bias")) wrong_bias(normal, footage);
       if (!asked("hardship")) return;
       dropped(normal, footage);
@@ -201,17 +249,23 @@ void Study::run() {
       }
       hardship("another scene every ten frames", normal, cut);
     });
-    for (const FootageCase& c : {FootageCase{flight, kShortNs}, FootageCase{flight, kLongNs, kReadoutNs}}) {
-      steps.push_back([=] {
-        if (moving) displacement(c, film(c, seconds), kDaylight);
-      });
-    }
     steps.push_back([=] {
-      const FootageCase fast{flight, kLongNs, 0, kFast};
-      if (!moving) return;
-      const Footage footage = film(fast, seconds);
-      displacement(fast, footage, kDaylight);
-      displacement(fast, footage, kLowLight);
+      const FootageCase c{flight, kShortNs};
+      if (moving) displacement(c, film(c, seconds), kDaylight);
+    });
+    steps.push_back([=] {
+      const FootageCase c{flight, kLongNs, kReadoutNs};
+      if (!moving && !asked("shutter")) return;
+      const Footage footage = film(c, seconds);
+      if (moving) displacement(c, footage, kDaylight);
+      if (asked("shutter")) shutter(c, footage, kDaylight), shutter(c, footage, kLowLight);
+    });
+    steps.push_back([=] {
+      const FootageCase c{flight, kLongNs, 0, kFast};
+      if (!moving && !asked("features")) return;
+      Footage footage = film(c, seconds);
+      if (moving) displacement(c, footage, kDaylight), displacement(c, footage, kLowLight);
+      if (asked("features")) features(c, &footage, kDaylight), features(c, &footage, kLowLight);
     });
     for (const CameraPath path : {CameraPath::TURNING, CameraPath::RESTING}) {
       steps.push_back([=] {
@@ -235,12 +289,22 @@ void Study::run() {
     steps[k]();
     progress.done(k + 1);
   }
+  if (asked("features")) {
+    for (FeatureCounts& sum : all_features_) {
+      const auto rows = static_cast<double>(4 * flights.size());
+      sum.tracks /= rows, sum.sift /= rows, sum.orb /= rows;
+    }
+    std::vector<std::string> row = {"all", "mean"};
+    for (std::string& cell : feature_cells(all_features_)) row.push_back(std::move(cell));
+    features_.add(row);
+  }
   write();
 }
 
 void Study::write() const {
   const std::vector<std::pair<const char*, const ResultTable*>> tables = {
-      {"displacement", &displacement_}, {"held", &held_}, {"bias", &bias_}, {"hardship", &hardship_}};
+      {"displacement", &displacement_}, {"held", &held_},         {"bias", &bias_},
+      {"hardship", &hardship_},         {"features", &features_}, {"shutter", &shutter_}};
   for (const auto& [name, table] : tables) {
     if (!asked(name)) continue;
     std::printf("%s\n", table->markdown().c_str());
@@ -261,7 +325,7 @@ int main_of(int argc, char** argv) {
   app.add_option("--data", arguments.data, "recorded data, with trajectories/");
   app.add_option("--seconds", arguments.seconds, "of each flight [4]")->check(CLI::Range(0.5, 15.0));
   app.add_option("--part", arguments.parts, "of the measurements, again for more [all]")
-      ->check(CLI::IsMember({"displacement", "held", "bias", "hardship"}));
+      ->check(CLI::IsMember({"displacement", "held", "bias", "hardship", "features", "shutter"}));
   app.add_flag("--quick", arguments.quick, "half a second of one flight");
   app.add_flag("--quiet", arguments.quiet, "no progress");
   return run_tool(app, argc, argv, [&arguments] { Study(arguments).run(); });
