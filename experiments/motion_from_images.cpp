@@ -13,12 +13,16 @@
 
 #include <CLI/CLI.hpp>
 #include <opencv2/core.hpp>
+#include <opencv2/imgcodecs.hpp>
 
 #include "displacement_errors.hpp"
 #include "feature_gain.hpp"
 #include "footage.hpp"
 #include "gyro_deblur/pipeline.hpp"
+#include "moving_object.hpp"
+#include "recorded_burst.hpp"
 #include "result_table.hpp"
+#include "shown_place.hpp"
 #include "shutter_errors.hpp"
 #include "tools/output_file.hpp"
 #include "tools/progress.hpp"
@@ -90,6 +94,10 @@ class Study {
   void dropped(const FootageCase& c, const Footage& footage);
   void features(const FootageCase& c, Footage* footage, const Light& light);
   void shutter(const FootageCase& c, const Footage& footage, const Light& light);
+  void shown();
+  void objects(const FootageCase& c, const Footage& footage);
+  void burst();
+  std::vector<std::function<void()>> flight_steps(const test::RecordedFlight& flight);
   void write() const;
 
   Arguments arguments_;
@@ -98,12 +106,20 @@ class Study {
   std::string samples_ = "flight,conditions,residual_px,velocity_px,images_px\n";
   ResultTable held_{{"flight", "camera", "conditions", "change, p99 [px]", "largest [px]", "blocks by images [%]",
                      "frames altered by the images"}};
-  ResultTable bias_{{"flight", "conditions", "gyroscope alone [px]", "images [px]", "blocks by images [%]"}};
+  ResultTable bias_{{"flight", "camera", "gyroscope alone [px]", "images [px]", "blocks by images [%]"}};
   ResultTable hardship_{{"flight", "what", "gyroscope alone [px]", "images [px]", "blocks by images [%]",
                          "frames worse by more than 0.2 px"}};
   ResultTable features_{{"flight", "conditions", "tracks: blurred, rotation, images, truth", "SIFT", "ORB",
                          "images' share of the truth's gain: tracks, SIFT, ORB [%]"}};
   std::array<FeatureCounts, 4> all_features_;
+  ResultTable shown_{{"extent [px]", "slope of measured over said", "over the path's mean", "over the chord's middle",
+                      "largest error of what is said [px]"}};
+  ResultTable objects_{{"flight", "object", "deblurred by", "blocks", "error of the displacement [px]",
+                        "deblurred, 3 px or more off", "left, though blurred by 3 px or more"}};
+  ResultTable burst_{{"frame", "extent by the gyroscope [px]", "with images, times that: median", "quartiles",
+                      "blocks by images [%]", "blocks deblurred: gyroscope, images",
+                      "SIFT keypoints: blurred, gyroscope, images",
+                      "matches with the frame before: blurred, gyroscope, images"}};
   ResultTable shutter_{{"flight", "conditions", "as it arrived [px]", "rotation [px]", "images [px]", "truth [px]"}};
 };
 
@@ -123,8 +139,9 @@ void Study::displacement(const FootageCase& c, const Footage& footage, const Lig
 void Study::wrong_bias(const FootageCase& c, const Footage& footage) {
   constexpr double kBiasRadS = 0.05;
   const auto errors = displacement_errors(all_frames(footage), kDaylight, footage.rotation(kBiasRadS));
-  bias_.add({c.flight.name, c.conditions(), median_and_p90(of(errors, &BlockErrors::residual_px)),
-             median_and_p90(of(errors, &BlockErrors::images_px)), used_share(errors)});
+  bias_.add({c.flight.name, c.path == CameraPath::TURNING ? "turns" : "flies",
+             median_and_p90(of(errors, &BlockErrors::residual_px)), median_and_p90(of(errors, &BlockErrors::images_px)),
+             used_share(errors)});
 }
 
 void Study::held(const FootageCase& c, const Footage& footage, const Light& light) {
@@ -176,7 +193,9 @@ void Study::dropped(const FootageCase& c, const Footage& footage) {
 }
 
 std::string gain_share(const std::array<FeatureCounts, 4>& counts, double FeatureCounts::*count) {
+  constexpr double kLeastGain = 0.03;  // of what the blurred frames have; less is chance
   const double blurred = counts[0].*count, images = counts[2].*count, truth = counts[3].*count;
+  if (truth < (1 + kLeastGain) * blurred) return "-";
   return text_of(100 * (images - blurred) / (truth - blurred), 0);
 }
 
@@ -213,76 +232,137 @@ void Study::shutter(const FootageCase& c, const Footage& footage, const Light& l
   shutter_.add(row);
 }
 
+void Study::shown() {
+  const std::vector<ShownPlace> places = shown_places(arguments_.quick ? 1 : 2);
+  for (std::size_t begin = 0; begin < places.size(); ++begin) {
+    const double extent_px = places[begin].extent_px;
+    const auto is_of_extent = [&](const ShownPlace& p) { return p.extent_px == extent_px; };
+    if (std::any_of(places.begin(), places.begin() + static_cast<std::ptrdiff_t>(begin), is_of_extent)) continue;
+    std::vector<double> measured, said, mean, chord;
+    double largest = 0;
+    for (const ShownPlace& p : places) {
+      if (!is_of_extent(p)) continue;
+      measured.push_back(p.measured_px);
+      said.push_back(p.said_px);
+      mean.push_back(p.mean_place_px);
+      chord.push_back(p.chord_middle_px);
+      largest = std::max(largest, std::abs(p.measured_px - p.said_px));
+    }
+    shown_.add({text_of(extent_px, 0), text_of(slope(said, measured), 2), text_of(slope(mean, measured), 2),
+                text_of(slope(chord, measured), 2), text_of(largest, 2)});
+  }
+}
+
+void Study::objects(const FootageCase& c, const Footage& footage) {
+  const cv::Point2d kCrossing(300, 60);  // px/s: 9 px within an exposure
+  for (const auto& [name, velocity_px_s] : {std::pair("panned", cv::Point2d(0, 0)), std::pair("crosses", kCrossing)}) {
+    const ObjectScene scene = film_object(footage, velocity_px_s);
+    for (const auto& [by, counts] : {std::pair("gyroscope", &scene.alone), std::pair("images", &scene.images)}) {
+      objects_.add({c.flight.name, name, by, std::to_string(counts->blocks), median_and_p90(counts->errors_px),
+                    std::to_string(counts->wrong),
+                    std::to_string(counts->left) + " of " + std::to_string(counts->blurred)});
+    }
+    if (arguments_.output.empty()) continue;
+    const std::string start = arguments_.output + "/object_" + name + "_" + c.flight.file + "_";
+    cv::imwrite(start + "blurred.png", scene.blurred);
+    cv::imwrite(start + "gyroscope.png", scene.alone.shown);
+    cv::imwrite(start + "images.png", scene.images.shown);
+  }
+}
+
+void Study::burst() {
+  const auto three = [](int a, int b, int c) {
+    return std::to_string(a) + ", " + std::to_string(b) + ", " + std::to_string(c);
+  };
+  for (const BurstFrame& f :
+       burst_frames(arguments_.data + "/shield_burst", GYRO_DEBLUR_CONFIG_DIR "/recordings/shield_burst.yaml")) {
+    burst_.add({std::to_string(f.number), text_of(f.extent_px, 0), text_of(f.ratio_median, 2),
+                text_of(f.ratio_low, 2) + " to " + text_of(f.ratio_high, 2), text_of(100 * f.from_images, 0),
+                std::to_string(f.deblurred_alone) + ", " + std::to_string(f.deblurred_images),
+                three(f.keypoints_blurred, f.keypoints_alone, f.keypoints_images),
+                three(f.matches_blurred, f.matches_alone, f.matches_images)});
+  }
+}
+
+std::vector<std::function<void()>> Study::flight_steps(const test::RecordedFlight& flight) {
+  const double seconds = arguments_.quick ? std::min(arguments_.seconds, 0.5) : arguments_.seconds;
+  const double few_seconds = std::min(seconds, 2.0);
+  constexpr TimeNs kLongNs = 30'000'000, kShortNs = 15'000'000, kReadoutNs = 20'000'000;
+  constexpr double kFast = 1.7;
+  const bool moving = asked("displacement");
+  std::vector<std::function<void()>> steps;
+  const auto film = [&arguments = arguments_](const FootageCase& c, double s) { return Footage(c, arguments.data, s); };
+  const FootageCase normal{flight, kLongNs};
+  steps.push_back([=] {
+    if (!moving && !asked("bias") && !asked("hardship") && !asked("features")) return;
+    Footage footage = film(normal, seconds);
+    if (moving) displacement(normal, footage, kDaylight), displacement(normal, footage, kLowLight);
+    if (asked("features")) features(normal, &footage, kDaylight), features(normal, &footage, kLowLight);
+    if (asked("bias")) wrong_bias(normal, footage);
+    if (!asked("hardship")) return;
+    dropped(normal, footage);
+    FootageCase other = normal;
+    other.texture_seed = 1;
+    const Footage elsewhere = film(other, seconds);
+    constexpr int kScene = 10;  // frames
+    Sequence cut = all_frames(footage);
+    for (int i = 0; i < footage.frames(); ++i) {
+      if (i / kScene % 2 == 1) cut.of_frame[i] = &elsewhere;
+    }
+    hardship("another scene every ten frames", normal, cut);
+  });
+  steps.push_back([=] {
+    const FootageCase c{flight, kShortNs};
+    if (moving) displacement(c, film(c, seconds), kDaylight);
+  });
+  steps.push_back([=] {
+    const FootageCase c{flight, kLongNs, kReadoutNs};
+    if (!moving && !asked("shutter")) return;
+    const Footage footage = film(c, seconds);
+    if (moving) displacement(c, footage, kDaylight);
+    if (asked("shutter")) shutter(c, footage, kDaylight), shutter(c, footage, kLowLight);
+  });
+  steps.push_back([=] {
+    const FootageCase c{flight, kLongNs, 0, kFast};
+    if (!moving && !asked("features")) return;
+    Footage footage = film(c, seconds);
+    if (moving) displacement(c, footage, kDaylight), displacement(c, footage, kLowLight);
+    if (asked("features")) features(c, &footage, kDaylight), features(c, &footage, kLowLight);
+  });
+  for (const CameraPath path : {CameraPath::TURNING, CameraPath::RESTING}) {
+    steps.push_back([=] {
+      const FootageCase c{flight, kLongNs, 0, 1, path};
+      const bool turns = path == CameraPath::TURNING;
+      if (!asked("held") && !(turns && (asked("objects") || asked("bias")))) return;
+      const Footage footage = film(c, few_seconds);
+      if (asked("held")) held(c, footage, kDaylight), held(c, footage, kLowLight);
+      if (turns && asked("bias")) wrong_bias(c, footage);
+      if (turns && asked("objects")) objects(c, footage);
+    });
+  }
+  for (const Walls walls : {Walls::PLAIN, Walls::CHECKERED}) {
+    steps.push_back([=] {
+      const FootageCase c{flight, kLongNs, 0, 1, CameraPath::FLIGHT, walls};
+      if (!asked("hardship")) return;
+      const Footage footage = film(c, few_seconds);
+      hardship(walls == Walls::PLAIN ? "walls without texture" : "checkered walls", c, all_frames(footage));
+    });
+  }
+  return steps;
+}
+
 void Study::run() {
   if (!std::filesystem::exists(arguments_.data + "/trajectories")) {
     throw std::runtime_error("there is no " + arguments_.data + "/trajectories; see test/data/README.md");
   }
   if (!arguments_.output.empty()) std::filesystem::create_directories(arguments_.output);
-  const double seconds = arguments_.quick ? std::min(arguments_.seconds, 0.5) : arguments_.seconds;
-  const double few_seconds = std::min(seconds, 2.0);
-  constexpr TimeNs kLongNs = 30'000'000, kShortNs = 15'000'000, kReadoutNs = 20'000'000;
-  constexpr double kFast = 1.7;
   std::vector<test::RecordedFlight> flights = test::recorded_flights();
   if (arguments_.quick) flights.resize(1);
   std::vector<std::function<void()>> steps;
-  const bool moving = asked("displacement");
+  if (asked("shown")) steps.emplace_back([this] { shown(); });
+  if (asked("burst")) steps.emplace_back([this] { burst(); });
   for (const test::RecordedFlight& flight : flights) {
-    const auto film = [&arguments = arguments_](const FootageCase& c, double s) {
-      return Footage(c, arguments.data, s);
-    };
-    const FootageCase normal{flight, kLongNs};
-    steps.push_back([=] {
-      if (!moving && !asked("bias") && !asked("hardship") && !asked("features")) return;
-      Footage footage = film(normal, seconds);
-      if (moving) displacement(normal, footage, kDaylight), displacement(normal, footage, kLowLight);
-      if (asked("features")) features(normal, &footage, kDaylight), features(normal, &footage, kLowLight);
-      if (asked("bias")) wrong_bias(normal, footage);
-      if (!asked("hardship")) return;
-      dropped(normal, footage);
-      FootageCase other = normal;
-      other.texture_seed = 1;
-      const Footage elsewhere = film(other, seconds);
-      constexpr int kScene = 10;  // frames
-      Sequence cut = all_frames(footage);
-      for (int i = 0; i < footage.frames(); ++i) {
-        if (i / kScene % 2 == 1) cut.of_frame[i] = &elsewhere;
-      }
-      hardship("another scene every ten frames", normal, cut);
-    });
-    steps.push_back([=] {
-      const FootageCase c{flight, kShortNs};
-      if (moving) displacement(c, film(c, seconds), kDaylight);
-    });
-    steps.push_back([=] {
-      const FootageCase c{flight, kLongNs, kReadoutNs};
-      if (!moving && !asked("shutter")) return;
-      const Footage footage = film(c, seconds);
-      if (moving) displacement(c, footage, kDaylight);
-      if (asked("shutter")) shutter(c, footage, kDaylight), shutter(c, footage, kLowLight);
-    });
-    steps.push_back([=] {
-      const FootageCase c{flight, kLongNs, 0, kFast};
-      if (!moving && !asked("features")) return;
-      Footage footage = film(c, seconds);
-      if (moving) displacement(c, footage, kDaylight), displacement(c, footage, kLowLight);
-      if (asked("features")) features(c, &footage, kDaylight), features(c, &footage, kLowLight);
-    });
-    for (const CameraPath path : {CameraPath::TURNING, CameraPath::RESTING}) {
-      steps.push_back([=] {
-        const FootageCase c{flight, kLongNs, 0, 1, path};
-        if (!asked("held")) return;
-        const Footage footage = film(c, few_seconds);
-        for (const Light& light : {kDaylight, kLowLight}) held(c, footage, light);
-      });
-    }
-    for (const Walls walls : {Walls::PLAIN, Walls::CHECKERED}) {
-      steps.push_back([=] {
-        const FootageCase c{flight, kLongNs, 0, 1, CameraPath::FLIGHT, walls};
-        if (!asked("hardship")) return;
-        const Footage footage = film(c, few_seconds);
-        hardship(walls == Walls::PLAIN ? "walls without texture" : "checkered walls", c, all_frames(footage));
-      });
-    }
+    for (std::function<void()>& step : flight_steps(flight)) steps.push_back(std::move(step));
   }
   Progress progress(steps.size(), "steps", arguments_.quiet);
   for (std::size_t k = 0; k < steps.size(); ++k) {
@@ -304,7 +384,8 @@ void Study::run() {
 void Study::write() const {
   const std::vector<std::pair<const char*, const ResultTable*>> tables = {
       {"displacement", &displacement_}, {"held", &held_},         {"bias", &bias_},
-      {"hardship", &hardship_},         {"features", &features_}, {"shutter", &shutter_}};
+      {"hardship", &hardship_},         {"features", &features_}, {"shutter", &shutter_},
+      {"objects", &objects_},           {"burst", &burst_},       {"shown", &shown_}};
   for (const auto& [name, table] : tables) {
     if (!asked(name)) continue;
     std::printf("%s\n", table->markdown().c_str());
@@ -325,7 +406,8 @@ int main_of(int argc, char** argv) {
   app.add_option("--data", arguments.data, "recorded data, with trajectories/");
   app.add_option("--seconds", arguments.seconds, "of each flight [4]")->check(CLI::Range(0.5, 15.0));
   app.add_option("--part", arguments.parts, "of the measurements, again for more [all]")
-      ->check(CLI::IsMember({"displacement", "held", "bias", "hardship", "features", "shutter"}));
+      ->check(CLI::IsMember(
+          {"displacement", "held", "bias", "hardship", "features", "shutter", "objects", "burst", "shown"}));
   app.add_flag("--quick", arguments.quick, "half a second of one flight");
   app.add_flag("--quiet", arguments.quiet, "no progress");
   return run_tool(app, argc, argv, [&arguments] { Study(arguments).run(); });
