@@ -114,7 +114,7 @@ class Study {
   std::array<FeatureCounts, 4> all_features_;
   ResultTable shown_{{"extent [px]", "slope of measured over said", "over the path's mean", "over the chord's middle",
                       "largest error of what is said [px]"}};
-  ResultTable objects_{{"flight", "object", "deblurred by", "blocks", "error of the displacement [px]",
+  ResultTable objects_{{"flight", "object", "blocks of the", "deblurred by", "blocks", "error of the displacement [px]",
                         "deblurred, 3 px or more off", "left, though blurred by 3 px or more"}};
   ResultTable burst_{{"frame", "extent by the gyroscope [px]", "with images, times that: median", "quartiles",
                       "blocks by images [%]", "blocks deblurred: gyroscope, images",
@@ -257,10 +257,13 @@ void Study::objects(const FootageCase& c, const Footage& footage) {
   const cv::Point2d kCrossing(300, 60);  // px/s: 9 px within an exposure
   for (const auto& [name, velocity_px_s] : {std::pair("panned", cv::Point2d(0, 0)), std::pair("crosses", kCrossing)}) {
     const ObjectScene scene = film_object(footage, velocity_px_s);
-    for (const auto& [by, counts] : {std::pair("gyroscope", &scene.alone), std::pair("images", &scene.images)}) {
-      objects_.add({c.flight.name, name, by, std::to_string(counts->blocks), median_and_p90(counts->errors_px),
-                    std::to_string(counts->wrong),
-                    std::to_string(counts->left) + " of " + std::to_string(counts->blurred)});
+    for (const auto part : {&ObjectResult::object, &ObjectResult::surroundings}) {
+      for (const auto& [by, result] : {std::pair("gyroscope", &scene.alone), std::pair("images", &scene.images)}) {
+        const BlockCounts& counts = result->*part;
+        objects_.add({c.flight.name, name, part == &ObjectResult::object ? "object" : "surroundings", by,
+                      std::to_string(counts.blocks), median_and_p90(counts.errors_px), std::to_string(counts.wrong),
+                      std::to_string(counts.left) + " of " + std::to_string(counts.blurred)});
+      }
     }
     if (arguments_.output.empty()) continue;
     const std::string start = arguments_.output + "/object_" + name + "_" + c.flight.file + "_";

@@ -44,23 +44,35 @@ struct Course {
   cv::Point2d at(double t_s) const { return start + (t_s - 0.5 * frames * period_s) * velocity_px_s; }
 };
 
-void judge(const FrameBlur& field, const Footage& footage, int i, const RotationTrack& rotation,
-           const cv::Rect2d& object, const Eigen::Vector2d& truth_px, ObjectBlocks* counts) {
+void count(const BlockBlur& blur, const Eigen::Vector2d& displacement_px, const Eigen::Vector2d& truth_px,
+           BlockCounts* counts) {
   constexpr double kWrongPx = 3;
+  const double error_px = (displacement_px - truth_px).norm();
+  const bool is_blurred = truth_px.norm() >= BlurFieldOptions{}.min_extent_px;
+  ++counts->blocks;
+  counts->errors_px.push_back(error_px);
+  if (is_blurred) ++counts->blurred;
+  if (blur.status == BlockStatus::DEBLURRED && error_px >= kWrongPx) ++counts->wrong;
+  if (blur.status != BlockStatus::DEBLURRED && is_blurred) ++counts->left;
+}
+
+/// @param all_of_it  of the exposure: where nothing but the object is seen
+/// @param any_of_it  where anything of it is seen
+void judge(const FrameBlur& field, const Footage& footage, int i, const RotationTrack& rotation,
+           const cv::Rect2d& all_of_it, const cv::Rect2d& any_of_it, const Eigen::Vector2d& path_px,
+           ObjectResult* result) {
   const RowExposure exposure = footage.exposure(i);
   for (int b = 0; b < field.grid.size(); ++b) {
     const cv::Rect2d block(field.grid.rect(b));
-    if ((block & object).area() < block.area()) continue;
+    const Eigen::Vector2d center_px = field.grid.center(b);
+    Eigen::Vector2d displacement = displacement_px(footage.camera(), rotation, exposure, center_px);
     const BlockBlur& blur = field.blocks[b];
-    Eigen::Vector2d displacement = displacement_px(footage.camera(), rotation, exposure, field.grid.center(b));
     if (blur.residual) displacement += to_seconds(exposure.timing().exposure_ns) * blur.residual->velocity_px_s;
-    const double error_px = (displacement - truth_px).norm();
-    const bool is_blurred = truth_px.norm() >= BlurFieldOptions{}.min_extent_px;
-    ++counts->blocks;
-    counts->errors_px.push_back(error_px);
-    if (is_blurred) ++counts->blurred;
-    if (blur.status == BlockStatus::DEBLURRED && error_px >= kWrongPx) ++counts->wrong;
-    if (blur.status != BlockStatus::DEBLURRED && is_blurred) ++counts->left;
+    if ((block & all_of_it).area() >= block.area()) {
+      count(blur, displacement, path_px, &result->object);
+    } else if ((block & any_of_it).area() == 0) {
+      count(blur, displacement, footage.truth().truth_displacement(i, center_px), &result->surroundings);
+    }
   }
 }
 
@@ -94,13 +106,15 @@ ObjectScene film_object(const Footage& footage, const cv::Point2d& velocity_px_s
     image.convertTo(image, CV_8U);
     const bool is_middle = i == footage.frames() / 2;
     if (is_middle) scene.blurred = image;
-    // What is in the middle of the exposure; blocks that its blurred edge touches are left out.
-    const cv::Rect2d inside(middle.x + 0.5 * std::abs(path.x), middle.y + 0.5 * std::abs(path.y),
-                            kObject.width - std::abs(path.x), kObject.height - std::abs(path.y));
+    const cv::Size2d half_path(0.5 * std::abs(path.x), 0.5 * std::abs(path.y));
+    const cv::Rect2d all_of_it(middle.x + half_path.width, middle.y + half_path.height,
+                               kObject.width - 2 * half_path.width, kObject.height - 2 * half_path.height);
+    const cv::Rect2d any_of_it(middle.x - half_path.width, middle.y - half_path.height,
+                               kObject.width + 2 * half_path.width, kObject.height + 2 * half_path.height);
     for (auto [pipeline, counts] : {std::pair(&images, &scene.images), std::pair(&alone, &scene.alone)}) {
       const PipelineResult result = pipeline->process(image, PixelLayout::GRAY, rotation, exposure, request);
       if (is_middle) counts->shown = result.image.empty() ? image : result.image;
-      if (i >= kFirst) judge(result.field, footage, i, rotation, inside, {path.x, path.y}, counts);
+      if (i >= kFirst) judge(result.field, footage, i, rotation, all_of_it, any_of_it, {path.x, path.y}, counts);
     }
   }
   return scene;

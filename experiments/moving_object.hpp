@@ -9,19 +9,24 @@
 
 namespace gyro_deblur::experiments {
 
-/// What became of the blocks that lie in the object altogether, over all frames after the first two.
-struct ObjectBlocks {
+/// What became of blocks, over all frames after the first two.
+struct BlockCounts {
   int blocks = 0;
   int blurred = 0;                ///< by min_extent_px and more
   int wrong = 0;                  ///< deblurred for a displacement that is off by 3 px and more
   int left = 0;                   ///< of the blurred ones: not deblurred
   std::vector<double> errors_px;  ///< of the displacement
-  cv::Mat shown;                  ///< the middle frame as it comes out, CV_8UC1
+};
+
+struct ObjectResult {
+  BlockCounts object;        ///< that lie in the object altogether
+  BlockCounts surroundings;  ///< that see nothing of it
+  cv::Mat shown;             ///< the middle frame as it comes out, CV_8UC1
 };
 
 /// An object in front of a turning camera, deblurred by the gyroscope alone and with the images.
 struct ObjectScene {
-  ObjectBlocks alone, images;
+  ObjectResult alone, images;
   cv::Mat blurred;  ///< the middle frame as it arrived
 };
 
