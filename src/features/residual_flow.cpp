@@ -10,6 +10,7 @@
 #include <opencv2/video/tracking.hpp>
 
 #include "base/median.hpp"
+#include "base/parallel.hpp"
 #include "features/corner_prediction.hpp"
 
 namespace gyro_deblur {
@@ -19,13 +20,67 @@ constexpr double kCornerQuality = 0.01;
 /// Over a longer one a mean velocity says little of the one within an exposure.
 constexpr TimeNs kLongestStepNs = 250'000'000;
 /// What Lucas-Kanade leaves on blurred frames where all neighbours agree, in the smaller image [px].
-constexpr double kFloorPx = 0.1;
+constexpr double kFloorPx = 0.05;
 /// Of the change that is carried on: a velocity need not go on changing as it did. Measured on recorded flights.
 constexpr double kDoubtOfChange = 0.25;
 
 bool inside(const cv::Point2f& p, const cv::Size& size, float margin) {
   return p.x >= margin && p.y >= margin && p.x <= static_cast<float>(size.width - 1) - margin &&
          p.y <= static_cast<float>(size.height - 1) - margin;
+}
+
+/// A corner near the centre of a block.
+struct Neighbour {
+  Eigen::Vector2d from_center_px = Eigen::Vector2d::Zero();
+  double distance_px2 = 0;
+  Eigen::Vector2d velocity_px_s = Eigen::Vector2d::Zero();
+};
+
+Eigen::Vector2d median_velocity(const std::vector<Neighbour>& neighbours) {
+  std::vector<double> x, y;
+  for (const Neighbour& neighbour : neighbours) {
+    x.push_back(neighbour.velocity_px_s.x());
+    y.push_back(neighbour.velocity_px_s.y());
+  }
+  return {median(x), median(y)};
+}
+
+/// At the centre of a block, by a plane through the velocities of the corners around it: weights of Geman and McClure,
+/// from the median on, and less for those far away.
+/// @param neighbours  the last one is the farthest
+ResidualVelocity fit_plane(const std::vector<Neighbour>& neighbours, const ResidualFlowOptions& options) {
+  /// Of the length of a vector whose components are normal, with a deviation of 1: its median.
+  constexpr double kMedianLength = 1.1774;
+  constexpr double kScale = 2.0, kLeastSpreadPxS = 1e-3;
+  const double reach_px2 = neighbours.back().distance_px2;
+  Eigen::Matrix<double, 3, 2> plane = Eigen::Matrix<double, 3, 2>::Zero();
+  plane.row(0) = median_velocity(neighbours).transpose();
+  Eigen::Matrix3d normal = Eigen::Matrix3d::Identity();
+  std::vector<double> distances(neighbours.size());
+  double spread_px_s = 0;
+  for (int iteration = 0;; ++iteration) {
+    for (std::size_t k = 0; k < neighbours.size(); ++k) {
+      const Eigen::Vector2d& d = neighbours[k].from_center_px;
+      distances[k] = (neighbours[k].velocity_px_s.transpose() - Eigen::RowVector3d(1, d.x(), d.y()) * plane).norm();
+    }
+    spread_px_s = std::max(median(distances) / kMedianLength, kLeastSpreadPxS);
+    if (iteration == options.iterations_of_plane) break;
+    normal.setZero();
+    // A slope is believed where the corners tell it.
+    normal(1, 1) = normal(2, 2) = options.slope_prior * reach_px2;
+    Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
+    for (std::size_t k = 0; k < neighbours.size(); ++k) {
+      const Eigen::Vector2d& d = neighbours[k].from_center_px;
+      const Eigen::Vector3d row(1, d.x(), d.y());
+      const double far = neighbours[k].distance_px2 / (0.5 * reach_px2);
+      const double off = distances[k] / (kScale * spread_px_s);
+      const double weight = 1 / ((1 + far) * (1 + off * off) * (1 + off * off));
+      normal += weight * row * row.transpose();
+      right += weight * row * neighbours[k].velocity_px_s.transpose();
+    }
+    plane = normal.ldlt().solve(right);
+  }
+  return {plane.row(0).transpose(), spread_px_s * std::sqrt(normal.inverse()(0, 0))};
 }
 
 }  // namespace
@@ -53,7 +108,7 @@ cv::Mat ResidualFlow::shrink(const cv::Mat& luminance) {
 }
 
 ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
-                                   const RowExposure& exposure, const BlockGrid& grid) {
+                                   const RowExposure& exposure, const BlockGrid& grid, int threads) {
   if (exposure_) {
     const TimeNs step_ns = exposure.start(0) - exposure_->start(0);
     if (step_ns <= 0 || step_ns > kLongestStepNs) reset();
@@ -67,7 +122,7 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
   if (exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size()) {
     follow_corners(pyramid, camera, motion, exposure);
     const TimeNs step_ns = exposure.start(0) - exposure_->start(0), mean_ns = exposure.start(0) - step_ns / 2;
-    ResidualField means = mean_velocities(grid);
+    ResidualField means = mean_velocities(grid, threads);
     carried = means;
     for (int i = 0; i < grid.size() && means_.size() == means.size(); ++i) {
       if (!means[i]) continue;
@@ -158,57 +213,26 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
   }
 }
 
-ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid) const {
-  ResidualField velocities(grid.size());
-  const std::size_t count = options_.neighbours;
+ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) const {
+  ResidualField velocities(static_cast<std::size_t>(grid.size()));
+  const auto count = static_cast<std::size_t>(options_.neighbours);
   if (samples_.size() < count) return velocities;
-  std::vector<std::pair<double, const Sample*>> nearest(samples_.size());
-  for (int i = 0; i < grid.size(); ++i) {
-    const Eigen::Vector2d center_px = grid.center(i);
-    for (std::size_t k = 0; k < samples_.size(); ++k) {
-      nearest[k] = {(samples_[k].pixel_px - center_px).squaredNorm(), &samples_[k]};
-    }
-    std::nth_element(nearest.begin(), nearest.begin() + count - 1, nearest.end(),
-                     [](const auto& a, const auto& b) { return a.first < b.first; });
-    const double reach_px2 = nearest[count - 1].first;
-    ResidualVelocity& velocity = velocities[i].emplace();
-    double variance = 0;
-    for (int axis = 0; axis < 2; ++axis) {
-      std::vector<double> of_axis, deviations(count);
-      for (std::size_t k = 0; k < count; ++k) of_axis.push_back(nearest[k].second->velocity_px_s[axis]);
-      Eigen::Vector3d plane(median(of_axis), 0, 0);
-      double spread = 0;
-      Eigen::Matrix3d information = Eigen::Matrix3d::Identity();
-      for (int iteration = 0; iteration < options_.iterations_of_plane + 1; ++iteration) {
-        const auto residual = [&](std::size_t k) {
-          const Eigen::Vector2d d = nearest[k].second->pixel_px - center_px;
-          return of_axis[k] - plane.dot(Eigen::Vector3d(1, d.x(), d.y()));
-        };
-        for (std::size_t k = 0; k < count; ++k) deviations[k] = std::abs(residual(k));
-        spread = std::max(1.4826 * median(deviations), 1e-3);
-        if (iteration == options_.iterations_of_plane) break;
-        Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
-        Eigen::Vector3d right = Eigen::Vector3d::Zero();
-        // A slope is believed where the corners tell it.
-        normal(1, 1) = normal(2, 2) = options_.slope_prior * reach_px2;
-        for (std::size_t k = 0; k < count; ++k) {
-          const Eigen::Vector2d d = nearest[k].second->pixel_px - center_px;
-          const Eigen::Vector3d row(1, d.x(), d.y());
-          const double r = residual(k) / (2.0 * spread);
-          const double near = 1 / (1 + nearest[k].first / (0.5 * reach_px2));
-          const double weight = near / (1 + r * r) / (1 + r * r);
-          normal += weight * row * row.transpose();
-          right += weight * of_axis[k] * row;
-        }
-        plane = normal.ldlt().solve(right);
-        information = normal;
+  const double floor_px_s = scale_ * kFloorPx / to_seconds(samples_.front().since_ns);
+  run_parallel(grid.rows(), threads, 1, [&](int row) {
+    std::vector<Neighbour> nearest(samples_.size());
+    for (int i = row * grid.cols(); i < (row + 1) * grid.cols(); ++i) {
+      const Eigen::Vector2d center_px = grid.center(i);
+      for (std::size_t k = 0; k < samples_.size(); ++k) {
+        const Eigen::Vector2d from_center_px = samples_[k].pixel_px - center_px;
+        nearest[k] = {from_center_px, from_center_px.squaredNorm(), samples_[k].velocity_px_s};
       }
-      velocity.velocity_px_s[axis] = plane[0];
-      variance = std::max(variance, spread * spread * information.inverse()(0, 0));
+      std::nth_element(nearest.begin(), nearest.begin() + options_.neighbours - 1, nearest.end(),
+                       [](const Neighbour& a, const Neighbour& b) { return a.distance_px2 < b.distance_px2; });
+      ResidualVelocity& velocity = velocities[static_cast<std::size_t>(i)].emplace(
+          fit_plane({nearest.begin(), nearest.begin() + options_.neighbours}, options_));
+      velocity.stddev_px_s = std::hypot(velocity.stddev_px_s, floor_px_s);
     }
-    const double floor_px_s = scale_ * kFloorPx / to_seconds(nearest.front().second->since_ns);
-    velocity.stddev_px_s = std::sqrt(floor_px_s * floor_px_s + variance);
-  }
+  });
   return velocities;
 }
 

@@ -17,7 +17,8 @@
 namespace gyro_deblur {
 
 /// How corners are followed. Lengths are those of the image that they are followed in: halved until it is no wider than
-/// largest_width_px.
+/// largest_width_px. The values left the smallest error on recorded flights through a simulated room
+/// (experiments/motion_from_images), those of a larger image a larger one where blur is long.
 struct ResidualFlowOptions {
   int largest_width_px = 250;
   int max_corners = 300;
@@ -25,10 +26,10 @@ struct ResidualFlowOptions {
   int window_px = 9;
   int levels = 2;
   int iterations = 6;
-  double max_round_trip_px = 0.75;
+  double max_round_trip_px = 0.75;  ///< how far from its start a corner may end up when followed back
+  int neighbours = 20;              ///< corners that a block's velocity is a plane through
   int iterations_of_plane = 3;
-  double slope_prior = 0.02;
-  int neighbours = 20;  ///< corners that a block's velocity is a plane through
+  double slope_prior = 0.02;  ///< how many corners at the farthest neighbour's distance speak for no slope
 };
 
 /// Residual velocities of the images of one camera. Not thread-safe.
@@ -47,10 +48,11 @@ class ResidualFlow {
   /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
   /// @param motion     from the image before to this one; corners beyond what it covers are left out
   /// @param grid       of the blocks
+  /// @param threads    at most; 0: one for each core
   /// @return of each block of this image, at the middle of its exposure: the mean since the image before, carried on by
   ///         what has changed since the one before that; nothing where too few corners are near
   ResidualField follow(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
-                       const RowExposure& exposure, const BlockGrid& grid);
+                       const RowExposure& exposure, const BlockGrid& grid, int threads = 0);
 
   const std::vector<Sample>& samples() const { return samples_; }
 
@@ -72,7 +74,7 @@ class ResidualFlow {
                                                  const Camera& camera, const CameraMotion& motion,
                                                  const RowExposure& exposure) const;
   /// Since the image before.
-  ResidualField mean_velocities(const BlockGrid& grid) const;
+  ResidualField mean_velocities(const BlockGrid& grid, int threads) const;
 
   std::vector<cv::Mat> pyramid_;      // of the newest image, smaller
   std::vector<cv::Point2f> corners_;  // of it, in its pixels

@@ -123,7 +123,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (flow_) {
     const Stopwatch watch;
     luminance = luminance8(image, layout, result.significant_bits);
-    residuals = flow_->follow(luminance, *camera_, motion, exposure, estimator_->grid());
+    residuals = flow_->follow(luminance, *camera_, motion, exposure, estimator_->grid(), options_.threads);
     result.residual_rotation = fit_residual_rotation(residuals, estimator_->grid(), *camera_, motion, exposure);
     result.times.flow_ms = watch.ms();
   }
