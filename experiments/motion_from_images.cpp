@@ -266,7 +266,8 @@ void Study::objects(const FootageCase& c, const Footage& footage) {
       }
     }
     if (arguments_.output.empty()) continue;
-    const std::string start = arguments_.output + "/object_" + name + "_" + c.flight.file + "_";
+    const std::string start =
+        arguments_.output + "/object_" + name + "_" + std::filesystem::path(c.flight.file).stem().string() + "_";
     cv::imwrite(start + "blurred.png", scene.blurred);
     cv::imwrite(start + "gyroscope.png", scene.alone.shown);
     cv::imwrite(start + "images.png", scene.images.shown);

@@ -78,7 +78,7 @@ def plot_objects(folder, trajectory, path):
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=pathlib.Path, help="of motion_from_images --out")
-    parser.add_argument("--trajectory", default="V2_02_medium.txt", help="whose object is shown [V2_02_medium.txt]")
+    parser.add_argument("--trajectory", default="tum_vi_room2", help="whose object is shown [tum_vi_room2]")
     arguments = parser.parse_args()
     folder = arguments.folder
     samples = folder / "displacement_samples.csv"
