@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Plots of what motion_from_images --out wrote: errors against what there was to find, and an object before and after."""
+"""Plots what motion_from_images --out wrote: errors against what there was to find, and an object before and after."""
 
 import argparse
 import csv

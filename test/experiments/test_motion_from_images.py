@@ -24,8 +24,8 @@ class Quick(unittest.TestCase):
     def setUpClass(cls):
         cls.temporary = tempfile.TemporaryDirectory()
         cls.out = pathlib.Path(cls.temporary.name)
-        subprocess.run([arguments.program, "--quick", "--quiet", "--part", "displacement", "--part", "shutter", "--data",
-                        arguments.data, "--out", cls.out], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run([arguments.program, "--quick", "--quiet", "--part", "displacement", "--part", "shutter",
+                        "--data", arguments.data, "--out", cls.out], check=True, stdout=subprocess.DEVNULL)
 
     @classmethod
     def tearDownClass(cls):
