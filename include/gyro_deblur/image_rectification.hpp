@@ -46,7 +46,7 @@ class GlobalShutterMap {
 bool is_global_shutter(const RowExposure& exposure, TimeNs reference_ns);
 
 /// Takes every row to `reference_ns`. The inverse of rectify_points(): what that moves from q to p is found for p at q,
-/// to 0.02 px at 5 rad/s and 20 ms of readout (to 0.25 px within 16 px of the corners of a wide lens, to 0.1 px where
+/// to 0.02 px at 5 rad/s and 20 ms of readout (to 0.25 px within 96 px of the corners of a wide lens, to 0.1 px where
 /// neighbouring blocks are moved by 1 px more or less). Blocks that rectify_points() leaves alone move as their
 /// neighbours do: an image has to stay whole. For the same reason rows whose time to the reference `motion` does not
 /// cover are moved as far as the nearest row that it covers, and what is beyond the lens model as what is nearest
