@@ -104,6 +104,7 @@ struct FrameBlur {
   std::vector<BlockBlur> blocks;  ///< grid.size(), row by row
   TimeNs exposure_ns = 0;
   TimeNs readout_ns = 0;
+  bool images_alone = false;  ///< no other motion is known: residual velocities are the whole of it
 
   std::size_t count(BlockStatus status) const;
 };

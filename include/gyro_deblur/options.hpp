@@ -143,6 +143,7 @@ struct PipelineOptions {
   KernelOptions kernel;
   KeypointOptions keypoints;
   bool motion_from_images = true;  ///< what the gyroscope does not know of a motion, see ResidualFlow
+  bool bridge_gyro_gaps = false;   ///< frames that the gyroscope does not cover go by the images alone
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
   ImageBorder global_shutter_border = ImageBorder::BLACK;
   std::string engine = "auto";  ///< see make_engine

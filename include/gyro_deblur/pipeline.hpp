@@ -99,7 +99,8 @@ class Pipeline {
 
   /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
   /// @param motion  of the camera over the frame; blocks it does not cover are NO_GYRO. What it does not know of the
-  ///                motion is found in the images, where it reaches back to the one before
+  ///                motion is found in the images, where it reaches back to the one before. With bridge_gyro_gaps, of
+  ///                a frame that it does not cover wholly, the images tell all of it, or the block is NO_GYRO
   /// Throws std::invalid_argument when the image does not fit, std::logic_error before set_calibration.
   PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                          const RowExposure& exposure, const PipelineRequest& request);
@@ -126,6 +127,7 @@ class Pipeline {
   std::unique_ptr<Engine> engine_;
   BitDepth bit_depth_;
   std::unique_ptr<ResidualFlow> flow_;           // where asked for
+  bool alone_ = false;                           // its newest image had no motion beside it
   std::unique_ptr<FeatureExtractor> extractor_;  // made when keypoints are asked for
 };
 

@@ -193,6 +193,8 @@ ParameterGroup blur_field() {
                "blur off a line by more than this and 2 % of its length is left alone", RUNNING},
               {"motion_from_images", &PipelineOptions::motion_from_images,
                "what the gyroscope does not know of the motion is taken from corners followed between images", RUNNING},
+              {"bridge_gyro_gaps", &PipelineOptions::bridge_gyro_gaps,
+               "frames that the gyroscope does not cover go by those corners alone", RUNNING},
           }};
 }
 

@@ -95,6 +95,26 @@ void ResidualFlow::reset() {
   samples_.clear();
   corners_.clear();
   means_.clear();
+  whole_ = false;
+}
+
+void ResidualFlow::change_motion(const Camera& camera, const BlockGrid& grid, const CameraMotion* known) {
+  whole_ = known != nullptr;
+  ResidualField before = std::move(means_);
+  means_.clear();
+  if (!known || !exposure_ || !known->covers(exposure_->frame())) return;
+  before.resize(grid.size());
+  for (int i = 0; i < grid.size(); ++i) {
+    const Eigen::Vector2d center_px = grid.center(i);
+    const double y = center_px.y();
+    const auto from = predicted_pixel(center_px, camera, *known, *exposure_, exposure_->start(y));
+    const auto to = predicted_pixel(center_px, camera, *known, *exposure_, exposure_->end(y));
+    if (!from || !to) return;
+    if (!before[i]) before[i].emplace();
+    before[i]->velocity_px_s += (*to - *from) / to_seconds(exposure_->end(y) - exposure_->start(y));
+  }
+  means_ = std::move(before);
+  mean_ns_ = exposure_->start(0);
 }
 
 cv::Mat ResidualFlow::shrink(const cv::Mat& luminance) {
@@ -120,7 +140,7 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
   samples_.clear();
   ResidualField carried;
   if (exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size()) {
-    follow_corners(pyramid, camera, motion, exposure);
+    follow_corners(pyramid, camera, motion, exposure, grid);
     const TimeNs step_ns = exposure.start(0) - exposure_->start(0), mean_ns = exposure.start(0) - step_ns / 2;
     ResidualField means = mean_velocities(grid, threads);
     carried = means;
@@ -173,13 +193,17 @@ std::optional<Eigen::Vector2d> ResidualFlow::velocity_before(int block, const Re
 }
 
 void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
-                                  const RowExposure& exposure) {
+                                  const RowExposure& exposure, const BlockGrid& grid) {
   const cv::Size window(options_.window_px, options_.window_px), size = pyramid.front().size();
   const auto scale = static_cast<float>(scale_);
   std::vector<cv::Point2f> before, start;
   for (const cv::Point2f& corner : corners_) {
-    const auto at = predicted_pixel({scale * corner.x, scale * corner.y}, camera, motion, *exposure_, exposure);
+    auto at = predicted_pixel({scale * corner.x, scale * corner.y}, camera, motion, *exposure_, exposure);
     if (!at) continue;
+    if (whole_ && !means_.empty()) {
+      const auto& mean = means_[grid.index_at(at->x(), at->y())];
+      if (mean) *at += to_seconds(exposure.start(0) - exposure_->start(0)) * mean->velocity_px_s;
+    }
     const cv::Point2f start_px(static_cast<float>(at->x()) / scale, static_cast<float>(at->y()) / scale);
     if (!inside(start_px, size, 0)) continue;
     before.push_back(corner);

@@ -62,11 +62,16 @@ class ResidualFlow {
   /// Forgets the images.
   void reset();
 
+  /// What follows is beside another motion. With `known`, which the motion so far was, none is known from now on: the
+  /// velocities so far take it in as it was within the newest image's exposure, and corners are looked for where they
+  /// lead. Without they are forgotten.
+  void change_motion(const Camera& camera, const BlockGrid& grid, const CameraMotion* known);
+
  private:
   ResidualFlowOptions options_;
   cv::Mat shrink(const cv::Mat& luminance);
   void follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
-                      const RowExposure& exposure);
+                      const RowExposure& exposure, const BlockGrid& grid);
   /// What the image before had for the velocity of what a block shows now, as it would be seen now; nothing where that
   /// is not known.
   /// @param mean  of the block, since the image before
@@ -83,6 +88,7 @@ class ResidualFlow {
   std::vector<Sample> samples_;
   ResidualField means_;  // since the image before
   TimeNs mean_ns_ = 0;   // the middle of the time that they are means over
+  bool whole_ = false;   // they are beside no motion at all
 };
 
 }  // namespace gyro_deblur

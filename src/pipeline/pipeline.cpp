@@ -49,6 +49,21 @@ std::vector<Eigen::Vector2d> positions(const std::vector<cv::KeyPoint>& keypoint
   return points;
 }
 
+/// Stands in for a motion that is not known: velocities beside it are the whole of it.
+class StandingCamera : public CameraMotion {
+ public:
+  bool covers(const TimeRange& range) const override { return !range.empty(); }
+  Eigen::Matrix3d homography(TimeNs, TimeNs) const override { return Eigen::Matrix3d::Identity(); }
+};
+
+/// Blocks of a field beside no motion: that none was found does not say that there is none.
+void require_residuals(FrameBlur* field) {
+  field->images_alone = true;
+  for (BlockBlur& block : field->blocks) {
+    if (!block.residual) block = {0, 0, BlockStatus::NO_GYRO};
+  }
+}
+
 }  // namespace
 
 Pipeline::Pipeline(const PipelineOptions& options, EngineFactory engine_factory)
@@ -118,17 +133,25 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   PipelineResult result;
   result.reference_ns = exposure.reference_time(options_.rectify_to);
   result.significant_bits = bit_depth_.of(image, layout);
+  const bool alone = flow_ && options_.bridge_gyro_gaps && !motion.covers(exposure.frame());
+  const StandingCamera standing;
+  const CameraMotion& known = alone ? standing : motion;
   cv::Mat luminance;
   ResidualField residuals;
   if (flow_) {
     const Stopwatch watch;
     luminance = luminance8(image, layout, result.significant_bits);
-    residuals = flow_->follow(luminance, *camera_, motion, exposure, estimator_->grid(), options_.threads);
-    result.residual_rotation = fit_residual_rotation(residuals, estimator_->grid(), *camera_, motion, exposure);
+    if (alone != alone_) flow_->change_motion(*camera_, estimator_->grid(), alone ? &motion : nullptr);
+    alone_ = alone;
+    residuals = flow_->follow(luminance, *camera_, known, exposure, estimator_->grid(), options_.threads);
+    if (!alone) {
+      result.residual_rotation = fit_residual_rotation(residuals, estimator_->grid(), *camera_, motion, exposure);
+    }
     result.times.flow_ms = watch.ms();
   }
   const Stopwatch blur_field_watch;
-  result.field = estimator_->estimate(motion, exposure, residuals);
+  result.field = estimator_->estimate(known, exposure, residuals);
+  if (alone) require_residuals(&result.field);
   result.times.blur_field_ms = blur_field_watch.ms();
 
   if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {
@@ -149,7 +172,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     result.times.deconvolution_ms = watch.ms();
   }
   if (request.global_shutter && permitted) {
-    move_to_reference(result.image.empty() ? image : result.image, layout, motion, exposure, &result);
+    move_to_reference(result.image.empty() ? image : result.image, layout, known, exposure, &result);
   }
   if (!request.keypoints && !request.luminance) return result;
 
@@ -173,7 +196,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (!request.keypoints) return result;
   const Stopwatch watch;
   extract(luminance, &result);
-  result.points = rectify_points(positions(result.features.keypoints), result.field, *camera_, motion, exposure,
+  result.points = rectify_points(positions(result.features.keypoints), result.field, *camera_, known, exposure,
                                  result.reference_ns);
   result.times.keypoints_ms = watch.ms();
   return result;

@@ -261,6 +261,7 @@ Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, As
     // After a jump late samples of the old epoch say nothing about frames of the new one.
     if (intake_.imu_is_stale() && own.end_ns < available.begin_ns) return Readiness::WAITS;
   }
+  if (empty && terms.config.pipeline.bridge_gyro_gaps) return Readiness::READY;
   if (empty) {  // nor is the IMU's frame known then
     return settle(frame, PassThroughReason::NO_GYRO, coverage_text(own, std::nullopt, assembled->gyro));
   }

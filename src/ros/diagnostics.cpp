@@ -226,6 +226,7 @@ void DiagnosticReport::add_blocks(const Moment& now, DiagnosticStatusWrapper* st
 
 void DiagnosticReport::add_motion_from_images(const Moment& now, DiagnosticStatusWrapper* status) const {
   status->add("blocks with motion from images", now.statistics.blocks_from_images);
+  status->add("frames by images alone", now.statistics.frames_by_images_alone);
   if (!from_images_.blocks_px.empty()) {
     status->addf("motion from images, median [px]", "%.2f", median(from_images_.blocks_px));
   }

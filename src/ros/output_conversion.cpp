@@ -38,7 +38,9 @@ BlurFieldPtr to_message(const FrameBlur& field, const std_msgs::Header& header) 
   message->residual_stddev.reserve(field.blocks.size());
   for (const BlockBlur& block : field.blocks) {
     const ResidualVelocity residual = block.residual.value_or(ResidualVelocity{});
-    message->source.push_back(block.residual ? BlurField::SOURCE_IMAGES : BlurField::SOURCE_GYROSCOPE);
+    message->source.push_back(!block.residual      ? BlurField::SOURCE_GYROSCOPE
+                              : field.images_alone ? BlurField::SOURCE_IMAGES_ALONE
+                                                   : BlurField::SOURCE_IMAGES);
     message->residual_x.push_back(static_cast<float>(residual.velocity_px_s.x()));
     message->residual_y.push_back(static_cast<float>(residual.velocity_px_s.y()));
     message->residual_stddev.push_back(static_cast<float>(residual.stddev_px_s));

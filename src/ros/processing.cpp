@@ -87,6 +87,9 @@ void add_field(const AssembledFrame& assembled, const FrameMotion& motion, const
                                           : PassThroughReason::GYRO_SATURATED;
     output->blur_field = pass_through_message(output->reason, output->reason_text, image);
   }
+  if (field.images_alone && output->reason == PassThroughReason::NONE) {
+    output->reason_text = "images alone: " + (saturation.empty() ? assembled.coverage_text : saturation);
+  }
   if (output->reason_text.empty() && !output->translation_text.empty()) {
     output->reason_text = "rotation only: " + output->translation_text;
   }

@@ -11,6 +11,7 @@ void OutputStatistics::count(const FrameOutput& output) {
       if (block.residual) ++blocks_from_images;
     }
   }
+  if (output.field && output.field->images_alone && output.reason == PassThroughReason::NONE) ++frames_by_images_alone;
   for (const auto& [reason, number] : output.slow_blocks) slow_blocks[reason] += number;
   keypoints_text = output.keypoints_text;
   if (output.translated) ++frames_translated;

@@ -26,6 +26,7 @@ struct OutputStatistics {
   std::map<BlockStatus, std::size_t> blocks;  ///< of the frames that were not passed through
   std::size_t blocks_from_images = 0;         ///< of those, whose motion is also from the images
   SlowBlocks slow_blocks;                     ///< that left the engine's fast path, by reason
+  std::size_t frames_by_images_alone = 0;     ///< deblurred without a gyroscope
   std::size_t frames_translated = 0;          ///< whose blur field has the odometry's translation
   std::size_t frames_not_translated = 0;      ///< without, though an odometry is there
   std::string translation_text;               ///< why the newest of those is without

@@ -51,19 +51,19 @@ std::string dump(const Config& c) {
     << c.pipeline.engine << "\nthreads " << c.pipeline.threads << "\nsignificant_bits " << c.pipeline.significant_bits
     << "\nblock_size " << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px
     << "\nmax_extent " << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
-    << "\nmotion_from_images " << c.pipeline.motion_from_images << "\ngamma " << c.pipeline.kernel.gamma
-    << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing " << c.pipeline.kernel.smoothing_px
-    << "\nvalidate " << c.pipeline.validation.enabled << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
-    << c.pipeline.validation.tau_contrast << "\ndetector " << c.pipeline.keypoints.detector << "\ndescriptor "
-    << c.pipeline.keypoints.descriptor << "\nmax_features " << c.pipeline.keypoints.max_features << "\ngrid "
-    << c.pipeline.keypoints.grid_cols << ' ' << c.pipeline.keypoints.grid_rows << "\np_cam_imu "
-    << c.p_cam_imu_m.transpose() << "\nscene_depth " << c.translation.scene_depth_m << ' '
-    << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns << ' ' << c.translation.max_speed_m_s
-    << ' ' << c.translation.max_acceleration_m_s2 << ' ' << c.translation.max_stddev_m_s << ' '
-    << static_cast<int>(c.odometry_clock) << ' ' << static_cast<int>(c.odometry_twist_frame) << "\ntracker "
-    << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' '
-    << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' '
-    << c.tracker.levels;
+    << "\nmotion_from_images " << c.pipeline.motion_from_images << "\nbridge_gyro_gaps " << c.pipeline.bridge_gyro_gaps
+    << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing "
+    << c.pipeline.kernel.smoothing_px << "\nvalidate " << c.pipeline.validation.enabled << "\ntau "
+    << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\ndetector "
+    << c.pipeline.keypoints.detector << "\ndescriptor " << c.pipeline.keypoints.descriptor << "\nmax_features "
+    << c.pipeline.keypoints.max_features << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
+    << c.pipeline.keypoints.grid_rows << "\np_cam_imu " << c.p_cam_imu_m.transpose() << "\nscene_depth "
+    << c.translation.scene_depth_m << ' ' << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns
+    << ' ' << c.translation.max_speed_m_s << ' ' << c.translation.max_acceleration_m_s2 << ' '
+    << c.translation.max_stddev_m_s << ' ' << static_cast<int>(c.odometry_clock) << ' '
+    << static_cast<int>(c.odometry_twist_frame) << "\ntracker " << c.tracker.max_tracks << ' '
+    << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' '
+    << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' ' << c.tracker.levels;
   return s.str();
 }
 
@@ -118,6 +118,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"max_extent", "100.5"},
       {"max_bend", "2.5"},
       {"motion_from_images", "false"},
+      {"bridge_gyro_gaps", "true"},
       {"gamma", "1e-3"},
       {"kernel_length_factor", "6"},
       {"kernel_smoothing", "1.5"},
@@ -178,6 +179,7 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.blur_field.max_extent_px, 100.5);
   EXPECT_EQ(c.pipeline.blur_field.max_bend_px, 2.5);
   EXPECT_FALSE(c.pipeline.motion_from_images);
+  EXPECT_TRUE(c.pipeline.bridge_gyro_gaps);
   EXPECT_EQ(c.pipeline.kernel.gamma, 1e-3);
   EXPECT_EQ(c.pipeline.kernel.length_factor, 6);
   EXPECT_EQ(c.pipeline.kernel.smoothing_px, 1.5);

@@ -210,6 +210,8 @@ TEST(BlurField, CarriesEverything) {
   EXPECT_FLOAT_EQ(message->extent[3], 12);
   EXPECT_EQ(message->source, (std::vector<std::uint8_t>{BlurField::SOURCE_GYROSCOPE, BlurField::SOURCE_GYROSCOPE,
                                                         BlurField::SOURCE_IMAGES, BlurField::SOURCE_GYROSCOPE}));
+  field.images_alone = true;
+  EXPECT_EQ(to_message(field, header)->source[2], BlurField::SOURCE_IMAGES_ALONE);
   EXPECT_EQ(message->residual_x, (std::vector<float>{0, 0, 30, 0}));
   EXPECT_EQ(message->residual_y, (std::vector<float>{0, 0, -40, 0}));
   EXPECT_EQ(message->residual_stddev, (std::vector<float>{0, 0, 5, 0}));
@@ -468,7 +470,7 @@ TEST(Names, AgreeWithTheMessage) {
   }
   EXPECT_EQ(statuses, 6);
   EXPECT_EQ(reasons, 13);
-  EXPECT_EQ(sources, 2);
+  EXPECT_EQ(sources, 3);
 }
 
 }  // namespace

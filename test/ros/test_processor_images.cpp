@@ -1,0 +1,180 @@
+// What the images tell beside the gyroscope, or without one, from messages to messages.
+#include <algorithm>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <gtest/gtest.h>
+#include <yaml-cpp/yaml.h>
+
+#include "processor_test.hpp"
+#include "sim/scene.hpp"
+#include "sim/simulator.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using namespace test;
+
+/// A camera that turns, never at rest, and moves before a wall, 20 images a second.
+class ProcessorImagesTest : public ProcessorTest {
+ protected:
+  ProcessorImagesTest() {
+    request_ = {true, false};
+    now_ns_ = simulator_.scene().start_ns;
+  }
+
+  static sim::Scene scene() {
+    return sim::parse_scene(YAML::Load(R"(
+frames: 130
+seed: 5
+camera: {size: [320, 240], intrinsics: [200, 200, 159.5, 119.5], fps: 20, exposure_time: 0.03, readout_time: 0.02, noise: 2}
+imu: {rate: 200}
+planes: [{size: [12, 9], position: [0, 0, 2], texture_size: [2400, 1800], texture_seed: 4}]
+motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}, {amplitude: [0, 8, 3], frequency: 1.3, phase: 80}]},
+  position: {sines: [{amplitude: [0.02, 0.02, 0.02], frequency: 0.8, phase: 70}]}}
+)"),
+                            "", "processor");
+  }
+
+  sensor_msgs::ImageConstPtr message_of(int i) {
+    const sim::Frame frame = simulator_.frame(i);
+    sensor_msgs::Image like;
+    like.header.stamp = to_ros_time(frame.stamp_ns);
+    like.header.frame_id = kCameraFrame;
+    like.encoding = "mono8";
+    return to_image(frame.image, like);
+  }
+
+  /// Frames `begin` to `end` with the samples outside `gap`, in the order of time; all leave.
+  void play(int begin, int end, const TimeRange& gap, const Eigen::Vector3d& bias_rad_s = Eigen::Vector3d::Zero()) {
+    std::size_t sample = 0;
+    for (int i = begin; i < end; ++i) {
+      now_ns_ = simulator_.exposure(i).frame().end_ns + 20 * kMs;
+      for (; sample < imu_.size() && imu_[sample].t_ns <= now_ns_; ++sample) {
+        if (gap.contains(imu_[sample].t_ns)) continue;
+        sensor_msgs::Imu imu;
+        imu.header.stamp = to_ros_time(imu_[sample].t_ns);
+        imu.header.frame_id = kImuFrame;
+        const Eigen::Vector3d rate_rad_s = config_.R_cam_imu->transpose() * imu_[sample].rate_rad_s + bias_rad_s;
+        imu.angular_velocity.x = rate_rad_s.x();
+        imu.angular_velocity.y = rate_rad_s.y();
+        imu.angular_velocity.z = rate_rad_s.z();
+        processor_.add_imu(imu);
+      }
+      processor_.add_image(message_of(i));
+      processor_.add_camera_info(camera_info(simulator_.stamp(i), 320, 240));
+      advance();
+    }
+    processor_.finish([this](FrameOutput&& output) {
+      outputs_.push_back(std::move(output));
+      return true;
+    });
+    ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(end - begin));
+  }
+
+  /// How far the paths of a frame's blocks are from the true ones [px]; of a line, whose direction has no sign.
+  std::vector<double> errors_px(int i, const FrameBlur& field) const {
+    std::vector<double> errors;
+    for (int b = 0; b < field.grid.size(); ++b) {
+      const BlockBlur& block = field.blocks[b];
+      const Eigen::Vector2d truth = simulator_.truth_displacement(i, field.grid.center(b));
+      if (block.status == BlockStatus::NO_GYRO || !truth.allFinite()) continue;
+      const Eigen::Vector2d path =
+          block.extent_px * Eigen::Vector2d(std::cos(block.angle_rad), std::sin(block.angle_rad));
+      errors.push_back(std::min((path - truth).norm(), (path + truth).norm()));
+    }
+    return errors;
+  }
+
+  sim::Simulator simulator_{scene()};
+  const std::vector<sim::ImuSample> imu_ = simulator_.imu();
+};
+
+double percentile(std::vector<double> values, double part) {
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(part * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+constexpr int kGapBegin = 8, kGapEnd = 18, kFrames = 24;  // half a second
+
+TEST_F(ProcessorImagesTest, AGapOfTheGyroscopePassesUnlessTheImagesBridgeIt) {
+  const TimeRange gap{simulator_.stamp(kGapBegin) + kMs, simulator_.stamp(kGapEnd) - 6 * kMs};
+  play(0, kFrames, gap);
+  const std::vector<FrameOutput> off = std::move(outputs_);
+  outputs_.clear();
+  for (int i = kGapBegin; i < kGapEnd; ++i) EXPECT_EQ(off[i].reason, PassThroughReason::NO_GYRO) << i;
+  EXPECT_EQ(processor_.statistics().frames_by_images_alone, 0u);
+
+  processor_.reset();
+  config_.pipeline.bridge_gyro_gaps = true;
+  configure();
+  play(0, kFrames, gap);
+  std::vector<double> errors, truths;
+  for (int i = 0; i < kFrames; ++i) {
+    const FrameOutput& output = outputs_[i];
+    ASSERT_EQ(output.reason, PassThroughReason::NONE) << i << output.reason_text;
+    if (i < kGapBegin || i >= kGapEnd) {
+      EXPECT_EQ(output.image->data, off[i].image->data) << i;
+      EXPECT_EQ(output.blur_field->extent, off[i].blur_field->extent) << i;
+      EXPECT_EQ(output.blur_field->source, off[i].blur_field->source) << i;
+      EXPECT_EQ(output.blur_field->residual_x, off[i].blur_field->residual_x) << i;
+      EXPECT_EQ(output.reason_text, off[i].reason_text) << i;
+      continue;
+    }
+    EXPECT_EQ(output.reason_text.rfind("images alone: frame needs gyroscope samples from", 0), 0u)
+        << output.reason_text;
+    EXPECT_EQ(output.blur_field->reason_text, output.reason_text);
+    for (std::size_t b = 0; b < output.field->blocks.size(); ++b) {
+      const bool known = output.field->blocks[b].status != BlockStatus::NO_GYRO;
+      EXPECT_EQ(output.blur_field->source[b], known ? BlurField::SOURCE_IMAGES_ALONE : BlurField::SOURCE_GYROSCOPE);
+    }
+    for (const double error : errors_px(i, *output.field)) errors.push_back(error);
+    for (int b = 0; b < output.field->grid.size(); ++b) {
+      truths.push_back(simulator_.truth_displacement(i, output.field->grid.center(b)).norm());
+    }
+  }
+  EXPECT_EQ(processor_.statistics().frames_by_images_alone, static_cast<std::size_t>(kGapEnd - kGapBegin));
+  EXPECT_GT(errors.size(), truths.size() * 8 / 10);
+  EXPECT_GT(percentile(truths, 0.5), 4);
+  EXPECT_LT(percentile(errors, 0.5), 0.5);
+  EXPECT_LT(percentile(errors, 0.9), 1.5);
+}
+
+TEST_F(ProcessorImagesTest, ImagesCarryACameraWhoseGyroscopeNeverSpeaks) {
+  config_.pipeline.bridge_gyro_gaps = true;
+  configure();
+  play(0, 6, {imu_.front().t_ns, imu_.back().t_ns});
+  EXPECT_EQ(outputs_[0].reason, PassThroughReason::NO_GYRO) << "nothing to follow corners from";
+  for (int i = 1; i < 6; ++i) {
+    EXPECT_EQ(outputs_[i].reason, PassThroughReason::NONE) << i;
+    EXPECT_NE(outputs_[i].image, outputs_[i].input) << i;
+  }
+}
+
+TEST_F(ProcessorTest, AnImageThatMayBeAtRestIsNotTouchedByImagesAlone) {
+  config_.pipeline.bridge_gyro_gaps = true;
+  configure();
+  for (int i = 0; i < 3; ++i) add_frame(kStart + i * 50 * kMs);
+  now_ns_ += 200 * kMs;
+  time_out();
+  for (std::size_t i = 0; i < 3; ++i) expect_passed_through(i, PassThroughReason::NO_GYRO, "there are none");
+}
+
+TEST_F(ProcessorImagesTest, ABiasIsToldInTheGyroscopesAxes) {
+  config_.R_cam_imu = Eigen::AngleAxisd(1.2, Eigen::Vector3d(1, -2, 0.5).normalized()).toRotationMatrix();
+  configure();
+  const Eigen::Vector3d bias_rad_s(0.05, 0.05, -0.05);
+  play(0, 130, {}, bias_rad_s);
+  const auto error = processor_.statistics().gyro_error;
+  ASSERT_TRUE(error);
+  EXPECT_EQ(error->kind, GyroError::Kind::BIAS);
+  EXPECT_LT((error->vector - bias_rad_s).cwiseAbs().maxCoeff(), 0.01) << error->vector.transpose();
+  EXPECT_GT(processor_.statistics().blocks_from_images, 0u);
+  configure();
+  EXPECT_FALSE(processor_.statistics().gyro_error) << "begins anew";
+}
+
+}  // namespace
+}  // namespace gyro_deblur
