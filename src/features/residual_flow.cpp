@@ -200,7 +200,7 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
   for (const cv::Point2f& corner : corners_) {
     auto at = predicted_pixel({scale * corner.x, scale * corner.y}, camera, motion, *exposure_, exposure);
     if (!at) continue;
-    if (whole_ && !means_.empty()) {
+    if (whole_ && means_.size() == static_cast<std::size_t>(grid.size())) {
       const auto& mean = means_[grid.index_at(at->x(), at->y())];
       if (mean) *at += to_seconds(exposure.start(0) - exposure_->start(0)) * mean->velocity_px_s;
     }

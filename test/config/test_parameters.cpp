@@ -140,8 +140,8 @@ TEST(Parameters, EveryMemberHasARow) {
     EXPECT_EQ(count(kind, unit), 2u);
   }
   {
-    const auto& [blur_field, validation, kernel, keypoints, a, b, c, d, e, f] = PipelineOptions();
-    EXPECT_EQ(parameters_of<PipelineOptions>().size(), count(a, b, c, d, e, f));
+    const auto& [blur_field, validation, kernel, keypoints, a, b, c, d, e, f, g] = PipelineOptions();
+    EXPECT_EQ(parameters_of<PipelineOptions>().size(), count(a, b, c, d, e, f, g));
     EXPECT_EQ(count(blur_field, validation, kernel, keypoints), 4u);
   }
   {

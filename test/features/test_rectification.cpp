@@ -187,7 +187,7 @@ TEST(RectifyPointsByStatus, StartsWhereTheSceneWasNotWhereItIsShown) {
       rectify_points({raw - offset}, field, camera, motion, exposure, reference_ns)[0].rectified_px;
   BlockBlur& block = field.blocks[field.grid.index_at(raw.x(), raw.y())];
   block.angle_rad = 0;
-  block.chord_middle_px = offset.cast<float>();
+  block.chord_middle_px = block.mean_place_px = offset.cast<float>();
   EXPECT_LT((rectify_points({raw}, field, camera, motion, exposure, reference_ns)[0].rectified_px - expected).norm(),
             1e-9);
   block.status = BlockStatus::REJECTED;

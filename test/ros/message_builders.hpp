@@ -75,8 +75,8 @@ inline sensor_msgs::Imu imu_message(TimeNs stamp_ns, double rate_y_rad_s) {
   return imu;
 }
 
-/// What the tests start from: IMU and camera axes agree, and nothing is rejected, because the texture is not really
-/// blurred.
+/// What the tests start from: IMU and camera axes agree. Nothing is rejected, and images are not asked for their motion:
+/// the texture is neither blurred nor moved as the gyroscope says.
 inline Config test_config() {
   Config config;
   config.shutter.exposure_ns = kExposure;
@@ -84,6 +84,7 @@ inline Config test_config() {
   config.R_cam_imu = Eigen::Matrix3d::Identity();
   config.pipeline.blur_field.block_size_px = 32;
   config.pipeline.validation.enabled = false;
+  config.pipeline.motion_from_images = false;
   config.pipeline.keypoints.detector = "FAST";
   config.pipeline.keypoints.descriptor = "ORB";
   return config;

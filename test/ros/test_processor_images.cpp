@@ -37,6 +37,11 @@ motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}
                             "", "processor");
   }
 
+  void SetUp() override {
+    config_.pipeline.motion_from_images = true;
+    configure();
+  }
+
   sensor_msgs::ImageConstPtr message_of(int i) {
     const sim::Frame frame = simulator_.frame(i);
     sensor_msgs::Image like;

@@ -47,9 +47,10 @@ class DeblurBagTest : public testing::Test {
 
   /// The keys of test_config(), and more.
   void write_config(const std::string& more) {
-    std::ofstream(path("config.yaml")) << "exposure_time: 0.03\nreadout_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\n"
-                                          "block_size: 32\nvalidate: false\ndetector: FAST\ndescriptor: ORB\n"
-                                       << more;
+    std::ofstream(path("config.yaml"))
+        << "exposure_time: 0.03\nreadout_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\n"
+           "block_size: 32\nvalidate: false\nmotion_from_images: false\ndetector: FAST\ndescriptor: ORB\n"
+        << more;
   }
 
   /// Frames and IMU; the IMU ends 60 ms before the last frame does.
