@@ -93,8 +93,8 @@ struct BlockBlur {
   std::optional<ResidualVelocity> residual = std::nullopt;
 
   /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
-  /// point towards the middle of the line that it stands for, the farther the longer it is, the kernel of an uneven path
-  /// to where the point was; across the line, and where nothing is filtered, blur stays centred on its mean.
+  /// point towards the middle of the line that it stands for, the farther the longer it is, the kernel of an uneven
+  /// path to where the point was; across the line, and where nothing is filtered, blur stays centred on its mean.
   Eigen::Vector2d shown_offset_px() const;
 };
 

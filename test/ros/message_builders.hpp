@@ -75,8 +75,8 @@ inline sensor_msgs::Imu imu_message(TimeNs stamp_ns, double rate_y_rad_s) {
   return imu;
 }
 
-/// What the tests start from: IMU and camera axes agree. Nothing is rejected, and images are not asked for their motion:
-/// the texture is neither blurred nor moved as the gyroscope says.
+/// What the tests start from: IMU and camera axes agree. Nothing is rejected, and images are not asked for their
+/// motion: the texture is neither blurred nor moved as the gyroscope says.
 inline Config test_config() {
   Config config;
   config.shutter.exposure_ns = kExposure;
