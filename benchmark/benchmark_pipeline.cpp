@@ -2,8 +2,11 @@
 
 #include <benchmark/benchmark.h>
 #include <opencv2/features2d.hpp>
+#include <opencv2/imgproc.hpp>
 
+#include "features/residual_flow.hpp"
 #include "gyro_deblur/blur_validation.hpp"
+#include "gyro_deblur/image_rectification.hpp"
 #include "pipeline_scene.hpp"
 
 namespace gyro_deblur::benchmark {
@@ -13,6 +16,13 @@ PipelineScene scene_of(const ::benchmark::State& state) {
   cv::setNumThreads(static_cast<int>(state.range(3)));
   return make_pipeline_scene({static_cast<int>(state.range(0)), static_cast<int>(state.range(1))},
                              static_cast<double>(state.range(2)));
+}
+
+/// Two samples say that the camera stands still.
+GyroOptions standing_gyro() {
+  GyroOptions options;
+  options.max_gap_ns = 1'000'000'000;
+  return options;
 }
 
 void blur_field(::benchmark::State& state) {
@@ -27,6 +37,47 @@ void validation(::benchmark::State& state) {
   const FrameBlur field =
       BlurFieldEstimator(Camera(scene.calibration), options.blur_field).estimate(*scene.motion, *scene.exposure);
   for (auto _ : state) ::benchmark::DoNotOptimize(validate_blur_field(field, scene.frame, options.validation));
+}
+
+/// Of a camera that stands still before a scene that moves: every corner has an image to be found in.
+void motion_from_images(::benchmark::State& state) {
+  constexpr TimeNs kPeriodNs = 50'000'000;
+  const PipelineScene scene = scene_of(state);
+  const Camera camera(scene.calibration);
+  const BlockGrid grid(scene.frame.cols, scene.frame.rows, BlurFieldOptions().block_size_px);
+  cv::Mat moved;
+  cv::warpAffine(scene.frame, moved, cv::Matx23d(1, 0, 6, 0, 1, -4), scene.frame.size(), cv::INTER_NEAREST,
+                 cv::BORDER_REPLICATE);
+  const TimeNs first_ns = scene.exposure->frame().begin_ns;
+  const RotationTrack motion(
+      {{first_ns - kPeriodNs, Eigen::Vector3d::Zero()}, {first_ns + 2 * kPeriodNs, Eigen::Vector3d::Zero()}},
+      standing_gyro(), Eigen::Matrix3d::Identity());
+  const RowExposure first(first_ns, scene.frame.rows, scene.exposure->timing());
+  const RowExposure second(first_ns + kPeriodNs, scene.frame.rows, scene.exposure->timing());
+  ResidualFlow flow;
+  for (auto _ : state) {
+    state.PauseTiming();
+    flow.reset();
+    flow.follow(scene.frame, camera, motion, first, grid, static_cast<int>(state.range(3)));
+    state.ResumeTiming();
+    ::benchmark::DoNotOptimize(flow.follow(moved, camera, motion, second, grid, static_cast<int>(state.range(3))));
+  }
+  state.counters["corners"] = static_cast<double>(flow.samples().size());
+}
+
+void global_shutter(::benchmark::State& state) {
+  const PipelineScene scene = scene_of(state);
+  const Camera camera(scene.calibration);
+  ShutterTiming timing = scene.exposure->timing();
+  timing.readout_ns = 20'000'000;
+  const RowExposure exposure(scene.exposure->frame().begin_ns, scene.frame.rows, timing);
+  const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);
+  const FrameBlur field = BlurFieldEstimator(camera, pipeline_options(1).blur_field).estimate(*scene.motion, exposure);
+  const int threads = static_cast<int>(state.range(3));
+  for (auto _ : state) {
+    const GlobalShutterMap map = global_shutter_map(field, camera, *scene.motion, exposure, reference_ns, threads);
+    ::benchmark::DoNotOptimize(to_global_shutter(scene.frame, map, ImageBorder::BLACK, threads));
+  }
 }
 
 void whole_frame(::benchmark::State& state, PipelineRequest request) {
@@ -58,7 +109,9 @@ void scenes(::benchmark::internal::Benchmark* entry) {
 }
 
 BENCHMARK(blur_field)->Apply(scenes);
+BENCHMARK(motion_from_images)->Apply(scenes);
 BENCHMARK(validation)->Apply(scenes);
+BENCHMARK(global_shutter)->Apply(scenes);
 BENCHMARK_CAPTURE(whole_frame, image, PipelineRequest{true, false})->Apply(scenes);
 BENCHMARK_CAPTURE(whole_frame, image_and_orb, PipelineRequest{true, true})->Apply(scenes);
 BENCHMARK(orb_1000)->Apply(scenes);

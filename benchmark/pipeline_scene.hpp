@@ -19,7 +19,8 @@ struct PipelineScene {
 
 PipelineScene make_pipeline_scene(cv::Size size, double mean_extent_px);
 
-/// Options of the scene's pipeline: defaults, but blur of any extent is deblurred, and ORB with 1000 features.
+/// Options of the scene's pipeline: defaults, but blur of any extent is deblurred, without motion from images, and ORB
+/// with 1000 features.
 PipelineOptions pipeline_options(int threads);
 
 }  // namespace gyro_deblur::benchmark

@@ -57,7 +57,7 @@ GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera
                                     const RowExposure& exposure, TimeNs reference_ns, int threads = 0);
 
 /// The image resampled by the map, once and bilinearly.
-/// @param image   CV_8U or CV_16U of the map's size, 1, 3 or 4 channels, sides below 32768 px; not a Bayer mosaic
+/// @param image   CV_8U or CV_16U of the map's size, 1, 3 or 4 channels, sides below 32767 px; not a Bayer mosaic
 /// @param border  what is put where the map leaves the image
 /// Throws std::invalid_argument when image and map do not fit, or the map is empty.
 cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, ImageBorder border = ImageBorder::BLACK,

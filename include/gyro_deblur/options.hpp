@@ -147,7 +147,7 @@ struct PipelineOptions {
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
   ImageBorder global_shutter_border = ImageBorder::BLACK;
   std::string engine = "auto";  ///< see make_engine
-  int threads = 0;              ///< of validation, kernels and engine, at most; 0: one for each core
+  int threads = 0;              ///< of this package's loops, at most; 0: one for each core
   int significant_bits = 0;     ///< of 16-bit images, 8 to 16; 0: guessed, see BitDepth
 
   void validate() const;  ///< throws OptionError

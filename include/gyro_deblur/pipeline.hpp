@@ -77,6 +77,7 @@ class Pipeline {
   /// Throws OptionError. Prepares for all blur that the options let through, see prepare_deconvolution().
   explicit Pipeline(const PipelineOptions& options, EngineFactory engine_factory = make_engine);
   Pipeline(Pipeline&&) noexcept;
+  Pipeline& operator=(Pipeline&&) noexcept;
   ~Pipeline();
 
   /// Throws OptionError and keeps the former options when the new ones are not valid. Rebuilds what depends on the

@@ -141,6 +141,9 @@ void PipelineOptions::validate() const {
   kernel.validate();
   keypoints.validate();
   check_parameters(*this);
+  if (bridge_gyro_gaps && !motion_from_images) {
+    throw OptionError("bridge_gyro_gaps = true needs motion_from_images = true, which is false");
+  }
   static_cast<void>(BitDepth(significant_bits));
 }
 

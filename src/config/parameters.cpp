@@ -194,7 +194,7 @@ ParameterGroup blur_field() {
               {"motion_from_images", &PipelineOptions::motion_from_images,
                "what the gyroscope does not know of the motion is taken from corners followed between images", RUNNING},
               {"bridge_gyro_gaps", &PipelineOptions::bridge_gyro_gaps,
-               "frames that the gyroscope does not cover go by those corners alone", RUNNING},
+               "needs motion_from_images: frames that the gyroscope does not cover go by those corners alone", RUNNING},
           }};
 }
 

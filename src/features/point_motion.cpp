@@ -3,7 +3,7 @@
 namespace gyro_deblur {
 
 PointMotion::PointMotion(const FrameBlur& field, const Camera& camera, const CameraMotion& motion)
-    : camera_(camera), motion_(motion), grid_(field.grid) {
+    : camera_(camera), motion_(motion), grid_(field.grid), images_alone_(field.images_alone) {
   blocks_.reserve(field.blocks.size());
   for (const BlockBlur& block : field.blocks) {
     const ResidualVelocity residual = block.residual.value_or(ResidualVelocity{});
@@ -19,6 +19,8 @@ PointMotion::Mean PointMotion::mean_at(const Eigen::Vector2d& pixel_px) const {
     mean.velocity_px_s += neighbour.share * block.velocity_px_s;
     mean.share_with_residual += neighbour.share * block.share_with_residual;
   }
+  // Beside no rotation a block without a velocity is not one at rest: it moves as its neighbours do.
+  if (images_alone_ && mean.share_with_residual > 0) mean.velocity_px_s /= mean.share_with_residual;
   return mean;
 }
 

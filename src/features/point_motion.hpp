@@ -48,6 +48,7 @@ class PointMotion {
   const Camera& camera_;
   const CameraMotion& motion_;
   BlockGrid grid_;
+  bool images_alone_;
   std::vector<Mean> blocks_;
 };
 

@@ -24,9 +24,11 @@ constexpr double kFloorPx = 0.05;
 /// Of the change that is carried on: a velocity need not go on changing as it did. Measured on recorded flights.
 constexpr double kDoubtOfChange = 0.25;
 
-bool inside(const cv::Point2f& p, const cv::Size& size, float margin) {
-  return p.x >= margin && p.y >= margin && p.x <= static_cast<float>(size.width - 1) - margin &&
-         p.y <= static_cast<float>(size.height - 1) - margin;
+/// Whether a window around `p` lies in the image: one that is cut by its border drags the corner along.
+bool has_window(const cv::Point2f& p, const cv::Size& size, int window_px) {
+  const auto half_px = static_cast<float>(window_px / 2);
+  return p.x >= half_px && p.y >= half_px && p.x <= static_cast<float>(size.width - 1) - half_px &&
+         p.y <= static_cast<float>(size.height - 1) - half_px;
 }
 
 /// A corner near the centre of a block.
@@ -57,7 +59,7 @@ ResidualVelocity fit_plane(const std::vector<Neighbour>& neighbours, const Resid
   plane.row(0) = median_velocity(neighbours).transpose();
   Eigen::Matrix3d normal = Eigen::Matrix3d::Identity();
   std::vector<double> distances(neighbours.size());
-  double spread_px_s = 0;
+  double spread_px_s = 0, weights = 0;
   for (int iteration = 0;; ++iteration) {
     for (std::size_t k = 0; k < neighbours.size(); ++k) {
       const Eigen::Vector2d& d = neighbours[k].from_center_px;
@@ -66,6 +68,7 @@ ResidualVelocity fit_plane(const std::vector<Neighbour>& neighbours, const Resid
     spread_px_s = std::max(median(distances) / kMedianLength, kLeastSpreadPxS);
     if (iteration == options.iterations_of_plane) break;
     normal.setZero();
+    weights = 0;
     // A slope is believed where the corners tell it.
     normal(1, 1) = normal(2, 2) = options.slope_prior * reach_px2;
     Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
@@ -75,12 +78,16 @@ ResidualVelocity fit_plane(const std::vector<Neighbour>& neighbours, const Resid
       const double far = neighbours[k].distance_px2 / (0.5 * reach_px2);
       const double off = distances[k] / (kScale * spread_px_s);
       const double weight = 1 / ((1 + far) * (1 + off * off) * (1 + off * off));
+      weights += weight;
       normal += weight * row * row.transpose();
       right += weight * row * neighbours[k].velocity_px_s.transpose();
     }
     plane = normal.ldlt().solve(right);
   }
-  return {plane.row(0).transpose(), spread_px_s * std::sqrt(normal.inverse()(0, 0))};
+  // Three corners lie on a plane whatever they say.
+  constexpr double kParameters = 3, kLeastFreedom = 0.5;
+  const double freedom = std::max(weights - kParameters, kLeastFreedom);
+  return {plane.row(0).transpose(), spread_px_s * std::sqrt(normal.inverse()(0, 0) * weights / freedom)};
 }
 
 }  // namespace
@@ -95,7 +102,6 @@ void ResidualFlow::reset() {
   samples_.clear();
   corners_.clear();
   means_.clear();
-  whole_ = false;
 }
 
 void ResidualFlow::change_motion(const Camera& camera, const BlockGrid& grid, const CameraMotion* known) {
@@ -103,7 +109,7 @@ void ResidualFlow::change_motion(const Camera& camera, const BlockGrid& grid, co
   ResidualField before = std::move(means_);
   means_.clear();
   if (!known || !exposure_ || !known->covers(exposure_->frame())) return;
-  before.resize(grid.size());
+  if (before.size() != static_cast<std::size_t>(grid.size())) before.assign(static_cast<std::size_t>(grid.size()), {});
   for (int i = 0; i < grid.size(); ++i) {
     const Eigen::Vector2d center_px = grid.center(i);
     const double y = center_px.y();
@@ -144,15 +150,15 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
     const TimeNs step_ns = exposure.start(0) - exposure_->start(0), mean_ns = exposure.start(0) - step_ns / 2;
     ResidualField means = mean_velocities(grid, threads);
     carried = means;
-    for (int i = 0; i < grid.size() && means_.size() == means.size(); ++i) {
-      if (!means[i]) continue;
+    run_parallel(means_.size() == means.size() ? grid.size() : 0, threads, grid.cols(), [&](int i) {
+      if (!means[i]) return;
       const auto before_px_s = velocity_before(i, *means[i], grid, camera, motion, exposure);
-      if (!before_px_s) continue;
+      if (!before_px_s) return;
       const Eigen::Vector2d change_px_s =
           (means[i]->velocity_px_s - *before_px_s) * (to_seconds(step_ns / 2) / to_seconds(mean_ns - mean_ns_));
       carried[i]->velocity_px_s += change_px_s;
       carried[i]->stddev_px_s = std::hypot(means[i]->stddev_px_s, kDoubtOfChange * change_px_s.norm());
-    }
+    });
     means_ = std::move(means);
     mean_ns_ = mean_ns;
   } else {
@@ -205,7 +211,7 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
       if (mean) *at += to_seconds(exposure.start(0) - exposure_->start(0)) * mean->velocity_px_s;
     }
     const cv::Point2f start_px(static_cast<float>(at->x()) / scale, static_cast<float>(at->y()) / scale);
-    if (!inside(start_px, size, 0)) continue;
+    if (!has_window(corner, size, options_.window_px) || !has_window(start_px, size, options_.window_px)) continue;
     before.push_back(corner);
     start.push_back(start_px);
   }
@@ -220,7 +226,7 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
   cv::calcOpticalFlowPyrLK(pyramid, pyramid_, after, back, found_back, unused, window, options_.levels, criteria,
                            cv::OPTFLOW_USE_INITIAL_FLOW);
   for (std::size_t i = 0; i < after.size(); ++i) {
-    if (!found[i] || !found_back[i] || !inside(after[i], size, 0)) continue;
+    if (!found[i] || !found_back[i] || !has_window(after[i], size, options_.window_px)) continue;
     if (cv::norm(back[i] - before[i]) > options_.max_round_trip_px) continue;
     Eigen::Vector2d from_px(scale * before[i].x, scale * before[i].y);
     Eigen::Vector2d pixel_px(scale * after[i].x, scale * after[i].y);
@@ -233,6 +239,8 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
     const auto at = predicted_pixel(from_px, camera, motion, *exposure_, exposure.middle(pixel_px.y()));
     if (!at) continue;
     const TimeNs since_ns = exposure.middle(pixel_px.y()) - exposure_->middle(from_px.y());
+    // A rolling shutter may have seen both within an instant.
+    if (2 * since_ns < exposure.start(0) - exposure_->start(0)) continue;
     samples_.push_back({pixel_px, (pixel_px - *at) / to_seconds(since_ns), since_ns});
   }
 }

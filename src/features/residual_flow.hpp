@@ -48,7 +48,7 @@ class ResidualFlow {
   /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
   /// @param motion     from the image before to this one; corners beyond what it covers are left out
   /// @param grid       of the blocks
-  /// @param threads    at most; 0: one for each core
+  /// @param threads    of what is made for blocks, at most; 0: one for each core. Following itself goes by OpenCV's.
   /// @return of each block of this image, at the middle of its exposure: the mean since the image before, carried on by
   ///         what has changed since the one before that; nothing where too few corners are near
   ResidualField follow(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,

@@ -72,6 +72,7 @@ Pipeline::Pipeline(const PipelineOptions& options, EngineFactory engine_factory)
 }
 
 Pipeline::Pipeline(Pipeline&&) noexcept = default;
+Pipeline& Pipeline::operator=(Pipeline&&) noexcept = default;
 Pipeline::~Pipeline() = default;
 
 void Pipeline::set_options(const PipelineOptions& options) {
@@ -104,6 +105,7 @@ void Pipeline::set_options(const PipelineOptions& options) {
   if (estimator) estimator_ = std::move(estimator);
   if (options_.motion_from_images != (flow_ != nullptr)) {
     flow_ = options_.motion_from_images ? std::make_unique<ResidualFlow>() : nullptr;
+    alone_ = false;
   }
 }
 

@@ -285,9 +285,10 @@ void FrameAssembly::collect(const Terms& terms, const PendingFrame& frame, Assem
     const TimeNs imu_ns = camera_ns + assembled->gyro.time_offset_ns;
     all = {std::min(all.begin_ns, imu_ns), std::max(all.end_ns, imu_ns)};
   };
-  if (terms.tracked_cam) {
-    const TimeNs since_ns = frame_cam.begin_ns - terms.tracked_cam->begin_ns;
-    if (since_ns > 0 && since_ns <= kLongestTrackBreakNs) reach(terms.tracked_cam->begin_ns);
+  for (const std::optional<TimeRange>& followed_cam : terms.followed_cam) {
+    if (!followed_cam) continue;
+    const TimeNs since_ns = frame_cam.begin_ns - followed_cam->begin_ns;
+    if (since_ns > 0 && since_ns <= kLongestTrackBreakNs) reach(followed_cam->begin_ns);
   }
   if (assembled->translation && !assembled->translation->velocities.empty()) {
     reach(assembled->translation->velocities.front().t_ns);

@@ -1,6 +1,7 @@
 // Puts together what belongs to a frame: calibration, exposure, gyroscope samples, extrinsic, translation.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <functional>
 #include <memory>
@@ -61,7 +62,9 @@ class FrameAssembly {
   struct Terms {
     const Config& config;
     std::optional<Eigen::Vector3d> bias_rad_s;  ///< in place of the configured one
-    std::optional<TimeRange> tracked_cam;       ///< exposure of the image that was tracked last
+    /// Exposures of the images that corners are followed from: by the tracker, and for the motion of blocks. They differ
+    /// where nobody listens to tracks.
+    std::array<std::optional<TimeRange>, 2> followed_cam;
     bool timed_out = false;                     ///< nothing is waited for any longer
   };
 

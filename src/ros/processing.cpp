@@ -210,6 +210,7 @@ void pass_through_failed(const std::string& text, FrameOutput* output) {
   output->tracks.reset();
   output->global_shutter.reset();
   output->global_shutter_info.reset();
+  output->residual_rotation.reset();
 }
 
 }  // namespace

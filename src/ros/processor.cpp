@@ -131,7 +131,7 @@ void Processor::add_image(const sensor_msgs::ImageConstPtr& image) {
 void Processor::note_ready() {
   if (!config_) return;
   // Not the tracker's time: another thread's, and of no matter for being ready.
-  const FrameAssembly::Terms terms{*config_, estimated_bias_rad_s_, std::nullopt, false};
+  const FrameAssembly::Terms terms{*config_, estimated_bias_rad_s_, {}, false};
   try {
     for (PendingFrame& frame : intake_.queue().frames()) {
       if (frame.verdict != PassThroughReason::NONE || frame.ready_steady_ns) continue;
@@ -153,13 +153,6 @@ void Processor::tell_partners() {
   }
 }
 
-std::optional<TimeRange> Processor::followed() const {
-  const std::optional<TimeRange> tracked = tracker_.newest_frame();
-  const std::optional<TimeRange> by_pipeline = pipeline_ ? pipeline_->newest_frame() : std::nullopt;
-  if (!tracked || !by_pipeline) return tracked ? tracked : by_pipeline;
-  return TimeRange{std::min(tracked->begin_ns, by_pipeline->begin_ns), std::max(tracked->end_ns, by_pipeline->end_ns)};
-}
-
 std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
   const std::lock_guard<std::mutex> lock(mutex_);
   const TimeNs now_ns = intake_.now(), steady_ns = intake_.steady_now();
@@ -171,7 +164,10 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
   try {
     if (config_) {
       const bool timed_out = finishing || intake_.has_timed_out(frame, now_ns, config_->gyro_timeout_ns);
-      const FrameAssembly::Terms terms{*config_, estimated_bias_rad_s_, followed(), timed_out};
+      const FrameAssembly::Terms terms{*config_,
+                                       estimated_bias_rad_s_,
+                                       {tracker_.newest_frame(), pipeline_ ? pipeline_->newest_frame() : std::nullopt},
+                                       timed_out};
       const Readiness readiness = assembly_.assemble(terms, &frame, &assembled);
       if (readiness == Readiness::WAITS) return std::nullopt;
       if (readiness == Readiness::READY && !finishing) {

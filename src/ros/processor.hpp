@@ -104,8 +104,6 @@ class Processor {
  private:
   Eigen::Vector3d bias_in_use() const;  // needs mutex_
   void advance(const Sink& sink, bool finishing);
-  /// Exposure of the images from which corners are followed; nothing where there is none.
-  std::optional<TimeRange> followed() const;
   /// The foremost frame with what belongs to it, or nothing while it has to wait.
   std::optional<AssembledFrame> next_frame(bool finishing);
   /// Remembers which frames have become ready; after every message. Needs mutex_.

@@ -52,9 +52,12 @@ motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}
   }
 
   /// Frames `begin` to `end` with the samples outside `gap`, in the order of time; all leave.
-  void play(int begin, int end, const TimeRange& gap, const Eigen::Vector3d& bias_rad_s = Eigen::Vector3d::Zero()) {
+  /// @param tracks_end  somebody listens to tracks up to this frame
+  void play(int begin, int end, const TimeRange& gap, const Eigen::Vector3d& bias_rad_s = Eigen::Vector3d::Zero(),
+            int tracks_end = 0) {
     std::size_t sample = 0;
     for (int i = begin; i < end; ++i) {
+      request_.tracks = i < tracks_end;
       now_ns_ = simulator_.exposure(i).frame().end_ns + 20 * kMs;
       for (; sample < imu_.size() && imu_[sample].t_ns <= now_ns_; ++sample) {
         if (gap.contains(imu_[sample].t_ns)) continue;
@@ -158,8 +161,16 @@ TEST_F(ProcessorImagesTest, ImagesCarryACameraWhoseGyroscopeNeverSpeaks) {
   }
 }
 
+TEST_F(ProcessorImagesTest, SeesMotionAfterSomebodyHasCeasedToListenToTracks) {
+  constexpr int kTracksEnd = 5, kEnd = kTracksEnd + 30;  // a second and a half later
+  play(0, kEnd, {}, Eigen::Vector3d::Constant(0.1), kTracksEnd);
+  ASSERT_TRUE(outputs_.back().field);
+  const auto& blocks = outputs_.back().field->blocks;
+  EXPECT_GT(std::count_if(blocks.begin(), blocks.end(), [](const BlockBlur& b) { return b.residual.has_value(); }), 10);
+}
+
 TEST_F(ProcessorTest, AnImageThatMayBeAtRestIsNotTouchedByImagesAlone) {
-  config_.pipeline.bridge_gyro_gaps = true;
+  config_.pipeline.motion_from_images = config_.pipeline.bridge_gyro_gaps = true;
   configure();
   for (int i = 0; i < 3; ++i) add_frame(kStart + i * 50 * kMs);
   now_ns_ += 200 * kMs;
