@@ -62,10 +62,10 @@ class FrameAssembly {
   struct Terms {
     const Config& config;
     std::optional<Eigen::Vector3d> bias_rad_s;  ///< in place of the configured one
-    /// Exposures of the images that corners are followed from: by the tracker, and for the motion of blocks. They differ
-    /// where nobody listens to tracks.
+    /// Exposures of the images that corners are followed from: by the tracker, and for the motion of blocks. They
+    /// differ where nobody listens to tracks.
     std::array<std::optional<TimeRange>, 2> followed_cam;
-    bool timed_out = false;                     ///< nothing is waited for any longer
+    bool timed_out = false;  ///< nothing is waited for any longer
   };
 
   /// Both have to outlive this.
