@@ -9,8 +9,8 @@
 #include <Eigen/Geometry>
 #include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
-#include <opencv2/video/tracking.hpp>
 
+#include "features/corner_following.hpp"
 #include "features/corner_prediction.hpp"
 
 namespace gyro_deblur {
@@ -33,14 +33,6 @@ bool inside(const cv::Point2f& p, const cv::Size& size) {
 
 cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
 Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
-
-std::vector<cv::Mat> pyramid_of(const cv::Mat& luminance, const TrackerOptions& options) {
-  std::vector<cv::Mat> pyramid;
-  constexpr bool kWithDerivatives = true, kReuseInput = true;  // never the input's memory: it is the caller's
-  cv::buildOpticalFlowPyramid(luminance, pyramid, {options.window_px, options.window_px}, options.levels,
-                              kWithDerivatives, cv::BORDER_REFLECT_101, cv::BORDER_CONSTANT, !kReuseInput);
-  return pyramid;
-}
 
 }  // namespace
 
@@ -76,7 +68,7 @@ const std::vector<Track>& FeatureTracker::track(const cv::Mat& luminance, const 
     const TimeNs step_ns = exposure.start(0) - exposure_->start(0);
     if (step_ns <= 0 || step_ns > kLongestTrackBreakNs || calibration != calibration_) reset();
   }
-  std::vector<cv::Mat> pyramid = pyramid_of(luminance, options_);
+  std::vector<cv::Mat> pyramid = corner_pyramid(luminance, options_.window_px, options_.levels);
   if (exposure_) follow(pyramid, camera, motion, exposure);
   add_corners(luminance, camera);
   pyramid_ = std::move(pyramid);
@@ -89,23 +81,18 @@ void FeatureTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& c
                             const RowExposure& exposure) {
   if (tracks_.empty()) return;
   const cv::Size size(camera.calibration().width_px, camera.calibration().height_px);
-  const cv::Size window(options_.window_px, options_.window_px);
-  const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.01);  // OpenCV's defaults
-  std::vector<cv::Point2f> before, after, back;
+  std::vector<cv::Point2f> before, start;
   for (const Track& track : tracks_) {
     before.push_back(to_cv(track.pixel_px));
-    after.push_back(
+    start.push_back(
         to_cv(predicted_pixel(track.pixel_px, camera, motion, *exposure_, exposure).value_or(track.pixel_px)));
   }
-  const std::vector<cv::Point2f> start = after;
-  std::vector<uchar> found, found_back;
-  std::vector<float> unused;
-  cv::calcOpticalFlowPyrLK(pyramid_, pyramid, before, after, found, unused, window, options_.levels, criteria,
-                           cv::OPTFLOW_USE_INITIAL_FLOW);
-  // On the way back the search starts as far from its goal as it did on the way there.
-  for (std::size_t i = 0; i < after.size(); ++i) back.push_back(after[i] - (start[i] - before[i]));
-  cv::calcOpticalFlowPyrLK(pyramid, pyramid_, after, back, found_back, unused, window, options_.levels, criteria,
-                           cv::OPTFLOW_USE_INITIAL_FLOW);
+  const FollowedCorners corners = follow_there_and_back(
+      pyramid_, pyramid, before, start,
+      {options_.window_px, options_.levels,
+       cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.01),  // OpenCV's defaults
+       options_.max_round_trip_px});
+  const std::vector<cv::Point2f>& after = corners.places;
 
   const double dt_s = to_seconds(exposure.start(0) - exposure_->start(0));
   std::vector<Track> followed;
@@ -113,8 +100,7 @@ void FeatureTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& c
   std::vector<cv::Point2f> ideal_before, ideal_after;
   const double focal_px = camera.calibration().fx_px;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
-    if (!found[i] || !found_back[i] || !inside(after[i], size)) continue;
-    if (cv::norm(back[i] - before[i]) > options_.max_round_trip_px) continue;
+    if (!corners.found[i] || !inside(after[i], size)) continue;
     Track track = tracks_[i];
     const Eigen::Vector3d ray = camera.ray(to_eigen(after[i]));
     if (!ray.allFinite()) continue;

@@ -7,16 +7,18 @@
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <opencv2/imgproc.hpp>
-#include <opencv2/video/tracking.hpp>
 
 #include "base/median.hpp"
 #include "base/parallel.hpp"
+#include "features/corner_following.hpp"
 #include "features/corner_prediction.hpp"
 
 namespace gyro_deblur {
 namespace {
 
 constexpr double kCornerQuality = 0.01;
+/// Of the search, in the smaller image: below what a corner there is known to.
+constexpr double kLeastStepPx = 0.03;
 /// Over a longer one a mean velocity says little of the one within an exposure.
 constexpr TimeNs kLongestStepNs = 250'000'000;
 /// What Lucas-Kanade leaves on blurred frames where all neighbours agree, in the smaller image [px].
@@ -140,9 +142,7 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
     if (step_ns <= 0 || step_ns > kLongestStepNs) reset();
   }
   const cv::Mat small = shrink(luminance);
-  std::vector<cv::Mat> pyramid;
-  cv::buildOpticalFlowPyramid(small, pyramid, {options_.window_px, options_.window_px}, options_.levels, true,
-                              cv::BORDER_REFLECT_101, cv::BORDER_CONSTANT, false);
+  std::vector<cv::Mat> pyramid = corner_pyramid(small, options_.window_px, options_.levels);
   samples_.clear();
   ResidualField carried;
   if (exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size()) {
@@ -200,7 +200,7 @@ std::optional<Eigen::Vector2d> ResidualFlow::velocity_before(int block, const Re
 
 void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
                                   const RowExposure& exposure, const BlockGrid& grid) {
-  const cv::Size window(options_.window_px, options_.window_px), size = pyramid.front().size();
+  const cv::Size size = pyramid.front().size();
   const auto scale = static_cast<float>(scale_);
   std::vector<cv::Point2f> before, start;
   for (const cv::Point2f& corner : corners_) {
@@ -215,19 +215,14 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
     before.push_back(corner);
     start.push_back(start_px);
   }
-  if (before.empty()) return;
-  const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, options_.iterations, 0.03);
-  std::vector<cv::Point2f> after = start, back;
-  std::vector<uchar> found, found_back;
-  std::vector<float> unused;
-  cv::calcOpticalFlowPyrLK(pyramid_, pyramid, before, after, found, unused, window, options_.levels, criteria,
-                           cv::OPTFLOW_USE_INITIAL_FLOW);
-  for (std::size_t i = 0; i < after.size(); ++i) back.push_back(after[i] - (start[i] - before[i]));
-  cv::calcOpticalFlowPyrLK(pyramid, pyramid_, after, back, found_back, unused, window, options_.levels, criteria,
-                           cv::OPTFLOW_USE_INITIAL_FLOW);
+  const FollowedCorners corners = follow_there_and_back(
+      pyramid_, pyramid, before, start,
+      {options_.window_px, options_.levels,
+       cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, options_.iterations, kLeastStepPx),
+       options_.max_round_trip_px});
+  const std::vector<cv::Point2f>& after = corners.places;
   for (std::size_t i = 0; i < after.size(); ++i) {
-    if (!found[i] || !found_back[i] || !has_window(after[i], size, options_.window_px)) continue;
-    if (cv::norm(back[i] - before[i]) > options_.max_round_trip_px) continue;
+    if (!corners.found[i] || !has_window(after[i], size, options_.window_px)) continue;
     Eigen::Vector2d from_px(scale * before[i].x, scale * before[i].y);
     Eigen::Vector2d pixel_px(scale * after[i].x, scale * after[i].y);
     const auto from_offset_px = mean_offset(from_px, camera, motion, *exposure_);

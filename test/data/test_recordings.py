@@ -172,7 +172,7 @@ class ShieldBurst(Recording):
         self.assertGreater(uncovered, 0.5)
 
     def test_detail_is_gained(self):
-        # Squared gradient along the motion, which is nearly horizontal here, above what the noise contributes across it.
+        # Squared gradient along the motion, which is nearly horizontal here, above what noise contributes across it.
         def along_over_across(message):
             image = np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)[:, :, 1]
             small = image.astype(np.float64).reshape(message.height // 4, 4, message.width // 4, 4).mean((1, 3))
@@ -243,8 +243,8 @@ class PhoneSharp(Recording):
     def test_timing_is_found_in_the_footage(self):
         """1.3 s of a phone that is walked with: little for calibrate_timing, but enough to know it by."""
         report_path = os.path.join(self.root, "timing.json")
-        run("calibrate_timing", self.input, "--config", config(self.CONFIG), "--estimate-rotation", "--json", report_path,
-            "--quiet")
+        run("calibrate_timing", self.input, "--config", config(self.CONFIG), "--estimate-rotation", "--json",
+            report_path, "--quiet")
         with open(report_path, encoding="utf-8") as file:
             report = json.load(file)
         known = np.array([[0, -1, 0], [-1, 0, 0], [0, 0, -1]])

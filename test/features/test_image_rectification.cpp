@@ -12,6 +12,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "analytic_motion.hpp"
+#include "euroc_camera.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/rectification.hpp"
 #include "sim/scene.hpp"
@@ -25,19 +26,6 @@ using test::AnalyticMotion;
 
 constexpr TimeNs kMs = 1'000'000;
 constexpr int kWidth = 752, kHeight = 480;
-
-CameraCalibration euroc() {
-  CameraCalibration c;
-  c.width_px = kWidth;
-  c.height_px = kHeight;
-  c.fx_px = 458.654;
-  c.fy_px = 457.296;
-  c.cx_px = 367.215;
-  c.cy_px = 248.375;
-  c.model = "plumb_bob";
-  c.coefficients = {-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05};
-  return c;
-}
 
 RowExposure exposure_of(TimeNs readout_ns, TimeNs exposure_ns = 10 * kMs) {
   ShutterTiming timing;
@@ -116,7 +104,7 @@ TEST_P(GlobalShutterAgrees, WithRectifiedPoints) {
   const auto& [rectify_to, readout_ms] = GetParam();
   const RowExposure exposure = exposure_of(readout_ms * kMs);
   const TimeNs reference_ns = exposure.reference_time(rectify_to);
-  const Camera camera(euroc());
+  const Camera camera(test::euroc_camera());
   // Rotation of 2 to 3 rad/s alone: nothing but the distance of the nodes is left.
   const auto turned = disagreement(plain_field(), camera, AnalyticMotion::handshake(), exposure, reference_ns);
   EXPECT_GT(turned.size(), 15000u);
@@ -142,8 +130,8 @@ TEST(GlobalShutterMap, IsExactUpToFiveRadiansPerSecond) {
     for (const int block_px : {32, 64, 100}) {
       const auto distance_px = [&](double corner_px) {
         return percentile(
-            disagreement(plain_field(block_px), Camera(euroc()), AnalyticMotion::constant_rate(rate_rad_s), exposure,
-                         exposure.reference_time(RectifyTo::MIDDLE_ROW), corner_px),
+            disagreement(plain_field(block_px), Camera(test::euroc_camera()), AnalyticMotion::constant_rate(rate_rad_s),
+                         exposure, exposure.reference_time(RectifyTo::MIDDLE_ROW), corner_px),
             1);
       };
       EXPECT_LT(distance_px(96), 0.02) << rate_rad_s.transpose() << ", blocks of " << block_px << " px";
@@ -172,10 +160,10 @@ TEST(GlobalShutterMap, AgreesWhereOdometryAndImagesBothTell) {
   const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);
   FrameBlur field = plain_field();
   for (int i = 0; i < field.grid.size() / 2; ++i) field.blocks[i].residual = ResidualVelocity{{230, 0}, 1};
-  const auto distance = disagreement(field, Camera(euroc()), Translated(), exposure, reference_ns);
+  const auto distance = disagreement(field, Camera(test::euroc_camera()), Translated(), exposure, reference_ns);
   EXPECT_LT(percentile(distance, 1), 0.03);
   const auto place_by = [&](const FrameBlur& of, const CameraMotion& motion) {
-    return global_shutter_map(of, Camera(euroc()), motion, exposure, reference_ns).at({367, 20});
+    return global_shutter_map(of, Camera(test::euroc_camera()), motion, exposure, reference_ns).at({367, 20});
   };
   // 230 px/s are what half a metre per second is at 1 m, a fifth less where the lens distorts.
   EXPECT_LT((place_by(field, Translated()) - place_by(plain_field(), Translated())).norm(), 0.5);
@@ -185,7 +173,7 @@ TEST(GlobalShutterMap, AgreesWhereOdometryAndImagesBothTell) {
 TEST(GlobalShutterMap, RowsThatTheMotionDoesNotCoverMoveWithTheNearestThatItDoes) {
   const RowExposure exposure = exposure_of(20 * kMs);
   const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);
-  const Camera camera(euroc());
+  const Camera camera(test::euroc_camera());
   AnalyticMotion motion = AnalyticMotion::handshake();
   const GlobalShutterMap whole = global_shutter_map(plain_field(), camera, motion, exposure, reference_ns);
   motion.set_range({exposure.middle(100), exposure.end(kHeight - 1)});
@@ -205,7 +193,7 @@ TEST(GlobalShutterMap, RowsThatTheMotionDoesNotCoverMoveWithTheNearestThatItDoes
 }
 
 TEST(GlobalShutterMap, WhatIsBeyondTheLensModelMovesWithWhatIsWithin) {
-  CameraCalibration c = euroc();
+  CameraCalibration c = test::euroc_camera();
   c.fx_px = c.fy_px = 700;
   c.coefficients = {-0.4, 0, 0, 0};  // reaches 426 px: the corners are beyond
   const Camera camera(c);
@@ -224,8 +212,8 @@ TEST(ToGlobalShutter, TakesPixelsFromWhereTheMapSays) {
   const RowExposure exposure = exposure_of(20 * kMs);
   for (const int block_px : {64, 100}) {
     const GlobalShutterMap map =
-        global_shutter_map(busy_field(50, block_px), Camera(euroc()), AnalyticMotion::handshake(), exposure,
-                           exposure.reference_time(RectifyTo::MIDDLE_ROW));
+        global_shutter_map(busy_field(50, block_px), Camera(test::euroc_camera()), AnalyticMotion::handshake(),
+                           exposure, exposure.reference_time(RectifyTo::MIDDLE_ROW));
     // Ramps, which bilinear sampling does not change: pixels say where they come from, to a 64th of a pixel.
     cv::Mat x(kHeight, kWidth, CV_16UC1), y(kHeight, kWidth, CV_16UC1);
     for (int row = 0; row < kHeight; ++row) {
@@ -252,8 +240,9 @@ TEST(ToGlobalShutter, TakesPixelsFromWhereTheMapSays) {
 
 TEST(ToGlobalShutter, ChannelsAndThreadsMakeNoDifference) {
   const RowExposure exposure = exposure_of(20 * kMs);
-  const GlobalShutterMap map = global_shutter_map(plain_field(), Camera(euroc()), AnalyticMotion::handshake(), exposure,
-                                                  exposure.reference_time(RectifyTo::MIDDLE_ROW));
+  const GlobalShutterMap map =
+      global_shutter_map(plain_field(), Camera(test::euroc_camera()), AnalyticMotion::handshake(), exposure,
+                         exposure.reference_time(RectifyTo::MIDDLE_ROW));
   for (const int depth : {CV_8U, CV_16U}) {
     cv::Mat color(kHeight, kWidth, CV_MAKETYPE(depth, 4));
     cv::RNG rng(4);
@@ -276,7 +265,7 @@ TEST(ToGlobalShutter, ChannelsAndThreadsMakeNoDifference) {
 TEST(ToGlobalShutter, TheBorderIsWhatTheUserChose) {
   const RowExposure exposure = exposure_of(20 * kMs);
   const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);
-  const Camera camera(euroc());
+  const Camera camera(test::euroc_camera());
   // 2 rad/s about y: 9 px at the first and the last row, one to each side.
   const GlobalShutterMap map =
       global_shutter_map(plain_field(), camera, AnalyticMotion::constant_rate({0, 2, 0}), exposure, reference_ns);

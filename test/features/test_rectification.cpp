@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include "analytic_motion.hpp"
+#include "euroc_camera.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -15,19 +16,6 @@ using test::AnalyticMotion;
 
 constexpr TimeNs kMs = 1'000'000;
 constexpr int kRows = 480;
-
-CameraCalibration euroc() {
-  CameraCalibration c;
-  c.width_px = 752;
-  c.height_px = kRows;
-  c.fx_px = 458.654;
-  c.fy_px = 457.296;
-  c.cx_px = 367.215;
-  c.cy_px = 248.375;
-  c.model = "plumb_bob";
-  c.coefficients = {-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05};
-  return c;
-}
 
 ShutterTiming timing(TimeNs readout_ns) {
   ShutterTiming t;
@@ -89,7 +77,7 @@ class RectifyPoints : public testing::TestWithParam<std::tuple<RectifyTo, int>> 
 
 TEST_P(RectifyPoints, MovesRollingShutterPointsToTheReferenceTime) {
   const auto& [rectify_to, readout_ms] = GetParam();
-  const Camera camera(euroc());
+  const Camera camera(test::euroc_camera());
   const AnalyticMotion motion = AnalyticMotion::handshake();
   Eigen::Matrix3d R_cam_imu;
   R_cam_imu << 0, -1, 0, -1, 0, 0, 0, 0, -1;
@@ -141,7 +129,7 @@ INSTANTIATE_TEST_SUITE_P(All, RectifyPoints,
                                           testing::Values(30, -30)));
 
 TEST(RectifyPointsByStatus, RejectedAndUncoveredBlocksAreLeftAlone) {
-  const Camera camera(euroc());
+  const Camera camera(test::euroc_camera());
   const AnalyticMotion motion = AnalyticMotion::handshake();
   const RowExposure exposure(0, kRows, timing(30 * kMs));
   const std::vector<Eigen::Vector2d> points{{100, 20}, {600, 400}};
@@ -165,7 +153,7 @@ TEST(RectifyPointsByStatus, RejectedAndUncoveredBlocksAreLeftAlone) {
 }
 
 TEST(RectifyPointsByStatus, EachPointFollowsItsOwnBlock) {
-  const Camera camera(euroc());
+  const Camera camera(test::euroc_camera());
   const RowExposure exposure(0, kRows, timing(30 * kMs));
   FrameBlur field = field_of(BlockStatus::DEBLURRED);
   field.blocks[field.grid.index_at(100, 20)].status = BlockStatus::REJECTED;
@@ -176,7 +164,7 @@ TEST(RectifyPointsByStatus, EachPointFollowsItsOwnBlock) {
 }
 
 TEST(RectifyPointsByStatus, StartsWhereTheSceneWasNotWhereItIsShown) {
-  const Camera camera(euroc());
+  const Camera camera(test::euroc_camera());
   const RowExposure exposure(0, kRows, timing(30 * kMs));
   const AnalyticMotion motion = AnalyticMotion::handshake();
   const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);
@@ -195,7 +183,7 @@ TEST(RectifyPointsByStatus, StartsWhereTheSceneWasNotWhereItIsShown) {
 }
 
 TEST(RectifyPointsByStatus, UncoveredTimesLeavePointsAlone) {
-  const Camera camera(euroc());
+  const Camera camera(test::euroc_camera());
   const RowExposure exposure(0, kRows, timing(48 * kMs));  // 0.1 ms a row
   const TimeNs reference_ns = exposure.middle(100);
   const FrameBlur field = field_of(BlockStatus::DEBLURRED);
@@ -213,7 +201,7 @@ TEST(RectifyPointsByStatus, UncoveredTimesLeavePointsAlone) {
 }
 
 TEST(RectifyPointsByStatus, AHoleInTheGyroscopeSeparatesPoints) {
-  const Camera camera(euroc());
+  const Camera camera(test::euroc_camera());
   const RowExposure exposure(0, kRows, timing(240 * kMs));  // 0.5 ms a row
   std::vector<GyroSample> samples = AnalyticMotion::handshake().sample({0, 300 * kMs}, 5 * kMs);
   samples.erase(std::remove_if(samples.begin(), samples.end(),
@@ -228,7 +216,7 @@ TEST(RectifyPointsByStatus, AHoleInTheGyroscopeSeparatesPoints) {
 }
 
 TEST(RectifyPointsByStatus, PointsThatLeaveTheLensModelAreLeftAlone) {
-  CameraCalibration c = euroc();
+  CameraCalibration c = test::euroc_camera();
   c.fx_px = c.fy_px = 700;
   c.coefficients = {-0.4, 0, 0, 0};  // reaches 426 px
   const Camera camera(c);
@@ -245,7 +233,7 @@ TEST(RectifyPointsByStatus, PointsThatLeaveTheLensModelAreLeftAlone) {
 }
 
 TEST(RectifyPointsByStatus, NormalizedCoordinatesAreTheImagesOwn) {
-  CameraCalibration c = euroc();
+  CameraCalibration c = test::euroc_camera();
   c.model = "none";
   c.coefficients.clear();
   c.R_image_cam = Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitY()).toRotationMatrix();

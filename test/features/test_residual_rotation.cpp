@@ -16,7 +16,7 @@
 namespace gyro_deblur {
 namespace {
 
-Camera fisheye() {
+Camera wide_lens() {
   CameraCalibration calibration;
   calibration.width_px = 752;
   calibration.height_px = 480;
@@ -50,7 +50,7 @@ ResidualField field_of(const Camera& camera, const Eigen::Vector3d& rate_rad_s, 
 }
 
 TEST(FitResidualRotation, FindsTheRateThatAFieldHasInCommon) {
-  const Camera camera = fisheye();
+  const Camera camera = wide_lens();
   const Eigen::Vector3d rate_rad_s(0.05, -0.03, 0.08), known_rad_s(1, -2, 0.5);
   ResidualField field = field_of(camera, rate_rad_s, Eigen::Vector3d::Zero());
   auto rotation = fit_residual_rotation(field, kGrid, camera, turning(known_rad_s), kExposure);
@@ -70,7 +70,7 @@ TEST(FitResidualRotation, FindsTheRateThatAFieldHasInCommon) {
 }
 
 TEST(FitResidualRotation, TellsTranslationBeforeAPlaneFromRotation) {
-  const Camera camera = fisheye();
+  const Camera camera = wide_lens();
   const auto rotation = fit_residual_rotation(field_of(camera, Eigen::Vector3d::Zero(), {0.2, 0.1, 0.1}), kGrid, camera,
                                               turning({0, 0, 0}), kExposure);
   ASSERT_TRUE(rotation);
@@ -79,7 +79,7 @@ TEST(FitResidualRotation, TellsTranslationBeforeAPlaneFromRotation) {
 }
 
 TEST(FitResidualRotation, WantsHalfOfTheBlocksAndTheMotion) {
-  const Camera camera = fisheye();
+  const Camera camera = wide_lens();
   ResidualField field = field_of(camera, {0.05, 0, 0}, Eigen::Vector3d::Zero());
   EXPECT_FALSE(fit_residual_rotation({}, kGrid, camera, turning({0, 0, 0}), kExposure));
   EXPECT_FALSE(fit_residual_rotation(field, kGrid, camera, turning({0, 0, 0}),

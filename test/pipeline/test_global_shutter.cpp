@@ -9,34 +9,22 @@
 #include <opencv2/imgproc.hpp>
 
 #include "gyro_deblur/pipeline.hpp"
+#include "panning_camera.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-constexpr int kWidth = 320, kHeight = 240;
-constexpr double kFocalPx = 300;
+using test::kFocalPx;
+using test::kHeight;
+using test::kWidth;
+using test::pan;
+
 constexpr double kRateRadS = 2;
 constexpr TimeNs kExposureNs = 20'000'000, kReadoutNs = 20'000'000;
 constexpr TimeNs kStampNs = 1'000'000'000;
 /// How far the image moves from the middle row to the last one.
 constexpr double kMovePx = kFocalPx * kRateRadS * 0.01;
-
-CameraCalibration calibration() {
-  CameraCalibration c;
-  c.width_px = kWidth;
-  c.height_px = kHeight;
-  c.fx_px = c.fy_px = kFocalPx;
-  c.cx_px = (kWidth - 1) / 2.0;
-  c.cy_px = (kHeight - 1) / 2.0;
-  return c;
-}
-
-RotationTrack pan(TimeNs from_ns = 0, double rate_rad_s = kRateRadS) {
-  std::vector<GyroSample> samples;
-  for (TimeNs t = from_ns; t <= from_ns + 2 * kStampNs; t += 5'000'000) samples.push_back({t, {0, rate_rad_s, 0}});
-  return RotationTrack(samples, {}, Eigen::Matrix3d::Identity());
-}
 
 RowExposure exposure(TimeNs readout_ns) {
   ShutterTiming timing;
@@ -61,7 +49,7 @@ PipelineOptions options(ImageBorder border = ImageBorder::BLACK, bool deblurs = 
 PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion, const RowExposure& rows,
                        const PipelineOptions& with = options(), std::function<bool(const FrameBlur&)> permit = {}) {
   Pipeline pipeline(with);
-  pipeline.set_calibration(calibration());
+  pipeline.set_calibration(test::small_camera());
   PipelineRequest request;
   request.image = request.keypoints = false;
   request.global_shutter = true;
@@ -101,7 +89,7 @@ double edge_of(const cv::Mat& row, double half) {
 TEST(PipelineGlobalShutter, ALeaningEdgeStandsUpright) {
   for (const int depth : {CV_8U, CV_16U}) {
     const cv::Mat image = leaning_edge(depth);
-    const PipelineResult result = process(image, PixelLayout::GRAY, pan(), exposure(kReadoutNs));
+    const PipelineResult result = process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(kReadoutNs));
     ASSERT_EQ(result.global_shutter.type(), image.type());
     EXPECT_EQ(result.field.count(BlockStatus::DEBLURRED), 0u);
     EXPECT_TRUE(result.image.empty());
@@ -120,11 +108,12 @@ TEST(PipelineGlobalShutter, ALeaningEdgeStandsUpright) {
 TEST(PipelineGlobalShutter, IsTheDeblurredImageMoved) {
   const cv::Mat blurred = test::expose(test::blur_along_line(test::textured_image(kWidth, kHeight, 31), 0, 12), 1.0, 3);
   Pipeline pipeline(options(ImageBorder::BLACK, true));
-  pipeline.set_calibration(calibration());
+  pipeline.set_calibration(test::small_camera());
   PipelineRequest request;
   request.keypoints = false;
   request.global_shutter = true;
-  const PipelineResult result = pipeline.process(blurred, PixelLayout::GRAY, pan(), exposure(kReadoutNs), request);
+  const PipelineResult result =
+      pipeline.process(blurred, PixelLayout::GRAY, pan(kRateRadS), exposure(kReadoutNs), request);
   ASSERT_GT(result.field.count(BlockStatus::DEBLURRED), 0u);
   // The middle row stays where it is.
   const int y = (kHeight - 1) / 2;
@@ -132,23 +121,23 @@ TEST(PipelineGlobalShutter, IsTheDeblurredImageMoved) {
   EXPECT_GT(cv::norm(result.global_shutter.row(y), blurred.row(y), cv::NORM_L1) / kWidth, 5);
   // Nobody need ask for the image as well.
   const PipelineResult alone =
-      process(blurred, PixelLayout::GRAY, pan(), exposure(kReadoutNs), options(ImageBorder::BLACK, true));
+      process(blurred, PixelLayout::GRAY, pan(kRateRadS), exposure(kReadoutNs), options(ImageBorder::BLACK, true));
   EXPECT_EQ(cv::norm(alone.global_shutter, result.global_shutter, cv::NORM_INF), 0);
 }
 
 TEST(PipelineGlobalShutter, AGlobalShutterIsLeftAlone) {
   const cv::Mat image = leaning_edge(CV_8U);
-  const PipelineResult sharp = process(image, PixelLayout::GRAY, pan(), exposure(0));
+  const PipelineResult sharp = process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(0));
   EXPECT_EQ(sharp.global_shutter.data, image.data);
   const PipelineResult deblurred =
-      process(image, PixelLayout::GRAY, pan(), exposure(0), options(ImageBorder::BLACK, true));
+      process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(0), options(ImageBorder::BLACK, true));
   ASSERT_FALSE(deblurred.image.empty());
   EXPECT_EQ(deblurred.global_shutter.data, deblurred.image.data);
-  const PipelineResult mosaic = process(image, PixelLayout::BAYER_RGGB, pan(), exposure(0));
+  const PipelineResult mosaic = process(image, PixelLayout::BAYER_RGGB, pan(kRateRadS), exposure(0));
   EXPECT_EQ(mosaic.global_shutter.data, image.data);
   PipelineOptions elsewhere = options();
   elsewhere.rectify_to = RectifyTo::STAMP;
-  EXPECT_NE(process(image, PixelLayout::GRAY, pan(), exposure(0), elsewhere).global_shutter.data, image.data);
+  EXPECT_NE(process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(0), elsewhere).global_shutter.data, image.data);
 }
 
 TEST(PipelineGlobalShutter, AMosaicBecomesColours) {
@@ -168,7 +157,7 @@ TEST(PipelineGlobalShutter, AMosaicBecomesColours) {
         }
       }
     }
-    const PipelineResult result = process(mosaic, PixelLayout::BAYER_RGGB, pan(), exposure(kReadoutNs));
+    const PipelineResult result = process(mosaic, PixelLayout::BAYER_RGGB, pan(kRateRadS), exposure(kReadoutNs));
     ASSERT_EQ(result.global_shutter.type(), CV_MAKETYPE(depth, 3));
     const cv::Scalar bright = cv::mean(result.global_shutter(cv::Rect(kWidth - 60, 20, 40, kHeight - 40)));
     EXPECT_NEAR(bright[0], 0.9 * 1.0 * 255 * unit, 3 * unit);
@@ -184,10 +173,10 @@ TEST(PipelineGlobalShutter, AMosaicBecomesColours) {
 TEST(PipelineGlobalShutter, ColoursKeepTheirLayoutAndTheBorderIsAsChosen) {
   cv::Mat color;
   cv::cvtColor(leaning_edge(CV_8U), color, cv::COLOR_GRAY2RGBA);
-  const PipelineResult black = process(color, PixelLayout::RGBA, pan(), exposure(kReadoutNs));
+  const PipelineResult black = process(color, PixelLayout::RGBA, pan(kRateRadS), exposure(kReadoutNs));
   EXPECT_EQ(black.global_shutter.type(), CV_8UC4);
   const PipelineResult replicated =
-      process(color, PixelLayout::RGBA, pan(), exposure(kReadoutNs), options(ImageBorder::REPLICATE));
+      process(color, PixelLayout::RGBA, pan(kRateRadS), exposure(kReadoutNs), options(ImageBorder::REPLICATE));
   // The first row moves to the left by six pixels, the last one to the right.
   EXPECT_EQ(black.global_shutter.at<cv::Vec4b>(0, kWidth - 1), cv::Vec4b(0, 0, 0, 0));
   EXPECT_EQ(replicated.global_shutter.at<cv::Vec4b>(0, kWidth - 1), color.at<cv::Vec4b>(0, kWidth - 1));
@@ -197,13 +186,16 @@ TEST(PipelineGlobalShutter, ColoursKeepTheirLayoutAndTheBorderIsAsChosen) {
 
 TEST(PipelineGlobalShutter, WhatCannotBeMovedIsNone) {
   const cv::Mat image = leaning_edge(CV_8U);
-  EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(3 * kStampNs), exposure(kReadoutNs)).global_shutter.empty());
-  EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(3 * kStampNs), exposure(0)).global_shutter.empty());
+  EXPECT_TRUE(
+      process(image, PixelLayout::GRAY, pan(kRateRadS, 3 * kStampNs), exposure(kReadoutNs)).global_shutter.empty());
+  EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(kRateRadS, 3 * kStampNs), exposure(0)).global_shutter.empty());
   const auto refuse = [](const FrameBlur&) { return false; };
-  EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(), exposure(kReadoutNs), options(), refuse).global_shutter.empty());
+  EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(kReadoutNs), options(), refuse)
+                  .global_shutter.empty());
   Pipeline pipeline(options());
-  pipeline.set_calibration(calibration());
-  EXPECT_TRUE(pipeline.process(image, PixelLayout::GRAY, pan(), exposure(kReadoutNs), {}).global_shutter.empty());
+  pipeline.set_calibration(test::small_camera());
+  EXPECT_TRUE(
+      pipeline.process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(kReadoutNs), {}).global_shutter.empty());
 }
 
 }  // namespace

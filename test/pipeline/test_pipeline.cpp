@@ -10,32 +10,19 @@
 #include <gtest/gtest.h>
 #include <Eigen/Geometry>
 
+#include "panning_camera.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-constexpr int kWidth = 320, kHeight = 240;
-constexpr double kFocalPx = 300;
+using test::kFocalPx;
+using test::kHeight;
+using test::kWidth;
+using test::pan;
+
 constexpr TimeNs kExposureNs = 20'000'000;
 constexpr TimeNs kStampNs = 1'000'000'000;
-
-CameraCalibration calibration() {
-  CameraCalibration c;
-  c.width_px = kWidth;
-  c.height_px = kHeight;
-  c.fx_px = c.fy_px = kFocalPx;
-  c.cx_px = (kWidth - 1) / 2.0;
-  c.cy_px = (kHeight - 1) / 2.0;
-  return c;
-}
-
-/// Constant rate about the camera's y axis (blur along x), from one second before the frame to one after.
-RotationTrack pan(double rate_rad_s) {
-  std::vector<GyroSample> samples;
-  for (TimeNs t = 0; t <= 2 * kStampNs; t += 5'000'000) samples.push_back({t, {0, rate_rad_s, 0}});
-  return RotationTrack(samples, {}, Eigen::Matrix3d::Identity());
-}
 
 /// Rate [rad/s] that gives `extent_px` at the image centre.
 double rate_for(double extent_px) { return 2 * std::atan(extent_px / (2 * kFocalPx)) / to_seconds(kExposureNs); }
@@ -55,7 +42,7 @@ PipelineOptions options() {
 
 Pipeline pipeline() {
   Pipeline p(options());
-  p.set_calibration(calibration());
+  p.set_calibration(test::small_camera());
   return p;
 }
 
@@ -95,7 +82,7 @@ TEST(Pipeline, TellsHowManyBlocksWereSlow) {
   on_the_processor.engine = "cpu";
   on_the_processor.validation.enabled = false;
   Pipeline p(on_the_processor);
-  p.set_calibration(calibration());
+  p.set_calibration(test::small_camera());
   cv::Mat deep;
   blurred_image(15).convertTo(deep, CV_16U, 257);
   const auto process = [&](const cv::Mat& image, const PipelineRequest& request) {
@@ -119,14 +106,14 @@ TEST(Pipeline, DetectorThatIsMissingCostsKeypointsAlone) {
   const std::vector<std::string> detectors = available_detectors();
   const bool has_sift = std::find(detectors.begin(), detectors.end(), "SIFT") != detectors.end();
   Pipeline p(with_sift);
-  p.set_calibration(calibration());
+  p.set_calibration(test::small_camera());
   const auto process = [&p](const PipelineRequest& request) {
     return p.process(blurred_image(15), PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), request);
   };
   const PipelineResult result = process({});
   EXPECT_FALSE(result.image.empty());
   EXPECT_EQ(result.points.size(), result.features.keypoints.size());
-  const PipelineResult raw = p.detect(sharp_image(), PixelLayout::GRAY, kStampNs, calibration());
+  const PipelineResult raw = p.detect(sharp_image(), PixelLayout::GRAY, kStampNs, test::small_camera());
   for (const PipelineResult* each : {&result, &raw}) {
     EXPECT_EQ(each->features.keypoints.size() > 100, has_sift);
     EXPECT_EQ(each->features.keypoints.empty(), !has_sift);
@@ -168,7 +155,7 @@ TEST(Pipeline, SameSceneGivesTheSameInEveryDepth) {
         PipelineOptions o = options();
         o.significant_bits = given;
         Pipeline p(o);
-        p.set_calibration(calibration());
+        p.set_calibration(test::small_camera());
         const PipelineResult r = p.process(pixels, layout, pan(rate_for(15)), global_shutter(), {});
         EXPECT_EQ(r.significant_bits, bits);
         EXPECT_EQ(p.take_warning().empty(), given != 0 || bits == 8 || bits == 16);
@@ -384,7 +371,7 @@ TEST(Pipeline, KeepsItsStateWhenNewOptionsAreBad) {
     EXPECT_THROW(Pipeline{o}, OptionError);
     EXPECT_EQ(p.options().blur_field.block_size_px, 64);
   }
-  CameraCalibration flat = calibration();
+  CameraCalibration flat = test::small_camera();
   flat.fx_px = 0;
   EXPECT_THROW(p.set_calibration(flat), OptionError);
   const PipelineResult after = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
@@ -394,7 +381,7 @@ TEST(Pipeline, KeepsItsStateWhenNewOptionsAreBad) {
 
 // A rectified image is that of an ideal camera, whatever it was turned by and whether or not its motion is known.
 TEST(Pipeline, NormalizedCoordinatesAreThoseOfTheRectifiedImage) {
-  CameraCalibration turned = calibration();
+  CameraCalibration turned = test::small_camera();
   turned.R_image_cam = Eigen::AngleAxisd(3.3 * M_PI / 180, Eigen::Vector3d(1, 2, 0.5).normalized()).toRotationMatrix();
   Pipeline p(options());
   p.set_calibration(turned);
@@ -414,7 +401,7 @@ TEST(Pipeline, WarnsOnceAboutAnAbsentDevice) {
   PipelineOptions o = options();
   o.engine = "opencl:no such device";
   Pipeline p(o);
-  p.set_calibration(calibration());
+  p.set_calibration(test::small_camera());
   const cv::Mat blurred = blurred_image(15);
   EXPECT_FALSE(p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image.empty());
   EXPECT_NE(p.take_warning().find("OpenCL failed"), std::string::npos);
@@ -440,7 +427,7 @@ TEST(Pipeline, RefusesImagesThatDoNotFit) {
 
 TEST(Pipeline, FollowsTheCalibration) {
   Pipeline p = pipeline();
-  CameraCalibration wide = calibration();
+  CameraCalibration wide = test::small_camera();
   wide.fx_px = wide.fy_px = kFocalPx / 2;
   p.set_calibration(wide);
   const PipelineResult result =

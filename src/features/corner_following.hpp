@@ -1,0 +1,36 @@
+// Corners followed from an image into the next one, and back.
+#pragma once
+
+#include <vector>
+
+#include <opencv2/core.hpp>
+
+namespace gyro_deblur {
+
+/// How Lucas-Kanade searches, in pixels of the pyramids' largest image.
+struct CornerSearch {
+  int window_px;  ///< odd: side of the patch that is compared
+  int levels;     ///< halvings of the image
+  cv::TermCriteria criteria;
+  double max_round_trip_px;  ///< how far from its start a corner may end up when followed back
+};
+
+/// With derivatives, for follow_there_and_back(); a copy of the image's pixels.
+/// @param image  CV_8UC1
+std::vector<cv::Mat> corner_pyramid(const cv::Mat& image, int window_px, int levels);
+
+/// Corners in the next image.
+struct FollowedCorners {
+  std::vector<cv::Point2f> places;  ///< one for each corner
+  std::vector<char> found;          ///< and it came back to where it was
+};
+
+/// @param from   of the image before
+/// @param to     of the next one, of the same size
+/// @param before  corners in the image before
+/// @param start   where each is looked for; may lie outside the image
+FollowedCorners follow_there_and_back(const std::vector<cv::Mat>& from, const std::vector<cv::Mat>& to,
+                                      const std::vector<cv::Point2f>& before, const std::vector<cv::Point2f>& start,
+                                      const CornerSearch& search);
+
+}  // namespace gyro_deblur
