@@ -6,7 +6,6 @@ find_package(catkin REQUIRED COMPONENTS
   geometry_msgs
   image_transport
   message_generation
-  nav_msgs
   nodelet
   pluginlib
   rosbag_storage

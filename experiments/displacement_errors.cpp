@@ -11,8 +11,8 @@ Eigen::Vector2d displacement_px(const Camera& camera, const CameraMotion& motion
                                 const Eigen::Vector2d& pixel_px) {
   const TimeNs middle_ns = exposure.middle(pixel_px.y());
   const Eigen::Vector3d ray = camera.ray(pixel_px);
-  return camera.project(motion.homography(middle_ns, exposure.end(pixel_px.y())) * ray) -
-         camera.project(motion.homography(middle_ns, exposure.start(pixel_px.y())) * ray);
+  return camera.project(motion.rotation(middle_ns, exposure.end(pixel_px.y())) * ray) -
+         camera.project(motion.rotation(middle_ns, exposure.start(pixel_px.y())) * ray);
 }
 
 Sequence all_frames(const Footage& footage) {
@@ -38,8 +38,7 @@ std::vector<BlockErrors> displacement_errors(const Sequence& sequence, const Lig
     const ResidualField velocities = flow.follow(footage.image(i, light), camera, rotation, exposure, grid);
     if (k < kFirst) continue;
     const FrameBlur field = estimator.estimate(rotation, exposure, velocities);
-    const TranslatedMotion translated(rotation, footage.velocity(i), Eigen::Vector3d::Zero(),
-                                      footage.median_depth_m(i, grid));
+    const double depth_m = footage.median_depth_m(i, grid);
     const double exposure_s = to_seconds(exposure.timing().exposure_ns);
     for (int b = 0; b < grid.size(); ++b) {
       const Eigen::Vector2d center_px = grid.center(b), truth_px = footage.truth().truth_displacement(i, center_px);
@@ -51,7 +50,7 @@ std::vector<BlockErrors> displacement_errors(const Sequence& sequence, const Lig
       BlockErrors& e = errors.emplace_back();
       e.frame = i;
       e.residual_px = residual_px.norm();
-      e.velocity_px = (displacement_px(camera, translated, exposure, center_px) - truth_px).norm();
+      e.velocity_px = (footage.displacement_at_depth(i, center_px, depth_m) - truth_px).norm();
       e.images_px = (images_px - residual_px).norm();
       e.change_px = images_px.norm();
       e.from_images = used.has_value();

@@ -131,18 +131,16 @@ RotationTrack Footage::rotation(double bias_rad_s) const {
   return RotationTrack(samples, GyroOptions{}, simulator_.scene().imu.R_cam_imu);
 }
 
-BodyVelocity Footage::velocity(int i) const {
-  constexpr TimeNs kStepNs = 500'000;
-  BodyVelocity velocity;
-  velocity.axes_ns = velocity.t_ns = simulator_.reference_time(i);
-  const Eigen::Quaterniond R_cam_world = simulator_.pose(velocity.t_ns).R_world_cam.conjugate();
-  velocity.velocity_m_s =
-      R_cam_world *
-      (simulator_.pose(velocity.t_ns + kStepNs).p_world_m - simulator_.pose(velocity.t_ns - kStepNs).p_world_m) /
-      to_seconds(2 * kStepNs);
-  const sim::Scene& scene = simulator_.scene();
-  velocity.acceleration_m_s2 = R_cam_world * scene.motion->acceleration(to_seconds(velocity.t_ns - scene.start_ns));
-  return velocity;
+Eigen::Vector2d Footage::displacement_at_depth(int i, const Eigen::Vector2d& pixel_px, double depth_m) const {
+  const RowExposure rows = exposure(i);
+  const sim::Pose middle = simulator_.pose(rows.middle(pixel_px.y()));
+  const Eigen::Vector3d ray = camera().ray(pixel_px);
+  const Eigen::Vector3d point_m = middle.p_world_m + middle.R_world_cam * (depth_m / ray.z() * ray);
+  const auto place_px = [&](TimeNs t_ns) {
+    const sim::Pose pose = simulator_.pose(t_ns);
+    return camera().project(pose.R_world_cam.conjugate() * (point_m - pose.p_world_m));
+  };
+  return place_px(rows.end(pixel_px.y())) - place_px(rows.start(pixel_px.y()));
 }
 
 double Footage::median_depth_m(int i, const BlockGrid& grid) const {

@@ -12,7 +12,6 @@
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "gyro_deblur/time.hpp"
-#include "gyro_deblur/translation.hpp"
 #include "room_flight.hpp"
 #include "sim/simulator.hpp"
 
@@ -66,8 +65,9 @@ class Footage {
   /// The gyroscope, all of it.
   /// @param bias_rad_s  of the sensor, on each axis, that nobody knows of
   RotationTrack rotation(double bias_rad_s = 0) const;
-  /// The camera's true velocity over frame i, for TranslatedMotion.
-  BodyVelocity velocity(int i) const;
+  /// Displacement of a pixel within frame i's exposure by the camera's true motion, were the scene there at this depth
+  /// along the optical axis [px].
+  Eigen::Vector2d displacement_at_depth(int i, const Eigen::Vector2d& pixel_px, double depth_m) const;
   /// Median over the centres of blocks, along the optical axis at the middle of frame i.
   double median_depth_m(int i, const BlockGrid& grid) const;
 

@@ -13,9 +13,9 @@ build_packages=(
   libcli11-dev libeigen3-dev libgtest-dev libopencv-dev libyaml-cpp-dev nlohmann-json3-dev
   ocl-icd-opencl-dev opencl-clhpp-headers zlib1g-dev
   catkin rosbash ros-core-dev ros-core-python-dev
-  libdiagnostic-updater-dev libdynamic-reconfigure-config-init-mutex-dev libimage-transport-dev libnav-msgs-dev
-  libnodelet-dev libnodeletlib-dev libnodeletlib-tools librosbag-dev librostest-dev libtf2-msgs-dev libtf2-dev
-  libtopic-tools-dev pluginlib-dev python3-dynamic-reconfigure
+  libdiagnostic-updater-dev libdynamic-reconfigure-config-init-mutex-dev libimage-transport-dev libnodelet-dev
+  libnodeletlib-dev libnodeletlib-tools librosbag-dev librostest-dev libtf2-msgs-dev libtf2-dev libtopic-tools-dev
+  pluginlib-dev python3-dynamic-reconfigure
 )
 # rviz is drawn by Mesa in software on a virtual display.
 demo_packages=(

@@ -198,9 +198,8 @@ if wanted tsan; then
   tsan_folder="${GYRO_DEBLUR_BUILD}/proof/tsan"
   # Of what several threads share or is divided among them, and each test that has threads of its own.
   mapfile -t tsan_tests < <({
-    printf '%s\n' test_gyro_buffer test_frame_queue test_time_jump test_translation_input test_intake test_assembly \
-      test_processing test_processor_translation test_parallel \
-      test_fallback_engine test_cpu_engine test_float_engine test_deconvolution test_kernel_bank
+    printf '%s\n' test_gyro_buffer test_frame_queue test_time_jump test_intake test_assembly test_processing \
+      test_parallel test_fallback_engine test_cpu_engine test_float_engine test_deconvolution test_kernel_bank
     grep -l '#include <thread>' "${test_sources[@]}" | xargs basename -s .cpp
   } | sort -u)
   configure "${tsan_folder}" -DGYRO_DEBLUR_SANITIZE=thread

@@ -50,8 +50,7 @@ class BlurFieldEstimator {
   /// which the centre sees at the middle of the exposure (the paper starts the path at the centre; with a centred
   /// kernel that turns the angle by half the camera's roll during the exposure). Blocks whose exposure `motion` does
   /// not cover are NO_GYRO with extent 0; so are those whose centre, or whose path, lies beyond the range of the lens
-  /// model. Where translation cancels so much of the rotation that what is left may be less than min_extent_px at
-  /// the block's own depth, it is left alone (SHARP).
+  /// model.
   /// @param residuals  of the blocks of grid(), or empty: added to the paths where it is certain, see is_certain()
   FrameBlur estimate(const CameraMotion& motion, const RowExposure& exposure,
                      const ResidualField& residuals = {}) const;

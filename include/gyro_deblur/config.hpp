@@ -13,11 +13,6 @@
 
 namespace gyro_deblur {
 
-/// The clock that the stamps of an odometry are in.
-enum class OdometryClock { CAMERA, IMU };
-/// The axes of an odometry's twist: those of its child frame (nav_msgs/Odometry's definition), or of its parent frame,
-/// as some stacks publish it.
-enum class TwistFrame { CHILD, PARENT };
 /// What to do when camera_info or tf say something else than the parameters and the calibration file.
 enum class OnCalibrationConflict {
   ERROR,       ///< pass the frame through, and print both values
@@ -48,13 +43,9 @@ struct Config {
   ExposureSource exposure_source;
   /// An image without an exposure of its own takes the last one before it that is no older; 0: none.
   TimeNs exposure_max_age_ns = 0;
-  bool rectified_input = false;                           ///< the image is undistorted: use camera_info's P and R
-  std::optional<Eigen::Matrix3d> R_cam_imu;               ///< absent: from tf
-  Eigen::Vector3d p_cam_imu_m = Eigen::Vector3d::Zero();  ///< origin of the IMU in camera coordinates
-  TranslationOptions translation;
+  bool rectified_input = false;              ///< the image is undistorted: use camera_info's P and R
+  std::optional<Eigen::Matrix3d> R_cam_imu;  ///< absent: from tf
   TrackerOptions tracker;
-  OdometryClock odometry_clock = OdometryClock::CAMERA;
-  TwistFrame odometry_twist_frame = TwistFrame::CHILD;
   std::vector<std::string> calibration_files;
   std::string calibration_camera = "cam0";       ///< which of a file's cameras
   std::optional<SensorCalibration> calibration;  ///< of the files; what they say has gone into the fields above

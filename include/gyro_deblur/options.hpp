@@ -121,21 +121,6 @@ struct GyroOptions {
   void validate() const;  ///< throws OptionError
 };
 
-/// Velocity from an odometry and depth of the scene, for the translation of paper eq. 1.
-struct TranslationOptions {
-  /// Along the optical axis, where no message gives one; 0: no translation without a message
-  double scene_depth_m = 0;
-  TimeNs depth_max_age_ns = 1'000'000'000;  ///< an older depth message is not used
-  /// How far from the exposure the nearest velocity may be. Feedback is late by its own computing time;
-  /// the velocity is extrapolated over it, which errs with the square of the time.
-  TimeNs max_age_ns = 200'000'000;
-  double max_speed_m_s = 20;          ///< more is not believed
-  double max_acceleration_m_s2 = 30;  ///< a change of velocity beyond it is a jump of the estimate
-  double max_stddev_m_s = 0.5;        ///< a less certain velocity is not used (where the message says it)
-
-  void validate() const;  ///< throws OptionError
-};
-
 /// Everything about the algorithm that may change while running.
 struct PipelineOptions {
   BlurFieldOptions blur_field;

@@ -12,8 +12,8 @@
 
 namespace gyro_deblur {
 
-/// Camera motion over a stretch of the camera clock. The blur field and the rectification know only this, so that
-/// translation over depth (paper eq. 1) can be added without touching them.
+/// How the camera turned over a stretch of the camera clock: all that the blur field and the rectification know of the
+/// gyroscope.
 class CameraMotion {
  public:
   virtual ~CameraMotion() = default;
@@ -21,13 +21,10 @@ class CameraMotion {
   /// True when the motion is known everywhere in `range` (camera clock); false for an empty range.
   virtual bool covers(const TimeRange& range) const = 0;
 
-  /// The matrix R + t n^T / d of paper eq. 1: takes the direction of a scene point in the camera frame at `from_ns` to
-  /// its direction (up to scale) in the camera frame at `to_ns`. Camera clock; from may be later than to.
-  /// Throws std::out_of_range with the range asked for and the range available.
-  virtual Eigen::Matrix3d homography(TimeNs from_ns, TimeNs to_ns) const = 0;
-
-  /// The part of homography that holds at every depth: its rotation. The same where there is no translation.
-  virtual Eigen::Matrix3d rotation(TimeNs from_ns, TimeNs to_ns) const { return homography(from_ns, to_ns); }
+  /// The R of paper eq. 1: takes the direction of a scene point in the camera frame at `from_ns` to its direction in
+  /// the camera frame at `to_ns`. Camera clock; from may be later than to. Throws std::out_of_range with the range
+  /// asked for and the range available.
+  virtual Eigen::Matrix3d rotation(TimeNs from_ns, TimeNs to_ns) const = 0;
 };
 
 /// True when the sample reaches options.range_rad_s on an axis, or all but reaches it: the true rate may be any beyond
@@ -50,7 +47,7 @@ class RotationTrack : public CameraMotion {
                 std::size_t origin = 0);
 
   bool covers(const TimeRange& range) const override;
-  Eigen::Matrix3d homography(TimeNs from_ns, TimeNs to_ns) const override;
+  Eigen::Matrix3d rotation(TimeNs from_ns, TimeNs to_ns) const override;
 
   /// From the first to the last sample (camera clock), holes included.
   TimeRange available() const;

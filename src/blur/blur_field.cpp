@@ -10,9 +10,6 @@
 namespace gyro_deblur {
 namespace {
 
-/// Relative error of the displacement by translation: one depth stands for the whole scene, and a velocity is late.
-constexpr double kTranslationUncertainty = 0.25;
-
 /// axial_angle as a float, also below the float above pi.
 float axial_float(double dx, double dy) {
   const auto angle_rad = static_cast<float>(axial_angle(dx, dy));
@@ -146,28 +143,20 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
     const double y_px = grid_.center(first).y();
     const TimeNs start_ns = exposure.start(y_px), middle_ns = exposure.middle(y_px), end_ns = exposure.end(y_px);
     if (!motion.covers({start_ns, end_ns})) continue;
-    std::array<Eigen::Matrix3d, kPathInstants> maps;  // from the middle of the exposure
+    std::array<Eigen::Matrix3d, kPathInstants> turns;  // from the middle of the exposure
     std::array<double, kPathInstants> since_middle_s;
     for (int k = 0; k < kPathInstants; ++k) {
       const TimeNs instant_ns = start_ns + (end_ns - start_ns) * k / (kPathInstants - 1);
-      maps[k] = motion.homography(middle_ns, instant_ns);
+      turns[k] = motion.rotation(middle_ns, instant_ns);
       since_middle_s[k] = to_seconds(instant_ns - middle_ns);
-    }
-    const bool translates =
-        motion.rotation(middle_ns, start_ns) != maps.front() || motion.rotation(middle_ns, end_ns) != maps.back();
-    std::array<Eigen::Matrix3d, kPathInstants> rotation_maps;
-    for (int k = 0; translates && k < kPathInstants; ++k) {
-      rotation_maps[k] = motion.rotation(middle_ns, start_ns + (end_ns - start_ns) * k / (kPathInstants - 1));
     }
     for (int i = first; i < first + grid_.cols(); ++i) {
       const Eigen::Vector2d center_px = grid_.center(i);
       std::optional<ResidualVelocity> residual;
       if (!residuals.empty() && residuals[i] && is_certain(*residuals[i], end_ns - start_ns)) residual = residuals[i];
-      // It is beside the rotation, and has in it what an odometry would tell.
-      const std::array<Eigen::Matrix3d, kPathInstants>& used = residual && translates ? rotation_maps : maps;
       std::array<Eigen::Vector2d, kPathInstants> path_px;
       for (int k = 0; k < kPathInstants; ++k) {
-        path_px[k] = camera_.project(used[k] * rays_[i]) - center_px;
+        path_px[k] = camera_.project(turns[k] * rays_[i]) - center_px;
         if (residual) path_px[k] += since_middle_s[k] * residual->velocity_px_s;
       }
       if (!std::all_of(path_px.begin(), path_px.end(), [](const auto& place_px) { return place_px.allFinite(); })) {
@@ -176,16 +165,6 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
       BlockBlur& block = field.blocks[i];
       block = classify_path(path_px, options_);
       block.residual = residual;
-      if (!translates || residual) continue;
-      // The share that translation has in the path, there and back within the exposure, too.
-      std::array<Eigen::Vector2d, kPathInstants> translation_px;
-      double longest_px = 0;
-      for (int k = 0; k < kPathInstants; ++k) {
-        translation_px[k] = path_px[k] - (camera_.project(rotation_maps[k] * rays_[i]) - center_px);
-        longest_px = std::max(longest_px, (translation_px[k] - translation_px.front()).norm());
-      }
-      const double uncertainty_px = kTranslationUncertainty * longest_px;
-      if (block.extent_px - uncertainty_px < options_.min_extent_px) block.status = BlockStatus::SHARP;
     }
   }
   return field;

@@ -43,8 +43,8 @@ Eigen::VectorXd position_shares(const Eigen::VectorXd& frames_s, Eigen::Index ne
 /// quadrature with two nodes).
 Eigen::Matrix3d mean_turn(const RotationTrack& gyro, TimeNs from_ns, TimeNs middle_ns, TimeNs exposure_ns) {
   const auto node_ns = static_cast<TimeNs>(static_cast<double>(exposure_ns) / std::sqrt(12.0));
-  if (node_ns == 0) return gyro.homography(from_ns, middle_ns);
-  return 0.5 * (gyro.homography(from_ns, middle_ns - node_ns) + gyro.homography(from_ns, middle_ns + node_ns));
+  if (node_ns == 0) return gyro.rotation(from_ns, middle_ns);
+  return 0.5 * (gyro.rotation(from_ns, middle_ns - node_ns) + gyro.rotation(from_ns, middle_ns + node_ns));
 }
 
 }  // namespace
@@ -118,7 +118,7 @@ std::vector<Passage> TimingModel::passages(const WindowPoints& points, const Rot
     const Eigen::VectorXd shares = position_shares(frames_s, k, to_seconds(to_ns - reference_ns)) -
                                    position_shares(frames_s, 0, to_seconds(from_ns - reference_ns));
     const bool covered = gyro.covers({std::min(reference_ns, to_ns), std::max(reference_ns, to_ns)});
-    result.push_back({covered ? gyro.homography(reference_ns, to_ns) : Eigen::Matrix3d::Identity().eval(),
+    result.push_back({covered ? gyro.rotation(reference_ns, to_ns) : Eigen::Matrix3d::Identity().eval(),
                       shares.tail(shares.size() - 1)});
   }
   return result;
@@ -180,7 +180,7 @@ std::vector<Eigen::Matrix3Xd> TimingDerivatives::of(const WindowPoints& points,
     if (!side.gyro.covers({std::min(reference_ns, t_ns), std::max(reference_ns, t_ns)})) {
       return Eigen::Matrix3d::Constant(std::numeric_limits<double>::quiet_NaN());
     }
-    return side.gyro.homography(reference_ns, t_ns);
+    return side.gyro.rotation(reference_ns, t_ns);
   };
   // Of each frame and row: the rotation vectors by which the axes there turn, 3 x values.
   std::vector<std::array<Eigen::Matrix3Xd, 3>> turns(frames.size());
@@ -213,8 +213,8 @@ std::vector<Eigen::Matrix3Xd> TimingDerivatives::of(const WindowPoints& points,
     if (!turned_rays[i].allFinite()) {
       J.setConstant(std::numeric_limits<double>::quiet_NaN());
     } else {
-      const Eigen::Matrix3Xd difference = turn_at(sighting.frame, sighting.px.y()) -
-                                          center_.gyro.homography(from_ns, to_ns) * turn_at(0, anchor.px.y());
+      const Eigen::Matrix3Xd difference =
+          turn_at(sighting.frame, sighting.px.y()) - center_.gyro.rotation(from_ns, to_ns) * turn_at(0, anchor.px.y());
       for (Eigen::Index k = 0; k < J.cols(); ++k) J.col(k) = difference.col(k).cross(turned_rays[i]);
     }
     result.push_back(std::move(J));

@@ -95,7 +95,7 @@ std::vector<Eigen::Vector3d> TimingStart::gyro_rotations(const TimingState& stat
     const std::vector<FrameTime>& frames = points.window->frames;
     const TimeRange range{model_.middle_of(frames[0], state.readout_s), model_.middle_of(frames[1], state.readout_s)};
     rotations.emplace_back(gyro.covers(range)
-                               ? Eigen::Vector3d(-log_rotation(gyro.homography(range.begin_ns, range.end_ns)))
+                               ? Eigen::Vector3d(-log_rotation(gyro.rotation(range.begin_ns, range.end_ns)))
                                : Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN()));
   }
   return rotations;
@@ -115,7 +115,7 @@ double TimingStart::search_offset(TimeNs search_ns, TimingState* state) const {
       if (!gyro.covers(range)) continue;
       const double dt_s = to_seconds(range.end_ns - range.begin_ns);
       correlation.add(image_rotations_[i].norm() / dt_s,
-                      Eigen::AngleAxisd(gyro.homography(range.begin_ns, range.end_ns)).angle() / dt_s);
+                      Eigen::AngleAxisd(gyro.rotation(range.begin_ns, range.end_ns)).angle() / dt_s);
     }
     return correlation.value();
   };

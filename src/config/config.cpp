@@ -98,17 +98,6 @@ void apply_calibration(const SensorCalibration& calibration, Config& config) {
     }
     config.R_cam_imu = calibration.R_cam_imu;
   }
-  if (calibration.R_cam_imu && calibration.p_imu_cam_m && !(key_holds && !config.p_cam_imu_m.isZero())) {
-    const Eigen::Vector3d p_cam_imu_m = -(*calibration.R_cam_imu * *calibration.p_imu_cam_m);
-    constexpr double kAllowedM = 1e-3;
-    if (!config.p_cam_imu_m.isZero() && (config.p_cam_imu_m - p_cam_imu_m).norm() > kAllowedM) {
-      std::ostringstream text;
-      text << "p_cam_imu is [" << config.p_cam_imu_m.transpose() << "] m in " << key << ", but ["
-           << p_cam_imu_m.transpose() << "] m in " << calibration.origin;
-      throw OptionError(text.str());
-    }
-    config.p_cam_imu_m = p_cam_imu_m;
-  }
   const auto apply_time = [&](const char* name, const std::optional<TimeNs>& value_ns, TimeNs& target_ns) {
     if (!value_ns || (key_holds && target_ns != 0)) return;
     if (target_ns != 0) require_agreement(name, target_ns, key, *value_ns, calibration.origin);
@@ -184,10 +173,15 @@ Config load_config(const std::string& path, std::vector<std::string>* unknown) {
 }
 
 std::string unknown_key_message(const std::string& key) {
-  // Keys that had another name, and the one they have.
-  static const std::map<std::string, std::string> kRenamed{{"backend", "engine"}};
-  const auto renamed = kRenamed.find(key);
-  return key + " is not known, ignored" + (renamed == kRenamed.end() ? "" : ": it is now called " + renamed->second);
+  static const std::string kSeenByImages = "motion_from_images sees translation without it";
+  static const std::map<std::string, std::string> kFormer{
+      {"backend", "it is now called engine"},  {"scene_depth", kSeenByImages},
+      {"scene_depth_max_age", kSeenByImages},  {"odometry_max_age", kSeenByImages},
+      {"odometry_max_speed", kSeenByImages},   {"odometry_max_acceleration", kSeenByImages},
+      {"odometry_max_stddev", kSeenByImages},  {"odometry_clock", kSeenByImages},
+      {"odometry_twist_frame", kSeenByImages}, {"p_cam_imu", kSeenByImages}};
+  const auto former = kFormer.find(key);
+  return key + " is not known, ignored" + (former == kFormer.end() ? "" : ": " + former->second);
 }
 
 }  // namespace gyro_deblur

@@ -121,8 +121,6 @@ void TrackerOptions::validate() const {
 
 void GyroOptions::validate() const { check_parameters(*this); }
 
-void TranslationOptions::validate() const { check_parameters(*this); }
-
 void ShutterTiming::validate() const {
   for (const Parameter* parameter : parameters_of<ShutterTiming>()) {
     const Value value = parameter->get(*this);
@@ -158,7 +156,6 @@ void Config::validate() const {
   ShutterTiming timing = shutter;
   if (timing.exposure_ns == 0) timing.exposure_ns = 1;  // each frame brings its own; check the rest
   timing.validate();
-  translation.validate();
   tracker.validate();
   check_parameters(exposure_source);
   check_parameters(*this);

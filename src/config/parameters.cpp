@@ -17,7 +17,6 @@ auto& part(AnyConfig& config) {
   if constexpr (std::is_same_v<Owner, GyroOptions>) return config.gyro;
   if constexpr (std::is_same_v<Owner, ShutterTiming>) return config.shutter;
   if constexpr (std::is_same_v<Owner, ExposureSource>) return config.exposure_source;
-  if constexpr (std::is_same_v<Owner, TranslationOptions>) return config.translation;
   if constexpr (std::is_same_v<Owner, TrackerOptions>) return config.tracker;
   if constexpr (std::is_same_v<Owner, Config>) return config;
 }
@@ -73,7 +72,6 @@ using Kernel = KernelOptions;
 using Keypoints = KeypointOptions;
 using Tracker = TrackerOptions;
 using Gyro = GyroOptions;
-using Translation = TranslationOptions;
 using Shutter = ShutterTiming;
 
 ParameterGroup calibration_files() {
@@ -155,29 +153,6 @@ ParameterGroup stereo() {
               {"stereo_patience", &Config::stereo_patience_ns, within(0, 10, "s"),
                "of the cameras in one process with the same IMU both images of a stamp are deblurred, or neither: how "
                "long one waits for the other to be decided on; 0: each on its own"},
-          }};
-}
-
-ParameterGroup translation() {
-  return {"translation",
-          "Used when there is an odometry and the depth of the scene is known; see doc/guides/motion.md.",
-          {
-              {"scene_depth", &Translation::scene_depth_m, within(0, 1000, "m"),
-               "median along the optical axis; 0: only from the scene_depth topic"},
-              {"scene_depth_max_age", &Translation::depth_max_age_ns, within(0, 60, "s"),
-               "older messages of that topic are not used"},
-              {"odometry_max_age", &Translation::max_age_ns, within(0.001, 2, "s"),
-               "how far from the exposure the nearest velocity may be"},
-              {"odometry_max_speed", &Translation::max_speed_m_s, above(0, 1000, "m/s"), "more is not believed"},
-              {"odometry_max_acceleration", &Translation::max_acceleration_m_s2, above(0, 10000, "m/s^2"),
-               "a faster change of velocity is a jump of the estimate"},
-              {"odometry_max_stddev", &Translation::max_stddev_m_s, above(0, 100, "m/s"),
-               "a velocity with a larger covariance is not used"},
-              {"odometry_clock", &Config::odometry_clock, "the clock of the odometry's stamps"},
-              {"odometry_twist_frame", &Config::odometry_twist_frame,
-               "the axes of its twist; nav_msgs/Odometry defines child"},
-              {"p_cam_imu", &Config::p_cam_imu_m, within(-100, 100, "m"),
-               "the IMU in camera coordinates (Kalibr's T_cam_imu, last column)"},
           }};
 }
 
@@ -265,7 +240,7 @@ ParameterGroup feature_tracks() {
 
 const std::vector<ParameterGroup>& parameter_groups() {
   static const std::vector<ParameterGroup> kGroups{
-      calibration_files(), camera_timing(), image(),      gyroscope(), stereo(),        translation(),
+      calibration_files(), camera_timing(), image(),      gyroscope(), stereo(),
       blur_field(),        wiener_filter(), validation(), keypoints(), feature_tracks()};
   return kGroups;
 }

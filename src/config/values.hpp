@@ -55,16 +55,6 @@ inline const Names<ImageBorder>& names_of(ImageBorder) {
   return kNames;
 }
 
-inline const Names<OdometryClock>& names_of(OdometryClock) {
-  static const Names<OdometryClock> kNames{{"camera", OdometryClock::CAMERA}, {"imu", OdometryClock::IMU}};
-  return kNames;
-}
-
-inline const Names<TwistFrame>& names_of(TwistFrame) {
-  static const Names<TwistFrame> kNames{{"child", TwistFrame::CHILD}, {"parent", TwistFrame::PARENT}};
-  return kNames;
-}
-
 inline const Names<OnCalibrationConflict>& names_of(OnCalibrationConflict) {
   static const Names<OnCalibrationConflict> kNames{{"error", OnCalibrationConflict::ERROR},
                                                    {"configured", OnCalibrationConflict::CONFIGURED}};

@@ -25,23 +25,15 @@ PointMotion::Mean PointMotion::mean_at(const Eigen::Vector2d& pixel_px) const {
 }
 
 PointMotion::Turn PointMotion::turn(TimeNs from_ns, TimeNs to_ns) const {
-  return {motion_.rotation(from_ns, to_ns), motion_.homography(from_ns, to_ns), to_seconds(to_ns - from_ns)};
+  return {motion_.rotation(from_ns, to_ns), to_seconds(to_ns - from_ns)};
 }
 
 PointMotion::Place PointMotion::moved(const Eigen::Vector2d& shown_px, const Turn& turn) const {
   const Mean mean = mean_at(shown_px);
-  const Eigen::Vector3d seen = camera_.ray(shown_px - mean.shown_offset_px);
-  const Eigen::Vector3d direction = turn.homography * seen;
-  Place place{camera_.project(direction), std::nullopt};
-  if (mean.share_with_residual == 0) {
-    place.direction = direction;
-    return place;
-  }
-  if (turn.rotation != turn.homography) {
-    place.pixel_px += mean.share_with_residual * (camera_.project(turn.rotation * seen) - place.pixel_px);
-  }
-  place.pixel_px += turn.seconds * mean.velocity_px_s;
-  return place;
+  const Eigen::Vector3d direction = turn.rotation * camera_.ray(shown_px - mean.shown_offset_px);
+  const Eigen::Vector2d turned_px = camera_.project(direction);
+  if (mean.share_with_residual == 0) return {turned_px, direction};
+  return {turned_px + turn.seconds * mean.velocity_px_s, std::nullopt};
 }
 
 }  // namespace gyro_deblur

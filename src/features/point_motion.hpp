@@ -12,7 +12,7 @@
 
 namespace gyro_deblur {
 
-/// Motion of an image's points by rotation, translation where it is known, and the residual velocities of its blocks.
+/// Motion of an image's points by rotation and the residual velocities of its blocks.
 /// What is said of blocks holds at their centres and is linear between them (beyond the outermost ones it stays what it
 /// is there), so that the image of a line does not break. Refers to what it was made of.
 class PointMotion {
@@ -22,7 +22,7 @@ class PointMotion {
 
   /// Motion between two instants.
   struct Turn {
-    Eigen::Matrix3d rotation, homography;
+    Eigen::Matrix3d rotation;
     double seconds;
   };
   /// Precondition: the motion covers the time between the two.
@@ -33,8 +33,8 @@ class PointMotion {
     /// In the camera's frame, any length; nothing where it is that of the pixel, which takes undistorting it.
     std::optional<Eigen::Vector3d> direction;
   };
-  /// Where a scene point goes in a turn that the image shows at `shown_px` at its beginning. Blocks with a residual
-  /// velocity go by rotation and that, others by the homography. Not finite beyond the range of the lens model.
+  /// Where a scene point goes in a turn that the image shows at `shown_px` at its beginning. Not finite beyond the
+  /// range of the lens model.
   Place moved(const Eigen::Vector2d& shown_px, const Turn& turn) const;
 
  private:

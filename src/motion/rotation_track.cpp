@@ -151,7 +151,7 @@ Eigen::Quaterniond RotationTrack::orientation(TimeNs t_ns) const {
   return interpolate(t_ns);
 }
 
-Eigen::Matrix3d RotationTrack::homography(TimeNs from_ns, TimeNs to_ns) const {
+Eigen::Matrix3d RotationTrack::rotation(TimeNs from_ns, TimeNs to_ns) const {
   require_covered({std::min(from_ns, to_ns), std::max(from_ns, to_ns)});
   return (interpolate(to_ns).conjugate() * interpolate(from_ns)).toRotationMatrix();
 }

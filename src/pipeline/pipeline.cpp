@@ -53,7 +53,7 @@ std::vector<Eigen::Vector2d> positions(const std::vector<cv::KeyPoint>& keypoint
 class StandingCamera : public CameraMotion {
  public:
   bool covers(const TimeRange& range) const override { return !range.empty(); }
-  Eigen::Matrix3d homography(TimeNs, TimeNs) const override { return Eigen::Matrix3d::Identity(); }
+  Eigen::Matrix3d rotation(TimeNs, TimeNs) const override { return Eigen::Matrix3d::Identity(); }
 };
 
 /// Blocks of a field beside no motion: that none was found does not say that there is none.

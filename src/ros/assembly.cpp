@@ -84,15 +84,15 @@ void mark_own(const TimeRange& own, AssembledFrame* assembled) {
 
 }  // namespace
 
-FrameAssembly::FrameAssembly(const Intake& intake, Sources sources, ThrottledLog* log)
-    : intake_(intake), sources_(std::move(sources)), log_(*log) {}
+FrameAssembly::FrameAssembly(const Intake& intake, Extrinsic extrinsic, ThrottledLog* log)
+    : intake_(intake), extrinsic_(std::move(extrinsic)), log_(*log) {}
 
 Readiness FrameAssembly::assemble(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {
   assembled->options = terms.config.pipeline;
   assembled->tracker_options = terms.config.tracker;
   assembled->rectified_input = terms.config.rectified_input;
   const Readiness readiness = find_all(terms, frame, assembled);
-  if (readiness == Readiness::READY) collect(terms, *frame, assembled);
+  if (readiness == Readiness::READY) collect(terms, assembled);
   return readiness;
 }
 
@@ -226,7 +226,7 @@ Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame,
   const std::string imu_frame = intake_.imu_frame();
   const bool ask_tf = !config.R_cam_imu || config.on_calibration_conflict == OnCalibrationConflict::ERROR;
   std::optional<Eigen::Matrix3d> from_tf;
-  if (ask_tf && sources_.extrinsic) from_tf = sources_.extrinsic(camera_frame, imu_frame);
+  if (ask_tf && extrinsic_) from_tf = extrinsic_(camera_frame, imu_frame);
   if (config.R_cam_imu) {
     *R_cam_imu = *config.R_cam_imu;
     try {
@@ -268,18 +268,13 @@ Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, As
   return find_extrinsic(terms, frame, &assembled->R_cam_imu);
 }
 
-void FrameAssembly::collect(const Terms& terms, const PendingFrame& frame, AssembledFrame* assembled) const {
+void FrameAssembly::collect(const Terms& terms, AssembledFrame* assembled) const {
   const Config& config = terms.config;
   const GyroReader& reader = intake_.gyro();
   const TimeRange own = own_range(config, *assembled), available = reader.available();
   assembled->coverage_text =
       coverage_text(own, available.empty() ? std::nullopt : std::optional(available), assembled->gyro);
   const TimeRange frame_cam = assembled->exposure->frame();
-  if (intake_.translation().expected()) {
-    assembled->translation =
-        intake_.translation().around(frame_cam, config, frame.image->header.frame_id, intake_.imu_frame(),
-                                     assembled->R_cam_imu, sources_.transform, &assembled->translation_text);
-  }
   TimeRange all = own;
   const auto reach = [&all, assembled](TimeNs camera_ns) {
     const TimeNs imu_ns = camera_ns + assembled->gyro.time_offset_ns;
@@ -289,10 +284,6 @@ void FrameAssembly::collect(const Terms& terms, const PendingFrame& frame, Assem
     if (!followed_cam) continue;
     const TimeNs since_ns = frame_cam.begin_ns - followed_cam->begin_ns;
     if (since_ns > 0 && since_ns <= kLongestTrackBreakNs) reach(followed_cam->begin_ns);
-  }
-  if (assembled->translation && !assembled->translation->velocities.empty()) {
-    reach(assembled->translation->velocities.front().t_ns);
-    reach(assembled->translation->velocities.back().t_ns);
   }
   assembled->samples = reader.window(all);
   mark_own(own, assembled);

@@ -1,4 +1,4 @@
-// Puts together what belongs to a frame: calibration, exposure, gyroscope samples, extrinsic, translation.
+// Puts together what belongs to a frame: calibration, exposure, gyroscope samples, extrinsic.
 #pragma once
 
 #include <array>
@@ -17,7 +17,6 @@
 #include "ros/frame_queue.hpp"
 #include "ros/intake.hpp"
 #include "ros/throttled_log.hpp"
-#include "ros/translation_input.hpp"
 
 namespace gyro_deblur {
 
@@ -33,12 +32,10 @@ struct AssembledFrame {
   std::optional<RowExposure> exposure;
   GyroOptions gyro;  ///< with the bias in use
   Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
-  /// Over the frame, the way from the image before it that is tracked, and the odometry.
+  /// Over the frame, and the way from the image before it that is tracked.
   std::vector<GyroSample> samples;
   std::size_t own_begin = 0, own_end = 0;  ///< indices of those that the frame itself needs
   std::string coverage_text;               ///< which of its own are missing, should some be
-  std::optional<TranslationJob> translation;
-  std::string translation_text;  ///< why there is none, where an odometry is expected
 };
 
 /// What a frame that is looked at can do.
@@ -51,12 +48,8 @@ enum class Readiness {
 /// The second station of a frame: looks into the intake for what belongs to it. Its owner serialises access.
 class FrameAssembly {
  public:
-  /// Where else things come from; each may be absent.
-  struct Sources {
-    /// R_cam_imu for (camera frame, IMU frame).
-    std::function<std::optional<Eigen::Matrix3d>(const std::string&, const std::string&)> extrinsic;
-    TranslationInput::Transform transform;
-  };
+  /// R_cam_imu for (camera frame, IMU frame), where tf has it.
+  using Extrinsic = std::function<std::optional<Eigen::Matrix3d>(const std::string&, const std::string&)>;
 
   /// What holds for a frame beside messages.
   struct Terms {
@@ -68,8 +61,8 @@ class FrameAssembly {
     bool timed_out = false;  ///< nothing is waited for any longer
   };
 
-  /// Both have to outlive this.
-  FrameAssembly(const Intake& intake, Sources sources, ThrottledLog* log);
+  /// @param extrinsic  may be absent; intake and log have to outlive this
+  FrameAssembly(const Intake& intake, Extrinsic extrinsic, ThrottledLog* log);
 
   /// Notes in `frame` what was found and whether it is settled, in `assembled` everything but the frame.
   Readiness assemble(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
@@ -96,10 +89,10 @@ class FrameAssembly {
   /// Gyroscope samples up to the frame's end, and how the sensors are mounted. Precondition: the exposure is known.
   Readiness find_motion(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
   /// Precondition: the frame is ready.
-  void collect(const Terms& terms, const PendingFrame& frame, AssembledFrame* assembled) const;
+  void collect(const Terms& terms, AssembledFrame* assembled) const;
 
   const Intake& intake_;
-  const Sources sources_;
+  const Extrinsic extrinsic_;
   ThrottledLog& log_;
 };
 

@@ -22,7 +22,7 @@ namespace {
 /// Callbacks only store, so these queues are short in practice; a burst must not be lost here, where nobody would count
 /// it.
 constexpr std::uint32_t kImageQueue = 100;
-/// Of odometry, exposures and the like, which may come at the rate of an IMU.
+/// Of exposures, which a driver's messages of any kind may bring, at the rate of an IMU at most.
 constexpr std::uint32_t kFastQueue = 1000;
 constexpr std::uint32_t kTfQueue = 100;
 
@@ -62,8 +62,6 @@ DeblurNodelet::~DeblurNodelet() {
   // Shutting a subscription down waits for its callback in progress; after this no callback runs any more.
   if (imu_) imu_->stop_listening(this);
   exposure_subscriber_.shutdown();
-  odometry_subscriber_.shutdown();
-  scene_depth_subscriber_.shutdown();
   diagnostics_timer_.stop();
   reset_service_.shutdown();
   bias_service_.shutdown();
@@ -132,9 +130,6 @@ void DeblurNodelet::onInit() {
   environment.extrinsic = [this](const std::string& camera_frame, const std::string& imu_frame) {
     return lookup_R_cam_imu(tf_buffer_, camera_frame, imu_frame);
   };
-  environment.transform = [this](const std::string& camera_frame, const std::string& body_frame) {
-    return lookup_T_cam_body(tf_buffer_, camera_frame, body_frame);
-  };
   environment.exposure_expected = [this] { return exposure_expected_.load(); };
   environment.request = [this] { return request(); };
 
@@ -165,10 +160,7 @@ void DeblurNodelet::onInit() {
   transport_ = std::make_unique<image_transport::ImageTransport>(nh);
   tf_static_subscriber_ = nh.subscribe("/tf_static", kTfQueue, &DeblurNodelet::on_transforms, this);
   tf_subscriber_ = nh.subscribe("/tf", kTfQueue, &DeblurNodelet::on_transforms, this);
-  odometry_subscriber_ =
-      nh.subscribe("odometry", kFastQueue, &DeblurNodelet::on_odometry, this, ros::TransportHints().tcpNoDelay());
-  scene_depth_subscriber_ = nh.subscribe("scene_depth", kFastQueue, &DeblurNodelet::on_scene_depth, this);
-  imu_->listen(this, [this](const sensor_msgs::Imu& imu) { on_imu(imu); });
+  imu_->listen(this, [this] { on_imu(); });
   report_.start(processor_->statistics(), std::chrono::steady_clock::now());
   advertise(output_queue(config.value_or(Config())));
   worker_ = std::thread(&DeblurNodelet::work, this);
@@ -396,22 +388,14 @@ void DeblurNodelet::on_camera_info(const sensor_msgs::CameraInfoConstPtr& info) 
   wake_worker();
 }
 
-void DeblurNodelet::on_imu(const sensor_msgs::Imu& imu) {
-  guarded("taking an IMU sample in", [&] { processor_->notice_imu(imu); });
+void DeblurNodelet::on_imu() {
+  guarded("taking an IMU sample in", [&] { processor_->notice_imu(); });
   wake_worker();
 }
 
 void DeblurNodelet::on_exposure(const ExposureConstPtr& exposure) {
   guarded("taking an exposure time in", [&] { processor_->add_exposure(*exposure); });
   wake_worker();
-}
-
-void DeblurNodelet::on_odometry(const nav_msgs::OdometryConstPtr& odometry) {
-  guarded("taking an odometry in", [&] { processor_->add_odometry(*odometry); });
-}
-
-void DeblurNodelet::on_scene_depth(const sensor_msgs::RangeConstPtr& depth) {
-  guarded("taking a depth of the scene in", [&] { processor_->add_scene_depth(*depth); });
 }
 
 void DeblurNodelet::on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event) {

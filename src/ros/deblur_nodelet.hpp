@@ -67,11 +67,9 @@ class DeblurNodelet : public nodelet::Nodelet {
   void on_image(const sensor_msgs::ImageConstPtr& image);
   void on_compressed_image(const sensor_msgs::CompressedImageConstPtr& image);
   void on_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
-  void on_imu(const sensor_msgs::Imu& imu);
+  void on_imu();
   void on_exposure(const ExposureConstPtr& exposure);
   void on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event);
-  void on_odometry(const nav_msgs::OdometryConstPtr& odometry);
-  void on_scene_depth(const sensor_msgs::RangeConstPtr& depth);
   void on_transforms(const tf2_msgs::TFMessageConstPtr& message);
   bool on_reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   bool on_estimate_bias(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
@@ -105,8 +103,6 @@ class DeblurNodelet : public nodelet::Nodelet {
   ros::Subscriber exposure_subscriber_;
   std::unique_ptr<ExposureAdapter> exposure_adapter_;  // null for the package's own message
   bool configured_ = false;                            // not while the first configuration is refused for any key
-  ros::Subscriber odometry_subscriber_;
-  ros::Subscriber scene_depth_subscriber_;
   std::atomic<bool> exposure_expected_{false};
   std::atomic<TimeNs> last_image_ns_{0};  // steady clock
 

@@ -67,14 +67,6 @@ void add_imu(const DiagnosticReport::Moment& now, DiagnosticStatusWrapper* statu
   status->add("imu saturated", now.statistics.imu_saturated);
 }
 
-void add_translation(const ProcessorStatistics& now, DiagnosticStatusWrapper* status) {
-  if (now.frames_translated + now.frames_not_translated == 0) return;
-  status->add("frames with translation", now.frames_translated);
-  status->add("frames without, though there is odometry", now.frames_not_translated);
-  if (!now.translation_text.empty()) status->add("why without translation", now.translation_text);
-  status->add("odometry refused", now.odometry_refused);
-}
-
 /// What the images have shown to be wrong, and what to do.
 std::string error_text(const GyroError& error, const Eigen::Vector3d& bias_rad_s) {
   char text[160];
@@ -161,7 +153,6 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
   add_motion_from_images(now, status);
   add_imu(now, status);
   status->add("time jumps", now.statistics.time_jumps);
-  add_translation(now.statistics, status);
   add_gyro_buffer(now, status);
   add_latencies(status);
   status->add("engine", now.statistics.engine.empty() ? "none" : now.statistics.engine);

@@ -47,7 +47,6 @@ void Intake::forget(Stream stream, ShownBy shown_by) {
   switch (stream) {
     case Stream::IMU:
       if (!itself) gyro_.forget();  // else the source has
-      translation_.forget_forces();
       break;
     case Stream::IMAGE:
       itself ? queue_.settle_all(PassThroughReason::TIME_JUMP, kText)
@@ -75,7 +74,6 @@ void Intake::handle(TimeJumpDetector::Verdict verdict, Stream stream, TimeNs fro
       break;
   }
   ++statistics_.time_jumps;
-  translation_.clear();
   for (const Stream every : {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE}) {
     forget(every, every == stream ? ShownBy::ITSELF : ShownBy::OTHER);
   }
@@ -136,11 +134,6 @@ bool Intake::has_timed_out(const PendingFrame& frame, TimeNs now_ns, TimeNs time
          (clocks_.steady && steady_now() - frame.arrival_steady_ns >= kSteadyTimeoutFactor * timeout_ns);
 }
 
-void Intake::notice_imu(const sensor_msgs::Imu& imu) {
-  now();
-  translation_.add(imu);
-}
-
 void Intake::add_exposure(const Exposure& exposure) {
   now();
   const TimeNs stamp_ns = to_time_ns(exposure.header.stamp);
@@ -153,23 +146,6 @@ void Intake::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   const TimeNs stamp_ns = to_time_ns(info->header.stamp);
   note_time(Stream::CAMERA_INFO, stamp_ns);
   infos_.add(stamp_ns, info, store_size());
-}
-
-void Intake::add_odometry(const nav_msgs::Odometry& odometry) {
-  now();
-  for (const RefusedMessage& refused : translation_.add(odometry, config_)) {
-    ++statistics_.odometry_refused;
-    throttled_log_(LogLevel::WARNING, "odometry refused",
-                   "odometry at " + seconds_text(refused.stamp_ns) + " s ignored: " + refused.why);
-  }
-}
-
-void Intake::add_scene_depth(const sensor_msgs::Range& depth) {
-  now();
-  for (const RefusedMessage& refused : translation_.add(depth, config_)) {
-    throttled_log_(LogLevel::WARNING, "scene depth refused",
-                   "scene_depth at " + seconds_text(refused.stamp_ns) + " s ignored: " + refused.why);
-  }
 }
 
 void Intake::add_frame(PendingFrame frame) {
@@ -193,7 +169,6 @@ void Intake::reset() {
   gyro_.forget();
   infos_.reset();
   exposures_.reset();
-  translation_.clear();
   frame_period_.clear();
   jumps_.clear();
 }

@@ -7,11 +7,9 @@
 #include <optional>
 #include <string>
 
-#include <nav_msgs/Odometry.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
-#include <sensor_msgs/Range.h>
 
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/exposure.hpp"
@@ -21,14 +19,12 @@
 #include "ros/messages.hpp"
 #include "ros/throttled_log.hpp"
 #include "ros/time_jump.hpp"
-#include "ros/translation_input.hpp"
 
 namespace gyro_deblur {
 
 /// What has come in since the start.
 struct IntakeStatistics {
   std::size_t frames_in = 0;
-  std::size_t odometry_refused = 0;
   std::size_t time_jumps = 0;
 };
 
@@ -56,13 +52,9 @@ class Intake {
 
   void set_config(const Config& config);
 
-  /// The source of samples has taken this message in.
-  void notice_imu(const sensor_msgs::Imu& imu);
   void add_exposure(const Exposure& exposure);
   void add_exposure_setting(TimeNs exposure_ns) { exposure_setting_ns_ = exposure_ns; }
   void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
-  void add_odometry(const nav_msgs::Odometry& odometry);
-  void add_scene_depth(const sensor_msgs::Range& depth);
   /// Precondition of the frame: image, stamp, and a verdict if it is not usable.
   void add_frame(PendingFrame frame);
 
@@ -90,7 +82,6 @@ class Intake {
   std::string imu_frame() const { return gyro_source_->frame_id(); }
   /// True while the IMU is expected to follow a reset of time: what it brings is still old.
   bool imu_is_stale() const { return jumps_.is_stale(Stream::IMU); }
-  const TranslationInput& translation() const { return translation_; }
   const IntakeStatistics& statistics() const { return statistics_; }
 
  private:
@@ -116,7 +107,6 @@ class Intake {
   Exposures exposures_;
   CameraInfos infos_;
   std::optional<TimeNs> exposure_setting_ns_;
-  TranslationInput translation_;
   FramePeriod frame_period_;
   FrameQueue queue_;
   IntakeStatistics statistics_;

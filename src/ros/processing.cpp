@@ -12,7 +12,6 @@
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/overlay.hpp"
 #include "gyro_deblur/rotation_track.hpp"
-#include "gyro_deblur/translation.hpp"
 #include "ros/calibration_conversion.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/output_conversion.hpp"
@@ -24,34 +23,6 @@ namespace {
 double elapsed_ms(std::chrono::steady_clock::time_point since) {
   return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - since).count();
 }
-
-/// How the camera moved: one rotation over all that the frame needs, and the translation where it is known.
-class FrameMotion {
- public:
-  /// @param translation_text  set to why there is no translation, where one is expected
-  FrameMotion(const AssembledFrame& assembled, std::string* translation_text)
-      : rotation_(assembled.samples, assembled.gyro, assembled.R_cam_imu, assembled.own_begin) {
-    *translation_text = assembled.translation_text;
-    if (!assembled.translation) return;
-    const TranslationJob& job = *assembled.translation;
-    const std::optional<BodyVelocity> velocity =
-        fit_velocity(job.velocities, job.forces, rotation_, job.R_cam_body, assembled.exposure->frame(), job.options,
-                     translation_text);
-    if (velocity) translated_.emplace(rotation_, *velocity, job.p_cam_body_m, job.depth_m);
-  }
-  FrameMotion(const FrameMotion&) = delete;
-  FrameMotion& operator=(const FrameMotion&) = delete;
-
-  bool is_translated() const { return translated_.has_value(); }
-  const RotationTrack& rotation() const { return rotation_; }
-  const CameraMotion& motion() const {
-    return translated_ ? static_cast<const CameraMotion&>(*translated_) : rotation_;
-  }
-
- private:
-  RotationTrack rotation_;
-  std::optional<TranslatedMotion> translated_;  // refers to rotation_
-};
 
 /// What is wrong with saturated samples among those that the frame itself needs; empty when there is none.
 std::string saturation_text(const AssembledFrame& assembled) {
@@ -69,12 +40,12 @@ std::string saturation_text(const AssembledFrame& assembled) {
 }
 
 /// The blur field's message, and why blocks or the whole frame are as they were.
-void add_field(const AssembledFrame& assembled, const FrameMotion& motion, const FrameBlur& field,
+void add_field(const AssembledFrame& assembled, const RotationTrack& rotation, const FrameBlur& field,
                FrameOutput* output) {
   const sensor_msgs::Image& image = *assembled.frame.image;
   output->blur_field = to_message(field, image.header);
   const std::size_t uncovered = field.count(BlockStatus::NO_GYRO);
-  const bool gyro_covers = motion.rotation().covers(assembled.exposure->frame());
+  const bool gyro_covers = rotation.covers(assembled.exposure->frame());
   const std::string saturation = gyro_covers ? "" : saturation_text(assembled);
   if (uncovered > 0) {
     output->reason_text = gyro_covers          ? "blocks lie beyond the range of the lens model"
@@ -89,9 +60,6 @@ void add_field(const AssembledFrame& assembled, const FrameMotion& motion, const
   }
   if (field.images_alone && output->reason == PassThroughReason::NONE) {
     output->reason_text = "images alone: " + (saturation.empty() ? assembled.coverage_text : saturation);
-  }
-  if (output->reason_text.empty() && !output->translation_text.empty()) {
-    output->reason_text = "rotation only: " + output->translation_text;
   }
   output->blur_field->reason_text = output->reason_text;
 }
@@ -121,14 +89,13 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
 
   pipeline.set_options(assembled.options);
   pipeline.set_calibration(*frame.calibration);
-  const FrameMotion motion(assembled, &output->translation_text);
-  output->translated = motion.is_translated();
+  const RotationTrack rotation(assembled.samples, assembled.gyro, assembled.R_cam_imu, assembled.own_begin);
   PipelineRequest wanted{request.image, request.keypoints, request.tracks, request.global_shutter};
   std::string refusal;
   if (request.permit) {
     wanted.permit = [&](const FrameBlur& field) { return (refusal = request.permit(field)).empty(); };
   }
-  PipelineResult result = pipeline.process(view.image, view.layout, motion.motion(), *assembled.exposure, wanted);
+  PipelineResult result = pipeline.process(view.image, view.layout, rotation, *assembled.exposure, wanted);
   output->stages = result.times;
   if (result.residual_rotation) {
     const Eigen::Matrix3d R_imu_cam = assembled.R_cam_imu.transpose();
@@ -144,8 +111,8 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   if (request.tracks) {
     start = std::chrono::steady_clock::now();
     tracker->set_options(assembled.tracker_options);
-    output->tracks = to_message(
-        tracker->track(result.luminance, Camera(*frame.calibration), motion.rotation(), *assembled.exposure), header);
+    output->tracks =
+        to_message(tracker->track(result.luminance, Camera(*frame.calibration), rotation, *assembled.exposure), header);
     output->tracks_ms = elapsed_ms(start);
   }
 
@@ -159,7 +126,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   }
   if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
   if (refusal.empty()) {
-    add_field(assembled, motion, result.field, output);
+    add_field(assembled, rotation, result.field, output);
     output->field = std::move(result.field);
   } else {
     output->reason = PassThroughReason::PARTNER;

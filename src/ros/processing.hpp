@@ -53,8 +53,6 @@ struct FrameOutput {
   std::optional<FrameBlur> field;                     ///< of the core; absent when the pipeline did not run
   SlowBlocks slow_blocks;                             ///< that left the engine's fast path, by reason
   std::string engine_warning;                         ///< what the engine has to tell; mostly empty
-  bool translated = false;                            ///< odometry and depth were used
-  std::string translation_text;                       ///< why not, where an odometry is expected; else empty
   std::optional<ResidualRotation> residual_rotation;  ///< axes of the IMU; absent where images tell too little
   StageTimes stages;                                  ///< [ms]
   double tracks_ms = 0;                               ///< of following corners

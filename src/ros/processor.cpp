@@ -32,7 +32,7 @@ Processor::Processor(Environment environment)
       tracker_(TrackerOptions{}),
       intake_({environment_.clock, environment_.steady_clock}, gyro_source_, environment_.exposure_expected,
               environment_.log, &log_),
-      assembly_(intake_, {environment_.extrinsic, environment_.transform}, &log_) {}
+      assembly_(intake_, environment_.extrinsic, &log_) {}
 
 void Processor::set_config(const Config& config) {
   config.validate();
@@ -70,17 +70,13 @@ void Processor::set_config_error(const std::string& text) {
 }
 
 void Processor::add_imu(const sensor_msgs::Imu& imu) {
-  if (gyro_source_->add(imu)) {
-    notice_imu(imu);
-  } else {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    intake_.now();
-  }
+  gyro_source_->add(imu);
+  notice_imu();
 }
 
-void Processor::notice_imu(const sensor_msgs::Imu& imu) {
+void Processor::notice_imu() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  intake_.notice_imu(imu);
+  intake_.now();
   note_ready();
 }
 
@@ -100,16 +96,6 @@ void Processor::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   const std::lock_guard<std::mutex> lock(mutex_);
   intake_.add_camera_info(info);
   note_ready();
-}
-
-void Processor::add_odometry(const nav_msgs::Odometry& odometry) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  intake_.add_odometry(odometry);
-}
-
-void Processor::add_scene_depth(const sensor_msgs::Range& depth) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  intake_.add_scene_depth(depth);
 }
 
 void Processor::add_image(const sensor_msgs::ImageConstPtr& image) {
@@ -224,9 +210,6 @@ void Processor::note(const FrameOutput& output) {
   const TimeNs stamp_ns = to_time_ns(output.input->header.stamp);
   const std::string name = "frame " + seconds_text(stamp_ns);
   if (output.residual_rotation) gyro_errors_.add(stamp_ns, *output.residual_rotation);
-  if (!output.translation_text.empty()) {
-    log_(LogLevel::WARNING, "translation", name + " is deblurred with the rotation alone: " + output.translation_text);
-  }
   if (!output.keypoints_text.empty()) {
     log_(LogLevel::ERROR, "keypoints", name + " has no keypoints: " + output.keypoints_text);
   }

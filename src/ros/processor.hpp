@@ -7,11 +7,9 @@
 #include <optional>
 #include <string>
 
-#include <nav_msgs/Odometry.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
-#include <sensor_msgs/Range.h>
 
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
@@ -46,9 +44,7 @@ class Processor {
     /// for `clock` alone, and there is all the time of the world to process them.
     std::function<TimeNs()> steady_clock;
     /// R_cam_imu for (camera frame, IMU frame); absent: from the configuration only.
-    std::function<std::optional<Eigen::Matrix3d>(const std::string&, const std::string&)> extrinsic;
-    /// Pose of a body in the camera's frame, for (camera frame, body frame); absent: from the configuration only.
-    TranslationInput::Transform transform;
+    FrameAssembly::Extrinsic extrinsic;
     /// True when somebody will send exposure messages. Once one has come they are expected anyway.
     std::function<bool()> exposure_expected;
     /// What is wanted of the frame that is about to be processed; absent: image and keypoints.
@@ -70,15 +66,12 @@ class Processor {
   void set_config_error(const std::string& text);
 
   void add_imu(const sensor_msgs::Imu& imu);
-  /// A shared source has taken this message in.
-  void notice_imu(const sensor_msgs::Imu& imu);
+  /// A shared source has taken a message in.
+  void notice_imu();
   void add_exposure(const Exposure& exposure);
   /// A setting that holds for the images from now on, until the next.
   void add_exposure_setting(TimeNs exposure_ns);
   void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
-  /// Velocity and depth of the scene. Frames never wait for them: they may come from the frames themselves.
-  void add_odometry(const nav_msgs::Odometry& odometry);
-  void add_scene_depth(const sensor_msgs::Range& depth);
   void add_image(const sensor_msgs::ImageConstPtr& image);
 
   /// Hands every frame that can leave to `sink`. Exceptions of processing become INTERNAL_ERROR; those of `sink` pass.

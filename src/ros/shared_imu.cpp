@@ -97,7 +97,7 @@ std::size_t SharedImu::listeners() const {
 void SharedImu::on_imu(const sensor_msgs::ImuConstPtr& imu) {
   if (!source_->add(*imu)) return;
   const std::lock_guard<std::mutex> lock(mutex_);
-  for (const auto& [owner, listener] : listeners_) listener(*imu);
+  for (const auto& [owner, listener] : listeners_) listener();
 }
 
 }  // namespace gyro_deblur

@@ -20,7 +20,7 @@ namespace gyro_deblur {
 class SharedImu {
  public:
   /// Told of every message that the source has taken in, in order. Must neither throw nor call back.
-  using Listener = std::function<void(const sensor_msgs::Imu&)>;
+  using Listener = std::function<void()>;
 
   /// The one of this process for the topic and the same limits of samples, which is made when nobody has one.
   /// @param topic  resolved name

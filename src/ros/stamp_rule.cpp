@@ -15,7 +15,6 @@ StampLimits imu_stamps(TimeNs max_gap_ns, TimeNs time_jump_ns) {
   limits.late_reset_ns = max_gap_ns;
   // Samples come in turn. After one whose stamp is ahead by a step or more, the next one's is not after it: half a step
   // from either, to know it from one that is late itself. At once: at 4 kHz hundreds may follow before its stamp.
-  limits.newest_disbelieved = 1;
   limits.ahead_steps = 1.5;
   return limits;
 }
@@ -29,16 +28,6 @@ StampLimits watched_stamps(TimeNs time_jump_ns) {
   limits.ahead_believed = 2;
   // At once: frames wait for what is not going to come, and each of the streams has to be told from its old messages.
   limits.back_believed = 1;
-  return limits;
-}
-
-StampLimits translation_stamps(TimeNs time_jump_ns) {
-  StampLimits limits;
-  // An odometry may be silent for as long as it likes, so that any stamp ahead is taken at first.
-  limits.newest_disbelieved = 2;
-  // It may come ten times a second: a third message would be a frame or more too late.
-  limits.late_believed = 2;
-  limits.late_reset_ns = time_jump_ns;
   return limits;
 }
 

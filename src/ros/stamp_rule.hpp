@@ -25,18 +25,18 @@ struct StampLimits {
   TimeNs back_ns = kAnyTime;   ///< up to this before the newest one is late; farther back it is far
   TimeNs step_ns = kAnyTime;   ///< farther off, a message agrees with the one before when it is up to this after it...
   bool repeats_agree = false;  ///< ... or not more than back_ns before it, whether or not it fits as well
-  std::size_t ahead_believed = kNever;      ///< >= 2; so many in a row that are ahead: the stream was silent
-  std::size_t back_believed = kNever;       ///< >= 1; so many in a row that are farther back: time was reset
-  std::size_t late_believed = 2;            ///< >= 2; so many in a row that are late, and the first of them farther
-  TimeNs late_reset_ns = kAnyTime;          ///< back than this (>= 0): time was set back
-  std::size_t newest_disbelieved = kNever;  ///< >= 1; so many between the newest and the one before: it was ahead...
-  double ahead_steps = 0;                   ///< ... if it is farther from that one than so many typical steps
+  std::size_t ahead_believed = kNever;  ///< >= 2; so many in a row that are ahead: the stream was silent
+  std::size_t back_believed = kNever;   ///< >= 1; so many in a row that are farther back: time was reset
+  std::size_t late_believed = 2;        ///< >= 2; so many in a row that are late, and the first of them farther
+  TimeNs late_reset_ns = kAnyTime;      ///< back than this (>= 0): time was set back
+  /// Where one comes that is not after the newest: the newest was ahead if it is farther from the one before than so
+  /// many typical steps; 0: it never was.
+  double ahead_steps = 0;
 };
 
 /// The limits of each stream; the reasons stand with the values.
 StampLimits imu_stamps(TimeNs max_gap_ns, TimeNs time_jump_ns);
-StampLimits watched_stamps(TimeNs time_jump_ns);      ///< of what TimeJumpDetector watches
-StampLimits translation_stamps(TimeNs time_jump_ns);  ///< odometry and depth of the scene
+StampLimits watched_stamps(TimeNs time_jump_ns);  ///< of what TimeJumpDetector watches
 
 /// What is wrong with a stamp.
 enum class Misfit {
@@ -124,7 +124,7 @@ class StampRule {
         return take(message, ruling);
       case Fit::REPEATED:
         refuse(&far_, Misfit::FAR, ruling);
-        if (limits.newest_disbelieved == 1 && newest_is_ahead(message.t_ns, limits)) {
+        if (newest_is_ahead(message.t_ns, limits)) {
           give_newest_back(Misfit::REPEATED, ruling);
           return take(message, ruling);
         }
@@ -160,18 +160,13 @@ class StampRule {
   void hold_late(const Message& message, const StampLimits& limits, Ruling* ruling) {
     ruling->late = true;
     if (!late_.empty() && message.t_ns <= late_.back().t_ns) refuse(&late_, Misfit::LATE, ruling);
-    late_.push_back(message);
-    if (late_.size() >= limits.newest_disbelieved) {
-      const auto first = late_.end() - static_cast<std::ptrdiff_t>(limits.newest_disbelieved);
-      if (newest_is_ahead(first->t_ns, limits)) {
-        ruling->late = false;
-        std::vector<Message> right(first, late_.end());
-        late_.erase(first, late_.end());
-        refuse(&late_, Misfit::LATE, ruling);
-        give_newest_back(Misfit::AHEAD, ruling);
-        return take_held(&right, ruling);
-      }
+    if (newest_is_ahead(message.t_ns, limits)) {
+      ruling->late = false;
+      refuse(&late_, Misfit::LATE, ruling);
+      give_newest_back(Misfit::AHEAD, ruling);
+      return take(message, ruling);
     }
+    late_.push_back(message);
     if (late_.size() >= limits.late_believed) {
       if (newest_->t_ns - late_.front().t_ns > limits.late_reset_ns) {
         reset(late_.front().t_ns, ruling);
@@ -183,11 +178,10 @@ class StampRule {
     }
   }
 
-  /// Whether the newest came before its turn, when others that are not after it begin with this one.
-  bool newest_is_ahead(TimeNs first_ns, const StampLimits& limits) const {
-    if (!before_newest_ || first_ns <= before_newest_->t_ns) return false;
-    if (limits.ahead_steps <= 0) return true;
-    if (steps_ < kEnoughSteps) return false;
+  /// Whether the newest came before its turn, when this one comes and is not after it.
+  bool newest_is_ahead(TimeNs stamp_ns, const StampLimits& limits) const {
+    if (limits.ahead_steps <= 0 || steps_ < kEnoughSteps) return false;
+    if (!before_newest_ || stamp_ns <= before_newest_->t_ns) return false;
     const auto end = steps_ns_.begin() + static_cast<std::ptrdiff_t>(std::min(steps_, steps_ns_.size()));
     const double typical_ns = static_cast<double>(median(std::vector<TimeNs>(steps_ns_.begin(), end)));
     return static_cast<double>(newest_->t_ns - before_newest_->t_ns) > limits.ahead_steps * typical_ns;

@@ -14,11 +14,6 @@ void OutputStatistics::count(const FrameOutput& output) {
   if (output.field && output.field->images_alone && output.reason == PassThroughReason::NONE) ++frames_by_images_alone;
   for (const auto& [reason, number] : output.slow_blocks) slow_blocks[reason] += number;
   keypoints_text = output.keypoints_text;
-  if (output.translated) ++frames_translated;
-  if (!output.translation_text.empty()) {
-    ++frames_not_translated;
-    translation_text = output.translation_text;
-  }
 }
 
 }  // namespace gyro_deblur

@@ -27,9 +27,6 @@ struct OutputStatistics {
   std::size_t blocks_from_images = 0;         ///< of those, whose motion is also from the images
   SlowBlocks slow_blocks;                     ///< that left the engine's fast path, by reason
   std::size_t frames_by_images_alone = 0;     ///< deblurred without a gyroscope
-  std::size_t frames_translated = 0;          ///< whose blur field has the odometry's translation
-  std::size_t frames_not_translated = 0;      ///< without, though an odometry is there
-  std::string translation_text;               ///< why the newest of those is without
   std::string keypoints_text;                 ///< why the newest frame could have no keypoints; else empty
 
   void count(const FrameOutput& output);

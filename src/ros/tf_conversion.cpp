@@ -21,25 +21,13 @@ void add_transforms(const tf2_msgs::TFMessage& message, tf2::BufferCore* buffer)
 
 std::optional<Eigen::Matrix3d> lookup_R_cam_imu(const tf2::BufferCore& buffer, const std::string& camera_frame_id,
                                                 const std::string& imu_frame_id) {
-  const std::optional<Eigen::Isometry3d> T_cam_imu = lookup_T_cam_body(buffer, camera_frame_id, imu_frame_id);
-  if (!T_cam_imu) return std::nullopt;
-  return T_cam_imu->linear();
-}
-
-std::optional<Eigen::Isometry3d> lookup_T_cam_body(const tf2::BufferCore& buffer, const std::string& camera_frame_id,
-                                                   const std::string& body_frame_id) {
   const std::string camera_frame = tf2_name(camera_frame_id);
-  const std::string body_frame = tf2_name(body_frame_id);
-  if (camera_frame.empty() || body_frame.empty()) return std::nullopt;
+  const std::string imu_frame = tf2_name(imu_frame_id);
+  if (camera_frame.empty() || imu_frame.empty()) return std::nullopt;
   try {
-    if (!buffer.canTransform(camera_frame, body_frame, ros::Time(0))) return std::nullopt;
-    const auto transform = buffer.lookupTransform(camera_frame, body_frame, ros::Time(0));
-    const auto& q = transform.transform.rotation;
-    const auto& p = transform.transform.translation;
-    Eigen::Isometry3d T_cam_body = Eigen::Isometry3d::Identity();
-    T_cam_body.linear() = Eigen::Quaterniond(q.w, q.x, q.y, q.z).normalized().toRotationMatrix();
-    T_cam_body.translation() = Eigen::Vector3d(p.x, p.y, p.z);
-    return T_cam_body;
+    if (!buffer.canTransform(camera_frame, imu_frame, ros::Time(0))) return std::nullopt;
+    const auto q = buffer.lookupTransform(camera_frame, imu_frame, ros::Time(0)).transform.rotation;
+    return Eigen::Quaterniond(q.w, q.x, q.y, q.z).normalized().toRotationMatrix();
   } catch (const tf2::TransformException&) {
     return std::nullopt;  // went away between the two calls, or a frame name that tf refuses
   }

@@ -1,4 +1,4 @@
-// Poses out of tf.
+// Rotations out of tf.
 #pragma once
 
 #include <optional>
@@ -18,9 +18,5 @@ void add_transforms(const tf2_msgs::TFMessage& message, tf2::BufferCore* buffer)
 /// Rotation that takes IMU coordinates to camera coordinates, the newest that tf has; nothing when it has none.
 std::optional<Eigen::Matrix3d> lookup_R_cam_imu(const tf2::BufferCore& buffer, const std::string& camera_frame,
                                                 const std::string& imu_frame);
-
-/// The same with the body's place: takes coordinates of `body_frame` to those of `camera_frame`.
-std::optional<Eigen::Isometry3d> lookup_T_cam_body(const tf2::BufferCore& buffer, const std::string& camera_frame,
-                                                   const std::string& body_frame);
 
 }  // namespace gyro_deblur

@@ -170,11 +170,6 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
                    {"duplicate", statistics.imu_duplicate}, {"out_of_order", statistics.imu_out_of_order},
                    {"stray", statistics.imu_stray},         {"without_gyroscope", statistics.imu_without_gyroscope},
                    {"saturated", statistics.imu_saturated}};
-  if (!topics.odometry.empty()) {
-    report["translation"] = {{"frames_with", statistics.frames_translated},
-                             {"frames_without", statistics.frames_not_translated},
-                             {"odometry_refused", statistics.odometry_refused}};
-  }
   report["blocks_off_fast_path"] = statistics.slow_blocks;
   report["time_jumps"] = statistics.time_jumps;
   report["gyro_bias_rad_s"] = {outcome.bias_rad_s.x(), outcome.bias_rad_s.y(), outcome.bias_rad_s.z()};
@@ -238,9 +233,6 @@ int main_of(int argc, char** argv) {
   app.add_option("--imu-topic", arguments.topics.imu, "sensor_msgs/Imu");
   app.add_option("--exposure-topic", arguments.topics.exposure,
                  "gyro_deblur/Exposure, or what exposure_source says [exposure beside the images]");
-  app.add_option("--odometry-topic", arguments.topics.odometry, "nav_msgs/Odometry, for the translation [none]");
-  app.add_option("--scene-depth-topic", arguments.topics.scene_depth,
-                 "sensor_msgs/Range, the scene's median depth [none: parameter scene_depth]");
   app.add_option("--output-namespace", arguments.topics.output_namespace, "of the topics written [that of the images]");
   app.add_flag("--keep-all-topics", arguments.keep_all_topics, "copy every message of the input as well");
   app.add_option("--estimate-bias-first", arguments.bias_seconds,

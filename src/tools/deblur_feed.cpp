@@ -8,13 +8,11 @@
 #include <utility>
 #include <vector>
 
-#include <nav_msgs/Odometry.h>
 #include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
-#include <sensor_msgs/Range.h>
 #include <tf2_msgs/TFMessage.h>
 
 #include "ros/conversions.hpp"
@@ -27,8 +25,7 @@ ros::Time Slice::read_from() const { return std::max(to_ros_time(begin_ns - lead
 
 TimeNs lead_ns(const Config& config) {
   return config.gyro.buffer_ns + std::abs(config.gyro.time_offset_ns) + config.gyro_timeout_ns +
-         std::max(
-             {config.exposure_max_age_ns, config.translation.depth_max_age_ns, velocity_reach_ns(config.translation)});
+         config.exposure_max_age_ns;
 }
 
 DeblurFeed::DeblurFeed(const DeblurTopics& topics, const Config& config, const FrameRequest& request, Log log)
@@ -46,9 +43,6 @@ Processor::Environment DeblurFeed::environment(const FrameRequest& request) {
   environment.log = log_;
   environment.extrinsic = [this](const std::string& camera_frame, const std::string& imu_frame) {
     return lookup_R_cam_imu(tf_buffer_, camera_frame, imu_frame);
-  };
-  environment.transform = [this](const std::string& camera_frame, const std::string& body_frame) {
-    return lookup_T_cam_body(tf_buffer_, camera_frame, body_frame);
   };
   environment.exposure_expected = [this] { return !topics_.exposure.empty(); };
   environment.request = [request] { return request; };
@@ -91,10 +85,6 @@ bool DeblurFeed::take(const rosbag::MessageInstance& instance, bool with_images)
     return with_images && take_image(instance);
   } else if (topic == topics_.exposure) {
     take_exposure(instance);
-  } else if (topic == topics_.odometry) {
-    if (const auto message = read_message<nav_msgs::Odometry>(instance)) processor_.add_odometry(*message);
-  } else if (topic == topics_.scene_depth) {
-    if (const auto message = read_message<sensor_msgs::Range>(instance)) processor_.add_scene_depth(*message);
   } else if (topic == "/tf") {
     if (const auto message = read_message<tf2_msgs::TFMessage>(instance)) add_transforms(*message, &tf_buffer_);
   }

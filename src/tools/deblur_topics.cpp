@@ -3,12 +3,10 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include <nav_msgs/Odometry.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
-#include <sensor_msgs/Range.h>
 
 #include "ros/messages.hpp"
 
@@ -61,13 +59,6 @@ DeblurTopics choose(const InputBag& input, const NamedTopics& named, const Confi
     chosen.exposure = named.exposure;
   } else {
     throw std::runtime_error("exposure_source of the configuration needs --exposure-topic with a topic of the bag");
-  }
-  // Never by their type alone: a bag's odometry may be that of something else.
-  if (!named.odometry.empty()) {
-    chosen.odometry = input.choose_topic<nav_msgs::Odometry>("odometry", named.odometry, "", false);
-  }
-  if (!named.scene_depth.empty()) {
-    chosen.scene_depth = input.choose_topic<sensor_msgs::Range>("scene depth", named.scene_depth, "", false);
   }
   chosen.output_namespace = named.output_namespace.empty() ? beside : named.output_namespace;
   return chosen;

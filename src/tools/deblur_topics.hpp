@@ -13,7 +13,6 @@ namespace gyro_deblur {
 struct NamedTopics {
   std::string camera_namespace;  ///< stands for the images on NAMESPACE/image_raw
   std::string image, camera_info, imu, exposure;
-  std::string odometry, scene_depth;  ///< empty: none
   std::string output_namespace;
 };
 
@@ -27,8 +26,8 @@ struct OutputTopics {
 
 struct DeblurTopics {
   std::string image, imu;
-  bool compressed = false;                                   ///< the images are
-  std::string camera_info, exposure, odometry, scene_depth;  ///< empty: none
+  bool compressed = false;            ///< the images are
+  std::string camera_info, exposure;  ///< empty: none
   std::string output_namespace;
 };
 

@@ -57,13 +57,9 @@ std::string dump(const Config& c) {
     << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\ndetector "
     << c.pipeline.keypoints.detector << "\ndescriptor " << c.pipeline.keypoints.descriptor << "\nmax_features "
     << c.pipeline.keypoints.max_features << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
-    << c.pipeline.keypoints.grid_rows << "\np_cam_imu " << c.p_cam_imu_m.transpose() << "\nscene_depth "
-    << c.translation.scene_depth_m << ' ' << c.translation.depth_max_age_ns << "\nodometry " << c.translation.max_age_ns
-    << ' ' << c.translation.max_speed_m_s << ' ' << c.translation.max_acceleration_m_s2 << ' '
-    << c.translation.max_stddev_m_s << ' ' << static_cast<int>(c.odometry_clock) << ' '
-    << static_cast<int>(c.odometry_twist_frame) << "\ntracker " << c.tracker.max_tracks << ' '
-    << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' '
-    << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' ' << c.tracker.levels;
+    << c.pipeline.keypoints.grid_rows << "\ntracker " << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' '
+    << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' '
+    << c.tracker.window_px << ' ' << c.tracker.levels;
   return s.str();
 }
 
@@ -92,13 +88,6 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"bias_window", "2"},
       {"bias_max_stddev", "0.1"},
       {"time_jump_threshold", "1"},
-      {"p_cam_imu", "[0.1, -0.2, 0.3]"},
-      {"scene_depth", "2.5"},
-      {"scene_depth_max_age", "0.5"},
-      {"odometry_max_age", "0.1"},
-      {"odometry_max_speed", "3"},
-      {"odometry_max_acceleration", "50"},
-      {"odometry_max_stddev", "0.1"},
       {"max_tracks", "300"},
       {"track_min_distance", "20"},
       {"track_border", "20"},
@@ -106,8 +95,6 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"track_max_epipolar", "2"},
       {"track_window", "31"},
       {"track_levels", "4"},
-      {"odometry_clock", "imu"},
-      {"odometry_twist_frame", "parent"},
       {"rectify_to", "stamp"},
       {"global_shutter_border", "replicate"},
       {"engine", "float"},
@@ -221,6 +208,7 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
   EXPECT_NO_THROW(parse("gama: 0.1"));
   EXPECT_EQ(unknown_key_message("gama"), "gama is not known, ignored");
   EXPECT_EQ(unknown_key_message("backend"), "backend is not known, ignored: it is now called engine");
+  EXPECT_NE(unknown_key_message("odometry_clock").find("motion_from_images"), std::string::npos);
 }
 
 TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {

@@ -127,10 +127,6 @@ TEST(Parameters, EveryMemberHasARow) {
     EXPECT_EQ(parameters_of<GyroOptions>().size(), count(a, b, c, d, e));
   }
   {
-    const auto& [a, b, c, d, e, f] = TranslationOptions();
-    EXPECT_EQ(parameters_of<TranslationOptions>().size(), count(a, b, c, d, e, f));
-  }
-  {
     const auto& [a, b, c, d] = ShutterTiming();
     EXPECT_EQ(parameters_of<ShutterTiming>().size(), count(a, b, c, d));
   }
@@ -145,10 +141,9 @@ TEST(Parameters, EveryMemberHasARow) {
     EXPECT_EQ(count(blur_field, validation, kernel, keypoints), 4u);
   }
   {
-    const auto& [pipeline, gyro, shutter, a, b, c, d, e, translation, tracker, f, g, h, i, calibration, j, k, l, m, n,
-                 o, p] = Config();
-    EXPECT_EQ(parameters_of<Config>().size(), count(a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p));
-    EXPECT_EQ(count(pipeline, gyro, shutter, translation, tracker, calibration), 6u);
+    const auto& [pipeline, gyro, shutter, a, b, c, d, tracker, e, f, calibration, g, h, i, j, k, l, m] = Config();
+    EXPECT_EQ(parameters_of<Config>().size(), count(a, b, c, d, e, f, g, h, i, j, k, l, m));
+    EXPECT_EQ(count(pipeline, gyro, shutter, tracker, calibration), 5u);
   }
 }
 

@@ -59,7 +59,7 @@ Errors errors_of(Simulator simulator, const CameraMotion& rotation) {
       const double y = center_px.y();
       const Eigen::Vector3d ray = simulator.camera().ray(center_px);
       const auto place = [&](TimeNs t_ns) -> Eigen::Vector2d {
-        return simulator.camera().project(rotation.homography(exposure.middle(y), t_ns) * ray);
+        return simulator.camera().project(rotation.rotation(exposure.middle(y), t_ns) * ray);
       };
       const Eigen::Vector2d by_gyroscope_px = place(exposure.end(y)) - place(exposure.start(y));
       if (!truth_px.allFinite() || !by_gyroscope_px.allFinite()) continue;

@@ -62,7 +62,7 @@ TEST(RotationTrack, ConstantRateIsExactBetweenSamplesToo) {
   const AnalyticMotion motion = AnalyticMotion::constant_rate({0.5, -2, 1});
   const RotationTrack track(motion.sample({0, 500 * kMs}, 5 * kMs), {}, kIdentity);
   for (TimeNs t = 0; t <= 500 * kMs; t += 1'234'567) {
-    EXPECT_LT(rotation_distance(track.homography(0, t), motion.homography(0, t)), 1e-12) << t;
+    EXPECT_LT(rotation_distance(track.rotation(0, t), motion.rotation(0, t)), 1e-12) << t;
     EXPECT_LT(rotation_distance(track.orientation(t).toRotationMatrix(),
                                 motion.R_world_cam(0).transpose() * motion.R_world_cam(t)),
               1e-12);
@@ -86,7 +86,7 @@ TEST(RotationTrack, FollowsAHandshake) {
   const AnalyticMotion motion = AnalyticMotion::handshake();
   const RotationTrack track(motion.sample({0, 1000 * kMs}, 5 * kMs), {}, kIdentity);
   for (TimeNs t = 0; t + 30 * kMs <= 1000 * kMs; t += 7'654'321) {
-    const double error = rotation_distance(track.homography(t, t + 30 * kMs), motion.homography(t, t + 30 * kMs));
+    const double error = rotation_distance(track.rotation(t, t + 30 * kMs), motion.rotation(t, t + 30 * kMs));
     EXPECT_LT(error, 1e-4);  // 0.05 px at a focal length of 500 px
   }
 }
@@ -95,7 +95,7 @@ TEST(RotationTrack, SceneMovesAgainstTheCamera) {
   // Camera axes: x right, y down, z forward. Turning about +y looks right, so the scene moves left.
   const auto straight_ahead = [](const Eigen::Vector3d& rate, TimeNs from, TimeNs to) -> Eigen::Vector3d {
     const RotationTrack track({{0, rate}, {10 * kMs, rate}}, {}, kIdentity);
-    return track.homography(from, to) * Eigen::Vector3d::UnitZ();
+    return track.rotation(from, to) * Eigen::Vector3d::UnitZ();
   };
   EXPECT_NEAR(straight_ahead({0, 1, 0}, 0, 10 * kMs).x(), -std::sin(0.01), 1e-12);
   EXPECT_NEAR(straight_ahead({0, 1, 0}, 10 * kMs, 0).x(), std::sin(0.01), 1e-12);
@@ -109,9 +109,9 @@ TEST(RotationTrack, AppliesTheExtrinsicInItsDirection) {
   const auto samples = motion.sample({0, 200 * kMs}, 2 * kMs, R_cam_imu);
   const RotationTrack right(samples, {}, R_cam_imu);
   const RotationTrack transposed(samples, {}, R_cam_imu.transpose());
-  const Eigen::Matrix3d truth = motion.homography(20 * kMs, 150 * kMs);
-  EXPECT_LT(rotation_distance(right.homography(20 * kMs, 150 * kMs), truth), 1e-4);
-  EXPECT_GT(rotation_distance(transposed.homography(20 * kMs, 150 * kMs), truth), 0.05);
+  const Eigen::Matrix3d truth = motion.rotation(20 * kMs, 150 * kMs);
+  EXPECT_LT(rotation_distance(right.rotation(20 * kMs, 150 * kMs), truth), 1e-4);
+  EXPECT_GT(rotation_distance(transposed.rotation(20 * kMs, 150 * kMs), truth), 0.05);
 }
 
 TEST(RotationTrack, SubtractsTheBiasOnce) {
@@ -119,11 +119,11 @@ TEST(RotationTrack, SubtractsTheBiasOnce) {
   GyroOptions options;
   options.bias_rad_s = {0.08, -0.02, 0.05};
   const auto samples = motion.sample({0, 200 * kMs}, 2 * kMs, some_rotation(), options);
-  const Eigen::Matrix3d truth = motion.homography(0, 200 * kMs);
+  const Eigen::Matrix3d truth = motion.rotation(0, 200 * kMs);
   const RotationTrack right(samples, options, some_rotation());
-  EXPECT_LT(rotation_distance(right.homography(0, 200 * kMs), truth), 1e-4);
+  EXPECT_LT(rotation_distance(right.rotation(0, 200 * kMs), truth), 1e-4);
   const RotationTrack none(samples, {}, some_rotation());
-  EXPECT_NEAR(rotation_distance(none.homography(0, 200 * kMs), truth), 0.2 * options.bias_rad_s.norm(), 1e-3);
+  EXPECT_NEAR(rotation_distance(none.rotation(0, 200 * kMs), truth), 0.2 * options.bias_rad_s.norm(), 1e-3);
 }
 
 TEST(RotationTrack, CameraClockIsImuClockLessTheOffset) {
@@ -132,15 +132,15 @@ TEST(RotationTrack, CameraClockIsImuClockLessTheOffset) {
   options.time_offset_ns = -17'552'000;
   const auto samples = motion.sample({0, 300 * kMs}, 2 * kMs, kIdentity, options);
   EXPECT_EQ(samples.front().t_ns, -17'552'000);
-  const Eigen::Matrix3d truth = motion.homography(100 * kMs, 130 * kMs);
+  const Eigen::Matrix3d truth = motion.rotation(100 * kMs, 130 * kMs);
   const RotationTrack right(samples, options, kIdentity);
   EXPECT_EQ(right.available().begin_ns, 0);
   EXPECT_EQ(right.available().end_ns, 300 * kMs);
-  EXPECT_LT(rotation_distance(right.homography(100 * kMs, 130 * kMs), truth), 1e-4);
+  EXPECT_LT(rotation_distance(right.rotation(100 * kMs, 130 * kMs), truth), 1e-4);
   GyroOptions flipped;
   flipped.time_offset_ns = -options.time_offset_ns;
   const RotationTrack wrong(samples, flipped, kIdentity);
-  EXPECT_GT(rotation_distance(wrong.homography(100 * kMs, 130 * kMs), truth), 5e-3);
+  EXPECT_GT(rotation_distance(wrong.rotation(100 * kMs, 130 * kMs), truth), 5e-3);
 }
 
 TEST(RotationTrack, NeverExtrapolates) {
@@ -150,13 +150,13 @@ TEST(RotationTrack, NeverExtrapolates) {
   EXPECT_FALSE(track.covers({100 * kMs - 1, 200 * kMs}));
   EXPECT_FALSE(track.covers({100 * kMs, 200 * kMs + 1}));
   EXPECT_FALSE(track.covers({150 * kMs, 149 * kMs}));
-  EXPECT_NO_THROW(track.homography(200 * kMs, 100 * kMs));
-  EXPECT_THROW(track.homography(100 * kMs - 1, 150 * kMs), std::out_of_range);
-  EXPECT_THROW(track.homography(150 * kMs, 200 * kMs + 1), std::out_of_range);
+  EXPECT_NO_THROW(track.rotation(200 * kMs, 100 * kMs));
+  EXPECT_THROW(track.rotation(100 * kMs - 1, 150 * kMs), std::out_of_range);
+  EXPECT_THROW(track.rotation(150 * kMs, 200 * kMs + 1), std::out_of_range);
   EXPECT_THROW(track.orientation(200 * kMs + 1), std::out_of_range);
   EXPECT_THROW(track.orientation(100 * kMs - 1), std::out_of_range);
   try {
-    track.homography(150 * kMs, 250 * kMs);
+    track.rotation(150 * kMs, 250 * kMs);
     FAIL();
   } catch (const std::out_of_range& error) {
     const std::string text = error.what();
@@ -169,12 +169,12 @@ TEST(RotationTrack, KnowsNothingWithoutSamplesAndOneInstantWithOne) {
   const RotationTrack none({}, {}, kIdentity);
   EXPECT_TRUE(none.available().empty());
   EXPECT_FALSE(none.covers({0, 0}));
-  EXPECT_THROW(none.homography(0, 0), std::out_of_range);
+  EXPECT_THROW(none.rotation(0, 0), std::out_of_range);
   EXPECT_THROW(none.orientation(0), std::out_of_range);
   const RotationTrack one({{5, Eigen::Vector3d::UnitX()}}, {}, kIdentity);
   EXPECT_TRUE(one.covers({5, 5}));
   EXPECT_FALSE(one.covers({5, 6}));
-  EXPECT_TRUE(one.homography(5, 5).isIdentity());
+  EXPECT_TRUE(one.rotation(5, 5).isIdentity());
 }
 
 TEST(RotationTrack, DoesNotIntegrateAcrossAHole) {
@@ -190,15 +190,15 @@ TEST(RotationTrack, DoesNotIntegrateAcrossAHole) {
   EXPECT_FALSE(track.covers({120 * kMs, 120 * kMs}));
   EXPECT_FALSE(track.covers({0, 251 * kMs}));
   EXPECT_EQ(track.available().end_ns, 251 * kMs);
-  EXPECT_THROW(track.homography(50 * kMs, 200 * kMs), std::out_of_range);
+  EXPECT_THROW(track.rotation(50 * kMs, 200 * kMs), std::out_of_range);
   EXPECT_THROW(track.orientation(200 * kMs), std::out_of_range);
-  EXPECT_LT(rotation_distance(track.homography(160 * kMs, 240 * kMs), motion.homography(160 * kMs, 240 * kMs)), 1e-12);
+  EXPECT_LT(rotation_distance(track.rotation(160 * kMs, 240 * kMs), motion.rotation(160 * kMs, 240 * kMs)), 1e-12);
 
   GyroOptions tolerant;
   tolerant.max_gap_ns = 51 * kMs;
   const RotationTrack across(samples, tolerant, kIdentity);
   EXPECT_TRUE(across.covers({0, 251 * kMs}));
-  EXPECT_LT(rotation_distance(across.homography(0, 251 * kMs), motion.homography(0, 251 * kMs)), 1e-12);
+  EXPECT_LT(rotation_distance(across.rotation(0, 251 * kMs), motion.rotation(0, 251 * kMs)), 1e-12);
 }
 
 // A frame is the same bit by bit whether or not somebody else needs to look further back.
@@ -216,11 +216,11 @@ TEST(RotationTrack, SamplesBeforeTheOriginChangeNothingAfterIt) {
         const TimeRange range{std::min(t, to), std::max(t, to)};
         ASSERT_EQ(alone.covers(range), whole.covers(range)) << t << ' ' << to;
         if (!alone.covers(range)) continue;
-        EXPECT_EQ(alone.homography(t, to), whole.homography(t, to)) << t << ' ' << to;
+        EXPECT_EQ(alone.rotation(t, to), whole.rotation(t, to)) << t << ' ' << to;
       }
     }
     // What lies before it is as right as ever, also to what lies after it.
-    EXPECT_LT(rotation_distance(whole.homography(20 * kMs, 310 * kMs), motion.homography(20 * kMs, 310 * kMs)), 1e-4);
+    EXPECT_LT(rotation_distance(whole.rotation(20 * kMs, 310 * kMs), motion.rotation(20 * kMs, 310 * kMs)), 1e-4);
     EXPECT_LT(rotation_distance(whole.orientation(0).toRotationMatrix(),
                                 motion.R_world_cam(300 * kMs).transpose() * motion.R_world_cam(0)),
               1e-4);
@@ -263,8 +263,8 @@ TEST(RotationTrack, KnowsNothingBesideASaturatedSample) {
   EXPECT_FALSE(track.covers({110 * kMs - 1, 120 * kMs}));
   EXPECT_FALSE(track.covers({95 * kMs, 99 * kMs}));
   EXPECT_FALSE(track.covers({0, 200 * kMs}));
-  EXPECT_THROW(track.homography(50 * kMs, 150 * kMs), std::out_of_range);
-  EXPECT_LT(rotation_distance(track.homography(110 * kMs, 200 * kMs), motion.homography(110 * kMs, 200 * kMs)), 1e-12);
+  EXPECT_THROW(track.rotation(50 * kMs, 150 * kMs), std::out_of_range);
+  EXPECT_LT(rotation_distance(track.rotation(110 * kMs, 200 * kMs), motion.rotation(110 * kMs, 200 * kMs)), 1e-12);
   GyroOptions unchecked = options;
   unchecked.range_rad_s = 0;
   EXPECT_TRUE(RotationTrack(samples, unchecked, kIdentity).covers({0, 200 * kMs}));

@@ -188,15 +188,6 @@ TEST_F(DiagnosticReportTest, AnErrorOfTheGyroscopeWarnsWithTheRemedy) {
   EXPECT_EQ(level_, DiagnosticStatus::OK);
 }
 
-TEST_F(DiagnosticReportTest, TranslationIsToldOfWhereThereIsOdometry) {
-  EXPECT_EQ(fill().count("frames with translation"), 0u);
-  statistics_.frames_not_translated = 2;
-  statistics_.translation_text = "no depth of the scene";
-  auto values = fill();
-  EXPECT_EQ(values["frames with translation"], "0");
-  EXPECT_EQ(values["why without translation"], "no depth of the scene");
-}
-
 TEST(OutputStatistics, AddsUpWhatLeaves) {
   OutputStatistics statistics;
   FrameOutput output;

@@ -22,7 +22,6 @@
 #include <diagnostic_msgs/DiagnosticArray.h>
 #include <dynamic_reconfigure/Reconfigure.h>
 #include <gtest/gtest.h>
-#include <nav_msgs/Odometry.h>
 #include <nodelet/NodeletList.h>
 #include <nodelet/NodeletLoad.h>
 #include <nodelet/NodeletUnload.h>
@@ -495,35 +494,6 @@ TEST_F(NodeletTest, TracksGoOnFromFrameToFrame) {
   const std::vector<float>&before = tracks[1]->channels[0].values, &after = tracks[2]->channels[0].values;
   ASSERT_GE(after.size(), before.size());
   EXPECT_TRUE(std::equal(before.begin(), before.end(), after.begin()));
-}
-
-TEST_F(NodeletTest, OdometryAddsItsTranslation) {
-  set("scene_depth", 2.0);
-  start();
-  const ros::Publisher publisher = nh_.advertise<nav_msgs::Odometry>(ns_ + "/odometry", 100);
-  ASSERT_TRUE(poll_until([&] { return publisher.getNumSubscribers() == 1; }));
-  publish_imu(kStart - kSecond, kStart + 4 * kSecond, 0.0);
-  bool translated = false;
-  // Frames do not wait for odometry: they go on until it has come.
-  for (std::size_t i = 0; i < 39 && !translated; ++i) {
-    const TimeNs t_ns = kStart + static_cast<TimeNs>(i) * 100 * kMs;
-    nav_msgs::Odometry odometry;
-    odometry.header.frame_id = "world";
-    odometry.child_frame_id = kImuFrame;
-    odometry.pose.pose.orientation.w = 1;
-    odometry.twist.twist.linear.x = 2.4;
-    for (const TimeNs stamp_ns : {t_ns - 60 * kMs, t_ns - 10 * kMs}) {
-      odometry.header.stamp = to_ros_time(stamp_ns);
-      publisher.publish(odometry);
-    }
-    publish_frame(t_ns);
-    expect_frames(i + 1);
-    translated = fields_[i]->extent.at(0) > 1;
-    if (translated) {
-      EXPECT_NEAR(fields_[i]->extent[0], kFocalPx * 2.4 * to_seconds(kExposure) / 2, 0.01);
-    }
-  }
-  EXPECT_TRUE(translated);
 }
 
 TEST_F(NodeletTest, CompressedImagesNeedNoPlugin) {

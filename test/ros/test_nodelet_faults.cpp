@@ -11,7 +11,6 @@
 
 #include <dynamic_reconfigure/Reconfigure.h>
 #include <gtest/gtest.h>
-#include <nav_msgs/Odometry.h>
 #include <nodelet/loader.h>
 #include <ros/callback_queue.h>
 #include <ros/console.h>
@@ -226,23 +225,19 @@ class LogGate : public ros::console::LogAppender {
 
 class UnloadTest : public NodeletFaultTest {
  protected:
-  UnloadTest() { odometry_publisher_ = nh_.advertise<nav_msgs::Odometry>(ns_ + "/odometry", 1); }
-
   void load() {
     ASSERT_NO_FATAL_FAILURE(NodeletFaultTest::load());
-    ASSERT_TRUE(poll_until([this] { return odometry_publisher_.getNumSubscribers() > 0; }));
+    ASSERT_TRUE(poll_until([this] { return imu_publisher_.getNumSubscribers() > 0; }));
   }
   /// Unloads the nodelet while its worker is at the gate, which opens when unloading has begun.
   void unload_through(LogGate* gate) {
     ASSERT_TRUE(gate->wait_for_somebody());
     std::thread unloader([this] { unload(); });
     // Given up before the nodelet waits for its worker.
-    EXPECT_TRUE(poll_until([this] { return odometry_publisher_.getNumSubscribers() == 0; }));
+    EXPECT_TRUE(poll_until([this] { return imu_publisher_.getNumSubscribers() == 0; }));
     gate->open();
     unloader.join();
   }
-
-  ros::Publisher odometry_publisher_;
 };
 
 TEST_F(UnloadTest, WhileAFrameIsInWorkItWaitsForItAndLetsOutTheRest) {

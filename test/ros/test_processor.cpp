@@ -257,7 +257,7 @@ TEST_F(ProcessorTest, CamerasShareASourceAndKeepWhatIsTheirOwn) {
     for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod) {
       const sensor_msgs::Imu imu = imu_message(t_ns, kFastRadS);
       if (!source->add(imu)) continue;  // nobody is told, as SharedImu does it
-      for (Processor* camera : {&left, &right}) camera->notice_imu(imu);
+      for (Processor* camera : {&left, &right}) camera->notice_imu();
     }
   };
   const auto show = [](Processor* camera, TimeNs stamp_ns) {

@@ -21,15 +21,14 @@ FRONT_END = ROOT / "launch" / "slam_front_end.launch"
 USERS_FILES = {"my_camera.yaml": ROOT / "config" / "default.yaml", "my_camera1.yaml": ROOT / "config" / "default.yaml",
                "camchain-imucam.yaml": ROOT / "test" / "config" / "calibration" / "kalibr.yaml"}
 
-Need = collections.namedtuple("Need", "cameras feature_tracks odometry odometry_clock odometry_twist_frame")
-# What each stack publishes, and wants. Without a clock or frame the configuration decides, whose defaults are camera
-# and child.
+Need = collections.namedtuple("Need", "cameras feature_tracks")
+# What each stack wants.
 NEEDS = {
-    "OpenVINS": Need(["/cam0"], "feature_tracks", "/ov_msckf/odomimu", "imu", None),
-    "VINS-Mono": Need(["/cam0"], "/feature_tracker/feature", "/vins_estimator/odometry", None, "parent"),
-    "VINS-Fusion": Need(["/cam0", "/cam1"], "feature_tracks", "/vins_estimator/odometry", None, "parent"),
-    "ORB-SLAM3": Need(["/cam0"], "feature_tracks", "odometry", None, None),
-    "msckf_vio": Need(["/cam0", "/cam1"], "feature_tracks", "/robot/vio/odom", None, "parent"),
+    "OpenVINS": Need(["/cam0"], "feature_tracks"),
+    "VINS-Mono": Need(["/cam0"], "/feature_tracker/feature"),
+    "VINS-Fusion": Need(["/cam0", "/cam1"], "feature_tracks"),
+    "ORB-SLAM3": Need(["/cam0"], "feature_tracks"),
+    "msckf_vio": Need(["/cam0", "/cam1"], "feature_tracks"),
 }
 OPENVINS_STEREO = NEEDS["OpenVINS"]._replace(cameras=["/cam0", "/cam1"])
 # The nodes that the page adds to the front end.
@@ -90,12 +89,7 @@ class SlamPage(unittest.TestCase):
             self.assertEqual(node.args, "load gyro_deblur/DeblurNodelet /deblur_manager")
             remaps = dict(node.remap_args)
             self.assertEqual(remaps["imu"], "/imu0")
-            self.assertEqual(remaps["odometry"], need.odometry)
             self.assertEqual(remaps["feature_tracks"], need.feature_tracks if camera == "/cam0" else "feature_tracks")
-            parameter = {key.rpartition("/")[2]: value.value for key, value in config.params.items()
-                         if key.startswith(f"{camera}/gyro_deblur/")}
-            self.assertEqual(parameter["odometry_clock"], need.odometry_clock or "camera")
-            self.assertEqual(parameter["odometry_twist_frame"], need.odometry_twist_frame or "child")
 
     def test_front_end_alone(self):
         self.assert_front_end(load(FRONT_END, self.arguments_of_command(self.introduction)), NEEDS["ORB-SLAM3"])

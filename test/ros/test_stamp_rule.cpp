@@ -59,10 +59,9 @@ using Resets = std::vector<std::pair<TimeNs, TimeNs>>;
 
 StampLimits imu() { return imu_stamps(kGap, kJump); }
 StampLimits watched() { return watched_stamps(kJump); }
-StampLimits translation() { return translation_stamps(kJump); }
 
 TEST(StampRule, TakesWhatFits) {
-  for (const StampLimits& limits : {imu(), watched(), translation()}) {
+  for (const StampLimits& limits : {imu(), watched()}) {
     Feed feed(limits);
     EXPECT_EQ(feed.rule().newest_ns(), std::nullopt);
     feed({1000, 1001, 1050, 1100});
@@ -73,7 +72,7 @@ TEST(StampRule, TakesWhatFits) {
 }
 
 TEST(StampRule, RefusesRepeatsAndLateOnesOnceTheNextShowsIt) {
-  for (const StampLimits& limits : {imu(), watched(), translation()}) {
+  for (const StampLimits& limits : {imu(), watched()}) {
     Feed feed(limits);
     feed({1000, 1030, 1030});
     EXPECT_EQ(feed.log().refused, (Refused{{1030, Misfit::REPEATED}}));
@@ -227,52 +226,6 @@ TEST(StampRule, SlowStreamIsOneMessageBehindAndCannotBeLedAstray) {
   feed({90'000, 4000, 5000, 6000});
   EXPECT_EQ(feed.log().taken, (Stamps{0, 1000, 2000, 3000, 4000, 5000}));
   EXPECT_TRUE(feed.log().resets.empty());
-}
-
-TEST(StampRule, TranslationGivesTheNewestBackWhenTwoComeBeforeIt) {
-  Feed feed(translation());
-  feed({1000, 1100, 90'000, 1200});
-  EXPECT_EQ(feed.log().taken, (Stamps{1000, 1100, 90'000}));
-  feed({1300});
-  EXPECT_EQ(feed.log().taken, (Stamps{1000, 1100, 1200, 1300}));
-  EXPECT_EQ(feed.log().refused, (Refused{{90'000, Misfit::AHEAD}}));
-  EXPECT_TRUE(feed.log().resets.empty());
-}
-
-TEST(StampRule, TranslationIsResetByItsSecondMessageAndNotByLateOnes) {
-  Feed feed(translation());
-  feed({1000, 2000, 800, 900});
-  EXPECT_EQ(feed.log().resets, (Resets{{2000, 800}}));
-  EXPECT_EQ(feed.log().taken, (Stamps{800, 900}));
-  feed({1000, 750, 760, 770, 780, 1100});
-  EXPECT_EQ(feed.log().taken, (Stamps{800, 900, 1000, 1100}));
-  EXPECT_EQ(feed.log().resets.size(), 1u);
-}
-
-TEST(StampRule, OfTwoTranslationsThatContradictTheLaterOneIsHeld) {
-  Feed feed(translation());
-  feed({1000, 2000, 800, 750});
-  EXPECT_EQ(feed.log().refused, (Refused{{800, Misfit::LATE}}));
-  feed({760});
-  EXPECT_EQ(feed.log().resets, (Resets{{2000, 750}}));
-  EXPECT_EQ(feed.log().taken, (Stamps{750, 760}));
-}
-
-TEST(StampRule, ARepeatSaysNothingOfATranslationThatIsHeld) {
-  Feed feed(translation());
-  feed({1000, 2000, 800, 2000});
-  EXPECT_EQ(feed.log().refused, (Refused{{2000, Misfit::REPEATED}}));
-  feed({900});
-  EXPECT_EQ(feed.log().resets, (Resets{{2000, 800}}));
-  EXPECT_EQ(feed.log().taken, (Stamps{800, 900}));
-}
-
-TEST(StampRule, TranslationIsResetByAMessageThatIsFarAndOneThatIsNot) {
-  Feed feed(translation());
-  feed({1000, 2000, 2000 - kJump, 2000 - kJump + 10});
-  EXPECT_EQ(feed.log().taken, (Stamps{1000, 2000 - kJump, 2000 - kJump + 10})) << "the newest was ahead";
-  feed({2000, 2000 - kJump - 1, 1990});
-  EXPECT_EQ(feed.log().resets, (Resets{{2000, 2000 - kJump - 1}}));
 }
 
 TEST(StampRule, WatchedStreamKeepsToWhatIsAheadWhereThatOverlaps) {

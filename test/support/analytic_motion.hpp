@@ -54,7 +54,7 @@ class AnalyticMotion : public CameraMotion {
 
   bool covers(const TimeRange& range) const override { return range_.contains(range); }
 
-  Eigen::Matrix3d homography(TimeNs from_ns, TimeNs to_ns) const override {
+  Eigen::Matrix3d rotation(TimeNs from_ns, TimeNs to_ns) const override {
     if (!range_.contains(from_ns) || !range_.contains(to_ns)) throw std::out_of_range("AnalyticMotion");
     return R_world_cam(to_ns).transpose() * R_world_cam(from_ns);
   }

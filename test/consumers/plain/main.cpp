@@ -4,7 +4,6 @@
 #include <gyro_deblur/config.hpp>
 #include <gyro_deblur/feature_tracker.hpp>
 #include <gyro_deblur/overlay.hpp>
-#include <gyro_deblur/translation.hpp>
 
 #include "../synthetic_pan.hpp"
 
