@@ -34,8 +34,8 @@ class GlobalShutterMap {
   friend GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera, const CameraMotion& motion,
                                              const RowExposure& exposure, TimeNs reference_ns, int threads);
   friend cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, ImageBorder border, int threads);
-  /// The pixels of rows [begin, begin + whole_px.rows) in cv::remap's fixed point.
-  void fill(int begin, cv::Mat* whole_px, cv::Mat* fractions) const;
+  /// Where the pixels of rows [begin, begin + x_px.rows) come from: CV_32FC1 as wide as whole cells of nodes.
+  void fill(int begin, cv::Mat* x_px, cv::Mat* y_px) const;
 
   cv::Size size_;
   cv::Mat nodes_px_;  // CV_32FC2; one step more than what encloses the image on all sides

@@ -1,11 +1,8 @@
 #include "gyro_deblur/image_rectification.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
-#include <cstdint>
-#include <limits>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -22,10 +19,18 @@ constexpr int kStepPx = GlobalShutterMap::kStepPx;
 
 /// What is known at nodes kStepPx apart, cubic between them (Catmull and Rom): the displacement bends most where a lens
 /// distorts most, and linear between nodes it would be wrong by a third of a pixel in the corners of a wide lens.
-using Weights = std::array<double, 4>;
-Weights cubic_weights(double u) {
-  return {0.5 * u * (u * (2 - u) - 1), 0.5 * (u * u * (3 * u - 5) + 2), 0.5 * u * (u * (4 - 3 * u) + 1),
-          0.5 * u * u * (u - 1)};
+Eigen::Vector4f cubic_weights(double u) {
+  return Eigen::Vector4d(0.5 * u * (u * (2 - u) - 1), 0.5 * (u * u * (3 * u - 5) + 2), 0.5 * u * (u * (4 - 3 * u) + 1),
+                         0.5 * u * u * (u - 1))
+      .cast<float>();
+}
+
+/// Of the four nodes around a cell in each of its pixels, which lie half a pixel behind the places that they begin at.
+using CellWeights = Eigen::Matrix<float, kStepPx, 4>;
+CellWeights weights_of_cell() {
+  CellWeights weights;
+  for (int i = 0; i < kStepPx; ++i) weights.row(i) = cubic_weights((i + 0.5) / kStepPx);
+  return weights;
 }
 
 /// Where nodes are in x, or y: the first is outside the image, and the second half a pixel before its first pixel.
@@ -34,7 +39,7 @@ double node_px(int index) { return (index - 1) * kStepPx - 0.5; }
 /// The four nodes around a place.
 struct Between {
   int first;
-  Weights weights;
+  Eigen::Vector4f weights;
 };
 
 /// @param nodes  in a row or column
@@ -48,15 +53,12 @@ Between between(double pixel_px, int nodes) {
 
 Eigen::Vector2d interpolate(const cv::Mat& nodes, const Eigen::Vector2d& pixel_px) {
   const Between x = between(pixel_px.x(), nodes.cols), y = between(pixel_px.y(), nodes.rows);
-  double value[2] = {0, 0};
+  Eigen::Matrix<float, 2, 4> columns = Eigen::Matrix<float, 2, 4>::Zero();
   for (int j = 0; j < 4; ++j) {
     const float* row = nodes.ptr<float>(y.first + j) + 2 * static_cast<std::ptrdiff_t>(x.first);
-    for (int k = 0; k < 2; ++k) {
-      value[k] += y.weights[j] * (x.weights[0] * row[k] + x.weights[1] * row[k + 2] + x.weights[2] * row[k + 4] +
-                                  x.weights[3] * row[k + 6]);
-    }
+    columns += y.weights[j] * Eigen::Map<const Eigen::Matrix<float, 2, 4>>(row);
   }
-  return {value[0], value[1]};
+  return (columns * x.weights).cast<double>();
 }
 
 bool is_known(const cv::Vec2f& value) { return std::isfinite(value[0]) && std::isfinite(value[1]); }
@@ -152,13 +154,16 @@ GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera
   map.size_ = {width_px, height_px};
   map.nodes_px_.create(rows, cols, CV_32FC2);
   run_parallel(rows, threads, 1, [&](int row) {
-    Eigen::Vector2d move_px(0, 0);
+    Eigen::Vector2d move_px(0, 0), step_px(0, 0);
     for (int col = 0; col < cols; ++col) {
       const Eigen::Vector2d pixel_px(node_px(col), node_px(row));
-      // What a row is moved by changes slowly from row to row: a tenth of the error is left each time. It is a pixel or
-      // so at first, beside a node that is known.
-      const int iterations = col == 0 ? 5 : 3;
+      // What a row is moved by changes slowly from row to row: a tenth of the error is left each time. It is some
+      // pixels at first, and a tenth of one where the two nodes before are known.
+      const Eigen::Vector2d before_px = move_px;
+      const int iterations = col < 2 ? 5 : 2;
+      move_px += step_px;
       for (int i = 0; i < iterations; ++i) move_px = interpolate(moves_px, pixel_px - move_px);
+      if (col > 0) step_px = move_px - before_px;
       const Eigen::Vector2d from_px = pixel_px - move_px;
       map.nodes_px_.at<cv::Vec2f>(row, col) = to_node(from_px);
     }
@@ -166,62 +171,22 @@ GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera
   return map;
 }
 
-void GlobalShutterMap::fill(int begin, cv::Mat* whole_px, cv::Mat* fractions) const {
-  // Cubic from row to row and to places four pixels apart, linear between those.
-  constexpr int kPlacesPerCell = 4, kPlacePx = kStepPx / kPlacesPerCell;
-  // Bits below those of cv::remap's fractions: with them 32 bit hold seven times the difference of any two places.
-  constexpr int kBits = 6, kHalf = 1 << (kBits - 1);
-  constexpr float kScale = 1 << (cv::INTER_BITS + kBits);
-  constexpr float kFarPx = std::numeric_limits<std::int16_t>::max() - 2;
-  constexpr std::int32_t kFraction = cv::INTER_TAB_SIZE - 1;
-  const int cells = nodes_px_.cols - 3, values = 2 * nodes_px_.cols;
-  std::array<std::array<float, 4>, kPlacesPerCell> weights;
-  for (int place = 0; place < kPlacesPerCell; ++place) {
-    const Weights exact = cubic_weights(static_cast<double>(place) / kPlacesPerCell);
-    std::transform(exact.begin(), exact.end(), weights[place].begin(), [](double w) { return static_cast<float>(w); });
-  }
-  std::vector<float> of_row(values);
-  std::vector<std::int32_t> places(2 * (cells * kPlacesPerCell + 1));
-  for (int y = 0; y < whole_px->rows; ++y) {
+void GlobalShutterMap::fill(int begin, cv::Mat* x_px, cv::Mat* y_px) const {
+  static const CellWeights weights = weights_of_cell();
+  Eigen::Matrix2Xf of_row(2, nodes_px_.cols);
+  for (int y = 0; y < x_px->rows; ++y) {
     const Between rows = between(begin + y, nodes_px_.rows);
-    const float* above[4];
-    float down[4];
+    of_row.setZero();
     for (int j = 0; j < 4; ++j) {
-      above[j] = nodes_px_.ptr<float>(rows.first + j);
-      down[j] = kScale * static_cast<float>(rows.weights[j]);
+      of_row +=
+          rows.weights[j] * Eigen::Map<const Eigen::Matrix2Xf>(nodes_px_.ptr<float>(rows.first + j), 2, nodes_px_.cols);
     }
-    for (int i = 0; i < values; ++i) {
-      const float value = down[0] * above[0][i] + down[1] * above[1][i] + down[2] * above[2][i] + down[3] * above[3][i];
-      of_row[i] = std::min(std::max(value, -kScale * kFarPx), kScale * kFarPx);
-    }
-    for (int cell = 0; cell < cells; ++cell) {
-      const float* node = &of_row[2 * cell];
-      for (int place = 0; place < kPlacesPerCell; ++place) {
-        const auto& w = weights[place];
-        std::int32_t* to = &places[2 * (cell * kPlacesPerCell + place)];
-        for (int k = 0; k < 2; ++k) {
-          to[k] =
-              static_cast<std::int32_t>(w[0] * node[k] + w[1] * node[k + 2] + w[2] * node[k + 4] + w[3] * node[k + 6]);
-        }
-      }
-    }
-    for (int k = 0; k < 2; ++k)
-      places[2 * cells * kPlacesPerCell + k] = static_cast<std::int32_t>(of_row[2 * (cells + 1) + k]);
-    auto* whole = whole_px->ptr<std::int16_t>(y);
-    auto* fraction = fractions->ptr<std::uint16_t>(y);
-    for (int place = 0; place < cells * kPlacesPerCell; ++place) {
-      const std::int32_t x = places[2 * place], x_step = places[2 * place + 2] - x;
-      const std::int32_t y_at = places[2 * place + 1], y_step = places[2 * place + 3] - y_at;
-      for (int i = 0; i < kPlacePx; ++i) {
-        // A place lies half a pixel before the first of its pixels.
-        const std::int32_t x_fixed = (x + x_step * (2 * i + 1) / (2 * kPlacePx) + kHalf) >> kBits;
-        const std::int32_t y_fixed = (y_at + y_step * (2 * i + 1) / (2 * kPlacePx) + kHalf) >> kBits;
-        whole[2 * i] = static_cast<std::int16_t>(x_fixed >> cv::INTER_BITS);
-        whole[2 * i + 1] = static_cast<std::int16_t>(y_fixed >> cv::INTER_BITS);
-        fraction[i] = static_cast<std::uint16_t>((y_fixed & kFraction) * cv::INTER_TAB_SIZE + (x_fixed & kFraction));
-      }
-      whole += 2 * kPlacePx;
-      fraction += kPlacePx;
+    for (int cell = 0; cell < nodes_px_.cols - 3; ++cell) {
+      const auto nodes = of_row.middleCols<4>(cell);
+      Eigen::Map<Eigen::Matrix<float, kStepPx, 1>> x(x_px->ptr<float>(y) + cell * kStepPx);
+      Eigen::Map<Eigen::Matrix<float, kStepPx, 1>> y_to(y_px->ptr<float>(y) + cell * kStepPx);
+      x.noalias() = weights * nodes.row(0).transpose();
+      y_to.noalias() = weights * nodes.row(1).transpose();
     }
   }
 }
@@ -240,10 +205,10 @@ cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, Ima
   run_parallel((image.rows + kRows - 1) / kRows, threads, 1, [&](int strip) {
     const int begin = strip * kRows;
     cv::Mat rows = moved.rowRange(begin, std::min(begin + kRows, image.rows));
-    cv::Mat whole_px(rows.rows, whole_cells_px, CV_16SC2), fractions(rows.rows, whole_cells_px, CV_16UC1);
-    map.fill(begin, &whole_px, &fractions);
-    cv::remap(image, rows, whole_px.colRange(0, image.cols), fractions.colRange(0, image.cols), cv::INTER_LINEAR,
-              border_type, cv::Scalar::all(0));
+    cv::Mat x_px(rows.rows, whole_cells_px, CV_32FC1), y_px(rows.rows, whole_cells_px, CV_32FC1);
+    map.fill(begin, &x_px, &y_px);
+    cv::remap(image, rows, x_px.colRange(0, image.cols), y_px.colRange(0, image.cols), cv::INTER_LINEAR, border_type,
+              cv::Scalar::all(0));
   });
   return moved;
 }
