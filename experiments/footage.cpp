@@ -72,6 +72,8 @@ sim::Scene scene_of(const FootageCase& c, const std::string& data, double second
   scene.camera.readout_ns = c.readout_ns;
   scene.camera.encoding = "mono16";
   scene.imu.gyro_noise_rad_s = 0.003;
+  scene.imu.accel_noise_m_s2 = 0.05;
+  scene.imu.accel_bias_m_s2 = {0.1, -0.1, 0.1};
   scene.imu.R_cam_imu = c.flight.R_cam_imu;
   if (c.path != CameraPath::FLIGHT) {
     scene.motion = std::make_shared<HeldMotion>(scene.motion, c.path == CameraPath::TURNING);
@@ -123,10 +125,20 @@ cv::Mat Footage::sharp(int i, const Light& light) {
   return lit(simulator_.sharp(i), light, static_cast<std::uint64_t>(i) + kOther);
 }
 
-RotationTrack Footage::rotation(double bias_rad_s) const {
+RotationTrack Footage::rotation(double bias_rad_s, bool with_accelerometer) const {
+  // Where an accelerometer is beside its camera.
+  const Eigen::Vector3d kLeverM(0.05, 0.05, 0);
+  const std::vector<sim::ImuSample> imu = simulator_.imu();
   std::vector<GyroSample> samples;
-  for (const sim::ImuSample& sample : simulator_.imu()) {
-    samples.push_back({sample.t_ns, sample.rate_rad_s + Eigen::Vector3d::Constant(bias_rad_s)});
+  for (std::size_t i = 1; i + 1 < imu.size(); ++i) {
+    const Eigen::Vector3d& rate_rad_s = imu[i].rate_rad_s;
+    const Eigen::Vector3d turn_rad_s2 =
+        (imu[i + 1].rate_rad_s - imu[i - 1].rate_rad_s) / to_seconds(imu[i + 1].t_ns - imu[i - 1].t_ns);
+    GyroSample& sample =
+        samples.emplace_back(GyroSample{imu[i].t_ns, rate_rad_s + Eigen::Vector3d::Constant(bias_rad_s)});
+    if (!with_accelerometer) continue;
+    sample.specific_force_m_s2 =
+        imu[i].specific_force_m_s2 + turn_rad_s2.cross(kLeverM) + rate_rad_s.cross(rate_rad_s.cross(kLeverM));
   }
   return RotationTrack(samples, GyroOptions{}, simulator_.scene().imu.R_cam_imu);
 }

@@ -62,9 +62,10 @@ class Footage {
   /// The same without blur: every row at the middle of its exposure.
   cv::Mat sharp(int i, const Light& light);
 
-  /// The gyroscope, all of it.
-  /// @param bias_rad_s  of the sensor, on each axis, that nobody knows of
-  RotationTrack rotation(double bias_rad_s = 0) const;
+  /// The gyroscope, all of it, and its accelerometer, 7 cm beside the camera.
+  /// @param bias_rad_s          of the sensor, on each axis, that nobody knows of
+  /// @param with_accelerometer  false: it has none
+  RotationTrack rotation(double bias_rad_s = 0, bool with_accelerometer = true) const;
   /// Displacement of a pixel within frame i's exposure by the camera's true motion, were the scene there at this depth
   /// along the optical axis [px].
   Eigen::Vector2d displacement_at_depth(int i, const Eigen::Vector2d& pixel_px, double depth_m) const;

@@ -102,7 +102,8 @@ class Study {
 
   Arguments arguments_;
   ResultTable displacement_{{"flight", "conditions", "gyroscope alone [px]", "true velocity, median depth [px]",
-                             "images [px]", "error / standard deviation", "blocks by images [%]"}};
+                             "images, no accelerometer [px]", "images [px]", "error / standard deviation",
+                             "blocks by images [%]"}};
   std::string samples_ = "flight,conditions,residual_px,velocity_px,images_px\n";
   ResultTable held_{{"flight", "camera", "conditions", "change, p99 [px]", "largest [px]", "blocks by images [%]",
                      "frames altered by the images"}};
@@ -125,8 +126,10 @@ class Study {
 
 void Study::displacement(const FootageCase& c, const Footage& footage, const Light& light) {
   const auto errors = displacement_errors(all_frames(footage), light, footage.rotation());
+  const auto without = displacement_errors(all_frames(footage), light, footage.rotation(0, false));
   displacement_.add({c.flight.name, conditions(c, light), median_and_p90(of(errors, &BlockErrors::residual_px)),
                      median_and_p90(of(errors, &BlockErrors::velocity_px)),
+                     median_and_p90(of(without, &BlockErrors::images_px)),
                      median_and_p90(of(errors, &BlockErrors::images_px)),
                      median_and_p90(of(errors, &BlockErrors::normalized)), used_share(errors)});
   constexpr std::size_t kEvery = 7;  // no divisor of the number of blocks of a row or a frame

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <deque>
+#include <limits>
 #include <optional>
 #include <string>
 #include <vector>
@@ -12,10 +13,12 @@
 
 namespace gyro_deblur {
 
-/// One gyroscope reading: body rate of the IMU frame [rad/s] at an instant of the IMU clock.
+/// One reading of the IMU at an instant of its clock, in its axes.
 struct GyroSample {
   TimeNs t_ns = 0;
-  Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();
+  Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();  ///< body rate
+  /// Acceleration less gravity. Not finite: there is no accelerometer.
+  Eigen::Vector3d specific_force_m_s2 = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
 };
 
 /// Keeps the newest samples, strictly increasing in time, no older than `capacity_ns` before the newest.
@@ -27,8 +30,8 @@ class GyroBuffer {
   /// Precondition: capacity_ns > 0.
   explicit GyroBuffer(TimeNs capacity_ns);
 
-  /// Adds a sample. Samples that are not finite, or not newer than the newest, are refused and leave the buffer as it
-  /// was.
+  /// Adds a sample. Samples whose rate is not finite, or that are not newer than the newest, are refused and leave the
+  /// buffer as it was.
   AddResult add(const GyroSample& sample);
 
   /// Forgets the newest sample and returns it. Precondition: not empty.

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Geometry>
@@ -12,8 +13,15 @@
 
 namespace gyro_deblur {
 
-/// How the camera turned over a stretch of the camera clock: all that the blur field and the rectification know of the
-/// gyroscope.
+/// What an accelerometer says of the camera's velocity over a stretch of time, in the axes that the camera has at its
+/// end. It says it of itself, not of the camera, and gravity is still in it.
+struct VelocityGain {
+  Eigen::Vector3d total_m_s;  ///< velocity at the end less that at the begin
+  Eigen::Vector3d mean_m_s;   ///< mean velocity less that at the begin
+};
+
+/// How the camera moved over a stretch of the camera clock, as far as its IMU tells: all that the blur field and the
+/// rectification know of it.
 class CameraMotion {
  public:
   virtual ~CameraMotion() = default;
@@ -25,6 +33,9 @@ class CameraMotion {
   /// the camera frame at `to_ns`. Camera clock; from may be later than to. Throws std::out_of_range with the range
   /// asked for and the range available.
   virtual Eigen::Matrix3d rotation(TimeNs from_ns, TimeNs to_ns) const = 0;
+
+  /// Nothing where no accelerometer covers the time, or to is not after from.
+  virtual std::optional<VelocityGain> velocity_gain(TimeNs /*from_ns*/, TimeNs /*to_ns*/) const { return std::nullopt; }
 };
 
 /// True when the sample reaches options.range_rad_s on an axis, or all but reaches it: the true rate may be any beyond
@@ -37,7 +48,7 @@ bool is_saturated(const GyroSample& sample, const GyroOptions& options);
 /// exposure.) Never extrapolates, and knows nothing between a saturated sample and its neighbours.
 class RotationTrack : public CameraMotion {
  public:
-  /// @param samples    strictly increasing in time (IMU clock), finite; may be empty
+  /// @param samples    strictly increasing in time (IMU clock), rates finite; may be empty
   /// @param options    bias, time offset and longest hole; validated
   /// @param R_cam_imu  takes IMU coordinates to camera coordinates; a rotation (see require_rotation)
   /// @param origin     index of the sample that the others are integrated from, both ways: samples before it change no
@@ -48,6 +59,7 @@ class RotationTrack : public CameraMotion {
 
   bool covers(const TimeRange& range) const override;
   Eigen::Matrix3d rotation(TimeNs from_ns, TimeNs to_ns) const override;
+  std::optional<VelocityGain> velocity_gain(TimeNs from_ns, TimeNs to_ns) const override;
 
   /// From the first to the last sample (camera clock), holes included.
   TimeRange available() const;
@@ -61,9 +73,10 @@ class RotationTrack : public CameraMotion {
   Eigen::Quaterniond interpolate(TimeNs t_ns) const;   // precondition: available().contains(t_ns)
 
   struct Knot {
-    TimeNs t_ns;                 // camera clock
-    Eigen::Quaterniond R_0_cam;  // camera(t) -> camera(origin)
-    Eigen::Vector3d rate_rad_s;  // camera frame
+    TimeNs t_ns;                          // camera clock
+    Eigen::Quaterniond R_0_cam;           // camera(t) -> camera(origin)
+    Eigen::Vector3d rate_rad_s;           // camera frame
+    Eigen::Vector3d specific_force_m_s2;  // camera frame; not finite where not known
     bool follows_hole;
   };
   std::vector<Knot> knots_;

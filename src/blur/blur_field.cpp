@@ -165,6 +165,9 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
       BlockBlur& block = field.blocks[i];
       block = classify_path(path_px, options_);
       block.residual = residual;
+      // Where it cancels the rotation, little blur may be none.
+      const double doubt_px = residual ? to_seconds(end_ns - start_ns) * residual->stddev_px_s : 0;
+      if (block.extent_px - doubt_px < options_.min_extent_px) block.status = BlockStatus::SHARP;
     }
   }
   return field;

@@ -30,4 +30,7 @@ std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, 
 std::optional<Eigen::Vector2d> mean_offset(const Eigen::Vector2d& pixel_px, const Camera& camera,
                                            const CameraMotion& motion, const RowExposure& exposure);
 
+/// Derivative of Camera::project(): pixels for what a ray moves. Not finite beyond the range of the lens model.
+Eigen::Matrix<double, 2, 3> projection_jacobian(const Camera& camera, const Eigen::Vector3d& ray);
+
 }  // namespace gyro_deblur

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
+#include <limits>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -138,7 +140,10 @@ GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera
   if (times_ns.empty()) return {};
   const PointMotion point_motion(field, camera, motion);
   const auto to_node = [](const Eigen::Vector2d& px) {
-    return cv::Vec2f(static_cast<float>(px.x()), static_cast<float>(px.y()));
+    // cv::remap takes places as 16 bit; NaN stays.
+    constexpr double kFarPx = std::numeric_limits<std::int16_t>::max();
+    return cv::Vec2f(static_cast<float>(std::clamp(px.x(), -kFarPx, kFarPx)),
+                     static_cast<float>(std::clamp(px.y(), -kFarPx, kFarPx)));
   };
   cv::Mat moves_px(rows, cols, CV_32FC2);  // of the image as it arrived
   run_parallel(rows, threads, 1, [&](int row) {

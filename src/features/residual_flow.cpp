@@ -5,6 +5,7 @@
 #include <utility>
 
 #include <Eigen/Cholesky>
+#include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <opencv2/imgproc.hpp>
 
@@ -12,6 +13,8 @@
 #include "base/parallel.hpp"
 #include "features/corner_following.hpp"
 #include "features/corner_prediction.hpp"
+#include "features/robust_weight.hpp"
+#include "features/scene_change.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -23,14 +26,20 @@ constexpr double kLeastStepPx = 0.03;
 constexpr TimeNs kLongestStepNs = 250'000'000;
 /// What Lucas-Kanade leaves on blurred frames where all neighbours agree, in the smaller image [px].
 constexpr double kFloorPx = 0.05;
-/// Of the change that is carried on: a velocity need not go on changing as it did. Measured on recorded flights.
-constexpr double kDoubtOfChange = 0.25;
+/// Of the change that is carried on: a velocity need not go on changing as it did. More than on recorded flights, so
+/// that a velocity that is nothing but carried on is not certain (see is_certain).
+constexpr double kDoubtOfChange = 0.3;
 
 /// Whether a window around `p` lies in the image: one that is cut by its border drags the corner along.
 bool has_window(const cv::Point2f& p, const cv::Size& size, int window_px) {
   const auto half_px = static_cast<float>(window_px / 2);
   return p.x >= half_px && p.y >= half_px && p.x <= static_cast<float>(size.width - 1) - half_px &&
          p.y <= static_cast<float>(size.height - 1) - half_px;
+}
+
+/// Of the middle row's exposure: the instant that stands for an image.
+TimeNs middle_of(const RowExposure& exposure, const Camera& camera) {
+  return exposure.middle(0.5 * (camera.calibration().height_px - 1));
 }
 
 /// A corner near the centre of a block.
@@ -53,9 +62,6 @@ Eigen::Vector2d median_velocity(const std::vector<Neighbour>& neighbours) {
 /// from the median on, and less for those far away.
 /// @param neighbours  the last one is the farthest
 ResidualVelocity fit_plane(const std::vector<Neighbour>& neighbours, const ResidualFlowOptions& options) {
-  /// Of the length of a vector whose components are normal, with a deviation of 1: its median.
-  constexpr double kMedianLength = 1.1774;
-  constexpr double kScale = 2.0, kLeastSpreadPxS = 1e-3;
   const double reach_px2 = neighbours.back().distance_px2;
   Eigen::Matrix<double, 3, 2> plane = Eigen::Matrix<double, 3, 2>::Zero();
   plane.row(0) = median_velocity(neighbours).transpose();
@@ -67,7 +73,7 @@ ResidualVelocity fit_plane(const std::vector<Neighbour>& neighbours, const Resid
       const Eigen::Vector2d& d = neighbours[k].from_center_px;
       distances[k] = (neighbours[k].velocity_px_s.transpose() - Eigen::RowVector3d(1, d.x(), d.y()) * plane).norm();
     }
-    spread_px_s = std::max(median(distances) / kMedianLength, kLeastSpreadPxS);
+    spread_px_s = spread_of(distances);
     if (iteration == options.iterations_of_plane) break;
     normal.setZero();
     weights = 0;
@@ -78,8 +84,7 @@ ResidualVelocity fit_plane(const std::vector<Neighbour>& neighbours, const Resid
       const Eigen::Vector2d& d = neighbours[k].from_center_px;
       const Eigen::Vector3d row(1, d.x(), d.y());
       const double far = neighbours[k].distance_px2 / (0.5 * reach_px2);
-      const double off = distances[k] / (kScale * spread_px_s);
-      const double weight = 1 / ((1 + far) * (1 + off * off) * (1 + off * off));
+      const double weight = robust_weight(distances[k], spread_px_s) / (1 + far);
       weights += weight;
       normal += weight * row * row.transpose();
       right += weight * row * neighbours[k].velocity_px_s.transpose();
@@ -104,12 +109,16 @@ void ResidualFlow::reset() {
   samples_.clear();
   corners_.clear();
   means_.clear();
+  accelerations_.clear();
+  inertial_.clear();
 }
 
 void ResidualFlow::change_motion(const Camera& camera, const BlockGrid& grid, const CameraMotion* known) {
   whole_ = known != nullptr;
   ResidualField before = std::move(means_);
   means_.clear();
+  accelerations_.clear();
+  inertial_.clear();
   if (!known || !exposure_ || !known->covers(exposure_->frame())) return;
   if (before.size() != static_cast<std::size_t>(grid.size())) before.assign(static_cast<std::size_t>(grid.size()), {});
   for (int i = 0; i < grid.size(); ++i) {
@@ -122,7 +131,7 @@ void ResidualFlow::change_motion(const Camera& camera, const BlockGrid& grid, co
     before[i]->velocity_px_s += (*to - *from) / to_seconds(exposure_->end(y) - exposure_->start(y));
   }
   means_ = std::move(before);
-  mean_ns_ = exposure_->start(0);
+  mean_ns_ = middle_of(*exposure_, camera);
 }
 
 cv::Mat ResidualFlow::shrink(const cv::Mat& luminance) {
@@ -147,27 +156,72 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
   ResidualField carried;
   if (exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size()) {
     follow_corners(pyramid, camera, motion, exposure, grid);
-    const TimeNs step_ns = exposure.start(0) - exposure_->start(0), mean_ns = exposure.start(0) - step_ns / 2;
+    const TimeNs now_ns = middle_of(exposure, camera), mean_ns = now_ns - (now_ns - middle_of(*exposure_, camera)) / 2;
     ResidualField means = mean_velocities(grid, threads);
-    carried = means;
+    std::vector<std::optional<Eigen::Vector2d>> before_px_s(means.size());
     run_parallel(means_.size() == means.size() ? grid.size() : 0, threads, grid.cols(), [&](int i) {
-      if (!means[i]) return;
-      const auto before_px_s = velocity_before(i, *means[i], grid, camera, motion, exposure);
-      if (!before_px_s) return;
-      const Eigen::Vector2d change_px_s =
-          (means[i]->velocity_px_s - *before_px_s) * (to_seconds(step_ns / 2) / to_seconds(mean_ns - mean_ns_));
-      carried[i]->velocity_px_s += change_px_s;
-      carried[i]->stddev_px_s = std::hypot(means[i]->stddev_px_s, kDoubtOfChange * change_px_s.norm());
+      if (means[i]) before_px_s[i] = velocity_before(i, *means[i], grid, camera, motion, exposure);
     });
+    carried = carried_on(means, before_px_s, camera, motion, exposure, grid, to_seconds(mean_ns - mean_ns_));
     means_ = std::move(means);
     mean_ns_ = mean_ns;
   } else {
     means_.clear();
+    accelerations_.clear();
+    inertial_.clear();
   }
   corners_.clear();
   cv::goodFeaturesToTrack(small, corners_, options_.max_corners, kCornerQuality, options_.min_distance_px);
   pyramid_ = std::move(pyramid);
   exposure_ = exposure;
+  return carried;
+}
+
+ResidualField ResidualFlow::carried_on(const ResidualField& means,
+                                       const std::vector<std::optional<Eigen::Vector2d>>& before_px_s,
+                                       const Camera& camera, const CameraMotion& motion, const RowExposure& exposure,
+                                       const BlockGrid& grid, double since_before_s) {
+  const TimeNs before_ns = middle_of(*exposure_, camera), now_ns = middle_of(exposure, camera);
+  InertialChange::Step step;
+  step.step_s = to_seconds(now_ns - before_ns);
+  step.gain = motion.velocity_gain(before_ns, now_ns);
+  if (step.gain) step.R_now_before = motion.rotation(before_ns, now_ns);
+  const cv::Size size(camera.calibration().width_px, camera.calibration().height_px);
+  step.px_per_ray = projection_jacobian(camera, camera.ray({0.5 * (size.width - 1), 0.5 * (size.height - 1)}));
+  // In the image the axes turn by the camera's roll.
+  const Eigen::Rotation2Dd roll(std::atan2(step.R_now_before(1, 0), step.R_now_before(0, 0)));
+
+  std::vector<BlockChange> changes;
+  std::vector<std::size_t> changed;
+  Accelerations accelerations(means.size());
+  std::vector<double> changed_x, changed_y;
+  for (std::size_t i = 0; i < means.size(); ++i) {
+    if (!before_px_s[i]) continue;
+    const BlockChange& change =
+        changes.emplace_back(BlockChange{grid.center(static_cast<int>(i)), means[i]->velocity_px_s,
+                                         means[i]->stddev_px_s, means[i]->velocity_px_s - *before_px_s[i]});
+    changed.push_back(i);
+    accelerations[i] = change.change_px_s / since_before_s;
+    if (accelerations_.size() != means.size() || !accelerations_[i]) continue;
+    const Eigen::Vector2d changed_px_s2 = *accelerations[i] - roll * *accelerations_[i];
+    changed_x.push_back(changed_px_s2.x());
+    changed_y.push_back(changed_px_s2.y());
+  }
+  accelerations_ = std::move(accelerations);
+  if (changed_x.size() >= kLeastBlocksOfScene) {
+    step.acceleration_changed_px_s2 = {median(changed_x), median(changed_y)};
+  }
+  const Eigen::Vector2d beyond_px_s = inertial_.beyond_even(step);
+
+  ResidualField carried = means;
+  const std::vector<Eigen::Vector2d> common_px_s = common_changes(changes);
+  for (std::size_t k = 0; k < changed.size(); ++k) {
+    ResidualVelocity& velocity = *carried[changed[k]];
+    const Eigen::Vector2d even_px_s = step.step_s / 2 / since_before_s * common_px_s[k];
+    velocity.velocity_px_s += even_px_s + beyond_px_s;
+    velocity.stddev_px_s =
+        std::hypot(velocity.stddev_px_s, kDoubtOfChange * even_px_s.norm(), kDoubtOfChange * beyond_px_s.norm());
+  }
   return carried;
 }
 

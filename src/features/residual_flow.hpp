@@ -1,5 +1,5 @@
 // What the gyroscope does not know of an image's motion (translation over depth, objects that move by themselves, a
-// bias), from corners followed from the image before.
+// bias), from corners followed from the image before, and the accelerometer.
 #pragma once
 
 #include <optional>
@@ -8,6 +8,7 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
+#include "features/inertial_change.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
@@ -50,7 +51,8 @@ class ResidualFlow {
   /// @param grid       of the blocks
   /// @param threads    of what is made for blocks, at most; 0: one for each core. Following itself goes by OpenCV's.
   /// @return of each block of this image, at the middle of its exposure: the mean since the image before, carried on by
-  ///         what has changed since the one before that; nothing where too few corners are near
+  ///         what has changed since the one before that and by the accelerometer, see common_changes() and
+  ///         InertialChange; nothing where too few corners are near
   ResidualField follow(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
                        const RowExposure& exposure, const BlockGrid& grid, int threads = 0);
 
@@ -78,6 +80,12 @@ class ResidualFlow {
   std::optional<Eigen::Vector2d> velocity_before(int block, const ResidualVelocity& mean, const BlockGrid& grid,
                                                  const Camera& camera, const CameraMotion& motion,
                                                  const RowExposure& exposure) const;
+  /// The means at the middle of the newest image's exposure, as far as their changes tell.
+  /// @param before_px_s     of each block, the mean before as it would be seen now
+  /// @param since_before_s  between the middles of the times that the two are means over
+  ResidualField carried_on(const ResidualField& means, const std::vector<std::optional<Eigen::Vector2d>>& before_px_s,
+                           const Camera& camera, const CameraMotion& motion, const RowExposure& exposure,
+                           const BlockGrid& grid, double since_before_s);
   /// Since the image before.
   ResidualField mean_velocities(const BlockGrid& grid, int threads) const;
 
@@ -88,7 +96,10 @@ class ResidualFlow {
   std::vector<Sample> samples_;
   ResidualField means_;  // since the image before
   TimeNs mean_ns_ = 0;   // the middle of the time that they are means over
-  bool whole_ = false;   // they are beside no motion at all
+  using Accelerations = std::vector<std::optional<Eigen::Vector2d>>;
+  Accelerations accelerations_;  // of each block, between the last two means [px/s^2]
+  InertialChange inertial_;
+  bool whole_ = false;  // they are beside no motion at all
 };
 
 }  // namespace gyro_deblur

@@ -9,6 +9,7 @@
 #include <Eigen/Geometry>
 
 #include "base/median.hpp"
+#include "features/corner_prediction.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -26,17 +27,6 @@ Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
   Eigen::Matrix3d m;
   m << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
   return m;
-}
-
-/// Of Camera::project; not finite beyond the range of the lens model.
-Columns projection_jacobian(const Camera& camera, const Eigen::Vector3d& ray) {
-  constexpr double kStep = 1e-4;  // a twentieth of a pixel: far above rounding, far below what bends a lens
-  Columns jacobian;
-  for (int axis = 0; axis < 3; ++axis) {
-    const Eigen::Vector3d step = kStep * Eigen::Vector3d::Unit(axis);
-    jacobian.col(axis) = (camera.project(ray + step) - camera.project(ray - step)) / (2 * kStep);
-  }
-  return jacobian;
 }
 
 /// Geman-McClure with the scale of the residuals themselves.

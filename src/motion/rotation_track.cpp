@@ -4,6 +4,7 @@
 #include <cmath>
 #include <iomanip>
 #include <iterator>
+#include <limits>
 #include <sstream>
 #include <stdexcept>
 #include <string>
@@ -80,7 +81,13 @@ RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroO
     // Rates in camera axes give the rotation of the camera: R Exp(v) R^T = Exp(R v).
     const Eigen::Vector3d rate_rad_s = R * (sample.rate_rad_s - options.bias_rad_s);
     const bool saturated = is_saturated(sample, options);
-    Knot knot{sample.t_ns - options.time_offset_ns, Eigen::Quaterniond::Identity(), rate_rad_s, false};
+    // 16 g is the widest range of common IMUs (BMI085, ICM-20948); more is an error.
+    constexpr double kMostForce_m_s2 = 160;
+    Knot knot{sample.t_ns - options.time_offset_ns, Eigen::Quaterniond::Identity(), rate_rad_s,
+              R * sample.specific_force_m_s2, false};
+    if (!(knot.specific_force_m_s2.cwiseAbs().maxCoeff() <= kMostForce_m_s2)) {
+      knot.specific_force_m_s2.setConstant(std::numeric_limits<double>::quiet_NaN());
+    }
     if (!knots_.empty()) {
       const Knot& previous = knots_.back();
       if (knot.t_ns <= previous.t_ns) {
@@ -154,6 +161,30 @@ Eigen::Quaterniond RotationTrack::orientation(TimeNs t_ns) const {
 Eigen::Matrix3d RotationTrack::rotation(TimeNs from_ns, TimeNs to_ns) const {
   require_covered({std::min(from_ns, to_ns), std::max(from_ns, to_ns)});
   return (interpolate(to_ns).conjugate() * interpolate(from_ns)).toRotationMatrix();
+}
+
+std::optional<VelocityGain> RotationTrack::velocity_gain(TimeNs from_ns, TimeNs to_ns) const {
+  if (from_ns >= to_ns || !covers({from_ns, to_ns})) return std::nullopt;
+  const Eigen::Quaterniond R_end_0 = interpolate(to_ns).conjugate();
+  auto next =
+      std::upper_bound(knots_.begin(), knots_.end(), from_ns, [](TimeNs t, const Knot& knot) { return t < knot.t_ns; });
+  const auto force_m_s2 = [&](TimeNs t_ns) -> Eigen::Vector3d {
+    const Knot& before = *std::prev(next);
+    const double part = static_cast<double>(t_ns - before.t_ns) / static_cast<double>(next->t_ns - before.t_ns);
+    return R_end_0 * interpolate(t_ns) *
+           (before.specific_force_m_s2 + part * (next->specific_force_m_s2 - before.specific_force_m_s2));
+  };
+  // From sample to sample by trapezoids; what is gained in one counts from its middle on.
+  Eigen::Vector3d total_m_s = Eigen::Vector3d::Zero(), way_m = Eigen::Vector3d::Zero();
+  for (TimeNs t_ns = from_ns; t_ns < to_ns; ++next) {
+    const TimeNs end_ns = std::min(next->t_ns, to_ns);
+    const Eigen::Vector3d gained_m_s = 0.5 * to_seconds(end_ns - t_ns) * (force_m_s2(t_ns) + force_m_s2(end_ns));
+    total_m_s += gained_m_s;
+    way_m += (to_seconds(to_ns - end_ns) + 0.5 * to_seconds(end_ns - t_ns)) * gained_m_s;
+    t_ns = end_ns;
+  }
+  if (!total_m_s.allFinite()) return std::nullopt;
+  return VelocityGain{total_m_s, way_m / to_seconds(to_ns - from_ns)};
 }
 
 }  // namespace gyro_deblur

@@ -48,8 +48,7 @@ class GyroSource {
   /// Keeps at least this much from now on.
   void require_capacity(TimeNs capacity_ns);
 
-  /// Takes a message in. False when it is not used, or not yet, for want of a rate or of a stamp that fits: what else
-  /// it has is of no use either.
+  /// Takes a message in. False when it is not used, or not yet, for want of a rate or of a stamp that fits.
   bool add(const sensor_msgs::Imu& imu);
 
   ImuStatistics statistics() const;

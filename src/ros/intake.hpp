@@ -9,7 +9,6 @@
 
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
-#include <sensor_msgs/Imu.h>
 
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/exposure.hpp"

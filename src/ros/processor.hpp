@@ -66,7 +66,7 @@ class Processor {
   void set_config_error(const std::string& text);
 
   void add_imu(const sensor_msgs::Imu& imu);
-  /// A shared source has taken a message in.
+  /// A message has come to a shared source.
   void notice_imu();
   void add_exposure(const Exposure& exposure);
   /// A setting that holds for the images from now on, until the next.

@@ -46,8 +46,10 @@ std::string size_text(double width, double height) {
 
 std::optional<GyroSample> to_gyro_sample(const sensor_msgs::Imu& imu) {
   if (imu.angular_velocity_covariance[0] == -1) return std::nullopt;
-  return GyroSample{to_time_ns(imu.header.stamp),
-                    Eigen::Vector3d(imu.angular_velocity.x, imu.angular_velocity.y, imu.angular_velocity.z)};
+  const auto to_eigen = [](const auto& v) { return Eigen::Vector3d(v.x, v.y, v.z); };
+  GyroSample sample{to_time_ns(imu.header.stamp), to_eigen(imu.angular_velocity)};
+  if (imu.linear_acceleration_covariance[0] != -1) sample.specific_force_m_s2 = to_eigen(imu.linear_acceleration);
+  return sample;
 }
 
 }  // namespace gyro_deblur

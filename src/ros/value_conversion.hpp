@@ -23,8 +23,8 @@ std::string vector_text(const Eigen::Vector3d& v);
 /// "640x480".
 std::string size_text(double width, double height);
 
-/// Body rate and stamp of an IMU message; nothing when its covariance says that it has no gyroscope
-/// (sensor_msgs/Imu: first element -1).
+/// Body rate, specific force and stamp of an IMU message; nothing when its covariance says that it has no gyroscope
+/// (sensor_msgs/Imu: first element -1). The same of the acceleration leaves that one out.
 std::optional<GyroSample> to_gyro_sample(const sensor_msgs::Imu& imu);
 
 }  // namespace gyro_deblur

@@ -20,9 +20,8 @@ using sim::Simulator;
 
 constexpr int kBlockPx = 64;
 
-Simulator simulator_of(const std::string& motion) {
-  return Simulator(sim::parse_scene(YAML::Load(R"(
-frames: 8
+Simulator simulator_of(const std::string& motion, int frames = 8) {
+  return Simulator(sim::parse_scene(YAML::Load("frames: " + std::to_string(frames) + R"(
 seed: 5
 camera: {size: [640, 480], intrinsics: [400, 400, 320, 240], fps: 20, exposure_time: 0.02, readout_time: 0.015, noise: 2}
 imu: {rate: 400}
@@ -31,9 +30,16 @@ planes: [{size: [9, 7], position: [0, 0, 2], texture_size: [2400, 1800], texture
                                     "", "residual flow"));
 }
 
-RotationTrack rotation_of(const Simulator& simulator, const Eigen::Vector3d& bias_rad_s = Eigen::Vector3d::Zero()) {
+enum class Accelerometer { NONE, PRESENT, ALWAYS_ZERO };
+
+RotationTrack rotation_of(const Simulator& simulator, const Eigen::Vector3d& bias_rad_s = Eigen::Vector3d::Zero(),
+                          Accelerometer accelerometer = Accelerometer::NONE) {
   std::vector<GyroSample> samples;
-  for (const sim::ImuSample& s : simulator.imu()) samples.push_back({s.t_ns, s.rate_rad_s + bias_rad_s});
+  for (const sim::ImuSample& s : simulator.imu()) {
+    GyroSample& sample = samples.emplace_back(GyroSample{s.t_ns, s.rate_rad_s + bias_rad_s});
+    if (accelerometer == Accelerometer::PRESENT) sample.specific_force_m_s2 = s.specific_force_m_s2;
+    if (accelerometer == Accelerometer::ALWAYS_ZERO) sample.specific_force_m_s2.setZero();
+  }
   return RotationTrack(samples, GyroOptions{}, Eigen::Matrix3d::Identity());
 }
 
@@ -93,13 +99,30 @@ motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3,
   EXPECT_LT(percentile(errors.by_both_px, 0.9), 0.6);
 }
 
+TEST(ResidualFlow, KnowsByTheAccelerometerWhatHappensBetweenTwoImages) {
+  const Simulator simulator = simulator_of(R"(
+motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
+  position: {sines: [{amplitude: [0.06, 0.04, 0.03], frequency: 3, phase: 70}]}}
+)",
+                                           20);
+  const Errors without = errors_of(simulator, rotation_of(simulator)),
+               with = errors_of(simulator, rotation_of(simulator, {0, 0, 0}, Accelerometer::PRESENT)),
+               zeros = errors_of(simulator, rotation_of(simulator, {0, 0, 0}, Accelerometer::ALWAYS_ZERO));
+  EXPECT_GT(percentile(without.by_both_px, 0.5), 0.3);
+  EXPECT_LT(percentile(with.by_both_px, 0.5), 0.7 * percentile(without.by_both_px, 0.5));
+  EXPECT_EQ(zeros.by_both_px, without.by_both_px);
+}
+
 TEST(ResidualFlow, LeavesATurningCameraToItsGyroscope) {
   const Simulator simulator = simulator_of(R"(
 motion: {type: spline, rotation: {sines: [{amplitude: [9, 12, 6], frequency: 1.7, phase: 20}]}}
 )");
-  const Errors errors = errors_of(simulator, rotation_of(simulator));
-  EXPECT_LT(errors.certain, errors.blocks / 50);
-  EXPECT_LT(percentile(errors.by_both_px, 0.99), 0.2 + percentile(errors.by_gyroscope_px, 0.99));
+  // The accelerometer feels gravity alone, from all sides.
+  for (const Accelerometer accelerometer : {Accelerometer::NONE, Accelerometer::PRESENT}) {
+    const Errors errors = errors_of(simulator, rotation_of(simulator, {0, 0, 0}, accelerometer));
+    EXPECT_LT(errors.certain, errors.blocks / 50);
+    EXPECT_LT(percentile(errors.by_both_px, 0.99), 0.2 + percentile(errors.by_gyroscope_px, 0.99));
+  }
 }
 
 TEST(ResidualFlow, MendsABiasThatNobodyTold) {

@@ -1,8 +1,12 @@
 #include "gyro_deblur/rotation_track.hpp"
 
+#include <cmath>
+#include <limits>
 #include <random>
 #include <stdexcept>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -306,6 +310,60 @@ TEST(RequireRotation, ProjectsPrintedMatricesAndRefusesOthers) {
   const std::string message = rotation_error(mirrored);
   EXPECT_EQ(message.rfind("R_cam_imu has determinant -1: it mirrors", 0), 0u) << message;
   EXPECT_NE(message.find("+1"), std::string::npos) << message;
+}
+
+/// Samples of an IMU in a hand that turns and shakes, and its velocity in the axes of the world.
+struct ShakenImu {
+  static Eigen::Vector3d velocity_m_s(double t_s) {
+    return {0.5 * std::sin(17 * t_s), 0.3 * std::cos(11 * t_s), 0.1 * t_s};
+  }
+  static Eigen::Vector3d place_m(double t_s) {
+    return {-0.5 / 17 * std::cos(17 * t_s), 0.3 / 11 * std::sin(11 * t_s), 0.05 * t_s * t_s};
+  }
+  static Eigen::Vector3d specific_force_m_s2(double t_s) {
+    return {0.5 * 17 * std::cos(17 * t_s), -0.3 * 11 * std::sin(11 * t_s), 0.1 + 9.81};
+  }
+  std::vector<GyroSample> samples(const Eigen::Matrix3d& R_cam_imu) const {
+    std::vector<GyroSample> samples = motion.sample({0, 200 * kMs}, 4 * kMs, R_cam_imu);
+    for (GyroSample& sample : samples) {
+      sample.specific_force_m_s2 = R_cam_imu.transpose() * motion.R_world_cam(sample.t_ns).transpose() *
+                                   specific_force_m_s2(to_seconds(sample.t_ns));
+    }
+    return samples;
+  }
+  AnalyticMotion motion = AnalyticMotion::handshake();
+};
+
+TEST(VelocityGain, IsTheIntegralOfTheAccelerometer) {
+  const ShakenImu imu;
+  const RotationTrack track(imu.samples(some_rotation()), {}, some_rotation());
+  for (const auto& [from_ns, to_ns] : {std::pair(20 * kMs, 68 * kMs), {21 * kMs, 67 * kMs}, {0, 200 * kMs}}) {
+    const auto gain = track.velocity_gain(from_ns, to_ns);
+    ASSERT_TRUE(gain);
+    const double from_s = to_seconds(from_ns), to_s = to_seconds(to_ns), step_s = to_s - from_s;
+    const Eigen::Vector3d pull_m_s(0, 0, 9.81 * step_s);  // of gravity, the other way round
+    const Eigen::Matrix3d R_cam_world = imu.motion.R_world_cam(to_ns).transpose();
+    const Eigen::Vector3d total_m_s = imu.velocity_m_s(to_s) - imu.velocity_m_s(from_s) + pull_m_s,
+                          mean_m_s = (imu.place_m(to_s) - imu.place_m(from_s)) / step_s - imu.velocity_m_s(from_s) +
+                                     pull_m_s / 2;
+    EXPECT_LT((gain->total_m_s - R_cam_world * total_m_s).norm(), 1e-3);
+    EXPECT_LT((gain->mean_m_s - R_cam_world * mean_m_s).norm(), 1e-3);
+  }
+}
+
+TEST(VelocityGain, IsNoneWithoutAnAccelerometerOrBeyondWhatIsCovered) {
+  const ShakenImu imu;
+  std::vector<GyroSample> samples = imu.samples(kIdentity);
+  EXPECT_FALSE(RotationTrack(imu.motion.sample({0, 200 * kMs}, 4 * kMs), {}, kIdentity).velocity_gain(0, 50 * kMs));
+  const RotationTrack track(samples, {}, kIdentity);
+  EXPECT_FALSE(track.velocity_gain(-1, 50 * kMs));
+  EXPECT_FALSE(track.velocity_gain(50 * kMs, 200 * kMs + 1));
+  EXPECT_FALSE(track.velocity_gain(50 * kMs, 50 * kMs));
+  EXPECT_FALSE(track.velocity_gain(50 * kMs, 20 * kMs));
+  samples[10].specific_force_m_s2.y() = -170;  // beyond any sensor
+  const RotationTrack spoilt(samples, {}, kIdentity);
+  EXPECT_FALSE(spoilt.velocity_gain(20 * kMs, 60 * kMs));
+  EXPECT_TRUE(spoilt.velocity_gain(48 * kMs, 100 * kMs)) << "behind it";
 }
 
 }  // namespace

@@ -44,6 +44,10 @@ TEST(GyroSample, CovarianceCanSayThatThereIsNone) {
   ASSERT_TRUE(sample);
   EXPECT_EQ(sample->t_ns, 5 * kSecond);
   EXPECT_EQ(sample->rate_rad_s, Eigen::Vector3d(-0.25, 0.5, 0.125));
+  imu.linear_acceleration.z = 9.5;
+  EXPECT_EQ(to_gyro_sample(imu)->specific_force_m_s2, Eigen::Vector3d(0, 0, 9.5));
+  imu.linear_acceleration_covariance[0] = -1;
+  EXPECT_FALSE(to_gyro_sample(imu)->specific_force_m_s2.allFinite());
   imu.angular_velocity_covariance[0] = -1;
   EXPECT_FALSE(to_gyro_sample(imu));
 }

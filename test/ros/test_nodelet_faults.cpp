@@ -227,14 +227,14 @@ class UnloadTest : public NodeletFaultTest {
  protected:
   void load() {
     ASSERT_NO_FATAL_FAILURE(NodeletFaultTest::load());
-    ASSERT_TRUE(poll_until([this] { return imu_publisher_.getNumSubscribers() > 0; }));
+    ASSERT_TRUE(poll_until([this] { return image_publisher_.getNumSubscribers() > 0; }));
   }
   /// Unloads the nodelet while its worker is at the gate, which opens when unloading has begun.
   void unload_through(LogGate* gate) {
     ASSERT_TRUE(gate->wait_for_somebody());
     std::thread unloader([this] { unload(); });
     // Given up before the nodelet waits for its worker.
-    EXPECT_TRUE(poll_until([this] { return imu_publisher_.getNumSubscribers() == 0; }));
+    EXPECT_TRUE(poll_until([this] { return image_publisher_.getNumSubscribers() == 0; }));
     gate->open();
     unloader.join();
   }

@@ -1,0 +1,26 @@
+// Least squares in the plane that do not follow outliers.
+#pragma once
+
+#include <algorithm>
+#include <vector>
+
+#include "base/median.hpp"
+
+namespace gyro_deblur {
+
+/// Standard deviation of each component of vectors with these lengths, from their median; not 0.
+inline double spread_of(const std::vector<double>& distances) {
+  /// Of the length of a vector whose components are normal, with a deviation of 1: its median.
+  constexpr double kMedianLength = 1.1774;
+  constexpr double kLeast = 1e-3;
+  return std::max(median(distances) / kMedianLength, kLeast);
+}
+
+/// Geman and McClure's.
+inline double robust_weight(double distance, double spread) {
+  constexpr double kScale = 2.0;
+  const double off = distance / (kScale * spread);
+  return 1 / ((1 + off * off) * (1 + off * off));
+}
+
+}  // namespace gyro_deblur
