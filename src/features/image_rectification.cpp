@@ -165,7 +165,7 @@ GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera
       // What a row is moved by changes slowly from row to row: a tenth of the error is left each time. It is some
       // pixels at first, and a tenth of one where the two nodes before are known.
       const Eigen::Vector2d before_px = move_px;
-      const int iterations = col < 2 ? 5 : 2;
+      const int iterations = col < 2 ? 5 : 3;
       move_px += step_px;
       for (int i = 0; i < iterations; ++i) move_px = interpolate(moves_px, pixel_px - move_px);
       if (col > 0) step_px = move_px - before_px;
