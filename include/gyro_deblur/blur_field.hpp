@@ -51,8 +51,9 @@ class BlurFieldEstimator {
   /// kernel that turns the angle by half the camera's roll during the exposure). Blocks whose exposure `motion` does
   /// not cover are NO_GYRO with extent 0; so are those whose centre, or whose path, lies beyond the range of the lens
   /// model.
-  /// @param residuals  of the blocks of grid(), or empty: added to the paths where it is certain, see is_certain(); a
-  ///                   block whose extent less their deviation is below min_extent_px is SHARP
+  /// @param residuals  of the blocks of grid(), or empty: added to the paths where it is certain, see is_certain(). A
+  ///                   block is SHARP whose extent may be below min_extent_px: less their deviation, or less what an
+  ///                   uncertain one of min_extent_px or more would add
   FrameBlur estimate(const CameraMotion& motion, const RowExposure& exposure,
                      const ResidualField& residuals = {}) const;
 

@@ -153,7 +153,17 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
     for (int i = first; i < first + grid_.cols(); ++i) {
       const Eigen::Vector2d center_px = grid_.center(i);
       std::optional<ResidualVelocity> residual;
-      if (!residuals.empty() && residuals[i] && is_certain(*residuals[i], end_ns - start_ns)) residual = residuals[i];
+      double doubt_px = 0;  // about the extent
+      if (!residuals.empty() && residuals[i]) {
+        const double exposure_s = to_seconds(end_ns - start_ns),
+                     moved_px = exposure_s * residuals[i]->velocity_px_s.norm();
+        if (is_certain(*residuals[i], end_ns - start_ns)) {
+          residual = residuals[i];
+          doubt_px = exposure_s * residual->stddev_px_s;
+        } else if (moved_px >= options_.min_extent_px) {
+          doubt_px = moved_px;  // what is uncertain is not used, and may be so all the same
+        }
+      }
       std::array<Eigen::Vector2d, kPathInstants> path_px;
       for (int k = 0; k < kPathInstants; ++k) {
         path_px[k] = camera_.project(turns[k] * rays_[i]) - center_px;
@@ -166,7 +176,6 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
       block = classify_path(path_px, options_);
       block.residual = residual;
       // Where it cancels the rotation, little blur may be none.
-      const double doubt_px = residual ? to_seconds(end_ns - start_ns) * residual->stddev_px_s : 0;
       if (block.extent_px - doubt_px < options_.min_extent_px) block.status = BlockStatus::SHARP;
     }
   }

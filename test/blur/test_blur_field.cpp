@@ -11,6 +11,7 @@
 
 #include "analytic_motion.hpp"
 #include "base/median.hpp"
+#include "euroc_camera.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -27,13 +28,6 @@ CameraCalibration pinhole(int width_px = 640, int height_px = 480, double f_px =
   c.fx_px = c.fy_px = f_px;
   c.cx_px = 0.5 * (width_px - 1);
   c.cy_px = 0.5 * (height_px - 1);
-  return c;
-}
-
-CameraCalibration euroc() {
-  CameraCalibration c = pinhole(752, 480, 458);
-  c.model = "plumb_bob";
-  c.coefficients = {-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05};
   return c;
 }
 
@@ -239,6 +233,43 @@ TEST(BlurFieldEstimator, PanBlursAlongX) {
   }
 }
 
+/// A camera that pans by `pan_px` within an exposure, of whose blocks the images say the same, in px within it.
+BlockBlur middle_block(double pan_px, double residual_px, double stddev_px) {
+  constexpr double kExposureS = 0.02, kFocalPx = 500;
+  const BlurFieldEstimator estimator(Camera(pinhole()), {});
+  const ResidualVelocity residual{{residual_px / kExposureS, 0}, stddev_px / kExposureS};
+  return estimator
+      .estimate(AnalyticMotion::constant_rate({0, -pan_px / kFocalPx / kExposureS, 0}),
+                RowExposure(0, 480, timing(20 * kMs, 0)), ResidualField(80, residual))
+      .blocks[45];
+}
+
+TEST(BlurFieldEstimator, AddsWhatTheImagesAreCertainOf) {
+  const double alone_px = middle_block(10, 0, 0.1).extent_px;
+  EXPECT_NEAR(middle_block(10, 4, 0.1).extent_px, alone_px + 4, 1e-3);
+  EXPECT_NEAR(middle_block(10, -4, 0.1).extent_px, alone_px - 4, 1e-3);
+  EXPECT_TRUE(middle_block(10, 4, 0.1).residual);
+  for (const double stddev_px : {1.2, 5.0}) {
+    EXPECT_EQ(middle_block(10, 4, stddev_px).extent_px, alone_px);
+    EXPECT_FALSE(middle_block(10, 4, stddev_px).residual);
+  }
+}
+
+TEST(BlurFieldEstimator, LeavesAloneWhatMayBeSharp) {
+  const auto is_deblurred = [](double pan_px, double residual_px, double stddev_px) {
+    return middle_block(pan_px, residual_px, stddev_px).status == BlockStatus::DEBLURRED;
+  };
+  // Certain, of all but 3.3 px.
+  EXPECT_TRUE(is_deblurred(10, -6.7, 0.1));
+  EXPECT_FALSE(is_deblurred(10, -6.7, 0.5));
+  // Not certain, but as long as the smallest blur that is deblurred.
+  EXPECT_FALSE(is_deblurred(5, 4, 2));
+  EXPECT_FALSE(is_deblurred(5, -4, 2));
+  EXPECT_TRUE(is_deblurred(10, 4, 2));
+  // What scatters less is nothing.
+  EXPECT_TRUE(is_deblurred(3.2, 2, 2));
+}
+
 // About its axis a camera with square pixels moves points on circles: the chord is at right angles to the radius when
 // it is centred in time, and turned by half the roll when it starts at the block's centre.
 TEST(BlurFieldEstimator, RollBlursAtRightAnglesToTheRadius) {
@@ -282,7 +313,7 @@ FieldError compare(const FrameBlur& field, const AnalyticMotion& motion, const C
 }
 
 TEST(BlurFieldEstimator, RollingShutterLensAndGyroscopeAgreeWithTheTruth) {
-  const Camera camera(euroc());
+  const Camera camera(test::euroc_camera());
   const AnalyticMotion motion = AnalyticMotion::handshake();
   const BlurFieldEstimator estimator(camera, {});
   Eigen::Matrix3d R_cam_imu;
