@@ -1,5 +1,6 @@
 #include "footage.hpp"
 
+#include <algorithm>
 #include <cstdio>
 #include <memory>
 #include <utility>
@@ -7,6 +8,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "base/median.hpp"
+#include "image_pairs.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {
@@ -47,15 +49,38 @@ cv::Mat checkered(const cv::Size& size_px, double width_m) {
   return texture;
 }
 
-void paint(Walls walls, std::uint64_t seed, std::vector<sim::Plane>* planes) {
+/// Photographs side by side, each stretched over much the same share of the wall, the first of them at `photograph`.
+cv::Mat papered(const cv::Size& size_px, const sim::Plane& plane, const std::vector<ImagePair>& photographs,
+                std::size_t photograph) {
+  constexpr double kWidthM = 3, kHeightM = 2.25;
+  const int columns = std::max(1, cvRound(plane.width_m / kWidthM)),
+            rows = std::max(1, cvRound(plane.height_m / kHeightM));
+  cv::Mat texture(size_px, CV_8UC1);
+  for (int row = 0; row < rows; ++row) {
+    for (int column = 0; column < columns; ++column) {
+      const cv::Point begin(column * size_px.width / columns, row * size_px.height / rows);
+      const cv::Point end((column + 1) * size_px.width / columns, (row + 1) * size_px.height / rows);
+      cv::Mat tile = texture(cv::Rect(begin, end));
+      cv::resize(photographs[photograph++ % photographs.size()].image1, tile, tile.size(), 0, 0, cv::INTER_AREA);
+    }
+  }
+  return texture;
+}
+
+void paint(Walls walls, std::size_t first_photograph, const std::string& data, std::vector<sim::Plane>* planes) {
+  std::string source;
+  const std::vector<ImagePair> photographs = load_pairs(data, source);
+  constexpr std::size_t kFromWallToWall = 3;  // photographs: has no divisor in common with their number
   for (std::size_t i = 0; i < planes->size(); ++i) {
     sim::Plane& plane = (*planes)[i];
     const cv::Size size_px = plane.texture.size();
-    if (walls == Walls::CHECKERED) plane.texture = checkered(size_px, plane.width_m);
     // Left are the floor and one wall.
-    if (walls == Walls::PLAIN && i != 0 && i != 4) plane.texture = cv::Mat(size_px, CV_8UC1, cv::Scalar(kGrey));
-    if (walls == Walls::TEXTURED && seed != 0) {
-      plane.texture = sim::procedural_texture(size_px.width, size_px.height, 1000 * seed + i);
+    if (walls == Walls::PLAIN && i != 0 && i != 4) {
+      plane.texture = cv::Mat(size_px, CV_8UC1, cv::Scalar(kGrey));
+    } else if (walls == Walls::CHECKERED) {
+      plane.texture = checkered(size_px, plane.width_m);
+    } else {
+      plane.texture = papered(size_px, plane, photographs, first_photograph + kFromWallToWall * i);
     }
   }
 }
@@ -78,7 +103,7 @@ sim::Scene scene_of(const FootageCase& c, const std::string& data, double second
   if (c.path != CameraPath::FLIGHT) {
     scene.motion = std::make_shared<HeldMotion>(scene.motion, c.path == CameraPath::TURNING);
   }
-  paint(c.walls, c.texture_seed, &scene.planes);
+  paint(c.walls, c.first_photograph, data, &scene.planes);
   return scene;
 }
 

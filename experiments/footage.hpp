@@ -27,7 +27,7 @@ constexpr Light kDaylight{"", 1, 2}, kLowLight{"low light", 0.35, 4};
 
 enum class CameraPath { FLIGHT, TURNING, RESTING };  ///< as recorded; at the first position; in the first pose
 enum class Walls {
-  TEXTURED,
+  PAPERED,   ///< with photographs, see load_pairs()
   PLAIN,     ///< all but two are of one grey
   CHECKERED  ///< squares of 0.2 m
 };
@@ -38,8 +38,8 @@ struct FootageCase {
   TimeNs readout_ns = 0;
   double speed = 1;
   CameraPath path = CameraPath::FLIGHT;
-  Walls walls = Walls::TEXTURED;
-  std::uint64_t texture_seed = 0;  ///< equal ones give equal textures
+  Walls walls = Walls::PAPERED;
+  std::size_t first_photograph = 0;  ///< on the walls: other ones make another room
 
   /// For tables: "30 ms, readout 20 ms, x1.7".
   std::string conditions() const;
@@ -48,7 +48,7 @@ struct FootageCase {
 /// Frames of 752x480 at 20 Hz with a focal length of 460 px, and a gyroscope of 200 Hz with noise of 0.003 rad/s.
 class Footage {
  public:
-  /// @param data  folder that holds trajectories/
+  /// @param data  folder that holds trajectories/, and photographs where it has some, see load_pairs()
   /// Throws OptionError when the trajectory cannot be read.
   Footage(const FootageCase& footage_case, const std::string& data, double seconds);
 

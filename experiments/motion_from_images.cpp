@@ -94,6 +94,7 @@ class Study {
   void dropped(const FootageCase& c, const Footage& footage);
   void features(const FootageCase& c, Footage* footage, const Light& light);
   void shutter(const FootageCase& c, const Footage& footage, const Light& light);
+  void straight_edges(const test::RecordedFlight& flight, const Footage& footage) const;
   void shown();
   void objects(const FootageCase& c, const Footage& footage);
   void burst();
@@ -235,6 +236,14 @@ void Study::shutter(const FootageCase& c, const Footage& footage, const Light& l
   shutter_.add(row);
 }
 
+void Study::straight_edges(const test::RecordedFlight& flight, const Footage& footage) const {
+  if (arguments_.output.empty()) return;
+  const BentFrame bent = most_bent_frame(footage);
+  const std::string start = arguments_.output + "/shutter_" + std::filesystem::path(flight.file).stem().string() + "_";
+  cv::imwrite(start + "arrived.png", bent.arrived);
+  cv::imwrite(start + "global.png", bent.global_shutter);
+}
+
 void Study::shown() {
   const std::vector<ShownPlace> places = shown_places(arguments_.quick ? 1 : 2);
   for (std::size_t begin = 0; begin < places.size(); ++begin) {
@@ -309,7 +318,7 @@ std::vector<std::function<void()>> Study::flight_steps(const test::RecordedFligh
     if (!asked("hardship")) return;
     dropped(normal, footage);
     FootageCase other = normal;
-    other.texture_seed = 1;
+    other.first_photograph = 4;
     const Footage elsewhere = film(other, seconds);
     constexpr int kScene = 10;  // frames
     Sequence cut = all_frames(footage);
@@ -327,7 +336,10 @@ std::vector<std::function<void()>> Study::flight_steps(const test::RecordedFligh
     if (!moving && !asked("shutter")) return;
     const Footage footage = film(c, seconds);
     if (moving) displacement(c, footage, kDaylight);
-    if (asked("shutter")) shutter(c, footage, kDaylight), shutter(c, footage, kLowLight);
+    if (!asked("shutter")) return;
+    shutter(c, footage, kDaylight), shutter(c, footage, kLowLight);
+    straight_edges(flight,
+                   film({flight, kShortNs, kReadoutNs, kFast, CameraPath::FLIGHT, Walls::CHECKERED}, few_seconds));
   });
   steps.push_back([=] {
     const FootageCase c{flight, kLongNs, 0, kFast};

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Plots what motion_from_images --out wrote: errors against what there was to find, and an object before and after."""
+"""Plots what motion_from_images --out wrote: errors against what there was to find, and pictures before and after."""
 
 import argparse
 import csv
@@ -75,10 +75,27 @@ def plot_objects(folder, trajectory, path):
     plt.close(figure)
 
 
+def plot_shutter(folder, trajectory, path):
+    """A checkered room as a rolling shutter saw it, and as the global-shutter image shows it."""
+    figure, all_axes = plt.subplots(1, 2, figsize=(11, 3.9))
+    for axes, (stage, title) in zip(all_axes, [("arrived", "as it arrived"), ("global", "global_shutter/image_raw")]):
+        file = folder / f"shutter_{trajectory}_{stage}.png"
+        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            fail(f"{file} cannot be read")
+        axes.imshow(image, cmap="gray", vmin=0, vmax=255)
+        axes.set_title(title, fontsize=10)
+        axes.set_xticks([])
+        axes.set_yticks([])
+    figure.tight_layout()
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=pathlib.Path, help="of motion_from_images --out")
-    parser.add_argument("--trajectory", default="tum_vi_room2", help="whose object is shown [tum_vi_room2]")
+    parser.add_argument("--trajectory", default="tum_vi_room2", help="whose pictures are shown [tum_vi_room2]")
     arguments = parser.parse_args()
     folder = arguments.folder
     samples = folder / "displacement_samples.csv"
@@ -90,8 +107,11 @@ def main():
     if list(folder.glob(f"object_*_{arguments.trajectory}_*.png")):
         pictures.append(folder / "moving_object.png")
         plot_objects(folder, arguments.trajectory, pictures[-1])
+    if list(folder.glob(f"shutter_{arguments.trajectory}_*.png")):
+        pictures.append(folder / "global_shutter.png")
+        plot_shutter(folder, arguments.trajectory, pictures[-1])
     if not pictures:
-        fail(f"{folder} holds neither displacement_samples.csv nor objects of {arguments.trajectory}")
+        fail(f"{folder} holds neither displacement_samples.csv nor pictures of {arguments.trajectory}")
     print("\n".join(str(picture) for picture in pictures))
 
 

@@ -1,8 +1,11 @@
 #include "shutter_errors.hpp"
 
+#include <algorithm>
+
 #include "features/residual_flow.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/image_rectification.hpp"
+#include "gyro_deblur/pipeline.hpp"
 
 namespace gyro_deblur::experiments {
 std::array<std::vector<double>, 4> shutter_errors(const Footage& footage, const Light& light) {
@@ -44,6 +47,32 @@ std::array<std::vector<double>, 4> shutter_errors(const Footage& footage, const 
     }
   }
   return errors;
+}
+
+BentFrame most_bent_frame(const Footage& footage) {
+  const RotationTrack rotation = footage.rotation();
+  Pipeline pipeline{PipelineOptions{}};
+  pipeline.set_calibration(footage.camera().calibration());
+  PipelineRequest request;
+  request.keypoints = false;
+  request.global_shutter = true;
+  const double right_px = footage.camera().calibration().width_px - 1,
+               bottom_px = footage.camera().calibration().height_px - 1;
+  double largest_px = -1;
+  BentFrame bent;
+  for (int i = 0; i < footage.frames(); ++i) {
+    const cv::Mat image = footage.image(i, kDaylight);
+    const PipelineResult result = pipeline.process(image, PixelLayout::GRAY, rotation, footage.exposure(i), request);
+    const auto moved_px = [&](double x, double y) -> Eigen::Vector2d {
+      const Eigen::Vector2d shown_px(x, y);
+      return footage.truth().truth_rectified(i, shown_px, footage.truth().reference_time(i)) - shown_px;
+    };
+    const double bent_px = (moved_px(0.5 * right_px, 0) - moved_px(0.5 * right_px, bottom_px)).norm();
+    if (!(bent_px > largest_px)) continue;
+    largest_px = bent_px;
+    bent = {image, result.global_shutter};
+  }
+  return bent;
 }
 
 }  // namespace gyro_deblur::experiments

@@ -110,8 +110,8 @@ BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_p
 }
 
 bool is_certain(const ResidualVelocity& residual, TimeNs exposure_ns) {
-  // Of a normal error, one block in 500 is farther out than the first; less than the second is not seen in an image.
-  constexpr double kSigmas = 3.5, kLeastPx = 0.2;
+  // Of a normal error, one block in 3000 is farther out than the first; less than the second is not seen in an image.
+  constexpr double kSigmas = 4, kLeastPx = 0.2;
   const double speed_px_s = residual.velocity_px_s.norm();
   return speed_px_s > kSigmas * residual.stddev_px_s && speed_px_s * to_seconds(exposure_ns) > kLeastPx;
 }

@@ -10,6 +10,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "base/median.hpp"
+#include "base/one_thread.hpp"
 #include "base/parallel.hpp"
 #include "features/corner_following.hpp"
 #include "features/corner_prediction.hpp"
@@ -29,6 +30,10 @@ constexpr double kFloorPx = 0.05;
 /// Of the change that is carried on: a velocity need not go on changing as it did. More than on recorded flights, so
 /// that a velocity that is nothing but carried on is not certain (see is_certain).
 constexpr double kDoubtOfChange = 0.3;
+/// Of the square of the farthest neighbour's distance: where a neighbour has half the weight.
+constexpr double kNearShare = 0.3;
+/// As near as so many corners a block is seen.
+constexpr int kSeenBy = 3;
 
 /// Whether a window around `p` lies in the image: one that is cut by its border drags the corner along.
 bool has_window(const cv::Point2f& p, const cv::Size& size, int window_px) {
@@ -42,59 +47,123 @@ TimeNs middle_of(const RowExposure& exposure, const Camera& camera) {
   return exposure.middle(0.5 * (camera.calibration().height_px - 1));
 }
 
-/// A corner near the centre of a block.
+/// A corner that a plane goes through.
 struct Neighbour {
   Eigen::Vector2d from_center_px = Eigen::Vector2d::Zero();
   double distance_px2 = 0;
   Eigen::Vector2d velocity_px_s = Eigen::Vector2d::Zero();
+  double nearness = 1;  ///< (0, 1]: its weight
 };
 
-Eigen::Vector2d median_velocity(const std::vector<Neighbour>& neighbours) {
-  std::vector<double> x, y;
-  for (const Neighbour& neighbour : neighbours) {
-    x.push_back(neighbour.velocity_px_s.x());
-    y.push_back(neighbour.velocity_px_s.y());
-  }
-  return {median(x), median(y)};
+Neighbour neighbour_of(const ResidualFlow::Sample& sample, const Eigen::Vector2d& center_px) {
+  const Eigen::Vector2d from_center_px = sample.pixel_px - center_px;
+  return {from_center_px, from_center_px.squaredNorm(), sample.velocity_px_s};
 }
 
-/// At the centre of a block, by a plane through the velocities of the corners around it: weights of Geman and McClure,
-/// from the median on, and less for those far away.
-/// @param neighbours  the last one is the farthest
-ResidualVelocity fit_plane(const std::vector<Neighbour>& neighbours, const ResidualFlowOptions& options) {
-  const double reach_px2 = neighbours.back().distance_px2;
-  Eigen::Matrix<double, 3, 2> plane = Eigen::Matrix<double, 3, 2>::Zero();
-  plane.row(0) = median_velocity(neighbours).transpose();
-  Eigen::Matrix3d normal = Eigen::Matrix3d::Identity();
+/// Half of the neighbours' nearness has less.
+double median_of(const std::vector<Neighbour>& neighbours, int axis) {
+  std::vector<std::pair<double, double>> values;
+  double half = 0;
+  for (const Neighbour& neighbour : neighbours) {
+    values.emplace_back(neighbour.velocity_px_s[axis], neighbour.nearness);
+    half += neighbour.nearness / 2;
+  }
+  std::sort(values.begin(), values.end());
+  for (const auto& [value, nearness] : values) {
+    half -= nearness;
+    if (half <= 0) return value;
+  }
+  return values.back().first;
+}
+
+/// Velocities [px/s] over the image, by the distance from a centre [px].
+struct VelocityPlane {
+  Eigen::Matrix<double, 3, 2> coefficients = Eigen::Matrix<double, 3, 2>::Zero();
+  double stddev_px_s = 0;  ///< at the centre
+
+  Eigen::Vector2d at(const Eigen::Vector2d& from_center_px) const {
+    return (Eigen::RowVector3d(1, from_center_px.x(), from_center_px.y()) * coefficients).transpose();
+  }
+};
+
+/// Weights of Geman and McClure, times nearness, from the median on.
+VelocityPlane fit_plane(const std::vector<Neighbour>& neighbours, const ResidualFlowOptions& options) {
+  VelocityPlane plane;
+  plane.coefficients.row(0) = Eigen::RowVector2d(median_of(neighbours, 0), median_of(neighbours, 1));
+  double reach_px2 = 0;
+  for (const Neighbour& neighbour : neighbours) reach_px2 = std::max(reach_px2, neighbour.distance_px2);
+  Eigen::Matrix3d normal = Eigen::Matrix3d::Identity(), squares = Eigen::Matrix3d::Zero();
   std::vector<double> distances(neighbours.size());
-  double spread_px_s = 0, weights = 0;
+  double spread_px_s = 0, believed = 0;
   for (int iteration = 0;; ++iteration) {
     for (std::size_t k = 0; k < neighbours.size(); ++k) {
-      const Eigen::Vector2d& d = neighbours[k].from_center_px;
-      distances[k] = (neighbours[k].velocity_px_s.transpose() - Eigen::RowVector3d(1, d.x(), d.y()) * plane).norm();
+      distances[k] = (neighbours[k].velocity_px_s - plane.at(neighbours[k].from_center_px)).norm();
     }
     spread_px_s = spread_of(distances);
     if (iteration == options.iterations_of_plane) break;
     normal.setZero();
-    weights = 0;
+    squares.setZero();
+    believed = 0;
     // A slope is believed where the corners tell it.
     normal(1, 1) = normal(2, 2) = options.slope_prior * reach_px2;
     Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
     for (std::size_t k = 0; k < neighbours.size(); ++k) {
-      const Eigen::Vector2d& d = neighbours[k].from_center_px;
-      const Eigen::Vector3d row(1, d.x(), d.y());
-      const double far = neighbours[k].distance_px2 / (0.5 * reach_px2);
-      const double weight = robust_weight(distances[k], spread_px_s) / (1 + far);
-      weights += weight;
+      const Eigen::Vector3d row(1, neighbours[k].from_center_px.x(), neighbours[k].from_center_px.y());
+      const double belief = robust_weight(distances[k], spread_px_s), weight = belief * neighbours[k].nearness;
+      believed += belief;
       normal += weight * row * row.transpose();
+      squares += weight * weight * row * row.transpose();
       right += weight * row * neighbours[k].velocity_px_s.transpose();
     }
-    plane = normal.ldlt().solve(right);
+    plane.coefficients = normal.ldlt().solve(right);
   }
   // Three corners lie on a plane whatever they say.
   constexpr double kParameters = 3, kLeastFreedom = 0.5;
-  const double freedom = std::max(weights - kParameters, kLeastFreedom);
-  return {plane.row(0).transpose(), spread_px_s * std::sqrt(normal.inverse()(0, 0) * weights / freedom)};
+  const double freedom = std::max(believed - kParameters, kLeastFreedom);
+  const Eigen::Matrix3d inverse = normal.inverse();
+  plane.stddev_px_s = spread_px_s * std::sqrt((inverse * squares * inverse)(0, 0) * believed / freedom);
+  return plane;
+}
+
+/// The best of each cell: all over the image, for what has most texture may be an object that moves by itself.
+std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const ResidualFlowOptions& options) {
+  constexpr int kNeighbourhoodPx = 3;
+  const auto cells_along = [&](int length_px) {
+    return std::max(1, (length_px + options.cell_px / 2) / options.cell_px);
+  };
+  const int columns = cells_along(image.cols), rows = cells_along(image.rows);
+  cv::Mat strength, largest;
+  cv::cornerMinEigenVal(image, strength, kNeighbourhoodPx);
+  cv::dilate(strength, largest, cv::Mat());
+  const double least_px2 = options.min_distance_px * options.min_distance_px;
+  std::vector<cv::Point2f> corners;
+  std::vector<std::pair<float, cv::Point2f>> candidates;
+  for (int row = 0; row < rows; ++row) {
+    for (int column = 0; column < columns; ++column) {
+      candidates.clear();
+      float best = 0;
+      for (int y = row * image.rows / rows; y < (row + 1) * image.rows / rows; ++y) {
+        for (int x = column * image.cols / columns; x < (column + 1) * image.cols / columns; ++x) {
+          const float value = strength.at<float>(y, x);
+          if (value <= 0 || value != largest.at<float>(y, x)) continue;
+          best = std::max(best, value);
+          candidates.emplace_back(value, cv::Point2f(static_cast<float>(x), static_cast<float>(y)));
+        }
+      }
+      std::sort(candidates.begin(), candidates.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
+      const std::size_t of_others = corners.size();
+      for (const auto& [value, place] : candidates) {
+        if (value < kCornerQuality * best || corners.size() == of_others + options.corners_of_cell) break;
+        const auto is_near = [&, at = place](const cv::Point2f& corner) {
+          return (corner - at).dot(corner - at) < least_px2;
+        };
+        if (std::none_of(corners.begin() + static_cast<std::ptrdiff_t>(of_others), corners.end(), is_near)) {
+          corners.push_back(place);
+        }
+      }
+    }
+  }
+  return corners;
 }
 
 }  // namespace
@@ -150,12 +219,16 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
     const TimeNs step_ns = exposure.start(0) - exposure_->start(0);
     if (step_ns <= 0 || step_ns > kLongestStepNs) reset();
   }
-  const cv::Mat small = shrink(luminance);
-  std::vector<cv::Mat> pyramid = corner_pyramid(small, options_.window_px, options_.levels);
+  cv::Mat small;
+  std::vector<cv::Mat> pyramid;
+  on_one_thread([&] {
+    small = shrink(luminance);
+    pyramid = corner_pyramid(small, options_.window_px, options_.levels);
+  });
   samples_.clear();
   ResidualField carried;
   if (exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size()) {
-    follow_corners(pyramid, camera, motion, exposure, grid);
+    on_one_thread([&] { follow_corners(pyramid, camera, motion, exposure, grid); });
     const TimeNs now_ns = middle_of(exposure, camera), mean_ns = now_ns - (now_ns - middle_of(*exposure_, camera)) / 2;
     ResidualField means = mean_velocities(grid, threads);
     std::vector<std::optional<Eigen::Vector2d>> before_px_s(means.size());
@@ -171,7 +244,7 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
     inertial_.clear();
   }
   corners_.clear();
-  cv::goodFeaturesToTrack(small, corners_, options_.max_corners, kCornerQuality, options_.min_distance_px);
+  on_one_thread([&] { corners_ = corners_everywhere(small, options_); });
   pyramid_ = std::move(pyramid);
   exposure_ = exposure;
   return carried;
@@ -299,19 +372,32 @@ ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) 
   const auto count = static_cast<std::size_t>(options_.neighbours);
   if (samples_.size() < count) return velocities;
   const double floor_px_s = scale_ * kFloorPx / to_seconds(samples_.front().since_ns);
+  std::vector<Neighbour> everywhere;
+  for (const Sample& sample : samples_) everywhere.push_back(neighbour_of(sample, Eigen::Vector2d::Zero()));
+  const VelocityPlane scene = fit_plane(everywhere, options_);
   run_parallel(grid.rows(), threads, 1, [&](int row) {
-    std::vector<Neighbour> nearest(samples_.size());
+    std::vector<std::pair<double, std::size_t>> by_distance(samples_.size());  // [px^2], and whose
+    std::vector<Neighbour> nearest(count);
     for (int i = row * grid.cols(); i < (row + 1) * grid.cols(); ++i) {
       const Eigen::Vector2d center_px = grid.center(i);
       for (std::size_t k = 0; k < samples_.size(); ++k) {
-        const Eigen::Vector2d from_center_px = samples_[k].pixel_px - center_px;
-        nearest[k] = {from_center_px, from_center_px.squaredNorm(), samples_[k].velocity_px_s};
+        by_distance[k] = {(samples_[k].pixel_px - center_px).squaredNorm(), k};
       }
-      std::nth_element(nearest.begin(), nearest.begin() + options_.neighbours - 1, nearest.end(),
-                       [](const Neighbour& a, const Neighbour& b) { return a.distance_px2 < b.distance_px2; });
-      ResidualVelocity& velocity = velocities[static_cast<std::size_t>(i)].emplace(
-          fit_plane({nearest.begin(), nearest.begin() + options_.neighbours}, options_));
-      velocity.stddev_px_s = std::hypot(velocity.stddev_px_s, floor_px_s);
+      const auto begin = by_distance.begin(), farthest = begin + options_.neighbours - 1;
+      std::nth_element(begin, farthest, by_distance.end());
+      const double reach_px2 = std::max(farthest->first, 1.0);
+      for (std::size_t k = 0; k < count; ++k) {
+        nearest[k] = neighbour_of(samples_[by_distance[k].second], center_px);
+        nearest[k].nearness = 1 / (1 + nearest[k].distance_px2 / (kNearShare * reach_px2));
+      }
+      std::nth_element(begin, begin + kSeenBy - 1, farthest);
+      const double seen_px = std::sqrt(by_distance[kSeenBy - 1].first);
+      const VelocityPlane plane = fit_plane(nearest, options_);
+      const Eigen::Vector2d velocity_px_s = plane.at(Eigen::Vector2d::Zero());
+      const double from_scene_px_s = (velocity_px_s - scene.at(center_px)).norm();
+      velocities[static_cast<std::size_t>(i)] = {
+          velocity_px_s,
+          std::hypot(plane.stddev_px_s, floor_px_s, from_scene_px_s * seen_px / (scale_ * options_.object_reach_px))};
     }
   });
   return velocities;

@@ -22,14 +22,18 @@ namespace gyro_deblur {
 /// (experiments/motion_from_images), those of a larger image a larger one where blur is long.
 struct ResidualFlowOptions {
   int largest_width_px = 250;
-  int max_corners = 300;
+  int cell_px = 16;
+  int corners_of_cell = 4;  ///< at most
   double min_distance_px = 6;
   int window_px = 9;
   int levels = 2;
   int iterations = 6;
-  double max_round_trip_px = 0.75;  ///< how far from its start a corner may end up when followed back
-  int neighbours = 20;              ///< corners that a block's velocity is a plane through
+  double max_round_trip_px = 0.4;  ///< how far from its start a corner may end up when followed back
+  int neighbours = 20;             ///< corners that a block's velocity is a plane through
   int iterations_of_plane = 3;
+  /// What moves otherwise than the scene is an object, and ends: the deviation of its velocity is its difference from
+  /// the scene's times the distance from where it is seen over this.
+  double object_reach_px = 40;
   double slope_prior = 0.02;  ///< how many corners at the farthest neighbour's distance speak for no slope
 };
 
@@ -49,7 +53,7 @@ class ResidualFlow {
   /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
   /// @param motion     from the image before to this one; corners beyond what it covers are left out
   /// @param grid       of the blocks
-  /// @param threads    of what is made for blocks, at most; 0: one for each core. Following itself goes by OpenCV's.
+  /// @param threads    of what is made for blocks, at most; 0: one for each core. Corners are followed on one.
   /// @return of each block of this image, at the middle of its exposure: the mean since the image before, carried on by
   ///         what has changed since the one before that and by the accelerometer, see common_changes() and
   ///         InertialChange; nothing where too few corners are near

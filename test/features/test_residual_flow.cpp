@@ -195,6 +195,42 @@ TEST_F(StillCamera, SeesNothingAtRest) {
   }
 }
 
+// An object with far more texture than a wall, half of which is bare.
+TEST_F(StillCamera, GivesAnObjectsMotionToTheObjectAlone) {
+  constexpr double kFaint = 1.0 / 16;
+  constexpr int kTexturedCols = 320;
+  cv::Mat wall;
+  view(100, 80).convertTo(wall, CV_8U, kFaint, 100);
+  wall.colRange(kTexturedCols, wall.cols).setTo(108);
+  const cv::Point step_px(6, -4);
+  int object_blocks = 0, certain_object_blocks = 0, wall_blocks = 0;
+  for (int i = 0; i < 5; ++i) {
+    const cv::Rect object(cv::Point(280, 160) + i * step_px, cv::Size(240, 190));
+    cv::Mat image = wall.clone();
+    texture_(cv::Rect(cv::Point(0, 0), object.size())).copyTo(image(object));
+    const ResidualField residuals = follow(i * kPeriodNs, image);
+    if (i < 2) continue;
+    for (int b = 0; b < grid_.size(); ++b) {
+      const cv::Rect block = grid_.rect(b);
+      const cv::Rect reach(block.tl() - cv::Point(kBlockPx / 2, kBlockPx / 2),
+                           block.size() + cv::Size(kBlockPx, kBlockPx));
+      const bool is_certain_of_it = residuals[b] && is_certain(*residuals[b], 50'000'000);
+      if ((block & object) == block) {
+        ++object_blocks;
+        certain_object_blocks += is_certain_of_it ? 1 : 0;
+        const Eigen::Vector2d moved_px = to_seconds(kPeriodNs) * residuals[b]->velocity_px_s;
+        EXPECT_LT((moved_px - Eigen::Vector2d(step_px.x, step_px.y)).norm(), 0.5) << "block " << b;
+      } else if ((reach & object).empty()) {
+        ++wall_blocks;
+        EXPECT_FALSE(is_certain_of_it) << "image " << i << ", block " << b << " at " << block;
+      }
+    }
+  }
+  EXPECT_GT(object_blocks, 10);
+  EXPECT_GE(certain_object_blocks, 0.75 * object_blocks) << "where it has little texture it may be left";
+  EXPECT_GT(wall_blocks, 100);
+}
+
 TEST_F(StillCamera, KnowsNothingAcrossACutOrALongBreakOrWithoutTexture) {
   follow(0, view(100, 80));
   cv::Mat other;

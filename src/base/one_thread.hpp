@@ -1,0 +1,15 @@
+// What OpenCV does on threads of its own, done on the caller's.
+#pragma once
+
+#include <opencv2/core.hpp>
+
+namespace gyro_deblur {
+
+/// Runs `work` with OpenCV's parallel loops in it on this thread, whatever cv::setNumThreads() says: OpenCV runs a loop
+/// within a loop serially. For work that is too small for threads: beside busy processes they wait for each other.
+template <typename Work>
+void on_one_thread(Work&& work) {
+  cv::parallel_for_(cv::Range(0, 1), [&work](const cv::Range&) { work(); });
+}
+
+}  // namespace gyro_deblur
