@@ -49,7 +49,7 @@ struct FootageCase {
 class Footage {
  public:
   /// @param data  folder that holds trajectories/, and photographs where it has some, see load_pairs()
-  /// Throws OptionError when the trajectory cannot be read.
+  /// Throws OptionError when the trajectory cannot be read, std::runtime_error when a photograph cannot.
   Footage(const FootageCase& footage_case, const std::string& data, double seconds);
 
   const sim::Simulator& truth() const { return simulator_; }

@@ -218,7 +218,7 @@ std::vector<std::string> feature_cells(const std::array<FeatureCounts, 4>& count
 }
 
 void Study::features(const FootageCase& c, Footage* footage, const Light& light) {
-  constexpr int kStep = 8;
+  constexpr int kStep = 4;
   const auto counts = feature_counts(*footage, light, kStep);
   std::vector<std::string> row = {c.flight.name, conditions(c, light)};
   for (std::string& cell : feature_cells(counts)) row.push_back(std::move(cell));
@@ -237,7 +237,6 @@ void Study::shutter(const FootageCase& c, const Footage& footage, const Light& l
 }
 
 void Study::straight_edges(const test::RecordedFlight& flight, const Footage& footage) const {
-  if (arguments_.output.empty()) return;
   const BentFrame bent = most_bent_frame(footage);
   const std::string start = arguments_.output + "/shutter_" + std::filesystem::path(flight.file).stem().string() + "_";
   cv::imwrite(start + "arrived.png", bent.arrived);
@@ -338,8 +337,9 @@ std::vector<std::function<void()>> Study::flight_steps(const test::RecordedFligh
     if (moving) displacement(c, footage, kDaylight);
     if (!asked("shutter")) return;
     shutter(c, footage, kDaylight), shutter(c, footage, kLowLight);
-    straight_edges(flight,
-                   film({flight, kShortNs, kReadoutNs, kFast, CameraPath::FLIGHT, Walls::CHECKERED}, few_seconds));
+    if (!arguments_.output.empty())
+      straight_edges(flight,
+                     film({flight, kShortNs, kReadoutNs, kFast, CameraPath::FLIGHT, Walls::CHECKERED}, few_seconds));
   });
   steps.push_back([=] {
     const FootageCase c{flight, kLongNs, 0, kFast};
@@ -418,7 +418,8 @@ void Study::write() const {
 int main_of(int argc, char** argv) {
   Arguments arguments;
   CLI::App app{
-      "Flies recorded trajectories through a textured room and compares the motion that images add to the gyroscope's "
+      "Flies recorded trajectories through a room of photographs and compares the motion that images add to the "
+      "gyroscope's "
       "with what is true.",
       "motion_from_images"};
   app.add_option("--out", arguments.output, "folder for tables and samples");

@@ -70,7 +70,7 @@ BentFrame most_bent_frame(const Footage& footage) {
     const double bent_px = (moved_px(0.5 * right_px, 0) - moved_px(0.5 * right_px, bottom_px)).norm();
     if (!(bent_px > largest_px)) continue;
     largest_px = bent_px;
-    bent = {image, result.global_shutter};
+    bent = {image, result.global_shutter.empty() ? image : result.global_shutter};
   }
   return bent;
 }

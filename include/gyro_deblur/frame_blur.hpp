@@ -17,7 +17,7 @@ namespace gyro_deblur {
 
 /// What became of one block of the image. Values equal the constants of gyro_deblur/BlurField.msg.
 enum class BlockStatus : std::uint8_t {
-  SHARP = 0,      ///< extent below min_extent_px: copied unchanged
+  SHARP = 0,      ///< extent is, or may be, below min_extent_px: copied unchanged
   DEBLURRED = 1,  ///< deconvolved (before validation: to be deconvolved)
   REJECTED = 2,   ///< the image contradicts the predicted blur: copied unchanged, keypoints not rectified
   TOO_LARGE = 3,  ///< extent above max_extent_px: copied unchanged

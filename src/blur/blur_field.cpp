@@ -176,7 +176,9 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
       block = classify_path(path_px, options_);
       block.residual = residual;
       // Where it cancels the rotation, little blur may be none.
-      if (block.extent_px - doubt_px < options_.min_extent_px) block.status = BlockStatus::SHARP;
+      if (block.status == BlockStatus::DEBLURRED && block.extent_px - doubt_px < options_.min_extent_px) {
+        block.status = BlockStatus::SHARP;
+      }
     }
   }
   return field;

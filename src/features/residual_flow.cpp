@@ -32,8 +32,6 @@ constexpr double kFloorPx = 0.05;
 constexpr double kDoubtOfChange = 0.3;
 /// Of the square of the farthest neighbour's distance: where a neighbour has half the weight.
 constexpr double kNearShare = 0.3;
-/// As near as so many corners a block is seen.
-constexpr int kSeenBy = 3;
 
 /// Whether a window around `p` lies in the image: one that is cut by its border drags the corner along.
 bool has_window(const cv::Point2f& p, const cv::Size& size, int window_px) {
@@ -80,6 +78,7 @@ double median_of(const std::vector<Neighbour>& neighbours, int axis) {
 struct VelocityPlane {
   Eigen::Matrix<double, 3, 2> coefficients = Eigen::Matrix<double, 3, 2>::Zero();
   double stddev_px_s = 0;  ///< at the centre
+  double spread_px_s = 0;  ///< of the corners about it
 
   Eigen::Vector2d at(const Eigen::Vector2d& from_center_px) const {
     return (Eigen::RowVector3d(1, from_center_px.x(), from_center_px.y()) * coefficients).transpose();
@@ -94,12 +93,12 @@ VelocityPlane fit_plane(const std::vector<Neighbour>& neighbours, const Residual
   for (const Neighbour& neighbour : neighbours) reach_px2 = std::max(reach_px2, neighbour.distance_px2);
   Eigen::Matrix3d normal = Eigen::Matrix3d::Identity(), squares = Eigen::Matrix3d::Zero();
   std::vector<double> distances(neighbours.size());
-  double spread_px_s = 0, believed = 0;
+  double believed = 0;
   for (int iteration = 0;; ++iteration) {
     for (std::size_t k = 0; k < neighbours.size(); ++k) {
       distances[k] = (neighbours[k].velocity_px_s - plane.at(neighbours[k].from_center_px)).norm();
     }
-    spread_px_s = spread_of(distances);
+    plane.spread_px_s = spread_of(distances);
     if (iteration == options.iterations_of_plane) break;
     normal.setZero();
     squares.setZero();
@@ -109,7 +108,7 @@ VelocityPlane fit_plane(const std::vector<Neighbour>& neighbours, const Residual
     Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
     for (std::size_t k = 0; k < neighbours.size(); ++k) {
       const Eigen::Vector3d row(1, neighbours[k].from_center_px.x(), neighbours[k].from_center_px.y());
-      const double belief = robust_weight(distances[k], spread_px_s), weight = belief * neighbours[k].nearness;
+      const double belief = robust_weight(distances[k], plane.spread_px_s), weight = belief * neighbours[k].nearness;
       believed += belief;
       normal += weight * row * row.transpose();
       squares += weight * weight * row * row.transpose();
@@ -121,8 +120,25 @@ VelocityPlane fit_plane(const std::vector<Neighbour>& neighbours, const Residual
   constexpr double kParameters = 3, kLeastFreedom = 0.5;
   const double freedom = std::max(believed - kParameters, kLeastFreedom);
   const Eigen::Matrix3d inverse = normal.inverse();
-  plane.stddev_px_s = spread_px_s * std::sqrt((inverse * squares * inverse)(0, 0) * believed / freedom);
+  plane.stddev_px_s = plane.spread_px_s * std::sqrt((inverse * squares * inverse)(0, 0) * believed / freedom);
   return plane;
+}
+
+/// How far from the centre a velocity is seen: where the third of the corners is that show it.
+/// @param neighbours  of the centre
+double seen_from_px(const VelocityPlane& plane, const std::vector<Neighbour>& neighbours) {
+  constexpr std::size_t kSeenBy = 3;
+  constexpr double kShows = 0.5;  // of the weight of one that shows exactly this
+  std::vector<double> distances_px2;
+  double farthest_px2 = 0;
+  for (const Neighbour& neighbour : neighbours) {
+    farthest_px2 = std::max(farthest_px2, neighbour.distance_px2);
+    const double off_px_s = (neighbour.velocity_px_s - plane.at(neighbour.from_center_px)).norm();
+    if (robust_weight(off_px_s, plane.spread_px_s) > kShows) distances_px2.push_back(neighbour.distance_px2);
+  }
+  if (distances_px2.size() < kSeenBy) return std::sqrt(farthest_px2);
+  std::nth_element(distances_px2.begin(), distances_px2.begin() + kSeenBy - 1, distances_px2.end());
+  return std::sqrt(distances_px2[kSeenBy - 1]);
 }
 
 /// The best of each cell: all over the image, for what has most texture may be an object that moves by itself.
@@ -136,21 +152,27 @@ std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const Residual
   cv::cornerMinEigenVal(image, strength, kNeighbourhoodPx);
   cv::dilate(strength, largest, cv::Mat());
   const double least_px2 = options.min_distance_px * options.min_distance_px;
+  const int half_px = options.window_px / 2;
+  const cv::Rect with_window(half_px, half_px, image.cols - 2 * half_px, image.rows - 2 * half_px);
   std::vector<cv::Point2f> corners;
   std::vector<std::pair<float, cv::Point2f>> candidates;
   for (int row = 0; row < rows; ++row) {
     for (int column = 0; column < columns; ++column) {
       candidates.clear();
       float best = 0;
-      for (int y = row * image.rows / rows; y < (row + 1) * image.rows / rows; ++y) {
-        for (int x = column * image.cols / columns; x < (column + 1) * image.cols / columns; ++x) {
+      const cv::Point begin(column * image.cols / columns, row * image.rows / rows);
+      const cv::Point end((column + 1) * image.cols / columns, (row + 1) * image.rows / rows);
+      const cv::Rect cell = cv::Rect(begin, end) & with_window;
+      for (int y = cell.y; y < cell.y + cell.height; ++y) {
+        for (int x = cell.x; x < cell.x + cell.width; ++x) {
           const float value = strength.at<float>(y, x);
           if (value <= 0 || value != largest.at<float>(y, x)) continue;
           best = std::max(best, value);
           candidates.emplace_back(value, cv::Point2f(static_cast<float>(x), static_cast<float>(y)));
         }
       }
-      std::sort(candidates.begin(), candidates.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
+      std::stable_sort(candidates.begin(), candidates.end(),
+                       [](const auto& a, const auto& b) { return a.first > b.first; });
       const std::size_t of_others = corners.size();
       for (const auto& [value, place] : candidates) {
         if (value < kCornerQuality * best || corners.size() == of_others + options.corners_of_cell) break;
@@ -228,15 +250,19 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
   samples_.clear();
   ResidualField carried;
   if (exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size()) {
-    on_one_thread([&] { follow_corners(pyramid, camera, motion, exposure, grid); });
+    follow_corners(pyramid, camera, motion, exposure, grid);
     const TimeNs now_ns = middle_of(exposure, camera), mean_ns = now_ns - (now_ns - middle_of(*exposure_, camera)) / 2;
-    ResidualField means = mean_velocities(grid, threads);
-    std::vector<std::optional<Eigen::Vector2d>> before_px_s(means.size());
-    run_parallel(means_.size() == means.size() ? grid.size() : 0, threads, grid.cols(), [&](int i) {
-      if (means[i]) before_px_s[i] = velocity_before(i, *means[i], grid, camera, motion, exposure);
+    Means means = mean_velocities(grid, threads);
+    ResidualField& velocities = means.velocities;
+    std::vector<std::optional<Eigen::Vector2d>> before_px_s(velocities.size());
+    run_parallel(means_.size() == velocities.size() ? grid.size() : 0, threads, grid.cols(), [&](int i) {
+      if (velocities[i]) before_px_s[i] = velocity_before(i, *velocities[i], grid, camera, motion, exposure);
     });
-    carried = carried_on(means, before_px_s, camera, motion, exposure, grid, to_seconds(mean_ns - mean_ns_));
-    means_ = std::move(means);
+    carried = carried_on(velocities, before_px_s, camera, motion, exposure, grid, to_seconds(mean_ns - mean_ns_));
+    for (std::size_t i = 0; i < carried.size(); ++i) {
+      if (carried[i]) carried[i]->stddev_px_s = std::hypot(carried[i]->stddev_px_s, means.doubts_px_s[i]);
+    }
+    means_ = std::move(velocities);
     mean_ns_ = mean_ns;
   } else {
     means_.clear();
@@ -342,11 +368,12 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
     before.push_back(corner);
     start.push_back(start_px);
   }
-  const FollowedCorners corners = follow_there_and_back(
-      pyramid_, pyramid, before, start,
-      {options_.window_px, options_.levels,
-       cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, options_.iterations, kLeastStepPx),
-       options_.max_round_trip_px});
+  const CornerSearch search{
+      options_.window_px, options_.levels,
+      cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, options_.iterations, kLeastStepPx),
+      options_.max_round_trip_px};
+  FollowedCorners corners;
+  on_one_thread([&] { corners = follow_there_and_back(pyramid_, pyramid, before, start, search); });
   const std::vector<cv::Point2f>& after = corners.places;
   for (std::size_t i = 0; i < after.size(); ++i) {
     if (!corners.found[i] || !has_window(after[i], size, options_.window_px)) continue;
@@ -367,10 +394,11 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
   }
 }
 
-ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) const {
-  ResidualField velocities(static_cast<std::size_t>(grid.size()));
+ResidualFlow::Means ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) const {
+  const auto blocks = static_cast<std::size_t>(grid.size());
+  Means means{ResidualField(blocks), std::vector<double>(blocks)};
   const auto count = static_cast<std::size_t>(options_.neighbours);
-  if (samples_.size() < count) return velocities;
+  if (samples_.size() < count) return means;
   const double floor_px_s = scale_ * kFloorPx / to_seconds(samples_.front().since_ns);
   std::vector<Neighbour> everywhere;
   for (const Sample& sample : samples_) everywhere.push_back(neighbour_of(sample, Eigen::Vector2d::Zero()));
@@ -390,17 +418,15 @@ ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) 
         nearest[k] = neighbour_of(samples_[by_distance[k].second], center_px);
         nearest[k].nearness = 1 / (1 + nearest[k].distance_px2 / (kNearShare * reach_px2));
       }
-      std::nth_element(begin, begin + kSeenBy - 1, farthest);
-      const double seen_px = std::sqrt(by_distance[kSeenBy - 1].first);
       const VelocityPlane plane = fit_plane(nearest, options_);
       const Eigen::Vector2d velocity_px_s = plane.at(Eigen::Vector2d::Zero());
       const double from_scene_px_s = (velocity_px_s - scene.at(center_px)).norm();
-      velocities[static_cast<std::size_t>(i)] = {
-          velocity_px_s,
-          std::hypot(plane.stddev_px_s, floor_px_s, from_scene_px_s * seen_px / (scale_ * options_.object_reach_px))};
+      means.velocities[static_cast<std::size_t>(i)] = {velocity_px_s, std::hypot(plane.stddev_px_s, floor_px_s)};
+      means.doubts_px_s[static_cast<std::size_t>(i)] =
+          from_scene_px_s * seen_from_px(plane, nearest) / (scale_ * options_.object_reach_px);
     }
   });
-  return velocities;
+  return means;
 }
 
 }  // namespace gyro_deblur

@@ -243,6 +243,8 @@ int main_of(int argc, char** argv) {
   app.add_option("--end", arguments.end_s, "only images recorded before SECONDS after the bag's first message")
       ->check(CLI::PositiveNumber);
   app.add_option("--threads", arguments.threads, "at most [those of the configuration]")->check(CLI::Range(0, 256));
+  app.add_flag_callback(
+      "--no-keypoints", [&arguments] { arguments.request.keypoints = false; }, "leave out keypoints");
   app.add_flag("--overlay", arguments.request.overlay, "also write blur_overlay");
   app.add_flag("--tracks", arguments.request.tracks, "also write feature_tracks");
   app.add_flag("--global-shutter", arguments.request.global_shutter,

@@ -60,7 +60,7 @@ void FrameWriter::write(const FrameOutput& frame) {
   record_times_.pop_front();
   bag_.write(topics_.image, time, *frame.image);
   bag_.write(topics_.camera_info, time, *frame.camera_info);
-  bag_.write(topics_.keypoints, time, *frame.keypoints);
+  if (frame.keypoints) bag_.write(topics_.keypoints, time, *frame.keypoints);
   bag_.write(topics_.blur_field, time, *frame.blur_field);
   if (frame.overlay) bag_.write(topics_.overlay, time, *frame.overlay);
   if (frame.markers) bag_.write(topics_.markers, time, *frame.markers);

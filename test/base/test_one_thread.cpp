@@ -30,12 +30,14 @@ std::set<std::thread::id> threads_of_a_loop() {
 TEST(OnOneThread, OpenCvsLoopsRunOnTheCallers) {
   const int before = cv::getNumThreads();
   cv::setNumThreads(4);
+  const bool has_threads = cv::getNumThreads() > 1;
   std::set<std::thread::id> threads;
   on_one_thread([&threads] {
     for (int k = 0; k < 100; ++k) threads.merge(threads_of_a_loop());
   });
-  EXPECT_EQ(threads, std::set<std::thread::id>{std::this_thread::get_id()});
   cv::setNumThreads(before);
+  EXPECT_EQ(threads, std::set<std::thread::id>{std::this_thread::get_id()});
+  if (!has_threads) GTEST_SKIP() << "this OpenCV has no threads";
 }
 
 TEST(OnOneThread, PassesOnWhatIsThrown) {

@@ -322,6 +322,19 @@ TEST_F(DeblurBagTest, KeepsAllTopicsAndWritesPictures) {
   EXPECT_EQ(read<visualization_msgs::MarkerArray>("out.bag", "/elsewhere/blur_markers").size(), 5u);
 }
 
+TEST_F(DeblurBagTest, LeavesOutKeypointsWhereAskedTo) {
+  write_bag(kFastRadS);
+  ASSERT_EQ(run().exit_code, 0);
+  const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  EXPECT_EQ(read<KeypointArray>("out.bag", "/cam/keypoints").size(), images.size());
+  const ProgramResult result = run({"--no-keypoints"});
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  EXPECT_TRUE(read<KeypointArray>("out.bag", "/cam/keypoints").empty());
+  const auto without = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  ASSERT_EQ(without.size(), images.size());
+  for (std::size_t i = 0; i < images.size(); ++i) EXPECT_TRUE(without[i]->data == images[i]->data) << "image " << i;
+}
+
 TEST_F(DeblurBagTest, WritesGlobalShutterImagesWithTheirOwnStamps) {
   write_bag(kFastRadS);
   ASSERT_EQ(run({"--global-shutter"}).exit_code, 0);
