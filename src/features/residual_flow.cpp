@@ -252,17 +252,13 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
   if (exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size()) {
     follow_corners(pyramid, camera, motion, exposure, grid);
     const TimeNs now_ns = middle_of(exposure, camera), mean_ns = now_ns - (now_ns - middle_of(*exposure_, camera)) / 2;
-    Means means = mean_velocities(grid, threads);
-    ResidualField& velocities = means.velocities;
-    std::vector<std::optional<Eigen::Vector2d>> before_px_s(velocities.size());
-    run_parallel(means_.size() == velocities.size() ? grid.size() : 0, threads, grid.cols(), [&](int i) {
-      if (velocities[i]) before_px_s[i] = velocity_before(i, *velocities[i], grid, camera, motion, exposure);
+    ResidualField means = mean_velocities(grid, threads);
+    std::vector<std::optional<Eigen::Vector2d>> before_px_s(means.size());
+    run_parallel(means_.size() == means.size() ? grid.size() : 0, threads, grid.cols(), [&](int i) {
+      if (means[i]) before_px_s[i] = velocity_before(i, *means[i], grid, camera, motion, exposure);
     });
-    carried = carried_on(velocities, before_px_s, camera, motion, exposure, grid, to_seconds(mean_ns - mean_ns_));
-    for (std::size_t i = 0; i < carried.size(); ++i) {
-      if (carried[i]) carried[i]->stddev_px_s = std::hypot(carried[i]->stddev_px_s, means.doubts_px_s[i]);
-    }
-    means_ = std::move(velocities);
+    carried = carried_on(means, before_px_s, camera, motion, exposure, grid, to_seconds(mean_ns - mean_ns_));
+    means_ = std::move(means);
     mean_ns_ = mean_ns;
   } else {
     means_.clear();
@@ -394,11 +390,10 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
   }
 }
 
-ResidualFlow::Means ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) const {
-  const auto blocks = static_cast<std::size_t>(grid.size());
-  Means means{ResidualField(blocks), std::vector<double>(blocks)};
+ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) const {
+  ResidualField velocities(static_cast<std::size_t>(grid.size()));
   const auto count = static_cast<std::size_t>(options_.neighbours);
-  if (samples_.size() < count) return means;
+  if (samples_.size() < count) return velocities;
   const double floor_px_s = scale_ * kFloorPx / to_seconds(samples_.front().since_ns);
   std::vector<Neighbour> everywhere;
   for (const Sample& sample : samples_) everywhere.push_back(neighbour_of(sample, Eigen::Vector2d::Zero()));
@@ -421,12 +416,11 @@ ResidualFlow::Means ResidualFlow::mean_velocities(const BlockGrid& grid, int thr
       const VelocityPlane plane = fit_plane(nearest, options_);
       const Eigen::Vector2d velocity_px_s = plane.at(Eigen::Vector2d::Zero());
       const double from_scene_px_s = (velocity_px_s - scene.at(center_px)).norm();
-      means.velocities[static_cast<std::size_t>(i)] = {velocity_px_s, std::hypot(plane.stddev_px_s, floor_px_s)};
-      means.doubts_px_s[static_cast<std::size_t>(i)] =
-          from_scene_px_s * seen_from_px(plane, nearest) / (scale_ * options_.object_reach_px);
+      const double doubt_px_s = from_scene_px_s * seen_from_px(plane, nearest) / (scale_ * options_.object_reach_px);
+      velocities[static_cast<std::size_t>(i)] = {velocity_px_s, std::hypot(plane.stddev_px_s, floor_px_s, doubt_px_s)};
     }
   });
-  return means;
+  return velocities;
 }
 
 }  // namespace gyro_deblur

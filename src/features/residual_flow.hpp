@@ -33,7 +33,7 @@ struct ResidualFlowOptions {
   int iterations_of_plane = 3;
   /// What moves otherwise than the scene is an object, and ends: its velocity is doubted by its difference from the
   /// scene's times the distance from where it is seen over this.
-  double object_reach_px = 44;
+  double object_reach_px = 48;
   double slope_prior = 0.02;  ///< how many corners at the farthest neighbour's distance speak for no slope
 };
 
@@ -90,11 +90,8 @@ class ResidualFlow {
   ResidualField carried_on(const ResidualField& means, const std::vector<std::optional<Eigen::Vector2d>>& before_px_s,
                            const Camera& camera, const CameraMotion& motion, const RowExposure& exposure,
                            const BlockGrid& grid, double since_before_s);
-  struct Means {
-    ResidualField velocities;         ///< of each block since the image before, with the noise of their corners
-    std::vector<double> doubts_px_s;  ///< of each, whether the block moves as the corners around it do
-  };
-  Means mean_velocities(const BlockGrid& grid, int threads) const;
+  /// Since the image before.
+  ResidualField mean_velocities(const BlockGrid& grid, int threads) const;
 
   std::vector<cv::Mat> pyramid_;      // of the newest image, smaller
   std::vector<cv::Point2f> corners_;  // of it, in its pixels

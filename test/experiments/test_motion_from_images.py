@@ -54,10 +54,11 @@ class Quick(unittest.TestCase):
             self.assertLess(p90, 0.6, row)
             self.assertGreater(median_and_p90(row["rotation [px]"])[0], 0.15, row)
 
-    def test_plot_is_drawn(self):
-        subprocess.run(["/usr/bin/python3", ROOT / "experiments" / "motion_from_images.py", self.out], check=True,
-                       stdout=subprocess.DEVNULL)
-        self.assertGreater((self.out / "motion_from_images.png").stat().st_size, 1000)
+    def test_plot_and_picture_are_drawn(self):
+        subprocess.run(["/usr/bin/python3", ROOT / "experiments" / "motion_from_images.py", self.out,
+                        "--trajectory", "V1_02_medium"], check=True, stdout=subprocess.DEVNULL)
+        for name in "motion_from_images.png", "global_shutter.png":
+            self.assertGreater((self.out / name).stat().st_size, 1000, name)
 
 
 if __name__ == "__main__":
