@@ -337,9 +337,9 @@ std::vector<std::function<void()>> Study::flight_steps(const test::RecordedFligh
     if (moving) displacement(c, footage, kDaylight);
     if (!asked("shutter")) return;
     shutter(c, footage, kDaylight), shutter(c, footage, kLowLight);
-    if (!arguments_.output.empty())
-      straight_edges(flight,
-                     film({flight, kShortNs, kReadoutNs, kFast, CameraPath::FLIGHT, Walls::CHECKERED}, few_seconds));
+    if (arguments_.output.empty()) return;
+    const FootageCase straight{flight, kShortNs, kReadoutNs, kFast, CameraPath::FLIGHT, Walls::CHECKERED};
+    straight_edges(flight, film(straight, few_seconds));
   });
   steps.push_back([=] {
     const FootageCase c{flight, kLongNs, 0, kFast};
@@ -419,8 +419,7 @@ int main_of(int argc, char** argv) {
   Arguments arguments;
   CLI::App app{
       "Flies recorded trajectories through a room of photographs and compares the motion that images add to the "
-      "gyroscope's "
-      "with what is true.",
+      "gyroscope's with what is true.",
       "motion_from_images"};
   app.add_option("--out", arguments.output, "folder for tables and samples");
   app.add_option("--data", arguments.data, "recorded data, with trajectories/");

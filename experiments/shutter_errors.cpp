@@ -1,7 +1,5 @@
 #include "shutter_errors.hpp"
 
-#include <algorithm>
-
 #include "features/residual_flow.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/image_rectification.hpp"

@@ -58,7 +58,7 @@ Neighbour neighbour_of(const ResidualFlow::Sample& sample, const Eigen::Vector2d
   return {from_center_px, from_center_px.squaredNorm(), sample.velocity_px_s};
 }
 
-/// Half of the neighbours' nearness has less.
+/// By their nearness, no more than half of the neighbours have less.
 double median_of(const std::vector<Neighbour>& neighbours, int axis) {
   std::vector<std::pair<double, double>> values;
   double half = 0;
