@@ -218,7 +218,7 @@ std::vector<std::string> feature_cells(const std::array<FeatureCounts, 4>& count
 }
 
 void Study::features(const FootageCase& c, Footage* footage, const Light& light) {
-  constexpr int kStep = 8;
+  constexpr int kStep = 4;
   const auto counts = feature_counts(*footage, light, kStep);
   std::vector<std::string> row = {c.flight.name, conditions(c, light)};
   for (std::string& cell : feature_cells(counts)) row.push_back(std::move(cell));
