@@ -201,9 +201,10 @@ nlohmann::json measure_pipeline(const Arguments& arguments) {
         const StageTimes& t = result.times;
         times_ms["blur_field"].push_back(t.blur_field_ms);
         times_ms["validation"].push_back(t.validation_ms);
+        times_ms["noise"].push_back(t.noise_ms);
         times_ms["deconvolution"].push_back(t.deconvolution_ms);
         times_ms["keypoints"].push_back(t.keypoints_ms);
-        times_ms["deblurring"].push_back(t.blur_field_ms + t.validation_ms + t.deconvolution_ms);
+        times_ms["deblurring"].push_back(t.blur_field_ms + t.validation_ms + t.noise_ms + t.deconvolution_ms);
         times_ms["orb"].push_back(orb_ms);
       }
       nlohmann::json record = {{"width", size.width},

@@ -10,6 +10,7 @@
 #include "evaluation.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/deconvolution.hpp"
+#include "gyro_deblur/image_noise.hpp"
 #include "inverse/line_taps.hpp"
 
 namespace gyro_deblur::experiments {
@@ -67,9 +68,12 @@ cv::Mat deblur_in_space(const cv::Mat& image, const LineBlur& blur, const Kernel
   BlurFieldOptions field_options;
   field_options.min_extent_px = kMinKernelExtentPx;
   field_options.max_extent_px = kMaxKernelExtentPx;
-  const FrameBlur field = uniform_blur_field(image.cols, image.rows, blur.angle_rad, blur.extent_px, field_options);
+  FrameBlur field = uniform_blur_field(image.cols, image.rows, blur.angle_rad, blur.extent_px, field_options);
+  const KernelBank bank(options);
+  field.noise = image_noise(image, PixelLayout::GRAY);
+  weigh_noise(image, bank, field, 1);
   cv::Mat deblurred;
-  deconvolve(image, PixelLayout::GRAY, field, KernelBank(options), *make_engine("cpu", 1), deblurred);
+  deconvolve(image, PixelLayout::GRAY, field, bank, *make_engine("cpu", 1), deblurred);
   return deblurred;
 }
 
@@ -142,7 +146,7 @@ cv::Mat restore_beyond_borders(const cv::Mat& image, const LineBlur& blur, const
   KernelOptions kernel_options;
   kernel_options.gamma = options.gamma;
   kernel_options.length_factor = options.length_factor;
-  kernel_options.design = KernelDesign::FOURIER;
+  kernel_options.gamma_rule = GammaRule::PAPER;
   const LineKernel kernel = wiener_kernel(blur.extent_px, kernel_options);
   for (const KernelTap& tap : rotate_kernel(kernel, blur.angle_rad)) {
     const int u = ((tap.dx % size.width) + size.width) % size.width;

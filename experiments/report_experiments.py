@@ -30,8 +30,8 @@ STYLES = {
 }
 WRONG_LINES = ["-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1))]
 PALETTE_COLORS = 128
-# Designs of taps in deconvolution.json.
-DESIGNS = {"transform": "transform", "least_squares": "least squares (in use)"}
+# Rules of gamma in deconvolution.json.
+RULES = {"paper": "paper", "fixed": "fixed", "noise": "noise (in use)"}
 
 # Files of deconvolution_figure and their titles.
 PICTURES = [("blurred", "blurred"), ("frequency", "frequency domain"),
@@ -126,15 +126,18 @@ def deconvolution_table(deconvolution):
               f"({100 * share:.1f} %) are not zero.")
 
 
-def designs_table(deconvolution):
-    """PSNR that the designs of taps gain, a row for each noise and design, a column for each extent."""
-    records = deconvolution["designs"]
+def rules_table(deconvolution):
+    """PSNR that the rules of gamma gain, a row for each noise and rule, a column for each extent."""
+    records = deconvolution["rules"]
     extents = sorted({r["extent_px"] for r in records})
-    gain = {(r["noise_grey_levels"], r["design"], r["extent_px"]): r["gain_db"] for r in records}
-    rows = [[f"{noise:g}", DESIGNS[design], *(f"{gain[noise, design, extent]:.2f}" for extent in extents)]
-            for noise, design in dict.fromkeys((r["noise_grey_levels"], r["design"]) for r in records)]
-    return titled_table("PSNR [dB] over the blurred image, by noise [grey levels], taps and extent:",
-                        ["noise", "taps", *(f"{extent:g} px" for extent in extents)], rows)
+    by_cell = {(r["noise_grey_levels"], r["rule"], r["extent_px"]): r for r in records}
+
+    def cell(record):
+        return f"{record['gain_db']:.2f} ({record['least_db']:.2f})"
+    rows = [[f"{noise:g}", RULES[rule], *(cell(by_cell[noise, rule, extent]) for extent in extents)]
+            for noise, rule in dict.fromkeys((r["noise_grey_levels"], r["rule"]) for r in records)]
+    return titled_table("PSNR [dB] over the blurred image, mean (least), by noise [grey levels], gamma_rule and extent:",
+                        ["noise", "gamma_rule", *(f"{extent:g} px" for extent in extents)], rows)
 
 
 def save_with_palette(figure, path):
@@ -201,7 +204,7 @@ def main():
     folder = arguments.folder
     parts, pictures = [], []
     for name, tables, plot in (
-            ("deconvolution", (deconvolution_table, designs_table), lambda d, p: plot_deconvolution(d, folder, p)),
+            ("deconvolution", (deconvolution_table, rules_table), lambda d, p: plot_deconvolution(d, folder, p)),
             ("synthetic", (synthetic_table, synthetic_ratios), plot_synthetic)):
         file = os.path.join(folder, name + ".json")
         if not os.path.exists(file):

@@ -143,7 +143,7 @@ cv::Mat restore(const Method& method, const Exposure& exposure, const LineBlur& 
                                                 truth.extent_px + method.error.extent_px});
     case Method::TRANSFORMED: {
       KernelOptions options;
-      options.design = KernelDesign::FOURIER;
+      options.gamma_rule = GammaRule::PAPER;
       return deblur_in_space(exposure.blurred, truth, options);
     }
     case Method::BEYOND:

@@ -9,7 +9,7 @@ import rosbag
 
 from report_tables import fail
 
-STATUS_NAMES = ["SHARP", "DEBLURRED", "REJECTED", "TOO_LARGE", "NO_GYRO", "BENT"]
+STATUS_NAMES = ["SHARP", "DEBLURRED", "REJECTED", "TOO_LARGE", "NO_GYRO", "BENT", "NOISY"]
 DEBLURRED = STATUS_NAMES.index("DEBLURRED")
 NO_GYRO = STATUS_NAMES.index("NO_GYRO")
 

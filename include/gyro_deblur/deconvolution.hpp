@@ -11,6 +11,12 @@
 
 namespace gyro_deblur {
 
+/// With GammaRule::NOISE: weighs the texture of each DEBLURRED block of `field` against the image's noise. Sets
+/// noise_to_texture, by which make_filter_grid() chooses gamma, and turns those blocks NOISY that filtering would make
+/// worse. Does nothing by other rules, or where field.noise is not known.
+/// @param luminance  CV_8UC1 of the field's size
+void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& field, int threads = 0);
+
 /// The filters that deblur `field`: for DEBLURRED blocks of at least kMinKernelExtentPx the bank's kernels, or own ones
 /// where the path is uneven, made on at most `threads` threads (0: one for each core); none for the others. Lives no
 /// longer than the bank.

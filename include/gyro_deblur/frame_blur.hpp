@@ -23,7 +23,13 @@ enum class BlockStatus : std::uint8_t {
   TOO_LARGE = 3,  ///< extent above max_extent_px: copied unchanged
   NO_GYRO = 4,    ///< no usable gyroscope samples for this block's exposure: copied unchanged
   BENT = 5,       ///< the path leaves a straight line by more than max_bend and 2 % of the extent: copied unchanged
+  NOISY = 6,      ///< filtering would add more noise than it removes blur: copied unchanged
 };
+
+/// All there are.
+constexpr std::array<BlockStatus, 7> kBlockStatuses{
+    BlockStatus::SHARP,   BlockStatus::DEBLURRED, BlockStatus::REJECTED, BlockStatus::TOO_LARGE,
+    BlockStatus::NO_GYRO, BlockStatus::BENT,      BlockStatus::NOISY};
 
 /// Name of the status, e.g. "DEBLURRED". Never null.
 const char* to_string(BlockStatus status);
@@ -91,6 +97,8 @@ struct BlockBlur {
   Eigen::Vector2f mean_place_px = Eigen::Vector2f::Zero();
   /// What the path has beside the camera's known motion; nothing where that is not known, or not certain enough.
   std::optional<ResidualVelocity> residual = std::nullopt;
+  /// See KernelBank::choose(); 0 where it is not known.
+  float noise_to_texture = 0;
 
   /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
   /// point towards the middle of the line that it stands for, the farther the longer it is, the kernel of an uneven
@@ -104,7 +112,8 @@ struct FrameBlur {
   std::vector<BlockBlur> blocks;  ///< grid.size(), row by row
   TimeNs exposure_ns = 0;
   TimeNs readout_ns = 0;
-  bool images_alone = false;  ///< no other motion is known: residual velocities are the whole of it
+  std::optional<double> noise;  ///< of the image [grey levels of 8 bits], see image_noise(); nothing: not known
+  bool images_alone = false;    ///< no other motion is known: residual velocities are the whole of it
 
   std::size_t count(BlockStatus status) const;
 };

@@ -10,6 +10,8 @@
 
 namespace gyro_deblur {
 
+class ExpectedErrors;
+
 /// A symmetric or general 1-D kernel, sampled at unit steps along a line: tap i acts at position i - taps.size() / 2.
 /// taps.size() is odd.
 struct LineKernel {
@@ -28,17 +30,17 @@ struct LineKernel {
 constexpr double kMinKernelExtentPx = 1.0;
 constexpr double kMaxKernelExtentPx = 500.0;
 
-/// From this extent [px] on KernelDesign::LEAST_SQUARES takes the noise-to-signal ratio for constant, as the paper
+/// From this extent [px] on GammaRule::FIXED takes the noise-to-signal ratio for constant, as the paper
 /// does. A ratio that falls towards low frequencies restores more of longer blur as well (0.1 to 0.4 dB), but amplifies
 /// what is wrong with the estimate there, which is the larger the longer the blur: with 100 px instead keypoints of the
 /// real-world table (doc/reports/experiments_real_world.md) repeat 5 % less often.
 constexpr double kConstantRatioExtentPx = 36.0;
 
-/// s of KernelDesign::LEAST_SQUARES: from 1 without blur down to 0 at kConstantRatioExtentPx.
+/// s of GammaRule::FIXED: from 1 without blur down to 0 at kConstantRatioExtentPx.
 double spectral_share(double extent_px);
 
 /// Spatial Wiener inverse of the box blur on length_factor * extent_px + 6 * smoothing_px taps (next odd), by
-/// options.design, scaled to unit sum because the filter's gain is less than that. Throws OptionError for bad
+/// options.gamma_rule, scaled to unit sum because the filter's gain is less than that. Throws OptionError for bad
 /// options or extent_px outside [kMinKernelExtentPx, kMaxKernelExtentPx].
 LineKernel wiener_kernel(double extent_px, const KernelOptions& options);
 
@@ -46,7 +48,18 @@ LineKernel wiener_kernel(double extent_px, const KernelOptions& options);
 /// middle in time. Throws OptionError as above.
 LineKernel wiener_kernel(const LinePath& path_px, const KernelOptions& options);
 
-/// Kernels by extent in steps of kExtentStepPx, computed on first use and kept. Thread-safe.
+/// The options with gamma doubled so often, but at most 1.
+KernelOptions with_doubled_gamma(KernelOptions options, int doublings);
+
+/// What to filter a block with, and what is expected of it.
+struct FilterChoice {
+  int gamma_doublings = 0;
+  /// Of the error that blur makes, the share that is expected to be removed, less what is added of noise; at most 1.
+  /// Below 0 filtering does harm. Noise that is smoothed away counts for nothing.
+  double gain = 1;
+};
+
+/// Kernels by extent in steps of kExtentStepPx, and by gamma, computed on first use and kept. Thread-safe.
 class KernelBank {
  public:
   /// A quarter pixel: the extent is then wrong by at most 1/8 px.
@@ -57,7 +70,14 @@ class KernelBank {
   ~KernelBank();
 
   /// The kernel for the nearest multiple of kExtentStepPx. Valid as long as the bank.
-  const LineKernel& kernel(double extent_px) const;
+  /// @param gamma_doublings  how often options().gamma is to be doubled, >= 0; it ends at 1
+  const LineKernel& kernel(double extent_px, int gamma_doublings = 0) const;
+
+  /// The least expected error of a block whose texture has the power c / f^2 at f cycles/px along the line (D. J.
+  /// Field, J. Opt. Soc. Am. A 4 (12), 1987), and white noise of the variance v: with H the box's transform and W the
+  /// filter's, the integral over f of c |1 - W H|^2 / f^2 + v |W|^2, for each doubling of gamma.
+  /// @param noise_to_texture  v / c [cycles^2/px^2], >= 0
+  FilterChoice choose(double extent_px, double noise_to_texture) const;
 
   std::size_t size() const;  ///< kernels made so far
 
@@ -67,6 +87,7 @@ class KernelBank {
   class Kernels;
   KernelOptions options_;
   std::unique_ptr<Kernels> kernels_;
+  std::unique_ptr<const ExpectedErrors> errors_;
 };
 
 }  // namespace gyro_deblur

@@ -44,31 +44,45 @@ struct ValidationOptions {
   void validate() const;  ///< throws OptionError
 };
 
-/// How the taps of an inverse of limited length are found.
-enum class KernelDesign {
-  /// Those that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), h the blur, g a unit pulse (the Gaussian of
+/// What gamma and the taps of an inverse of limited length are found by.
+enum class GammaRule {
+  /// As FIXED, with gamma doubled as often as makes the error least that noise and texture of the block let expect, see
+  /// KernelBank::choose(). Blocks that it would still lose by are left alone.
+  NOISE,
+  /// The taps that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), h the blur, g a unit pulse (the Gaussian
+  /// of
   /// smoothing_px), w' the steps from tap to tap and from and to 0 at the ends, under the condition that their sum is
   /// the filter's. The power of photographs falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A 4
   /// (12), 1987), that of noise does not, so that the noise-to-signal ratio rises with it, as |w'|^2 does. For s see
   /// spectral_share(); whatever it is, the ratio is gamma at 1/6 cycles/px.
-  LEAST_SQUARES,
+  FIXED,
   /// The inverse transform of the Wiener filter with the same noise-to-signal ratio at every frequency, on as many
   /// samples (paths: on as many more as make the transform fast), as in the paper. What the filter has beyond them
   /// wraps around.
-  FOURIER
+  PAPER
 };
 
 /// Wiener kernels (paper section IV-A).
 struct KernelOptions {
-  double gamma = 0.01;         ///< noise-to-signal ratio of the Wiener filter at 1/6 cycles/px
+  double gamma = 0.01;         ///< noise-to-signal ratio of the Wiener filter at 1/6 cycles/px, at least
   double length_factor = 4.0;  ///< length of the inverse kernel in extents
   /// Standard deviation of a Gaussian that the inverse is smoothed with along the line. Where the blur has left
   /// less than the noise, at the finest detail first, it leaves out what would be noise and ringing. Above 0 the
   /// kernels have no jumps at places that are known, which the fast engine makes use of: extents above 36 px are then
   /// filtered tap by tap.
   double smoothing_px = 0.0;
-  KernelDesign design = KernelDesign::LEAST_SQUARES;
+  GammaRule gamma_rule = GammaRule::NOISE;
 
+  void validate() const;  ///< throws OptionError
+};
+
+/// Noise of the camera's images, by its sensor's model: the variance is read_noise^2 + noise_gain * grey level. Grey
+/// levels are those of an 8-bit image.
+struct NoiseModel {
+  double read_noise = 0;  ///< [grey levels]; both 0: noise is estimated from each image
+  double noise_gain = 0;  ///< [grey levels], of light's own noise
+
+  bool is_known() const { return read_noise > 0 || noise_gain > 0; }
   void validate() const;  ///< throws OptionError
 };
 
@@ -126,6 +140,7 @@ struct PipelineOptions {
   BlurFieldOptions blur_field;
   ValidationOptions validation;
   KernelOptions kernel;
+  NoiseModel noise;
   KeypointOptions keypoints;
   bool motion_from_images = true;  ///< what the gyroscope does not know of a motion, see ResidualFlow
   bool bridge_gyro_gaps = false;   ///< frames that the gyroscope does not cover go by the images alone

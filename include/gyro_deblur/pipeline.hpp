@@ -40,6 +40,7 @@ struct StageTimes {
   double flow_ms = 0;  ///< of corners since the image before
   double blur_field_ms = 0;
   double validation_ms = 0;
+  double noise_ms = 0;
   double deconvolution_ms = 0;
   double keypoints_ms = 0;
   double global_shutter_ms = 0;

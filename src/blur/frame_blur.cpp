@@ -20,6 +20,8 @@ const char* to_string(BlockStatus status) {
       return "NO_GYRO";
     case BlockStatus::BENT:
       return "BENT";
+    case BlockStatus::NOISY:
+      return "NOISY";
   }
   return "UNKNOWN";
 }

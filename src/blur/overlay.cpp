@@ -16,9 +16,6 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr std::array<BlockStatus, 6> kStatuses{BlockStatus::DEBLURRED, BlockStatus::SHARP,   BlockStatus::REJECTED,
-                                               BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO, BlockStatus::BENT};
-
 cv::Scalar color_bgr(const cv::Vec3b& rgb) {
   return {static_cast<double>(rgb[2]), static_cast<double>(rgb[1]), static_cast<double>(rgb[0])};
 }
@@ -77,6 +74,8 @@ const char* fate(BlockStatus status) {
       return "without gyroscope";
     case BlockStatus::BENT:
       return "blurred along a bow";
+    case BlockStatus::NOISY:
+      return "too noisy to gain";
   }
   return "";
 }
@@ -112,7 +111,7 @@ void draw_legend(cv::Mat& image, const FrameBlur& field, int paths, double scale
   char median[64];
   std::snprintf(median, sizeof(median), "median blur %.1f px", median_extent_px(field));
   lines.push_back({median, cv::Scalar::all(255)});
-  for (const BlockStatus status : kStatuses) {
+  for (const BlockStatus status : kBlockStatuses) {
     const std::size_t count = field.count(status);
     if (count > 0) lines.push_back({std::to_string(count) + " " + fate(status), color_bgr(status)});
   }
@@ -173,6 +172,8 @@ cv::Vec3b status_color_rgb(BlockStatus status) {
       return {255, 230, 0};
     case BlockStatus::BENT:
       return {70, 200, 255};
+    case BlockStatus::NOISY:
+      return {140, 110, 255};
   }
   return {255, 255, 255};
 }

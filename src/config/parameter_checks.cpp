@@ -99,6 +99,8 @@ void ValidationOptions::validate() const { check_parameters(*this); }
 
 void KernelOptions::validate() const { check_parameters(*this); }
 
+void NoiseModel::validate() const { check_parameters(*this); }
+
 void KeypointOptions::validate() const {
   check_parameters(*this);
   const std::vector<std::string>& refused = refused_detectors(descriptor);
@@ -137,6 +139,7 @@ void PipelineOptions::validate() const {
   blur_field.validate();
   validation.validate();
   kernel.validate();
+  noise.validate();
   keypoints.validate();
   check_parameters(*this);
   if (bridge_gyro_gaps && !motion_from_images) {
@@ -163,9 +166,7 @@ void Config::validate() const {
 
 bool operator==(const BlurFieldOptions& a, const BlurFieldOptions& b) { return same_parameters(a, b); }
 
-bool operator==(const KernelOptions& a, const KernelOptions& b) {
-  return same_parameters(a, b) && a.design == b.design;  // which is nobody's parameter
-}
+bool operator==(const KernelOptions& a, const KernelOptions& b) { return same_parameters(a, b); }
 
 bool operator==(const KeypointOptions& a, const KeypointOptions& b) { return same_parameters(a, b); }
 

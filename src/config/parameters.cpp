@@ -12,6 +12,7 @@ auto& part(AnyConfig& config) {
   if constexpr (std::is_same_v<Owner, BlurFieldOptions>) return config.pipeline.blur_field;
   if constexpr (std::is_same_v<Owner, ValidationOptions>) return config.pipeline.validation;
   if constexpr (std::is_same_v<Owner, KernelOptions>) return config.pipeline.kernel;
+  if constexpr (std::is_same_v<Owner, NoiseModel>) return config.pipeline.noise;
   if constexpr (std::is_same_v<Owner, KeypointOptions>) return config.pipeline.keypoints;
   if constexpr (std::is_same_v<Owner, PipelineOptions>) return config.pipeline;
   if constexpr (std::is_same_v<Owner, GyroOptions>) return config.gyro;
@@ -115,6 +116,10 @@ ParameterGroup image() {
           {
               {"significant_bits", &PipelineOptions::significant_bits, within(0, 16),
                "of 16-bit images, 8 to 16; 0: the fewest of 10, 12, 14, 16 that hold all pixels so far", RUNNING},
+              {"read_noise", &NoiseModel::read_noise, within(0, 50, "grey levels"),
+               "of the sensor, standard deviation at 8 bits; 0 and noise_gain 0: estimated from each image", RUNNING},
+              {"noise_gain", &NoiseModel::noise_gain, within(0, 10, "grey levels"),
+               "of the sensor: what a grey level more adds to the noise's variance", RUNNING},
               {"global_shutter_border", &PipelineOptions::global_shutter_border,
                "what the global-shutter image has where the image ends: nothing, or the nearest pixel"},
           }};
@@ -178,6 +183,9 @@ ParameterGroup wiener_filter() {
           "",
           {
               {"gamma", &Kernel::gamma, within(1e-5, 1), "noise-to-signal ratio at 1/6 cycles/px", RUNNING},
+              {"gamma_rule", &Kernel::gamma_rule,
+               "noise: gamma rises with noise over texture, and blocks that noise would spoil are left alone; fixed: "
+               "gamma as it is; paper: the paper's taps, with gamma at every frequency"},
               {"kernel_length_factor", &Kernel::length_factor, within(2, 8), "length of the inverse kernel in extents"},
               {"kernel_smoothing", &Kernel::smoothing_px, within(0, 5, "px"),
                "Gaussian along the motion that the inverse is smoothed with"},

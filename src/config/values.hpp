@@ -55,6 +55,12 @@ inline const Names<ImageBorder>& names_of(ImageBorder) {
   return kNames;
 }
 
+inline const Names<GammaRule>& names_of(GammaRule) {
+  static const Names<GammaRule> kNames{
+      {"noise", GammaRule::NOISE}, {"fixed", GammaRule::FIXED}, {"paper", GammaRule::PAPER}};
+  return kNames;
+}
+
 inline const Names<OnCalibrationConflict>& names_of(OnCalibrationConflict) {
   static const Names<OnCalibrationConflict> kNames{{"error", OnCalibrationConflict::ERROR},
                                                    {"configured", OnCalibrationConflict::CONFIGURED}};

@@ -10,6 +10,7 @@
 #include <opencv2/core.hpp>
 
 #include "base/made_once.hpp"
+#include "inverse/expected_errors.hpp"
 #include "inverse/tap_loops.hpp"
 
 namespace gyro_deblur {
@@ -53,7 +54,7 @@ Eigen::VectorXd matched_filter(const std::vector<double>& blur, double smoothing
   return smoothed;
 }
 
-/// See KernelDesign::LEAST_SQUARES; on as many taps as `blur` (centred, odd).
+/// See GammaRule::FIXED; on as many taps as `blur` (centred, odd).
 std::vector<double> least_squares_inverse(const std::vector<double>& blur, double extent_px,
                                           const KernelOptions& options) {
   const auto n = static_cast<int>(blur.size());
@@ -186,7 +187,7 @@ std::vector<double> box_inverse(const std::vector<double>& box, double extent_px
   return w;
 }
 
-/// See KernelDesign::FOURIER; `blur` is centred and odd, `size` >= its taps is the transform's.
+/// See GammaRule::PAPER; `blur` is centred and odd, `size` >= its taps is the transform's.
 std::vector<double> fourier_inverse(const std::vector<double>& blur, int size, const KernelOptions& options) {
   const int length = static_cast<int>(blur.size()), radius = length / 2;
   // The transform's origin is element 0, so the centre of the blur goes there.
@@ -212,8 +213,8 @@ LineKernel wiener_kernel(double extent_px, const KernelOptions& options) {
 
   const int length = next_odd(needed_length(extent_px, options));
   const std::vector<double> box = box_blur_kernel(extent_px, length);
-  const std::vector<double> w = options.design == KernelDesign::FOURIER ? fourier_inverse(box, length, options)
-                                                                        : box_inverse(box, extent_px, options);
+  const std::vector<double> w = options.gamma_rule == GammaRule::PAPER ? fourier_inverse(box, length, options)
+                                                                       : box_inverse(box, extent_px, options);
   const double sum = std::accumulate(w.begin(), w.end(), 0.0);
   LineKernel kernel;
   kernel.taps.resize(length);
@@ -223,7 +224,7 @@ LineKernel wiener_kernel(double extent_px, const KernelOptions& options) {
   // gamma w = h + a constant - (what h makes of h * w): the first is the box again, the rest is smooth up to the last
   // tap. In the Wiener filter, W = H* / gamma - H* |H|^2 / (gamma (|H|^2 + gamma)), the second term falls as |H|^3.
   // With a ratio that rises with the frequency that holds at the highest one, where it is (1 + 3 s) gamma.
-  const double share = options.design == KernelDesign::LEAST_SQUARES ? spectral_share(extent_px) : 0;
+  const double share = options.gamma_rule == GammaRule::PAPER ? 0 : spectral_share(extent_px);
   kernel.box_extent_px = extent_px;
   kernel.box_height = 1 / (options.gamma * (1 + 3 * share) * extent_px * sum);
   return kernel;
@@ -238,7 +239,7 @@ LineKernel wiener_kernel(const LinePath& path_px, const KernelOptions& options) 
   for (const float place_px : path_px) reach_px = std::max<double>(reach_px, std::abs(place_px));
   const int length = next_odd(std::max(needed_length(extent_px, options), 2 * reach_px + 3));
   const std::vector<double> blur = path_blur_kernel(path_px, length);
-  const std::vector<double> w = options.design == KernelDesign::FOURIER
+  const std::vector<double> w = options.gamma_rule == GammaRule::PAPER
                                     ? fourier_inverse(blur, cv::getOptimalDFTSize(length), options)
                                     : least_squares_inverse(blur, extent_px, options);
   const double sum = std::accumulate(w.begin(), w.end(), 0.0);
@@ -248,20 +249,33 @@ LineKernel wiener_kernel(const LinePath& path_px, const KernelOptions& options) 
   return kernel;
 }
 
-class KernelBank::Kernels : public MadeOnce<int, LineKernel> {};  // by extent / kExtentStepPx
+// By extent / kExtentStepPx, and how often gamma is doubled.
+class KernelBank::Kernels : public MadeOnce<std::pair<int, int>, LineKernel> {};
 
 KernelBank::KernelBank(const KernelOptions& options) : options_(options), kernels_(std::make_unique<Kernels>()) {
   options_.validate();
+  errors_ = std::make_unique<const ExpectedErrors>(options_.gamma);
 }
 
 KernelBank::~KernelBank() = default;
 
 std::size_t KernelBank::size() const { return kernels_->size(); }
 
-const LineKernel& KernelBank::kernel(double extent_px) const {
+KernelOptions with_doubled_gamma(KernelOptions options, int doublings) {
+  options.gamma = std::min(std::ldexp(options.gamma, doublings), kMaxGamma);
+  return options;
+}
+
+const LineKernel& KernelBank::kernel(double extent_px, int gamma_doublings) const {
   require_range("extent", extent_px, kMinKernelExtentPx, kMaxKernelExtentPx, "px");
-  const int key = static_cast<int>(std::lround(extent_px / kExtentStepPx));
-  return kernels_->get(key, [&] { return wiener_kernel(key * kExtentStepPx, options_); });
+  const int step = static_cast<int>(std::lround(extent_px / kExtentStepPx));
+  return kernels_->get({step, gamma_doublings}, [&] {
+    return wiener_kernel(step * kExtentStepPx, with_doubled_gamma(options_, gamma_doublings));
+  });
+}
+
+FilterChoice KernelBank::choose(double extent_px, double noise_to_texture) const {
+  return errors_->least(extent_px, noise_to_texture);
 }
 
 }  // namespace gyro_deblur

@@ -7,6 +7,7 @@
 
 #include "features/residual_flow.hpp"
 #include "gyro_deblur/blur_validation.hpp"
+#include "gyro_deblur/image_noise.hpp"
 #include "gyro_deblur/image_rectification.hpp"
 
 namespace gyro_deblur {
@@ -161,6 +162,15 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
     result.field = validate_blur_field(result.field, luminance, options_.validation, options_.threads);
     result.times.validation_ms = watch.ms();
+  }
+
+  {
+    const Stopwatch watch;
+    if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
+    result.field.noise = options_.noise.is_known() ? image_noise(luminance, options_.noise)
+                                                   : image_noise(image, layout, result.significant_bits);
+    weigh_noise(luminance, *bank_, result.field, options_.threads);
+    result.times.noise_ms = watch.ms();
   }
 
   const bool permitted = !request.permit || request.permit(result.field);

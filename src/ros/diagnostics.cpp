@@ -122,6 +122,7 @@ void DiagnosticReport::add(const FrameOutput& output) {
   latencies_["motion from images"].add(output.stages.flow_ms);
   latencies_["blur field"].add(output.stages.blur_field_ms);
   latencies_["validation"].add(output.stages.validation_ms);
+  latencies_["noise"].add(output.stages.noise_ms);
   latencies_["deconvolution"].add(output.stages.deconvolution_ms);
   latencies_["keypoints"].add(output.stages.keypoints_ms);
   latencies_["messages"].add(output.messages_ms);

@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <limits>
 #include <optional>
 
 #include <Eigen/Core>
@@ -48,6 +49,7 @@ BlurFieldPtr to_message(const FrameBlur& field, const std_msgs::Header& header) 
     message->extent.push_back(block.extent_px);
     message->status.push_back(static_cast<std::uint8_t>(block.status));
   }
+  message->noise = field.noise ? static_cast<float>(*field.noise) : std::numeric_limits<float>::quiet_NaN();
   message->exposure_time.fromNSec(field.exposure_ns);
   message->readout_time.fromNSec(field.readout_ns);
   return message;

@@ -20,6 +20,7 @@
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/blur_validation.hpp"
 #include "gyro_deblur/deconvolution.hpp"
+#include "gyro_deblur/image_noise.hpp"
 #include "gyro_deblur/overlay.hpp"
 #include "tools/output_file.hpp"
 #include "tools/tool_main.hpp"
@@ -168,8 +169,10 @@ void run(const Arguments& arguments) {
   if (const std::string message = depth.take_message(); !message.empty()) std::cerr << "warning: " << message << "\n";
   const cv::Mat luminance = luminance8(image, layout, bits);
   field = validate_blur_field(field, luminance, arguments.validation);
+  field.noise = image_noise(image, layout, bits);
 
   const KernelBank bank(arguments.kernel);
+  weigh_noise(luminance, bank, field);
   const auto engine = make_engine(arguments.engine, arguments.threads);
   cv::Mat deblurred;
   const auto start = std::chrono::steady_clock::now();
@@ -184,8 +187,7 @@ void run(const Arguments& arguments) {
   if (!arguments.overlay.empty()) write_image(arguments.overlay, draw_overlay(luminance, field));
 
   nlohmann::json counts;
-  for (const BlockStatus status : {BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED,
-                                   BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO, BlockStatus::BENT}) {
+  for (const BlockStatus status : kBlockStatuses) {
     counts[to_string(status)] = field.count(status);
   }
   write_json(arguments.json, {{"input", arguments.input},
@@ -230,8 +232,11 @@ int main_of(int argc, char** argv) {
       ->capture_default_str();
   angle->needs(extent)->excludes(field);
   extent->needs(angle)->excludes(field);
-  app.add_option("--gamma", arguments.kernel.gamma, "noise-to-signal ratio of the Wiener filter")
+  app.add_option("--gamma", arguments.kernel.gamma, "noise-to-signal ratio of the Wiener filter, at least")
       ->capture_default_str();
+  app.add_flag_callback(
+      "--fixed-gamma", [&] { arguments.kernel.gamma_rule = GammaRule::FIXED; },
+      "gamma as it is, whatever the noise, and no block left alone for it");
   app.add_option("--engine", arguments.engine, "engine: auto, cpu, float, opencl, opencl:INDEX, opencl:NAME")
       ->capture_default_str();
   app.add_option("--threads", arguments.threads, "of the engine; 0: as many as there are cores")->capture_default_str();

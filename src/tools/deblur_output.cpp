@@ -28,8 +28,7 @@ void report_field(const FrameBlur& field, nlohmann::json* frame) {
   (*frame)["center_angle_deg"] = readable_degrees(center.angle_rad);
   (*frame)["exposure_s"] = to_seconds(field.exposure_ns);
   (*frame)["readout_s"] = to_seconds(field.readout_ns);
-  for (const BlockStatus status : {BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED,
-                                   BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO, BlockStatus::BENT}) {
+  for (const BlockStatus status : kBlockStatuses) {
     (*frame)["blocks"][to_string(status)] = field.count(status);
   }
 }
@@ -45,6 +44,7 @@ nlohmann::json report_of(const FrameOutput& output) {
   frame["milliseconds"] = {{"motion_from_images", output.stages.flow_ms},
                            {"blur_field", output.stages.blur_field_ms},
                            {"validation", output.stages.validation_ms},
+                           {"noise", output.stages.noise_ms},
                            {"deconvolution", output.stages.deconvolution_ms},
                            {"keypoints", output.stages.keypoints_ms},
                            {"global_shutter", output.stages.global_shutter_ms},

@@ -14,9 +14,6 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr BlockStatus kAll[] = {BlockStatus::SHARP,     BlockStatus::DEBLURRED, BlockStatus::REJECTED,
-                                BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO,   BlockStatus::BENT};
-
 cv::Vec3b bgr(BlockStatus status) {
   const cv::Vec3b rgb = status_color_rgb(status);
   return {rgb[2], rgb[1], rgb[0]};
@@ -30,11 +27,11 @@ FrameBlur field_of(int width_px, int height_px, double angle_rad, double extent_
 
 TEST(StatusColor, IsDifferentForEveryStatusAndNamedRight) {
   std::set<std::tuple<int, int, int>> colors;
-  for (const BlockStatus status : kAll) {
+  for (const BlockStatus status : kBlockStatuses) {
     const cv::Vec3b c = status_color_rgb(status);
     colors.insert({c[0], c[1], c[2]});
   }
-  EXPECT_EQ(colors.size(), std::size(kAll));
+  EXPECT_EQ(colors.size(), std::size(kBlockStatuses));
   const auto is = [](BlockStatus status, bool r, bool g, bool b) {
     const cv::Vec3b c = status_color_rgb(status);
     return (c[0] > 150) == r && (c[1] > 150) == g && (c[2] > 150) == b;
@@ -45,6 +42,7 @@ TEST(StatusColor, IsDifferentForEveryStatusAndNamedRight) {
   EXPECT_TRUE(is(BlockStatus::TOO_LARGE, true, false, true));
   EXPECT_TRUE(is(BlockStatus::NO_GYRO, true, true, false));
   EXPECT_TRUE(is(BlockStatus::BENT, false, true, true));
+  EXPECT_TRUE(is(BlockStatus::NOISY, false, false, true));
 }
 
 TEST(BlurSegment, IsThePathCentredOnTheBlock) {
@@ -95,7 +93,7 @@ TEST(PathsApart, NeverComeNearerThanTheGap) {
 TEST(DrawOverlay, DrawsEachBlockInTheColourOfItsStatus) {
   const cv::Mat grey(960, 1280, CV_8UC1, cv::Scalar(120));
   FrameBlur field = field_of(1280, 960, 0, 40);
-  for (int i = 0; i < field.grid.size(); ++i) field.blocks[i].status = kAll[i % 5];
+  for (int i = 0; i < field.grid.size(); ++i) field.blocks[i].status = kBlockStatuses[i % 5];
   const cv::Mat image = draw_overlay(grey, field);
   ASSERT_EQ(image.type(), CV_8UC3);
   ASSERT_EQ(image.size(), grey.size());
@@ -142,7 +140,7 @@ TEST(ResidualSegment, IsTheWayWithinTheExposureFromTheCentre) {
 TEST(DrawOverlay, MarksBlocksThatHaveMotionFromImagesAndDrawsIt) {
   const cv::Mat grey(960, 1280, CV_8UC1, cv::Scalar(120));  // lines are 2 px wide
   const cv::Vec3b rgb = residual_color_rgb(), orange(rgb[2], rgb[1], rgb[0]);
-  for (const BlockStatus status : kAll) EXPECT_GT(distance(bgr(status), orange), 75) << to_string(status);
+  for (const BlockStatus status : kBlockStatuses) EXPECT_GT(distance(bgr(status), orange), 75) << to_string(status);
   FrameBlur field = field_of(1280, 960, 0, 40);
   field.exposure_ns = 20'000'000;
   const int with = field.grid.index_at(700, 500), without = with + 1;

@@ -53,13 +53,14 @@ std::string dump(const Config& c) {
     << "\nmax_extent " << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
     << "\nmotion_from_images " << c.pipeline.motion_from_images << "\nbridge_gyro_gaps " << c.pipeline.bridge_gyro_gaps
     << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing "
-    << c.pipeline.kernel.smoothing_px << "\nvalidate " << c.pipeline.validation.enabled << "\ntau "
-    << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\ndetector "
-    << c.pipeline.keypoints.detector << "\ndescriptor " << c.pipeline.keypoints.descriptor << "\nmax_features "
-    << c.pipeline.keypoints.max_features << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
-    << c.pipeline.keypoints.grid_rows << "\ntracker " << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' '
-    << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' '
-    << c.tracker.window_px << ' ' << c.tracker.levels;
+    << c.pipeline.kernel.smoothing_px << "\ngamma_rule " << static_cast<int>(c.pipeline.kernel.gamma_rule) << "\nnoise "
+    << c.pipeline.noise.read_noise << ' ' << c.pipeline.noise.noise_gain << "\nvalidate "
+    << c.pipeline.validation.enabled << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
+    << c.pipeline.validation.tau_contrast << "\ndetector " << c.pipeline.keypoints.detector << "\ndescriptor "
+    << c.pipeline.keypoints.descriptor << "\nmax_features " << c.pipeline.keypoints.max_features << "\ngrid "
+    << c.pipeline.keypoints.grid_cols << ' ' << c.pipeline.keypoints.grid_rows << "\ntracker " << c.tracker.max_tracks
+    << ' ' << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' '
+    << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' ' << c.tracker.levels;
   return s.str();
 }
 
@@ -109,6 +110,9 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"gamma", "1e-3"},
       {"kernel_length_factor", "6"},
       {"kernel_smoothing", "1.5"},
+      {"gamma_rule", "paper"},
+      {"read_noise", "2.5"},
+      {"noise_gain", "0.1"},
       {"validate", "false"},
       {"tau", "12"},
       {"tau_contrast", "0"},
@@ -174,6 +178,9 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.kernel.gamma, 1e-3);
   EXPECT_EQ(c.pipeline.kernel.length_factor, 6);
   EXPECT_EQ(c.pipeline.kernel.smoothing_px, 1.5);
+  EXPECT_EQ(c.pipeline.kernel.gamma_rule, GammaRule::PAPER);
+  EXPECT_EQ(c.pipeline.noise.read_noise, 2.5);
+  EXPECT_EQ(c.pipeline.noise.noise_gain, 0.1);
   EXPECT_FALSE(c.pipeline.validation.enabled);
   EXPECT_EQ(c.pipeline.validation.tau, 12);
   EXPECT_EQ(c.pipeline.validation.tau_contrast, 0);
@@ -196,6 +203,8 @@ TEST(ParseConfig, EnumerationsTakeEveryName) {
   EXPECT_EQ(parse("stamp_row: middle").shutter.stamp_row, StampRow::MIDDLE);
   EXPECT_EQ(parse("stamp_phase: start").shutter.stamp_phase, StampPhase::START);
   EXPECT_EQ(parse("stamp_phase: middle").shutter.stamp_phase, StampPhase::MIDDLE);
+  EXPECT_EQ(parse("gamma_rule: noise").pipeline.kernel.gamma_rule, GammaRule::NOISE);
+  EXPECT_EQ(parse("gamma_rule: fixed").pipeline.kernel.gamma_rule, GammaRule::FIXED);
   EXPECT_EQ(parse("rectify_to: middle_row").pipeline.rectify_to, RectifyTo::MIDDLE_ROW);
   EXPECT_EQ(parse("rectify_to: first_row").pipeline.rectify_to, RectifyTo::FIRST_ROW);
   EXPECT_EQ(parse("rectify_to: last_row").pipeline.rectify_to, RectifyTo::LAST_ROW);

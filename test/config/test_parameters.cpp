@@ -110,9 +110,12 @@ TEST(Parameters, EveryMemberHasARow) {
     EXPECT_EQ(parameters_of<ValidationOptions>().size(), count(a, b, c));
   }
   {
-    const auto& [a, b, c, design] = KernelOptions();
-    EXPECT_EQ(parameters_of<KernelOptions>().size() + count(design), count(a, b, c, design))
-        << "design is no parameter";
+    const auto& [a, b, c, d] = KernelOptions();
+    EXPECT_EQ(parameters_of<KernelOptions>().size(), count(a, b, c, d));
+  }
+  {
+    const auto& [a, b] = NoiseModel();
+    EXPECT_EQ(parameters_of<NoiseModel>().size(), count(a, b));
   }
   {
     const auto& [a, b, c, d, e] = KeypointOptions();
@@ -136,9 +139,9 @@ TEST(Parameters, EveryMemberHasARow) {
     EXPECT_EQ(count(kind, unit), 2u);
   }
   {
-    const auto& [blur_field, validation, kernel, keypoints, a, b, c, d, e, f, g] = PipelineOptions();
+    const auto& [blur_field, validation, kernel, noise, keypoints, a, b, c, d, e, f, g] = PipelineOptions();
     EXPECT_EQ(parameters_of<PipelineOptions>().size(), count(a, b, c, d, e, f, g));
-    EXPECT_EQ(count(blur_field, validation, kernel, keypoints), 4u);
+    EXPECT_EQ(count(blur_field, validation, kernel, noise, keypoints), 5u);
   }
   {
     const auto& [pipeline, gyro, shutter, a, b, c, d, tracker, e, f, calibration, g, h, i, j, k, l, m] = Config();
@@ -163,7 +166,7 @@ TEST(Parameters, ComparisonsSeeEveryMember) {
   expect_comparison_sees_every_row(&PipelineOptions::kernel);
   expect_comparison_sees_every_row(&PipelineOptions::keypoints);
   KernelOptions fourier;
-  fourier.design = KernelDesign::FOURIER;
+  fourier.gamma_rule = GammaRule::PAPER;
   EXPECT_FALSE(fourier == KernelOptions());
 }
 

@@ -11,6 +11,7 @@
 
 #include "gyro_deblur/blur_validation.hpp"
 #include "gyro_deblur/deconvolution.hpp"
+#include "gyro_deblur/image_noise.hpp"
 #include "run_program.hpp"
 #include "synthetic_blur.hpp"
 
@@ -61,6 +62,20 @@ Gain gain_of(const Example& example, const cv::Mat& deblurred, double extent_px)
   const auto before = squares(example.blurred), after = squares(deblurred);
   return {10 * std::log10(before[0] / after[0]), 10 * std::log10(before[1] / after[1]),
           10 * std::log10((before[0] - before[1]) / (after[0] - after[1]))};
+}
+
+TEST(OxfordNoise, IsEstimatedOnBlurredPhotographs) {
+  if (!std::filesystem::exists(image_path(kSets[0]))) GTEST_SKIP() << "no data at " << image_path(kSets[0]);
+  for (const char* set : kSets) {
+    const cv::Mat photograph = cv::imread(image_path(set), cv::IMREAD_GRAYSCALE);
+    ASSERT_FALSE(photograph.empty()) << image_path(set);
+    const cv::Mat blurred = test::blur_along_line(photograph, 0.5, 15);
+    for (const double noise : {0.5, 1.0, 2.0, 4.0, 8.0, 12.0}) {
+      const double truth = std::hypot(noise, 1 / std::sqrt(12.0));  // and rounding
+      EXPECT_NEAR(image_noise(test::expose(blurred, noise, 7), PixelLayout::GRAY).value_or(0) / truth, 1, 0.15)
+          << set << ", noise " << noise;
+    }
+  }
 }
 
 TEST(OxfordPsnr, GainsThreeDecibels) {

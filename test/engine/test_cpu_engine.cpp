@@ -183,12 +183,12 @@ TEST_P(CpuEngineTest, FollowsTheFloatEngineAtAnyGamma) {
   }
 }
 
-TEST_P(CpuEngineTest, FollowsTheFloatEngineWithAnyKernelDesign) {
+TEST_P(CpuEngineTest, FollowsTheFloatEngineWithAnyGammaRule) {
   const cv::Mat sharp = test::textured_image(200, 150, 8);
-  for (const KernelDesign design : {KernelDesign::LEAST_SQUARES, KernelDesign::FOURIER}) {
+  for (const GammaRule design : {GammaRule::FIXED, GammaRule::PAPER}) {
     for (const double smoothing_px : {0.0, 0.7, 2.0}) {
       KernelOptions options;
-      options.design = design;
+      options.gamma_rule = design;
       options.smoothing_px = smoothing_px;
       bank_ = std::make_unique<KernelBank>(options);
       for (const double extent_px : {12.0, 40.0, 90.0}) {

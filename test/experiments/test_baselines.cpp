@@ -127,7 +127,7 @@ TEST(RestoreBeyondBorders, IsBetterThanWienerOnAPhotograph) {
     return out;
   };
   KernelOptions paper;  // the taps that it iterates, on another length
-  paper.design = KernelDesign::FOURIER;
+  paper.gamma_rule = GammaRule::PAPER;
   const cv::Mat truth = smooth(photograph(middle).clone());
   const cv::Mat wiener = smooth(deblur_in_space(blurred, kBlur, paper));
   const cv::Mat package = smooth(deblur_in_space(blurred, kBlur));

@@ -43,11 +43,14 @@ class RunAll(unittest.TestCase):
         self.assertLess(space["rmse_border"], 0.8 * frequency["rmse_border"])
         self.assertLess(space["rmse_interior"], 1.1 * frequency["rmse_interior"])
 
-    def test_least_squares_taps_restore_more_than_the_transforms(self):
-        gain = {(r["noise_grey_levels"], r["extent_px"], r["design"]): r["gain_db"]
-                for r in self.load("deconvolution.json")["designs"]}
-        for noise, extent in {key[:2] for key in gain}:
-            self.assertGreaterEqual(gain[noise, extent, "least_squares"], gain[noise, extent, "transform"])
+    def test_least_squares_taps_restore_more_than_the_papers_and_gamma_by_noise_no_less(self):
+        cells = {(r["noise_grey_levels"], r["extent_px"], r["rule"]): r
+                 for r in self.load("deconvolution.json")["rules"]}
+        for noise, extent in {key[:2] for key in cells}:
+            gain = {rule: cells[noise, extent, rule]["gain_db"] for rule in ("paper", "fixed", "noise")}
+            self.assertGreaterEqual(gain["fixed"], gain["paper"])
+            self.assertGreaterEqual(gain["noise"], gain["fixed"] - 0.01)
+            self.assertGreaterEqual(cells[noise, extent, "noise"]["least_db"], -0.05)
 
     def test_the_proposed_method_repeats_more_and_closer(self):
         methods = {m["method"]: {p["detections"]: p for p in m["curve"]} for m in self.load("synthetic.json")["methods"]}

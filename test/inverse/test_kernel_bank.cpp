@@ -190,7 +190,7 @@ TEST(FourierKernel, IsSmoothedByAGaussian) {
   // The second has more of a Gaussian than of an inverse.
   for (const auto& [extent_px, smoothing_px] : {std::pair(20.0, 1.7), std::pair(3.0, 5.0)}) {
     KernelOptions options;
-    options.design = KernelDesign::FOURIER;
+    options.gamma_rule = GammaRule::PAPER;
     options.smoothing_px = smoothing_px;
     const LineKernel kernel = wiener_kernel(extent_px, options);
     EXPECT_EQ(kernel.box_extent_px, 0) << "no jumps are left";
@@ -210,7 +210,7 @@ TEST(FourierKernel, IsSmoothedByAGaussian) {
 
 TEST(FourierKernel, InvertsAnUnevenPath) {
   KernelOptions options;
-  options.design = KernelDesign::FOURIER;
+  options.gamma_rule = GammaRule::PAPER;
   const LineKernel kernel = wiener_kernel(kSpeedsUp, options);
   EXPECT_EQ(kernel.taps.size() % 2, 1u);
   EXPECT_GE(kernel.taps.size(), options.length_factor * 19);
@@ -235,8 +235,8 @@ TEST(FourierKernel, InvertsAnUnevenPath) {
 
 TEST(WienerKernel, HasTheLengthAndUnitGain) {
   KernelOptions options;
-  for (const KernelDesign design : {KernelDesign::LEAST_SQUARES, KernelDesign::FOURIER}) {
-    options.design = design;
+  for (const GammaRule design : {GammaRule::FIXED, GammaRule::PAPER}) {
+    options.gamma_rule = design;
     for (const double extent : {1.0, 2.0, 7.3, 27.0, 90.0, 500.0}) {
       for (const double factor : {2.0, 4.0, 6.0}) {
         options.length_factor = factor;
@@ -277,7 +277,7 @@ TEST(WienerKernel, IsSymmetric) {
 TEST(FourierKernel, ObeysTheDefinitionAtEveryFrequency) {
   for (const double gamma : {0.001, 0.01, 0.2}) {
     KernelOptions options;
-    options.design = KernelDesign::FOURIER;
+    options.gamma_rule = GammaRule::PAPER;
     options.gamma = gamma;
     for (const double extent : {2.0, 5.4, 27.0}) {
       const LineKernel kernel = wiener_kernel(extent, options);

@@ -1,5 +1,6 @@
 #include "gyro_deblur/deconvolution.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <optional>
@@ -98,6 +99,97 @@ TEST(Deconvolve, ShowsAPointWhereItsBlockSays) {
 
 FrameBlur field_of(int width, int height, double degrees, double extent) {
   return uniform_blur_field(width, height, radians(degrees), extent, {});
+}
+
+/// What weigh_noise() and deconvolve() make of an image with noise.
+struct Weighed {
+  FrameBlur field;
+  cv::Mat image;
+};
+Weighed weigh_and_deconvolve(const cv::Mat& blurred, FrameBlur field, std::optional<double> noise, GammaRule rule) {
+  KernelOptions options;
+  options.gamma_rule = rule;
+  const KernelBank bank(options);
+  field.noise = noise;
+  weigh_noise(blurred, bank, field);
+  Weighed weighed{field, {}};
+  deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine("cpu"), weighed.image);
+  return weighed;
+}
+
+// In good light both rules are one.
+TEST(WeighNoise, GainsInLowLightWhereGammaAsItIsLoses) {
+  const cv::Mat scene = test::textured_image(400, 300, 11);
+  const cv::Rect inner(32, 32, 336, 236);
+  for (const double contrast : {1.0, 0.25}) {
+    for (const double extent_px : {6.0, 15.0, 30.0}) {
+      const double noise = contrast < 1 ? 8 : 0.5;
+      cv::Mat light;
+      scene.convertTo(light, CV_64F, contrast, 128 * (1 - contrast));
+      const cv::Mat sharp = light(inner);
+      const cv::Mat blurred = test::expose(test::blur_along_line(light, 0.6, extent_px)(inner), noise, 5);
+      const FrameBlur field = uniform_blur_field(blurred.cols, blurred.rows, 0.6, extent_px, {});
+      const auto gain_db = [&](GammaRule rule) {
+        return test::psnr_db(weigh_and_deconvolve(blurred, field, noise, rule).image, sharp) -
+               test::psnr_db(blurred, sharp);
+      };
+      if (contrast < 1) {
+        EXPECT_LT(gain_db(GammaRule::FIXED), 0) << extent_px;
+        EXPECT_GT(gain_db(GammaRule::NOISE), 0.5) << extent_px;
+      } else {
+        EXPECT_NEAR(gain_db(GammaRule::NOISE), gain_db(GammaRule::FIXED), 0.1) << extent_px;
+      }
+    }
+  }
+}
+
+TEST(WeighNoise, LeavesAloneWhatItWouldSpoilAndDoesNotGrainWhatIsFlat) {
+  // Texture on the left, nothing on the right.
+  cv::Mat light(256, 512, CV_64F, cv::Scalar(120));
+  test::textured_image(256, 256, 3).convertTo(light.colRange(0, 256), CV_64F);
+  constexpr double kNoise = 3;
+  for (const double extent_px : {3.5, 20.0}) {
+    const cv::Mat blurred = test::expose(test::blur_along_line(light, 0, extent_px), kNoise, 6);
+    const FrameBlur field = uniform_blur_field(512, 256, 0, extent_px, {});
+    const Weighed weighed = weigh_and_deconvolve(blurred, field, kNoise, GammaRule::NOISE);
+    const cv::Rect flat(320, 0, 192, 256);
+    cv::Scalar mean, before, after;
+    cv::meanStdDev(blurred(flat), mean, before);
+    cv::meanStdDev(weighed.image(flat), mean, after);
+    EXPECT_LT(after[0], 1.05 * before[0]) << extent_px;
+    for (int i = 0; i < field.grid.size(); ++i) {
+      const cv::Rect rect = field.grid.rect(i);
+      if (rect.br().x <= 256) {
+        EXPECT_EQ(weighed.field.blocks[i].status, BlockStatus::DEBLURRED) << extent_px << ' ' << i;
+      }
+      if (rect.x >= 320 && extent_px < 10) {
+        EXPECT_EQ(weighed.field.blocks[i].status, BlockStatus::NOISY) << extent_px << ' ' << i;
+        EXPECT_TRUE(equal(weighed.image(rect), blurred(rect)));
+      }
+    }
+    cv::meanStdDev(weigh_and_deconvolve(blurred, field, kNoise, GammaRule::FIXED).image(flat), mean, after);
+    EXPECT_GT(after[0], 2 * before[0]) << "gamma as it is grains it, " << extent_px;
+  }
+}
+
+TEST(WeighNoise, DoesNothingByOtherRulesOrWhereNoiseIsNotKnown) {
+  const cv::Mat blurred = random_image(256, 192, CV_8UC1, 4);
+  const FrameBlur field = uniform_blur_field(256, 192, 1, 12, {});
+  const auto is_left = [&](std::optional<double> noise, GammaRule rule) {
+    const Weighed weighed = weigh_and_deconvolve(blurred, field, noise, rule);
+    return std::all_of(weighed.field.blocks.begin(), weighed.field.blocks.end(), [](const BlockBlur& block) {
+      return block.status == BlockStatus::DEBLURRED && block.noise_to_texture == 0;
+    });
+  };
+  EXPECT_TRUE(is_left(std::nullopt, GammaRule::NOISE));
+  EXPECT_TRUE(is_left(9, GammaRule::FIXED));
+  EXPECT_TRUE(is_left(9, GammaRule::PAPER));
+  EXPECT_FALSE(is_left(9, GammaRule::NOISE));
+  const KernelBank bank{KernelOptions{}};
+  FrameBlur copy = field;
+  copy.noise = 1;
+  EXPECT_THROW(weigh_noise(cv::Mat(192, 256, CV_16UC1), bank, copy), std::invalid_argument);
+  EXPECT_THROW(weigh_noise(cv::Mat(191, 256, CV_8UC1), bank, copy), std::invalid_argument);
 }
 
 TEST(Deconvolve, RestoresAnExactlyBlurredImage) {

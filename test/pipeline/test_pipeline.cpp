@@ -72,8 +72,26 @@ TEST(Pipeline, SharpensABlurredFrame) {
   EXPECT_EQ(result.field.exposure_ns, kExposureNs);
   EXPECT_GT(result.times.blur_field_ms, 0);
   EXPECT_GT(result.times.validation_ms, 0);
+  EXPECT_GT(result.times.noise_ms, 0);
   EXPECT_GT(result.times.deconvolution_ms, 0);
   EXPECT_GT(result.times.keypoints_ms, 0);
+}
+
+TEST(Pipeline, TellsTheNoise) {
+  PipelineOptions with_model = options();
+  Pipeline p = pipeline();
+  const auto noise = [&](const PipelineOptions& options, double added) {
+    p.set_options(options);
+    const cv::Mat blurred = test::expose(64 + 0.5 * blurred_image(15), added, 4);
+    return p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).field.noise.value_or(-1);
+  };
+  // The image has noise already.
+  const double own = noise(with_model, 0);
+  EXPECT_NEAR(noise(with_model, 4), std::hypot(own, 4), 0.15 * 4);
+  with_model.noise = {3, 0};
+  EXPECT_EQ(noise(with_model, 4), 3);
+  with_model.noise = {3, 0.1};
+  EXPECT_NEAR(noise(with_model, 4), std::sqrt(9 + 0.1 * (64 + 0.5 * cv::mean(blurred_image(15))[0])), 0.05);
 }
 
 // The image has 16 bit, the luminance for keypoints 8.
@@ -302,7 +320,7 @@ TEST(Pipeline, TakesNewOptions) {
   EXPECT_LE(after.features.keypoints.size(), 20u);
   EXPECT_EQ(after.reference_ns, kStampNs);
   changed = options();
-  changed.kernel.design = KernelDesign::FOURIER;
+  changed.kernel.gamma_rule = GammaRule::PAPER;
   p.set_options(changed);
   EXPECT_FALSE(
       equal(before.image, p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image));

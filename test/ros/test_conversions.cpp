@@ -230,6 +230,7 @@ TEST(BlurField, ConstantsEqualTheCores) {
   EXPECT_EQ(BlurField::TOO_LARGE, static_cast<int>(BlockStatus::TOO_LARGE));
   EXPECT_EQ(BlurField::NO_GYRO, static_cast<int>(BlockStatus::NO_GYRO));
   EXPECT_EQ(BlurField::BENT, static_cast<int>(BlockStatus::BENT));
+  EXPECT_EQ(BlurField::NOISY, static_cast<int>(BlockStatus::NOISY));
   const std::pair<int, PassThroughReason> reasons[] = {
       {BlurField::REASON_NONE, PassThroughReason::NONE},
       {BlurField::REASON_NO_GYRO, PassThroughReason::NO_GYRO},

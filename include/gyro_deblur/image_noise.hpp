@@ -1,0 +1,29 @@
+// How noisy an image is.
+#pragma once
+
+#include <optional>
+
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/image_format.hpp"
+#include "gyro_deblur/options.hpp"
+
+namespace gyro_deblur {
+
+/// Standard deviation of the noise in an image's pixels, [grey levels of 8 bits], rounding included (0.29 where whole
+/// grey levels are all there is): what is left of a 5 x 5 px filter that passes the finest checkerboard alone, in those
+/// squares of 8 x 8 px that have the least texture at twice its size, carried on to none. Of the green channel, of a
+/// mosaic of one plane of green. Nothing where fewer than 30 squares are neither black nor saturated anywhere.
+///
+/// On the Oxford photographs, blurred by 15 px, it is within 5 % of the truth from 0.5 to 12 grey levels. Where
+/// everything in a sharp image is texture it takes the finest of it for noise; and it sees little of the noise that
+/// demosaicing or compression has smoothed.
+///
+/// @param image             CV_8U or CV_16U that fits `layout`
+/// @param significant_bits  of 16-bit images: 2^bits - 1 becomes 255
+std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits = 16);
+
+/// The same by the sensor's model, at the image's mean grey level. Precondition: luminance is CV_8UC1, not empty.
+double image_noise(const cv::Mat& luminance, const NoiseModel& model);
+
+}  // namespace gyro_deblur

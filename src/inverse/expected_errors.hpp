@@ -1,0 +1,36 @@
+// What is left of a blurred line's texture and noise by a Wiener filter, by extent and gamma.
+#pragma once
+
+#include <vector>
+
+#include "gyro_deblur/kernel_bank.hpp"
+
+namespace gyro_deblur {
+
+constexpr double kMaxGamma = 1;
+
+/// The integrals that KernelBank::choose() is about, made once for a gamma and its doublings, and for extents a
+/// quarter of an octave apart.
+class ExpectedErrors {
+ public:
+  /// Precondition: 0 < gamma <= kMaxGamma.
+  explicit ExpectedErrors(double gamma);
+
+  /// See KernelBank::choose(). Extents are clamped to those that have kernels.
+  FilterChoice least(double extent_px, double noise_to_texture) const;
+
+ private:
+  /// For a texture of c = 1 and noise of v = 1.
+  struct Error {
+    double texture, noise;
+  };
+  struct AtExtent {
+    double blurred;               ///< texture's error before
+    std::vector<Error> filtered;  ///< by doubling
+  };
+  static AtExtent at_extent(double extent_px, double gamma);
+
+  std::vector<AtExtent> by_extent_;
+};
+
+}  // namespace gyro_deblur
