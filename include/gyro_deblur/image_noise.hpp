@@ -21,7 +21,9 @@ namespace gyro_deblur {
 ///
 /// @param image             CV_8U or CV_16U that fits `layout`
 /// @param significant_bits  of 16-bit images: 2^bits - 1 becomes 255
-std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits = 16);
+/// @param mean_of           >= 1; the noise that pixels would have if it were white and left in means of so many in
+///                          either direction what is found there
+std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits = 16, int mean_of = 1);
 
 /// The same by the sensor's model, at the image's mean grey level. Precondition: luminance is CV_8UC1, not empty.
 double image_noise(const cv::Mat& luminance, const NoiseModel& model);

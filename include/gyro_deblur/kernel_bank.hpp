@@ -79,6 +79,9 @@ class KernelBank {
   /// @param noise_to_texture  v / c [cycles^2/px^2], >= 0
   FilterChoice choose(double extent_px, double noise_to_texture) const;
 
+  /// The most doublings that choose() gives.
+  int max_doublings() const;
+
   std::size_t size() const;  ///< kernels made so far
 
   const KernelOptions& options() const { return options_; }

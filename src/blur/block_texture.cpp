@@ -3,8 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-
-#include <opencv2/imgproc.hpp>
+#include <vector>
 
 namespace gyro_deblur {
 namespace {
@@ -17,25 +16,26 @@ constexpr double kAlong = 0.0125, kAlongPerPx = 0.0066;
 
 }  // namespace
 
-cv::Mat means_of_pairs(const cv::Mat& luminance) {
-  cv::Mat means;
-  cv::resize(luminance, means, {std::max(1, luminance.cols / 2), std::max(1, luminance.rows / 2)}, 0, 0,
-             cv::INTER_AREA);
-  return means;
-}
-
-double texture_along_line(const cv::Mat& means, const cv::Rect& block, double angle_rad, double extent_px,
+double texture_along_line(const cv::Mat& luminance, const cv::Rect& block, double angle_rad, double extent_px,
                           double noise_variance) {
-  const int left = block.x / 2, right = std::min((block.x + block.width) / 2, means.cols) - 1;
-  const int top = block.y / 2, bottom = std::min((block.y + block.height) / 2, means.rows) - 1;
-  if (right <= left || bottom <= top) return 0;
-  // Differences along the two diagonals, whose noise is not the same pixels'.
-  std::int64_t uu = 0, vv = 0, uv = 0;
-  for (int y = top; y < bottom; ++y) {
-    const std::uint8_t *a = means.ptr<std::uint8_t>(y), *b = means.ptr<std::uint8_t>(y + 1);
+  // Differences of means along the two diagonals, whose noise is not the same pixels'. Every second row of them will
+  // do.
+  const int cols = block.width / 2;
+  std::int64_t uu = 0, vv = 0, uv = 0, count = 0;
+  thread_local std::vector<int> upper, lower;  // sums of 2 x 2 px
+  upper.resize(std::max(cols, 0));
+  lower.resize(upper.size());
+  const auto sum_rows = [&](int y, std::vector<int>& sums) {
+    const std::uint8_t *a = luminance.ptr<std::uint8_t>(y) + block.x, *b = luminance.ptr<std::uint8_t>(y + 1) + block.x;
+    for (int x = 0; x < cols; ++x) sums[x] = a[2 * x] + a[2 * x + 1] + b[2 * x] + b[2 * x + 1];
+  };
+  constexpr int kRows = 4;
+  for (int y = block.y; y + kRows <= block.y + block.height; y += kRows) {
+    sum_rows(y, upper);
+    sum_rows(y + 2, lower);
     int row_uu = 0, row_vv = 0, row_uv = 0;
-    for (int x = left; x < right; ++x) {
-      const int u = b[x + 1] - a[x], v = a[x + 1] - b[x];
+    for (int x = 0; x + 1 < cols; ++x) {
+      const int u = lower[x + 1] - upper[x], v = upper[x + 1] - lower[x];
       row_uu += u * u;
       row_vv += v * v;
       row_uv += u * v;
@@ -43,13 +43,16 @@ double texture_along_line(const cv::Mat& means, const cv::Rect& block, double an
     uu += row_uu;
     vv += row_vv;
     uv += row_uv;
+    count += cols - 1;
   }
-  const double count = static_cast<double>(right - left) * (bottom - top);
-  // x is along (u + v) / 2, y along (u - v) / 2.
-  const double xx = (uu + 2.0 * uv + vv) / (4 * count), yy = (uu - 2.0 * uv + vv) / (4 * count);
-  const double xy = (uu - vv) / (4 * count);
+  if (count <= 0) return 0;
+  // x is along (u + v) / 2, y along (u - v) / 2; sums are four times the means.
+  const double scale = 1.0 / (16 * 4 * static_cast<double>(count));
+  const auto sum_uu = static_cast<double>(uu), sum_vv = static_cast<double>(vv), sum_uv = static_cast<double>(uv);
+  const double xx = (sum_uu + 2 * sum_uv + sum_vv) * scale, yy = (sum_uu - 2 * sum_uv + sum_vv) * scale;
+  const double xy = (sum_uu - sum_vv) * scale;
   const double dx = std::cos(angle_rad), dy = std::sin(angle_rad);
-  const double noise = noise_variance / 4 + 1.0 / 12;  // of a mean, rounded
+  const double noise = noise_variance / 4;  // of a mean
   const double along = std::max(0.0, dx * dx * xx + 2 * dx * dy * xy + dy * dy * yy - noise);
   const double across = std::max(0.0, dy * dy * xx - 2 * dx * dy * xy + dx * dx * yy - noise);
   return 0.5 * (kAcross * across + (kAlong + kAlongPerPx * extent_px) * along);

@@ -7,16 +7,13 @@
 
 namespace gyro_deblur {
 
-/// Means of 2 x 2 px, CV_8UC1.
-cv::Mat means_of_pairs(const cv::Mat& luminance);
-
 /// The strength c [grey levels^2 cycles/px] of a block's texture, whose power along the line of its blur is taken to be
 /// c / f^2 at f cycles/px before it was blurred: from its gradients across the line, which blur has left as they were,
 /// and from those along it, of which blur has left a known part. What noise adds to them is taken out. >= 0.
-/// @param means           of the luminance, see means_of_pairs()
-/// @param block           of the luminance
+/// @param luminance       CV_8UC1
+/// @param block           inside the image
 /// @param noise_variance  of the luminance [grey levels^2]
-double texture_along_line(const cv::Mat& means, const cv::Rect& block, double angle_rad, double extent_px,
+double texture_along_line(const cv::Mat& luminance, const cv::Rect& block, double angle_rad, double extent_px,
                           double noise_variance);
 
 }  // namespace gyro_deblur

@@ -16,7 +16,7 @@ constexpr int kSquarePx = 8;
 constexpr int kReachPx = 2;                 // of the filter
 constexpr int kMinSquares = 30;             // for a median that is right within 10 %
 constexpr std::size_t kManySquares = 1500;  // as many in the smallest class of texture
-constexpr std::size_t kMaxSquares = 4096;   // more of a large image would tell no more
+constexpr std::size_t kMaxSquares = 2048;   // more of a large image would tell no more
 // 1, -4, 6, -4, 1 has the most power at half a cycle a pixel that five weights can have alone there.
 constexpr float kInner = 6, kOuter = -4;
 constexpr double kFilterPower = 70.0 * 70.0;  // sum of squared weights, in both directions
@@ -30,9 +30,10 @@ struct Plane {
   int first_x, first_y;  ///< its first sample
   int step;              ///< pixels between samples
   int channel;
+  int mean_of = 1;  ///< so many samples in either direction are one value
 
-  int cols() const { return (image.cols - first_x + step - 1) / step; }
-  int rows() const { return (image.rows - first_y + step - 1) / step; }
+  int cols() const { return (image.cols - first_x + step - 1) / step / mean_of; }
+  int rows() const { return (image.rows - first_y + step - 1) / step / mean_of; }
 };
 
 Plane green_plane(const cv::Mat& image, PixelLayout layout) {
@@ -62,13 +63,15 @@ using Band = std::array<std::vector<float>, kBandRows>;
 
 template <typename Pixel>
 void load(const Plane& plane, int first_row, double full_scale, Band& band) {
-  const int channels = plane.image.channels(), cols = plane.cols();
-  const auto scale = static_cast<float>(255 / full_scale);
+  const int channels = plane.image.channels(), cols = plane.cols(), n = plane.mean_of;
+  const auto scale = static_cast<float>(255 / full_scale / (n * n));
   for (int y = 0; y < kBandRows; ++y) {
-    const Pixel* from =
-        plane.image.ptr<Pixel>(plane.first_y + (first_row + y) * plane.step) + plane.first_x * channels + plane.channel;
-    band[y].resize(cols);
-    for (int x = 0; x < cols; ++x) band[y][x] = scale * static_cast<float>(from[x * plane.step * channels]);
+    band[y].assign(cols, 0);
+    for (int i = 0; i < n * n; ++i) {
+      const Pixel* from = plane.image.ptr<Pixel>(plane.first_y + ((first_row + y) * n + i / n) * plane.step) +
+                          (plane.first_x + i % n * plane.step) * channels + plane.channel;
+      for (int x = 0; x < cols; ++x) band[y][x] += scale * static_cast<float>(from[x * n * plane.step * channels]);
+    }
   }
 }
 
@@ -174,12 +177,14 @@ double variance_without_texture(const std::vector<Square>& squares) {
 
 }  // namespace
 
-std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits) {
+std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits, int mean_of) {
   const double full_scale = image.depth() == CV_8U ? 255 : (1 << significant_bits) - 1;
-  std::vector<Square> squares = squares_of(green_plane(image, layout), image.depth(), full_scale);
+  Plane plane = green_plane(image, layout);
+  plane.mean_of = mean_of;
+  std::vector<Square> squares = squares_of(plane, image.depth(), full_scale);
   if (squares.size() < kMinSquares) return std::nullopt;
   std::sort(squares.begin(), squares.end(), [](const Square& a, const Square& b) { return a.texture < b.texture; });
-  return std::sqrt(variance_without_texture(squares));
+  return mean_of * std::sqrt(variance_without_texture(squares));
 }
 
 double image_noise(const cv::Mat& luminance, const NoiseModel& model) {

@@ -16,6 +16,9 @@ class ExpectedErrors {
   /// Precondition: 0 < gamma <= kMaxGamma.
   explicit ExpectedErrors(double gamma);
 
+  /// Of gamma until it reaches kMaxGamma.
+  int doublings() const { return static_cast<int>(by_extent_.front().filtered.size()) - 1; }
+
   /// See KernelBank::choose(). Extents are clamped to those that have kernels.
   FilterChoice least(double extent_px, double noise_to_texture) const;
 

@@ -274,6 +274,8 @@ const LineKernel& KernelBank::kernel(double extent_px, int gamma_doublings) cons
   });
 }
 
+int KernelBank::max_doublings() const { return errors_->doublings(); }
+
 FilterChoice KernelBank::choose(double extent_px, double noise_to_texture) const {
   return errors_->least(extent_px, noise_to_texture);
 }

@@ -10,6 +10,7 @@
 
 #include "base/parallel.hpp"
 #include "blur/block_texture.hpp"
+#include "gyro_deblur/image_noise.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -131,18 +132,23 @@ SlowBlocks deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const
 }  // namespace
 
 void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& field, int threads) {
-  if (bank.options().gamma_rule != GammaRule::NOISE || !field.noise) return;
+  if (bank.options().gamma_rule != GammaRule::NOISE || !field.noise || field.count(BlockStatus::DEBLURRED) == 0) return;
   if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
       luminance.rows != field.grid.height_px()) {
     throw std::invalid_argument("noise is weighed by 8-bit luminance of the blur field's size");
   }
-  const double variance = *field.noise * *field.noise;
-  const cv::Mat means = means_of_pairs(luminance);
+  // A camera that smooths its noise, or compresses its images, leaves more of it in coarser detail than in the finest.
+  // Of texture blur of 10 px leaves an eighth or less there (0.25 cycles/px); up to half as much again may be that.
+  constexpr double kTextureShare = 1.5, kMinCoarseExtentPx = 10;
+  const double found = image_noise(luminance, PixelLayout::GRAY, 8, 2).value_or(0);
+  const double coarse = found > kTextureShare * *field.noise ? found : *field.noise;
   constexpr int kBlocksAtATime = 16;
   run_parallel(field.grid.size(), threads, kBlocksAtATime, [&](int i) {
     BlockBlur& block = field.blocks[i];
     if (block.status != BlockStatus::DEBLURRED) return;
-    const double texture = texture_along_line(means, field.grid.rect(i), block.angle_rad, block.extent_px, variance);
+    const double noise = block.extent_px < kMinCoarseExtentPx ? *field.noise : coarse, variance = noise * noise;
+    const double texture =
+        texture_along_line(luminance, field.grid.rect(i), block.angle_rad, block.extent_px, variance);
     // Of the photographs' texture much is in few edges, which stand out from noise better than its power says. With a
     // fifth of it photographs gain most, of .1, .2, .35, .6 and 1 (doc/reports/experiments.md, "Noise").
     constexpr double kNoiseWeight = 0.2;
@@ -170,11 +176,14 @@ void prepare_deconvolution(const BlurFieldOptions& options, const KernelBank& ba
   const int first = static_cast<int>(from_px / KernelBank::kExtentStepPx);
   const int last =
       static_cast<int>(std::ceil(std::min(options.max_extent_px, kMaxKernelExtentPx) / KernelBank::kExtentStepPx));
+  const int doublings = bank.options().gamma_rule == GammaRule::NOISE ? bank.max_doublings() : 0;
   std::vector<const LineKernel*> kernels(std::max(0, last + 1 - first));
   constexpr int kKernelsAtATime = 8;
   run_parallel(static_cast<int>(kernels.size()), threads, kKernelsAtATime, [&](int i) {
     const double extent_px = (first + i) * KernelBank::kExtentStepPx;
-    kernels[i] = &bank.kernel(std::clamp(extent_px, kMinKernelExtentPx, kMaxKernelExtentPx));
+    for (int k = doublings; k >= 0; --k) {
+      kernels[i] = &bank.kernel(std::clamp(extent_px, kMinKernelExtentPx, kMaxKernelExtentPx), k);
+    }
   });
   engine.prepare(kernels);
 }

@@ -29,7 +29,7 @@ cv::Mat texture(double strength, std::uint64_t seed) {
 /// Found in the whole of a blurred image with noise.
 double found(const cv::Mat& light, double angle_rad, double extent_px, double noise) {
   const cv::Mat image = test::expose(test::blur_along_line(light, angle_rad, extent_px), noise, 3);
-  return texture_along_line(means_of_pairs(image), {64, 64, 384, 384}, angle_rad, extent_px, noise * noise + 1.0 / 12);
+  return texture_along_line(image, {64, 64, 384, 384}, angle_rad, extent_px, noise * noise + 1.0 / 12);
 }
 
 TEST(TextureAlongLine, IsWhatItWasBeforeBlurAndNoise) {
@@ -63,11 +63,11 @@ TEST(TextureAlongLine, IsSeenWhereOnlyTheLineHasIt) {
 }
 
 TEST(TextureAlongLine, TakesBlocksOfAnySize) {
-  const cv::Mat image = test::textured_image(65, 37, 1), means = means_of_pairs(image);
-  EXPECT_GT(texture_along_line(means, {0, 0, 65, 37}, 1, 5, 1), 0);
-  EXPECT_GE(texture_along_line(means, {60, 30, 5, 7}, 1, 5, 1), 0);
-  EXPECT_EQ(texture_along_line(means, {64, 36, 1, 1}, 1, 5, 1), 0);
-  EXPECT_EQ(texture_along_line(means_of_pairs(image(cv::Rect(0, 0, 1, 1))), {0, 0, 1, 1}, 1, 5, 1), 0);
+  const cv::Mat image = test::textured_image(65, 37, 1);
+  EXPECT_GT(texture_along_line(image, {0, 0, 65, 37}, 1, 5, 1), 0);
+  EXPECT_GE(texture_along_line(image, {60, 30, 5, 7}, 1, 5, 1), 0);
+  EXPECT_EQ(texture_along_line(image, {64, 36, 1, 1}, 1, 5, 1), 0);
+  EXPECT_EQ(texture_along_line(image(cv::Rect(0, 0, 1, 1)), {0, 0, 1, 1}, 1, 5, 1), 0);
 }
 
 }  // namespace
