@@ -12,8 +12,8 @@ namespace gyro_deblur {
 /// N = sigma^2 |f|^2 / c.
 struct PlaneInverse {
   PlanePath path_px;
-  float noise_to_signal = 0.007f;  ///< > 0
-  float noise_rise_px2 = 0;        ///< >= 0
+  float noise_to_signal;  ///< > 0
+  float noise_rise_px2;   ///< >= 0
 };
 
 }  // namespace gyro_deblur

@@ -34,6 +34,12 @@ inline std::complex<double> transfer_at(const PlanePath& path_px, double fx, dou
   return sum / (kPathInstants - 1.0);
 }
 
+/// The blur of a point that runs along the path, to sub-pixel accuracy; see filter_in_plane.
+inline cv::Mat blur_in_plane(const cv::Mat& image, const PlanePath& path_px) {
+  return filter_in_plane(image, 2.0 * extent_of(path_px).maxCoeff(),
+                         [&](double fx, double fy) { return transfer_at(path_px, fx, fy); });
+}
+
 /// Gain of the inverse at u cycles across and v down in `size` px, 0 <= u, v < size.
 inline std::complex<double> gain_at(const PlaneInverse& inverse, int u, int v, int size) {
   if (u == size / 2 || v == size / 2) return 0;
