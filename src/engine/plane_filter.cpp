@@ -4,7 +4,6 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
-#include <type_traits>
 
 #include "base/parallel.hpp"
 
@@ -18,8 +17,9 @@ constexpr int kMaxCellPx = 64;
 // levels, arcs of 25 / 60 px, 1, 2 and 4 restore 25.13 / 21.53, 25.19 / 21.73 and 25.20 / 21.81 dB.
 constexpr float kAroundExtents = 2;
 
-/// From 0 to 1 in `length` steps as the square of a sine.
+/// From 0 to 1 in `length` steps as the square of a sine. `ramp` is one of these already.
 void make_ramp(int length, std::vector<float>& ramp) {
+  if (static_cast<int>(ramp.size()) == length) return;
   ramp.resize(length);
   for (int i = 0; i < length; ++i) {
     const double s = std::sin(0.5 * CV_PI * (i + 0.5) / length);
@@ -91,8 +91,10 @@ void PlaneFilter::load_tile(const cv::Mat& padded, const Cell& cell, Scratch& sc
   const int size = cell.size, stride = fourier_stride(size);
   const auto load_row = [&](int y, float* to) {
     const Pixel* from = padded.ptr<Pixel>(window.y + y + pad_before_) + window.x + pad_before_;
+#pragma omp simd
     for (int x = 0; x < window.width; ++x) to[x] = from[x];
     const float* weights = scratch.fade_x.data() - window.width;
+#pragma omp simd
     for (int x = window.width; x < size; ++x) {
       const float behind = from[x], before = from[x - size];
       to[x] = behind + weights[x] * (before - behind);
@@ -104,6 +106,7 @@ void PlaneFilter::load_tile(const cv::Mat& padded, const Cell& cell, Scratch& sc
     if (y < window.height) continue;
     load_row(y - size, scratch.row.data());
     const float weight = scratch.fade_y[y - window.height];
+#pragma omp simd
     for (int x = 0; x < size; ++x) to[x] += weight * (scratch.row[x] - to[x]);
   }
 }
@@ -143,6 +146,7 @@ void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, Scr
     for (int y = 0; y < window.height; ++y) {
       const float* from = tile + y * stride;
       float* sums = sums_[channel].ptr<float>(window.y + y) + window.x;
+#pragma omp simd
       for (int x = 0; x < window.width; ++x) sums[x] += from[x] * (weights_x[x] * weights_y[y]);
     }
   }
@@ -155,26 +159,28 @@ void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, Scr
 
 template <typename Pixel>
 void PlaneFilter::deliver(int block, SeamBlender& seams, cv::Mat& dst) const {
-  constexpr float kMax = std::numeric_limits<Pixel>::max();
+  constexpr int kMax = std::numeric_limits<Pixel>::max(), kPiece = 64;
   const int channels = static_cast<int>(sums_.size());
+  const auto deliver_piece = [&](int channel, int x, int y, int count, Pixel* to) {
+    const float* sums = sums_[channel].ptr<float>(y) + x;
+    // In steps that vectorise each: float to int, int clipped, int to pixel.
+    int values[kPiece];
+    if (weights_.empty()) {
+      for (int i = 0; i < count; ++i) values[i] = static_cast<int>(sums[i] + 0.5f);
+    } else {
+      const float* weights = weights_.ptr<float>(y) + x;
+      for (int i = 0; i < count; ++i) values[i] = static_cast<int>(sums[i] / weights[i] + 0.5f);
+    }
+    for (int i = 0; i < count; ++i) values[i] = std::min(std::max(values[i], 0), kMax);
+    for (int i = 0; i < count; ++i) to[i * channels] = static_cast<Pixel>(values[i]);
+  };
   for (const SeamBlender::Part<Pixel>& part : seams.parts<Pixel>(block, dst)) {
-    for (int y = 0; y < part.rect.height; ++y) {
-      for (int channel = 0; channel < channels; ++channel) {
-        const float* sums = sums_[channel].ptr<float>(part.rect.y + y) + part.rect.x;
-        const float* weights = weights_.empty() ? nullptr : weights_.ptr<float>(part.rect.y + y) + part.rect.x;
-        Pixel* to = part.to + y * part.stride + channel;
-        const auto store = [&](auto step, auto weight_at) {
-          for (int x = 0; x < part.rect.width; ++x) {
-            const float clipped = std::min(std::max(sums[x] / weight_at(x), 0.0f), kMax);
-            to[x * step] = static_cast<Pixel>(static_cast<int>(clipped + 0.5f));
-          }
-        };
-        if (weights != nullptr) {
-          store(channels, [weights](int x) { return weights[x]; });
-        } else if (channels == 1) {
-          store(std::integral_constant<int, 1>(), [](int) { return 1.0f; });
-        } else {
-          store(channels, [](int) { return 1.0f; });
+    const cv::Rect& rect = part.rect;
+    for (int y = 0; y < rect.height; ++y) {
+      for (int x = 0; x < rect.width; x += kPiece) {
+        const int count = std::min(kPiece, rect.width - x);
+        for (int channel = 0; channel < channels; ++channel) {
+          deliver_piece(channel, rect.x + x, rect.y + y, count, part.to + y * part.stride + x * channels + channel);
         }
       }
     }
