@@ -31,6 +31,8 @@ struct FilterGrid {
   std::vector<BlockFilter> blocks;  ///< row by row
   /// Kernels that `blocks` point to and nobody else keeps.
   std::vector<std::shared_ptr<const LineKernel>> own_kernels = {};
+  /// Inverses that `blocks` point to.
+  std::vector<std::shared_ptr<const PlaneInverse>> own_inverses = {};
 
   int cols() const { return x.empty() ? 0 : static_cast<int>(x.size()) - 1; }
   int rows() const { return y.empty() ? 0 : static_cast<int>(y.size()) - 1; }
@@ -60,6 +62,9 @@ class Engine {
   /// others. Not during filter().
   virtual void prepare(const std::vector<const LineKernel*>& kernels) { static_cast<void>(kernels); }
 
+  /// Whether it is for inverses in the plane of all blocks, also where a kernel would serve.
+  virtual bool prefers_plane() const { return false; }
+
   /// Short name for diagnostics, e.g. "float". Any thread may ask, also during filter().
   virtual std::string name() const = 0;
 
@@ -76,6 +81,7 @@ class Engine {
 /// - "opencl", "opencl:INDEX" or "opencl:NAME": the first GPU (else the first device), or a device by its index or a
 ///   part of its platform's or its own name in any case. When it is absent or fails, also in mid-run, the "cpu" engine
 ///   takes over with that very frame, and take_warning() says why;
+/// - "plane": the inverse of the whole path for all blocks, a tenth as fast as "cpu";
 /// - "auto": "cpu", also where there is a GPU: none has been measured.
 /// Throws OptionError that lists the names.
 std::unique_ptr<Engine> make_engine(const std::string& engine, int threads = 0);

@@ -1,6 +1,7 @@
 // What the inverse of a whole path in the plane is made from.
 #pragma once
 
+#include "gyro_deblur/options.hpp"
 #include "gyro_deblur/plane_path.hpp"
 
 namespace gyro_deblur {
@@ -15,5 +16,8 @@ struct PlaneInverse {
   float noise_to_signal;  ///< > 0
   float noise_rise_px2;   ///< >= 0
 };
+
+/// With the ratio that the options have at 1/6 cycles/px. Of their other members none matters.
+PlaneInverse plane_inverse(const PlanePath& path_px, const KernelOptions& options);
 
 }  // namespace gyro_deblur

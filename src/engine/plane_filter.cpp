@@ -16,6 +16,8 @@ constexpr int kMaxCellPx = 64;
 // What a tile has beside its window, by the path's extent. On four photographs of the Oxford sets, noise of 2 grey
 // levels, arcs of 25 / 60 px, 1, 2 and 4 restore 25.13 / 21.53, 25.19 / 21.73 and 25.20 / 21.81 dB.
 constexpr float kAroundExtents = 2;
+static_assert(2 * kMaxCellPx + kAroundExtents * kMaxPlaneExtentPx <= kMaxFourierSize,
+              "paths of fields have their tiles");
 
 /// From 0 to 1 in `length` steps as the square of a sine. `ramp` is one of these already.
 void make_ramp(int length, std::vector<float>& ramp) {
