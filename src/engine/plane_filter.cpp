@@ -19,6 +19,10 @@ constexpr float kAroundExtents = 2;
 static_assert(2 * kMaxCellPx + kAroundExtents * kMaxPlaneExtentPx <= kMaxFourierSize,
               "paths of fields have their tiles");
 
+// Of the one step towards an image outside that fits. In the same measurements whole images of 576x480 gain 0.23 / 0.30
+// dB; 1.7 and 3.5 gain 0.20 / 0.26 and 0.21 / 0.24, eight steps of 1.7 0.38 / 0.51.
+constexpr float kOverRelaxation = 2.5f;
+
 /// From 0 to 1 in `length` steps as the square of a sine. `ramp` is one of these already.
 void make_ramp(int length, std::vector<float>& ramp) {
   if (static_cast<int>(ramp.size()) == length) return;
@@ -67,7 +71,6 @@ void PlaneFilter::cut_cells(const FilterGrid& grid, const std::vector<int>& bloc
   cut(grid.x, across_);
   cut(grid.y, down_);
   for (std::vector<Cell>& cells : cells_) cells.clear();
-  pad_before_ = pad_behind_ = 0;
   for (const int block : blocks) {
     const int block_col = block % grid.cols(), block_row = block / grid.cols();
     const float extent_px = extent_of(grid.blocks[block].inverse->path_px).maxCoeff();
@@ -78,13 +81,20 @@ void PlaneFilter::cut_cells(const FilterGrid& grid, const std::vector<int>& bloc
                               static_cast<int>(across_.weights[col].size()),
                               static_cast<int>(down_.weights[row].size()));
         const int side = fourier_size(std::min(std::max(window.width, window.height) + around, kMaxFourierSize));
-        cells_[2 * (row % 2) + col % 2].push_back({col, row, block, window, side});
+        const bool at_the_end = (window & cv::Rect(1, 1, size.width - 2, size.height - 2)) != window;
+        cells_[2 * (row % 2) + col % 2].push_back({col, row, block, window, side, at_the_end});
         pad_before_ = std::max({pad_before_, side - window.br().x, side - window.br().y});
         pad_behind_ = std::max({pad_behind_, window.x + side - size.width, window.y + side - size.height});
         if (plans_.count(side) == 0) plans_.emplace(side, FourierPlan(side, loops_.largest_radix));
       }
     }
   }
+}
+
+float* PlaneFilter::floats_in(std::vector<CacheLine>& lines, int count) {
+  constexpr int kLineFloats = sizeof(CacheLine) / sizeof(float);
+  lines.resize(std::max<std::size_t>(lines.size(), count / kLineFloats));
+  return lines.data()->floats;
 }
 
 template <typename Pixel>
@@ -113,28 +123,56 @@ void PlaneFilter::load_tile(const cv::Mat& padded, const Cell& cell, Scratch& sc
   }
 }
 
+void PlaneFilter::continue_tile(const Cell& cell, const FourierStages& plan, Scratch& scratch, float* tile) const {
+  const int size = cell.size, stride = fourier_stride(size);
+  // Share of the image in what a tile has at an element, along one axis.
+  const auto find_inside = [size](int begin, int length, int image, const std::vector<float>& fade,
+                                  std::vector<float>& inside) {
+    inside.assign(size, 1.0f);
+    for (int i = length; i < size; ++i) {
+      const float before = fade[i - length];
+      inside[i] = (begin + i < image ? 1 - before : 0) + (begin + i - size >= 0 ? before : 0);
+    }
+  };
+  find_inside(cell.window.x, cell.window.width, across_.borders.back(), scratch.fade_x, scratch.inside_x);
+  find_inside(cell.window.y, cell.window.height, down_.borders.back(), scratch.fade_y, scratch.inside_y);
+  float* continued = floats_in(scratch.continued, size * stride);
+  float* transform = floats_in(scratch.transform, fourier_scratch(size));
+  float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * size);
+  std::copy_n(tile, size * stride, continued);
+  loops_.transform_columns(plan, continued, transform);
+  for (int row = 0; row < size / 2; row += loops_.lanes) {
+    scratch.gain.rows_blurred_again(row, gain);
+    loops_.filter_rows(plan, row, gain, 0, size, continued, transform);
+  }
+  loops_.restore_columns(plan, 0, size, continued, transform);
+  for (int y = 0; y < size; ++y) {
+    const float *inside_x = scratch.inside_x.data(), *from = continued + y * stride;
+    const float inside_y = scratch.inside_y[y];
+    float* to = tile + y * stride;
+#pragma omp simd
+    for (int x = 0; x < size; ++x) to[x] += kOverRelaxation * (1 - inside_x[x] * inside_y) * (from[x] - to[x]);
+  }
+}
+
 template <typename Pixel>
 void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, Scratch& scratch) {
   const FourierStages plan = plans_.at(cell.size).stages();
   const cv::Rect& window = cell.window;
   const int size = cell.size, stride = fourier_stride(size), channels = static_cast<int>(padded_.size());
-  const auto floats_in = [](std::vector<CacheLine>& lines, int count) {
-    constexpr int kLineFloats = sizeof(CacheLine) / sizeof(float);
-    lines.resize(std::max<std::size_t>(lines.size(), count / kLineFloats));
-    return lines.data()->floats;
-  };
   float* tiles = floats_in(scratch.tiles, channels * size * stride);
   float* transform = floats_in(scratch.transform, fourier_scratch(size));
   float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * size);
   scratch.row.resize(std::max<std::size_t>(scratch.row.size(), size));
   make_ramp(size - window.width, scratch.fade_x);
   make_ramp(size - window.height, scratch.fade_y);
+  scratch.gain.set(inverse, plan);
   for (int channel = 0; channel < channels; ++channel) {
     float* tile = tiles + channel * size * stride;
     load_tile<Pixel>(padded_[channel], cell, scratch, tile);
+    if (cell.at_the_end) continue_tile(cell, plan, scratch, tile);
     loops_.transform_columns(plan, tile, transform);
   }
-  scratch.gain.set(inverse, plan);
   for (int row = 0; row < size / 2; row += loops_.lanes) {
     scratch.gain.rows(row, gain);
     for (int channel = 0; channel < channels; ++channel) {
@@ -152,7 +190,7 @@ void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, Scr
       for (int x = 0; x < window.width; ++x) sums[x] += from[x] * (weights_x[x] * weights_y[y]);
     }
   }
-  if (weights_.empty()) return;
+  if (are_ones_) return;
   for (int y = 0; y < window.height; ++y) {
     float* weights = weights_.ptr<float>(window.y + y) + window.x;
     for (int x = 0; x < window.width; ++x) weights[x] += weights_x[x] * weights_y[y];
@@ -167,7 +205,7 @@ void PlaneFilter::deliver(int block, SeamBlender& seams, cv::Mat& dst) const {
     const float* sums = sums_[channel].ptr<float>(y) + x;
     // In steps that vectorise each: float to int, int clipped, int to pixel.
     int values[kPiece];
-    if (weights_.empty()) {
+    if (are_ones_) {
       for (int i = 0; i < count; ++i) values[i] = static_cast<int>(sums[i] + 0.5f);
     } else {
       const float* weights = weights_.ptr<float>(y) + x;
@@ -203,11 +241,10 @@ void PlaneFilter::filter_as(const cv::Mat& src, const FilterGrid& grid, const st
     sums_[channel].create(src.size(), CV_32F);
     sums_[channel].setTo(0);
   }
-  if (blocks.size() < grid.blocks.size()) {
+  are_ones_ = blocks.size() == grid.blocks.size();
+  if (!are_ones_) {
     weights_.create(src.size(), CV_32F);
     weights_.setTo(0);
-  } else {
-    weights_.release();
   }
   const PlaneGainLoops& gain_loops = *find_plane_gain_loops(loops_.name);
   while (static_cast<int>(scratch_.size()) < threads) scratch_.emplace_back(gain_loops);

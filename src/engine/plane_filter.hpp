@@ -18,7 +18,8 @@ namespace gyro_deblur {
 /// and falls as the square of a sine between the middles of its neighbours. A tile holds the window and, beside it,
 /// what is behind it in the image fading into what is before it, so that its period shows no edge. A pixel is the
 /// weighted mean over the windows that cover it, the same function of the place for all blocks: between these there are
-/// no seams. Keeps its memory.
+/// no seams. What lies outside of the image is unknown: where a window ends with the image, it is replaced by what the
+/// result would look like there, blurred again. Keeps its memory.
 class PlaneFilter {
  public:
   explicit PlaneFilter(const FourierLoops& loops = best_fourier_loops());
@@ -40,7 +41,8 @@ class PlaneFilter {
   struct Cell {
     int col, row, block;
     cv::Rect window;
-    int size;  ///< of its tile, which begins with the window
+    int size;         ///< of its tile, which begins with the window
+    bool at_the_end;  ///< of the image
   };
   struct alignas(64) CacheLine {
     float floats[16];
@@ -49,15 +51,18 @@ class PlaneFilter {
   struct Scratch {
     explicit Scratch(const PlaneGainLoops& gain_loops) : gain(gain_loops) {}
     PlaneGain gain;
-    std::vector<CacheLine> tiles, gain_rows, transform;
-    std::vector<float> fade_x, fade_y, row;
+    std::vector<CacheLine> tiles, continued, gain_rows, transform;
+    std::vector<float> fade_x, fade_y, row, inside_x, inside_y;
   };
 
+  static float* floats_in(std::vector<CacheLine>& lines, int count);
   static void cut(const std::vector<int>& borders, Axis& axis);
   /// Cells of `blocks`, and how far they look beyond the image at most.
   void cut_cells(const FilterGrid& grid, const std::vector<int>& blocks, cv::Size size);
   template <typename Pixel>
   void load_tile(const cv::Mat& padded, const Cell& cell, Scratch& scratch, float* tile) const;
+  /// Replaces what a tile has from outside of the image.
+  void continue_tile(const Cell& cell, const FourierStages& plan, Scratch& scratch, float* tile) const;
   template <typename Pixel>
   void filter_cell(const Cell& cell, const PlaneInverse& inverse, Scratch& scratch);
   template <typename Pixel>
@@ -74,7 +79,8 @@ class PlaneFilter {
   int pad_before_ = 0, pad_behind_ = 0;
   std::vector<cv::Mat> channels_, padded_;  // of the image
   std::vector<cv::Mat> sums_;               // by channel, over windows: weight times result
-  cv::Mat weights_;                         // sums of weights; empty: all 1
+  cv::Mat weights_;                         // sums of weights, unless all are 1
+  bool are_ones_ = true;
   std::vector<Scratch> scratch_;            // by thread
 };
 

@@ -54,6 +54,10 @@ void PlaneGain::set(const PlaneInverse& inverse, const FourierStages& stages) {
   tables_.noise_rise = inverse.noise_rise_px2 / (static_cast<float>(size) * static_cast<float>(size));
 }
 
-void PlaneGain::rows(int first_row, float* gain) const { loops_.gain_of_rows(tables_, first_row, gain); }
+void PlaneGain::rows(int first_row, float* gain) const { loops_.gain_of_rows(tables_, first_row, false, gain); }
+
+void PlaneGain::rows_blurred_again(int first_row, float* gain) const {
+  loops_.gain_of_rows(tables_, first_row, true, gain);
+}
 
 }  // namespace gyro_deblur

@@ -23,8 +23,8 @@ struct PlaneGainTables {
 /// The functions of one instruction set.
 struct PlaneGainLoops {
   const char* name;
-  /// See PlaneGain::rows; takes as many rows as the vectors of this set have floats.
-  void (*gain_of_rows)(const PlaneGainTables& tables, int first_row, float* gain);
+  /// See PlaneGain; takes as many rows as the vectors of this set have floats.
+  void (*gain_of_rows)(const PlaneGainTables& tables, int first_row, bool blurs_again, float* gain);
 };
 
 namespace baseline {

@@ -26,7 +26,7 @@ inline Vector reciprocal(Vector v) {
 // For small t rounding would grow as 1 / t; there the mean of the ends is as good, up to t^2 / 3.
 constexpr float kSmall = 0.01f;
 
-void gain_of_rows(const PlaneGainTables& tables, int first_row, float* gain) {
+void gain_of_rows(const PlaneGainTables& tables, int first_row, bool blurs_again, float* gain) {
   constexpr int kSegments = kPathInstants - 1;
   Vector down_re[kPathInstants], down_im[kPathInstants], from_down[kSegments], v;
   for (int i = 0; i < kLanes; ++i) {
@@ -41,6 +41,7 @@ void gain_of_rows(const PlaneGainTables& tables, int first_row, float* gain) {
   const Vector noise_down = tables.noise_to_signal + tables.noise_rise * (v * v);
   const float scale = 1 + tables.noise_to_signal;
 
+  const Vector none = {};
   const int size = tables.size;
   const float* across = tables.across + kPhaseFloats;  // the first is half a cycle a pixel
   for (int u = 1 - size / 2; u < size / 2; ++u, across += kPhaseFloats) {
@@ -61,13 +62,13 @@ void gain_of_rows(const PlaneGainTables& tables, int first_row, float* gain) {
     }
     re *= 0.5f / kSegments;
     im *= 0.5f / kSegments;
+    const Vector power = re * re + im * im;
     const Vector factor =
-        scale / (re * re + im * im + (noise_down + tables.noise_rise * static_cast<float>(u) * static_cast<float>(u)));
+        scale / (power + (noise_down + tables.noise_rise * static_cast<float>(u) * static_cast<float>(u)));
     float* to = gain + static_cast<std::ptrdiff_t>(tables.places[u < 0 ? u + size : u]) * 2 * kLanes;
-    store(to, re * factor);
-    store(to + kLanes, -im * factor);
+    store(to, (blurs_again ? power : re) * factor);
+    store(to + kLanes, blurs_again ? none : -im * factor);
   }
-  const Vector none = {};
   float* to = gain + static_cast<std::ptrdiff_t>(tables.places[size / 2]) * 2 * kLanes;
   store(to, none);
   store(to + kLanes, none);

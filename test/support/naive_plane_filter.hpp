@@ -55,14 +55,34 @@ inline std::vector<NaiveWindow> windows_of(const std::vector<int>& block_borders
   return windows;
 }
 
-/// Pixels of the image, and their weights, that make element i of a tile: beside the window what is behind it fades
-/// into what is before it.
-inline std::vector<std::pair<int, double>> sources_of(const NaiveWindow& window, int size, int i, int image_length) {
+/// A pixel that an element of a tile is made of, with its weight. It stands for what lies outside of the image if it is
+/// not `inside`.
+struct TileSource {
+  int at;
+  double weight;
+  bool inside;
+};
+
+/// Those of element i: beside the window what is behind it fades into what is before it.
+inline std::vector<TileSource> sources_of(const NaiveWindow& window, int size, int i, int image_length) {
+  const auto source = [&](int at, double weight) {
+    const int inside = std::clamp(at, 0, image_length - 1);
+    return TileSource{inside, weight, inside == at};
+  };
   const int length = window.end - window.begin, at = window.begin + i;
-  const auto inside = [&](int x) { return std::clamp(x, 0, image_length - 1); };
-  if (i < length) return {{inside(at), 1.0}};
+  if (i < length) return {source(at, 1)};
   const double weight = rise(i - length, size - length);
-  return {{inside(at), 1 - weight}, {inside(at - size), weight}};
+  return {source(at, 1 - weight), source(at - size, weight)};
+}
+
+/// A tile times a gain of (u, v) in the frequency domain.
+template <typename Gain>
+cv::Mat times_gain(const cv::Mat& tile, const Gain& gain) {
+  cv::Mat spectrum, result;
+  cv::dft(tile, spectrum, cv::DFT_COMPLEX_OUTPUT);
+  spectrum.forEach<std::complex<double>>([&](std::complex<double>& z, const int* at) { z *= gain(at[1], at[0]); });
+  cv::dft(spectrum, result, cv::DFT_INVERSE | cv::DFT_SCALE | cv::DFT_REAL_OUTPUT);
+  return result;
 }
 
 /// What the blocks with an inverse have in one channel, and beyond them as far as their windows go; unrounded, CV_64F.
@@ -75,20 +95,23 @@ inline cv::Mat naive_plane_filter(const cv::Mat& src, int channel, const FilterG
       const int longest = std::max(across.end - across.begin, down.end - down.begin);
       const double extent_px = extent_of(inverse->path_px).maxCoeff();
       const int size = fourier_size(std::min(longest + static_cast<int>(std::ceil(2 * extent_px)), kMaxFourierSize));
-      cv::Mat tile(size, size, CV_64F, cv::Scalar(0)), spectrum, result;
+      cv::Mat tile(size, size, CV_64F, cv::Scalar(0)), outside(size, size, CV_64F, cv::Scalar(0));
       for (int y = 0; y < size; ++y) {
         for (int x = 0; x < size; ++x) {
-          for (const auto& [from_y, weight_y] : sources_of(down, size, y, src.rows)) {
-            for (const auto& [from_x, weight_x] : sources_of(across, size, x, src.cols)) {
-              tile.at<double>(y, x) += weight_x * weight_y * pixel_at(src, from_x, from_y, channel);
+          for (const TileSource& of_y : sources_of(down, size, y, src.rows)) {
+            for (const TileSource& of_x : sources_of(across, size, x, src.cols)) {
+              tile.at<double>(y, x) += of_x.weight * of_y.weight * pixel_at(src, of_x.at, of_y.at, channel);
+              outside.at<double>(y, x) += of_x.inside && of_y.inside ? 0 : of_x.weight * of_y.weight;
             }
           }
         }
       }
-      cv::dft(tile, spectrum, cv::DFT_COMPLEX_OUTPUT);
-      spectrum.forEach<std::complex<double>>(
-          [&](std::complex<double>& z, const int* at) { z *= gain_at(*inverse, at[1], at[0], size); });
-      cv::dft(spectrum, result, cv::DFT_INVERSE | cv::DFT_SCALE | cv::DFT_REAL_OUTPUT);
+      const auto gain = [&](int u, int v) { return gain_at(*inverse, u, v, size); };
+      if (across.begin == 0 || down.begin == 0 || across.end == src.cols || down.end == src.rows) {
+        const auto blurred_again = [&](int u, int v) { return gain(u, v) * transfer_at(inverse->path_px, u, v, size); };
+        tile += 2.5 * outside.mul(times_gain(tile, blurred_again) - tile);
+      }
+      const cv::Mat result = times_gain(tile, gain);
       for (int y = down.begin; y < down.end; ++y) {
         for (int x = across.begin; x < across.end; ++x) {
           const double weight = across.weight(x) * down.weight(y);
