@@ -105,11 +105,11 @@ void PlaneFilter::load_tile(const cv::Mat& padded, const Cell& cell, Scratch& sc
     const Pixel* from = padded.ptr<Pixel>(window.y + y + pad_before_) + window.x + pad_before_;
 #pragma omp simd
     for (int x = 0; x < window.width; ++x) to[x] = from[x];
-    const float* weights = scratch.fade_x.data() - window.width;
+    const float* weights = scratch.fade_x.data();
 #pragma omp simd
     for (int x = window.width; x < size; ++x) {
       const float behind = from[x], before = from[x - size];
-      to[x] = behind + weights[x] * (before - behind);
+      to[x] = behind + weights[x - window.width] * (before - behind);
     }
   };
   for (int y = 0; y < size; ++y) {

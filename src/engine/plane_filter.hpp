@@ -57,7 +57,7 @@ class PlaneFilter {
 
   static float* floats_in(std::vector<CacheLine>& lines, int count);
   static void cut(const std::vector<int>& borders, Axis& axis);
-  /// Cells of `blocks`, and how far they look beyond the image at most.
+  /// Cells of `blocks`; makes the padding as wide as they look beyond the image.
   void cut_cells(const FilterGrid& grid, const std::vector<int>& blocks, cv::Size size);
   template <typename Pixel>
   void load_tile(const cv::Mat& padded, const Cell& cell, Scratch& scratch, float* tile) const;
