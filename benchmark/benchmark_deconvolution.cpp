@@ -1,11 +1,13 @@
-// Deconvolution of a roll field: engines x sizes x extents x threads.
+// Deconvolution of a roll field: engines x sizes x extents x threads; and of bent paths in the plane.
 
 #include <string>
 
 #include <benchmark/benchmark.h>
 
 #include "engines.hpp"
+#include "filter_grids.hpp"
 #include "gyro_deblur/deconvolution.hpp"
+#include "plane_paths.hpp"
 #include "roll_scene.hpp"
 #include "scene.hpp"
 
@@ -31,7 +33,30 @@ void deconvolution(::benchmark::State& state, const std::string& engine_name, cv
       ::benchmark::Counter(1e-6 * size.area(), ::benchmark::Counter::kIsIterationInvariantRate);
 }
 
+/// All blocks of 64 px with the inverse of an arc along the rows, which takes the largest tiles.
+void plane(::benchmark::State& state, cv::Size size, double extent_px, int threads) {
+  const cv::Mat image = extend(natural_images().front(), size);
+  const PlaneInverse inverse{test::arc_path(extent_px, 0.2 * extent_px, 0), 0.007f, 0.1f};
+  const FilterGrid grid = test::make_grid(size, 64, [&](int) { return BlockFilter{0, nullptr, &inverse}; });
+  const auto engine = make_engine("auto", threads);
+  cv::Mat dst;
+  engine->filter(image, grid, dst);  // allocates
+  for (auto _ : state) {
+    engine->filter(image, grid, dst);
+    ::benchmark::DoNotOptimize(dst.data);
+  }
+}
+
 const bool registered = [] {
+  for (const auto& [size, extent_px] : {std::pair(cv::Size(752, 480), 25), std::pair(cv::Size(1920, 1080), 60)}) {
+    for (const int threads : {1, 2}) {
+      const std::string name = "plane/" + std::to_string(size.width) + "x" + std::to_string(size.height) + "/" +
+                               std::to_string(extent_px) + "px/" + std::to_string(threads) + "threads";
+      ::benchmark::RegisterBenchmark(name.c_str(), plane, size, extent_px, threads)
+          ->Unit(::benchmark::kMillisecond)
+          ->UseRealTime();
+    }
+  }
   for (const std::string& engine : available_engines()) {
     for (const cv::Size size : {cv::Size(752, 480), cv::Size(1280, 720), cv::Size(1920, 1080)}) {
       for (const int extent_px : {5, 15, 30, 60, 90, 130}) {

@@ -32,8 +32,8 @@ constexpr double kStraightPathShare = 0.02;
 /// Blur of one block from the places [px] of a scene point at kPathInstants, relative to that at the middle: that of
 /// the way from the first to the last place (classify_blur) as long as the point runs along it at even speed, less the
 /// best shift, to within the limit of evenness. Otherwise the line is the one that lies nearest to the places,
-/// extent_px is what they cover of it, and uneven_path_px is set. BENT where they lie more than the limit of a bend to
-/// either side of the line.
+/// extent_px is what they cover of it, and uneven_path_px is set. Where they lie more than the limit of a bend to
+/// either side of the line, bent_path_px is set, and the path is BENT where it leads farther than kMaxPlaneExtentPx.
 BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options);
 
 /// Whether a residual velocity is far enough from none to be one, for a path within `exposure_ns`: a camera that only

@@ -18,9 +18,9 @@ namespace gyro_deblur {
 void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& field, int threads = 0);
 
 /// The filters that deblur `field`: for DEBLURRED blocks of at least kMinKernelExtentPx the bank's kernels, or own ones
-/// where the path is uneven, made on at most `threads` threads (0: one for each core); none for the others. Lives no
-/// longer than the bank.
-FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int threads = 0);
+/// where the path is uneven, made on at most `threads` threads (0: one for each core); inverses in the plane where it
+/// is bent, or `in_plane` for all of them; none for the others. Lives no longer than the bank.
+FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int threads = 0, bool in_plane = false);
 
 /// Deblurs the DEBLURRED blocks of `field` and copies the rest bit for bit; alpha is copied; Bayer mosaics are filtered
 /// plane by plane with half the extent.

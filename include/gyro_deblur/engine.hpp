@@ -1,4 +1,5 @@
-// Engines: every block of an image filtered along its own line with its own kernel (paper section IV-B).
+// Engines: every block of an image filtered along its own line with its own kernel (paper section IV-B), or with the
+// inverse of its whole path where no line serves.
 #pragma once
 
 #include <cstddef>
@@ -10,13 +11,18 @@
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/kernel_bank.hpp"
+#include "gyro_deblur/plane_inverse.hpp"
 
 namespace gyro_deblur {
 
-/// What to do with one block of an image.
+/// What to do with one block of an image: at most one of `kernel` and `inverse` is set, neither is owned. Without both
+/// the block is copied bit for bit.
 struct BlockFilter {
-  double angle_rad = 0;                ///< direction of the line, x right, y down
-  const LineKernel* kernel = nullptr;  ///< not owned; null: copy the block bit for bit
+  double angle_rad = 0;                   ///< direction of the kernel's line, x right, y down
+  const LineKernel* kernel = nullptr;     ///< convolved with along the line
+  const PlaneInverse* inverse = nullptr;  ///< filtered with in the plane
+
+  bool copies() const { return kernel == nullptr && inverse == nullptr; }
 };
 
 /// A grid of blocks that covers an image, each with its own filter.
@@ -25,6 +31,8 @@ struct FilterGrid {
   std::vector<BlockFilter> blocks;  ///< row by row
   /// Kernels that `blocks` point to and nobody else keeps.
   std::vector<std::shared_ptr<const LineKernel>> own_kernels = {};
+  /// Inverses that `blocks` point to.
+  std::vector<std::shared_ptr<const PlaneInverse>> own_inverses = {};
 
   int cols() const { return x.empty() ? 0 : static_cast<int>(x.size()) - 1; }
   int rows() const { return y.empty() ? 0 : static_cast<int>(y.size()) - 1; }
@@ -35,9 +43,10 @@ struct FilterGrid {
 /// How many blocks an engine filtered with a slower method than the one it has for most, by the reason in words.
 using SlowBlocks = std::map<std::string, std::size_t>;
 
-/// Convolves every block of an image along its own line with its own kernel. So that the borders of blocks do not show,
-/// neighbours with different filters are cross-faded over up to 4 px on either side, and a filtered block fades into
-/// the input within as much of a copied one (the rule: src/engine/seam_blender.hpp).
+/// Convolves every block of an image along its own line with its own kernel, or filters it with its inverse in the
+/// plane. So that the borders of blocks do not show, inverses in the plane fade into each other over the whole of their
+/// blocks, other neighbours with different filters over up to 4 px on either side, and a filtered block fades into the
+/// input within as much of a copied one (the rules: src/engine/plane_filter.hpp, src/engine/seam_blender.hpp).
 class Engine {
  public:
   virtual ~Engine() = default;
@@ -52,6 +61,9 @@ class Engine {
   /// Makes ahead what filter() takes time to make for a kernel that it has not seen, and forgets what it has made for
   /// others. Not during filter().
   virtual void prepare(const std::vector<const LineKernel*>& kernels) { static_cast<void>(kernels); }
+
+  /// Whether it is for inverses in the plane of all blocks, also where a kernel would serve.
+  virtual bool prefers_plane() const { return false; }
 
   /// Short name for diagnostics, e.g. "float". Any thread may ask, also during filter().
   virtual std::string name() const = 0;
@@ -69,6 +81,7 @@ class Engine {
 /// - "opencl", "opencl:INDEX" or "opencl:NAME": the first GPU (else the first device), or a device by its index or a
 ///   part of its platform's or its own name in any case. When it is absent or fails, also in mid-run, the "cpu" engine
 ///   takes over with that very frame, and take_warning() says why;
+/// - "plane": the inverse of the whole path for all blocks, a tenth as fast as "cpu";
 /// - "auto": "cpu", also where there is a GPU: none has been measured.
 /// Throws OptionError that lists the names.
 std::unique_ptr<Engine> make_engine(const std::string& engine, int threads = 0);

@@ -11,6 +11,7 @@
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/line_path.hpp"
+#include "gyro_deblur/plane_path.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
@@ -22,7 +23,7 @@ enum class BlockStatus : std::uint8_t {
   REJECTED = 2,   ///< the image contradicts the predicted blur: copied unchanged, keypoints not rectified
   TOO_LARGE = 3,  ///< extent above max_extent_px: copied unchanged
   NO_GYRO = 4,    ///< no usable gyroscope samples for this block's exposure: copied unchanged
-  BENT = 5,       ///< the path leaves a straight line by more than max_bend and 2 % of the extent: copied unchanged
+  BENT = 5,       ///< the path leaves a straight line and is too long for the plane: copied unchanged
   NOISY = 6,      ///< filtering would add more noise than it removes blur: copied unchanged
 };
 
@@ -85,13 +86,15 @@ struct ResidualVelocity {
 /// One for each block of a grid, row by row, nothing where it is not known; or empty: known nowhere.
 using ResidualField = std::vector<std::optional<ResidualVelocity>>;
 
-/// Blur of one block along a line.
+/// Blur of one block along a line, or near it.
 struct BlockBlur {
   float angle_rad = 0;  ///< axial, [0, pi), x right, y down
   float extent_px = 0;  ///< >= 0; length of the path from start to end of the exposure; uneven: of the line it covers
   BlockStatus status = BlockStatus::SHARP;
   /// Where the path departs from the paper's straight one at even speed: the path along the line.
   std::optional<LinePath> uneven_path_px = std::nullopt;
+  /// Where the path leaves the line: the whole of it.
+  std::optional<PlanePath> bent_path_px = std::nullopt;
   /// Halfway between the path's ends, and its mean in time, from where the point is at the middle of the exposure.
   Eigen::Vector2f chord_middle_px = Eigen::Vector2f::Zero();
   Eigen::Vector2f mean_place_px = Eigen::Vector2f::Zero();
@@ -102,7 +105,8 @@ struct BlockBlur {
 
   /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
   /// point towards the middle of the line that it stands for, the farther the longer it is, the kernel of an uneven
-  /// path to where the point was; across the line, and where nothing is filtered, blur stays centred on its mean.
+  /// path to where the point was, the inverse of a bent path too; across the line, and where nothing is filtered, blur
+  /// stays centred on its mean.
   Eigen::Vector2d shown_offset_px() const;
 };
 

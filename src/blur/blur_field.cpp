@@ -104,7 +104,9 @@ BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_p
   blur.mean_place_px = mean_place(path_px).cast<float>();
   const double max_bend_px = options.max_bend_px + kStraightPathShare * fit.along_px;
   if (blur.status == BlockStatus::DEBLURRED && 0.5 * fit.across_px > max_bend_px) {
-    blur.status = BlockStatus::BENT;
+    PlanePath& bent_path_px = blur.bent_path_px.emplace();
+    for (int k = 0; k < kPathInstants; ++k) bent_path_px[k] = path_px[k].cast<float>();
+    if (extent_of(bent_path_px).maxCoeff() > kMaxPlaneExtentPx) blur.status = BlockStatus::BENT;
   }
   return blur;
 }

@@ -87,6 +87,7 @@ std::size_t FrameBlur::count(BlockStatus status) const {
 Eigen::Vector2d BlockBlur::shown_offset_px() const {
   const Eigen::Vector2d mean_px = mean_place_px.cast<double>();
   if (status != BlockStatus::DEBLURRED) return mean_px;
+  if (bent_path_px) return Eigen::Vector2d::Zero();
   const Eigen::Vector2d line(std::cos(angle_rad), std::sin(angle_rad));
   // What a corner needs to be told from a box: of an extent near it, blur's own centre remains. Measured on corners at
   // 10 to 60 px by experiments/motion_from_images, whose slopes it brings to 1 within 0.05.

@@ -170,7 +170,8 @@ ParameterGroup blur_field() {
               {"max_extent", &Blur::max_extent_px, within(1, 500, "px"),
                "at least min_extent; larger blur is left alone", RUNNING},
               {"max_bend", &Blur::max_bend_px, within(0, 100, "px"),
-               "blur off a line by more than this and 2 % of its length is left alone", RUNNING},
+               "blur off a line by more than this and 2 % of its length is undone in the plane, which takes longer",
+               RUNNING},
               {"motion_from_images", &PipelineOptions::motion_from_images,
                "what the gyroscope does not know of the motion is taken from corners followed between images", RUNNING},
               {"bridge_gyro_gaps", &PipelineOptions::bridge_gyro_gaps,
@@ -190,7 +191,8 @@ ParameterGroup wiener_filter() {
               {"kernel_smoothing", &Kernel::smoothing_px, within(0, 5, "px"),
                "Gaussian along the motion that the inverse is smoothed with"},
               {"engine", &PipelineOptions::engine,
-               "cpu; float; opencl (first GPU, else first device), opencl:INDEX or opencl:NAME (part of the name), "
+               "cpu; plane (the inverse of the whole path for all blocks); float; opencl (first GPU, else first "
+               "device), opencl:INDEX or opencl:NAME (part of the name), "
                "which cpu replaces where the device is absent or fails, with one warning; auto: cpu"},
               {"threads", &PipelineOptions::threads, within(0, 256),
                "of validation, kernels and engine, at most; 0: one for each core to run on"},

@@ -36,12 +36,15 @@ void BlockEngine::filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& ds
   require_filterable(src, grid);
   dst.create(src.size(), src.type());
   seams_.plan(grid, src.type());
-  filtered_.clear();
+  with_kernel_.clear();
+  with_inverse_.clear();
   for (int i = 0; i < static_cast<int>(grid.blocks.size()); ++i) {
-    if (grid.blocks[i].kernel != nullptr) filtered_.push_back(i);
+    if (grid.blocks[i].kernel != nullptr) with_kernel_.push_back(i);
+    if (grid.blocks[i].inverse != nullptr) with_inverse_.push_back(i);
   }
   is_copied_ = false;
-  filter_blocks(src, grid, filtered_, seams_, dst);
+  filter_blocks(src, grid, with_kernel_, seams_, dst);
+  plane_filter_.filter(src, grid, with_inverse_, threads(), seams_, dst);
   copy_untouched(src, grid, dst);
   seams_.blend(src, threads(), dst);
 }
@@ -50,7 +53,7 @@ void BlockEngine::copy_untouched(const cv::Mat& src, const FilterGrid& grid, cv:
   if (is_copied_) return;
   is_copied_ = true;
   for (int i = 0; i < static_cast<int>(grid.blocks.size()); ++i) {
-    if (grid.blocks[i].kernel == nullptr) src(grid.rect(i)).copyTo(dst(grid.rect(i)));
+    if (grid.blocks[i].copies()) src(grid.rect(i)).copyTo(dst(grid.rect(i)));
   }
 }
 

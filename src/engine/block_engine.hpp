@@ -5,13 +5,14 @@
 
 #include <opencv2/core.hpp>
 
+#include "engine/plane_filter.hpp"
 #include "engine/seam_blender.hpp"
 #include "gyro_deblur/engine.hpp"
 
 namespace gyro_deblur {
 
-/// Checks image and grid, copies the blocks without a kernel, has the others filtered, and blends where blocks meet.
-/// Keeps its memory between frames.
+/// Checks image and grid, copies blocks that have no filter, filters those with an inverse in the plane, has those with
+/// a kernel filtered, and blends where blocks meet. Keeps its memory between frames.
 class BlockEngine : public Engine {
  public:
   /// @param threads  at most, >= 0; 0: one for each core, see run_parts
@@ -26,7 +27,7 @@ class BlockEngine : public Engine {
   virtual void filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks,
                              SeamBlender& seams, cv::Mat& dst) = 0;
 
-  /// Copies the blocks without a kernel, once a frame. An engine that waits for a device calls it while the device
+  /// Copies the blocks without a filter, once a frame. An engine that waits for a device calls it while the device
   /// works; for the others it is called after filter_blocks().
   void copy_untouched(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst);
 
@@ -36,8 +37,9 @@ class BlockEngine : public Engine {
  private:
   int threads_;
   SeamBlender seams_;
-  std::vector<int> filtered_;  // blocks
-  bool is_copied_ = false;     // the blocks without a kernel, of the frame at hand
+  PlaneFilter plane_filter_;
+  std::vector<int> with_kernel_, with_inverse_;  // blocks
+  bool is_copied_ = false;                       // the blocks without a filter, of the frame at hand
 };
 
 }  // namespace gyro_deblur

@@ -23,6 +23,15 @@ std::unique_ptr<Engine> make_opencl_with_fallback(const std::string& device, int
 }
 
 std::unique_ptr<Engine> make_cpu(const std::string&, int threads) { return std::make_unique<CpuEngine>(threads); }
+
+/// All blocks in the plane, but for those that come with a kernel all the same.
+class PlaneEngine : public CpuEngine {
+ public:
+  using CpuEngine::CpuEngine;
+  std::string name() const override { return "plane, " + CpuEngine::name(); }
+  bool prefers_plane() const override { return true; }
+};
+std::unique_ptr<Engine> make_plane(const std::string&, int threads) { return std::make_unique<PlaneEngine>(threads); }
 std::unique_ptr<Engine> make_float(const std::string&, int threads) { return std::make_unique<FloatEngine>(threads); }
 
 struct EngineEntry {
@@ -31,8 +40,10 @@ struct EngineEntry {
   std::unique_ptr<Engine> (*make)(const std::string& device, int threads);
 };
 
-constexpr EngineEntry kEngines[] = {
-    {"cpu", false, make_cpu}, {"float", false, make_float}, {"opencl", true, make_opencl_with_fallback}};
+constexpr EngineEntry kEngines[] = {{"cpu", false, make_cpu},
+                                    {"plane", false, make_plane},
+                                    {"float", false, make_float},
+                                    {"opencl", true, make_opencl_with_fallback}};
 
 // What "auto" stands for, GPU or not: no GPU has been measured (doc/reports/performance.md, "On a GPU"), OpenCL on the
 // processor is slower, and so is the float engine at every extent.

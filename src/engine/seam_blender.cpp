@@ -106,6 +106,8 @@ const Pixel* pixel(const cv::Mat& image, int x, int y) {
 }
 
 bool same_filter(const BlockFilter& a, const BlockFilter& b) {
+  if (a.inverse != nullptr && b.inverse != nullptr) return true;
+  if (a.inverse != b.inverse) return false;
   return a.kernel == b.kernel && (a.kernel == nullptr || a.angle_rad == b.angle_rad);
 }
 

@@ -15,7 +15,8 @@ namespace gyro_deblur {
 /// The rule by which all engines blend; Engine says what comes out.
 ///
 /// - A border between two columns (rows) of blocks has a margin m, the largest of 4, 2, 1 and 0 px that is at most half
-///   of either; 0 at the edge of the image, and where the filters on either side of the whole line are the same.
+///   of either; 0 at the edge of the image, and where the filters on either side of the whole line are the same,
+///   or both are in the plane, which are one function of the place.
 /// - A filtered block is computed on its rectangle and the margins around it. A copied block is the input everywhere.
 /// - Over the m px on either side of a border, the weight of the block behind it rises in 2 m + 1 equal steps, in x and
 ///   y independently. The weighted mean of the blocks' rounded results is rounded.
@@ -80,7 +81,7 @@ class SeamBlender {
     std::size_t offset;  ///< in results_ [bytes]
   };
 
-  bool is_copied(int block) const { return grid_->blocks[block].kernel == nullptr; }
+  bool is_copied(int block) const { return grid_->blocks[block].copies(); }
   /// Pixels of a block that are computed for a border, from margin to margin.
   cv::Rect strip_rect(int block, Strip strip) const;
   template <typename Pixel>

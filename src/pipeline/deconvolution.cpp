@@ -18,10 +18,12 @@ namespace {
 // Of places within a path of 500 px as floats.
 constexpr double kRounding = 1e-3;
 
-/// Kernels of a field's blocks, null for those that are not filtered. Those of uneven paths are nobody else's.
-struct FieldKernels {
-  std::vector<const LineKernel*> kernels;
-  std::vector<std::shared_ptr<const LineKernel>> own;
+/// Filters of a field's blocks, empty for those that are not filtered. Kernels of uneven paths, and inverses, are
+/// nobody else's.
+struct FieldFilters {
+  std::vector<BlockFilter> filters;
+  std::vector<std::shared_ptr<const LineKernel>> kernels;
+  std::vector<std::shared_ptr<const PlaneInverse>> inverses;
 };
 
 /// The inverse of an uneven path whose lengths count `scale` times; null where that is no blur.
@@ -37,10 +39,23 @@ std::shared_ptr<const LineKernel> uneven_kernel(LinePath path_px, double scale, 
   return std::make_shared<const LineKernel>(wiener_kernel(path_px, with_doubled_gamma(options, gamma_doublings)));
 }
 
-/// Kernels of a field whose lengths count `scale` times.
-FieldKernels make_kernels(const FrameBlur& field, double scale, const KernelBank& bank, int threads) {
+/// The whole path of a block. That of a box is centred as a box is.
+PlanePath plane_path(const BlockBlur& blur) {
+  if (blur.bent_path_px) return *blur.bent_path_px;
+  const Eigen::Vector2f line(std::cos(blur.angle_rad), std::sin(blur.angle_rad));
+  PlanePath path_px;
+  for (int k = 0; k < kPathInstants; ++k) {
+    const float even_px = (static_cast<float>(k) / (kPathInstants - 1) - 0.5f) * blur.extent_px;
+    path_px[k] = line * (blur.uneven_path_px ? (*blur.uneven_path_px)[k] : even_px);
+  }
+  return path_px;
+}
+
+/// Filters of a field whose lengths count `scale` times.
+FieldFilters make_filters(const FrameBlur& field, double scale, const KernelBank& bank, int threads, bool in_plane) {
   const std::size_t blocks = field.blocks.size();
-  FieldKernels made{std::vector<const LineKernel*>(blocks), std::vector<std::shared_ptr<const LineKernel>>(blocks)};
+  FieldFilters made{std::vector<BlockFilter>(blocks), std::vector<std::shared_ptr<const LineKernel>>(blocks),
+                    std::vector<std::shared_ptr<const PlaneInverse>>(blocks)};
   constexpr int kBlocksAtATime = 16;
   run_parallel(static_cast<int>(blocks), threads, kBlocksAtATime, [&](int i) {
     const BlockBlur& blur = field.blocks[i];
@@ -49,24 +64,32 @@ FieldKernels make_kernels(const FrameBlur& field, double scale, const KernelBank
     // With half of the pixels a line's power is half as dense, at half of the frequencies.
     const double noise_to_texture = blur.noise_to_texture * scale;
     const int doublings = noise_to_texture > 0 ? bank.choose(extent_px, noise_to_texture).gamma_doublings : 0;
-    if (blur.uneven_path_px) {
-      made.own[i] = uneven_kernel(*blur.uneven_path_px, scale, doublings, bank.options());
-      made.kernels[i] = made.own[i].get();
+    BlockFilter& filter = made.filters[i];
+    filter.angle_rad = blur.angle_rad;
+    if (blur.bent_path_px || in_plane) {
+      PlanePath path_px = plane_path(blur);
+      for (Eigen::Vector2f& place_px : path_px) place_px *= static_cast<float>(scale);
+      if (extent_px < kMinKernelExtentPx) return;
+      made.inverses[i] = std::make_shared<const PlaneInverse>(plane_inverse(path_px, bank.options(), noise_to_texture));
+      filter.inverse = made.inverses[i].get();
+    } else if (blur.uneven_path_px) {
+      made.kernels[i] = uneven_kernel(*blur.uneven_path_px, scale, doublings, bank.options());
+      filter.kernel = made.kernels[i].get();
     } else if (extent_px >= kMinKernelExtentPx) {
-      made.kernels[i] = &bank.kernel(extent_px, doublings);
+      filter.kernel = &bank.kernel(extent_px, doublings);
     }
   });
   return made;
 }
 
-void add_filter(const FrameBlur& field, int block, const FieldKernels& made, FilterGrid& grid) {
-  grid.blocks.push_back({field.blocks[block].angle_rad, made.kernels[block]});
-  grid.own_kernels.push_back(made.own[block]);
+void add_filter(const FieldFilters& made, int block, FilterGrid& grid) {
+  grid.blocks.push_back(made.filters[block]);
+  grid.own_kernels.push_back(made.kernels[block]);
+  grid.own_inverses.push_back(made.inverses[block]);
 }
 
 bool filters_anything(const FilterGrid& grid) {
-  return std::any_of(grid.blocks.begin(), grid.blocks.end(),
-                     [](const BlockFilter& block) { return block.kernel != nullptr; });
+  return std::any_of(grid.blocks.begin(), grid.blocks.end(), [](const BlockFilter& block) { return !block.copies(); });
 }
 
 /// Columns, or rows, of a grid: borders, and which block's number each has there.
@@ -89,7 +112,7 @@ SlowBlocks deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const
   SlowBlocks slow;
   mosaic.copyTo(dst);
   const std::size_t pixel_bytes = mosaic.elemSize();
-  const FieldKernels kernels = make_kernels(field, 0.5, bank, threads);
+  const FieldFilters made = make_filters(field, 0.5, bank, threads, engine.prefers_plane());
   cv::Mat plane, filtered;
   for (int py = 0; py < 2; ++py) {
     for (int px = 0; px < 2; ++px) {
@@ -107,7 +130,7 @@ SlowBlocks deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const
       }
       FilterGrid grid{cols.borders, rows.borders, {}};
       for (const int row : rows.indices) {
-        for (const int col : cols.indices) add_filter(field, row * block_cols + col, kernels, grid);
+        for (const int col : cols.indices) add_filter(made, row * block_cols + col, grid);
       }
       if (!filters_anything(grid)) continue;
 
@@ -159,13 +182,13 @@ void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& fi
   });
 }
 
-FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int threads) {
+FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int threads, bool in_plane) {
   const int cols = field.grid.cols();
   FilterGrid grid{{0}, {0}, {}};
   for (int col = 0; col < cols; ++col) grid.x.push_back(field.grid.rect(col).br().x);
   for (int row = 0; row < field.grid.rows(); ++row) grid.y.push_back(field.grid.rect(row * cols).br().y);
-  const FieldKernels kernels = make_kernels(field, 1.0, bank, threads);
-  for (int i = 0; i < field.grid.size(); ++i) add_filter(field, i, kernels, grid);
+  const FieldFilters made = make_filters(field, 1.0, bank, threads, in_plane);
+  for (int i = 0; i < field.grid.size(); ++i) add_filter(made, i, grid);
   return grid;
 }
 
@@ -212,7 +235,7 @@ SlowBlocks deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur&
   }
   if (is_bayer(layout)) return deconvolve_bayer(image, field, bank, engine, threads, dst);
 
-  const FilterGrid grid = make_filter_grid(field, bank, threads);
+  const FilterGrid grid = make_filter_grid(field, bank, threads, engine.prefers_plane());
   if (image.channels() < 4) {
     engine.filter(image, grid, dst);
     return engine.slow_blocks();

@@ -199,13 +199,23 @@ TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
   options.max_bend_px = 1.001 * bend_px - allowed_px;
   BlockBlur blur = classify_path(bow(turn_rad), options);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+  EXPECT_FALSE(blur.bent_path_px);
   EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
   EXPECT_LT(axial_difference(blur.angle_rad, 0), 1e-6);
   options.max_bend_px = 0.999 * bend_px - allowed_px;
   blur = classify_path(bow(turn_rad), options);
-  EXPECT_EQ(blur.status, BlockStatus::BENT);
+  EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+  ASSERT_TRUE(blur.bent_path_px);
+  for (int k = 0; k < kPathInstants; ++k) {
+    EXPECT_LT(((*blur.bent_path_px)[k].cast<double>() - bow(turn_rad)[k]).norm(), 1e-5) << k;
+  }
+  EXPECT_EQ(blur.shown_offset_px(), Eigen::Vector2d::Zero()) << "the whole path is undone";
   EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
-  EXPECT_EQ(classify_path(bow(2 * M_PI), {}).status, BlockStatus::BENT) << "a whole circle";
+  EXPECT_TRUE(classify_path(bow(2 * M_PI), {}).bent_path_px) << "a whole circle";
+  // Longer than any tile.
+  options.max_extent_px = 500;
+  const auto long_bow = path_of([](double t) { return Eigen::Vector2d(1.01 * kMaxPlaneExtentPx * t, 200 * t * t); });
+  EXPECT_EQ(classify_path(long_bow, options).status, BlockStatus::BENT);
   // What is too small or too large anyway stays that.
   options.max_bend_px = 0;
   options.min_extent_px = 5;

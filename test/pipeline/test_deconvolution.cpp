@@ -13,6 +13,7 @@
 #include "engine/cpu/cpu_engine.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "images.hpp"
+#include "plane_paths.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {
@@ -48,6 +49,72 @@ TEST(Deconvolve, FollowsAnUnevenPathInItsDirection) {
       EXPECT_GT(with_path, restored(blurred, angle_rad, reversed, engine) + 5) << engine << ' ' << degrees;
       EXPECT_GT(with_path, restored(blurred, angle_rad, std::nullopt, engine) + 3) << engine << ' ' << degrees;
     }
+  }
+}
+
+/// A field of blocks that are all blurred along one path.
+FrameBlur field_along(cv::Size size, const PlanePath& path_px) {
+  std::array<Eigen::Vector2d, kPathInstants> places_px;
+  for (int k = 0; k < kPathInstants; ++k) places_px[k] = path_px[k].cast<double>();
+  FrameBlur field = uniform_blur_field(size.width, size.height, 0, 10, {});
+  field.blocks.assign(field.blocks.size(), classify_path(places_px, {}));
+  return field;
+}
+
+TEST(Deconvolve, UndoesBentPaths) {
+  const cv::Mat sharp = test::textured_image(256, 192, 3);
+  const cv::Rect inner(48, 48, 160, 96);
+  const KernelBank bank{KernelOptions{}};
+  const PlanePath path_px = test::arc_path(24, 8, 0.6);
+  const FrameBlur field = field_along(sharp.size(), path_px);
+  ASSERT_EQ(field.count(BlockStatus::DEBLURRED), field.blocks.size());
+  const cv::Mat blurred = test::expose(test::blur_in_plane(sharp, path_px), 1, 5);
+  for (const char* engine : {"float", "cpu", "opencl", "plane"}) {
+    cv::Mat dst;
+    deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine(engine), dst);
+    EXPECT_GT(test::psnr_db(dst(inner), sharp(inner)), test::psnr_db(blurred(inner), sharp(inner)) + 6) << engine;
+  }
+}
+
+// The planes of a mosaic have half the path, whichever filter undoes it.
+TEST(Deconvolve, UndoesPathsInThePlanesOfAMosaic) {
+  const cv::Mat sharp = test::textured_image(128, 96, 3);
+  const KernelBank bank{KernelOptions{}};
+  const PlanePath of_plane_px = test::arc_path(12, 4, 0.6);
+  PlanePath path_px = of_plane_px;
+  for (Eigen::Vector2f& place_px : path_px) place_px *= 2;
+  const cv::Mat blurred = test::expose(test::blur_in_plane(sharp, of_plane_px), 1, 5);
+  cv::Mat mosaic, dst, plane(sharp.size(), CV_8U);
+  cv::resize(blurred, mosaic, sharp.size() * 2, 0, 0, cv::INTER_NEAREST);
+  deconvolve(mosaic, PixelLayout::BAYER_RGGB, field_along(mosaic.size(), path_px), bank, *make_engine("cpu"), dst);
+  for (int y = 0; y < plane.rows; ++y) {
+    for (int x = 0; x < plane.cols; ++x) plane.at<uchar>(y, x) = dst.at<uchar>(2 * y + 1, 2 * x);
+  }
+  EXPECT_GT(test::psnr_db(plane, sharp), test::psnr_db(blurred, sharp) + 3);
+}
+
+TEST(Deconvolve, LeavesAllBlocksToAnEngineForThePlane) {
+  const cv::Mat sharp = test::textured_image(256, 192, 3);
+  const cv::Rect inner(48, 48, 160, 96);
+  const KernelBank bank{KernelOptions{}};
+  constexpr double kAngleRad = 0.6;
+  for (const bool uneven : {false, true}) {
+    const LinePath path_px =
+        uneven ? LinePath{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15} : LinePath{-8, -6, -4, -2, 0, 2, 4, 6, 8};
+    FrameBlur field = uniform_blur_field(sharp.cols, sharp.rows, kAngleRad, extent_of(path_px), {});
+    if (uneven) {
+      for (BlockBlur& block : field.blocks) block.uneven_path_px = path_px;
+    }
+    const FilterGrid grid = make_filter_grid(field, bank, 1, true);
+    for (const BlockFilter& block : grid.blocks) {
+      EXPECT_EQ(block.kernel, nullptr);
+      EXPECT_NE(block.inverse, nullptr);
+    }
+    const cv::Mat blurred = test::expose(test::blur_along_path(sharp, kAngleRad, path_px), 1, 5);
+    cv::Mat in_plane, along_line;
+    deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine("plane"), in_plane);
+    deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine("cpu"), along_line);
+    EXPECT_GT(test::psnr_db(in_plane(inner), sharp(inner)), test::psnr_db(along_line(inner), sharp(inner)));
   }
 }
 

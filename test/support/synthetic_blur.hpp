@@ -13,29 +13,35 @@
 
 namespace gyro_deblur::test {
 
-/// `image` (one channel) with its spectrum multiplied by transfer(f), f in cycles per pixel along the line. No
-/// interpolation, so nothing is lost across the line. Returns CV_64F of the image's size. The border is mirrored: crop
-/// reach_px / 2 and a few pixels more where the scene's edge matters.
+/// `image` (one channel) with its spectrum multiplied by transfer(fx, fy), in cycles per pixel. No interpolation.
+/// Returns CV_64F of the image's size. The border is mirrored: crop reach_px / 2 and a few pixels more where the
+/// scene's edge matters.
 template <typename Transfer>
-cv::Mat filter_along_line(const cv::Mat& image, double angle_rad, double reach_px, const Transfer& transfer) {
+cv::Mat filter_in_plane(const cv::Mat& image, double reach_px, const Transfer& transfer) {
   const int pad = static_cast<int>(std::ceil(reach_px)) + 32;
   const int cols = cv::getOptimalDFTSize(image.cols + 2 * pad), rows = cv::getOptimalDFTSize(image.rows + 2 * pad);
   cv::Mat real, padded, spectrum, blurred;
   image.convertTo(real, CV_64F);
   cv::copyMakeBorder(real, padded, pad, rows - image.rows - pad, pad, cols - image.cols - pad, cv::BORDER_REFLECT_101);
   cv::dft(padded, spectrum, cv::DFT_COMPLEX_OUTPUT);
-  const double dx = std::cos(angle_rad), dy = std::sin(angle_rad);
   for (int v = 0; v < rows; ++v) {
     const double fy = static_cast<double>(v <= rows / 2 ? v : v - rows) / rows;
     for (int u = 0; u < cols; ++u) {
       const double fx = static_cast<double>(u <= cols / 2 ? u : u - cols) / cols;
       cv::Vec2d& value = spectrum.at<cv::Vec2d>(v, u);
-      const std::complex<double> product = std::complex<double>(value[0], value[1]) * transfer(fx * dx + fy * dy);
+      const std::complex<double> product = std::complex<double>(value[0], value[1]) * transfer(fx, fy);
       value = {product.real(), product.imag()};
     }
   }
   cv::dft(spectrum, blurred, cv::DFT_INVERSE | cv::DFT_SCALE | cv::DFT_REAL_OUTPUT);
   return blurred(cv::Rect(pad, pad, image.cols, image.rows)).clone();
+}
+
+/// The same with transfer(f), f in cycles per pixel along the line: nothing is lost across it.
+template <typename Transfer>
+cv::Mat filter_along_line(const cv::Mat& image, double angle_rad, double reach_px, const Transfer& transfer) {
+  const double dx = std::cos(angle_rad), dy = std::sin(angle_rad);
+  return filter_in_plane(image, reach_px, [&](double fx, double fy) { return transfer(fx * dx + fy * dy); });
 }
 
 inline double sinc(double x) { return std::abs(x) < 1e-9 ? 1.0 : std::sin(x) / x; }

@@ -1,0 +1,63 @@
+#include "inverse/plane_gain.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+
+/// exp(-2 pi i f p) at the places p of a path along one axis, for `count` frequencies f = first, first + 1, .. cycles
+/// in `size` px: real parts and then imaginary parts of all places, frequency by frequency. Each is the product of two
+/// earlier ones, so that errors grow with the logarithm of `count`.
+void make_phases(const PlanePath& path_px, int axis, int first, int count, int size, std::vector<float>& phases) {
+  phases.resize(static_cast<std::size_t>(count) * kPhaseFloats);
+  float step[kPhaseFloats];  // from a frequency to that `made` later
+  const auto phase = [&](int k, double frequency, float* to) {
+    const double angle_rad = -2 * kPi * path_px[k][axis] * frequency / size;
+    to[k] = static_cast<float>(std::cos(angle_rad));
+    to[k + kPathInstants] = static_cast<float>(std::sin(angle_rad));
+  };
+  for (int k = 0; k < kPathInstants; ++k) phase(k, first, phases.data());
+  for (int made = 1; made < count; made *= 2) {
+    for (int k = 0; k < kPathInstants; ++k) phase(k, made, step);
+    const int more = std::min(made, count - made);
+    for (int i = 0; i < more; ++i) {
+      const float* from = phases.data() + static_cast<std::ptrdiff_t>(i) * kPhaseFloats;
+      float* to = phases.data() + static_cast<std::ptrdiff_t>(i + made) * kPhaseFloats;
+      for (int k = 0; k < kPathInstants; ++k) {
+        const float re = from[k], im = from[k + kPathInstants], c = step[k], s = step[k + kPathInstants];
+        to[k] = re * c - im * s;
+        to[k + kPathInstants] = re * s + im * c;
+      }
+    }
+  }
+}
+
+}  // namespace
+
+void PlaneGain::set(const PlaneInverse& inverse, const FourierStages& stages) {
+  const int size = stages.size;
+  make_phases(inverse.path_px, 0, -size / 2, size, size, across_);
+  make_phases(inverse.path_px, 1, 0, size / 2, size, down_);
+  tables_.size = size;
+  tables_.places = stages.places;
+  tables_.across = across_.data();
+  tables_.down = down_.data();
+  for (int k = 0; k + 1 < kPathInstants; ++k) {
+    const Eigen::Vector2f slope = static_cast<float>(kPi / size) * (inverse.path_px[k + 1] - inverse.path_px[k]);
+    tables_.slope_across[k] = slope.x();
+    tables_.slope_down[k] = slope.y();
+  }
+  tables_.noise_to_signal = inverse.noise_to_signal;
+  tables_.noise_rise = inverse.noise_rise_px2 / (static_cast<float>(size) * static_cast<float>(size));
+}
+
+void PlaneGain::rows(int first_row, float* gain) const { loops_.gain_of_rows(tables_, first_row, false, gain); }
+
+void PlaneGain::rows_blurred_again(int first_row, float* gain) const {
+  loops_.gain_of_rows(tables_, first_row, true, gain);
+}
+
+}  // namespace gyro_deblur

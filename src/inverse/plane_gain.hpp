@@ -1,0 +1,35 @@
+// The inverse of a whole path in the plane: its gain at every frequency of a tile.
+#pragma once
+
+#include <vector>
+
+#include "base/fourier.hpp"
+#include "gyro_deblur/plane_inverse.hpp"
+#include "inverse/plane_gain_loops.hpp"
+
+namespace gyro_deblur {
+
+/// The gain of one inverse after another for tiles of one size or another. Keeps its memory.
+class PlaneGain {
+ public:
+  /// @param loops  with as many lanes as those of the transform
+  explicit PlaneGain(const PlaneGainLoops& loops) : loops_(loops) {}
+
+  /// Prepares for rows() and rows_blurred_again(). Preconditions: finite places, PlaneInverse's ranges; the plan of
+  /// `stages` lives on.
+  void set(const PlaneInverse& inverse, const FourierStages& stages);
+
+  /// Gain at frequencies down of first_row .. first_row + lanes - 1 (first_row a multiple of lanes), as
+  /// FourierLoops::filter_rows takes it: 2 * lanes * size floats. 0 at half a cycle a pixel across.
+  void rows(int first_row, float* gain) const;
+
+  /// The same of the inverse and the blur after it: G(f) H(f), 0 to 1 + N(0).
+  void rows_blurred_again(int first_row, float* gain) const;
+
+ private:
+  const PlaneGainLoops& loops_;
+  PlaneGainTables tables_{};
+  std::vector<float> across_, down_;  // of tables_
+};
+
+}  // namespace gyro_deblur

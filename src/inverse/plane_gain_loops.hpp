@@ -1,0 +1,45 @@
+// The loop that makes the gain of a path's inverse: one interface, compiled once per instruction set.
+#pragma once
+
+#include "gyro_deblur/line_path.hpp"
+
+namespace gyro_deblur {
+
+/// Floats of the phases of a path's places at one frequency: real parts, imaginary parts.
+constexpr int kPhaseFloats = 2 * kPathInstants;
+
+/// What the gain is made from, for tiles of `size`; frequencies in cycles in `size` px.
+struct PlaneGainTables {
+  int size;
+  const int* places;                      ///< where frequency u (0 .. size - 1) across belongs
+  const float* across;                    ///< phases exp(-2 pi i u x) of the places' x, for u from -size / 2 on
+  const float* down;                      ///< the same of y, for v from 0 to size / 2 - 1
+  float slope_across[kPathInstants - 1];  ///< half the phase between two places, by u
+  float slope_down[kPathInstants - 1];    ///< and by v
+  float noise_to_signal;
+  float noise_rise;  ///< by u^2 + v^2
+};
+
+/// The functions of one instruction set.
+struct PlaneGainLoops {
+  const char* name;
+  /// See PlaneGain; takes as many rows as the vectors of this set have floats.
+  void (*gain_of_rows)(const PlaneGainTables& tables, int first_row, bool blurs_again, float* gain);
+};
+
+namespace baseline {
+extern const PlaneGainLoops kPlaneGainLoops;
+}
+#if defined(__x86_64__)
+namespace avx2 {
+extern const PlaneGainLoops kPlaneGainLoops;
+}
+namespace avx512 {
+extern const PlaneGainLoops kPlaneGainLoops;
+}
+#endif
+
+/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
+const PlaneGainLoops* find_plane_gain_loops(const char* name);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,97 @@
+// The gain of a path's inverse, for every instruction set that this processor runs.
+#include "inverse/plane_gain.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "base/fourier_loops.hpp"
+#include "plane_paths.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+class PlaneGainTest : public testing::TestWithParam<const char*> {
+ protected:
+  void SetUp() override {
+    loops_ = find_plane_gain_loops(GetParam());
+    if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
+    EXPECT_STREQ(loops_->name, GetParam());
+    lanes_ = find_fourier_loops(GetParam())->lanes;
+  }
+
+  /// Calls check(v, u, gain, gain and blur) for all frequencies of tiles of `size`, u from 0 to size - 1.
+  template <typename Check>
+  void for_each_gain(const PlaneInverse& inverse, int size, const Check& check) const {
+    const FourierPlan plan(size, 8);
+    PlaneGain gain(*loops_);
+    gain.set(inverse, plan.stages());
+    std::vector<float> of_rows(2 * lanes_ * size), blurred_again(2 * lanes_ * size);
+    for (int row = 0; row < size / 2; row += lanes_) {
+      gain.rows(row, of_rows.data());
+      gain.rows_blurred_again(row, blurred_again.data());
+      for (int u = 0; u < size; ++u) {
+        const int place = plan.stages().places[u] * 2 * lanes_;
+        const auto at = [&](const std::vector<float>& rows, int i) {
+          return std::complex<double>(rows[place + i], rows[place + lanes_ + i]);
+        };
+        for (int i = 0; i < lanes_; ++i) check(row + i, u, at(of_rows, i), at(blurred_again, i));
+      }
+    }
+  }
+
+  const PlaneGainLoops* loops_ = nullptr;
+  int lanes_ = 0;
+};
+
+TEST_P(PlaneGainTest, IsTheWienerInverseOfThePath) {
+  PlanePath still, stops = test::arc_path(40, 6, 0.3);
+  still.fill(Eigen::Vector2f::Zero());
+  for (int k = 5; k < kPathInstants; ++k) stops[k] = stops[4];
+  const PlanePath paths[] = {still,
+                             stops,
+                             test::arc_path(25, 0, 0),
+                             test::arc_path(25, 0, CV_PI / 2),
+                             test::arc_path(25, 5, 2.5),
+                             test::arc_path(60, 12, 1),
+                             test::arc_path(300, 80, 0.5)};
+  for (const PlanePath& path_px : paths) {
+    for (const float rise_px2 : {0.0f, 5.0f}) {
+      const PlaneInverse inverse{path_px, 0.007f, rise_px2};
+      for (const int size : {32, 192, 480}) {
+        double worst = 0, worst_again = 0;
+        for_each_gain(inverse, size, [&](int v, int u, std::complex<double> gain, std::complex<double> again) {
+          const std::complex<double> expected = test::gain_at(inverse, u, v, size);
+          worst = std::max(worst, std::abs(gain - expected));
+          worst_again = std::max(worst_again, std::abs(again - expected * test::transfer_at(path_px, u, v, size)));
+        });
+        // Of gains of up to 1 / (2 sqrt(noise_to_signal)) = 6.
+        EXPECT_LT(worst, 0.01) << extent_of(path_px).transpose() << " px, " << rise_px2 << " px^2, tile of " << size;
+        EXPECT_LT(worst_again, 0.002) << extent_of(path_px).transpose() << " px, tile of " << size;
+      }
+    }
+  }
+}
+
+TEST_P(PlaneGainTest, KeepsTheMean) {
+  for_each_gain({test::arc_path(50, 9, 1), 0.02f, 1}, 96,
+                [&](int v, int u, std::complex<double> gain, std::complex<double>) {
+                  if (u != 0 || v != 0) return;
+                  EXPECT_LT(std::abs(gain - 1.0), 1e-6);
+                });
+}
+
+INSTANTIATE_TEST_SUITE_P(InstructionSets, PlaneGainTest, testing::Values("baseline", "avx2", "avx512"));
+
+TEST(PlanePath, CoversItsPlacesAndTheMiddle) {
+  PlanePath path_px;
+  for (int k = 0; k < kPathInstants; ++k) path_px[k] = {3.0f + k, -2.0f * k};
+  EXPECT_EQ(extent_of(path_px), Eigen::Vector2f(11, 16));
+}
+
+}  // namespace
+}  // namespace gyro_deblur
