@@ -25,8 +25,8 @@ BlockBlur classify_blur(double dx_px, double dy_px, const BlurFieldOptions& opti
 /// px. The fast engines know boxes best.
 double even_path_px(double extent_px);
 
-/// A path is bent when it leaves its line by more than max_bend_px and this share of the extent. On bows of so much,
-/// with the default max_bend_px, a box along the line still gains 1.0 to 1.5 dB at extents of 10 to 120 px.
+/// A path is bent when it leaves its line by more than max_bend_px and this share of the extent: what a line loses by a
+/// bow of so much hardly depends on the extent, see max_bend_px.
 constexpr double kStraightPathShare = 0.02;
 
 /// Blur of one block from the places [px] of a scene point at kPathInstants, relative to that at the middle: that of
