@@ -156,7 +156,9 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
   // The scale at which the log-logistic distribution fits the power of noise, which is exponential, best: then
   // E[2 P / (s + P)] = 1.
   constexpr double kScaleOfNoise = 0.6102;
-  const auto unit = static_cast<float>(1 / (kScaleOfNoise * levels_[level].noise_variance));
+  // Noise that is taken for less than it is looks like texture which no blur has touched, for more like nothing at all.
+  constexpr double kMargin = 1.15;
+  const auto unit = static_cast<float>(1 / (kMargin * kScaleOfNoise * levels_[level].noise_variance));
   for (int i = 0; i < kSpectrumSize; ++i) power[i] = texture()[i] > 0 ? unit * power[i] : 0;
 
   const auto bins_x = static_cast<float>(kBinsPerWave * std::cos(blur.angle_rad));
@@ -200,17 +202,21 @@ std::vector<double> log_ratios(const FrameBlur& field, const cv::Mat& luminance,
 std::vector<double> with_neighbours(const BlockGrid& grid, const std::vector<double>& log_ratios) {
   // The larger, the better noisy blocks are told, and the more of a moving object's edge goes with its surroundings.
   constexpr double kOfNeighbour = 5, kOfFrame = 10;
-  const auto limited = [](double value, double limit) { return std::clamp(value, -limit, limit); };
+  // What an error of the noise makes of blocks without texture, which all together would decide for a frame.
+  constexpr double kNothing = 1;
+  const auto limited = [&](double value) {
+    return std::copysign(std::clamp(std::abs(value) - kNothing, 0.0, kOfNeighbour), value);
+  };
   double of_frame = 0;
-  for (const double ratio : log_ratios) of_frame += limited(ratio, kOfNeighbour);
-  of_frame = limited(of_frame, kOfFrame);
+  for (const double ratio : log_ratios) of_frame += limited(ratio);
+  of_frame = std::clamp(of_frame, -kOfFrame, kOfFrame);
   std::vector<double> ratios = log_ratios;
   for (int i = 0; i < grid.size(); ++i) {
     const int row = i / grid.cols(), col = i % grid.cols();
-    ratios[i] += of_frame - limited(log_ratios[i], kOfNeighbour);
+    ratios[i] += of_frame - limited(log_ratios[i]);
     for (int y = std::max(row - 1, 0); y <= std::min(row + 1, grid.rows() - 1); ++y) {
       for (int x = std::max(col - 1, 0); x <= std::min(col + 1, grid.cols() - 1); ++x) {
-        ratios[i] += limited(log_ratios[y * grid.cols() + x], kOfNeighbour);
+        ratios[i] += limited(log_ratios[y * grid.cols() + x]);
       }
     }
   }

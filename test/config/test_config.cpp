@@ -53,7 +53,8 @@ std::string dump(const Config& c) {
     << "\nmax_extent " << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
     << "\nmotion_from_images " << c.pipeline.motion_from_images << "\nbridge_gyro_gaps " << c.pipeline.bridge_gyro_gaps
     << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing "
-    << c.pipeline.kernel.smoothing_px << "\nvalidate " << c.pipeline.validation.enabled << "\ntau "
+    << c.pipeline.kernel.smoothing_px << "\nvalidate " << c.pipeline.validation.enabled << "\nvalidation "
+    << static_cast<int>(c.pipeline.validation.rule) << ' ' << c.pipeline.validation.false_acceptance << "\ntau "
     << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\ndetector "
     << c.pipeline.keypoints.detector << "\ndescriptor " << c.pipeline.keypoints.descriptor << "\nmax_features "
     << c.pipeline.keypoints.max_features << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
@@ -110,6 +111,8 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"kernel_length_factor", "6"},
       {"kernel_smoothing", "1.5"},
       {"validate", "false"},
+      {"validation", "paper"},
+      {"false_acceptance", "0.01"},
       {"tau", "12"},
       {"tau_contrast", "0"},
       {"detector", "ORB"},
@@ -175,6 +178,8 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.kernel.length_factor, 6);
   EXPECT_EQ(c.pipeline.kernel.smoothing_px, 1.5);
   EXPECT_FALSE(c.pipeline.validation.enabled);
+  EXPECT_EQ(c.pipeline.validation.rule, ValidationRule::PAPER);
+  EXPECT_EQ(c.pipeline.validation.false_acceptance, 0.01);
   EXPECT_EQ(c.pipeline.validation.tau, 12);
   EXPECT_EQ(c.pipeline.validation.tau_contrast, 0);
   EXPECT_EQ(c.pipeline.keypoints.detector, "ORB");
