@@ -22,7 +22,7 @@ constexpr std::array<double, 3> kLess = {0.15, 0.33, 0.5};
 constexpr int kBinsPerWave = 4;
 constexpr int kBins = 96;       // > sqrt(2) (kSpectrumWaves - 1) kBinsPerWave
 constexpr int kFiner = 2;       // finer bins of the predicted blur, which the others read at shares of the frequency
-constexpr int kFineBins = 256;  // > (kBins + kBinsPerWave) kFiner
+constexpr int kFineBins = 201;  // > (kBins + kBinsPerWave) kFiner
 
 using Table = std::array<float, kBins>;
 using Spectrum = std::array<float, kSpectrumSize>;
@@ -89,7 +89,7 @@ std::array<double, kFineBins> squared_transfer(const BlockBlur& blur, double sca
 /// |H|^2 of `share` times the path, as the window smears it: Hann's has a spectrum of 1/2, 1 and 1/2, whose squares
 /// are these weights.
 Table gain_of(const std::array<double, kFineBins>& squared, double share) {
-  const auto at = [&](int bin) { return squared[std::lround(share * kFiner * std::abs(bin))]; };
+  const auto at = [&](int bin) { return squared[static_cast<int>(share * kFiner * std::abs(bin) + 0.5)]; };
   Table gain;
   for (int i = 0; i < kBins; ++i) {
     gain[i] = static_cast<float>((4 * at(i) + at(i - kBinsPerWave) + at(i + kBinsPerWave)) / 6);
