@@ -7,7 +7,9 @@
 #include <vector>
 
 #include "base/parallel.hpp"
+#include "blur/blur_likelihood.hpp"
 #include "blur/gradient_loops.hpp"
+#include "gyro_deblur/image_noise.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -97,16 +99,11 @@ double steepest_box_px(const BlockBlur& blur) {
   return std::min<double>(blur.extent_px, kWindowPx / most);
 }
 
-FrameBlur validate_blur_field(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
-                              int threads) {
-  options.validate();
-  if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
-      luminance.rows != field.grid.height_px()) {
-    throw std::invalid_argument("validation needs 8-bit luminance of the blur field's size, " +
-                                std::to_string(field.grid.width_px()) + "x" + std::to_string(field.grid.height_px()));
-  }
+namespace {
+
+FrameBlur validate_by_gradient(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
+                               int threads) {
   FrameBlur validated = field;
-  if (!options.enabled) return validated;
   constexpr int kBlocksAtATime = 8;
   run_parallel(field.grid.size(), threads, kBlocksAtATime, [&](int i) {
     BlockBlur& block = validated.blocks[i];
@@ -117,6 +114,41 @@ FrameBlur validate_blur_field(const FrameBlur& field, const cv::Mat& luminance, 
     }
   });
   return reject_outvoted(validated);
+}
+
+/// Log likelihood ratio, with neighbours and frame, that a share of falsely believed blocks exceeds: a fit to measured
+/// quantiles (see ValidationOptions::false_acceptance), within 4 from .1 to .005. With the default it is below 0: a
+/// block of which nothing is known is believed. Deblurring it gains nothing, but its keypoints lie where the prediction
+/// puts them, which mostly holds.
+double least_log_ratio(double false_acceptance) { return 16 * std::log(0.057 / false_acceptance); }
+
+FrameBlur validate_by_likelihood(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
+                                 int threads) {
+  const std::vector<double> ratios = with_neighbours(
+      field.grid, log_ratios(field, luminance, image_noise(luminance, PixelLayout::GRAY).value_or(0), threads));
+  FrameBlur validated = field;
+  for (int i = 0; i < field.grid.size(); ++i) {
+    BlockBlur& block = validated.blocks[i];
+    if (block.status == BlockStatus::DEBLURRED && ratios[i] < least_log_ratio(options.false_acceptance)) {
+      block.status = BlockStatus::REJECTED;
+    }
+  }
+  return validated;
+}
+
+}  // namespace
+
+FrameBlur validate_blur_field(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
+                              int threads) {
+  options.validate();
+  if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
+      luminance.rows != field.grid.height_px()) {
+    throw std::invalid_argument("validation needs 8-bit luminance of the blur field's size, " +
+                                std::to_string(field.grid.width_px()) + "x" + std::to_string(field.grid.height_px()));
+  }
+  if (!options.enabled) return field;
+  return options.rule == ValidationRule::PAPER ? validate_by_gradient(field, luminance, options, threads)
+                                               : validate_by_likelihood(field, luminance, options, threads);
 }
 
 }  // namespace gyro_deblur

@@ -201,13 +201,19 @@ ParameterGroup wiener_filter() {
 
 ParameterGroup validation() {
   return {"validation",
-          "A block is rejected when its gradient along the motion exceeds tau + tau_contrast / extent.",
+          "A block is rejected whose image fits less blur better than the predicted one. By the paper's rule, when its "
+          "gradient along the motion exceeds tau + tau_contrast / extent.",
           {
               {"validate", &Validation::enabled, "true: blocks whose image contradicts the predicted blur are rejected",
                RUNNING},
-              {"tau", &Validation::tau, within(0, 255, "grey levels / px"), "gradient that is always allowed", RUNNING},
-              {"tau_contrast", &Validation::tau_contrast, within(0, 1000, "grey levels"), "plus this over the extent",
+              {"validation", &Validation::rule,
+               "what they are rejected by: how likely their power spectrum is, or the paper's gradient"},
+              {"false_acceptance", &Validation::false_acceptance, within(0.001, 0.5),
+               "likelihood: share of blocks blurred by a third of what is predicted that may be accepted", RUNNING},
+              {"tau", &Validation::tau, within(0, 255, "grey levels / px"), "paper: gradient that is always allowed",
                RUNNING},
+              {"tau_contrast", &Validation::tau_contrast, within(0, 1000, "grey levels"),
+               "paper: plus this over the extent", RUNNING},
           }};
 }
 

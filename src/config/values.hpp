@@ -61,6 +61,12 @@ inline const Names<GammaRule>& names_of(GammaRule) {
   return kNames;
 }
 
+inline const Names<ValidationRule>& names_of(ValidationRule) {
+  static const Names<ValidationRule> kNames{{"likelihood", ValidationRule::LIKELIHOOD},
+                                            {"paper", ValidationRule::PAPER}};
+  return kNames;
+}
+
 inline const Names<OnCalibrationConflict>& names_of(OnCalibrationConflict) {
   static const Names<OnCalibrationConflict> kNames{{"error", OnCalibrationConflict::ERROR},
                                                    {"configured", OnCalibrationConflict::CONFIGURED}};

@@ -81,7 +81,7 @@ class PlaneFilter {
   std::vector<cv::Mat> sums_;               // by channel, over windows: weight times result
   cv::Mat weights_;                         // sums of weights, unless all are 1
   bool are_ones_ = true;
-  std::vector<Scratch> scratch_;            // by thread
+  std::vector<Scratch> scratch_;  // by thread
 };
 
 }  // namespace gyro_deblur

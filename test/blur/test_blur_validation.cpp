@@ -12,6 +12,13 @@ namespace {
 
 double radians(double degrees) { return degrees * CV_PI / 180; }
 
+ValidationOptions by(ValidationRule rule) {
+  ValidationOptions options;
+  options.rule = rule;
+  return options;
+}
+const ValidationOptions kPaper = by(ValidationRule::PAPER);
+
 /// A plane that rises by `slope` grey levels a pixel in direction `angle`, 128 in the middle.
 cv::Mat ramp(double angle_rad, double slope) {
   cv::Mat image(64, 64, CV_8UC1);
@@ -64,14 +71,17 @@ TEST(MaxGradientAlong, AgreesWithSobelOverTheWholeImage) {
   EXPECT_EQ(max_gradient_along(cv::Mat(1, 1, CV_8UC1, cv::Scalar(200)), cv::Rect(0, 0, 1, 1), 1.0), 0);
 }
 
-TEST(ValidateBlurField, AcceptsTrueBlurAndRejectsSharpBlocks) {
+class ValidationRules : public testing::TestWithParam<ValidationRule> {};
+INSTANTIATE_TEST_SUITE_P(Both, ValidationRules, testing::Values(ValidationRule::LIKELIHOOD, ValidationRule::PAPER));
+
+TEST_P(ValidationRules, AcceptTrueBlurAndRejectSharpBlocks) {
   const cv::Mat sharp = test::textured_image(640, 512, 21);
   for (const double extent : {10.0, 20.0, 40.0, 90.0}) {
     for (const double degrees : {0.0, 35.0, 110.0}) {
       const FrameBlur field = uniform_blur_field(640, 512, radians(degrees), extent, {});
       const cv::Mat blurred = test::expose(test::blur_along_line(sharp, radians(degrees), extent), 2.0, 4);
-      const FrameBlur of_blurred = validate_blur_field(field, blurred, {}),
-                      of_sharp = validate_blur_field(field, sharp, {});
+      const FrameBlur of_blurred = validate_blur_field(field, blurred, by(GetParam())),
+                      of_sharp = validate_blur_field(field, sharp, by(GetParam()));
       EXPECT_GE(of_blurred.count(BlockStatus::DEBLURRED), 0.97 * field.blocks.size()) << extent << " px " << degrees;
       EXPECT_GE(of_sharp.count(BlockStatus::REJECTED), 0.9 * field.blocks.size()) << extent << " px " << degrees;
     }
@@ -81,7 +91,7 @@ TEST(ValidateBlurField, AcceptsTrueBlurAndRejectsSharpBlocks) {
 TEST(ValidateBlurField, UsesAThresholdThatFallsWithTheExtent) {
   const cv::Mat image = ramp(0, 3);
   FrameBlur field = uniform_blur_field(64, 64, 0, 10, {});
-  ValidationOptions options;
+  ValidationOptions options = kPaper;
   options.tau = 2;
   options.tau_contrast = 11;  // 3.1 at 10 px, 2.9 at 12.2 px
   EXPECT_EQ(validate_blur_field(field, image, options).blocks[0].status, BlockStatus::DEBLURRED);
@@ -122,7 +132,7 @@ TEST(ValidateBlurField, TouchesOnlyBlocksThatWouldBeDeblurred) {
   const BlockStatus statuses[] = {BlockStatus::SHARP, BlockStatus::REJECTED, BlockStatus::TOO_LARGE,
                                   BlockStatus::NO_GYRO, BlockStatus::DEBLURRED};
   for (std::size_t i = 0; i < field.blocks.size(); ++i) field.blocks[i].status = statuses[i % 5];
-  const FrameBlur validated = validate_blur_field(field, noise, {});
+  const FrameBlur validated = validate_blur_field(field, noise, kPaper);
   EXPECT_EQ(validated.exposure_ns, 7);
   for (std::size_t i = 0; i < field.blocks.size(); ++i) {
     EXPECT_EQ(validated.blocks[i].status, i % 5 == 4 ? BlockStatus::REJECTED : statuses[i % 5]);
@@ -140,12 +150,12 @@ cv::Mat grey_beside_noise(int first_col, int cols = 8, int rows = 8) {
   return image;
 }
 
-TEST(ValidateBlurField, ABlockWithoutTextureFollowsItsNeighbours) {
+TEST(ValidateBlurField, ByThePaperABlockWithoutTextureFollowsItsNeighbours) {
   FrameBlur field = uniform_blur_field(512, 512, 0, 10, {});
   cv::Mat image = grey_beside_noise(4);
 
   image(cv::Rect(6 * 64 - 8, 5 * 64 - 8, 80, 80)) = 128;  // nothing in the block itself does
-  const FrameBlur validated = validate_blur_field(field, image, {});
+  const FrameBlur validated = validate_blur_field(field, image, kPaper);
   for (int i = 0; i < field.grid.size(); ++i) {
     // The border between the halves stays where it is, its corners included: no side outvotes the other.
     const int col = i % 8;
@@ -153,12 +163,12 @@ TEST(ValidateBlurField, ABlockWithoutTextureFollowsItsNeighbours) {
   }
 }
 
-TEST(ValidateBlurField, AFrameWhosePredictionsHardlyEverHoldIsLeftAlone) {
+TEST(ValidateBlurField, ByThePaperAFrameWhosePredictionsHardlyEverHoldIsLeftAlone) {
   const FrameBlur field = uniform_blur_field(512, 512, 0, 10, {});
   // One grey column of eight, and two.
-  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(1), {}).count(BlockStatus::DEBLURRED), 0u);
-  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(2), {}).count(BlockStatus::DEBLURRED), 16u);
-  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(8), {}).count(BlockStatus::DEBLURRED), 64u);
+  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(1), kPaper).count(BlockStatus::DEBLURRED), 0u);
+  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(2), kPaper).count(BlockStatus::DEBLURRED), 16u);
+  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(8), kPaper).count(BlockStatus::DEBLURRED), 64u);
 }
 
 TEST(ValidateBlurField, RefusesImagesThatDoNotFit) {

@@ -55,7 +55,8 @@ std::string dump(const Config& c) {
     << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing "
     << c.pipeline.kernel.smoothing_px << "\ngamma_rule " << static_cast<int>(c.pipeline.kernel.gamma_rule) << "\nnoise "
     << c.pipeline.noise.read_noise << ' ' << c.pipeline.noise.noise_gain << "\nvalidate "
-    << c.pipeline.validation.enabled << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
+    << c.pipeline.validation.enabled << "\nvalidation " << static_cast<int>(c.pipeline.validation.rule) << ' '
+    << c.pipeline.validation.false_acceptance << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
     << c.pipeline.validation.tau_contrast << "\ndetector " << c.pipeline.keypoints.detector << "\ndescriptor "
     << c.pipeline.keypoints.descriptor << "\nmax_features " << c.pipeline.keypoints.max_features << "\ngrid "
     << c.pipeline.keypoints.grid_cols << ' ' << c.pipeline.keypoints.grid_rows << "\ntracker " << c.tracker.max_tracks
@@ -114,6 +115,8 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"read_noise", "2.5"},
       {"noise_gain", "0.1"},
       {"validate", "false"},
+      {"validation", "paper"},
+      {"false_acceptance", "0.01"},
       {"tau", "12"},
       {"tau_contrast", "0"},
       {"detector", "ORB"},
@@ -182,6 +185,8 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.noise.read_noise, 2.5);
   EXPECT_EQ(c.pipeline.noise.noise_gain, 0.1);
   EXPECT_FALSE(c.pipeline.validation.enabled);
+  EXPECT_EQ(c.pipeline.validation.rule, ValidationRule::PAPER);
+  EXPECT_EQ(c.pipeline.validation.false_acceptance, 0.01);
   EXPECT_EQ(c.pipeline.validation.tau, 12);
   EXPECT_EQ(c.pipeline.validation.tau_contrast, 0);
   EXPECT_EQ(c.pipeline.keypoints.detector, "ORB");

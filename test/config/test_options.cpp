@@ -44,6 +44,7 @@ TEST(Options, BlurFieldLimits) {
 
 TEST(Options, ValidationLimitsAndThreshold) {
   using O = ValidationOptions;
+  expect_limits(&O::false_acceptance, "false_acceptance", {0.001, 0.5}, {0.0, 0.00099, 0.501, kNan});
   expect_limits(&O::tau, "tau", {0.0, 255.0}, {-0.001, 255.001, kNan});
   expect_limits(&O::tau_contrast, "tau_contrast", {0.0, 1000.0}, {-0.001, 1000.001, kNan});
   O options;

@@ -106,8 +106,8 @@ TEST(Parameters, EveryMemberHasARow) {
     EXPECT_EQ(parameters_of<BlurFieldOptions>().size(), count(a, b, c, d));
   }
   {
-    const auto& [a, b, c] = ValidationOptions();
-    EXPECT_EQ(parameters_of<ValidationOptions>().size(), count(a, b, c));
+    const auto& [a, b, c, d, e] = ValidationOptions();
+    EXPECT_EQ(parameters_of<ValidationOptions>().size(), count(a, b, c, d, e));
   }
   {
     const auto& [a, b, c, d] = KernelOptions();

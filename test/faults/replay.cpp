@@ -240,7 +240,7 @@ Config random_change(const Config& config, std::uint64_t seed) {
       changed.pipeline.keypoints.detector = pick(0, 1) == 1 ? "ORB" : "nonsense";
       break;
     default:
-      changed.pipeline.validation.tau = pick(0, 50);
+      changed.pipeline.validation.false_acceptance = 0.01 * pick(0, 50);  // 0 is refused
       break;
   }
   return changed;

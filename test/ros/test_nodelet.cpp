@@ -287,6 +287,7 @@ TEST_F(NodeletTest, FrameWaitsForALateImu) {
 
 TEST_F(NodeletTest, RejectedBlocksAreAWarning) {
   set("validate", true);
+  set("validation", "paper");
   set("tau", 0.0);
   set("tau_contrast", 0.0);
   start();

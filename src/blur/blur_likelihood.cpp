@@ -1,0 +1,226 @@
+#include "blur/blur_likelihood.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <numeric>
+
+#include <opencv2/imgproc.hpp>
+
+#include "base/one_thread.hpp"
+#include "base/parallel.hpp"
+#include "blur/spectrum_loops.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// Less blur than predicted, as a share of it (no blur at all is one of the hypotheses, too).
+constexpr std::array<double, 3> kLess = {0.15, 0.33, 0.5};
+
+// Transfer functions are tabulated by frequency along the motion, in bins of a quarter of a wave a window: a lobe of
+// the longest blur of a level, 32 px, has eight.
+constexpr int kBinsPerWave = 4;
+constexpr int kBins = 96;       // > sqrt(2) (kSpectrumWaves - 1) kBinsPerWave
+constexpr int kFiner = 2;       // finer bins of the predicted blur, which the others read at shares of the frequency
+constexpr int kFineBins = 201;  // > (kBins + kBinsPerWave) kFiner
+
+using Table = std::array<float, kBins>;
+using Spectrum = std::array<float, kSpectrumSize>;
+
+/// |f|^-2.5 [waves a window]: between the 2 that is usual for photographs (D. J. Field, J. Opt. Soc. Am. A 4 (12),
+/// 1987) and the 3 of blurred edges. 0, which leaves noise alone, for what the window mixes with the mean, and where a
+/// frequency would count twice.
+Spectrum make_texture() {
+  Spectrum texture{};
+  for (int row = 0; row < 2 * kSpectrumWaves; ++row) {
+    const bool down = row >= kSpectrumWaves;
+    const int y = down ? row - kSpectrumWaves : row;
+    for (int x = 0; x < kSpectrumWaves; ++x) {
+      const int squared = x * x + y * y;
+      if (squared < 4 || (down && (x == 0 || y == 0))) continue;
+      texture[row * kSpectrumWaves + x] = static_cast<float>(std::pow(squared, -2.5 / 2));
+    }
+  }
+  return texture;
+}
+
+const Spectrum& texture() {
+  static const Spectrum kTexture = make_texture();
+  return kTexture;
+}
+
+/// |H|^2 of a path, even between its places, at frequencies `step` cycles apart.
+template <std::size_t kPlaces>
+std::array<double, kFineBins> squared_transfer(const std::array<double, kPlaces>& places_px, double step) {
+  // The integral of exp(-i w p) over a segment from a to b is (exp(-i w a) - exp(-i w b)) / (i w (b - a)).
+  constexpr double kRestPx = 1e-3;  // a segment that does not move
+  std::array<std::complex<double>, kPlaces> phase, turn;
+  for (std::size_t k = 0; k < kPlaces; ++k) {
+    phase[k] = 1;
+    turn[k] = std::polar(1.0, -2 * CV_PI * step * places_px[k]);
+  }
+  std::array<double, kFineBins> squared;
+  squared[0] = 1;
+  for (int i = 1; i < kFineBins; ++i) {
+    for (std::size_t k = 0; k < kPlaces; ++k) phase[k] *= turn[k];
+    std::complex<double> sum = 0;
+    for (std::size_t k = 0; k + 1 < kPlaces; ++k) {
+      const double moved_px = places_px[k + 1] - places_px[k];
+      const std::complex<double> middle = 0.5 * (phase[k] + phase[k + 1]), end = phase[k] - phase[k + 1];
+      sum += std::abs(moved_px) < kRestPx
+                 ? middle
+                 : std::complex<double>(end.imag(), -end.real()) / (2 * CV_PI * step * i * moved_px);
+    }
+    squared[i] = std::norm(sum) / ((kPlaces - 1.0) * (kPlaces - 1.0));
+  }
+  return squared;
+}
+
+std::array<double, kFineBins> squared_transfer(const BlockBlur& blur, double scale) {
+  constexpr double kStep = 1.0 / (kSpectrumWindow * kBinsPerWave * kFiner);
+  if (!blur.uneven_path_px) {
+    return squared_transfer(std::array<double, 2>{0, scale * blur.extent_px}, kStep);
+  }
+  std::array<double, kPathInstants> places_px;
+  for (int k = 0; k < kPathInstants; ++k) places_px[k] = scale * (*blur.uneven_path_px)[k];
+  return squared_transfer(places_px, kStep);
+}
+
+/// |H|^2 of `share` times the path, as the window smears it: Hann's has a spectrum of 1/2, 1 and 1/2, whose squares
+/// are these weights.
+Table gain_of(const std::array<double, kFineBins>& squared, double share) {
+  const auto at = [&](int bin) { return squared[static_cast<int>(share * kFiner * std::abs(bin) + 0.5)]; };
+  Table gain;
+  for (int i = 0; i < kBins; ++i) {
+    gain[i] = static_cast<float>((4 * at(i) + at(i - kBinsPerWave) + at(i + kBinsPerWave)) / 6);
+  }
+  return gain;
+}
+
+/// How often an image is halved before blur of an extent is looked at: 8 to 32 px are left, which a window holds, and
+/// the noise is less.
+int halvings(double extent_px) { return extent_px < 16 ? 0 : extent_px < 64 ? 1 : 2; }
+constexpr int kLevels = 3;
+
+/// Limits every pixel to its neighbours: hot pixels have a white spectrum.
+cv::Mat without_outliers(const cv::Mat& luminance, double noise_grey_levels, int threads) {
+  // Of Gaussian noise hardly a pixel in a million is so far above the second largest of eight.
+  constexpr double kStddevs = 4;
+  const int margin = static_cast<int>(std::min(255.0, std::ceil(kStddevs * noise_grey_levels)));
+  constexpr int kRowsAtATime = 32;
+  cv::Mat clipped(luminance.size(), CV_8UC1);
+  static const SpectrumLoops& loops = best_spectrum_loops();
+  run_parallel(luminance.rows, threads, kRowsAtATime, [&](int y) {
+    loops.clip_outliers(luminance.ptr<std::uint8_t>(std::max(y - 1, 0)), luminance.ptr<std::uint8_t>(y),
+                        luminance.ptr<std::uint8_t>(std::min(y + 1, luminance.rows - 1)), luminance.cols, margin,
+                        clipped.ptr<std::uint8_t>(y));
+  });
+  return clipped;
+}
+
+}  // namespace
+
+BlurLikelihood::BlurLikelihood(const cv::Mat& luminance, double noise_grey_levels, int threads) {
+  CV_Assert(luminance.type() == CV_8UC1);
+  constexpr double kRounding = 1.0 / 12;
+  levels_.push_back(
+      {without_outliers(luminance, noise_grey_levels, threads), noise_grey_levels * noise_grey_levels + kRounding});
+  while (levels_.size() < kLevels) {
+    const Level& finer = levels_.back();
+    const cv::Size half(finer.image.cols / 2, finer.image.rows / 2);
+    if (std::min(half.width, half.height) < kSpectrumWindow) break;
+    Level level;
+    on_one_thread([&] {
+      cv::resize(finer.image(cv::Rect(0, 0, 2 * half.width, 2 * half.height)), level.image, half, 0, 0, cv::INTER_AREA);
+    });
+    level.noise_variance = finer.noise_variance / 4 + kRounding;
+    levels_.push_back(std::move(level));
+  }
+}
+
+double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) const {
+  const int level = std::min(halvings(blur.extent_px), static_cast<int>(levels_.size()) - 1);
+  const cv::Mat& image = levels_[level].image;
+  if (std::min(image.cols, image.rows) < kSpectrumWindow) return 0;
+  const int shrink = 1 << level;
+  const auto begin = [&](int middle_px, int size) {
+    return std::clamp(middle_px / shrink - kSpectrumWindow / 2, 0, size - kSpectrumWindow);
+  };
+  const cv::Rect window(begin(block.x + block.width / 2, image.cols), begin(block.y + block.height / 2, image.rows),
+                        kSpectrumWindow, kSpectrumWindow);
+
+  static const SpectrumLoops& loops = best_spectrum_loops();
+  Spectrum power;
+  loops.power_spectrum(spectrum_tables(), image.ptr<std::uint8_t>(window.y, window.x),
+                       static_cast<std::ptrdiff_t>(image.step[0]), power.data());
+  // The scale at which the log-logistic distribution fits the power of noise, which is exponential, best: then
+  // E[2 P / (s + P)] = 1.
+  constexpr double kScaleOfNoise = 0.6102;
+  // Noise that is taken for less than it is looks like texture which no blur has touched, for more like nothing at all.
+  constexpr double kMargin = 1.15;
+  const auto unit = static_cast<float>(1 / (kMargin * kScaleOfNoise * levels_[level].noise_variance));
+  for (int i = 0; i < kSpectrumSize; ++i) power[i] = texture()[i] > 0 ? unit * power[i] : 0;
+
+  const auto bins_x = static_cast<float>(kBinsPerWave * std::cos(blur.angle_rad));
+  const auto bins_y = static_cast<float>(kBinsPerWave * std::sin(blur.angle_rad));
+  const auto squared = squared_transfer(blur, 1.0 / shrink);
+  Spectrum model;
+  const auto model_of = [&](double share) {
+    loops.multiply_gain(texture().data(), gain_of(squared, share).data(), bins_x, bins_y, model.data());
+  };
+  // The search for the factor begins at the mean power.
+  const float sum = std::accumulate(power.begin(), power.end(), 0.0f) - kSpectrumSize;
+  model_of(1);
+  double log_factor =
+      std::log(std::max(sum, 0.05f * kSpectrumSize) / std::accumulate(model.begin(), model.end(), 0.0f));
+  loops.least_cost(power.data(), model.data(), &log_factor);
+  const double cost = loops.least_cost(power.data(), model.data(), &log_factor);
+  std::array<double, kLess.size() + 1> more;  // that the other hypotheses cost
+  for (std::size_t i = 0; i < kLess.size(); ++i) {
+    model_of(kLess[i]);
+    more[i] = loops.least_cost(power.data(), model.data(), &log_factor) - cost;
+  }
+  more.back() = loops.least_cost(power.data(), texture().data(), &log_factor) - cost;
+  const double least = *std::min_element(more.begin(), more.end());
+  double likelihood = 0;
+  for (const double m : more) likelihood += std::exp(least - m) / more.size();
+  return least - std::log(likelihood);
+}
+
+std::vector<double> log_ratios(const FrameBlur& field, const cv::Mat& luminance, double noise_grey_levels,
+                               int threads) {
+  constexpr int kBlocksAtATime = 4;
+  const BlurLikelihood likelihood(luminance, noise_grey_levels, threads);
+  std::vector<double> ratios(field.blocks.size());
+  run_parallel(field.grid.size(), threads, kBlocksAtATime, [&](int i) {
+    const BlockBlur& block = field.blocks[i];
+    if (block.status == BlockStatus::DEBLURRED) ratios[i] = likelihood.log_ratio(field.grid.rect(i), block);
+  });
+  return ratios;
+}
+
+std::vector<double> with_neighbours(const BlockGrid& grid, const std::vector<double>& log_ratios) {
+  // The larger, the better noisy blocks are told, and the more of a moving object's edge goes with its surroundings.
+  constexpr double kOfNeighbour = 5, kOfFrame = 10;
+  // What an error of the noise makes of blocks without texture, which all together would decide for a frame.
+  constexpr double kNothing = 1;
+  const auto limited = [&](double value) {
+    return std::copysign(std::clamp(std::abs(value) - kNothing, 0.0, kOfNeighbour), value);
+  };
+  double of_frame = 0;
+  for (const double ratio : log_ratios) of_frame += limited(ratio);
+  of_frame = std::clamp(of_frame, -kOfFrame, kOfFrame);
+  std::vector<double> ratios = log_ratios;
+  for (int i = 0; i < grid.size(); ++i) {
+    const int row = i / grid.cols(), col = i % grid.cols();
+    ratios[i] += of_frame - limited(log_ratios[i]);
+    for (int y = std::max(row - 1, 0); y <= std::min(row + 1, grid.rows() - 1); ++y) {
+      for (int x = std::max(col - 1, 0); x <= std::min(col + 1, grid.cols() - 1); ++x) {
+        ratios[i] += limited(log_ratios[y * grid.cols() + x]);
+      }
+    }
+  }
+  return ratios;
+}
+
+}  // namespace gyro_deblur

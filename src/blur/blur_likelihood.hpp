@@ -1,0 +1,51 @@
+// Validation by likelihood: how much better a block's power spectrum fits the predicted blur than less blur.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/frame_blur.hpp"
+
+namespace gyro_deblur {
+
+/// One image, made ready for the likelihood of many blurs.
+class BlurLikelihood {
+ public:
+  /// @param luminance          CV_8UC1; is copied
+  /// @param noise_grey_levels  standard deviation of its noise, > 0 or 0 for rounding alone; 15 % too much or too
+  /// little
+  ///                           costs little
+  /// @param threads            at most; 0: one for each core
+  BlurLikelihood(const cv::Mat& luminance, double noise_grey_levels, int threads = 0);
+
+  /// Natural logarithm of the likelihood of `blur` over the mean likelihood of 0, .15, .33 and .5 times as much, from a
+  /// window of 64 px around the block, and of 128 or 256 px for blur of 16 or 64 px and more, as far as the image
+  /// reaches. The model of the power at a frequency f, u of it along the motion, is
+  ///   (a |f|^-2.5 |H(u)|^2 + noise) g,
+  /// H the transfer function of the blur, smeared as the window does it, `a` whatever fits each hypothesis best, and g
+  /// an unknown factor, log-logistic, for what the texture has of its own. 0, which says nothing, where the window does
+  /// not fit into the image or too much of it is saturated.
+  /// @param block  inside the image
+  double log_ratio(const cv::Rect& block, const BlockBlur& blur) const;
+
+ private:
+  /// The image, or what 2x2 pixels of the level before have in the mean.
+  struct Level {
+    cv::Mat image;
+    double noise_variance;  // grey levels^2
+  };
+  std::vector<Level> levels_;
+};
+
+/// BlurLikelihood::log_ratio of every DEBLURRED block, row by row, 0 for the others.
+std::vector<double> log_ratios(const FrameBlur& field, const cv::Mat& luminance, double noise_grey_levels,
+                               int threads = 0);
+
+/// What a block's own log ratio becomes with those of the others, each limited to a few: of its eight neighbours, and
+/// all together. What makes a prediction wrong, or right, is so for the neighbours too. A block with much texture
+/// decides for itself, which a moving object needs; one with little follows.
+std::vector<double> with_neighbours(const BlockGrid& grid, const std::vector<double>& log_ratios);
+
+}  // namespace gyro_deblur
