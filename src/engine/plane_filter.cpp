@@ -33,6 +33,11 @@ void make_ramp(int length, std::vector<float>& ramp) {
   }
 }
 
+void clear(cv::Size size, cv::Mat& sums) {
+  sums.create(size, CV_32F);
+  sums.setTo(0);
+}
+
 }  // namespace
 
 PlaneFilter::PlaneFilter(const FourierLoops& loops) : loops_(loops) {}
@@ -82,7 +87,7 @@ void PlaneFilter::cut_cells(const FilterGrid& grid, const std::vector<int>& bloc
                               static_cast<int>(down_.weights[row].size()));
         const int side = fourier_size(std::min(std::max(window.width, window.height) + around, kMaxFourierSize));
         const bool at_the_end = (window & cv::Rect(1, 1, size.width - 2, size.height - 2)) != window;
-        cells_[2 * (row % 2) + col % 2].push_back({col, row, block, window, side, at_the_end});
+        cells_[row % 2].push_back({col, row, block, window, side, at_the_end});
         pad_before_ = std::max({pad_before_, side - window.br().x, side - window.br().y});
         pad_behind_ = std::max({pad_behind_, window.x + side - size.width, window.y + side - size.height});
         if (plans_.count(side) == 0) plans_.emplace(side, FourierPlan(side, loops_.largest_radix));
@@ -185,14 +190,14 @@ void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, Scr
     loops_.restore_columns(plan, 0, window.width, tile, transform);
     for (int y = 0; y < window.height; ++y) {
       const float* from = tile + y * stride;
-      float* sums = sums_[channel].ptr<float>(window.y + y) + window.x;
+      float* sums = sums_[cell.col % 2][channel].ptr<float>(window.y + y) + window.x;
 #pragma omp simd
       for (int x = 0; x < window.width; ++x) sums[x] += from[x] * (weights_x[x] * weights_y[y]);
     }
   }
   if (are_ones_) return;
   for (int y = 0; y < window.height; ++y) {
-    float* weights = weights_.ptr<float>(window.y + y) + window.x;
+    float* weights = weights_[cell.col % 2].ptr<float>(window.y + y) + window.x;
     for (int x = 0; x < window.width; ++x) weights[x] += weights_x[x] * weights_y[y];
   }
 }
@@ -200,16 +205,18 @@ void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, Scr
 template <typename Pixel>
 void PlaneFilter::deliver(int block, SeamBlender& seams, cv::Mat& dst) const {
   constexpr int kMax = std::numeric_limits<Pixel>::max(), kPiece = 64;
-  const int channels = static_cast<int>(sums_.size());
+  const int channels = static_cast<int>(sums_[0].size());
   const auto deliver_piece = [&](int channel, int x, int y, int count, Pixel* to) {
-    const float* sums = sums_[channel].ptr<float>(y) + x;
+    const float *even = sums_[0][channel].ptr<float>(y) + x, *odd = sums_[1][channel].ptr<float>(y) + x;
     // In steps that vectorise each: float to int, int clipped, int to pixel.
     int values[kPiece];
     if (are_ones_) {
-      for (int i = 0; i < count; ++i) values[i] = static_cast<int>(sums[i] + 0.5f);
+      for (int i = 0; i < count; ++i) values[i] = static_cast<int>(even[i] + odd[i] + 0.5f);
     } else {
-      const float* weights = weights_.ptr<float>(y) + x;
-      for (int i = 0; i < count; ++i) values[i] = static_cast<int>(sums[i] / weights[i] + 0.5f);
+      const float *of_even = weights_[0].ptr<float>(y) + x, *of_odd = weights_[1].ptr<float>(y) + x;
+      for (int i = 0; i < count; ++i) {
+        values[i] = static_cast<int>((even[i] + odd[i]) / (of_even[i] + of_odd[i]) + 0.5f);
+      }
     }
     for (int i = 0; i < count; ++i) values[i] = std::min(std::max(values[i], 0), kMax);
     for (int i = 0; i < count; ++i) to[i * channels] = static_cast<Pixel>(values[i]);
@@ -233,18 +240,16 @@ void PlaneFilter::filter_as(const cv::Mat& src, const FilterGrid& grid, const st
   cut_cells(grid, blocks, src.size());
   const int channels = src.channels();
   padded_.resize(channels);
-  sums_.resize(channels);
   cv::split(src, channels_);
   for (int channel = 0; channel < channels; ++channel) {
     cv::copyMakeBorder(channels_[channel], padded_[channel], pad_before_, pad_behind_, pad_before_, pad_behind_,
                        cv::BORDER_REPLICATE);
-    sums_[channel].create(src.size(), CV_32F);
-    sums_[channel].setTo(0);
   }
   are_ones_ = blocks.size() == grid.blocks.size();
-  if (!are_ones_) {
-    weights_.create(src.size(), CV_32F);
-    weights_.setTo(0);
+  for (const int odd : {0, 1}) {
+    sums_[odd].resize(channels);
+    for (cv::Mat& sums : sums_[odd]) clear(src.size(), sums);
+    if (!are_ones_) clear(src.size(), weights_[odd]);
   }
   const PlaneGainLoops& gain_loops = *find_plane_gain_loops(loops_.name);
   while (static_cast<int>(scratch_.size()) < threads) scratch_.emplace_back(gain_loops);

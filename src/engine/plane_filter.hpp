@@ -75,11 +75,13 @@ class PlaneFilter {
   const FourierLoops& loops_;
   std::map<int, FourierPlan> plans_;  // by size
   Axis across_, down_;
-  std::vector<Cell> cells_[4];  // no two windows of one list overlap
+  std::vector<Cell> cells_[2];  // in even and in odd rows: windows of a list overlap beside each other alone
   int pad_before_ = 0, pad_behind_ = 0;
   std::vector<cv::Mat> channels_, padded_;  // of the image
-  std::vector<cv::Mat> sums_;               // by channel, over windows: weight times result
-  cv::Mat weights_;                         // sums of weights, unless all are 1
+  // Over the windows in even and in odd columns, which threads fill at the same time: weight times result, by channel,
+  // and the weights, unless they sum up to 1 everywhere.
+  std::vector<cv::Mat> sums_[2];
+  cv::Mat weights_[2];
   bool are_ones_ = true;
   std::vector<Scratch> scratch_;  // by thread
 };
