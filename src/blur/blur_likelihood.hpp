@@ -25,8 +25,8 @@ class BlurLikelihood {
   /// reaches. The model of the power at a frequency f, u of it along the motion, is
   ///   (a |f|^-2.5 |H(u)|^2 + noise) g,
   /// H the transfer function of the blur, smeared as the window does it, `a` whatever fits each hypothesis best, and g
-  /// an unknown factor, log-logistic, for what the texture has of its own. 0, which says nothing, where the window does
-  /// not fit into the image or too much of it is saturated.
+  /// an unknown factor, log-logistic, for what the texture has of its own (P. Whittle's likelihood, Arkiv for Matematik
+  /// 2, 1953, has an exponential one). 0, which says nothing, where no window fits into the image.
   /// @param block  inside the image
   double log_ratio(const cv::Rect& block, const BlockBlur& blur) const;
 

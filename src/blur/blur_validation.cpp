@@ -117,7 +117,7 @@ FrameBlur validate_by_gradient(const FrameBlur& field, const cv::Mat& luminance,
 }
 
 /// Log likelihood ratio, with neighbours and frame, that a share of falsely believed blocks exceeds: a fit to measured
-/// quantiles (see ValidationOptions::false_acceptance), within 4 from .1 to .005. With the default it is below 0: a
+/// quantiles (see ValidationOptions::false_acceptance), within 5 from .1 to .005. With the default it is below 0: a
 /// block of which nothing is known is believed. Deblurring it gains nothing, but its keypoints lie where the prediction
 /// puts them, which mostly holds.
 double least_log_ratio(double false_acceptance) { return 16 * std::log(0.057 / false_acceptance); }
