@@ -9,6 +9,7 @@
 
 #include "base/one_thread.hpp"
 #include "base/parallel.hpp"
+#include "blur/frame_noise.hpp"
 #include "blur/spectrum_loops.hpp"
 
 namespace gyro_deblur {
@@ -88,14 +89,12 @@ std::array<double, kFineBins> squared_transfer(const BlockBlur& blur, double sca
 
 /// |H|^2 of `share` times the path, as the window smears it: Hann's has a spectrum of 1/2, 1 and 1/2, whose squares
 /// are these weights.
-Table gain_of(const std::array<double, kFineBins>& squared, double share) {
+/// @param left  what is between the lobes, at least
+Table gain_of(const std::array<double, kFineBins>& squared, double share, double left) {
   const auto at = [&](int bin) { return squared[static_cast<int>(share * kFiner * std::abs(bin) + 0.5)]; };
-  // What the window mixes and a path not quite the predicted one leaves between the lobes. .01 costs at 40 px, 0 makes
-  // the model sure of what no prediction holds.
-  constexpr double kLeft = 0.003;
   Table gain;
   for (int i = 0; i < kBins; ++i) {
-    gain[i] = static_cast<float>((4 * at(i) + at(i - kBinsPerWave) + at(i + kBinsPerWave)) / 6 + kLeft);
+    gain[i] = static_cast<float>((4 * at(i) + at(i - kBinsPerWave) + at(i + kBinsPerWave)) / 6 + left);
   }
   return gain;
 }
@@ -136,7 +135,9 @@ BlurLikelihood::BlurLikelihood(const cv::Mat& luminance, double noise_grey_level
     on_one_thread([&] {
       cv::resize(finer.image(cv::Rect(0, 0, 2 * half.width, 2 * half.height)), level.image, half, 0, 0, cv::INTER_AREA);
     });
-    level.noise_variance = finer.noise_variance / 4 + kRounding;
+    // A camera's own filters and JPEG leave noise that neighbouring pixels share, which a mean does not take away.
+    const double shared = frame_noise(level.image);
+    level.noise_variance = std::max(finer.noise_variance / 4 + kRounding, shared * shared);
     levels_.push_back(std::move(level));
   }
 }
@@ -167,9 +168,11 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
   const auto bins_x = static_cast<float>(kBinsPerWave * std::cos(blur.angle_rad));
   const auto bins_y = static_cast<float>(kBinsPerWave * std::sin(blur.angle_rad));
   const auto squared = squared_transfer(blur, 1.0 / shrink);
+  // What the window mixes, and a path that is not quite the predicted one: below the lobes of the longest blur.
+  const double left = 0.003 / shrink;
   Spectrum model;
   const auto model_of = [&](double share) {
-    loops.multiply_gain(texture().data(), gain_of(squared, share).data(), bins_x, bins_y, model.data());
+    loops.multiply_gain(texture().data(), gain_of(squared, share, left).data(), bins_x, bins_y, model.data());
   };
   // The search for the factor begins at the mean power.
   const float sum = std::accumulate(power.begin(), power.end(), 0.0f) - kSpectrumSize;
