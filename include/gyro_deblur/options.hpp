@@ -46,7 +46,7 @@ struct ValidationOptions {
   ValidationRule rule = ValidationRule::LIKELIHOOD;
   /// Of blocks blurred by a third of what is predicted, how many may be accepted; of sharp ones it is about half as
   /// many. Measured over 18 photographs (experiments/validation.cpp), extents of 5 to 40 px, noise of 1 to 8 grey
-  /// levels and contrasts of 1 and .35 alike; of truly blurred blocks .07 accepts 98 %, .01 82 %. Up to .057 blocks of
+  /// levels and contrasts of 1 and .35 alike; of truly blurred blocks .07 accepts 98 %, .01 79 %. Up to .057 blocks of
   /// which nothing is known are rejected, above they are accepted.
   double false_acceptance = 0.07;
   /// The paper's rule. The defaults accept at least 98.6 % of truly blurred 64 px blocks at every extent from 5 to 90
