@@ -15,8 +15,15 @@ namespace {
 
 constexpr int kWidthPx = 640, kHeightPx = 512;
 
+ValidationOptions by_likelihood() {
+  ValidationOptions options;
+  options.rule = ValidationRule::LIKELIHOOD;
+  return options;
+}
+const ValidationOptions kLikelihood = by_likelihood();
+
 /// Share of the field's blocks that validation leaves DEBLURRED.
-double accepted(const FrameBlur& field, const cv::Mat& image, const ValidationOptions& options = {}) {
+double accepted(const FrameBlur& field, const cv::Mat& image, const ValidationOptions& options = kLikelihood) {
   return static_cast<double>(validate_blur_field(field, image, options).count(BlockStatus::DEBLURRED)) /
          static_cast<double>(field.blocks.size());
 }
@@ -49,8 +56,8 @@ TEST(BlurLikelihood, HotPixelsChangeNoVerdict) {
         test::predict_blur(test::textured_image(kWidthPx + 64, kHeightPx + 64, 32), 0.8, extent_px);
     for (const cv::Mat& image : {images.blurred, images.sharp, images.third}) {
       // The same noise with and without.
-      const FrameBlur without = validate_blur_field(images.field, test::expose(image, {1, 1, 0}, 4), {});
-      const FrameBlur with = validate_blur_field(images.field, test::expose(image, {1, 1, 1000}, 4), {});
+      const FrameBlur without = validate_blur_field(images.field, test::expose(image, {1, 1, 0}, 4), kLikelihood);
+      const FrameBlur with = validate_blur_field(images.field, test::expose(image, {1, 1, 1000}, 4), kLikelihood);
       int changed = 0;
       for (int i = 0; i < images.field.grid.size(); ++i) changed += with.blocks[i].status != without.blocks[i].status;
       EXPECT_LE(changed, images.field.grid.size() / 100);
@@ -64,7 +71,7 @@ TEST(BlurLikelihood, OneRateIsOneThreshold) {
   const cv::Mat third = test::expose(images.third, {8, 0.35}, 5), blurred = test::expose(images.blurred, {8, 0.35}, 6);
   double last_false = 0, last_true = 0;
   for (const double rate : {0.001, 0.01, 0.1, 0.5}) {
-    ValidationOptions options;
+    ValidationOptions options = kLikelihood;
     options.false_acceptance = rate;
     const double now_false = accepted(images.field, third, options),
                  now_true = accepted(images.field, blurred, options);
@@ -73,7 +80,7 @@ TEST(BlurLikelihood, OneRateIsOneThreshold) {
     last_false = now_false;
     last_true = now_true;
   }
-  ValidationOptions strict;
+  ValidationOptions strict = kLikelihood;
   strict.false_acceptance = 0.001;
   EXPECT_LT(accepted(images.field, blurred, strict), last_true) << "the rate has an effect";
 }
@@ -153,7 +160,7 @@ TEST(BlurLikelihood, AnObjectIsToldFromItsSurroundings) {
   const cv::Rect object(192, 192, 192, 192);
   sharp(object).convertTo(scene(object), CV_64F);
   const FrameBlur field = uniform_blur_field(kWidthPx, kHeightPx, 0.2, 15, {});
-  const FrameBlur validated = validate_blur_field(field, test::expose(scene, 2, 14), {});
+  const FrameBlur validated = validate_blur_field(field, test::expose(scene, 2, 14), kLikelihood);
   for (int i = 0; i < field.grid.size(); ++i) {
     const cv::Rect block = field.grid.rect(i), shared = block & object;
     EXPECT_EQ(validated.blocks[i].status, shared.empty() ? BlockStatus::DEBLURRED : BlockStatus::REJECTED) << block;
@@ -168,7 +175,7 @@ TEST(BlurLikelihood, TouchesOnlyBlocksThatWouldBeDeblurredWhateverTheThreads) {
   for (std::size_t i = 0; i < field.blocks.size(); ++i) field.blocks[i].status = statuses[i % 5];
   const std::vector<double> ratios = log_ratios(field, sharp, 1, 1);
   EXPECT_EQ(log_ratios(field, sharp, 1, 2), ratios);
-  const FrameBlur validated = validate_blur_field(field, sharp, {});
+  const FrameBlur validated = validate_blur_field(field, sharp, kLikelihood);
   for (std::size_t i = 0; i < field.blocks.size(); ++i) {
     EXPECT_EQ(validated.blocks[i].status, i % 5 == 1 ? BlockStatus::REJECTED : statuses[i % 5]);
     EXPECT_EQ(ratios[i] == 0, i % 5 != 1);

@@ -87,6 +87,19 @@ TEST_P(PlaneGainTest, KeepsTheMean) {
 
 INSTANTIATE_TEST_SUITE_P(InstructionSets, PlaneGainTest, testing::Values("baseline", "avx2", "avx512"));
 
+TEST(PlaneInverse, HasGammaAtASixthOfACycleAndRisesWithNoise) {
+  const KernelOptions options;
+  const auto ratio = [](const PlaneInverse& inverse, double f) {
+    return inverse.noise_to_signal + inverse.noise_rise_px2 * f * f;
+  };
+  PlanePath path_px;
+  path_px.fill(Eigen::Vector2f::Zero());
+  const PlaneInverse quiet = plane_inverse(path_px, options), noisy = plane_inverse(path_px, options, 2);
+  EXPECT_NEAR(ratio(quiet, 1.0 / 6), options.gamma, 1e-6);
+  EXPECT_EQ(noisy.noise_to_signal, quiet.noise_to_signal) << "noise has no share at frequency 0";
+  EXPECT_NEAR(ratio(noisy, 0.5) - ratio(quiet, 0.5), 0.3 * 2 * 0.25, 1e-6);
+}
+
 TEST(PlanePath, CoversItsPlacesAndTheMiddle) {
   PlanePath path_px;
   for (int k = 0; k < kPathInstants; ++k) path_px[k] = {3.0f + k, -2.0f * k};
