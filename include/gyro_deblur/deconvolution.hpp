@@ -31,8 +31,8 @@ SlowBlocks deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur&
                       Engine& engine, cv::Mat& dst, int threads = 0);
 
 /// Makes what deconvolve() needs for even blur that the options let through, of mosaics too, so that the first frame of
-/// an extent takes no longer than later ones: the bank's kernels, and what the engine makes of them. A few tens of
-/// milliseconds and 10 MB where blur may be 150 px long, ten times as much for 500 px.
+/// an extent takes no longer than later ones: the bank's kernels, and what the engine makes of them. A tenth of
+/// a second and 20 MB where blur may be 150 px long, ten times as much for 500 px.
 void prepare_deconvolution(const BlurFieldOptions& options, const KernelBank& bank, Engine& engine, int threads = 0);
 
 /// Adds to `all` what another pass over the same blocks found: for each reason the larger number.

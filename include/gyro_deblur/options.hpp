@@ -64,14 +64,14 @@ struct ValidationOptions {
 
 /// What gamma and the taps of an inverse of limited length are found by.
 enum class GammaRule {
-  /// As FIXED, with gamma doubled as often as makes the error least that noise and texture of the block let expect, see
-  /// KernelBank::choose(). Blocks that it would still lose by are left alone.
+  /// As FIXED, with gamma doubled as often as makes the error least that noise and texture of the block let expect,
+  /// see KernelBank::choose().
+  /// Blocks that it would still lose by are left alone.
   NOISE,
   /// The taps that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), h the blur, g a unit pulse (the Gaussian
-  /// of
-  /// smoothing_px), w' the steps from tap to tap and from and to 0 at the ends, under the condition that their sum is
-  /// the filter's. The power of photographs falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A 4
-  /// (12), 1987), that of noise does not, so that the noise-to-signal ratio rises with it, as |w'|^2 does. For s see
+  /// of smoothing_px), w' the steps from tap to tap and from and to 0 at the ends, under the condition that their sum
+  /// is the filter's. The power of photographs falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A
+  /// 4 (12), 1987), that of noise does not, so that the noise-to-signal ratio rises with it, as |w'|^2 does. For s see
   /// spectral_share(); whatever it is, the ratio is gamma at 1/6 cycles/px.
   FIXED,
   /// The inverse transform of the Wiener filter with the same noise-to-signal ratio at every frequency, on as many

@@ -14,9 +14,7 @@ namespace gyro_deblur {
 class BlurLikelihood {
  public:
   /// @param luminance          CV_8UC1; is copied
-  /// @param noise_grey_levels  standard deviation of its noise, > 0 or 0 for rounding alone; 15 % too much or too
-  /// little
-  ///                           costs little
+  /// @param noise_grey_levels  standard deviation of its noise, >= 0; 15 % too much or too little costs little
   /// @param threads            at most; 0: one for each core
   BlurLikelihood(const cv::Mat& luminance, double noise_grey_levels, int threads = 0);
 

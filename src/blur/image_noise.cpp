@@ -61,6 +61,9 @@ struct Square {
 constexpr int kBandRows = kSquarePx + 2 * kReachPx;
 using Band = std::array<std::vector<float>, kBandRows>;
 
+/// Stands for a sample that is black or saturated; makes the mean of any others negative.
+constexpr float kClipped = -1e4;
+
 template <typename Pixel>
 void load(const Plane& plane, int first_row, double full_scale, Band& band) {
   const int channels = plane.image.channels(), cols = plane.cols(), n = plane.mean_of;
@@ -70,7 +73,10 @@ void load(const Plane& plane, int first_row, double full_scale, Band& band) {
     for (int i = 0; i < n * n; ++i) {
       const Pixel* from = plane.image.ptr<Pixel>(plane.first_y + ((first_row + y) * n + i / n) * plane.step) +
                           (plane.first_x + i % n * plane.step) * channels + plane.channel;
-      for (int x = 0; x < cols; ++x) band[y][x] += scale * static_cast<float>(from[x * n * plane.step * channels]);
+      for (int x = 0; x < cols; ++x) {
+        const auto sample = static_cast<float>(from[x * n * plane.step * channels]);
+        band[y][x] += sample <= 0 || sample >= full_scale ? kClipped : scale * sample;
+      }
     }
   }
 }
@@ -85,7 +91,7 @@ void add_squares(const Band& band, std::vector<float>& down, std::vector<float>&
   float *power = sums.data(), *first = power + cols, *second = first + cols, *clipped = second + cols;
   down.resize(cols);
   for (const std::vector<float>& row : band) {
-    for (int x = 0; x < cols; ++x) clipped[x] += row[x] <= 0 || row[x] >= 255 ? 1.0f : 0.0f;
+    for (int x = 0; x < cols; ++x) clipped[x] += row[x] < 0 ? 1.0f : 0.0f;
   }
   for (int y = 0; y < kSquarePx; ++y) {
     const float *a = band[y].data(), *b = band[y + 1].data(), *c = band[y + 2].data(), *d = band[y + 3].data(),

@@ -73,6 +73,7 @@ void PlaneFilter::cut(const std::vector<int>& borders, Axis& axis) {
 }
 
 void PlaneFilter::cut_cells(const FilterGrid& grid, const std::vector<int>& blocks, cv::Size size) {
+  pad_before_ = pad_behind_ = 0;
   cut(grid.x, across_);
   cut(grid.y, down_);
   for (std::vector<Cell>& cells : cells_) cells.clear();

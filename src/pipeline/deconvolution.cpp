@@ -62,7 +62,8 @@ FieldFilters make_filters(const FrameBlur& field, double scale, const KernelBank
     if (blur.status != BlockStatus::DEBLURRED) return;
     const double extent_px = blur.extent_px * scale;
     // With half of the pixels a line's power is half as dense, at half of the frequencies.
-    const double noise_to_texture = blur.noise_to_texture * scale;
+    const bool by_noise = bank.options().gamma_rule == GammaRule::NOISE;
+    const double noise_to_texture = by_noise ? blur.noise_to_texture * scale : 0;
     const int doublings = noise_to_texture > 0 ? bank.choose(extent_px, noise_to_texture).gamma_doublings : 0;
     BlockFilter& filter = made.filters[i];
     filter.angle_rad = blur.angle_rad;
@@ -154,6 +155,23 @@ SlowBlocks deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const
 
 }  // namespace
 
+namespace {
+
+/// The rectangle, or where it is smaller than that, as much of its surroundings, as far as the image reaches.
+cv::Rect at_least(int side_px, const cv::Rect& rect, const cv::Size& image) {
+  const auto widen = [side_px](int& begin, int& length, int limit) {
+    const int wanted = std::min(std::max(length, side_px), limit);
+    begin = std::clamp(begin - (wanted - length) / 2, 0, limit - wanted);
+    length = wanted;
+  };
+  cv::Rect widened = rect;
+  widen(widened.x, widened.width, image.width);
+  widen(widened.y, widened.height, image.height);
+  return widened;
+}
+
+}  // namespace
+
 void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& field, int threads) {
   if (bank.options().gamma_rule != GammaRule::NOISE || !field.noise || field.count(BlockStatus::DEBLURRED) == 0) return;
   if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
@@ -165,13 +183,16 @@ void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& fi
   constexpr double kTextureShare = 1.5, kMinCoarseExtentPx = 10;
   const double found = image_noise(luminance, PixelLayout::GRAY, 8, 2).value_or(0);
   const double coarse = found > kTextureShare * *field.noise ? found : *field.noise;
-  constexpr int kBlocksAtATime = 16;
+  constexpr int kBlocksAtATime = 16, kMinSidePx = 32;  // 240 differences: a tenth off
   run_parallel(field.grid.size(), threads, kBlocksAtATime, [&](int i) {
     BlockBlur& block = field.blocks[i];
     if (block.status != BlockStatus::DEBLURRED) return;
-    const double noise = block.extent_px < kMinCoarseExtentPx ? *field.noise : coarse, variance = noise * noise;
-    const double texture =
-        texture_along_line(luminance, field.grid.rect(i), block.angle_rad, block.extent_px, variance);
+    const bool is_short = block.extent_px < kMinCoarseExtentPx;
+    const double noise = is_short ? *field.noise : coarse, variance = noise * noise;
+    // Colours' and mosaics' luminance has less noise than they have.
+    const double of_luminance = found == 0 ? noise : is_short ? std::min(found, noise) : found;
+    const double texture = texture_along_line(luminance, at_least(kMinSidePx, field.grid.rect(i), luminance.size()),
+                                              block.angle_rad, block.extent_px, of_luminance * of_luminance);
     // Of the photographs' texture much is in few edges, which stand out from noise better than its power says. With a
     // fifth of it photographs gain most, of .1, .2, .35, .6 and 1 (doc/reports/experiments.md, "Noise").
     constexpr double kNoiseWeight = 0.2;
@@ -199,12 +220,13 @@ void prepare_deconvolution(const BlurFieldOptions& options, const KernelBank& ba
   const int first = static_cast<int>(from_px / KernelBank::kExtentStepPx);
   const int last =
       static_cast<int>(std::ceil(std::min(options.max_extent_px, kMaxKernelExtentPx) / KernelBank::kExtentStepPx));
+  if (engine.prefers_plane()) return;  // it has no use for kernels
   const int doublings = bank.options().gamma_rule == GammaRule::NOISE ? bank.max_doublings() : 0;
   std::vector<const LineKernel*> kernels(std::max(0, last + 1 - first));
   constexpr int kKernelsAtATime = 8;
   run_parallel(static_cast<int>(kernels.size()), threads, kKernelsAtATime, [&](int i) {
     const double extent_px = (first + i) * KernelBank::kExtentStepPx;
-    for (int k = doublings; k >= 0; --k) {
+    for (int k = 0; k <= doublings; ++k) {
       kernels[i] = &bank.kernel(std::clamp(extent_px, kMinKernelExtentPx, kMaxKernelExtentPx), k);
     }
   });

@@ -166,10 +166,14 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
 
   {
     const Stopwatch watch;
-    if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
+    const bool weighs =
+        options_.kernel.gamma_rule == GammaRule::NOISE && result.field.count(BlockStatus::DEBLURRED) > 0;
+    if (luminance.empty() && (weighs || options_.noise.is_known())) {
+      luminance = luminance8(image, layout, result.significant_bits);
+    }
     result.field.noise = options_.noise.is_known() ? image_noise(luminance, options_.noise)
                                                    : image_noise(image, layout, result.significant_bits);
-    weigh_noise(luminance, *bank_, result.field, options_.threads);
+    if (weighs) weigh_noise(luminance, *bank_, result.field, options_.threads);
     result.times.noise_ms = watch.ms();
   }
 

@@ -3,7 +3,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <limits>
 #include <optional>
 
 #include <Eigen/Core>
@@ -15,6 +14,7 @@
 namespace gyro_deblur {
 namespace {
 
+constexpr float kUnknownNoise = -1;
 constexpr char kMarkerNamespace[] = "blur";
 /// At the depth of the lines.
 constexpr double kMarkerWidthPx = 2, kMarkerGapPx = 8, kMarkerHalfTickPx = 4;
@@ -49,7 +49,7 @@ BlurFieldPtr to_message(const FrameBlur& field, const std_msgs::Header& header) 
     message->extent.push_back(block.extent_px);
     message->status.push_back(static_cast<std::uint8_t>(block.status));
   }
-  message->noise = field.noise ? static_cast<float>(*field.noise) : std::numeric_limits<float>::quiet_NaN();
+  message->noise = field.noise ? static_cast<float>(*field.noise) : kUnknownNoise;
   message->exposure_time.fromNSec(field.exposure_ns);
   message->readout_time.fromNSec(field.readout_ns);
   return message;
@@ -60,6 +60,7 @@ BlurFieldPtr pass_through_message(PassThroughReason reason, const std::string& t
   message->header = input.header;
   message->reason = static_cast<std::uint8_t>(reason);
   message->reason_text = text;
+  message->noise = kUnknownNoise;
   message->image_width = input.width;
   message->image_height = input.height;
   return message;

@@ -237,7 +237,7 @@ int main_of(int argc, char** argv) {
   app.add_flag_callback(
       "--fixed-gamma", [&] { arguments.kernel.gamma_rule = GammaRule::FIXED; },
       "gamma as it is, whatever the noise, and no block left alone for it");
-  app.add_option("--engine", arguments.engine, "engine: auto, cpu, float, opencl, opencl:INDEX, opencl:NAME")
+  app.add_option("--engine", arguments.engine, "engine: auto, cpu, plane, float, opencl, opencl:INDEX, opencl:NAME")
       ->capture_default_str();
   app.add_option("--threads", arguments.threads, "of the engine; 0: as many as there are cores")->capture_default_str();
   app.add_option("--block-size", arguments.blur_field.block_size_px, "side of a block [px], even")

@@ -185,10 +185,10 @@ TEST_P(CpuEngineTest, FollowsTheFloatEngineAtAnyGamma) {
 
 TEST_P(CpuEngineTest, FollowsTheFloatEngineWithAnyGammaRule) {
   const cv::Mat sharp = test::textured_image(200, 150, 8);
-  for (const GammaRule design : {GammaRule::FIXED, GammaRule::PAPER}) {
+  for (const GammaRule rule : {GammaRule::FIXED, GammaRule::PAPER}) {
     for (const double smoothing_px : {0.0, 0.7, 2.0}) {
       KernelOptions options;
-      options.gamma_rule = design;
+      options.gamma_rule = rule;
       options.smoothing_px = smoothing_px;
       bank_ = std::make_unique<KernelBank>(options);
       for (const double extent_px : {12.0, 40.0, 90.0}) {
@@ -196,7 +196,7 @@ TEST_P(CpuEngineTest, FollowsTheFloatEngineWithAnyGammaRule) {
         cv::Mat expected, actual;
         run(blurred, PixelLayout::GRAY, uniform_blur_field(200, 150, 0.3, extent_px, wide_options()), expected, actual);
         EXPECT_GE(psnr_db(mean_square(expected, actual) + 1e-9), 44)
-            << static_cast<int>(design) << ", " << smoothing_px << " px, " << extent_px << " px";
+            << static_cast<int>(rule) << ", " << smoothing_px << " px, " << extent_px << " px";
       }
     }
   }

@@ -235,8 +235,8 @@ TEST(FourierKernel, InvertsAnUnevenPath) {
 
 TEST(WienerKernel, HasTheLengthAndUnitGain) {
   KernelOptions options;
-  for (const GammaRule design : {GammaRule::FIXED, GammaRule::PAPER}) {
-    options.gamma_rule = design;
+  for (const GammaRule rule : {GammaRule::FIXED, GammaRule::PAPER}) {
+    options.gamma_rule = rule;
     for (const double extent : {1.0, 2.0, 7.3, 27.0, 90.0, 500.0}) {
       for (const double factor : {2.0, 4.0, 6.0}) {
         options.length_factor = factor;

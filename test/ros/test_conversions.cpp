@@ -473,7 +473,7 @@ TEST(Names, AgreeWithTheMessage) {
       ++statuses;
     }
   }
-  EXPECT_EQ(statuses, 6);
+  EXPECT_EQ(statuses, static_cast<int>(kBlockStatuses.size()));
   EXPECT_EQ(reasons, 13);
   EXPECT_EQ(sources, 3);
 }
