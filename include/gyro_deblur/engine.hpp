@@ -55,7 +55,7 @@ class Engine {
   /// @param grid   covers src exactly
   /// @param dst    (re)allocated to src's size and type when needed; must not share memory with src
   /// Neighbours are taken across block borders; outside the image kernels see the edge pixel, inverses what fits best.
-  /// Results are rounded and clipped to the pixel type. Throws std::invalid_argument for types and grids that do not fit.
+  /// Results are rounded and clipped to the pixel type. Throws std::invalid_argument for what does not fit.
   virtual void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) = 0;
 
   /// Makes ahead what filter() takes time to make for a kernel that it has not seen, and forgets what it has made for
