@@ -23,7 +23,7 @@ enum class BlockStatus : std::uint8_t {
   REJECTED = 2,   ///< the image contradicts the predicted blur: copied unchanged, keypoints not rectified
   TOO_LARGE = 3,  ///< extent above max_extent_px: copied unchanged
   NO_GYRO = 4,    ///< no usable gyroscope samples for this block's exposure: copied unchanged
-  BENT = 5,       ///< the path leaves a straight line and is too long for the plane: copied unchanged
+  BENT = 5,       ///< the path leaves a straight line; too long for the plane, or no time for it: copied unchanged
   NOISY = 6,      ///< filtering would add more noise than it removes blur: copied unchanged
 };
 

@@ -30,6 +30,11 @@ class OverloadRule {
   std::string judge(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
                     std::optional<TimeNs> frame_period_ns) const;
 
+  /// Whether the foremost frame has waited for so long that it should take as little time as it can, so that none has
+  /// to be passed over. Arguments as above.
+  static bool is_in_a_hurry(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
+                            std::optional<TimeNs> frame_period_ns);
+
  private:
   std::optional<TimeNs> begun_ns_;
   std::deque<TimeNs> durations_ns_;  // of the last frames

@@ -91,6 +91,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   pipeline.set_calibration(*frame.calibration);
   const RotationTrack rotation(assembled.samples, assembled.gyro, assembled.R_cam_imu, assembled.own_begin);
   PipelineRequest wanted{request.image, request.keypoints, request.tracks, request.global_shutter};
+  wanted.in_a_hurry = assembled.in_a_hurry;
   std::string refusal;
   if (request.permit) {
     wanted.permit = [&](const FrameBlur& field) { return (refusal = request.permit(field)).empty(); };

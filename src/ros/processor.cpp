@@ -157,10 +157,12 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
       const Readiness readiness = assembly_.assemble(terms, &frame, &assembled);
       if (readiness == Readiness::WAITS) return std::nullopt;
       if (readiness == Readiness::READY && !finishing) {
-        const std::string overload =
-            overload_.judge(steady_ns, frame.ready_steady_ns.value_or(steady_ns), intake_.queue().ready_behind_front(),
-                            intake_.frame_period().get());
+        const TimeNs ready_ns = frame.ready_steady_ns.value_or(steady_ns);
+        const std::size_t ready_behind = intake_.queue().ready_behind_front();
+        const std::optional<TimeNs> period_ns = intake_.frame_period().get();
+        const std::string overload = overload_.judge(steady_ns, ready_ns, ready_behind, period_ns);
         if (!overload.empty()) frame.settle(PassThroughReason::OVERLOAD, overload);
+        assembled.in_a_hurry = OverloadRule::is_in_a_hurry(steady_ns, ready_ns, ready_behind, period_ns);
       }
     } else if (frame.verdict == PassThroughReason::NONE) {
       frame.settle(PassThroughReason::BAD_CONFIGURATION, config_error_);

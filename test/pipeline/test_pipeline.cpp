@@ -10,6 +10,7 @@
 #include <gtest/gtest.h>
 #include <Eigen/Geometry>
 
+#include "analytic_motion.hpp"
 #include "panning_camera.hpp"
 #include "synthetic_blur.hpp"
 
@@ -75,6 +76,35 @@ TEST(Pipeline, SharpensABlurredFrame) {
   EXPECT_GT(result.times.noise_ms, 0);
   EXPECT_GT(result.times.deconvolution_ms, 0);
   EXPECT_GT(result.times.keypoints_ms, 0);
+}
+
+TEST(Pipeline, LeavesBowsAloneInAHurry) {
+  PipelineOptions trusting = options();
+  trusting.validation.enabled = false;
+  Pipeline p(trusting);
+  p.set_calibration(test::small_camera());
+  // Half a period within the exposure: a bow of 8 px.
+  test::Swing across, bow;
+  across.axis = Eigen::Vector3d::UnitY();
+  across.rate_rad_s = rate_for(25);
+  bow.axis = Eigen::Vector3d::UnitX();
+  bow.amplitude_rad = 8 / kFocalPx;
+  bow.frequency_hz = 0.5 / to_seconds(kExposureNs);
+  const test::AnalyticMotion motion(across, bow);
+  const cv::Mat blurred = blurred_image(25);
+  PipelineRequest request;
+  const PipelineResult with_time = p.process(blurred, PixelLayout::GRAY, motion, global_shutter(), request);
+  EXPECT_GT(with_time.field.count(BlockStatus::DEBLURRED), 15u) << "of 20";
+  EXPECT_EQ(with_time.field.count(BlockStatus::BENT), 0u);
+  EXPECT_FALSE(with_time.image.empty());
+  request.in_a_hurry = true;
+  const PipelineResult hurried = p.process(blurred, PixelLayout::GRAY, motion, global_shutter(), request);
+  EXPECT_EQ(hurried.field.count(BlockStatus::BENT), with_time.field.count(BlockStatus::DEBLURRED));
+  EXPECT_TRUE(hurried.image.empty());
+  // Lines are filtered as ever.
+  EXPECT_GE(p.process(blurred, PixelLayout::GRAY, pan(rate_for(25)), global_shutter(), request)
+                .field.count(BlockStatus::DEBLURRED),
+            18u);
 }
 
 TEST(Pipeline, TellsTheNoise) {

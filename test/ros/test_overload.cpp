@@ -49,5 +49,12 @@ TEST(OverloadRule, TimeWithoutWorkIsNotProcessing) {
   EXPECT_EQ(rule.judge(kPeriod * 10, 0, 5, kPeriod), "");
 }
 
+TEST(OverloadRule, AFrameHurriesBeforeAnyIsPassedOver) {
+  EXPECT_TRUE(OverloadRule::is_in_a_hurry(kPeriod + 1, 0, 1, kPeriod));
+  EXPECT_FALSE(OverloadRule::is_in_a_hurry(kPeriod, 0, 1, kPeriod)) << "as long as the frame before explains";
+  EXPECT_FALSE(OverloadRule::is_in_a_hurry(kPeriod * 5, 0, 0, kPeriod)) << "the newest";
+  EXPECT_FALSE(OverloadRule::is_in_a_hurry(kPeriod * 5, 0, 5, std::nullopt)) << "nobody knows the camera's rate";
+}
+
 }  // namespace
 }  // namespace gyro_deblur
