@@ -87,9 +87,10 @@ inline cv::Mat textured_image(int width_px, int height_px, std::uint64_t seed) {
   }
   const int rectangles = width_px * height_px / 2000;
   for (int i = 0; i < rectangles; ++i) {
-    const cv::Point at(rng.uniform(0, width_px), rng.uniform(0, height_px));
-    const cv::Size size(rng.uniform(4, 30), rng.uniform(4, 30));
-    cv::rectangle(sum, cv::Rect(at, size), cv::Scalar(rng.uniform(20, 236)), cv::FILLED);
+    // One after the other: compilers do not agree on the order of arguments.
+    const int y = rng.uniform(0, height_px), x = rng.uniform(0, width_px);
+    const int height = rng.uniform(4, 30), width = rng.uniform(4, 30);
+    cv::rectangle(sum, cv::Rect(x, y, width, height), cv::Scalar(rng.uniform(20, 236)), cv::FILLED);
   }
   cv::Mat out;
   sum.convertTo(out, CV_8U);
