@@ -5,8 +5,6 @@
 #include <memory>
 #include <utility>
 
-#include <opencv2/imgproc.hpp>
-
 #include "base/median.hpp"
 #include "image_pairs.hpp"
 
@@ -49,22 +47,12 @@ cv::Mat checkered(const cv::Size& size_px, double width_m) {
   return texture;
 }
 
-/// Photographs side by side, each stretched over much the same share of the wall, the first of them at `photograph`.
+/// Each photograph stretched over much the same share of the wall.
 cv::Mat papered(const cv::Size& size_px, const sim::Plane& plane, const std::vector<ImagePair>& photographs,
-                std::size_t photograph) {
+                std::size_t first) {
   constexpr double kWidthM = 3, kHeightM = 2.25;
-  const int columns = std::max(1, cvRound(plane.width_m / kWidthM)),
-            rows = std::max(1, cvRound(plane.height_m / kHeightM));
-  cv::Mat texture(size_px, CV_8UC1);
-  for (int row = 0; row < rows; ++row) {
-    for (int column = 0; column < columns; ++column) {
-      const cv::Point begin(column * size_px.width / columns, row * size_px.height / rows);
-      const cv::Point end((column + 1) * size_px.width / columns, (row + 1) * size_px.height / rows);
-      cv::Mat tile = texture(cv::Rect(begin, end));
-      cv::resize(photographs[photograph++ % photographs.size()].image1, tile, tile.size(), 0, 0, cv::INTER_AREA);
-    }
-  }
-  return texture;
+  return photo_wall(size_px, std::max(1, cvRound(plane.width_m / kWidthM)),
+                    std::max(1, cvRound(plane.height_m / kHeightM)), photographs, first);
 }
 
 void paint(Walls walls, std::size_t first_photograph, const std::string& data, std::vector<sim::Plane>* planes) {
@@ -107,6 +95,8 @@ sim::Scene scene_of(const FootageCase& c, const std::string& data, double second
   return scene;
 }
 
+}  // namespace
+
 cv::Mat lit(const cv::Mat& wide, const Light& light, std::uint64_t seed) {
   // Less contrast about a level somewhat darker than the middle.
   constexpr double kLevel = 90;
@@ -118,8 +108,6 @@ cv::Mat lit(const cv::Mat& wide, const Light& light, std::uint64_t seed) {
   image.convertTo(image, CV_8U);
   return image;
 }
-
-}  // namespace
 
 std::string FootageCase::conditions() const {
   char text[100];

@@ -65,4 +65,18 @@ std::vector<ImagePair> load_pairs(const std::string& data_dir, std::string& sour
   return pairs.empty() ? photograph_pairs() : pairs;
 }
 
+cv::Mat photo_wall(const cv::Size& size_px, int columns, int rows, const std::vector<ImagePair>& pairs,
+                   std::size_t first) {
+  cv::Mat wall(size_px, CV_8UC1);
+  for (int row = 0; row < rows; ++row) {
+    for (int column = 0; column < columns; ++column) {
+      const cv::Point begin(column * size_px.width / columns, row * size_px.height / rows);
+      const cv::Point end((column + 1) * size_px.width / columns, (row + 1) * size_px.height / rows);
+      cv::Mat tile = wall(cv::Rect(begin, end));
+      cv::resize(pairs[first++ % pairs.size()].image1, tile, tile.size(), 0, 0, cv::INTER_AREA);
+    }
+  }
+  return wall;
+}
+
 }  // namespace gyro_deblur::experiments

@@ -29,4 +29,9 @@ std::vector<ImagePair> photograph_pairs(const std::string& folder = "/usr/share/
 /// Oxford's where DATA_DIR/oxford_affine exists, else photograph_pairs(); `source` says which, for the record.
 std::vector<ImagePair> load_pairs(const std::string& data_dir, std::string& source);
 
+/// The first images of pairs side by side, in turn from number `first` on, row by row, each stretched over its share.
+/// Preconditions: a pair at least; as many pixels as columns, and as rows.
+cv::Mat photo_wall(const cv::Size& size_px, int columns, int rows, const std::vector<ImagePair>& pairs,
+                   std::size_t first);
+
 }  // namespace gyro_deblur::experiments

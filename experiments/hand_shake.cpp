@@ -1,0 +1,428 @@
+// What is left of features when a hand shakes: frames exposed at random times of a recorded shake, as they arrive,
+// with what no line serves left alone, as the package deblurs them, and all in the plane. Writes the table of
+// doc/reports/hand_shake.md and its pictures.
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <filesystem>
+#include <limits>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <Eigen/Geometry>
+#include <opencv2/core.hpp>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+
+#include "baselines.hpp"
+#include "evaluation.hpp"
+#include "footage.hpp"
+#include "gyro_deblur/pipeline.hpp"
+#include "gyro_deblur/rectification.hpp"
+#include "image_pairs.hpp"
+#include "result_table.hpp"
+#include "sim/simulator.hpp"
+#include "tools/progress.hpp"
+#include "tools/tool_main.hpp"
+
+namespace gyro_deblur::experiments {
+namespace {
+
+struct Arguments {
+  std::string data = GYRO_DEBLUR_DATA_DIR, output;
+  std::uint64_t seed = 1;
+  bool quick = false, quiet = false;
+};
+
+struct ShakenCamera {
+  const char* name;
+  int width_px, height_px;
+  double focal_px;
+};
+constexpr ShakenCamera kVga{"752x480", 752, 480, 460}, kFullHd{"1080p", 1920, 1080, 1559};
+
+/// What becomes of a frame. LINES: as the paper would have it, one line for each block, one gamma for all noise, its
+/// validation, and what is bent left alone. PLANE: all blocks whose path leaves a line at all, and the lines too.
+enum Kind : std::size_t { SHARP, BLURRED, LINES, PACKAGE, PLANE };
+constexpr std::array<Kind, 5> kKinds{SHARP, BLURRED, LINES, PACKAGE, PLANE};
+constexpr std::array<const char*, 5> kKindNames{"sharp", "blurred", "lines", "package", "plane"};
+
+/// When a frame is exposed, and where the camera looks in the middle of it.
+struct View {
+  double middle_s;
+  Eigen::Quaterniond R_world_cam;
+  std::size_t photograph;
+};
+
+constexpr int kPhotographs = 4, kViewsOfEach = 4;
+constexpr int kFeatures = 1000, kRepeated = 500;
+
+std::vector<View> random_views(std::uint64_t seed, double length_s) {
+  constexpr double kMarginS = 1, kTiltRad = 0.09, kRollRad = 0.2;
+  cv::RNG rng(seed);
+  std::vector<View> views;
+  for (std::size_t photograph = 0; photograph < kPhotographs; ++photograph) {
+    for (int i = 0; i < kViewsOfEach; ++i) {
+      const double middle_s = rng.uniform(kMarginS, length_s - kMarginS);
+      const double yaw = rng.uniform(-kTiltRad, kTiltRad), pitch = rng.uniform(-kTiltRad, kTiltRad);
+      const double roll = rng.uniform(-kRollRad, kRollRad);
+      views.push_back(
+          {middle_s,
+           Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitY()) * Eigen::AngleAxisd(pitch, Eigen::Vector3d::UnitX()) *
+               Eigen::AngleAxisd(roll, Eigen::Vector3d::UnitZ()),
+           photograph});
+    }
+  }
+  return views;
+}
+
+/// A camera before a wall of photographs that shakes as recorded, and looks where the view says in the middle of its
+/// one exposure.
+sim::Simulator shaken(const ShakenCamera& camera, const std::vector<sim::TraceSample>& trace, double scale,
+                      TimeNs exposure_ns, const View& view, const std::vector<ImagePair>& photographs) {
+  constexpr double kDepthM = 2;
+  constexpr double kWallViews = 2.5;    // wide and high
+  constexpr double kTileWidthPx = 800;  // of a photograph: much what it has itself
+  sim::Scene scene;
+  scene.camera.calibration.width_px = camera.width_px;
+  scene.camera.calibration.height_px = camera.height_px;
+  scene.camera.calibration.fx_px = scene.camera.calibration.fy_px = camera.focal_px;
+  scene.camera.calibration.cx_px = (camera.width_px - 1) / 2.0;
+  scene.camera.calibration.cy_px = (camera.height_px - 1) / 2.0;
+  scene.camera.exposures_ns = {exposure_ns};
+  scene.camera.encoding = "mono16";
+  scene.imu.gyro_noise_rad_s = 0.003;
+  scene.lead_ns = 100'000'000;
+  scene.seed = static_cast<std::uint64_t>(1 + view.middle_s * 1e6);
+  const double middle_s = to_seconds(scene.lead_ns) + 0.5 * to_seconds(exposure_ns);
+  const auto motion = [&](const Eigen::Quaterniond& R_world_cam_0) {
+    return sim::make_gyro_trace_motion(trace, view.middle_s - middle_s, scale, Eigen::Matrix3d::Identity(),
+                                       R_world_cam_0, {});
+  };
+  const Eigen::Quaterniond turned = motion(Eigen::Quaterniond::Identity())->pose(middle_s).R_world_cam;
+  scene.motion = motion(view.R_world_cam * turned.conjugate());
+  const cv::Size size_px(cvRound(kWallViews * camera.width_px), cvRound(kWallViews * camera.height_px));
+  const double tiles = size_px.width / kTileWidthPx;
+  sim::Plane wall;
+  wall.texture =
+      photo_wall(size_px, cvCeil(tiles), cvCeil(tiles * size_px.height / size_px.width), photographs, view.photograph);
+  wall.width_m = size_px.width * kDepthM / camera.focal_px;
+  wall.height_m = size_px.height * kDepthM / camera.focal_px;
+  wall.center_m = {0, 0, kDepthM};
+  scene.planes = {wall};
+  return sim::Simulator(std::move(scene));
+}
+
+/// One frame without noise, blurred and sharp.
+struct Shot {
+  sim::Simulator simulator;
+  cv::Mat blurred, sharp;  ///< CV_16UC1, 257 a grey level
+  RotationTrack rotation;
+};
+
+RotationTrack rotation_of(const sim::Simulator& simulator) {
+  std::vector<GyroSample> samples;
+  for (const sim::ImuSample& sample : simulator.imu()) samples.push_back({sample.t_ns, sample.rate_rad_s});
+  return RotationTrack(samples, GyroOptions{}, simulator.scene().imu.R_cam_imu);
+}
+
+/// Takes image 1 to image 2, both at the middle of their exposures.
+Homography between(const Shot& shot1, const Shot& shot2) {
+  const CameraCalibration& c = shot1.simulator.scene().camera.calibration;
+  const Homography K(c.fx_px, 0, c.cx_px, 0, c.fy_px, c.cy_px, 0, 0, 1);
+  const auto rotation = [](const Shot& shot) {
+    return shot.simulator.pose(shot.simulator.reference_time(0)).R_world_cam.toRotationMatrix();
+  };
+  const Eigen::Matrix3d R_1_2 = rotation(shot1).transpose() * rotation(shot2);
+  // Stored by columns, and so the transpose in rows.
+  return K * cv::Matx33d(R_1_2.data()) * K.inv();
+}
+
+/// What the image would be without blur and noise, every point where it says that it shows it. CV_8UC1; `inside`: where
+/// that is known.
+cv::Mat reference_of(const Shot& shot, const FrameBlur& field, cv::Mat* inside) {
+  cv::Mat sharp, map_x(shot.sharp.size(), CV_32F), map_y(shot.sharp.size(), CV_32F);
+  constexpr double kFull16 = 257;
+  shot.sharp.convertTo(sharp, CV_32F, 1 / kFull16);
+  for (int y = 0; y < map_x.rows; ++y) {
+    for (int x = 0; x < map_x.cols; ++x) {
+      Eigen::Vector2d offset_px(0, 0);
+      for (const BlockGrid::Neighbour& n : field.grid.around({x, y})) {
+        offset_px += n.share * field.blocks[n.index].shown_offset_px();
+      }
+      map_x.at<float>(y, x) = static_cast<float>(x - offset_px.x());
+      map_y.at<float>(y, x) = static_cast<float>(y - offset_px.y());
+    }
+  }
+  cv::Mat reference;
+  cv::remap(sharp, reference, map_x, map_y, cv::INTER_LANCZOS4, cv::BORDER_REPLICATE);
+  *inside = (map_x >= 0) & (map_x <= sharp.cols - 1) & (map_y >= 0) & (map_y <= sharp.rows - 1);
+  return reference;
+}
+
+double psnr_db(const cv::Mat& image, const cv::Mat& reference, const cv::Mat& inside) {
+  cv::Mat wide;
+  image.convertTo(wide, CV_32F);
+  const double rms = cv::norm(wide, reference, cv::NORM_L2, inside) / std::sqrt(cv::countNonZero(inside));
+  return 20 * std::log10(255 / rms);
+}
+
+/// Features where they were at the middle of the exposure.
+Features rectified(Features features, const FrameBlur& field, const Shot& shot) {
+  std::vector<Eigen::Vector2d> points_px;
+  for (const cv::KeyPoint& keypoint : features.keypoints) points_px.emplace_back(keypoint.pt.x, keypoint.pt.y);
+  const auto points = rectify_points(points_px, field, shot.simulator.camera(), shot.rotation,
+                                     shot.simulator.exposure(0), shot.simulator.reference_time(0));
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    features.keypoints[i].pt =
+        cv::Point2f(static_cast<float>(points[i].rectified_px.x()), static_cast<float>(points[i].rectified_px.y()));
+  }
+  return features;
+}
+
+struct Seen {
+  cv::Mat image;
+  double psnr_db = 0;
+  Features sift, orb;
+};
+
+/// One frame of one kind.
+Seen see(Kind kind, const Shot& shot, double noise, std::uint64_t seed, Pipeline* pipeline, double* bent_share,
+         double* extent_px) {
+  const Light light{"", 1, noise};
+  Seen seen;
+  if (kind == SHARP) {
+    constexpr std::uint64_t kOther = 1'000'000;
+    seen.image = lit(shot.sharp, light, seed + kOther);
+    cv::Mat reference;
+    shot.sharp.convertTo(reference, CV_32F, 1 / 257.0);
+    seen.psnr_db = psnr_db(seen.image, reference, cv::Mat(reference.size(), CV_8U, cv::Scalar(255)));
+    seen.sift = extract_sift(seen.image, kFeatures);
+    seen.orb = extract_orb(seen.image, kFeatures);
+    return seen;
+  }
+  const cv::Mat blurred = lit(shot.blurred, light, seed);
+  PipelineRequest request;
+  request.keypoints = false;
+  request.in_a_hurry = kind == LINES;
+  const PipelineResult result =
+      pipeline->process(blurred, PixelLayout::GRAY, shot.rotation, shot.simulator.exposure(0), request);
+  const FrameBlur field = kind == BLURRED ? as_blurred(result.field) : result.field;
+  seen.image = kind == BLURRED || result.image.empty() ? blurred : result.image;
+  if (kind == PACKAGE) {
+    std::vector<double> extents_px;
+    double bent = 0;
+    for (const BlockBlur& block : result.field.blocks) {
+      extents_px.push_back(block.extent_px);
+      if (block.bent_path_px) ++bent;
+    }
+    *bent_share = bent / static_cast<double>(extents_px.size());
+    *extent_px = quantile(extents_px, 0.5);
+  }
+  cv::Mat inside;
+  const cv::Mat reference = reference_of(shot, field, &inside);
+  seen.psnr_db = psnr_db(seen.image, reference, inside);
+  seen.sift = rectified(extract_sift(seen.image, kFeatures), field, shot);
+  seen.orb = rectified(extract_orb(seen.image, kFeatures), field, shot);
+  return seen;
+}
+
+/// One figure of all frames or pairs, for each kind.
+using Figures = std::array<std::vector<double>, kKinds.size()>;
+
+double mean_of(const std::vector<double>& values) {
+  double sum = 0;
+  for (const double value : values) sum += value;
+  return sum / static_cast<double>(values.size());
+}
+
+/// By how many standard errors the first is above the second, pair by pair; infinite where they never differ otherwise
+/// than by the mean.
+double standard_errors_above(const std::vector<double>& first, const std::vector<double>& second) {
+  std::vector<double> differences, squares;
+  for (std::size_t i = 0; i < first.size(); ++i) differences.push_back(first[i] - second[i]);
+  const double mean = mean_of(differences);
+  for (const double d : differences) squares.push_back((d - mean) * (d - mean));
+  const auto n = static_cast<double>(first.size());
+  const double error = std::sqrt(mean_of(squares) / (n - 1));
+  if (error > 0) return mean / error;
+  return mean < 0 ? -std::numeric_limits<double>::infinity() : std::numeric_limits<double>::infinity();
+}
+
+std::string cell(const Figures& figures, int digits) {
+  std::string text;
+  for (const std::vector<double>& of_kind : figures)
+    text += (text.empty() ? "" : " / ") + text_of(mean_of(of_kind), digits);
+  return text;
+}
+
+/// The middle of images, with their names.
+cv::Mat side_by_side(const std::vector<std::pair<const char*, cv::Mat>>& images) {
+  constexpr int kWidth = 400, kHeight = 400, kGap = 4;
+  cv::Mat row;
+  for (const auto& [name, image] : images) {
+    const cv::Rect middle((image.cols - kWidth) / 2, (image.rows - kHeight) / 2, kWidth, kHeight);
+    cv::Mat crop = image(middle).clone();
+    for (const auto& [grey, thickness] : {std::pair(0, 4), std::pair(255, 1)}) {
+      cv::putText(crop, name, {10, kHeight - 12}, cv::FONT_HERSHEY_SIMPLEX, 0.8, cv::Scalar(grey), thickness,
+                  cv::LINE_AA);
+    }
+    if (row.empty()) {
+      row = crop;
+    } else {
+      cv::hconcat(std::vector<cv::Mat>{row, cv::Mat(kHeight, kGap, CV_8UC1, cv::Scalar(255)), crop}, row);
+    }
+  }
+  return row;
+}
+
+/// What one camera, scale, exposure and noise measure.
+struct Measured {
+  Figures psnr_db, sift, orb, sift_sharp, orb_sharp, repeatability;
+  std::vector<double> extents_px, bent_shares;
+};
+
+Measured measure(const std::vector<Shot>& shots, double noise,
+                 std::array<std::unique_ptr<Pipeline>, kKinds.size()>& pipelines, const std::string& picture) {
+  Measured m;
+  std::array<std::vector<Seen>, kKinds.size()> seen;
+  for (const Kind kind : kKinds) {
+    for (std::size_t i = 0; i < shots.size(); ++i) {
+      double bent_share = 0, extent_px = 0;
+      seen[kind].push_back(see(kind, shots[i], noise, 1 + i, pipelines[kind].get(), &bent_share, &extent_px));
+      m.psnr_db[kind].push_back(seen[kind].back().psnr_db);
+      if (kind != PACKAGE) continue;
+      m.extents_px.push_back(extent_px);
+      m.bent_shares.push_back(bent_share);
+    }
+  }
+  if (!picture.empty()) {
+    const auto most = std::max_element(m.bent_shares.begin(), m.bent_shares.end()) - m.bent_shares.begin();
+    std::vector<std::pair<const char*, cv::Mat>> images;
+    for (const Kind kind : {BLURRED, LINES, PACKAGE, SHARP})
+      images.emplace_back(kKindNames[kind], seen[kind][most].image);
+    cv::imwrite(picture, side_by_side(images));
+  }
+  MatchingOptions options;
+  options.max_features = kFeatures;
+  options.max_error_px = 3;
+  const cv::Size size = shots.front().sharp.size();
+  for (std::size_t i = 0; i < shots.size(); ++i) {
+    for (std::size_t j = i + 1; j < shots.size() && j / kViewsOfEach == i / kViewsOfEach; ++j) {
+      const Homography H = between(shots[i], shots[j]);
+      const auto correct = [&](const Features& first, const Features& second) {
+        return static_cast<double>(evaluate_matching(first, size, second, H, options).correct);
+      };
+      for (const Kind kind : kKinds) {
+        const Seen &first = seen[kind][i], &second = seen[kind][j], &sharp = seen[SHARP][j];
+        m.sift[kind].push_back(correct(first.sift, second.sift));
+        m.orb[kind].push_back(correct(first.orb, second.orb));
+        m.sift_sharp[kind].push_back(kind == SHARP ? m.sift[kind].back() : correct(first.sift, sharp.sift));
+        m.orb_sharp[kind].push_back(kind == SHARP ? m.orb[kind].back() : correct(first.orb, sharp.orb));
+        m.repeatability[kind].push_back(evaluate_repeatability(first.sift.keypoints, size, second.sift.keypoints, size,
+                                                               H, kRepeated, OverlapOptions{})
+                                            .ratio);
+      }
+    }
+  }
+  return m;
+}
+
+std::array<std::unique_ptr<Pipeline>, kKinds.size()> pipelines_for(const Shot& shot) {
+  std::array<std::unique_ptr<Pipeline>, kKinds.size()> pipelines;
+  for (const Kind kind : kKinds) {
+    PipelineOptions options;
+    options.motion_from_images = false;  // frames are not consecutive
+    if (kind == LINES) {
+      options.kernel.gamma_rule = GammaRule::FIXED;
+      options.validation.rule = ValidationRule::PAPER;
+    }
+    if (kind == PLANE) {
+      options.engine = "plane";
+      options.blur_field.max_bend_px = 0;
+    }
+    pipelines[kind] = std::make_unique<Pipeline>(options);
+    pipelines[kind]->set_calibration(shot.simulator.scene().camera.calibration);
+  }
+  return pipelines;
+}
+
+void run(const Arguments& arguments) {
+  const std::string path = arguments.data + "/handshake_gyro/gyro_test.txt";
+  if (!std::filesystem::exists(path)) throw std::runtime_error("there is no " + path + "; see test/data/README.md");
+  const std::vector<sim::TraceSample> trace = sim::load_gyro_trace(path);
+  std::string source;
+  const std::vector<ImagePair> photographs = load_pairs(arguments.data, source);
+  std::vector<View> views = random_views(arguments.seed, trace.back().t_s);
+  if (arguments.quick) views.resize(kViewsOfEach);
+  if (!arguments.output.empty()) std::filesystem::create_directories(arguments.output);
+
+  std::vector<ShakenCamera> cameras{kVga, kFullHd};
+  std::vector<double> scales{1, 0.6, 0.3};
+  std::vector<TimeNs> exposures_ns{10'000'000, 20'000'000, 30'000'000};
+  if (arguments.quick) cameras.resize(1), scales.resize(1), exposures_ns = {exposures_ns.back()};
+  ResultTable table({"camera", "shake", "exposure [ms]", "noise", "extent [px]", "bent [%]", "PSNR [dB]", "SIFT", "ORB",
+                     "SIFT, with sharp", "ORB, with sharp", "repeatability", "package over lines: SIFT, ORB with sharp",
+                     "least over blurred [standard errors]"});
+  Progress progress(cameras.size() * scales.size() * exposures_ns.size(), "shakes", arguments.quiet);
+  std::size_t done = 0;
+  for (const ShakenCamera& camera : cameras) {
+    for (const double scale : scales) {
+      for (const TimeNs exposure_ns : exposures_ns) {
+        std::vector<Shot> shots;
+        for (const View& view : views) {
+          sim::Simulator simulator = shaken(camera, trace, scale, exposure_ns, view, photographs);
+          const cv::Mat blurred = simulator.frame(0).image, sharp = simulator.sharp(0);
+          RotationTrack rotation = rotation_of(simulator);
+          shots.push_back({std::move(simulator), blurred, sharp, std::move(rotation)});
+        }
+        auto pipelines = pipelines_for(shots.front());
+        const double exposure_ms = 1e3 * to_seconds(exposure_ns);
+        for (const double noise : {2.0, 6.0}) {
+          const bool shown = !arguments.output.empty() && noise == 2 && exposure_ns == exposures_ns.back();
+          const Measured m =
+              measure(shots, noise, pipelines,
+                      shown ? arguments.output + "/" + camera.name + "_x" + text_of(scale, 1) + ".png" : std::string());
+          const auto ratio = [](const Figures& f) {
+            return text_of(mean_of(f[PACKAGE]) / std::max(mean_of(f[LINES]), 1.0), 2);
+          };
+          double least = std::numeric_limits<double>::infinity();
+          for (const Figures* f : {&m.sift, &m.orb, &m.sift_sharp, &m.orb_sharp}) {
+            least = std::min(least, standard_errors_above((*f)[PACKAGE], (*f)[BLURRED]));
+          }
+          table.add({camera.name, text_of(scale, 1), text_of(exposure_ms, 0), text_of(noise, 0),
+                     text_of(quantile(m.extents_px, 0.5), 0), text_of(100 * mean_of(m.bent_shares), 0),
+                     cell(m.psnr_db, 1), cell(m.sift, 0), cell(m.orb, 0), cell(m.sift_sharp, 0), cell(m.orb_sharp, 0),
+                     cell(m.repeatability, 2), ratio(m.sift_sharp) + ", " + ratio(m.orb_sharp), text_of(least, 1)});
+        }
+        progress.done(++done);
+      }
+    }
+  }
+  std::printf("Photographs: %s. Cells: sharp / blurred / lines / package / plane.\n%s", source.c_str(),
+              table.markdown().c_str());
+  if (!arguments.output.empty()) table.write(arguments.output, "hand_shake");
+}
+
+int main_of(int argc, char** argv) {
+  Arguments arguments;
+  CLI::App app{"Matches between frames that a recorded hand shake has blurred, before and after deblurring.",
+               "hand_shake"};
+  app.add_option("--out", arguments.output, "folder for the table and pictures");
+  app.add_option("--data", arguments.data, "recorded data, with handshake_gyro/");
+  app.add_option("--seed", arguments.seed, "of the times and views [1]");
+  app.add_flag("--quick", arguments.quick, "four frames of one cell");
+  app.add_flag("--quiet", arguments.quiet, "no progress");
+  return run_tool(app, argc, argv, [&arguments] { run(arguments); });
+}
+
+}  // namespace
+}  // namespace gyro_deblur::experiments
+
+int main(int argc, char** argv) { return gyro_deblur::experiments::main_of(argc, argv); }
