@@ -53,7 +53,8 @@ void score(const FrameBlur& field, const cv::Mat& image, Scores* scores) {
   for (int i = 0; i < field.grid.size(); ++i) {
     scores->gradient.push_back(-max_gradient_along(image, field.grid.rect(i), field.blocks[i].angle_rad));
   }
-  const std::vector<double> alone = log_ratios(field, image, image_noise(image, PixelLayout::GRAY).value_or(0));
+  const std::vector<double> alone =
+      log_ratios(field, BlurLikelihood(image, image_noise(image, PixelLayout::GRAY).value_or(0)));
   append(alone, &scores->alone);
   append(with_neighbours(field.grid, alone), &scores->together);
 }

@@ -29,12 +29,18 @@ double even_path_px(double extent_px);
 /// bow of so much hardly depends on the extent, see max_bend_px.
 constexpr double kStraightPathShare = 0.02;
 
+/// Where there is no time for the plane a line does for paths that leave it by so much [px] at most (or max_bend_px):
+/// it gains there, by no more than little, on average.
+constexpr double kMaxLineBendPx = 1.5;
+
 /// Blur of one block from the places [px] of a scene point at kPathInstants, relative to that at the middle: that of
 /// the way from the first to the last place (classify_blur) as long as the point runs along it at even speed, less the
 /// best shift, to within the limit of evenness. Otherwise the line is the one that lies nearest to the places,
 /// extent_px is what they cover of it, and uneven_path_px is set. Where they lie more than the limit of a bend to
 /// either side of the line, bent_path_px is set, and the path is BENT where it leads farther than kMaxPlaneExtentPx.
-BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options);
+/// @param lines_alone  bent_path_px is never set: a path is BENT that leaves its line by more than kMaxLineBendPx too
+BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options,
+                        bool lines_alone = false);
 
 /// Whether a residual velocity is far enough from none to be one, for a path within `exposure_ns`: a camera that only
 /// turns is deblurred by its gyroscope alone.
@@ -54,8 +60,9 @@ class BlurFieldEstimator {
   /// @param residuals  of the blocks of grid(), or empty: added to the paths where it is certain, see is_certain(). A
   ///                   block is SHARP whose extent may be below min_extent_px: less their deviation, or less what an
   ///                   uncertain one of min_extent_px or more would add
-  FrameBlur estimate(const CameraMotion& motion, const RowExposure& exposure,
-                     const ResidualField& residuals = {}) const;
+  /// @param lines_alone  as of classify_path()
+  FrameBlur estimate(const CameraMotion& motion, const RowExposure& exposure, const ResidualField& residuals = {},
+                     bool lines_alone = false) const;
 
   const BlockGrid& grid() const { return grid_; }
 

@@ -19,9 +19,10 @@ double steepest_box_px(const BlockBlur& blur);
 
 /// Returns `field` with those DEBLURRED blocks turned REJECTED that the image contradicts, by options.rule. LIKELIHOOD:
 /// those whose log likelihood ratio, with what the neighbours and the frame say, is below the threshold for
-/// options.false_acceptance; where nothing can be told, the prediction holds. PAPER: those whose gradient along the
-/// predicted motion exceeds options.threshold(steepest_box_px), and those more than half of whose judged neighbours
-/// were rejected so; all of them when more than four in five were. On at most `threads` threads (0: one for each core).
+/// options.false_acceptance; where nothing can be told, the prediction holds; and those below 5 px that PAPER rejects,
+/// asked of them alone. PAPER: those whose gradient along the predicted motion exceeds
+/// options.threshold(steepest_box_px), and those more than half of whose judged neighbours were rejected so; all of
+/// them when more than four in five were. On at most `threads` threads (0: one for each core).
 /// Throws std::invalid_argument when luminance is not CV_8UC1 of the field's size.
 FrameBlur validate_blur_field(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
                               int threads = 0);

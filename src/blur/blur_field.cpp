@@ -90,7 +90,8 @@ double even_path_px(double extent_px) {
   return std::max(0.25, share * share);
 }
 
-BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options) {
+BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options,
+                        bool lines_alone) {
   const Eigen::Vector2d chord_px = path_px.back() - path_px.front();
   BlockBlur blur = classify_blur(chord_px.x(), chord_px.y(), options);
   const float angle_rad = fitted_angle(path_px);
@@ -102,8 +103,11 @@ BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_p
   }
   blur.chord_middle_px = (0.5 * (path_px.front() + path_px.back())).cast<float>();
   blur.mean_place_px = mean_place(path_px).cast<float>();
-  const double max_bend_px = options.max_bend_px + kStraightPathShare * fit.along_px;
-  if (blur.status == BlockStatus::DEBLURRED && 0.5 * fit.across_px > max_bend_px) {
+  const double bend_px = 0.5 * fit.across_px - kStraightPathShare * fit.along_px;
+  if (blur.status != BlockStatus::DEBLURRED || bend_px <= options.max_bend_px) return blur;
+  if (lines_alone) {
+    if (bend_px > kMaxLineBendPx) blur.status = BlockStatus::BENT;
+  } else {
     PlanePath& bent_path_px = blur.bent_path_px.emplace();
     for (int k = 0; k < kPathInstants; ++k) bent_path_px[k] = path_px[k].cast<float>();
     if (extent_of(bent_path_px).maxCoeff() > kMaxPlaneExtentPx) blur.status = BlockStatus::BENT;
@@ -129,7 +133,7 @@ BlurFieldEstimator::BlurFieldEstimator(const Camera& camera, const BlurFieldOpti
 }
 
 FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExposure& exposure,
-                                       const ResidualField& residuals) const {
+                                       const ResidualField& residuals, bool lines_alone) const {
   if (!residuals.empty() && residuals.size() != static_cast<std::size_t>(grid_.size())) {
     throw std::invalid_argument(std::to_string(residuals.size()) + " residual velocities for a grid of " +
                                 std::to_string(grid_.size()) + " blocks");
@@ -175,7 +179,7 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
         continue;
       }
       BlockBlur& block = field.blocks[i];
-      block = classify_path(path_px, options_);
+      block = classify_path(path_px, options_, lines_alone);
       block.residual = residual;
       // Where it cancels the rotation, little blur may be none.
       if (block.status == BlockStatus::DEBLURRED && block.extent_px - doubt_px < options_.min_extent_px) {

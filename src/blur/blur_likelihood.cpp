@@ -99,25 +99,47 @@ Table gain_of(const std::array<double, kFineBins>& squared, double share, double
   return gain;
 }
 
+/// Phases of a path in the plane times `scale`.
+PathPhases phases_of(const PlanePath& path_px, double scale) {
+  PathPhases phases{};
+  for (int k = 0; k < kPathInstants - 1; ++k) {
+    const Eigen::Vector2d begin = scale / kSpectrumWindow * path_px[k].cast<double>(),
+                          end = scale / kSpectrumWindow * path_px[k + 1].cast<double>();
+    const Eigen::Vector2d middle = begin + end, half = CV_PI * (end - begin);
+    PathPhases::Segment& segment = phases.segments[k];
+    segment.half_across = static_cast<float>(half.x());
+    segment.half_down = static_cast<float>(half.y());
+    for (int x = 0; x <= kSpectrumWaves; ++x) {
+      segment.across_re[x] = static_cast<float>(std::cos(CV_PI * x * middle.x()));
+      segment.across_im[x] = static_cast<float>(-std::sin(CV_PI * x * middle.x()));
+    }
+    for (int y = -kSpectrumWaves; y <= kSpectrumWaves; ++y) {
+      segment.down_re[y + kSpectrumWaves] = static_cast<float>(std::cos(CV_PI * y * middle.y()));
+      segment.down_im[y + kSpectrumWaves] = static_cast<float>(-std::sin(CV_PI * y * middle.y()));
+    }
+  }
+  return phases;
+}
+
 /// How often an image is halved before blur of an extent is looked at: 8 to 32 px are left, which a window holds, and
 /// the noise is less.
 int halvings(double extent_px) { return extent_px < 16 ? 0 : extent_px < 64 ? 1 : 2; }
 constexpr int kLevels = 3;
 
 /// Limits every pixel to its neighbours: hot pixels have a white spectrum.
-cv::Mat without_outliers(const cv::Mat& luminance, double noise_grey_levels, int threads) {
+cv::Mat clipped(const cv::Mat& luminance, double noise_grey_levels, int threads) {
   // Of Gaussian noise hardly a pixel in a million is so far above the second largest of eight.
   constexpr double kStddevs = 4;
   const int margin = static_cast<int>(std::min(255.0, std::ceil(kStddevs * noise_grey_levels)));
   constexpr int kRowsAtATime = 32;
-  cv::Mat clipped(luminance.size(), CV_8UC1);
+  cv::Mat image(luminance.size(), CV_8UC1);
   static const SpectrumLoops& loops = best_spectrum_loops();
   run_parallel(luminance.rows, threads, kRowsAtATime, [&](int y) {
     loops.clip_outliers(luminance.ptr<std::uint8_t>(std::max(y - 1, 0)), luminance.ptr<std::uint8_t>(y),
                         luminance.ptr<std::uint8_t>(std::min(y + 1, luminance.rows - 1)), luminance.cols, margin,
-                        clipped.ptr<std::uint8_t>(y));
+                        image.ptr<std::uint8_t>(y));
   });
-  return clipped;
+  return image;
 }
 
 }  // namespace
@@ -126,7 +148,7 @@ BlurLikelihood::BlurLikelihood(const cv::Mat& luminance, double noise_grey_level
   CV_Assert(luminance.type() == CV_8UC1);
   constexpr double kRounding = 1.0 / 12;
   levels_.push_back(
-      {without_outliers(luminance, noise_grey_levels, threads), noise_grey_levels * noise_grey_levels + kRounding});
+      {clipped(luminance, noise_grey_levels, threads), noise_grey_levels * noise_grey_levels + kRounding});
   while (levels_.size() < kLevels) {
     const Level& finer = levels_.back();
     const cv::Size half(finer.image.cols / 2, finer.image.rows / 2);
@@ -167,11 +189,15 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
 
   const auto bins_x = static_cast<float>(kBinsPerWave * std::cos(blur.angle_rad));
   const auto bins_y = static_cast<float>(kBinsPerWave * std::sin(blur.angle_rad));
-  const auto squared = squared_transfer(blur, 1.0 / shrink);
+  const auto squared = blur.bent_path_px ? std::array<double, kFineBins>{} : squared_transfer(blur, 1.0 / shrink);
   // What the window mixes, and a path that is not quite the predicted one: below the lobes of the longest blur.
   const double left = 0.003 / shrink;
   Spectrum model;
   const auto model_of = [&](double share) {
+    if (blur.bent_path_px) {
+      const PathPhases phases = phases_of(*blur.bent_path_px, share / shrink);
+      return loops.multiply_path_gain(texture().data(), phases, static_cast<float>(left), model.data());
+    }
     loops.multiply_gain(texture().data(), gain_of(squared, share, left).data(), bins_x, bins_y, model.data());
   };
   // The search for the factor begins at the mean power.
@@ -193,14 +219,32 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
   return least - std::log(likelihood);
 }
 
-std::vector<double> log_ratios(const FrameBlur& field, const cv::Mat& luminance, double noise_grey_levels,
-                               int threads) {
+std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& likelihood, int threads) {
   constexpr int kBlocksAtATime = 4;
-  const BlurLikelihood likelihood(luminance, noise_grey_levels, threads);
+  const BlockGrid& grid = field.grid;
+  const auto is_asked = [&](int i) { return field.blocks[i].status == BlockStatus::DEBLURRED; };
+  const auto is_looked_at = [&](int i) {
+    const int row = i / grid.cols(), col = i % grid.cols(), level = halvings(field.blocks[i].extent_px);
+    return level == 0 || (level == 1 ? (row + col) % 2 == 0 : row % 2 == 0 && col % 2 == 0);
+  };
   std::vector<double> ratios(field.blocks.size());
-  run_parallel(field.grid.size(), threads, kBlocksAtATime, [&](int i) {
-    const BlockBlur& block = field.blocks[i];
-    if (block.status == BlockStatus::DEBLURRED) ratios[i] = likelihood.log_ratio(field.grid.rect(i), block);
+  run_parallel(grid.size(), threads, kBlocksAtATime, [&](int i) {
+    if (is_asked(i) && is_looked_at(i)) ratios[i] = likelihood.log_ratio(grid.rect(i), field.blocks[i]);
+  });
+  run_parallel(grid.size(), threads, kBlocksAtATime, [&](int i) {
+    if (!is_asked(i) || is_looked_at(i)) return;
+    const int row = i / grid.cols(), col = i % grid.cols();
+    double sum = 0;
+    int count = 0;
+    for (int y = std::max(row - 1, 0); y <= std::min(row + 1, grid.rows() - 1); ++y) {
+      for (int x = std::max(col - 1, 0); x <= std::min(col + 1, grid.cols() - 1); ++x) {
+        const int other = y * grid.cols() + x;
+        if (!is_asked(other) || !is_looked_at(other)) continue;
+        sum += ratios[other];
+        ++count;
+      }
+    }
+    ratios[i] = count > 0 ? sum / count : likelihood.log_ratio(grid.rect(i), field.blocks[i]);
   });
   return ratios;
 }

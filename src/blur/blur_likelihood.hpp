@@ -22,11 +22,15 @@ class BlurLikelihood {
   /// window of 64 px around the block, and of 128 or 256 px for blur of 16 or 64 px and more, as far as the image
   /// reaches. The model of the power at a frequency f, u of it along the motion, is
   ///   (a |f|^-2.5 |H(u)|^2 + noise) g,
-  /// H the transfer function of the blur, smeared as the window does it, `a` whatever fits each hypothesis best, and g
-  /// an unknown factor, log-logistic, for what the texture has of its own (P. Whittle's likelihood, Arkiv for Matematik
-  /// 2, 1953, has an exponential one). 0, which says nothing, where no window fits into the image.
+  /// H the transfer function of the blur (of a bent path at f), smeared as the window does it, `a` whatever fits each
+  /// hypothesis best, and g an unknown factor, log-logistic, for what the texture has of its own (P. Whittle's
+  /// likelihood, Arkiv for Matematik 2, 1953, has an exponential one). 0, which says nothing, where no window fits into
+  /// the image.
   /// @param block  inside the image
   double log_ratio(const cv::Rect& block, const BlockBlur& blur) const;
+
+  /// The luminance, its pixels limited to what their neighbours and the noise allow: hot ones are gone.
+  const cv::Mat& without_outliers() const { return levels_.front().image; }
 
  private:
   /// The image, or what 2x2 pixels of the level before have in the mean.
@@ -37,9 +41,10 @@ class BlurLikelihood {
   std::vector<Level> levels_;
 };
 
-/// BlurLikelihood::log_ratio of every DEBLURRED block, row by row, 0 for the others.
-std::vector<double> log_ratios(const FrameBlur& field, const cv::Mat& luminance, double noise_grey_levels,
-                               int threads = 0);
+/// BlurLikelihood::log_ratio of every DEBLURRED block, row by row, 0 for the others. From 16 px on, where windows are
+/// larger than blocks, only every other one is looked at, from 64 px on one in four; the rest have the mean of those
+/// around them.
+std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& likelihood, int threads = 0);
 
 /// What a block's own log ratio becomes with those of the others, each limited to a few: of its eight neighbours, and
 /// all together. What makes a prediction wrong, or right, is so for the neighbours too. A block with much texture

@@ -117,21 +117,30 @@ FrameBlur validate_by_gradient(const FrameBlur& field, const cv::Mat& luminance,
 }
 
 /// Log likelihood ratio, with neighbours and frame, that a share of falsely believed blocks exceeds: a fit to measured
-/// quantiles (see ValidationOptions::false_acceptance), within 5 from .1 to .005. With the default it is below 0: a
+/// quantiles (see ValidationOptions::false_acceptance), within 2 from .1 to .005. With the default it is below 0: a
 /// block of which nothing is known is believed. Deblurring it gains nothing, but its keypoints lie where the prediction
 /// puts them, which mostly holds.
-double least_log_ratio(double false_acceptance) { return 16 * std::log(0.057 / false_acceptance); }
+double least_log_ratio(double false_acceptance) { return 18 * std::log(0.052 / false_acceptance); }
+
+/// Of shorter blur a spectrum tells little; an edge that is sharper than it may be tells more. Noise does not come near
+/// what so short a blur allows.
+constexpr double kShortPx = 5;
 
 FrameBlur validate_by_likelihood(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
                                  int threads) {
-  const std::vector<double> ratios = with_neighbours(
-      field.grid, log_ratios(field, luminance, image_noise(luminance, PixelLayout::GRAY).value_or(0), threads));
-  FrameBlur validated = field;
+  const BlurLikelihood likelihood(luminance, image_noise(luminance, PixelLayout::GRAY).value_or(0), threads);
+  const std::vector<double> ratios = with_neighbours(field.grid, log_ratios(field, likelihood, threads));
+  const double least = least_log_ratio(options.false_acceptance);
+  FrameBlur validated = field, brief = field;
   for (int i = 0; i < field.grid.size(); ++i) {
-    BlockBlur& block = validated.blocks[i];
-    if (block.status == BlockStatus::DEBLURRED && ratios[i] < least_log_ratio(options.false_acceptance)) {
-      block.status = BlockStatus::REJECTED;
-    }
+    if (field.blocks[i].status != BlockStatus::DEBLURRED) continue;
+    if (ratios[i] < least) validated.blocks[i].status = BlockStatus::REJECTED;
+    if (field.blocks[i].extent_px >= kShortPx) brief.blocks[i].status = BlockStatus::SHARP;
+  }
+  if (brief.count(BlockStatus::DEBLURRED) == 0) return validated;
+  brief = validate_by_gradient(brief, likelihood.without_outliers(), options, threads);
+  for (int i = 0; i < field.grid.size(); ++i) {
+    if (brief.blocks[i].status == BlockStatus::REJECTED) validated.blocks[i].status = BlockStatus::REJECTED;
   }
   return validated;
 }

@@ -4,6 +4,8 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "gyro_deblur/line_path.hpp"
+
 namespace gyro_deblur {
 
 /// Side of the window whose spectrum is taken [px].
@@ -23,6 +25,19 @@ struct SpectrumTables {
   float cosine_of_wave[kSpectrumWaves][kSpectrumWindow / 2], sine_of_wave[kSpectrumWaves][kSpectrumWindow / 2];
 };
 
+/// A path in the plane that is straight and even from place to place: exp(-2 pi i f p) at the middles of its segments
+/// is the product of what frequencies across and down make of it.
+struct PathPhases {
+  static constexpr int kAcross = 32;  // > kSpectrumWaves, whole vectors
+  static constexpr int kDown = 2 * kSpectrumWaves + 1;
+  struct Segment {
+    alignas(64) float across_re[kAcross], across_im[kAcross];  ///< 0 .. kSpectrumWaves
+    float down_re[kDown], down_im[kDown];                      ///< -kSpectrumWaves .. kSpectrumWaves
+    float half_across, half_down;                              ///< half the phase from end to end, by one wave
+  };
+  Segment segments[kPathInstants - 1];
+};
+
 /// The functions of one instruction set. Sums differ between sets by rounding.
 struct SpectrumLoops {
   const char* name;
@@ -35,6 +50,9 @@ struct SpectrumLoops {
   void (*power_spectrum)(const SpectrumTables& tables, const std::uint8_t* window, std::ptrdiff_t stride, float* power);
   /// model[f] = texture[f] * gain[bin], bin the nearest to |x * bins_x + y * bins_y|.
   void (*multiply_gain)(const float* texture, const float* gain, float bins_x, float bins_y, float* model);
+  /// model[f] = texture[f] * (|H(f)|^2 + left), H of a path, smeared as the window does it: Hann's has a spectrum of
+  /// 1/2, 1 and 1/2.
+  void (*multiply_path_gain)(const float* texture, const PathPhases& path, float left, float* model);
   /// The least sum over the frequencies of 2 log(S + P) - log S over all factors a, S = a * model + 1: the negative log
   /// likelihood, but for a constant, where the power P is S times a factor with a log-logistic distribution.
   /// @param log_factor  of a: where the search begins; becomes where it ends

@@ -155,6 +155,48 @@ void multiply_gain(const float* texture, const float* gain, float bins_x, float 
   }
 }
 
+void multiply_path_gain(const float* texture, const PathPhases& path, float left, float* model) {
+  constexpr int kAcross = PathPhases::kAcross, kDown = PathPhases::kDown;
+  constexpr float kSegments = kPathInstants - 1;
+  Vector wave;
+  for (int i = 0; i < kLanes; ++i) wave[i] = static_cast<float>(i);
+  float power[kDown][kAcross], smeared[kDown][kSpectrumWaves];
+  for (int row = 0; row < kDown; ++row) {
+    for (int x = 0; x <= kSpectrumWaves; x += kLanes) {
+      Vector re = {}, im = {};
+      for (const PathPhases::Segment& segment : path.segments) {
+        const Vector across_re = load(segment.across_re + x), across_im = load(segment.across_im + x);
+        const float down_re = segment.down_re[row], down_im = segment.down_im[row];
+        const Vector half = (wave + static_cast<float>(x)) * segment.half_across +
+                            static_cast<float>(row - kSpectrumWaves) * segment.half_down;
+        // sin(t) / t to 2e-4 up to t = 3.1, of segments of three pixels at the highest frequencies.
+        constexpr float kFarthest = 9.7f;
+        const Vector squared = half * half, t2 = squared < kFarthest ? squared : Vector{} + kFarthest;
+        Vector mean = 1 / 362880.0f - t2 * (1 / 39916800.0f);
+        for (const float factor : {1 / 5040.0f, 1 / 120.0f, 1 / 6.0f, 1.0f}) mean = factor - t2 * mean;
+        re += mean * (down_re * across_re - down_im * across_im);
+        im += mean * (down_re * across_im + down_im * across_re);
+      }
+      store(power[row] + x, (re * re + im * im) * (1 / (kSegments * kSegments)));
+    }
+  }
+  for (int row = 0; row < kDown; ++row) {
+    const float before = power[kDown - 1 - row][1];  // the opposite frequency has the same power
+    for (int x = 0; x < kSpectrumWaves; ++x) {
+      smeared[row][x] = (4 * power[row][x] + (x > 0 ? power[row][x - 1] : before) + power[row][x + 1]) * (1 / 6.0f);
+    }
+  }
+  for (int row = 0; row < 2 * kSpectrumWaves; ++row) {
+    const int at = kSpectrumWaves + (row < kSpectrumWaves ? row : kSpectrumWaves - row);
+    for (int x = 0; x < kSpectrumWaves; x += kLanes) {
+      const Vector gain =
+          (4 * load(smeared[at] + x) + load(smeared[at - 1] + x) + load(smeared[at + 1] + x)) * (1 / 6.0f) + left;
+      const int to = row * kSpectrumWaves + x;
+      store(model + to, load(texture + to) * gain);
+    }
+  }
+}
+
 /// A product as a mantissa and a power of two for each lane.
 struct Product {
   Vector mantissa = Vector{} + 1;
@@ -221,7 +263,8 @@ double least_cost(const float* power, const float* model, double* log_factor) {
 }  // namespace
 
 extern const SpectrumLoops kSpectrumLoops;
-const SpectrumLoops kSpectrumLoops = {GYRO_DEBLUR_ISA_NAME, clip_outliers, power_spectrum, multiply_gain, least_cost};
+const SpectrumLoops kSpectrumLoops = {GYRO_DEBLUR_ISA_NAME, clip_outliers,      power_spectrum,
+                                      multiply_gain,        multiply_path_gain, least_cost};
 
 }  // namespace GYRO_DEBLUR_ISA
 }  // namespace gyro_deblur

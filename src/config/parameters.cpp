@@ -200,21 +200,23 @@ ParameterGroup wiener_filter() {
 }
 
 ParameterGroup validation() {
-  return {"validation",
-          "By the paper's rule a block is rejected when its gradient along the motion exceeds tau + tau_contrast / "
-          "extent, by likelihood when its image fits less blur better than the predicted one.",
-          {
-              {"validate", &Validation::enabled, "true: blocks whose image contradicts the predicted blur are rejected",
-               RUNNING},
-              {"validation", &Validation::rule,
-               "what they are rejected by: the paper's gradient, or how likely their power spectrum is"},
-              {"false_acceptance", &Validation::false_acceptance, within(0.001, 0.5),
-               "likelihood: share of blocks blurred by a third of what is predicted that may be accepted", RUNNING},
-              {"tau", &Validation::tau, within(0, 255, "grey levels / px"), "paper: gradient that is always allowed",
-               RUNNING},
-              {"tau_contrast", &Validation::tau_contrast, within(0, 1000, "grey levels"),
-               "paper: plus this over the extent", RUNNING},
-          }};
+  return {
+      "validation",
+      "By likelihood a block is rejected when its image fits less blur better than the predicted one, by the paper's "
+      "rule, which blocks with blur below 5 px have to meet too, when its gradient along the motion exceeds tau + "
+      "tau_contrast / extent.",
+      {
+          {"validate", &Validation::enabled, "true: blocks whose image contradicts the predicted blur are rejected",
+           RUNNING},
+          {"validation", &Validation::rule,
+           "what they are rejected by: how likely their power spectrum is, or the paper's gradient"},
+          {"false_acceptance", &Validation::false_acceptance, within(0.001, 0.5),
+           "likelihood: share of blocks blurred by a third of what is predicted that may be accepted", RUNNING},
+          {"tau", &Validation::tau, within(0, 255, "grey levels / px"), "paper: gradient that is always allowed",
+           RUNNING},
+          {"tau_contrast", &Validation::tau_contrast, within(0, 1000, "grey levels"),
+           "paper: plus this over the extent", RUNNING},
+      }};
 }
 
 ParameterGroup keypoints() {

@@ -62,8 +62,8 @@ inline const Names<GammaRule>& names_of(GammaRule) {
 }
 
 inline const Names<ValidationRule>& names_of(ValidationRule) {
-  static const Names<ValidationRule> kNames{{"paper", ValidationRule::PAPER},
-                                            {"likelihood", ValidationRule::LIKELIHOOD}};
+  static const Names<ValidationRule> kNames{{"likelihood", ValidationRule::LIKELIHOOD},
+                                            {"paper", ValidationRule::PAPER}};
   return kNames;
 }
 

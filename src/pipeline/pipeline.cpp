@@ -43,12 +43,6 @@ void reject_all(FrameBlur* field) {
   }
 }
 
-void leave_bent(FrameBlur* field) {
-  for (BlockBlur& block : field->blocks) {
-    if (block.status == BlockStatus::DEBLURRED && block.bent_path_px) block.status = BlockStatus::BENT;
-  }
-}
-
 std::vector<Eigen::Vector2d> positions(const std::vector<cv::KeyPoint>& keypoints) {
   std::vector<Eigen::Vector2d> points;
   points.reserve(keypoints.size());
@@ -159,9 +153,8 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     result.times.flow_ms = watch.ms();
   }
   const Stopwatch blur_field_watch;
-  result.field = estimator_->estimate(known, exposure, residuals);
+  result.field = estimator_->estimate(known, exposure, residuals, request.in_a_hurry);
   if (alone) require_residuals(&result.field);
-  if (request.in_a_hurry) leave_bent(&result.field);
   result.times.blur_field_ms = blur_field_watch.ms();
 
   if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {

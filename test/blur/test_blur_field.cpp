@@ -212,6 +212,17 @@ TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
   EXPECT_EQ(blur.shown_offset_px(), Eigen::Vector2d::Zero()) << "the whole path is undone";
   EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
   EXPECT_TRUE(classify_path(bow(2 * M_PI), {}).bent_path_px) << "a whole circle";
+  // Where there is no time for the plane.
+  blur = classify_path(bow(turn_rad), options, true);
+  EXPECT_EQ(blur.status, BlockStatus::BENT);
+  EXPECT_FALSE(blur.bent_path_px);
+  // 2 px high: 1 px to either side of a line, of which 0.6 are allowed.
+  const auto slight_bow = path_of([](double t) { return Eigen::Vector2d(30 * t, 8 * t * (1 - t)); });
+  options.max_bend_px = 0.2;
+  EXPECT_TRUE(classify_path(slight_bow, options).bent_path_px);
+  blur = classify_path(slight_bow, options, true);
+  EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+  EXPECT_FALSE(blur.bent_path_px);
   // Longer than any tile.
   options.max_extent_px = 500;
   const auto long_bow = path_of([](double t) { return Eigen::Vector2d(1.01 * kMaxPlaneExtentPx * t, 200 * t * t); });

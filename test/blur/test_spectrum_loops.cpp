@@ -2,12 +2,14 @@
 #include "blur/spectrum_loops.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <complex>
 #include <random>
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <Eigen/Core>
 #include <opencv2/core.hpp>
 
 namespace gyro_deblur {
@@ -82,6 +84,59 @@ TEST_P(SpectrumLoopsTest, MultiplyGain) {
     const int y = row < kSpectrumWaves ? row : kSpectrumWaves - row;
     const auto bin = static_cast<int>(std::lround(std::abs(x * kX + y * kY)));
     ASSERT_EQ(model[i], texture[i] * static_cast<float>(bin * bin)) << x << ", " << y;
+  }
+}
+
+// A path that turns, from its definition: the mean of exp(-2 pi i f p) over many instants.
+TEST_P(SpectrumLoopsTest, MultiplyPathGain) {
+  constexpr int kSegments = kPathInstants - 1, kInstants = 400;
+  constexpr float kLeft = 0.01f;
+  std::array<Eigen::Vector2d, kPathInstants> places;  // in windows
+  for (int k = 0; k < kPathInstants; ++k) {
+    const double angle_rad = 0.3 * k;
+    places[k] = 9.0 / kSpectrumWindow * Eigen::Vector2d(std::cos(angle_rad), 0.4 - std::sin(angle_rad));
+  }
+  PathPhases path{};
+  for (int k = 0; k < kSegments; ++k) {
+    const Eigen::Vector2d middle = 0.5 * (places[k] + places[k + 1]), half = CV_PI * (places[k + 1] - places[k]);
+    PathPhases::Segment& segment = path.segments[k];
+    segment.half_across = static_cast<float>(half.x());
+    segment.half_down = static_cast<float>(half.y());
+    for (int x = 0; x <= kSpectrumWaves; ++x) {
+      const std::complex<double> phase = std::polar(1.0, -2 * CV_PI * x * middle.x());
+      segment.across_re[x] = static_cast<float>(phase.real());
+      segment.across_im[x] = static_cast<float>(phase.imag());
+    }
+    for (int row = 0; row < PathPhases::kDown; ++row) {
+      const std::complex<double> phase = std::polar(1.0, -2 * CV_PI * (row - kSpectrumWaves) * middle.y());
+      segment.down_re[row] = static_cast<float>(phase.real());
+      segment.down_im[row] = static_cast<float>(phase.imag());
+    }
+  }
+  const auto power_at = [&](int x, int y) {
+    std::complex<double> sum = 0;
+    for (int k = 0; k < kSegments; ++k) {
+      for (int i = 0; i < kInstants; ++i) {
+        const Eigen::Vector2d place = places[k] + (i + 0.5) / kInstants * (places[k + 1] - places[k]);
+        sum += std::polar(1.0, -2 * CV_PI * (x * place.x() + y * place.y()));
+      }
+    }
+    return std::norm(sum / static_cast<double>(kSegments * kInstants));
+  };
+  const auto smeared_at = [&](int x, int y) {
+    double sum = 0;
+    for (int dy = -1; dy <= 1; ++dy) {
+      for (int dx = -1; dx <= 1; ++dx) sum += (dx == 0 ? 4 : 1) * (dy == 0 ? 4 : 1) * power_at(x + dx, y + dy);
+    }
+    return sum / 36;
+  };
+  std::vector<float> texture(kSpectrumSize), model(kSpectrumSize);
+  for (int i = 0; i < kSpectrumSize; ++i) texture[i] = static_cast<float>(i + 1);
+  loops_->multiply_path_gain(texture.data(), path, kLeft, model.data());
+  for (const auto& [x, y] : {std::pair(0, 3), {1, 0}, {1, 1}, {5, 2}, {15, 15}, {7, -1}, {15, -15}, {0, -9}, {4, -9}}) {
+    const int at = (y < 0 ? kSpectrumSize / 2 : 0) + std::abs(y) * kSpectrumWaves + x;
+    const double expected = smeared_at(x, y) + kLeft;
+    EXPECT_NEAR(model[at] / texture[at], expected, 1e-3 * expected + 1e-4) << x << ", " << y;
   }
 }
 

@@ -115,7 +115,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"read_noise", "2.5"},
       {"noise_gain", "0.1"},
       {"validate", "false"},
-      {"validation", "likelihood"},
+      {"validation", "paper"},
       {"false_acceptance", "0.01"},
       {"tau", "12"},
       {"tau_contrast", "0"},
@@ -185,7 +185,7 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.noise.read_noise, 2.5);
   EXPECT_EQ(c.pipeline.noise.noise_gain, 0.1);
   EXPECT_FALSE(c.pipeline.validation.enabled);
-  EXPECT_EQ(c.pipeline.validation.rule, ValidationRule::LIKELIHOOD);
+  EXPECT_EQ(c.pipeline.validation.rule, ValidationRule::PAPER);
   EXPECT_EQ(c.pipeline.validation.false_acceptance, 0.01);
   EXPECT_EQ(c.pipeline.validation.tau, 12);
   EXPECT_EQ(c.pipeline.validation.tau_contrast, 0);

@@ -70,7 +70,8 @@ class ShieldBlurFields : public testing::TestWithParam<const char*> {
 };
 
 TEST_P(ShieldBlurFields, ComeOutSharper) {
-  const cv::Mat deblurred = deblur(path("blurx"), path("blury"), kOffset, "deblurred");
+  // All blocks: of the path there are only the ends here, which the image may contradict.
+  const cv::Mat deblurred = deblur(path("blurx"), path("blury"), kOffset, "deblurred", {"--no-validation"});
   ASSERT_EQ(deblurred.size(), blurred_.size());
   ASSERT_EQ(deblurred.type(), blurred_.type());
   const Energy before = gradient_energy(blurred_), after = gradient_energy(deblurred);
@@ -91,14 +92,24 @@ TEST_P(ShieldBlurFields, ComeOutSharper) {
   EXPECT_GE(after.along, 1.5 * before.along);
   EXPECT_GE(after.balance(), 1.2 * before.balance());
   EXPECT_LT(wrong.balance(), before.balance());
+}
 
+TEST_P(ShieldBlurFields, AreBelieved) {
+  const cv::Mat deblurred = deblur(path("blurx"), path("blury"), kOffset, "believed");
   const FrameBlur field = blur_field_from_displacement(blurred_.cols, blurred_.rows, dx_, dy_, {});
   int changed = 0;
   for (int i = 0; i < field.grid.size(); ++i) {
     const cv::Rect rect = field.grid.rect(i);
     if (cv::norm(blurred_(rect), deblurred(rect), cv::NORM_INF) > 0) ++changed;
   }
-  EXPECT_GE(changed, 3 * field.grid.size() / 4) << "of " << field.grid.size() << " blocks";
+  // The lights of "entrance" have left hooks, which are no lines: the image contradicts the field. Half of "flower" is
+  // out of focus, or without texture.
+  const std::string image = GetParam();
+  if (image == "entrance") {
+    EXPECT_LE(changed, field.grid.size() / 4) << "of " << field.grid.size() << " blocks";
+  } else {
+    EXPECT_GE(changed, (image == "flower" ? 1 : 1.5) * field.grid.size() / 2) << "of " << field.grid.size();
+  }
 }
 
 TEST_P(ShieldBlurFields, CsvGivesTheSameAsMaps) {

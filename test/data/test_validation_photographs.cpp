@@ -49,7 +49,8 @@ TEST_P(ValidationPhotographs, AreasUnderTheCurve) {
         for (std::size_t t = 0; t < scores.size(); ++t) {
           const cv::Mat image = test::expose(*truths[t], {noise, contrast}, ++seed);
           const std::vector<double> of_image = with_neighbours(
-              scene.field.grid, log_ratios(scene.field, image, image_noise(image, PixelLayout::GRAY).value_or(0)));
+              scene.field.grid,
+              log_ratios(scene.field, BlurLikelihood(image, image_noise(image, PixelLayout::GRAY).value_or(0))));
           scores[t].insert(scores[t].end(), of_image.begin(), of_image.end());
         }
       }
