@@ -19,8 +19,10 @@ class OverloadRule {
   /// Frames that are ready behind the foremost one before that can be passed over.
   static constexpr std::size_t kReadyQueue = 2;
 
-  /// Processing of a frame begins.
-  void begin(TimeNs steady_ns) { begun_ns_ = steady_ns; }
+  /// Processing of a frame begins. How long it takes counts when it is in a hurry: what has time may take it.
+  void begin(TimeNs steady_ns, bool in_a_hurry) {
+    if (in_a_hurry) begun_ns_ = steady_ns;
+  }
   /// The next frame is asked for: what was begun has ended, its publishing included.
   void end(TimeNs steady_ns);
 
@@ -37,7 +39,7 @@ class OverloadRule {
 
  private:
   std::optional<TimeNs> begun_ns_;
-  std::deque<TimeNs> durations_ns_;  // of the last frames
+  std::deque<TimeNs> durations_ns_;  // of the last frames that were in a hurry
 };
 
 }  // namespace gyro_deblur

@@ -172,7 +172,7 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
     frame.settle(PassThroughReason::INTERNAL_ERROR, error.what());
   }
   frame.info = assembly_.best_info(frame);
-  if (frame.verdict == PassThroughReason::NONE) overload_.begin(steady_ns);
+  if (frame.verdict == PassThroughReason::NONE) overload_.begin(steady_ns, assembled.in_a_hurry);
   assembled.frame = intake_.queue().pop();
   ++in_progress_;
   return assembled;

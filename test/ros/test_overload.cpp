@@ -13,7 +13,7 @@ constexpr TimeNs kMs = 1'000'000, kPeriod = 33 * kMs;
 OverloadRule rule_after(int frames, TimeNs takes_ns) {
   OverloadRule rule;
   for (int i = 0; i < frames; ++i) {
-    rule.begin(i * takes_ns);
+    rule.begin(i * takes_ns, true);
     rule.end((i + 1) * takes_ns);
   }
   return rule;
@@ -38,7 +38,7 @@ TEST(OverloadRule, OneSlowFrameIsNoOverload) {
   OverloadRule rule = rule_after(1, 500 * kMs);
   EXPECT_EQ(rule.judge(kPeriod * 10, 0, 5, kPeriod), "") << "the first";
   rule = rule_after(4, 5 * kMs);
-  rule.begin(0);
+  rule.begin(0, true);
   rule.end(500 * kMs);
   EXPECT_EQ(rule.judge(kPeriod * 10, 0, 5, kPeriod), "");
 }
@@ -46,6 +46,15 @@ TEST(OverloadRule, OneSlowFrameIsNoOverload) {
 TEST(OverloadRule, TimeWithoutWorkIsNotProcessing) {
   OverloadRule rule = rule_after(5, 5 * kMs);
   for (int i = 1; i < 10; ++i) rule.end(i * 1000 * kMs);
+  EXPECT_EQ(rule.judge(kPeriod * 10, 0, 5, kPeriod), "");
+}
+
+TEST(OverloadRule, FramesThatHaveTimeMayTakeIt) {
+  OverloadRule rule;
+  for (int i = 0; i < 5; ++i) {
+    rule.begin(i * 100 * kMs, false);
+    rule.end((i + 1) * 100 * kMs);
+  }
   EXPECT_EQ(rule.judge(kPeriod * 10, 0, 5, kPeriod), "");
 }
 
