@@ -29,8 +29,8 @@ double even_path_px(double extent_px);
 /// bow of so much hardly depends on the extent, see max_bend_px.
 constexpr double kStraightPathShare = 0.02;
 
-/// Where there is no time for the plane a line does for paths that leave it by so much [px] at most (or max_bend_px):
-/// it gains there, by no more than little, on average.
+/// Where there is no time for the plane a line does for paths that leave it by so much [px] (or max_bend_px) and
+/// kStraightPathShare at most: there it still gains, from 10 px on (doc/reports/experiments_real_world.md).
 constexpr double kMaxLineBendPx = 1.5;
 
 /// Blur of one block from the places [px] of a scene point at kPathInstants, relative to that at the middle: that of
@@ -38,7 +38,7 @@ constexpr double kMaxLineBendPx = 1.5;
 /// best shift, to within the limit of evenness. Otherwise the line is the one that lies nearest to the places,
 /// extent_px is what they cover of it, and uneven_path_px is set. Where they lie more than the limit of a bend to
 /// either side of the line, bent_path_px is set, and the path is BENT where it leads farther than kMaxPlaneExtentPx.
-/// @param lines_alone  bent_path_px is never set: a path is BENT that leaves its line by more than kMaxLineBendPx too
+/// @param lines_alone  bent_path_px is never set; BENT is what leaves its line by more than kMaxLineBendPx instead
 BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options,
                         bool lines_alone = false);
 

@@ -31,7 +31,7 @@ struct PipelineRequest {
   bool keypoints = true;        ///< keypoints and rectification (implies the deblurred luminance)
   bool luminance = false;       ///< the deblurred luminance
   bool global_shutter = false;  ///< the deblurred image with all rows moved to the reference time
-  bool in_a_hurry = false;      ///< lines alone, what none serves is left BENT: the plane takes ten times as long
+  bool in_a_hurry = false;      ///< no bent paths: the plane takes ten times as long. Has no effect on engine "plane"
   /// Asked with the validated field before anything is deblurred. False: every block that would be is REJECTED.
   std::function<bool(const FrameBlur&)> permit = {};
 };

@@ -164,8 +164,14 @@ BlurLikelihood::BlurLikelihood(const cv::Mat& luminance, double noise_grey_level
   }
 }
 
+int BlurLikelihood::level_of(double extent_px) const {
+  return std::min(halvings(extent_px), static_cast<int>(levels_.size()) - 1);
+}
+
+int BlurLikelihood::window_px(double extent_px) const { return kSpectrumWindow << level_of(extent_px); }
+
 double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) const {
-  const int level = std::min(halvings(blur.extent_px), static_cast<int>(levels_.size()) - 1);
+  const int level = level_of(blur.extent_px);
   const cv::Mat& image = levels_[level].image;
   if (std::min(image.cols, image.rows) < kSpectrumWindow) return 0;
   const int shrink = 1 << level;
@@ -221,11 +227,14 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
 
 std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& likelihood, int threads) {
   constexpr int kBlocksAtATime = 4;
+  constexpr double kMostOfOne = 100;  // beyond every threshold
   const BlockGrid& grid = field.grid;
   const auto is_asked = [&](int i) { return field.blocks[i].status == BlockStatus::DEBLURRED; };
   const auto is_looked_at = [&](int i) {
-    const int row = i / grid.cols(), col = i % grid.cols(), level = halvings(field.blocks[i].extent_px);
-    return level == 0 || (level == 1 ? (row + col) % 2 == 0 : row % 2 == 0 && col % 2 == 0);
+    const int row = i / grid.cols(), col = i % grid.cols();
+    const int window_px = likelihood.window_px(field.blocks[i].extent_px);
+    if (window_px < 2 * grid.block_size_px()) return true;
+    return window_px < 4 * grid.block_size_px() ? (row + col) % 2 == 0 : row % 2 == 0 && col % 2 == 0;
   };
   std::vector<double> ratios(field.blocks.size());
   run_parallel(grid.size(), threads, kBlocksAtATime, [&](int i) {
@@ -240,7 +249,7 @@ std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& lik
       for (int x = std::max(col - 1, 0); x <= std::min(col + 1, grid.cols() - 1); ++x) {
         const int other = y * grid.cols() + x;
         if (!is_asked(other) || !is_looked_at(other)) continue;
-        sum += ratios[other];
+        sum += std::clamp(ratios[other], -kMostOfOne, kMostOfOne);
         ++count;
       }
     }

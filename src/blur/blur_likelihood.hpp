@@ -29,6 +29,9 @@ class BlurLikelihood {
   /// @param block  inside the image
   double log_ratio(const cv::Rect& block, const BlockBlur& blur) const;
 
+  /// Side [px] of the part of the image that log_ratio() looks at.
+  int window_px(double extent_px) const;
+
   /// The luminance, its pixels limited to what their neighbours and the noise allow: hot ones are gone.
   const cv::Mat& without_outliers() const { return levels_.front().image; }
 
@@ -38,17 +41,19 @@ class BlurLikelihood {
     cv::Mat image;
     double noise_variance;  // grey levels^2
   };
+  int level_of(double extent_px) const;
+
   std::vector<Level> levels_;
 };
 
-/// BlurLikelihood::log_ratio of every DEBLURRED block, row by row, 0 for the others. From 16 px on, where windows are
-/// larger than blocks, only every other one is looked at, from 64 px on one in four; the rest have the mean of those
-/// around them.
+/// BlurLikelihood::log_ratio of every DEBLURRED block, row by row, 0 for the others. Where windows are twice as large
+/// as blocks, as usual from 16 px on, only every other block is looked at, where four times (64 px) one in four; the
+/// rest have the mean of those around them, none of which counts for more than a few.
 std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& likelihood, int threads = 0);
 
 /// What a block's own log ratio becomes with those of the others, each limited to a few: of its eight neighbours, and
 /// all together. What makes a prediction wrong, or right, is so for the neighbours too. A block with much texture
-/// decides for itself, which a moving object needs; one with little follows.
+/// that is looked at decides for itself, which a moving object needs; one with little follows.
 std::vector<double> with_neighbours(const BlockGrid& grid, const std::vector<double>& log_ratios);
 
 }  // namespace gyro_deblur

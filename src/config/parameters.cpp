@@ -212,10 +212,10 @@ ParameterGroup validation() {
            "what they are rejected by: how likely their power spectrum is, or the paper's gradient"},
           {"false_acceptance", &Validation::false_acceptance, within(0.001, 0.5),
            "likelihood: share of blocks blurred by a third of what is predicted that may be accepted", RUNNING},
-          {"tau", &Validation::tau, within(0, 255, "grey levels / px"), "paper: gradient that is always allowed",
-           RUNNING},
+          {"tau", &Validation::tau, within(0, 255, "grey levels / px"),
+           "paper, and blur below 5 px: gradient that is always allowed", RUNNING},
           {"tau_contrast", &Validation::tau_contrast, within(0, 1000, "grey levels"),
-           "paper: plus this over the extent", RUNNING},
+           "paper, and blur below 5 px: plus this over the extent", RUNNING},
       }};
 }
 

@@ -10,9 +10,15 @@ namespace gyro_deblur {
 void OverloadRule::end(TimeNs steady_ns) {
   constexpr std::size_t kKept = 5;
   if (!begun_ns_) return;
-  durations_ns_.push_back(steady_ns - *begun_ns_);
+  const TimeNs takes_ns = steady_ns - *begun_ns_;
   begun_ns_.reset();
+  if (!in_a_hurry_ && (durations_ns_.empty() || takes_ns >= usual_ns())) return;
+  durations_ns_.push_back(takes_ns);
   if (durations_ns_.size() > kKept) durations_ns_.pop_front();
+}
+
+TimeNs OverloadRule::usual_ns() const {
+  return median(std::vector<TimeNs>(durations_ns_.begin(), durations_ns_.end()));
 }
 
 std::string OverloadRule::judge(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
@@ -23,7 +29,7 @@ std::string OverloadRule::judge(TimeNs now_ns, TimeNs ready_ns, std::size_t read
   const TimeNs waited_ns = now_ns - ready_ns;
   if (waited_ns <= static_cast<TimeNs>(kReadyQueue) * *frame_period_ns) return {};
   // Twice as fast as the camera: a burst of n frames is worked off within n periods.
-  const TimeNs takes_ns = median(std::vector<TimeNs>(durations_ns_.begin(), durations_ns_.end()));
+  const TimeNs takes_ns = usual_ns();
   if (2 * takes_ns <= *frame_period_ns) return {};
   return "ready for " + seconds_text(waited_ns) + " s, and " + std::to_string(ready_behind) +
          " newer frames are: processing takes " + seconds_text(takes_ns) + " s a frame, one comes every " +

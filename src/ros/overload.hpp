@@ -19,9 +19,11 @@ class OverloadRule {
   /// Frames that are ready behind the foremost one before that can be passed over.
   static constexpr std::size_t kReadyQueue = 2;
 
-  /// Processing of a frame begins. How long it takes counts when it is in a hurry: what has time may take it.
+  /// Processing of a frame begins. How long it takes counts when it is in a hurry, or takes less than those that were:
+  /// what has time may take it.
   void begin(TimeNs steady_ns, bool in_a_hurry) {
-    if (in_a_hurry) begun_ns_ = steady_ns;
+    begun_ns_ = steady_ns;
+    in_a_hurry_ = in_a_hurry;
   }
   /// The next frame is asked for: what was begun has ended, its publishing included.
   void end(TimeNs steady_ns);
@@ -38,8 +40,11 @@ class OverloadRule {
                             std::optional<TimeNs> frame_period_ns);
 
  private:
+  TimeNs usual_ns() const;  // precondition: some are kept
+
   std::optional<TimeNs> begun_ns_;
-  std::deque<TimeNs> durations_ns_;  // of the last frames that were in a hurry
+  bool in_a_hurry_ = false;          // of the frame that has begun
+  std::deque<TimeNs> durations_ns_;  // of the last frames that count
 };
 
 }  // namespace gyro_deblur

@@ -58,6 +58,15 @@ TEST(OverloadRule, FramesThatHaveTimeMayTakeIt) {
   EXPECT_EQ(rule.judge(kPeriod * 10, 0, 5, kPeriod), "");
 }
 
+TEST(OverloadRule, SlownessThatIsOverIsForgotten) {
+  OverloadRule rule = rule_after(5, 100 * kMs);
+  for (int i = 0; i < 3; ++i) {
+    rule.begin(i * kPeriod, false);
+    rule.end(i * kPeriod + 5 * kMs);
+  }
+  EXPECT_EQ(rule.judge(kPeriod * 10, 0, 5, kPeriod), "");
+}
+
 TEST(OverloadRule, AFrameHurriesBeforeAnyIsPassedOver) {
   EXPECT_TRUE(OverloadRule::is_in_a_hurry(kPeriod + 1, 0, 1, kPeriod));
   EXPECT_FALSE(OverloadRule::is_in_a_hurry(kPeriod, 0, 1, kPeriod)) << "as long as the frame before explains";
