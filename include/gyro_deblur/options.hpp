@@ -51,8 +51,8 @@ struct ValidationOptions {
   /// Of blocks blurred by a third of what is predicted, how many may be accepted; of sharp ones it is two thirds as
   /// many. Measured over 18 photographs (experiments/validation.cpp), extents of 5 to 40 px, noise of 1 to 8 grey
   /// levels and contrasts of 1 and .35 alike; of truly blurred blocks .1 accepts 99 %, .02 89 %, .01 81 %. Recorded
-  /// blur is a fifth longer than predicted at times (shield_burst, frame 3): .1 accepts 93 % of that, .05 fewer than 88
-  /// %. Up to .052 blocks of which nothing is known are rejected, above they are accepted.
+  /// blur is a fifth longer than predicted at times (shield_burst, frame 3): .1 accepts 93 % of that, .07 88 %.
+  /// Up to .052 blocks of which nothing is known are rejected, above they are accepted.
   double false_acceptance = 0.1;
   /// The paper's rule. The defaults accept at least 98.6 % of truly blurred 64 px blocks at every extent from 5 to 90
   /// px (first images of the Oxford sets, noise up to 2 grey levels) and reject 68 / 86 / 94 / 97 / 97 % of sharp ones

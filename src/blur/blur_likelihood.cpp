@@ -99,28 +99,6 @@ Table gain_of(const std::array<double, kFineBins>& squared, double share, double
   return gain;
 }
 
-/// Phases of a path in the plane times `scale`.
-PathPhases phases_of(const PlanePath& path_px, double scale) {
-  PathPhases phases{};
-  for (int k = 0; k < kPathInstants - 1; ++k) {
-    const Eigen::Vector2d begin = scale / kSpectrumWindow * path_px[k].cast<double>(),
-                          end = scale / kSpectrumWindow * path_px[k + 1].cast<double>();
-    const Eigen::Vector2d middle = begin + end, half = CV_PI * (end - begin);
-    PathPhases::Segment& segment = phases.segments[k];
-    segment.half_across = static_cast<float>(half.x());
-    segment.half_down = static_cast<float>(half.y());
-    for (int x = 0; x <= kSpectrumWaves; ++x) {
-      segment.across_re[x] = static_cast<float>(std::cos(CV_PI * x * middle.x()));
-      segment.across_im[x] = static_cast<float>(-std::sin(CV_PI * x * middle.x()));
-    }
-    for (int y = -kSpectrumWaves; y <= kSpectrumWaves; ++y) {
-      segment.down_re[y + kSpectrumWaves] = static_cast<float>(std::cos(CV_PI * y * middle.y()));
-      segment.down_im[y + kSpectrumWaves] = static_cast<float>(-std::sin(CV_PI * y * middle.y()));
-    }
-  }
-  return phases;
-}
-
 /// How often an image is halved before blur of an extent is looked at: 8 to 32 px are left, which a window holds, and
 /// the noise is less.
 int halvings(double extent_px) { return extent_px < 16 ? 0 : extent_px < 64 ? 1 : 2; }
@@ -143,6 +121,27 @@ cv::Mat clipped(const cv::Mat& luminance, double noise_grey_levels, int threads)
 }
 
 }  // namespace
+
+PathPhases phases_of(const PlanePath& path_px, double scale) {
+  PathPhases phases{};
+  for (int k = 0; k < kPathInstants - 1; ++k) {
+    const Eigen::Vector2d begin = scale / kSpectrumWindow * path_px[k].cast<double>(),
+                          end = scale / kSpectrumWindow * path_px[k + 1].cast<double>();
+    const Eigen::Vector2d middle = begin + end, half = CV_PI * (end - begin);
+    PathPhases::Segment& segment = phases.segments[k];
+    segment.half_across = static_cast<float>(half.x());
+    segment.half_down = static_cast<float>(half.y());
+    for (int x = 0; x <= kSpectrumWaves; ++x) {
+      segment.across_re[x] = static_cast<float>(std::cos(CV_PI * x * middle.x()));
+      segment.across_im[x] = static_cast<float>(-std::sin(CV_PI * x * middle.x()));
+    }
+    for (int y = -kSpectrumWaves; y <= kSpectrumWaves; ++y) {
+      segment.down_re[y + kSpectrumWaves] = static_cast<float>(std::cos(CV_PI * y * middle.y()));
+      segment.down_im[y + kSpectrumWaves] = static_cast<float>(-std::sin(CV_PI * y * middle.y()));
+    }
+  }
+  return phases;
+}
 
 BlurLikelihood::BlurLikelihood(const cv::Mat& luminance, double noise_grey_levels, int threads) {
   CV_Assert(luminance.type() == CV_8UC1);

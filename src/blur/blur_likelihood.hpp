@@ -10,6 +10,11 @@
 
 namespace gyro_deblur {
 
+struct PathPhases;
+
+/// Of a path times `scale`, for SpectrumLoops::multiply_path_gain.
+PathPhases phases_of(const PlanePath& path_px, double scale);
+
 /// One image, made ready for the likelihood of many blurs.
 class BlurLikelihood {
  public:
@@ -48,7 +53,7 @@ class BlurLikelihood {
 
 /// BlurLikelihood::log_ratio of every DEBLURRED block, row by row, 0 for the others. Where windows are twice as large
 /// as blocks, as usual from 16 px on, only every other block is looked at, where four times (64 px) one in four; the
-/// rest have the mean of those around them, none of which counts for more than a few.
+/// rest have the mean of those around them, each limited.
 std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& likelihood, int threads = 0);
 
 /// What a block's own log ratio becomes with those of the others, each limited to a few: of its eight neighbours, and

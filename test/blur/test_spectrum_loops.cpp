@@ -12,6 +12,8 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
+#include "blur/blur_likelihood.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -91,27 +93,13 @@ TEST_P(SpectrumLoopsTest, MultiplyGain) {
 TEST_P(SpectrumLoopsTest, MultiplyPathGain) {
   constexpr int kSegments = kPathInstants - 1, kInstants = 400;
   constexpr float kLeft = 0.01f;
+  constexpr double kScale = 0.5;
+  PlanePath path_px;
   std::array<Eigen::Vector2d, kPathInstants> places;  // in windows
   for (int k = 0; k < kPathInstants; ++k) {
-    const double angle_rad = 0.3 * k;
-    places[k] = 9.0 / kSpectrumWindow * Eigen::Vector2d(std::cos(angle_rad), 0.4 - std::sin(angle_rad));
-  }
-  PathPhases path{};
-  for (int k = 0; k < kSegments; ++k) {
-    const Eigen::Vector2d middle = 0.5 * (places[k] + places[k + 1]), half = CV_PI * (places[k + 1] - places[k]);
-    PathPhases::Segment& segment = path.segments[k];
-    segment.half_across = static_cast<float>(half.x());
-    segment.half_down = static_cast<float>(half.y());
-    for (int x = 0; x <= kSpectrumWaves; ++x) {
-      const std::complex<double> phase = std::polar(1.0, -2 * CV_PI * x * middle.x());
-      segment.across_re[x] = static_cast<float>(phase.real());
-      segment.across_im[x] = static_cast<float>(phase.imag());
-    }
-    for (int row = 0; row < PathPhases::kDown; ++row) {
-      const std::complex<double> phase = std::polar(1.0, -2 * CV_PI * (row - kSpectrumWaves) * middle.y());
-      segment.down_re[row] = static_cast<float>(phase.real());
-      segment.down_im[row] = static_cast<float>(phase.imag());
-    }
+    const float angle_rad = 0.3f * static_cast<float>(k);
+    path_px[k] = 18 * Eigen::Vector2f(std::cos(angle_rad), 0.4f - std::sin(angle_rad));
+    places[k] = kScale / kSpectrumWindow * path_px[k].cast<double>();
   }
   const auto power_at = [&](int x, int y) {
     std::complex<double> sum = 0;
@@ -132,7 +120,7 @@ TEST_P(SpectrumLoopsTest, MultiplyPathGain) {
   };
   std::vector<float> texture(kSpectrumSize), model(kSpectrumSize);
   for (int i = 0; i < kSpectrumSize; ++i) texture[i] = static_cast<float>(i + 1);
-  loops_->multiply_path_gain(texture.data(), path, kLeft, model.data());
+  loops_->multiply_path_gain(texture.data(), phases_of(path_px, kScale), kLeft, model.data());
   for (const auto& [x, y] : {std::pair(0, 3), {1, 0}, {1, 1}, {5, 2}, {15, 15}, {7, -1}, {15, -15}, {0, -9}, {4, -9}}) {
     const int at = (y < 0 ? kSpectrumSize / 2 : 0) + std::abs(y) * kSpectrumWaves + x;
     const double expected = smeared_at(x, y) + kLeft;
