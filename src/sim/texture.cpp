@@ -84,7 +84,9 @@ cv::Mat procedural_texture(int width_px, int height_px, std::uint64_t seed) {
   for (int i = 0; i < leaves; ++i) {
     const double q = uniform(rng, 1 / (ratio * ratio), 1);
     const double radius = kSmallestRadius / std::sqrt(q);
-    const cv::Point2d center(uniform(rng, -radius, width_px + radius), uniform(rng, -radius, height_px + radius));
+    // One after the other: in which order arguments are drawn is the compiler's choice.
+    const double y = uniform(rng, -radius, height_px + radius), x = uniform(rng, -radius, width_px + radius);
+    const cv::Point2d center(x, y);
     const cv::Scalar color = random_color(rng);
     if (uniform(rng, 0, 1) < kTextShare && radius < 0.2 * largest) {
       std::string text;

@@ -154,12 +154,15 @@ TEST(PairHomography, IsFoundAmongWrongMatches) {
   points1.descriptors.create(kPoints, 128, CV_32F);
   rng.fill(points1.descriptors, cv::RNG::UNIFORM, 0, 255);
   points2.descriptors = points1.descriptors.clone();
+  const auto random_point = [&rng] {
+    const double x = rng.uniform(0.0, 640.0), y = rng.uniform(0.0, 480.0);
+    return cv::Point2d(x, y);
+  };
   for (int i = 0; i < kPoints; ++i) {
-    const cv::Point2d p(rng.uniform(0.0, 640.0), rng.uniform(0.0, 480.0));
+    const cv::Point2d p = random_point();
     points1.middle_px.emplace_back(p);
     const bool wrong = i % 3 == 0;
-    points2.middle_px.emplace_back(wrong ? cv::Point2d(rng.uniform(0.0, 640.0), rng.uniform(0.0, 480.0))
-                                         : project(H, p));
+    points2.middle_px.emplace_back(wrong ? random_point() : project(H, p));
   }
   const PairHomography found = estimate_pair_homography(points1, points2, {});
   EXPECT_EQ(found.matches, kPoints);

@@ -21,7 +21,8 @@ struct Scene {
     std::uniform_real_distribution<double> inverse_depth(0.2, 1);
     std::normal_distribution<double> normal;
     const auto noisy = [&](const Eigen::Vector2d& v) {
-      return Eigen::Vector2d(v.x() + noise_px_s * normal(random), v.y() + noise_px_s * normal(random));
+      const double y = v.y() + noise_px_s * normal(random), x = v.x() + noise_px_s * normal(random);
+      return Eigen::Vector2d(x, y);
     };
     for (int y = 32; y < 480; y += 64) {
       for (int x = 32; x < 752; x += 64) {

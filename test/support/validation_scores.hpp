@@ -43,7 +43,8 @@ inline cv::Mat expose(const cv::Mat& image, const Exposed& how, std::uint64_t se
   cv::Mat shown = expose(light, how.noise_grey_levels, seed);
   cv::RNG rng(seed + 1);
   for (int k = static_cast<int>(shown.total() * how.hot_ppm / 1'000'000); k > 0; --k) {
-    shown.at<uchar>(rng.uniform(0, shown.rows), rng.uniform(0, shown.cols)) = 255;
+    const int x = rng.uniform(0, shown.cols), y = rng.uniform(0, shown.rows);
+    shown.at<uchar>(y, x) = 255;
   }
   return shown;
 }
