@@ -23,6 +23,7 @@ find_package(catkin REQUIRED COMPONENTS
 add_message_files(DIRECTORY msg FILES
   BlurField.msg
   Exposure.msg
+  ImageQuality.msg
   Keypoint.msg
   KeypointArray.msg
 )

@@ -117,6 +117,7 @@ struct FrameBlur {
   TimeNs exposure_ns = 0;
   TimeNs readout_ns = 0;
   std::optional<double> noise;  ///< of the image [grey levels of 8 bits], see image_noise(); nothing: not known
+  double contrast = 0;          ///< of the image [grey levels of 8 bits], see image_contrast(); 0: not known
   bool images_alone = false;    ///< no other motion is known: residual velocities are the whole of it
 
   std::size_t count(BlockStatus status) const;

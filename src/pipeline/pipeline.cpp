@@ -173,6 +173,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     }
     result.field.noise = options_.noise.is_known() ? image_noise(luminance, options_.noise)
                                                    : image_noise(image, layout, result.significant_bits);
+    result.field.contrast = image_contrast(image, layout, result.significant_bits);
     if (weighs) weigh_noise(luminance, *bank_, result.field, options_.threads);
     result.times.noise_ms = watch.ms();
   }

@@ -102,6 +102,8 @@ DeblurNodelet::~DeblurNodelet() {
   overlay_publisher_.shutdown();
   keypoint_publisher_.shutdown();
   blur_field_publisher_.shutdown();
+  quality_publisher_.shutdown();
+  trust_publisher_.shutdown();
   marker_publisher_.shutdown();
   track_publisher_.shutdown();
   global_shutter_publisher_.shutdown();
@@ -297,6 +299,8 @@ void DeblurNodelet::advertise(std::uint32_t queue_size) {
   overlay_publisher_ = transport_->advertise("blur_overlay", queue_size, on_image_change, on_image_change);
   keypoint_publisher_ = nh.advertise<KeypointArray>("keypoints", queue_size, on_topic_change, on_topic_change);
   blur_field_publisher_ = nh.advertise<BlurField>("blur_field", queue_size, on_topic_change, on_topic_change);
+  quality_publisher_ = nh.advertise<ImageQuality>("image_quality", queue_size, on_topic_change, on_topic_change);
+  trust_publisher_ = transport_->advertise("trust_mask", queue_size, on_image_change, on_image_change);
   track_publisher_ =
       nh.advertise<sensor_msgs::PointCloud>("feature_tracks", queue_size, on_topic_change, on_topic_change);
   marker_publisher_ =
@@ -304,8 +308,8 @@ void DeblurNodelet::advertise(std::uint32_t queue_size) {
   for (const std::string& topic :
        {image_publisher_.getTopic(), info_publisher_.getTopic(), overlay_publisher_.getTopic(),
         keypoint_publisher_.getTopic(), blur_field_publisher_.getTopic(), track_publisher_.getTopic(),
-        marker_publisher_.getTopic(), global_shutter_publisher_.getTopic(),
-        global_shutter_info_publisher_.getTopic()}) {
+        marker_publisher_.getTopic(), quality_publisher_.getTopic(), trust_publisher_.getTopic(),
+        global_shutter_publisher_.getTopic(), global_shutter_info_publisher_.getTopic()}) {
     unsent_.watch(topic);
   }
 }
@@ -313,7 +317,8 @@ void DeblurNodelet::advertise(std::uint32_t queue_size) {
 bool DeblurNodelet::has_listener() const {
   return is_heard(image_publisher_) || is_heard(info_publisher_) || is_heard(overlay_publisher_) ||
          is_heard(keypoint_publisher_) || is_heard(blur_field_publisher_) || is_heard(marker_publisher_) ||
-         is_heard(track_publisher_) || is_heard(global_shutter_publisher_) || is_heard(global_shutter_info_publisher_);
+         is_heard(quality_publisher_) || is_heard(trust_publisher_) || is_heard(track_publisher_) ||
+         is_heard(global_shutter_publisher_) || is_heard(global_shutter_info_publisher_);
 }
 
 FrameRequest DeblurNodelet::request() const {
@@ -323,6 +328,7 @@ FrameRequest DeblurNodelet::request() const {
   request.overlay = is_heard(overlay_publisher_);
   request.markers = is_heard(marker_publisher_);
   request.tracks = is_heard(track_publisher_);
+  request.trust_mask = is_heard(trust_publisher_);
   request.global_shutter = is_heard(global_shutter_publisher_) || is_heard(global_shutter_info_publisher_);
   return request;
 }
@@ -473,6 +479,8 @@ void DeblurNodelet::publish(const FrameOutput& output) {
   image_publisher_.publish(output.image);
   info_publisher_.publish(output.camera_info);
   blur_field_publisher_.publish(output.blur_field);
+  quality_publisher_.publish(output.quality);
+  if (output.trust_mask) trust_publisher_.publish(output.trust_mask);
   if (output.keypoints) keypoint_publisher_.publish(output.keypoints);
   if (output.overlay) overlay_publisher_.publish(output.overlay);
   if (output.markers) marker_publisher_.publish(output.markers);

@@ -114,6 +114,8 @@ class DeblurNodelet : public nodelet::Nodelet {
   ros::Publisher info_publisher_;
   ros::Publisher keypoint_publisher_;
   ros::Publisher blur_field_publisher_;
+  ros::Publisher quality_publisher_;
+  image_transport::Publisher trust_publisher_;
   image_transport::Publisher overlay_publisher_;
   ros::Publisher marker_publisher_;
   ros::Publisher track_publisher_;

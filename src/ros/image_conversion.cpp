@@ -98,11 +98,23 @@ sensor_msgs::ImagePtr to_image(const cv::Mat& pixels, const sensor_msgs::Image& 
   return message;
 }
 
-sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& header) {
+namespace {
+
+sensor_msgs::ImagePtr with_header(const cv::Mat& pixels, const std_msgs::Header& header, const char* encoding) {
   sensor_msgs::Image like;
   like.header = header;
-  like.encoding = sensor_msgs::image_encodings::BGR8;
-  return to_image(bgr, like);
+  like.encoding = encoding;
+  return to_image(pixels, like);
+}
+
+}  // namespace
+
+sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& header) {
+  return with_header(bgr, header, sensor_msgs::image_encodings::BGR8.c_str());
+}
+
+sensor_msgs::ImagePtr to_mono_image(const cv::Mat& gray, const std_msgs::Header& header) {
+  return with_header(gray, header, sensor_msgs::image_encodings::MONO8.c_str());
 }
 
 sensor_msgs::ImagePtr decode_image(const sensor_msgs::CompressedImage& compressed) {

@@ -28,6 +28,9 @@ sensor_msgs::ImagePtr to_image(const cv::Mat& pixels, const sensor_msgs::Image& 
 /// A bgr8 message with the header of `input`.
 sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& header);
 
+/// A mono8 message with the header of `input`.
+sensor_msgs::ImagePtr to_mono_image(const cv::Mat& gray, const std_msgs::Header& header);
+
 /// Pixels of a compressed image (JPEG, PNG, whatever OpenCV reads), with its header. Colours come as bgr8 (bgr16,
 /// bgra8), one channel as mono8, mono16, or the Bayer encoding that `format` names before its semicolon. What cannot be
 /// decoded gives an image of 0x0, which check_image refuses as BAD_IMAGE: the frame comes out in its turn.

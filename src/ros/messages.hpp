@@ -3,5 +3,6 @@
 
 #include <gyro_deblur/BlurField.h>
 #include <gyro_deblur/Exposure.h>
+#include <gyro_deblur/ImageQuality.h>
 #include <gyro_deblur/Keypoint.h>
 #include <gyro_deblur/KeypointArray.h>

@@ -14,7 +14,7 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr float kUnknownNoise = -1;
+constexpr float kUnknown = -1;
 constexpr char kMarkerNamespace[] = "blur";
 /// At the depth of the lines.
 constexpr double kMarkerWidthPx = 2, kMarkerGapPx = 8, kMarkerHalfTickPx = 4;
@@ -49,7 +49,7 @@ BlurFieldPtr to_message(const FrameBlur& field, const std_msgs::Header& header) 
     message->extent.push_back(block.extent_px);
     message->status.push_back(static_cast<std::uint8_t>(block.status));
   }
-  message->noise = field.noise ? static_cast<float>(*field.noise) : kUnknownNoise;
+  message->noise = field.noise ? static_cast<float>(*field.noise) : kUnknown;
   message->exposure_time.fromNSec(field.exposure_ns);
   message->readout_time.fromNSec(field.readout_ns);
   return message;
@@ -60,10 +60,38 @@ BlurFieldPtr pass_through_message(PassThroughReason reason, const std::string& t
   message->header = input.header;
   message->reason = static_cast<std::uint8_t>(reason);
   message->reason_text = text;
-  message->noise = kUnknownNoise;
+  message->noise = kUnknown;
   message->image_width = input.width;
   message->image_height = input.height;
   return message;
+}
+
+ImageQualityPtr to_message(const FrameQuality& quality, const std_msgs::Header& header) {
+  auto message = boost::make_shared<ImageQuality>();
+  message->header = header;
+  message->verdict = static_cast<std::uint8_t>(quality.verdict);
+  message->score = quality.score ? static_cast<float>(*quality.score) : kUnknown;
+  message->extent_median = static_cast<float>(quality.before.median_px);
+  message->extent_p95 = static_cast<float>(quality.before.p95_px);
+  message->left_median = static_cast<float>(quality.after.median_px);
+  message->left_p95 = static_cast<float>(quality.after.p95_px);
+  message->noise = quality.noise ? static_cast<float>(*quality.noise) : kUnknown;
+  message->contrast = static_cast<float>(quality.contrast);
+  const auto share = [&quality](BlockStatus status) { return static_cast<float>(quality.share(status)); };
+  message->sharp = share(BlockStatus::SHARP);
+  message->deblurred = share(BlockStatus::DEBLURRED);
+  message->rejected = share(BlockStatus::REJECTED);
+  message->too_large = share(BlockStatus::TOO_LARGE);
+  message->no_gyro = share(BlockStatus::NO_GYRO);
+  message->bent = share(BlockStatus::BENT);
+  message->noisy = share(BlockStatus::NOISY);
+  return message;
+}
+
+ImageQualityPtr unknown_quality(const std_msgs::Header& header) {
+  FrameQuality unknown;
+  unknown.shares[static_cast<std::size_t>(BlockStatus::NO_GYRO)] = 1;
+  return to_message(unknown, header);
 }
 
 KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions& options,

@@ -12,6 +12,7 @@
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/frame_quality.hpp"
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "ros/messages.hpp"
@@ -23,6 +24,11 @@ BlurFieldPtr to_message(const FrameBlur& field, const std_msgs::Header& header);
 
 /// Message of an image that was passed through unchanged.
 BlurFieldPtr pass_through_message(PassThroughReason reason, const std::string& text, const sensor_msgs::Image& input);
+
+ImageQualityPtr to_message(const FrameQuality& quality, const std_msgs::Header& header);
+
+/// Quality of an image of whose blur nothing is known.
+ImageQualityPtr unknown_quality(const std_msgs::Header& header);
 
 KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions& options,
                             const std_msgs::Header& header);

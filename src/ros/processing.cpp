@@ -3,12 +3,14 @@
 #include <algorithm>
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <cstdio>
 #include <utility>
 
 #include <sensor_msgs/image_encodings.h>
 #include <boost/make_shared.hpp>
 
+#include "gyro_deblur/frame_quality.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/overlay.hpp"
 #include "gyro_deblur/rotation_track.hpp"
@@ -126,6 +128,8 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
         to_bgr_image(draw_overlay(luminance8(view.image, view.layout, result.significant_bits), result.field), header);
   }
   if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
+  output->quality = to_message(assess_quality(result.field), header);
+  if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field), header);
   if (refusal.empty()) {
     add_field(assembled, rotation, result.field, output);
     output->field = std::move(result.field);
@@ -164,6 +168,14 @@ KeypointArrayPtr raw_keypoints(const AssembledFrame& assembled, PassThroughReaso
   }
 }
 
+/// The trust mask of a frame that passes through. Where its size is not that of its data there is none to have.
+sensor_msgs::ImagePtr no_trust(const sensor_msgs::Image& input) {
+  const bool has_pixels = std::uint64_t{input.width} * input.height <= input.data.size();
+  const cv::Size size =
+      has_pixels ? cv::Size(static_cast<int>(input.width), static_cast<int>(input.height)) : cv::Size();
+  return to_mono_image(cv::Mat::zeros(size, CV_8UC1), input.header);
+}
+
 /// What was made of the frame before it failed does not leave.
 void pass_through_failed(const std::string& text, FrameOutput* output) {
   output->reason = PassThroughReason::INTERNAL_ERROR;
@@ -172,6 +184,8 @@ void pass_through_failed(const std::string& text, FrameOutput* output) {
   output->field.reset();
   output->slow_blocks.clear();
   output->blur_field.reset();
+  output->quality.reset();
+  output->trust_mask.reset();
   output->keypoints.reset();
   output->overlay.reset();
   output->markers.reset();
@@ -206,6 +220,8 @@ FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request
     output.global_shutter_info = output.camera_info;
   }
   if (!output.blur_field) output.blur_field = pass_through_message(output.reason, output.reason_text, *frame.image);
+  if (!output.quality) output.quality = unknown_quality(frame.image->header);
+  if (request.trust_mask && !output.trust_mask) output.trust_mask = no_trust(*frame.image);
   if (request.keypoints && !output.keypoints) {
     output.keypoints = raw_keypoints(assembled, output.reason, &output.keypoints_text);
   }

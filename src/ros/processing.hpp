@@ -28,6 +28,7 @@ struct FrameRequest {
   bool markers = false;
   bool tracks = false;
   bool global_shutter = false;
+  bool trust_mask = false;
   /// Asked with the validated field before anything is deblurred; a text refuses, and says why. Absent: permitted.
   std::function<std::string(const FrameBlur&)> permit = {};
 };
@@ -38,6 +39,8 @@ struct FrameOutput {
   sensor_msgs::ImageConstPtr image;             ///< the very input message when no pixel was changed
   sensor_msgs::CameraInfoConstPtr camera_info;  ///< the input's; one that is not calibrated when there was none
   BlurFieldPtr blur_field;
+  ImageQualityPtr quality;
+  sensor_msgs::ImagePtr trust_mask;            ///< null when not requested
   KeypointArrayPtr keypoints;                  ///< null when not requested
   std::string keypoints_text;                  ///< why there could be no keypoints though requested; else empty
   sensor_msgs::ImagePtr overlay;               ///< null when not requested, or without a blur field

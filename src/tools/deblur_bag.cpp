@@ -246,6 +246,7 @@ int main_of(int argc, char** argv) {
   app.add_flag_callback(
       "--no-keypoints", [&arguments] { arguments.request.keypoints = false; }, "leave out keypoints");
   app.add_flag("--overlay", arguments.request.overlay, "also write blur_overlay");
+  app.add_flag("--trust-mask", arguments.request.trust_mask, "also write trust_mask");
   app.add_flag("--tracks", arguments.request.tracks, "also write feature_tracks");
   app.add_flag("--global-shutter", arguments.request.global_shutter,
                "also write global_shutter/image_raw and its camera_info");

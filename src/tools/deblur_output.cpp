@@ -62,6 +62,8 @@ void FrameWriter::write(const FrameOutput& frame) {
   bag_.write(topics_.camera_info, time, *frame.camera_info);
   if (frame.keypoints) bag_.write(topics_.keypoints, time, *frame.keypoints);
   bag_.write(topics_.blur_field, time, *frame.blur_field);
+  bag_.write(topics_.quality, time, *frame.quality);
+  if (frame.trust_mask) bag_.write(topics_.trust_mask, time, *frame.trust_mask);
   if (frame.overlay) bag_.write(topics_.overlay, time, *frame.overlay);
   if (frame.markers) bag_.write(topics_.markers, time, *frame.markers);
   if (frame.tracks) bag_.write(topics_.tracks, time, *frame.tracks);

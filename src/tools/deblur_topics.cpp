@@ -71,6 +71,8 @@ OutputTopics::OutputTopics(const std::string& name_space)
       camera_info(name_space + "/deblurred/camera_info"),
       keypoints(name_space + "/keypoints"),
       blur_field(name_space + "/blur_field"),
+      quality(name_space + "/image_quality"),
+      trust_mask(name_space + "/trust_mask"),
       overlay(name_space + "/blur_overlay"),
       markers(name_space + "/blur_markers"),
       tracks(name_space + "/feature_tracks"),
@@ -78,7 +80,8 @@ OutputTopics::OutputTopics(const std::string& name_space)
       global_shutter_info(name_space + "/global_shutter/camera_info") {}
 
 std::set<std::string> OutputTopics::all() const {
-  return {image, camera_info, keypoints, blur_field, overlay, markers, tracks, global_shutter, global_shutter_info};
+  return {image,   camera_info, keypoints,      blur_field,         quality, trust_mask, overlay,
+          markers, tracks,      global_shutter, global_shutter_info};
 }
 
 bool reads_driver_messages(const Config& config) {

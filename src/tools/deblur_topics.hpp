@@ -21,7 +21,8 @@ struct OutputTopics {
   explicit OutputTopics(const std::string& name_space);
   std::set<std::string> all() const;
 
-  std::string image, camera_info, keypoints, blur_field, overlay, markers, tracks, global_shutter, global_shutter_info;
+  std::string image, camera_info, keypoints, blur_field, quality, trust_mask, overlay, markers, tracks, global_shutter,
+      global_shutter_info;
 };
 
 struct DeblurTopics {

@@ -82,8 +82,31 @@ TEST(ImageNoise, IsNotThatOfSaturatedPartsOrHotPixels) {
   EXPECT_NEAR(*image_noise(expose_as(light, 2, 8, 7), PixelLayout::GRAY), 2, 0.15 * 2);
   cv::Mat hot = expose_as(ramp(752, 480), 2, 8, 8);
   cv::RNG rng(9);
-  for (int i = 0; i < 361; ++i) hot.at<uchar>(rng.uniform(0, 480), rng.uniform(0, 752)) = 250;  // 1000 in a million
+  for (int i = 0; i < 361; ++i) {  // 1000 in a million
+    const int x = rng.uniform(0, 752), y = rng.uniform(0, 480);
+    hot.at<uchar>(y, x) = 250;
+  }
   EXPECT_NEAR(*image_noise(hot, PixelLayout::GRAY), 2, 0.15 * 2);
+}
+
+TEST(ImageContrast, IsThatOfWideMosaicAndColourImagesToo) {
+  // Halves of two grey levels.
+  cv::Mat gray(240, 320, CV_8UC1, cv::Scalar(50));
+  gray(cv::Rect(160, 0, 160, 240)) = 90;
+  EXPECT_NEAR(image_contrast(gray, PixelLayout::GRAY), 20, 1e-9);
+  cv::Mat wide;
+  gray.convertTo(wide, CV_16U, 4095.0 / 255);
+  EXPECT_NEAR(image_contrast(wide, PixelLayout::GRAY, 12), 20, 0.02);
+  cv::Mat colour;
+  cv::merge(std::vector<cv::Mat>{gray * 0, gray, gray * 2}, colour);
+  EXPECT_NEAR(image_contrast(colour, PixelLayout::BGR), 20, 1e-9);
+  // Red of another brightness everywhere does not count.
+  cv::Mat mosaic = gray.clone();
+  for (int y = 0; y < mosaic.rows; y += 2) {
+    for (int x = 0; x < mosaic.cols; x += 2) mosaic.at<uchar>(y, x) = 255;
+  }
+  EXPECT_NEAR(image_contrast(mosaic, PixelLayout::BAYER_RGGB), 20, 1e-9);
+  EXPECT_EQ(image_contrast(cv::Mat(1, 1, CV_8UC1, cv::Scalar(7)), PixelLayout::GRAY), 0);
 }
 
 TEST(ImageNoise, IsNotKnownWithoutPixelsToSeeItOn) {

@@ -86,6 +86,13 @@ class ProcessorTest : public testing::Test {
     EXPECT_NE(output.reason_text.find(text_part), std::string::npos) << output.reason_text;
     EXPECT_EQ(output.blur_field->reason_text, output.reason_text);
     EXPECT_TRUE(output.blur_field->status.empty());
+    ASSERT_NE(output.quality, nullptr);
+    EXPECT_EQ(output.quality->header.stamp, output.input->header.stamp);
+    if (reason != PassThroughReason::PARTNER) {
+      EXPECT_EQ(output.quality->verdict, ImageQuality::UNKNOWN);
+      EXPECT_LT(output.quality->score, 0);
+      EXPECT_EQ(output.quality->no_gyro, 1);
+    }
     ASSERT_NE(output.camera_info, nullptr);
     EXPECT_EQ(output.camera_info->header.stamp, output.input->header.stamp);
     ASSERT_NE(output.keypoints, nullptr);
@@ -102,6 +109,7 @@ class ProcessorTest : public testing::Test {
     EXPECT_EQ(output.image->encoding, output.input->encoding);
     EXPECT_EQ(output.image->width, output.input->width);
     EXPECT_EQ(output.image->height, output.input->height);
+    EXPECT_EQ(output.quality->verdict, ImageQuality::DEBLURRED);
     ASSERT_TRUE(output.field);
     EXPECT_EQ(output.field->count(BlockStatus::DEBLURRED), output.field->blocks.size());
   }

@@ -454,6 +454,20 @@ TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
 }
 
 // Names and values of the enumerations are those of the message, so that nodes may cast.
+TEST(Names, OfVerdictsAgreeWithTheMessage) {
+  std::ifstream file(GYRO_DEBLUR_SOURCE_DIR "/msg/ImageQuality.msg");
+  ASSERT_TRUE(file);
+  const std::regex constant(R"(^uint8 ([A-Z_]+)=(\d+).*)");
+  int verdicts = 0;
+  for (std::string line; std::getline(file, line);) {
+    std::smatch match;
+    if (!std::regex_match(line, match, constant)) continue;
+    EXPECT_EQ(to_string(static_cast<QualityVerdict>(std::stoi(match[2]))), match[1].str());
+    ++verdicts;
+  }
+  EXPECT_EQ(verdicts, 5);
+}
+
 TEST(Names, AgreeWithTheMessage) {
   std::ifstream file(GYRO_DEBLUR_SOURCE_DIR "/msg/BlurField.msg");
   ASSERT_TRUE(file);

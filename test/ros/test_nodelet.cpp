@@ -339,6 +339,8 @@ TEST_F(NodeletTest, CameraIsSubscribedWhileSomebodyListens) {
   listens(ignore<sensor_msgs::CameraInfo>("deblurred/camera_info"));
   listens(ignore<KeypointArray>("keypoints"));
   listens(ignore<BlurField>("blur_field"));
+  listens(ignore<ImageQuality>("image_quality"));
+  listens(ignore<sensor_msgs::Image>("trust_mask"));
   listens(ignore<sensor_msgs::Image>("blur_overlay"));
   listens(ignore<visualization_msgs::MarkerArray>("blur_markers"));
   listens(ignore<sensor_msgs::PointCloud>("feature_tracks"));
@@ -373,6 +375,36 @@ TEST_F(NodeletTest, OverlayAndMarkersComeInTheImagesFrame) {
   ASSERT_EQ(markers[0]->markers.size(), 1u);
   EXPECT_EQ(markers[0]->markers[0].header.frame_id, kCameraFrame);
   EXPECT_FALSE(markers[0]->markers[0].points.empty());
+}
+
+TEST_F(NodeletTest, QualityAndTrustMaskComeWithEveryFrame) {
+  start();
+  std::vector<ImageQualityConstPtr> qualities;
+  std::vector<sensor_msgs::ImageConstPtr> masks;
+  const ros::Subscriber quality_subscriber = nh_.subscribe<ImageQuality>(
+      ns_ + "/image_quality", 10,
+      [&](const ImageQualityConstPtr& m) { mailbox_.put([&] { qualities.push_back(m); }); });
+  const ros::Subscriber mask_subscriber = nh_.subscribe<sensor_msgs::Image>(
+      ns_ + "/trust_mask", 10, [&](const sensor_msgs::ImageConstPtr& m) { mailbox_.put([&] { masks.push_back(m); }); });
+  for (const ros::Subscriber* each : {&quality_subscriber, &mask_subscriber}) {
+    ASSERT_TRUE(poll_until([&] { return publishes_to_us(node_, each->getTopic()); })) << each->getTopic();
+  }
+  publish_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  publish_frame(kStart);
+  expect_frames(1);
+  ASSERT_TRUE(mailbox_.wait([&] { return !qualities.empty() && !masks.empty(); }));
+  EXPECT_EQ(qualities[0]->header.stamp, images_[0]->header.stamp);
+  EXPECT_EQ(qualities[0]->verdict, ImageQuality::DEBLURRED);
+  EXPECT_EQ(qualities[0]->deblurred, 1.f);
+  EXPECT_GT(qualities[0]->score, 0.25f);
+  EXPECT_GT(qualities[0]->extent_median, 3.f);
+  EXPECT_EQ(qualities[0]->left_p95, 0.f);
+  EXPECT_EQ(masks[0]->header.stamp, images_[0]->header.stamp);
+  EXPECT_EQ(masks[0]->header.frame_id, kCameraFrame);
+  EXPECT_EQ(masks[0]->encoding, "mono8");
+  EXPECT_EQ(masks[0]->width, static_cast<unsigned>(kWidth));
+  EXPECT_EQ(masks[0]->height, static_cast<unsigned>(kHeight));
+  EXPECT_EQ(masks[0]->data[kHeight / 2 * kWidth + kWidth / 2], 255);
 }
 
 TEST_F(NodeletTest, GlobalShutterImageComesWithItsCameraInfoToWhoListens) {

@@ -224,6 +224,7 @@ TEST_F(ProcessingTest, OnlyWhatIsAskedForIsMade) {
   EXPECT_EQ(outputs_[0].keypoints, nullptr);
   EXPECT_EQ(outputs_[0].overlay, nullptr);
   EXPECT_EQ(outputs_[0].markers, nullptr);
+  EXPECT_EQ(outputs_[0].trust_mask, nullptr);
   EXPECT_FALSE(outputs_[0].blur_field->status.empty());
   request_ = {true, true, true, true};
   add_frame(kStart + kMs);
@@ -258,6 +259,24 @@ TEST_F(ProcessingTest, FrameIsTheSameBitByBitWithTracks) {
     EXPECT_EQ(without.blur_field->angle, with.blur_field->angle);
     EXPECT_EQ(without.blur_field->extent, with.blur_field->extent);
   }
+}
+
+TEST_F(ProcessingTest, NothingOfAFrameThatPassesThroughIsTrusted) {
+  request_.trust_mask = true;
+  add_frame(kStart);  // without a gyroscope
+  time_out();
+  auto cut_off = image_message(kStart + kMs);
+  cut_off->data.resize(cut_off->data.size() / 2);
+  processor_.add_image(cut_off);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "");
+  const sensor_msgs::Image& mask = *outputs_[0].trust_mask;
+  EXPECT_EQ(mask.width, outputs_[0].input->width);
+  EXPECT_EQ(mask.height, outputs_[0].input->height);
+  EXPECT_EQ(mask.data, std::vector<std::uint8_t>(mask.data.size(), 0));
+  expect_passed_through(1, PassThroughReason::BAD_IMAGE, "");
+  EXPECT_TRUE(outputs_[1].trust_mask->data.empty()) << "nobody knows how large the image is";
 }
 
 TEST_F(ProcessingTest, MarkersOfTheFrameBeforeAreTakenAway) {

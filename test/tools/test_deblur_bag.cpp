@@ -313,13 +313,16 @@ TEST_F(DeblurBagTest, ExposureTopicIsFoundAndUsed) {
 
 TEST_F(DeblurBagTest, KeepsAllTopicsAndWritesPictures) {
   write_bag(kFastRadS);
-  const ProgramResult result = run({"--keep-all-topics", "--overlay", "--markers", "--output-namespace", "/elsewhere"});
+  const ProgramResult result =
+      run({"--keep-all-topics", "--overlay", "--markers", "--trust-mask", "--output-namespace", "/elsewhere"});
   ASSERT_EQ(result.exit_code, 0) << result.output;
   EXPECT_EQ(read<std_msgs::Header>("out.bag", "/other").size(), 1u);
   EXPECT_EQ(read<sensor_msgs::Image>("out.bag", "/cam/image_raw").size(), 5u);
   EXPECT_EQ(read<sensor_msgs::Image>("out.bag", "/elsewhere/deblurred/image_raw").size(), 5u);
   EXPECT_EQ(read<sensor_msgs::Image>("out.bag", "/elsewhere/blur_overlay").front()->encoding, "bgr8");
   EXPECT_EQ(read<visualization_msgs::MarkerArray>("out.bag", "/elsewhere/blur_markers").size(), 5u);
+  EXPECT_EQ(read<ImageQuality>("out.bag", "/elsewhere/image_quality").size(), 5u);
+  EXPECT_EQ(read<sensor_msgs::Image>("out.bag", "/elsewhere/trust_mask").front()->encoding, "mono8");
 }
 
 TEST_F(DeblurBagTest, LeavesOutKeypointsWhereAskedTo) {

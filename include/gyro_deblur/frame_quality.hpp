@@ -1,0 +1,64 @@
+// What an image is worth, as a whole and by pixel, to those who look for features in it.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/frame_blur.hpp"
+
+namespace gyro_deblur {
+
+/// Values equal the constants of gyro_deblur/ImageQuality.msg.
+enum class QualityVerdict : std::uint8_t {
+  SHARP = 0,      ///< nearly all of it arrived so
+  DEBLURRED = 1,  ///< nearly all of it is sharp or deblurred
+  PARTLY = 2,     ///< part of it stays blurred
+  BAD = 3,        ///< few corners can be expected where they would be without blur
+  UNKNOWN = 4,    ///< its blur is not known
+};
+
+/// Name of the verdict, e.g. "PARTLY". Never null.
+const char* to_string(QualityVerdict verdict);
+
+/// Extents [px] that half of the blocks, or all but a twentieth, do not exceed.
+struct ExtentSpread {
+  double median_px = 0, p95_px = 0;
+};
+
+/// An image after validation and deblurring. Blocks count by their pixels.
+struct FrameQuality {
+  QualityVerdict verdict = QualityVerdict::UNKNOWN;
+  /// [0, 1], the mean of expected_repeatability() of all blocks; nothing: not known.
+  std::optional<double> score;
+  ExtentSpread before;          ///< of the blur that arrived, of blocks whose blur is known; 0 when there are none
+  ExtentSpread after;           ///< of what was left of it: nothing of a DEBLURRED block's
+  std::optional<double> noise;  ///< [grey levels of 8 bits]; nothing: not known
+  double contrast = 0;          ///< the same; 0: not known
+  std::array<double, kBlockStatuses.size()> shares{};  ///< [0, 1] of the pixels, by status
+
+  double share(BlockStatus status) const { return shares[static_cast<std::size_t>(status)]; }
+};
+
+/// Share of the corners found in a block that are also found, within 2 px, in a sharp image of the same light: of
+/// Shi-Tomasi corners, the 500 strongest of each image. Fitted to experiments/image_quality, see
+/// doc/reports/image_quality.md.
+/// @param noise_to_contrast  of the image, >= 0; see noise_to_contrast()
+/// @return in [0, 1]; nothing for a block whose blur is not known (NO_GYRO)
+std::optional<double> expected_repeatability(const BlockBlur& block, double noise_to_contrast);
+
+/// Noise over what of an image's contrast is not noise, in [0, 1]; 0 where one of them is not known.
+double noise_to_contrast(const FrameBlur& field);
+
+/// @param field  validated
+FrameQuality assess_quality(const FrameBlur& field);
+
+/// CV_8UC1 of the field's size: 255 where the image is sharp or restored, 0 where it is not, or nothing is known of it.
+/// A deblurred pixel is restored where all that its blur has mixed is inside the image.
+/// @param field  validated
+cv::Mat trust_mask(const FrameBlur& field);
+
+}  // namespace gyro_deblur
