@@ -12,6 +12,7 @@
 #include "gyro_deblur/blur_validation.hpp"
 #include "gyro_deblur/deconvolution.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
+#include "gyro_deblur/image_noise.hpp"
 #include "gyro_deblur/pipeline.hpp"
 
 namespace gyro_deblur::experiments {
@@ -26,8 +27,10 @@ class ToldDeblurring {
   const BlockGrid& grid() const { return estimator_.grid(); }
   cv::Mat deblur(const cv::Mat& image, const RotationTrack& rotation, const RowExposure& exposure,
                  const ResidualField& residuals) {
-    const FrameBlur field =
+    FrameBlur field =
         validate_blur_field(estimator_.estimate(rotation, exposure, residuals), image, options_.validation);
+    field.noise = image_noise(image, PixelLayout::GRAY);
+    weigh_noise(image, bank_, field);
     if (field.count(BlockStatus::DEBLURRED) == 0) return image;
     cv::Mat deblurred;
     deconvolve(image, PixelLayout::GRAY, field, bank_, *engine_, deblurred);

@@ -1,6 +1,8 @@
 // Comparison of the predicted blur with the image (paper section III-D).
 #pragma once
 
+#include <optional>
+
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/blur_field.hpp"
@@ -23,8 +25,9 @@ double steepest_box_px(const BlockBlur& blur);
 /// asked of them alone. PAPER: those whose gradient along the predicted motion exceeds
 /// options.threshold(steepest_box_px), and those more than half of whose judged neighbours were rejected so; all of
 /// them when more than four in five were. On at most `threads` threads (0: one for each core).
+/// @param noise_grey_levels  image_noise() of the luminance where that is known already
 /// Throws std::invalid_argument when luminance is not CV_8UC1 of the field's size.
 FrameBlur validate_blur_field(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
-                              int threads = 0);
+                              int threads = 0, std::optional<double> noise_grey_levels = {});
 
 }  // namespace gyro_deblur

@@ -131,13 +131,18 @@ PathPhases phases_of(const PlanePath& path_px, double scale) {
     PathPhases::Segment& segment = phases.segments[k];
     segment.half_across = static_cast<float>(half.x());
     segment.half_down = static_cast<float>(half.y());
-    for (int x = 0; x <= kSpectrumWaves; ++x) {
-      segment.across_re[x] = static_cast<float>(std::cos(CV_PI * x * middle.x()));
-      segment.across_im[x] = static_cast<float>(-std::sin(CV_PI * x * middle.x()));
-    }
-    for (int y = -kSpectrumWaves; y <= kSpectrumWaves; ++y) {
-      segment.down_re[y + kSpectrumWaves] = static_cast<float>(std::cos(CV_PI * y * middle.y()));
-      segment.down_im[y + kSpectrumWaves] = static_cast<float>(-std::sin(CV_PI * y * middle.y()));
+    // Each wave from that of one cycle less.
+    const std::complex<double> step_across = std::polar(1.0, -CV_PI * middle.x()),
+                               step_down = std::polar(1.0, -CV_PI * middle.y());
+    std::complex<double> across = 1, down = 1;
+    for (int wave = 0; wave <= kSpectrumWaves; ++wave) {
+      segment.across_re[wave] = static_cast<float>(across.real());
+      segment.across_im[wave] = static_cast<float>(across.imag());
+      segment.down_re[kSpectrumWaves + wave] = segment.down_re[kSpectrumWaves - wave] = static_cast<float>(down.real());
+      segment.down_im[kSpectrumWaves + wave] = static_cast<float>(down.imag());
+      segment.down_im[kSpectrumWaves - wave] = static_cast<float>(-down.imag());
+      across *= step_across;
+      down *= step_down;
     }
   }
   return phases;

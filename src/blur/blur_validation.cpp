@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <optional>
 #include <stdexcept>
 #include <vector>
 
@@ -127,8 +128,9 @@ double least_log_ratio(double false_acceptance) { return 18 * std::log(0.052 / f
 constexpr double kShortPx = 5;
 
 FrameBlur validate_by_likelihood(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
-                                 int threads) {
-  const BlurLikelihood likelihood(luminance, image_noise(luminance, PixelLayout::GRAY).value_or(0), threads);
+                                 int threads, std::optional<double> noise) {
+  if (!noise) noise = image_noise(luminance, PixelLayout::GRAY);
+  const BlurLikelihood likelihood(luminance, noise.value_or(0), threads);
   const std::vector<double> ratios = with_neighbours(field.grid, log_ratios(field, likelihood, threads));
   const double least = least_log_ratio(options.false_acceptance);
   FrameBlur validated = field, brief = field;
@@ -148,7 +150,7 @@ FrameBlur validate_by_likelihood(const FrameBlur& field, const cv::Mat& luminanc
 }  // namespace
 
 FrameBlur validate_blur_field(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
-                              int threads) {
+                              int threads, std::optional<double> noise_grey_levels) {
   options.validate();
   if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
       luminance.rows != field.grid.height_px()) {
@@ -156,8 +158,9 @@ FrameBlur validate_blur_field(const FrameBlur& field, const cv::Mat& luminance, 
                                 std::to_string(field.grid.width_px()) + "x" + std::to_string(field.grid.height_px()));
   }
   if (!options.enabled) return field;
-  return options.rule == ValidationRule::PAPER ? validate_by_gradient(field, luminance, options, threads)
-                                               : validate_by_likelihood(field, luminance, options, threads);
+  return options.rule == ValidationRule::PAPER
+             ? validate_by_gradient(field, luminance, options, threads)
+             : validate_by_likelihood(field, luminance, options, threads, noise_grey_levels);
 }
 
 }  // namespace gyro_deblur

@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "base/parallel.hpp"
+#include "engine/half_size.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -14,14 +15,24 @@ namespace {
 constexpr int kMaxCellPx = 64;
 
 // What a tile has beside its window, by the path's extent. On four photographs of the Oxford sets, noise of 2 grey
-// levels, arcs of 25 / 60 px, 1, 2 and 4 restore 25.13 / 21.53, 25.19 / 21.73 and 25.20 / 21.81 dB.
-constexpr float kAroundExtents = 2;
+// levels, arcs of 25 / 60 px, 1, 2 and 4 restore 25.13 / 21.53, 25.19 / 21.73 and 25.20 / 21.81 dB; of hand-shake at
+// 1080p 1.5 restores 0.1 dB less than 2, has the same matches, and takes four fifths of the time.
+constexpr float kAroundExtents = 1.5;
 static_assert(2 * kMaxCellPx + kAroundExtents * kMaxPlaneExtentPx <= kMaxFourierSize,
               "paths of fields have their tiles");
 
 // Of the one step towards an image outside that fits. In the same measurements whole images of 576x480 gain 0.23 / 0.30
 // dB; 1.7 and 3.5 gain 0.20 / 0.26 and 0.21 / 0.24, eight steps of 1.7 0.38 / 0.51.
 constexpr float kOverRelaxation = 2.5f;
+
+// At half the size, what is restored falls off between these [cycles/px]; beyond, halving mixes it with other
+// frequencies.
+constexpr double kFallsFrom = 0.16, kEndsAt = 0.24;
+// Half the size serves where at kEndsAt a straight run of this extent leaves less of a wave's power, on the mean, than
+// this share of PlaneInverse's ratio there. Of hand-shake at 1080p (the frames of experiments/hand_shake) with noise of
+// 0.5, 1, 2 and 4 grey levels, what lies above 0.2 cycles/px is worth 0.3, 0.2, 0.05 and -0.2 dB at 26 px, and 0.1,
+// 0.1, 0 and -0.1 dB at 63 px.
+constexpr double kHalvedBelow = 0.035;
 
 /// From 0 to 1 in `length` steps as the square of a sine. `ramp` is one of these already.
 void make_ramp(int length, std::vector<float>& ramp) {
@@ -31,6 +42,18 @@ void make_ramp(int length, std::vector<float>& ramp) {
     const double s = std::sin(0.5 * CV_PI * (i + 0.5) / length);
     ramp[i] = static_cast<float>(s * s);
   }
+}
+
+bool is_for_half_size(const PlaneInverse& inverse) {
+  const double radians = CV_PI * kEndsAt * extent_of(inverse.path_px).maxCoeff();
+  const double ratio = inverse.noise_to_signal + inverse.noise_rise_px2 * kEndsAt * kEndsAt;
+  return 0.5 < kHalvedBelow * ratio * radians * radians;
+}
+
+PlaneInverse at_half_size(PlaneInverse inverse) {
+  for (Eigen::Vector2f& place_px : inverse.path_px) place_px *= 0.5f;
+  inverse.noise_rise_px2 *= 0.25f;
+  return inverse;
 }
 
 void clear(cv::Size size, cv::Mat& sums) {
@@ -43,16 +66,17 @@ void clear(cv::Size size, cv::Mat& sums) {
 PlaneFilter::PlaneFilter(const FourierLoops& loops) : loops_(loops) {}
 
 void PlaneFilter::cut(const std::vector<int>& borders, Axis& axis) {
-  axis.borders = {0};
+  std::vector<int> of_cells = {0};
+  axis.length = borders.back();
   axis.first_of_block = {0};
   for (std::size_t block = 1; block < borders.size(); ++block) {
     const int begin = borders[block - 1], length = borders[block] - begin;
     const int parts = (length + kMaxCellPx - 1) / kMaxCellPx;
-    for (int i = 1; i <= parts; ++i) axis.borders.push_back(begin + length * i / parts);
+    for (int i = 1; i <= parts; ++i) of_cells.push_back(begin + length * i / parts);
     axis.first_of_block.push_back(axis.first_of_block.back() + parts);
   }
   const int cells = axis.first_of_block.back();
-  const auto length_of = [&](int cell) { return axis.borders[cell + 1] - axis.borders[cell]; };
+  const auto length_of = [&](int cell) { return of_cells[cell + 1] - of_cells[cell]; };
   // Half of what the windows before and behind a border share.
   const auto half_at = [&](int border) {
     return border == 0 || border == cells ? 0 : std::min(length_of(border - 1), length_of(border)) / 2;
@@ -62,7 +86,7 @@ void PlaneFilter::cut(const std::vector<int>& borders, Axis& axis) {
   std::vector<float> ramp;
   for (int cell = 0; cell < cells; ++cell) {
     const int before = half_at(cell), behind = half_at(cell + 1);
-    axis.window_begins[cell] = axis.borders[cell] - before;
+    axis.window_begins[cell] = of_cells[cell] - before;
     std::vector<float>& weights = axis.weights[cell];
     weights.assign(before + length_of(cell) + behind, 1.0f);
     make_ramp(2 * before, ramp);
@@ -72,27 +96,97 @@ void PlaneFilter::cut(const std::vector<int>& borders, Axis& axis) {
   }
 }
 
-void PlaneFilter::cut_cells(const FilterGrid& grid, const std::vector<int>& blocks, cv::Size size) {
-  pad_before_ = pad_behind_ = 0;
-  cut(grid.x, across_);
-  cut(grid.y, down_);
-  for (std::vector<Cell>& cells : cells_) cells.clear();
+void PlaneFilter::halve_axis(const Axis& whole, Axis& half) {
+  half.length = (whole.length + 1) / 2;
+  half.first_of_block = whole.first_of_block;
+  half.window_begins.resize(whole.window_begins.size());
+  half.weights.resize(whole.weights.size());
+  for (std::size_t cell = 0; cell < whole.weights.size(); ++cell) {
+    const std::vector<float>& weights = whole.weights[cell];
+    const int begin = whole.window_begins[cell], end = begin + static_cast<int>(weights.size());
+    const auto weight_at = [&](int at) { return at < begin || at >= end ? 0 : weights[at - begin]; };
+    half.window_begins[cell] = begin / 2;
+    half.weights[cell].clear();
+    for (int at = begin / 2 * 2; at < end; at += 2) {
+      const float second = at + 1 < whole.length ? weight_at(at + 1) : weight_at(at);
+      half.weights[cell].push_back(0.5f * (weight_at(at) + second));
+    }
+  }
+}
+
+void PlaneFilter::add_cell(int col, int row, int block, float extent_px, int level_index) {
+  Level& level = levels_[level_index];
+  const cv::Rect window(level.across.window_begins[col], level.down.window_begins[row],
+                        static_cast<int>(level.across.weights[col].size()),
+                        static_cast<int>(level.down.weights[row].size()));
+  const float around_px = std::ceil(kAroundExtents * extent_px);
+  const int longest = std::max(window.width, window.height);
+  const int side = fourier_size(static_cast<int>(std::min<float>(longest + around_px, kMaxFourierSize)));
+  const cv::Size size(level.across.length, level.down.length);
+  const bool at_the_end = (window & cv::Rect(1, 1, size.width - 2, size.height - 2)) != window;
+  level.cells[row % 2].push_back({col, row, block, window, side, at_the_end});
+  level.pad_before = std::max({level.pad_before, side - window.br().x, side - window.br().y});
+  level.pad_behind = std::max({level.pad_behind, window.x + side - size.width, window.y + side - size.height});
+  if (level.plans.count(side) == 0) level.plans.emplace(side, make_plan(side, loops_.largest_radix, level_index));
+}
+
+void PlaneFilter::cut_cells(const FilterGrid& grid, const std::vector<int>& blocks) {
+  for (Level& level : levels_) {
+    for (std::vector<Cell>& cells : level.cells) cells.clear();
+    level.pad_before = level.pad_behind = 0;
+    level.around.assign(grid.blocks.size(), 0);
+  }
+  Level& whole = levels_[WHOLE];
+  cut(grid.x, whole.across);
+  cut(grid.y, whole.down);
+  halve_axis(whole.across, levels_[HALF].across);
+  halve_axis(whole.down, levels_[HALF].down);
   for (const int block : blocks) {
     const int block_col = block % grid.cols(), block_row = block / grid.cols();
     const float extent_px = extent_of(grid.blocks[block].inverse->path_px).maxCoeff();
-    const int around = static_cast<int>(std::ceil(std::min<float>(kAroundExtents * extent_px, kMaxFourierSize)));
-    for (int row = down_.first_of_block[block_row]; row < down_.first_of_block[block_row + 1]; ++row) {
-      for (int col = across_.first_of_block[block_col]; col < across_.first_of_block[block_col + 1]; ++col) {
-        const cv::Rect window(across_.window_begins[col], down_.window_begins[row],
-                              static_cast<int>(across_.weights[col].size()),
-                              static_cast<int>(down_.weights[row].size()));
-        const int side = fourier_size(std::min(std::max(window.width, window.height) + around, kMaxFourierSize));
-        const bool at_the_end = (window & cv::Rect(1, 1, size.width - 2, size.height - 2)) != window;
-        cells_[row % 2].push_back({col, row, block, window, side, at_the_end});
-        pad_before_ = std::max({pad_before_, side - window.br().x, side - window.br().y});
-        pad_behind_ = std::max({pad_behind_, window.x + side - size.width, window.y + side - size.height});
-        if (plans_.count(side) == 0) plans_.emplace(side, FourierPlan(side, loops_.largest_radix));
+    const int level = is_for_half_size(*grid.blocks[block].inverse) ? HALF : WHOLE;
+    for (int row = whole.down.first_of_block[block_row]; row < whole.down.first_of_block[block_row + 1]; ++row) {
+      for (int col = whole.across.first_of_block[block_col]; col < whole.across.first_of_block[block_col + 1]; ++col) {
+        add_cell(col, row, block, level == HALF ? 0.5f * extent_px : extent_px, level);
       }
+    }
+    for (int row = std::max(block_row - 1, 0); row <= std::min(block_row + 1, grid.rows() - 1); ++row) {
+      for (int col = std::max(block_col - 1, 0); col <= std::min(block_col + 1, grid.cols() - 1); ++col) {
+        ++levels_[level].around[row * grid.cols() + col];
+      }
+    }
+  }
+}
+
+PlaneFilter::Plan PlaneFilter::make_plan(int size, int largest_radix, int level) {
+  Plan plan{FourierPlan(size, largest_radix), {}};
+  plan.band.gain.assign(size / 2, 1.0f);
+  plan.band.again.assign(size / 2, 1.0f);
+  for (int k = 0; level == HALF && k < size / 2; ++k) {
+    const double f = 0.5 * k / size, left = left_by_halving(f);
+    const double s = std::sin(0.5 * CV_PI * std::clamp((kEndsAt - f) / (kEndsAt - kFallsFrom), 0.0, 1.0));
+    plan.band.again[k] = static_cast<float>(s * s);
+    plan.band.gain[k] = static_cast<float>(s * s / (left * left));
+  }
+  return plan;
+}
+
+void PlaneFilter::prepare_levels(const cv::Mat& src, int threads) {
+  cv::split(src, channels_);
+  for (Level& level : levels_) {
+    if (!level.is_used()) continue;
+    const bool is_half = &level == &levels_[HALF];
+    level.padded.resize(channels_.size());
+    for (std::size_t channel = 0; channel < channels_.size(); ++channel) {
+      if (is_half) halve(channels_[channel], threads, half_);
+      cv::copyMakeBorder(is_half ? half_ : channels_[channel], level.padded[channel], level.pad_before,
+                         level.pad_behind, level.pad_before, level.pad_behind, cv::BORDER_REPLICATE);
+    }
+    const cv::Size size(level.across.length, level.down.length);
+    for (const int odd : {0, 1}) {
+      level.sums[odd].resize(channels_.size());
+      for (cv::Mat& sums : level.sums[odd]) clear(size, sums);
+      if (!are_ones_) clear(size, level.weights[odd]);
     }
   }
 }
@@ -104,11 +198,12 @@ float* PlaneFilter::floats_in(std::vector<CacheLine>& lines, int count) {
 }
 
 template <typename Pixel>
-void PlaneFilter::load_tile(const cv::Mat& padded, const Cell& cell, Scratch& scratch, float* tile) const {
+void PlaneFilter::load_tile(const cv::Mat& padded, const Level& level, const Cell& cell, Scratch& scratch,
+                            float* tile) {
   const cv::Rect& window = cell.window;
   const int size = cell.size, stride = fourier_stride(size);
   const auto load_row = [&](int y, float* to) {
-    const Pixel* from = padded.ptr<Pixel>(window.y + y + pad_before_) + window.x + pad_before_;
+    const Pixel* from = padded.ptr<Pixel>(window.y + y + level.pad_before) + window.x + level.pad_before;
 #pragma omp simd
     for (int x = 0; x < window.width; ++x) to[x] = from[x];
     const float* weights = scratch.fade_x.data();
@@ -129,7 +224,8 @@ void PlaneFilter::load_tile(const cv::Mat& padded, const Cell& cell, Scratch& sc
   }
 }
 
-void PlaneFilter::continue_tile(const Cell& cell, const FourierStages& plan, Scratch& scratch, float* tile) const {
+void PlaneFilter::continue_tile(const Level& level, const Cell& cell, const FourierStages& plan, Scratch& scratch,
+                                float* tile) const {
   const int size = cell.size, stride = fourier_stride(size);
   // Share of the image in what a tile has at an element, along one axis.
   const auto find_inside = [size](int begin, int length, int image, const std::vector<float>& fade,
@@ -140,8 +236,8 @@ void PlaneFilter::continue_tile(const Cell& cell, const FourierStages& plan, Scr
       inside[i] = (begin + i < image ? 1 - before : 0) + (begin + i - size >= 0 ? before : 0);
     }
   };
-  find_inside(cell.window.x, cell.window.width, across_.borders.back(), scratch.fade_x, scratch.inside_x);
-  find_inside(cell.window.y, cell.window.height, down_.borders.back(), scratch.fade_y, scratch.inside_y);
+  find_inside(cell.window.x, cell.window.width, level.across.length, scratch.fade_x, scratch.inside_x);
+  find_inside(cell.window.y, cell.window.height, level.down.length, scratch.fade_y, scratch.inside_y);
   float* continued = floats_in(scratch.continued, size * stride);
   float* transform = floats_in(scratch.transform, fourier_scratch(size));
   float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * size);
@@ -162,21 +258,22 @@ void PlaneFilter::continue_tile(const Cell& cell, const FourierStages& plan, Scr
 }
 
 template <typename Pixel>
-void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, Scratch& scratch) {
-  const FourierStages plan = plans_.at(cell.size).stages();
+void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, Level& level, Scratch& scratch) const {
+  const Plan& plan_of_size = level.plans.at(cell.size);
+  const FourierStages plan = plan_of_size.transform.stages();
   const cv::Rect& window = cell.window;
-  const int size = cell.size, stride = fourier_stride(size), channels = static_cast<int>(padded_.size());
+  const int size = cell.size, stride = fourier_stride(size), channels = static_cast<int>(level.padded.size());
   float* tiles = floats_in(scratch.tiles, channels * size * stride);
   float* transform = floats_in(scratch.transform, fourier_scratch(size));
   float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * size);
   scratch.row.resize(std::max<std::size_t>(scratch.row.size(), size));
   make_ramp(size - window.width, scratch.fade_x);
   make_ramp(size - window.height, scratch.fade_y);
-  scratch.gain.set(inverse, plan);
+  scratch.gain.set(inverse, plan, plan_of_size.band);
   for (int channel = 0; channel < channels; ++channel) {
     float* tile = tiles + channel * size * stride;
-    load_tile<Pixel>(padded_[channel], cell, scratch, tile);
-    if (cell.at_the_end) continue_tile(cell, plan, scratch, tile);
+    load_tile<Pixel>(level.padded[channel], level, cell, scratch, tile);
+    if (cell.at_the_end) continue_tile(level, cell, plan, scratch, tile);
     loops_.transform_columns(plan, tile, transform);
   }
   for (int row = 0; row < size / 2; row += loops_.lanes) {
@@ -185,51 +282,85 @@ void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, Scr
       loops_.filter_rows(plan, row, gain, 0, window.width, tiles + channel * size * stride, transform);
     }
   }
-  const float *weights_x = across_.weights[cell.col].data(), *weights_y = down_.weights[cell.row].data();
+  const float *weights_x = level.across.weights[cell.col].data(), *weights_y = level.down.weights[cell.row].data();
   for (int channel = 0; channel < channels; ++channel) {
     float* tile = tiles + channel * size * stride;
     loops_.restore_columns(plan, 0, window.width, tile, transform);
     for (int y = 0; y < window.height; ++y) {
       const float* from = tile + y * stride;
-      float* sums = sums_[cell.col % 2][channel].ptr<float>(window.y + y) + window.x;
+      float* sums = level.sums[cell.col % 2][channel].ptr<float>(window.y + y) + window.x;
 #pragma omp simd
       for (int x = 0; x < window.width; ++x) sums[x] += from[x] * (weights_x[x] * weights_y[y]);
     }
   }
   if (are_ones_) return;
   for (int y = 0; y < window.height; ++y) {
-    float* weights = weights_[cell.col % 2].ptr<float>(window.y + y) + window.x;
+    float* weights = level.weights[cell.col % 2].ptr<float>(window.y + y) + window.x;
     for (int x = 0; x < window.width; ++x) weights[x] += weights_x[x] * weights_y[y];
   }
 }
 
-template <typename Pixel>
-void PlaneFilter::deliver(int block, SeamBlender& seams, cv::Mat& dst) const {
-  constexpr int kMax = std::numeric_limits<Pixel>::max(), kPiece = 64;
-  const int channels = static_cast<int>(sums_[0].size());
-  const auto deliver_piece = [&](int channel, int x, int y, int count, Pixel* to) {
-    const float *even = sums_[0][channel].ptr<float>(y) + x, *odd = sums_[1][channel].ptr<float>(y) + x;
-    // In steps that vectorise each: float to int, int clipped, int to pixel.
-    int values[kPiece];
-    if (are_ones_) {
-      for (int i = 0; i < count; ++i) values[i] = static_cast<int>(even[i] + odd[i] + 0.5f);
-    } else {
-      const float *of_even = weights_[0].ptr<float>(y) + x, *of_odd = weights_[1].ptr<float>(y) + x;
-      for (int i = 0; i < count; ++i) {
-        values[i] = static_cast<int>((even[i] + odd[i]) / (of_even[i] + of_odd[i]) + 0.5f);
-      }
+bool PlaneFilter::are_ones_on(int block, const FilterGrid& grid) const {
+  const int col = block % grid.cols(), row = block / grid.cols();
+  const int cols = std::min(col + 2, grid.cols()) - std::max(col - 1, 0);
+  const int rows = std::min(row + 2, grid.rows()) - std::max(row - 1, 0);
+  return std::max(levels_[WHOLE].around[block], levels_[HALF].around[block]) == cols * rows;
+}
+
+void PlaneFilter::gather(int block, const cv::Rect& rect, int channel, bool are_ones, Scratch& scratch) const {
+  const std::size_t area = static_cast<std::size_t>(rect.area());
+  std::vector<float>&values = scratch.values, &weights = scratch.weights;
+  values.assign(area, 0);
+  if (!are_ones) weights.assign(area, 0);
+  const auto add = [&](int level, const cv::Mat& even, const cv::Mat& odd, std::vector<float>& to) {
+    if (level == HALF) {
+      scratch.doubled.resize(area);
+      double_sum(even, odd, rect, scratch.of_doubling, scratch.doubled.data());
+      for (std::size_t i = 0; i < area; ++i) to[i] += scratch.doubled[i];
+      return;
     }
-    for (int i = 0; i < count; ++i) values[i] = std::min(std::max(values[i], 0), kMax);
-    for (int i = 0; i < count; ++i) to[i * channels] = static_cast<Pixel>(values[i]);
+    for (int y = 0; y < rect.height; ++y) {
+      const float *a = even.ptr<float>(rect.y + y) + rect.x, *b = odd.ptr<float>(rect.y + y) + rect.x;
+      float* row = to.data() + static_cast<std::ptrdiff_t>(y) * rect.width;
+#pragma omp simd
+      for (int x = 0; x < rect.width; ++x) row[x] += a[x] + b[x];
+    }
   };
+  for (const int i : {WHOLE, HALF}) {
+    const Level& level = levels_[i];
+    if (level.around[block] == 0) continue;
+    add(i, level.sums[0][channel], level.sums[1][channel], values);
+    if (!are_ones) add(i, level.weights[0], level.weights[1], weights);
+  }
+}
+
+template <typename Pixel>
+void PlaneFilter::deliver(int block, const FilterGrid& grid, SeamBlender& seams, Scratch& scratch, cv::Mat& dst) const {
+  const bool are_ones = are_ones_on(block, grid);
+  constexpr int kMax = std::numeric_limits<Pixel>::max();
+  const int channels = static_cast<int>(channels_.size());
   for (const SeamBlender::Part<Pixel>& part : seams.parts<Pixel>(block, dst)) {
     const cv::Rect& rect = part.rect;
-    for (int y = 0; y < rect.height; ++y) {
-      for (int x = 0; x < rect.width; x += kPiece) {
-        const int count = std::min(kPiece, rect.width - x);
-        for (int channel = 0; channel < channels; ++channel) {
-          deliver_piece(channel, rect.x + x, rect.y + y, count, part.to + y * part.stride + x * channels + channel);
-        }
+    if (rect.empty()) continue;
+    for (int channel = 0; channel < channels; ++channel) {
+      gather(block, rect, channel, are_ones, scratch);
+      const std::size_t area = scratch.values.size();
+      // In steps that vectorise each: float to int, int clipped, int to pixel.
+      scratch.whole_numbers.resize(area);
+      int* numbers = scratch.whole_numbers.data();
+      const float *values = scratch.values.data(), *weights = scratch.weights.data();
+      if (are_ones) {
+#pragma omp simd
+        for (std::size_t i = 0; i < area; ++i) numbers[i] = static_cast<int>(values[i] + 0.5f);
+      } else {
+#pragma omp simd
+        for (std::size_t i = 0; i < area; ++i) numbers[i] = static_cast<int>(values[i] / weights[i] + 0.5f);
+      }
+#pragma omp simd
+      for (std::size_t i = 0; i < area; ++i) numbers[i] = std::min(std::max(numbers[i], 0), kMax);
+      for (int y = 0; y < rect.height; ++y, numbers += rect.width) {
+        Pixel* to = part.to + y * part.stride + channel;
+        for (int x = 0; x < rect.width; ++x) to[x * channels] = static_cast<Pixel>(numbers[x]);
       }
     }
   }
@@ -238,30 +369,27 @@ void PlaneFilter::deliver(int block, SeamBlender& seams, cv::Mat& dst) const {
 template <typename Pixel>
 void PlaneFilter::filter_as(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
                             SeamBlender& seams, cv::Mat& dst) {
-  cut_cells(grid, blocks, src.size());
-  const int channels = src.channels();
-  padded_.resize(channels);
-  cv::split(src, channels_);
-  for (int channel = 0; channel < channels; ++channel) {
-    cv::copyMakeBorder(channels_[channel], padded_[channel], pad_before_, pad_behind_, pad_before_, pad_behind_,
-                       cv::BORDER_REPLICATE);
-  }
-  are_ones_ = blocks.size() == grid.blocks.size();
-  for (const int odd : {0, 1}) {
-    sums_[odd].resize(channels);
-    for (cv::Mat& sums : sums_[odd]) clear(src.size(), sums);
-    if (!are_ones_) clear(src.size(), weights_[odd]);
-  }
+  cut_cells(grid, blocks);
+  are_ones_ = blocks.size() == grid.blocks.size() && levels_[WHOLE].is_used() != levels_[HALF].is_used();
+  prepare_levels(src, threads);
   const PlaneGainLoops& gain_loops = *find_plane_gain_loops(loops_.name);
   while (static_cast<int>(scratch_.size()) < threads) scratch_.emplace_back(gain_loops);
-  for (const std::vector<Cell>& cells : cells_) {
-    run_parallel(static_cast<int>(cells.size()), threads, 1, [&](int i, int thread) {
-      filter_cell<Pixel>(cells[i], *grid.blocks[cells[i].block].inverse, scratch_[thread]);
+  for (const int odd : {0, 1}) {
+    const std::vector<Cell>&of_whole = levels_[WHOLE].cells[odd], &of_half = levels_[HALF].cells[odd];
+    const int wholes = static_cast<int>(of_whole.size()), halves = static_cast<int>(of_half.size());
+    run_parallel(wholes + halves, threads, 1, [&](int i, int thread) {
+      if (i < wholes) {
+        const PlaneInverse& inverse = *grid.blocks[of_whole[i].block].inverse;
+        filter_cell<Pixel>(of_whole[i], inverse, levels_[WHOLE], scratch_[thread]);
+      } else {
+        const Cell& cell = of_half[i - wholes];
+        filter_cell<float>(cell, at_half_size(*grid.blocks[cell.block].inverse), levels_[HALF], scratch_[thread]);
+      }
     });
   }
   constexpr int kBlocksAtATime = 16;
   run_parallel(static_cast<int>(blocks.size()), threads, kBlocksAtATime,
-               [&](int i) { deliver<Pixel>(blocks[i], seams, dst); });
+               [&](int i, int thread) { deliver<Pixel>(blocks[i], grid, seams, scratch_[thread], dst); });
 }
 
 void PlaneFilter::filter(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,

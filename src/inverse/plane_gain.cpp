@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <complex>
 
 namespace gyro_deblur {
 namespace {
@@ -10,18 +11,25 @@ constexpr double kPi = 3.14159265358979323846;
 
 /// exp(-2 pi i f p) at the places p of a path along one axis, for `count` frequencies f = first, first + 1, .. cycles
 /// in `size` px: real parts and then imaginary parts of all places, frequency by frequency. Each is the product of two
-/// earlier ones, so that errors grow with the logarithm of `count`.
+/// earlier ones, and steps between them are squares, so that errors grow with the logarithm of `count`.
 void make_phases(const PlanePath& path_px, int axis, int first, int count, int size, std::vector<float>& phases) {
   phases.resize(static_cast<std::size_t>(count) * kPhaseFloats);
-  float step[kPhaseFloats];  // from a frequency to that `made` later
-  const auto phase = [&](int k, double frequency, float* to) {
-    const double angle_rad = -2 * kPi * path_px[k][axis] * frequency / size;
-    to[k] = static_cast<float>(std::cos(angle_rad));
-    to[k + kPathInstants] = static_cast<float>(std::sin(angle_rad));
-  };
-  for (int k = 0; k < kPathInstants; ++k) phase(k, first, phases.data());
+  std::complex<double> steps[kPathInstants];  // from a frequency to that `made` later
+  for (int k = 0; k < kPathInstants; ++k) {
+    const double cycle_rad = -2 * kPi * path_px[k][axis] / size;
+    steps[k] = std::polar(1.0, cycle_rad);
+    const std::complex<double> begin = std::polar(1.0, cycle_rad * first);
+    phases[k] = static_cast<float>(begin.real());
+    phases[k + kPathInstants] = static_cast<float>(begin.imag());
+  }
+  float step[kPhaseFloats];
   for (int made = 1; made < count; made *= 2) {
-    for (int k = 0; k < kPathInstants; ++k) phase(k, made, step);
+    for (int k = 0; k < kPathInstants; ++k) {
+      const double re = steps[k].real(), im = steps[k].imag();
+      step[k] = static_cast<float>(re);
+      step[k + kPathInstants] = static_cast<float>(im);
+      steps[k] = {re * re - im * im, 2 * re * im};
+    }
     const int more = std::min(made, count - made);
     for (int i = 0; i < more; ++i) {
       const float* from = phases.data() + static_cast<std::ptrdiff_t>(i) * kPhaseFloats;
@@ -37,7 +45,7 @@ void make_phases(const PlanePath& path_px, int axis, int first, int count, int s
 
 }  // namespace
 
-void PlaneGain::set(const PlaneInverse& inverse, const FourierStages& stages) {
+void PlaneGain::set(const PlaneInverse& inverse, const FourierStages& stages, const PlaneBand& band) {
   const int size = stages.size;
   make_phases(inverse.path_px, 0, -size / 2, size, size, across_);
   make_phases(inverse.path_px, 1, 0, size / 2, size, down_);
@@ -51,6 +59,8 @@ void PlaneGain::set(const PlaneInverse& inverse, const FourierStages& stages) {
     tables_.slope_down[k] = slope.y();
   }
   tables_.noise_to_signal = inverse.noise_to_signal;
+  tables_.band = band.gain.data();
+  tables_.band_again = band.again.data();
   tables_.noise_rise = inverse.noise_rise_px2 / (static_cast<float>(size) * static_cast<float>(size));
 }
 

@@ -9,6 +9,12 @@
 
 namespace gyro_deblur {
 
+/// What else the gain is multiplied with at k cycles in a tile along either axis, k = 0 .. size / 2 - 1.
+struct PlaneBand {
+  std::vector<float> gain;
+  std::vector<float> again;  ///< where it blurs again
+};
+
 /// The gain of one inverse after another for tiles of one size or another. Keeps its memory.
 class PlaneGain {
  public:
@@ -16,14 +22,14 @@ class PlaneGain {
   explicit PlaneGain(const PlaneGainLoops& loops) : loops_(loops) {}
 
   /// Prepares for rows() and rows_blurred_again(). Preconditions: finite places, PlaneInverse's ranges; the plan of
-  /// `stages` lives on.
-  void set(const PlaneInverse& inverse, const FourierStages& stages);
+  /// `stages` and `band` live on.
+  void set(const PlaneInverse& inverse, const FourierStages& stages, const PlaneBand& band);
 
   /// Gain at frequencies down of first_row .. first_row + lanes - 1 (first_row a multiple of lanes), as
   /// FourierLoops::filter_rows takes it: 2 * lanes * size floats. 0 at half a cycle a pixel across.
   void rows(int first_row, float* gain) const;
 
-  /// The same of the inverse and the blur after it: G(f) H(f), 0 to 1 + N(0).
+  /// The same of the inverse and the blur after it: G(f) H(f), 0 to 1 + N(0), times the band.
   void rows_blurred_again(int first_row, float* gain) const;
 
  private:

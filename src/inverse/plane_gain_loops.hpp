@@ -17,7 +17,9 @@ struct PlaneGainTables {
   float slope_across[kPathInstants - 1];  ///< half the phase between two places, by u
   float slope_down[kPathInstants - 1];    ///< and by v
   float noise_to_signal;
-  float noise_rise;  ///< by u^2 + v^2
+  float noise_rise;         ///< by u^2 + v^2
+  const float* band;        ///< further factor of the gain along an axis, for |u| and |v| from 0 to size / 2 - 1
+  const float* band_again;  ///< the same where it blurs again
 };
 
 /// The functions of one instruction set.

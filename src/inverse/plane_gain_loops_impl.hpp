@@ -39,7 +39,8 @@ void gain_of_rows(const PlaneGainTables& tables, int first_row, bool blurs_again
   }
   for (int k = 0; k < kSegments; ++k) from_down[k] = tables.slope_down[k] * v;
   const Vector noise_down = tables.noise_to_signal + tables.noise_rise * (v * v);
-  const float scale = 1 + tables.noise_to_signal;
+  const float* band = blurs_again ? tables.band_again : tables.band;
+  const Vector scale = (1 + tables.noise_to_signal) * load(band + first_row);
 
   const Vector none = {};
   const int size = tables.size;
@@ -63,8 +64,8 @@ void gain_of_rows(const PlaneGainTables& tables, int first_row, bool blurs_again
     re *= 0.5f / kSegments;
     im *= 0.5f / kSegments;
     const Vector power = re * re + im * im;
-    const Vector factor =
-        scale / (power + (noise_down + tables.noise_rise * static_cast<float>(u) * static_cast<float>(u)));
+    const Vector factor = scale * band[u < 0 ? -u : u] /
+                          (power + (noise_down + tables.noise_rise * static_cast<float>(u) * static_cast<float>(u)));
     float* to = gain + static_cast<std::ptrdiff_t>(tables.places[u < 0 ? u + size : u]) * 2 * kLanes;
     store(to, (blurs_again ? power : re) * factor);
     store(to + kLanes, blurs_again ? none : -im * factor);

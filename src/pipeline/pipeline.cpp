@@ -157,10 +157,18 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (alone) require_residuals(&result.field);
   result.times.blur_field_ms = blur_field_watch.ms();
 
+  std::optional<double> found_noise;
+  if (!options_.noise.is_known()) {
+    const Stopwatch watch;
+    found_noise = image_noise(image, layout, result.significant_bits);
+    result.times.noise_ms = watch.ms();
+  }
+  const bool image_is_luminance = layout == PixelLayout::GRAY && image.depth() == CV_8U;
   if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {
     const Stopwatch watch;
     if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
-    result.field = validate_blur_field(result.field, luminance, options_.validation, options_.threads);
+    result.field = validate_blur_field(result.field, luminance, options_.validation, options_.threads,
+                                       image_is_luminance ? found_noise : std::nullopt);
     result.times.validation_ms = watch.ms();
   }
 
@@ -171,11 +179,10 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     if (luminance.empty() && (weighs || options_.noise.is_known())) {
       luminance = luminance8(image, layout, result.significant_bits);
     }
-    result.field.noise = options_.noise.is_known() ? image_noise(luminance, options_.noise)
-                                                   : image_noise(image, layout, result.significant_bits);
+    result.field.noise = options_.noise.is_known() ? image_noise(luminance, options_.noise) : found_noise;
     result.field.contrast = image_contrast(image, layout, result.significant_bits);
     if (weighs) weigh_noise(luminance, *bank_, result.field, options_.threads);
-    result.times.noise_ms = watch.ms();
+    result.times.noise_ms += watch.ms();
   }
 
   const bool permitted = !request.permit || request.permit(result.field);
@@ -195,7 +202,6 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
 
   // The same keypoints whether or not somebody wants the image too: found on the deblurred luminance, which is not
   // quite the luminance of the deblurred colours. With 8-bit grey they are one and the same.
-  const bool image_is_luminance = layout == PixelLayout::GRAY && image.depth() == CV_8U;
   if (!result.image.empty() && image_is_luminance) {
     luminance = result.image;
   } else {

@@ -26,10 +26,10 @@ class PlaneGainTest : public testing::TestWithParam<const char*> {
 
   /// Calls check(v, u, gain, gain and blur) for all frequencies of tiles of `size`, u from 0 to size - 1.
   template <typename Check>
-  void for_each_gain(const PlaneInverse& inverse, int size, const Check& check) const {
+  void for_each_gain(const PlaneInverse& inverse, int size, const PlaneBand& band, const Check& check) const {
     const FourierPlan plan(size, 8);
     PlaneGain gain(*loops_);
-    gain.set(inverse, plan.stages());
+    gain.set(inverse, plan.stages(), band);
     std::vector<float> of_rows(2 * lanes_ * size), blurred_again(2 * lanes_ * size);
     for (int row = 0; row < size / 2; row += lanes_) {
       gain.rows(row, of_rows.data());
@@ -43,6 +43,8 @@ class PlaneGainTest : public testing::TestWithParam<const char*> {
       }
     }
   }
+
+  static PlaneBand all(int size) { return {std::vector<float>(size / 2, 1), std::vector<float>(size / 2, 1)}; }
 
   const PlaneGainLoops* loops_ = nullptr;
   int lanes_ = 0;
@@ -64,11 +66,12 @@ TEST_P(PlaneGainTest, IsTheWienerInverseOfThePath) {
       const PlaneInverse inverse{path_px, 0.007f, rise_px2};
       for (const int size : {32, 192, 480}) {
         double worst = 0, worst_again = 0;
-        for_each_gain(inverse, size, [&](int v, int u, std::complex<double> gain, std::complex<double> again) {
-          const std::complex<double> expected = test::gain_at(inverse, u, v, size);
-          worst = std::max(worst, std::abs(gain - expected));
-          worst_again = std::max(worst_again, std::abs(again - expected * test::transfer_at(path_px, u, v, size)));
-        });
+        for_each_gain(
+            inverse, size, all(size), [&](int v, int u, std::complex<double> gain, std::complex<double> again) {
+              const std::complex<double> expected = test::gain_at(inverse, u, v, size);
+              worst = std::max(worst, std::abs(gain - expected));
+              worst_again = std::max(worst_again, std::abs(again - expected * test::transfer_at(path_px, u, v, size)));
+            });
         // Of gains of up to 1 / (2 sqrt(noise_to_signal)) = 6.
         EXPECT_LT(worst, 0.01) << extent_of(path_px).transpose() << " px, " << rise_px2 << " px^2, tile of " << size;
         EXPECT_LT(worst_again, 0.002) << extent_of(path_px).transpose() << " px, tile of " << size;
@@ -78,11 +81,29 @@ TEST_P(PlaneGainTest, IsTheWienerInverseOfThePath) {
 }
 
 TEST_P(PlaneGainTest, KeepsTheMean) {
-  for_each_gain({test::arc_path(50, 9, 1), 0.02f, 1}, 96,
+  for_each_gain({test::arc_path(50, 9, 1), 0.02f, 1}, 96, all(96),
                 [&](int v, int u, std::complex<double> gain, std::complex<double>) {
                   if (u != 0 || v != 0) return;
                   EXPECT_LT(std::abs(gain - 1.0), 1e-6);
                 });
+}
+
+TEST_P(PlaneGainTest, IsTimesItsBand) {
+  constexpr int kSize = 64;
+  const PlaneInverse inverse{test::arc_path(20, 4, 0.7), 0.01f, 1};
+  PlaneBand band = all(kSize);
+  for (int k = 0; k < kSize / 2; ++k) {
+    band.gain[k] = 1 + 0.1f * static_cast<float>(k);
+    band.again[k] = 1 - 0.03f * static_cast<float>(k);
+  }
+  for_each_gain(inverse, kSize, band, [&](int v, int u, std::complex<double> gain, std::complex<double> again) {
+    if (u == kSize / 2) return;
+    const int across = u < kSize / 2 ? u : kSize - u;
+    const std::complex<double> expected = test::gain_at(inverse, u, v, kSize),
+                               transfer = test::transfer_at(inverse.path_px, u, v, kSize);
+    EXPECT_LT(std::abs(gain - expected * static_cast<double>(band.gain[across] * band.gain[v])), 0.05);
+    EXPECT_LT(std::abs(again - expected * transfer * static_cast<double>(band.again[across] * band.again[v])), 0.002);
+  });
 }
 
 INSTANTIATE_TEST_SUITE_P(InstructionSets, PlaneGainTest, testing::Values("baseline", "avx2", "avx512"));

@@ -1,0 +1,109 @@
+#include "engine/half_size.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+
+#include "base/parallel.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr int kPairs = kHalvingTapCount / 2;
+// Pixels before an output of halve(), and behind it, beside the two that it lies between.
+constexpr int kReach = kPairs - 1;
+
+/// One row of halve().
+template <typename Pixel>
+void halve_row(const cv::Mat& src, int row, std::vector<float>& scratch, float* to) {
+  const int width = src.cols, half_width = (width + 1) / 2;
+  const Pixel* rows[kHalvingTapCount];
+  for (int k = 0; k < kHalvingTapCount; ++k) {
+    rows[k] = src.ptr<Pixel>(std::clamp(2 * row - kReach + k, 0, src.rows - 1));
+  }
+  scratch.resize(2 * half_width + 2 * kReach);
+  float* sums = scratch.data() + kReach;
+#pragma omp simd
+  for (int x = 0; x < width; ++x) {
+    sums[x] = kHalvingTaps[0] * static_cast<float>(rows[0][x] + rows[7][x]) +
+              kHalvingTaps[1] * static_cast<float>(rows[1][x] + rows[6][x]) +
+              kHalvingTaps[2] * static_cast<float>(rows[2][x] + rows[5][x]) +
+              kHalvingTaps[3] * static_cast<float>(rows[3][x] + rows[4][x]);
+  }
+  std::fill(sums - kReach, sums, sums[0]);
+  std::fill(sums + width, sums + 2 * half_width + kReach, sums[width - 1]);
+#pragma omp simd
+  for (int x = 0; x < half_width; ++x) {
+    const float* at = sums + 2 * x;
+    to[x] = kHalvingTaps[0] * (at[-3] + at[4]) + kHalvingTaps[1] * (at[-2] + at[3]) +
+            kHalvingTaps[2] * (at[-1] + at[2]) + kHalvingTaps[3] * (at[0] + at[1]);
+  }
+}
+
+template <typename Pixel>
+void halve_as(const cv::Mat& src, int threads, cv::Mat& half) {
+  half.create((src.rows + 1) / 2, (src.cols + 1) / 2, CV_32F);
+  constexpr int kRowsAtATime = 16;
+  run_parallel(half.rows, threads, kRowsAtATime, [&](int row) {
+    thread_local std::vector<float> scratch;
+    halve_row<Pixel>(src, row, scratch, half.ptr<float>(row));
+  });
+}
+
+}  // namespace
+
+double left_by_halving(double f) {
+  double sum = 0;
+  for (int k = 0; k < kPairs; ++k) sum += 2 * kHalvingTaps[k] * std::cos(2 * CV_PI * f * (kReach + 0.5 - k));
+  return sum;
+}
+
+void halve(const cv::Mat& src, int threads, cv::Mat& half) {
+  if (src.depth() == CV_8U) {
+    halve_as<std::uint8_t>(src, threads, half);
+  } else {
+    halve_as<std::uint16_t>(src, threads, half);
+  }
+}
+
+void double_sum(const cv::Mat& half_a, const cv::Mat& half_b, const cv::Rect& rect, std::vector<float>& scratch,
+                float* result) {
+  // Of the low pass an even place meets every second tap from the second on, two pixels before it, the one that it
+  // belongs to and one behind; an odd place the same from behind. Twice, for the zeros.
+  constexpr float kFar = 2 * kHalvingTaps[0], kBehind = 2 * kHalvingTaps[1], kBefore = 2 * kHalvingTaps[2],
+                  kNearest = 2 * kHalvingTaps[3];
+  constexpr int kAround = 2;
+  const int first = rect.x / 2 - kAround, count = (rect.br().x + 1) / 2 + kAround - first;
+  const int rows_first = rect.y / 2 - kAround, rows = (rect.br().y + 1) / 2 + kAround - rows_first;
+  const int last_row = half_a.rows - 1, last_col = half_a.cols - 1;
+  // Sums of the pixels around, then one row of the result at half its width.
+  scratch.resize(static_cast<std::size_t>(rows + 1) * count + 2 * static_cast<std::size_t>(count));
+  float* row = scratch.data() + static_cast<std::ptrdiff_t>(rows) * count;
+  float* wide = row + count;
+  for (int y = 0; y < rows; ++y) {
+    const int at = std::clamp(rows_first + y, 0, last_row);
+    const float *a = half_a.ptr<float>(at), *b = half_b.ptr<float>(at);
+    float* to = scratch.data() + static_cast<std::ptrdiff_t>(y) * count;
+    const int inside = std::clamp(-first, 0, count), end = std::clamp(last_col + 1 - first, inside, count);
+    for (int x = inside; x < end; ++x) to[x] = a[first + x] + b[first + x];
+    std::fill(to, to + inside, a[0] + b[0]);
+    std::fill(to + end, to + count, a[last_col] + b[last_col]);
+  }
+  for (int y = 0; y < rect.height; ++y) {
+    const bool is_odd = (rect.y + y) % 2 != 0;
+    const float* own = scratch.data() + static_cast<std::ptrdiff_t>((rect.y + y) / 2 - rows_first) * count;
+    const std::ptrdiff_t behind = is_odd ? -count : count;  // to the row away from which the place lies
+    const float *far = own - 2 * behind, *before = own - behind, *after = own + behind;
+#pragma omp simd
+    for (int x = 0; x < count; ++x) {
+      row[x] = kNearest * own[x] + kBefore * before[x] + kBehind * after[x] + kFar * far[x];
+    }
+    for (int x = kAround; x < count - kAround; ++x) {
+      wide[2 * (x - kAround)] = kNearest * row[x] + kBefore * row[x - 1] + kBehind * row[x + 1] + kFar * row[x - 2];
+      wide[2 * (x - kAround) + 1] = kNearest * row[x] + kBefore * row[x + 1] + kBehind * row[x - 1] + kFar * row[x + 2];
+    }
+    std::copy_n(wide + rect.x % 2, rect.width, result + static_cast<std::ptrdiff_t>(y) * rect.width);
+  }
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,34 @@
+// Images at half their size, and back.
+#pragma once
+
+#include <vector>
+
+#include <opencv2/core.hpp>
+
+namespace gyro_deblur {
+
+/// Taps of the low pass before both: symmetric, equiripple above 0.31 cycles/px (T. W. Parks and J. H. McClellan, IEEE
+/// Trans. Circuit Theory 19 (2), 1972; scipy.signal.remez(8, [0, .19, .31, .5], [1, 0], weight=[1, 10])), those at
+/// every other place sum up to 1/2. What lies above 0.25 cycles/px comes back below: from 0.3 to 0.2 with a twelfth of
+/// what passes there.
+constexpr float kHalvingTaps[] = {-0.0388f, -0.0084f, 0.1709f, 0.3763f, 0.3763f, 0.1709f, -0.0084f, -0.0388f};
+constexpr int kHalvingTapCount = 8;
+
+/// What the low pass leaves of a wave of f cycles/px, along one axis.
+double left_by_halving(double f);
+
+/// Low pass, and every second pixel: pixel (x, y) of `half` is what is at (2 x + 1/2, 2 y + 1/2). Outside of the image
+/// its edge goes on. On at most `threads` threads.
+/// @param src   CV_8UC1 or CV_16UC1, not empty
+/// @param half  CV_32FC1 with half of the columns and rows, rounded up; (re)allocated when needed
+void halve(const cv::Mat& src, int threads, cv::Mat& half);
+
+/// What is in `rect` of an image at twice the size of `half_a + half_b`: zeros between the pixels, and the low pass.
+/// @param half_a, half_b  CV_32FC1 of one size
+/// @param rect            in an image of which that is the half
+/// @param scratch         memory that is kept
+/// @param result          rect.area() floats, row by row
+void double_sum(const cv::Mat& half_a, const cv::Mat& half_b, const cv::Rect& rect, std::vector<float>& scratch,
+                float* result);
+
+}  // namespace gyro_deblur
