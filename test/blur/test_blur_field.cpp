@@ -224,7 +224,7 @@ TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
   EXPECT_FALSE(blur.bent_path_px);
   // Longer than any tile.
-  options.max_extent_px = 500;
+  options.max_extent_px = 2 * kMaxPlaneExtentPx;
   const auto long_bow = path_of([](double t) { return Eigen::Vector2d(1.01 * kMaxPlaneExtentPx * t, 200 * t * t); });
   EXPECT_EQ(classify_path(long_bow, options).status, BlockStatus::BENT);
   // What is too small or too large anyway stays that.
