@@ -88,6 +88,7 @@ sim::Scene scene_of(const FootageCase& c, const std::string& data, double second
   scene.imu.accel_noise_m_s2 = 0.05;
   scene.imu.accel_bias_m_s2 = {0.1, -0.1, 0.1};
   scene.imu.R_cam_imu = c.flight.R_cam_imu;
+  scene.gravity_m_s2 = {0, 0, -9.80665};  // up is z where motion is captured
   if (c.path != CameraPath::FLIGHT) {
     scene.motion = std::make_shared<HeldMotion>(scene.motion, c.path == CameraPath::TURNING);
   }
@@ -129,29 +130,35 @@ Footage::Footage(const FootageCase& footage_case, const std::string& data, doubl
   for (int i = 0; i < simulator_.frames(); ++i) frames_.push_back(simulator_.frame(i).image);
 }
 
-cv::Mat Footage::image(int i, const Light& light) const {
-  return lit(frames_[i], light, static_cast<std::uint64_t>(i) + 1);
-}
-
 cv::Mat Footage::sharp(int i, const Light& light) {
   constexpr std::uint64_t kOther = 1'000'000;
   return lit(simulator_.sharp(i), light, static_cast<std::uint64_t>(i) + kOther);
 }
 
+Eigen::Vector3d Footage::p_imu_cam_m() { return {-0.05, -0.05, 0}; }
+
+std::vector<sim::ImuSample> Footage::imu(std::uint64_t seed) const {
+  const Eigen::Vector3d lever_m = -p_imu_cam_m();
+  sim::Scene scene = simulator_.scene();
+  scene.seed = seed;
+  const std::vector<sim::ImuSample> at_camera = sim::Simulator(scene).imu();
+  std::vector<sim::ImuSample> samples;
+  for (std::size_t i = 1; i + 1 < at_camera.size(); ++i) {
+    sim::ImuSample& sample = samples.emplace_back(at_camera[i]);
+    const Eigen::Vector3d turn_rad_s2 = (at_camera[i + 1].rate_rad_s - at_camera[i - 1].rate_rad_s) /
+                                        to_seconds(at_camera[i + 1].t_ns - at_camera[i - 1].t_ns);
+    sample.specific_force_m_s2 +=
+        turn_rad_s2.cross(lever_m) + sample.rate_rad_s.cross(sample.rate_rad_s.cross(lever_m));
+  }
+  return samples;
+}
+
 RotationTrack Footage::rotation(double bias_rad_s, bool with_accelerometer) const {
-  // Where an accelerometer is beside its camera.
-  const Eigen::Vector3d kLeverM(0.05, 0.05, 0);
-  const std::vector<sim::ImuSample> imu = simulator_.imu();
   std::vector<GyroSample> samples;
-  for (std::size_t i = 1; i + 1 < imu.size(); ++i) {
-    const Eigen::Vector3d& rate_rad_s = imu[i].rate_rad_s;
-    const Eigen::Vector3d turn_rad_s2 =
-        (imu[i + 1].rate_rad_s - imu[i - 1].rate_rad_s) / to_seconds(imu[i + 1].t_ns - imu[i - 1].t_ns);
+  for (const sim::ImuSample& reading : imu(simulator_.scene().seed)) {
     GyroSample& sample =
-        samples.emplace_back(GyroSample{imu[i].t_ns, rate_rad_s + Eigen::Vector3d::Constant(bias_rad_s)});
-    if (!with_accelerometer) continue;
-    sample.specific_force_m_s2 =
-        imu[i].specific_force_m_s2 + turn_rad_s2.cross(kLeverM) + rate_rad_s.cross(rate_rad_s.cross(kLeverM));
+        samples.emplace_back(GyroSample{reading.t_ns, reading.rate_rad_s + Eigen::Vector3d::Constant(bias_rad_s)});
+    if (with_accelerometer) sample.specific_force_m_s2 = reading.specific_force_m_s2;
   }
   return RotationTrack(samples, GyroOptions{}, simulator_.scene().imu.R_cam_imu);
 }

@@ -62,11 +62,20 @@ class Footage {
   int frames() const { return static_cast<int>(frames_.size()); }
 
   /// Frame i, CV_8UC1, blurred.
-  cv::Mat image(int i, const Light& light) const;
+  cv::Mat image(int i, const Light& light) const { return image(i, light, static_cast<std::uint64_t>(i) + 1); }
+  /// @param seed  of its noise
+  cv::Mat image(int i, const Light& light, std::uint64_t seed) const { return lit(frames_[i], light, seed); }
   /// The same without blur: every row at the middle of its exposure.
   cv::Mat sharp(int i, const Light& light);
+  /// The same with all rows at the middle of the middle row's exposure, unlit: CV_16UC1, 257 a grey level.
+  cv::Mat at_one_instant(int i) { return simulator_.global_shutter(simulator_.reference_time(i)); }
 
-  /// The gyroscope, all of it, and its accelerometer, 7 cm beside the camera.
+  /// What the IMU reads, 7 cm beside the camera, its first and last sample aside.
+  /// @param seed  of its noise
+  std::vector<sim::ImuSample> imu(std::uint64_t seed) const;
+  /// The camera in IMU coordinates [m].
+  static Eigen::Vector3d p_imu_cam_m();
+  /// The gyroscope, all of it, and its accelerometer.
   /// @param bias_rad_s          of the sensor, on each axis, that nobody knows of
   /// @param with_accelerometer  false: it has none
   RotationTrack rotation(double bias_rad_s = 0, bool with_accelerometer = true) const;

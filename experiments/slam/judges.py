@@ -1,0 +1,285 @@
+"""What judges a sequence: a SLAM stack by the error of its trajectory, or, without one, the package's own tracks.
+
+A judge has a name, the metrics that it gives ({key: (title, digits)}, the first of which decides; less is better), and
+judge(recording, folder, name). Another stack is another class here: it gets a bag with images and an IMU and returns
+its trajectory in IMU poses.
+"""
+
+import dataclasses
+import json
+import os
+import pathlib
+import socket
+import subprocess
+import threading
+import time
+
+import cv2
+import numpy as np
+import rosbag
+
+from trajectory import Trajectory, absolute_error_m, angle_deg, common, relative_errors, rotations
+
+RELATIVE_SPAN_S = 5.0  # of the pieces of relative errors
+
+
+@dataclasses.dataclass
+class Recording:
+    """Images of one camera, its IMU, and what is true."""
+    bag: pathlib.Path
+    image_topic: str
+    imu_topic: str
+    shift_s: float       # t_imu = stamp + shift: the instant that an image stands for
+    rolling: bool        # rows are exposed one after the other
+    camera: dict         # of sequence.json
+    imu: dict            # the same
+    truth: Trajectory    # of the IMU
+    biases: np.ndarray   # true ones, of gyroscope [rad/s] and accelerometer [m/s^2]
+
+
+def run_logged(command, log, environment=None, timeout_s=1800):
+    """Raises RuntimeError with the log's end when the command fails."""
+    with open(log, "w", encoding="utf-8") as file:
+        status = subprocess.run([str(part) for part in command], stdout=file, stderr=subprocess.STDOUT, check=False,
+                                env=environment, timeout=timeout_s).returncode
+    if status != 0:
+        lines = pathlib.Path(log).read_text(errors="replace").splitlines()
+        raise RuntimeError("%s ended with status %d:\n%s" % (command[0], status, "\n".join(lines[-15:])))
+
+
+class Master:
+    """A roscore of its own on a free port, for programs that take parameters from one."""
+
+    def __init__(self, folder):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        self.environment = {"ROS_MASTER_URI": "http://127.0.0.1:%d" % port, "ROS_HOSTNAME": "127.0.0.1",
+                            "ROS_HOME": str(folder)}
+        self._process = subprocess.Popen(["roscore", "-p", str(port)], stdout=subprocess.DEVNULL,
+                                         stderr=subprocess.DEVNULL, env=dict(os.environ, **self.environment))
+        give_up_s = time.monotonic() + 30
+        while True:
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", port)) == 0:
+                    return
+            if self._process.poll() is not None or time.monotonic() > give_up_s:
+                self.end()
+                raise RuntimeError("roscore does not answer")
+            time.sleep(0.1)
+
+    def end(self):
+        self._process.terminate()
+        self._process.wait()
+
+
+def state_errors(estimate, truth):
+    """Metrics of a stack's trajectory."""
+    estimate, truth = common(estimate, truth)
+    return {"ate_m": absolute_error_m(estimate, truth),
+            "rte_percent": float(np.mean(relative_errors(estimate, truth, RELATIVE_SPAN_S)))}
+
+
+class OpenVins:
+    """OpenVINS (Geneva et al., ICRA 2020), where the user has built it for ROS 1: its reader of bags. One camera, the
+    settings that come with it for EuRoC, started from the true state, so that all start alike."""
+
+    name = "OpenVINS"
+    metrics = {"ate_m": ("absolute trajectory error [m]", 3),
+               "rte_percent": ("error relative to %g s of path [%%]" % RELATIVE_SPAN_S, 2)}
+    # Of the recording of the IMU, which is longer than the images; with fewer states it has ended early.
+    MIN_COVERED = 0.8
+
+    SETTINGS = {
+        "verbosity": "WARNING", "use_fej": True, "integration": "rk4", "use_stereo": False, "max_cameras": 1,
+        "calib_cam_extrinsics": True, "calib_cam_intrinsics": True, "calib_cam_timeoffset": True,
+        "calib_imu_intrinsics": False, "calib_imu_g_sensitivity": False,
+        "max_clones": 11, "max_slam": 50, "max_slam_in_update": 25, "max_msckf_in_update": 40, "dt_slam_delay": 1,
+        "gravity_mag": 9.80665, "feat_rep_msckf": "GLOBAL_3D", "feat_rep_slam": "ANCHORED_MSCKF_INVERSE_DEPTH",
+        "feat_rep_aruco": "ANCHORED_MSCKF_INVERSE_DEPTH",
+        "try_zupt": False, "zupt_chi2_multipler": 0, "zupt_max_velocity": 0.1, "zupt_noise_multiplier": 10,
+        "zupt_max_disparity": 0.5, "zupt_only_at_beginning": False,
+        "init_window_time": 2.0, "init_imu_thresh": 1.5, "init_max_disparity": 10.0, "init_max_features": 50,
+        "init_dyn_use": False, "init_dyn_mle_opt_calib": False, "init_dyn_mle_max_iter": 50,
+        "init_dyn_mle_max_time": 0.05, "init_dyn_mle_max_threads": 1, "init_dyn_num_pose": 6,
+        "init_dyn_min_deg": 10.0, "init_dyn_inflation_ori": 10, "init_dyn_inflation_vel": 100,
+        "init_dyn_inflation_bg": 10, "init_dyn_inflation_ba": 100, "init_dyn_min_rec_cond": 1e-12,
+        "init_dyn_bias_g": [0.0, 0.0, 0.0], "init_dyn_bias_a": [0.0, 0.0, 0.0],
+        "record_timing_information": False, "record_timing_filepath": "/dev/null",
+        "use_klt": True, "num_pts": 200, "fast_threshold": 20, "grid_x": 5, "grid_y": 5, "min_px_dist": 10,
+        "knn_ratio": 0.70, "track_frequency": 21.0, "downsample_cameras": False, "num_opencv_threads": 0,
+        "histogram_method": "HISTOGRAM", "use_aruco": False, "num_aruco": 1024, "downsize_aruco": True,
+        "up_msckf_sigma_px": 1, "up_msckf_chi2_multipler": 1, "up_slam_sigma_px": 1, "up_slam_chi2_multipler": 1,
+        "up_aruco_sigma_px": 1, "up_aruco_chi2_multipler": 1, "use_mask": False,
+    }
+
+    def __init__(self, devel, folder, own_start=None):
+        """devel: the workspace's devel space; folder: for the master's files; own_start: the settings with which it
+        starts by itself, not from the true state."""
+        self.devel = pathlib.Path(devel).resolve()
+        self._own_start = own_start
+        self._program = self.devel / "lib" / "ov_msckf" / "ros1_serial_msckf"
+        if not self._program.is_file():
+            raise RuntimeError("there is no %s: OpenVINS has to be built for ROS 1" % self._program)
+        self._master = Master(folder)
+        self._lock, self._runs = threading.Lock(), 0
+
+    def close(self):
+        self._master.end()
+
+    def environment(self):
+        libraries = os.pathsep.join(filter(None, [str(self.devel / "lib"), os.environ.get("LD_LIBRARY_PATH", "")]))
+        # The matrices are small: threads of the linear algebra would only wait for each other.
+        return dict(os.environ, **self._master.environment, LD_LIBRARY_PATH=libraries, OMP_NUM_THREADS="1",
+                    OPENBLAS_NUM_THREADS="1")
+
+    @classmethod
+    def write_settings(cls, recording, folder, changes=None):
+        """Its three files. Returns the path of the first."""
+        camera, imu = recording.camera, recording.imu
+        R_imu_cam = np.array(camera["R_cam_imu"]).T
+        T_imu_cam = np.vstack([np.column_stack([R_imu_cam, camera["p_imu_cam_m"]]), [0, 0, 0, 1]])
+        identity, zero = np.eye(3).tolist(), np.zeros((3, 3)).tolist()
+        per_root_hz = 1 / np.sqrt(imu["rate_hz"])
+        chain = {"cam0": {"T_imu_cam": T_imu_cam.tolist(), "cam_overlaps": [], "camera_model": "pinhole",
+                          "distortion_coeffs": [0.0, 0.0, 0.0, 0.0], "distortion_model": "radtan",
+                          "intrinsics": camera["intrinsics"], "resolution": camera["size"],
+                          "timeshift_cam_imu": recording.shift_s, "rostopic": recording.image_topic}}
+        inertial = {"imu0": {"T_i_b": np.eye(4).tolist(), "accelerometer_noise_density":
+                             imu["accel_noise_m_s2"] * per_root_hz, "accelerometer_random_walk": 3.0e-3,
+                             "gyroscope_noise_density": imu["gyro_noise_rad_s"] * per_root_hz,
+                             "gyroscope_random_walk": 1.9393e-05, "rostopic": recording.imu_topic, "time_offset": 0.0,
+                             "update_rate": imu["rate_hz"], "model": "kalibr", "Tw": identity,
+                             "R_IMUtoGYRO": identity, "Ta": identity, "R_IMUtoACC": identity, "Tg": zero}}
+        settings = dict(cls.SETTINGS, relative_config_imu="imu.yaml", relative_config_imucam="camera.yaml",
+                        **(changes or {}))
+        for name, content in ("camera.yaml", chain), ("imu.yaml", inertial), ("estimator.yaml", settings):
+            # OpenCV reads JSON's notation of values in a file that begins as its YAML does.
+            lines = ["%YAML:1.0", ""] + cls._lines(content, 0)
+            (folder / name).write_text("\n".join(lines) + "\n")
+        return folder / "estimator.yaml"
+
+    @classmethod
+    def _lines(cls, content, depth):
+        lines = []
+        for key, value in content.items():
+            if isinstance(value, dict):
+                lines += [" " * depth + key + ":"] + cls._lines(value, depth + 2)
+            elif isinstance(value, list) and value and isinstance(value[0], list):
+                lines += [" " * depth + key + ":"] + [" " * (depth + 2) + "- " + json.dumps(row) for row in value]
+            else:
+                lines.append(" " * depth + key + ": " + json.dumps(value))
+        return lines
+
+    @staticmethod
+    def write_start(recording, path):
+        """The true state at every image's stamp, as it takes it, which is in the camera's clock."""
+        with rosbag.Bag(str(recording.bag)) as bag:
+            stamps_ns = [message.header.stamp.to_nsec() for _, message, _ in
+                         bag.read_messages(topics=[recording.image_topic])]
+        t_s = np.array(stamps_ns) * 1e-9 + recording.shift_s
+        truth, step_s = recording.truth, 0.005
+        poses, before, after = truth.at(t_s), truth.at(t_s - step_s), truth.at(t_s + step_s)
+        velocity_m_s = (after.p_m - before.p_m) / (2 * step_s)
+        rows = ["#t,p,q,v,bw,ba"]
+        for k, stamp_ns in enumerate(stamps_ns):
+            values = [*poses.p_m[k], *poses.q[k][[3, 0, 1, 2]], *velocity_m_s[k], *recording.biases]
+            rows.append(",".join([str(stamp_ns)] + ["%.9g" % value for value in values]))
+        path.write_text("\n".join(rows) + "\n")
+
+    @staticmethod
+    def read_states(path):
+        """What it writes of every image."""
+        states = np.loadtxt(path, comments="#", usecols=range(8), ndmin=2)
+        # Its quaternions take the world to the body in JPL's convention: the same four numbers as Hamilton's of the
+        # body to the world.
+        return Trajectory(states[:, 0], states[:, 5:8], states[:, 1:5])
+
+    def estimate(self, recording, folder, name):
+        """Its trajectory. Raises RuntimeError when it fails."""
+        with self._lock:
+            self._runs += 1
+            node = "stack_%d" % self._runs
+        settings, states = self.write_settings(recording, folder, self._own_start), folder / "states.txt"
+        command = [self._program, settings, "__name:=" + node, "_path_bag:=%s" % recording.bag,
+                   "_topic_imu:=" + recording.imu_topic, "_topic_camera0:=" + recording.image_topic,
+                   "_save_total_state:=true", "_filepath_est:=%s" % states,
+                   "_filepath_std:=%s" % (folder / "deviations.txt"), "_filepath_gt:=%s" % (folder / "unused.txt")]
+        if self._own_start is None:
+            self.write_start(recording, folder / "start.csv")
+            command.append("_path_gt:=%s" % (folder / "start.csv"))
+        run_logged(command, folder / (name + ".log"), self.environment())
+        return self.read_states(states)
+
+    def judge(self, recording, folder, name):
+        estimate = self.estimate(recording, folder, name)
+        covered = (estimate.t_s[-1] - estimate.t_s[0]) / (recording.truth.t_s[-1] - recording.truth.t_s[0])
+        if covered < self.MIN_COVERED:
+            raise RuntimeError("states of %.0f %% of the sequence alone" % (100 * covered))
+        return state_errors(estimate, recording.truth)
+
+
+class OwnTracks:
+    """Motion of the camera between images from the package's tracks: rotation, and direction of the translation.
+
+    Judges global shutters alone: tracks are where a point was at its own row's time."""
+
+    name = "tracks"
+    metrics = {"direction_deg": ("direction of the translation, median error [degrees]", 2),
+               "rotation_deg": ("rotation, median error [degrees]", 3),
+               "tracks": ("tracks of %d images", 0)}
+    APART = 5          # images between the two of a pair
+    MIN_TRACKS = 12
+    MIN_WAY_M = 0.05   # less tells no direction
+    LOST_DEG = 90.0    # of a pair without enough tracks: what a guess would be off
+
+    def close(self):
+        pass
+
+    def judge(self, recording, folder, name):
+        del folder
+        clouds = {}
+        with rosbag.Bag(str(recording.bag)) as bag:
+            for _, cloud, _ in bag.read_messages(topics=[recording.image_topic]):
+                points = np.array([(p.x, p.y) for p in cloud.points]).reshape(-1, 2)
+                clouds[cloud.header.stamp.to_nsec()] = dict(zip(map(int, cloud.channels[0].values), points))
+        stamps_ns = sorted(clouds)
+        if len(stamps_ns) <= self.APART:
+            raise RuntimeError("%s: %d images with tracks" % (name, len(stamps_ns)))
+        R_cam_imu, p_imu_cam_m = np.array(recording.camera["R_cam_imu"]), np.array(recording.camera["p_imu_cam_m"])
+        truth = recording.truth.at(np.array(stamps_ns) * 1e-9 + recording.shift_s)
+        R_world_imu = rotations(truth.q)
+        R_world_cam = R_world_imu @ R_cam_imu.T
+        p_cam_m = truth.p_m + R_world_imu @ p_imu_cam_m
+        rotation_deg, direction_deg, counts = [], [], []
+        for k in range(len(stamps_ns) - self.APART):
+            way_m = p_cam_m[k + self.APART] - p_cam_m[k]
+            if np.linalg.norm(way_m) < self.MIN_WAY_M:
+                continue
+            first, second = clouds[stamps_ns[k]], clouds[stamps_ns[k + self.APART]]
+            ids = sorted(first.keys() & second.keys())
+            counts.append(len(ids))
+            motion = relative_motion(np.array([first[i] for i in ids]), np.array([second[i] for i in ids]),
+                                     recording.camera["intrinsics"][0]) if len(ids) >= self.MIN_TRACKS else None
+            if motion is None:
+                rotation_deg.append(self.LOST_DEG)
+                direction_deg.append(self.LOST_DEG)
+                continue
+            R_21, t_21 = motion
+            R_true = R_world_cam[k + self.APART].T @ R_world_cam[k]
+            t_true = -R_world_cam[k + self.APART].T @ way_m
+            rotation_deg.append(angle_deg(R_21 @ R_true.T))
+            cosine = float(t_21 @ t_true / np.linalg.norm(t_true))
+            direction_deg.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
+        return {"direction_deg": float(np.median(direction_deg)), "rotation_deg": float(np.median(rotation_deg)),
+                "tracks": float(np.mean(counts))}
+
+
+def relative_motion(first, second, focal_px):
+    """Of the camera between two images, from normalised points: rotation first to second, unit translation; None when
+    they tell none."""
+    E, inliers = cv2.findEssentialMat(first, second, np.eye(3), cv2.RANSAC, 0.999, 1.5 / focal_px)
+    if E is None or E.shape != (3, 3):
+        return None
+    _, R, t, _ = cv2.recoverPose(E, first, second, np.eye(3), mask=inliers)
+    return R, t[:, 0]

@@ -1,0 +1,326 @@
+#!/usr/bin/python3
+"""What deblurring is worth to a SLAM stack: recorded flights through a simulated room, sharp, blurred and deblurred.
+
+Renders each flight (slam_sequences), deblurs it (deblur_bag), lets a stack, or the package's own tracks, judge all of
+them, and writes results.json, tables (slam.md) and a plot (slam.png) into --out. What is in results.json already is
+not measured again. Needs the devel space of this package (scripts/build.sh, then source build/devel/setup.bash) and
+the program slam_sequences (cmake --build build --target slam_sequences).
+"""
+
+import argparse
+import concurrent.futures
+import contextlib
+import dataclasses
+import json
+import pathlib
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+
+import matplotlib
+import numpy as np
+from tqdm import tqdm
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
+from common import ROOT, fail, write_markdown  # noqa: E402
+from judges import OpenVins, OwnTracks, Recording, run_logged  # noqa: E402
+from trajectory import read_truth  # noqa: E402
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen first)
+
+DRONE, HAND, TUNING = "V1_02_medium", "tum_vi_room2", "V2_02_medium"
+NAMES = {DRONE: "drone (EuRoC V1_02)", HAND: "hand-held (TUM VI room2)", TUNING: "drone (EuRoC V2_02)"}
+LONGEST_S = {DRONE: 58, HAND: 28, TUNING: 85}  # of the recordings, as recorded, that can be flown
+LEAD_S = 1.6  # of the IMU alone, before and after the images
+LIGHTS = {"day": "", "low": "low light"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """What is rendered once."""
+    flight: str
+    exposure_ms: int
+    speed: float = 1.0
+    readout_ms: int = 0
+
+    @property
+    def key(self):
+        return "%s_%dms_x%g_r%d" % (self.flight, self.exposure_ms, self.speed, self.readout_ms)
+
+    def seconds(self, at_most):
+        """Of the sequence: as long as the recording lasts."""
+        return round(min(at_most, (LONGEST_S[self.flight] + LEAD_S) / self.speed - LEAD_S), 1)
+
+    def conditions(self):
+        parts = ["%d ms" % self.exposure_ms]
+        if self.readout_ms:
+            parts.append("readout %d ms" % self.readout_ms)
+        if self.speed != 1:
+            parts.append("x%g" % self.speed)
+        return ", ".join(parts)
+
+
+REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms in (0, 20) for flight in (DRONE, HAND)
+            for speed in (1.7, 1.0) for exposure_ms in (30, 15)]
+# What is chosen is chosen on another flight.
+TUNED = [Case(TUNING, 30, 1.7)]
+
+# How the images get to the judge: keys of config/default.yaml; None: as they are in the bag.
+VARIANTS = {"sharp": None, "blurred": None, "gyroscope": {"motion_from_images": False}, "package": {}}
+TITLES = {"sharp": "sharp", "blurred": "blurred", "gyroscope": "gyroscope alone", "package": "the package"}
+# Nothing is deblurred: for tracks on images as they are.
+UNTOUCHED = {"min_extent": 1, "max_extent": 1, "motion_from_images": False}
+
+
+def options_of(variant):
+    """Keys of a named variant, or of KEY=VALUE pairs."""
+    if variant in VARIANTS:
+        return VARIANTS[variant]
+    options = {}
+    for pair in variant.split(","):
+        key, _, value = pair.partition("=")
+        if not value:
+            fail("%s is neither one of %s nor KEY=VALUE" % (variant, ", ".join(VARIANTS)))
+        options[key] = json.loads(value) if value[0] in "0123456789-tf[\"" else value
+    return options
+
+
+class Study:
+    """Measures what is missing."""
+
+    def __init__(self, arguments, judge):
+        self.arguments, self.judge = arguments, judge
+        self.path = arguments.out / "results.json"
+        self.results = json.loads(self.path.read_text()) if self.path.exists() else []
+        self._lock = threading.Lock()
+
+    def known(self, case, light, seed, variant):
+        return next((r for r in self.results if (r["case"], r["light"], r["seed"], r["variant"], r["judge"]) ==
+                     (case.key, light, seed, variant, self.judge.name)), None)
+
+    def keep(self, case, light, seed, variant, metrics):
+        with self._lock:
+            self.results.append({"case": case.key, "light": light, "seed": seed, "variant": variant,
+                                 "judge": self.judge.name, **metrics})
+            part = self.path.with_suffix(".part")
+            part.write_text(json.dumps(self.results, indent=1) + "\n")
+            part.rename(self.path)
+
+    def run(self, cases, variants):
+        seeds = list(range(1, self.arguments.seeds + 1))
+        missing = {case: [(light, seed, variant) for light in self.arguments.lights for seed in seeds
+                          for variant in variants if self.known(case, light, seed, variant) is None]
+                   for case in cases}
+        total = sum(map(len, missing.values()))
+        with tqdm(total=total, unit="run", disable=None) as bar, \
+                concurrent.futures.ThreadPoolExecutor(self.arguments.jobs) as pool:
+            for case, jobs in missing.items():
+                if not jobs:
+                    continue
+                with tempfile.TemporaryDirectory(dir=self.arguments.scratch) as folder:
+                    folder = pathlib.Path(folder)
+                    render(case, self.arguments.lights, seeds, self.arguments, folder)
+                    waiting = [pool.submit(self.measure, case, folder, *job) for job in jobs]
+                    for done in concurrent.futures.as_completed(waiting):
+                        done.result()
+                        bar.update()
+
+    def measure(self, case, folder, light, seed, variant):
+        name = "%s_%s_%d_%s" % (case.key, light, seed, variant)
+        recording = read_recording(case, folder, light, seed, "sharp" if variant == "sharp" else "blurred")
+        options, tracks = options_of(variant), self.judge.name == OwnTracks.name
+        with tempfile.TemporaryDirectory(dir=folder) as own:
+            own = pathlib.Path(own)
+            if options is not None or tracks:
+                recording = deblur(recording, UNTOUCHED if options is None else options, tracks, own)
+            try:
+                metrics = self.judge.judge(recording, own, name)
+            except RuntimeError as error:
+                tqdm.write("%s: %s" % (name, error), file=sys.stderr)
+                metrics = dict.fromkeys(self.judge.metrics, float("inf"))
+        self.keep(case, light, seed, variant, metrics)
+
+
+def render(case, lights, seeds, arguments, folder):
+    """The bags of a case."""
+    run_logged([arguments.programs / "slam_sequences", "--flight", case.flight, "--seconds",
+                case.seconds(arguments.seconds), "--speed", case.speed, "--exposure-ms", case.exposure_ms,
+                "--readout-ms", case.readout_ms, "--out", folder, "--data", arguments.data, "--quiet", "--lights",
+                *lights, "--seeds", *seeds], arguments.out / "render.log")
+
+
+def read_recording(case, folder, light, seed, kind):
+    """kind: sharp or blurred."""
+    sequence = json.loads((folder / "sequence.json").read_text())
+    # To the middle of the exposure of the middle row; sharp images are stamped with that.
+    shift_s = 0.0 if kind == "sharp" else 0.5 * (sequence["exposure_s"] + sequence["readout_s"])
+    # The same in every line.
+    biases = np.loadtxt(folder / "truth.csv", delimiter=",", skiprows=1, max_rows=1)[11:17]
+    return Recording(folder / ("%s_%d_%s.bag" % (light, seed, kind)), "/camera/image_raw", "/imu", shift_s,
+                     bool(case.readout_ms) and kind != "sharp", sequence["camera"], sequence["imu"],
+                     read_truth(folder / "truth.csv"), biases)
+
+
+def deblur(recording, options, tracks, folder):
+    """Through deblur_bag. Returns the recording of its images, or of its tracks."""
+    settings = dict(options)
+    if recording.shift_s == 0:
+        settings["exposure_time"] = 0.001  # sharp images come without one
+    config, output = folder / "config.yaml", folder / "deblurred.bag"
+    config.write_text("".join("%s: %s\n" % (key, json.dumps(value)) for key, value in settings.items()) or "{}\n")
+    command = ["rosrun", "gyro_deblur", "deblur_bag", recording.bag, output, "--config", config, "--no-keypoints",
+               "--threads", 1, "--keep-all-topics"]
+    if tracks:
+        run_logged(command + ["--tracks"], folder / "deblur.log")
+        return dataclasses.replace(recording, bag=output, image_topic="/camera/feature_tracks")
+    if recording.rolling:
+        run_logged(command + ["--global-shutter"], folder / "deblur.log")
+        # Stamped with the instant that they are of.
+        return dataclasses.replace(recording, bag=output, image_topic="/camera/global_shutter/image_raw", shift_s=0.0,
+                                   rolling=False)
+    run_logged(command, folder / "deblur.log")
+    return dataclasses.replace(recording, bag=output, image_topic="/camera/deblurred/image_raw")
+
+
+def cell(values):
+    """Mean and its standard error."""
+    values = np.array(values, dtype=float)
+    if not len(values):
+        return float("nan"), float("nan")
+    if not np.isfinite(values).all():
+        return float("inf"), float("nan")
+    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else float("nan")
+
+
+class Cells:
+    """Results of one judge by case, light and variant."""
+
+    def __init__(self, results, judge):
+        self.results = [r for r in results if r["judge"] == judge.name]
+
+    def of(self, case, light, variant, metric):
+        return cell([r[metric] for r in self.results
+                     if (r["case"], r["light"], r["variant"]) == (case.key, light, variant)])
+
+
+def share_of_the_way(cells, case, light, variant, metric):
+    """From blurred to sharp [%]; nothing where blur costs nothing that can be told from noise."""
+    (sharp, sharp_se), (blurred, blurred_se) = (cells.of(case, light, v, metric) for v in ("sharp", "blurred"))
+    if not blurred - sharp > 2 * np.hypot(sharp_se, blurred_se):
+        return None
+    if not np.isfinite(blurred):
+        return None
+    return 100 * (blurred - cells.of(case, light, variant, metric)[0]) / (blurred - sharp)
+
+
+def markdown(cells, cases, lights, variants, judge):
+    lines = []
+    for metric, (title, digits) in judge.metrics.items():
+        way = metric == next(iter(judge.metrics)) and "package" in variants
+        header = ["flight", "conditions"] + [TITLES.get(v, v) for v in variants]
+        if way:
+            header.append("of the way to sharp")
+        lines += ["%s: %s; mean of seeds ± its standard error" % (judge.name, title), "",
+                  "| " + " | ".join(header) + " |", "| " + " | ".join(["---"] * len(header)) + " |"]
+        for case in cases:
+            for light in lights:
+                row = [NAMES[case.flight], ", ".join(filter(None, [case.conditions(), LIGHTS[light]]))]
+                for variant in variants:
+                    mean, error = cells.of(case, light, variant, metric)
+                    row.append("lost" if np.isinf(mean) else "-" if np.isnan(mean) else
+                               "%.*f" % (digits, mean) + ("" if np.isnan(error) else " ± %.*f" % (digits, error)))
+                if way:
+                    shares = [share_of_the_way(cells, case, light, v, metric) for v in ("gyroscope", "package")
+                              if v in variants]
+                    row.append(", ".join("-" if share is None else "%.0f %%" % share for share in shares))
+                lines.append("| " + " | ".join(row) + " |")
+        lines.append("")
+    return lines
+
+
+def plot(cells, cases, lights, variants, judge, path):
+    """A group of bars for each case and light."""
+    metric, (title, _) = next(iter(judge.metrics.items()))
+    groups = [(case, light) for case in cases for light in lights]
+    colors = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue"}
+    figure, axes = plt.subplots(figsize=(max(5, 1.5 + 0.62 * len(groups)), 4.6))
+    width = 0.8 / len(variants)
+    largest = 0
+    for k, variant in enumerate(variants):
+        means, errors = zip(*(cells.of(case, light, variant, metric) for case, light in groups))
+        finite = [mean if np.isfinite(mean) else 0 for mean in means]
+        largest = max([largest] + finite)
+        axes.bar(np.arange(len(groups)) + (k - 0.5 * (len(variants) - 1)) * width, finite, width,
+                 yerr=[error if np.isfinite(error) else 0 for error in errors], color=colors.get(variant),
+                 label=TITLES.get(variant, variant), error_kw={"elinewidth": 0.8})
+    axes.set_yscale("log")
+    axes.set_xticks(range(len(groups)))
+    labels = [filter(None, [NAMES[case.flight].split(" (")[0], case.conditions().replace(", ", ",\n"), LIGHTS[light]])
+              for case, light in groups]
+    axes.set_xticklabels(["\n".join(label) for label in labels], fontsize=7)
+    axes.set_ylabel("%s: %s" % (judge.name, title))
+    axes.grid(axis="y", alpha=0.3, which="both")
+    axes.legend(fontsize=8, ncol=len(variants))
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def parse_arguments():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=pathlib.Path, required=True, help="folder for the results")
+    parser.add_argument("--openvins", type=pathlib.Path, metavar="DEVEL",
+                        help="devel space of a workspace with OpenVINS (ROS 1) [the package's own tracks judge]")
+    parser.add_argument("--tuning", action="store_true",
+                        help="on the flight that defaults are chosen on, instead of those that are reported")
+    parser.add_argument("--variants", nargs="+", default=list(VARIANTS), metavar="VARIANT",
+                        help="of %s, or KEY=VALUE[,KEY=VALUE] of the package's configuration [%s]" %
+                        (", ".join(VARIANTS), " ".join(VARIANTS)))
+    parser.add_argument("--lights", nargs="+", choices=list(LIGHTS), default=list(LIGHTS))
+    parser.add_argument("--seeds", type=int, default=3, help="draws of noise [%(default)d]")
+    parser.add_argument("--seconds", type=float, default=28, help="of each flight, at most [%(default)g]")
+    parser.add_argument("--only", help="cases whose key contains this, such as V1_02_medium_30ms_x1.7_r0")
+    parser.add_argument("--jobs", type=int, default=2, help="at a time [%(default)d]")
+    parser.add_argument("--data", type=pathlib.Path, default=ROOT.parent / "shared" / "data",
+                        help="recorded data, with trajectories/; see test/data/README.md")
+    parser.add_argument("--programs", type=pathlib.Path, default=ROOT / "build" / "experiments",
+                        help="where slam_sequences is")
+    parser.add_argument("--scratch", type=pathlib.Path, help="for bags: 2 GB a minute of flight [the system's]")
+    parser.add_argument("--report", action="store_true", help="tables and plot of what is there; measure nothing")
+    return parser.parse_args()
+
+
+def main():
+    arguments = parse_arguments()
+    if not (arguments.data / "trajectories").is_dir():
+        fail("there is no %s/trajectories; see test/data/README.md" % arguments.data)
+    if not arguments.report and shutil.which("rosrun") is None:
+        fail("there is no rosrun: source build/devel/setup.bash")
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    cases = [case for case in (TUNED if arguments.tuning else REPORTED) if (arguments.only or "") in case.key]
+    if not arguments.openvins:
+        cases = [case for case in cases if not case.readout_ms]  # tracks are those of each row's own time
+    if not cases:
+        fail("--only %s: there is no such case" % arguments.only)
+    judge_type = OpenVins if arguments.openvins else OwnTracks
+    if arguments.report:
+        study = Study(arguments, judge_type)
+    else:
+        judge = OpenVins(arguments.openvins, arguments.out) if arguments.openvins else OwnTracks()
+        with contextlib.closing(judge):
+            study = Study(arguments, judge)
+            study.run(cases, arguments.variants)
+    cells = Cells(study.results, judge_type)
+    write_markdown(arguments.out / "slam.md", markdown(cells, cases, arguments.lights, arguments.variants, judge_type))
+    plot(cells, cases, arguments.lights, arguments.variants, judge_type, arguments.out / "slam.png")
+    print(arguments.out / "slam.png")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (RuntimeError, OSError, subprocess.SubprocessError) as error:
+        fail(str(error))

@@ -1,0 +1,155 @@
+#!/usr/bin/env python3
+"""The SLAM experiment: errors of trajectories against analytic truth; a stack's files; a short flight, judged by the
+package's own tracks, from bag to table."""
+
+import argparse
+import json
+import pathlib
+import subprocess
+import sys
+import tempfile
+import unittest
+
+import numpy as np
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "experiments" / "slam"))
+from judges import OpenVins, Recording, relative_motion  # noqa: E402
+from trajectory import (Trajectory, absolute_error_m, aligned, angle_deg, common, relative_errors,  # noqa: E402
+                        rotations)
+
+SKIPPED = 77  # as ctest is told
+arguments = None
+
+
+def yaw(angle_rad):
+    return np.array([0, 0, np.sin(angle_rad / 2), np.cos(angle_rad / 2)])
+
+
+def circle(seconds=20.0, rate_hz=50):
+    """A body that looks along its way around a circle of 2 m, 0.5 rad/s."""
+    t_s = np.arange(0, seconds, 1 / rate_hz)
+    angle = 0.5 * t_s
+    p_m = np.stack([2 * np.cos(angle), 2 * np.sin(angle), 0.1 * np.sin(2 * angle)], 1)
+    return Trajectory(t_s, p_m, np.array([yaw(a) for a in angle]))
+
+
+class Trajectories(unittest.TestCase):
+    def test_rotations_take_the_body_to_the_world(self):
+        R = rotations([yaw(np.pi / 2), [np.sin(0.15), 0, 0, np.cos(0.15)]])
+        np.testing.assert_allclose(R[0] @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+        np.testing.assert_allclose(R[1] @ [0, 1, 0], [0, np.cos(0.3), np.sin(0.3)], atol=1e-12)
+        self.assertAlmostEqual(angle_deg(R[1]), np.degrees(0.3), 6)
+
+    def test_between_poses(self):
+        middle = circle().at([1.01])
+        np.testing.assert_allclose(middle.p_m[0], circle(rate_hz=100).at([1.01]).p_m[0], atol=1e-3)
+        self.assertAlmostEqual(np.linalg.norm(middle.q[0]), 1, 12)
+        np.testing.assert_allclose(middle.q[0], yaw(0.505), atol=1e-5)
+
+    def test_yaw_and_place_cost_nothing(self):
+        truth = circle()
+        turn = rotations([yaw(1.1)])[0]
+        moved = Trajectory(truth.t_s, truth.p_m @ turn.T + [3, -2, 1], truth.q)
+        self.assertLess(absolute_error_m(moved, truth), 1e-12)
+        np.testing.assert_allclose(aligned(moved, truth), truth.p_m, atol=1e-12)
+
+    def test_roll_and_scale_do(self):
+        truth = circle()
+        larger = Trajectory(truth.t_s, 1.1 * truth.p_m, truth.q)
+        spread_m = np.sqrt(((truth.p_m - truth.p_m.mean(0)) ** 2).sum(1).mean())
+        self.assertAlmostEqual(absolute_error_m(larger, truth), 0.1 * spread_m, 3)
+        roll = rotations([[np.sin(0.05), 0, 0, np.cos(0.05)]])[0]
+        self.assertGreater(absolute_error_m(Trajectory(truth.t_s, truth.p_m @ roll.T, truth.q), truth), 0.05)
+
+    def test_relative_errors_of_a_wrong_scale(self):
+        truth = circle()
+        errors = relative_errors(Trajectory(truth.t_s, 1.02 * truth.p_m, truth.q), truth, 5.0)
+        # 2 % of the chord, over the arc, which is a little longer by its rise and fall.
+        chord_over_arc = 2 * 2 * np.sin(1.25) / (2 * 2.5)
+        np.testing.assert_allclose(errors, 2 * chord_over_arc, rtol=0.02)
+        self.assertEqual(len(errors), 30)
+
+    def test_only_what_is_true_is_compared(self):
+        truth = circle()
+        early = Trajectory(np.array([-1.0, 0.5, 1.0]), np.zeros((3, 3)), np.array([yaw(0)] * 3))
+        estimate, of_truth = common(early, truth)
+        self.assertEqual(len(estimate.t_s), 2)
+        np.testing.assert_allclose(of_truth.t_s, [0.5, 1.0])
+
+
+class Motion(unittest.TestCase):
+    def test_relative_motion_of_points_in_space(self):
+        random = np.random.default_rng(1)
+        points = np.column_stack([random.uniform(-2, 2, (60, 2)), random.uniform(3, 6, 60)])
+        R = rotations([[np.sin(0.1), 0, 0, np.cos(0.1)]])[0]
+        t = np.array([0.2, 0.05, -0.1])
+        second = points @ R.T + t
+        found_R, found_t = relative_motion(points[:, :2] / points[:, 2:], second[:, :2] / second[:, 2:], 460)
+        self.assertLess(angle_deg(found_R @ R.T), 1e-3)
+        np.testing.assert_allclose(found_t, t / np.linalg.norm(t), atol=1e-4)
+
+
+class OpenVinsFiles(unittest.TestCase):
+    def test_settings_are_read_by_opencv(self):
+        import cv2
+        recording = Recording(pathlib.Path("a.bag"), "/camera/image_raw", "/imu", 0.015, False,
+                              {"intrinsics": [460, 461, 375.5, 239.5], "size": [752, 480],
+                               "R_cam_imu": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], "p_imu_cam_m": [-0.05, -0.04, 0]},
+                              {"rate_hz": 200, "gyro_noise_rad_s": 0.003, "accel_noise_m_s2": 0.05}, circle(),
+                              np.zeros(6))
+        with tempfile.TemporaryDirectory() as folder:
+            path = OpenVins.write_settings(recording, pathlib.Path(folder), {"num_pts": 150})
+            settings = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+            self.assertEqual(settings.getNode("num_pts").real(), 150)
+            cameras = cv2.FileStorage(str(path.parent / settings.getNode("relative_config_imucam").string()),
+                                      cv2.FILE_STORAGE_READ)
+            chain = cameras.getNode("cam0")
+            self.assertAlmostEqual(chain.getNode("timeshift_cam_imu").real(), 0.015)
+            rows = chain.getNode("T_imu_cam")
+            matrix = [[rows.at(r).at(c).real() for c in range(4)] for r in range(4)]
+            np.testing.assert_allclose(matrix, [[0, -1, 0, -0.05], [1, 0, 0, -0.04], [0, 0, 1, 0], [0, 0, 0, 1]])
+            inertial = cv2.FileStorage(str(path.parent / settings.getNode("relative_config_imu").string()),
+                                       cv2.FILE_STORAGE_READ)
+            imu = inertial.getNode("imu0")
+            self.assertAlmostEqual(imu.getNode("gyroscope_noise_density").real(), 0.003 / np.sqrt(200))
+
+    def test_states_are_poses_of_the_body(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = pathlib.Path(folder) / "states.txt"
+            path.write_text("# timestamp(s) q p v ...\n5.0 0.1 0.2 0.3 0.9 1 2 3 4 5 6 7 8 9 10 11 12\n")
+            states = OpenVins.read_states(path)
+            np.testing.assert_allclose(states.p_m, [[1, 2, 3]])
+            np.testing.assert_allclose(states.q, [[0.1, 0.2, 0.3, 0.9]])
+
+
+class ShortFlight(unittest.TestCase):
+    def test_own_tracks_judge(self):
+        with tempfile.TemporaryDirectory() as folder:
+            out = pathlib.Path(folder)
+            command = ["/usr/bin/python3", ROOT / "experiments" / "slam" / "slam.py", "--out", out, "--data",
+                       arguments.data, "--programs", arguments.programs, "--only", "V1_02_medium_30ms_x1.7_r0",
+                       "--seconds", "3", "--seeds", "1", "--lights", "day", "--scratch", out]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            results = {r["variant"]: r for r in json.loads((out / "results.json").read_text())}
+            self.assertEqual(set(results), {"sharp", "blurred", "gyroscope", "package"})
+            self.assertGreater(results["package"]["tracks"], 1.15 * results["blurred"]["tracks"])
+            self.assertGreater(results["sharp"]["tracks"], results["package"]["tracks"])
+            self.assertLess(results["sharp"]["direction_deg"], results["blurred"]["direction_deg"])
+            self.assertIn("| drone (EuRoC V1_02) | 30 ms, x1.7 |", (out / "slam.md").read_text())
+            self.assertGreater((out / "slam.png").stat().st_size, 1000)
+            # What is there is not measured again.
+            before = (out / "results.json").read_bytes()
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            self.assertEqual((out / "results.json").read_bytes(), before)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("programs", type=pathlib.Path)
+    parser.add_argument("data", type=pathlib.Path)
+    arguments = parser.parse_args()
+    if not (arguments.data / "trajectories").exists():
+        print(f"skipped: there is no {arguments.data}/trajectories")
+        sys.exit(SKIPPED)
+    unittest.main(argv=sys.argv[:1])
