@@ -82,7 +82,8 @@ def state_errors(estimate, truth):
 
 class OpenVins:
     """OpenVINS (Geneva et al., ICRA 2020), where the user has built it for ROS 1: its reader of bags. One camera, the
-    settings that come with it for EuRoC, started from the true state, so that all start alike."""
+    settings that come with it for EuRoC, but calibrated: it is told the true calibration and estimates none, and it
+    starts from the true state, so that all start alike."""
 
     name = "OpenVINS"
     metrics = {"ate_m": ("absolute trajectory error [m]", 3),
@@ -92,7 +93,7 @@ class OpenVins:
 
     SETTINGS = {
         "verbosity": "WARNING", "use_fej": True, "integration": "rk4", "use_stereo": False, "max_cameras": 1,
-        "calib_cam_extrinsics": True, "calib_cam_intrinsics": True, "calib_cam_timeoffset": True,
+        "calib_cam_extrinsics": False, "calib_cam_intrinsics": False, "calib_cam_timeoffset": False,
         "calib_imu_intrinsics": False, "calib_imu_g_sensitivity": False,
         "max_clones": 11, "max_slam": 50, "max_slam_in_update": 25, "max_msckf_in_update": 40, "dt_slam_delay": 1,
         "gravity_mag": 9.80665, "feat_rep_msckf": "GLOBAL_3D", "feat_rep_slam": "ANCHORED_MSCKF_INVERSE_DEPTH",
@@ -173,19 +174,17 @@ class OpenVins:
 
     @staticmethod
     def write_start(recording, path):
-        """The true state at every image's stamp, as it takes it, which is in the camera's clock."""
+        """A true state from before the first image, in the clock of the stamps. It starts again with every image that
+        was recorded within 0.1 s of one, until it has begun to update, and takes none that is older than its state."""
         with rosbag.Bag(str(recording.bag)) as bag:
-            stamps_ns = [message.header.stamp.to_nsec() for _, message, _ in
-                         bag.read_messages(topics=[recording.image_topic])]
-        t_s = np.array(stamps_ns) * 1e-9 + recording.shift_s
-        truth, step_s = recording.truth, 0.005
-        poses, before, after = truth.at(t_s), truth.at(t_s - step_s), truth.at(t_s + step_s)
-        velocity_m_s = (after.p_m - before.p_m) / (2 * step_s)
-        rows = ["#t,p,q,v,bw,ba"]
-        for k, stamp_ns in enumerate(stamps_ns):
-            values = [*poses.p_m[k], *poses.q[k][[3, 0, 1, 2]], *velocity_m_s[k], *recording.biases]
-            rows.append(",".join([str(stamp_ns)] + ["%.9g" % value for value in values]))
-        path.write_text("\n".join(rows) + "\n")
+            recorded_s = next(bag.read_messages(topics=[recording.image_topic])).timestamp.to_sec()
+        before_s, step_s = 0.075, 0.005
+        start_s = recorded_s - before_s
+        t_s = start_s + recording.shift_s + step_s * np.array([-1, 0, 1])
+        before, state, after = ((p, q) for p, q in zip(*dataclasses.astuple(recording.truth.at(t_s))[1:]))
+        velocity_m_s = (after[0] - before[0]) / (2 * step_s)
+        values = [*state[0], *state[1][[3, 0, 1, 2]], *velocity_m_s, *recording.biases]
+        path.write_text("#t,p,q,v,bw,ba\n%.0f,%s\n" % (1e9 * start_s, ",".join("%.9g" % value for value in values)))
 
     @staticmethod
     def read_states(path):
@@ -208,7 +207,12 @@ class OpenVins:
         if self._own_start is None:
             self.write_start(recording, folder / "start.csv")
             command.append("_path_gt:=%s" % (folder / "start.csv"))
-        run_logged(command, folder / (name + ".log"), self.environment())
+        try:
+            run_logged(command, folder / (name + ".log"), self.environment())
+        except RuntimeError:
+            # With some releases of its libraries it crashes when it has done its work and ends.
+            if not states.exists():
+                raise
         return self.read_states(states)
 
     def judge(self, recording, folder, name):
@@ -220,59 +224,78 @@ class OpenVins:
 
 
 class OwnTracks:
-    """Motion of the camera between images from the package's tracks: rotation, and direction of the translation.
+    """Motion of the camera between images from the package's tracks: rotation, and direction of the translation, from
+    points of equal weight, and by their covariances.
 
     Judges global shutters alone: tracks are where a point was at its own row's time."""
 
     name = "tracks"
     metrics = {"direction_deg": ("direction of the translation, median error [degrees]", 2),
+               "weighted_direction_deg": ("the same, points weighed by their covariances", 2),
                "rotation_deg": ("rotation, median error [degrees]", 3),
-               "tracks": ("tracks of %d images", 0)}
+               "weighted_rotation_deg": ("the same, points weighed by their covariances", 3),
+               "tracks": ("tracks through six images", 0)}
     APART = 5          # images between the two of a pair
     MIN_TRACKS = 12
     MIN_WAY_M = 0.05   # less tells no direction
     LOST_DEG = 90.0    # of a pair without enough tracks: what a guess would be off
+    COVARIANCE = ("covariance_uu_of_point", "covariance_uv_of_point", "covariance_vv_of_point")
 
     def close(self):
         pass
 
+    @classmethod
+    def _points(cls, cloud, focal_px):
+        """By id: normalised place, and covariance there."""
+        channels = {channel.name: channel.values for channel in cloud.channels}
+        uu, uv, vv = (np.array(channels[name]) / focal_px**2 for name in cls.COVARIANCE)
+        covariances = np.stack([np.stack([uu, uv], -1), np.stack([uv, vv], -1)], -2)
+        return {int(i): (np.array([p.x, p.y]), c)
+                for i, p, c in zip(channels["id_of_point"], cloud.points, covariances)}
+
     def judge(self, recording, folder, name):
         del folder
-        clouds = {}
+        focal_px = recording.camera["intrinsics"][0]
         with rosbag.Bag(str(recording.bag)) as bag:
-            for _, cloud, _ in bag.read_messages(topics=[recording.image_topic]):
-                points = np.array([(p.x, p.y) for p in cloud.points]).reshape(-1, 2)
-                clouds[cloud.header.stamp.to_nsec()] = dict(zip(map(int, cloud.channels[0].values), points))
+            clouds = {cloud.header.stamp.to_nsec(): self._points(cloud, focal_px)
+                      for _, cloud, _ in bag.read_messages(topics=[recording.image_topic]) if cloud.points}
         stamps_ns = sorted(clouds)
         if len(stamps_ns) <= self.APART:
             raise RuntimeError("%s: %d images with tracks" % (name, len(stamps_ns)))
-        R_cam_imu, p_imu_cam_m = np.array(recording.camera["R_cam_imu"]), np.array(recording.camera["p_imu_cam_m"])
         truth = recording.truth.at(np.array(stamps_ns) * 1e-9 + recording.shift_s)
         R_world_imu = rotations(truth.q)
-        R_world_cam = R_world_imu @ R_cam_imu.T
-        p_cam_m = truth.p_m + R_world_imu @ p_imu_cam_m
-        rotation_deg, direction_deg, counts = [], [], []
+        R_world_cam = R_world_imu @ np.array(recording.camera["R_cam_imu"]).T
+        p_cam_m = truth.p_m + R_world_imu @ np.array(recording.camera["p_imu_cam_m"])
+        errors_deg, counts = [], []
         for k in range(len(stamps_ns) - self.APART):
             way_m = p_cam_m[k + self.APART] - p_cam_m[k]
             if np.linalg.norm(way_m) < self.MIN_WAY_M:
                 continue
-            first, second = clouds[stamps_ns[k]], clouds[stamps_ns[k + self.APART]]
-            ids = sorted(first.keys() & second.keys())
+            pair = clouds[stamps_ns[k]], clouds[stamps_ns[k + self.APART]]
+            ids = sorted(pair[0].keys() & pair[1].keys())
             counts.append(len(ids))
-            motion = relative_motion(np.array([first[i] for i in ids]), np.array([second[i] for i in ids]),
-                                     recording.camera["intrinsics"][0]) if len(ids) >= self.MIN_TRACKS else None
-            if motion is None:
-                rotation_deg.append(self.LOST_DEG)
-                direction_deg.append(self.LOST_DEG)
-                continue
-            R_21, t_21 = motion
             R_true = R_world_cam[k + self.APART].T @ R_world_cam[k]
             t_true = -R_world_cam[k + self.APART].T @ way_m
-            rotation_deg.append(angle_deg(R_21 @ R_true.T))
-            cosine = float(t_21 @ t_true / np.linalg.norm(t_true))
-            direction_deg.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
-        return {"direction_deg": float(np.median(direction_deg)), "rotation_deg": float(np.median(rotation_deg)),
-                "tracks": float(np.mean(counts))}
+            errors_deg.append(self._errors_deg(pair, ids, R_true, t_true / np.linalg.norm(t_true), focal_px))
+        medians = np.median(errors_deg, axis=0)
+        return dict(zip(list(self.metrics)[:4], map(float, medians)), tracks=float(np.mean(counts)))
+
+    def _errors_deg(self, pair, ids, R_true, t_true, focal_px):
+        """In the order of the metrics."""
+        lost = [self.LOST_DEG] * 4
+        if len(ids) < self.MIN_TRACKS:
+            return lost
+        (first, first_covariances), (second, second_covariances) = (
+            map(np.array, zip(*(points[i] for i in ids))) for points in pair)
+        start = relative_motion(first, second, focal_px)
+        if start is None:
+            return lost
+        equal = np.broadcast_to(np.eye(2) / focal_px**2, first_covariances.shape)
+        errors_deg = []
+        for covariances in (equal, equal), (first_covariances, second_covariances):
+            R, t = refined_motion(*start, first, second, *covariances)
+            errors_deg.append((float(np.degrees(np.arccos(np.clip(t @ t_true, -1, 1)))), angle_deg(R @ R_true.T)))
+        return [errors_deg[0][0], errors_deg[1][0], errors_deg[0][1], errors_deg[1][1]]
 
 
 def relative_motion(first, second, focal_px):
@@ -283,3 +306,56 @@ def relative_motion(first, second, focal_px):
         return None
     _, R, t, _ = cv2.recoverPose(E, first, second, np.eye(3), mask=inliers)
     return R, t[:, 0]
+
+
+def refined_motion(R, t, first, second, first_covariances, second_covariances):
+    """The motion that makes least the sum of squared distances from the epipolar lines, each over its standard
+    deviation (Hartley and Zisserman, Multiple View Geometry, 11.4.3), with Huber's weights. Only ratios of
+    covariances count. A point of unknown place has an infinite variance and counts for nothing."""
+    x1, x2 = (np.column_stack([points, np.ones(len(points))]) for points in (first, second))
+    known = np.isfinite(first_covariances[:, 0, 0]) & np.isfinite(second_covariances[:, 0, 0])
+    if known.sum() < 8:
+        return R, t
+    x1, x2, c1, c2 = x1[known], x2[known], first_covariances[known], second_covariances[known]
+
+    def distances(R, t):
+        E = cross_matrix(t) @ R
+        lines_2, lines_1 = x1 @ E.T, x2 @ E
+        variance = (np.einsum("ni,nij,nj->n", lines_2[:, :2], c2, lines_2[:, :2]) +
+                    np.einsum("ni,nij,nj->n", lines_1[:, :2], c1, lines_1[:, :2]))
+        return (x2 * lines_2).sum(1) / np.sqrt(variance)
+
+    def moved(R, t, step):
+        across = np.linalg.svd(t[None])[2][1:]
+        t = t + step[3:] @ across
+        return cv2.Rodrigues(step[:3])[0] @ R, t / np.linalg.norm(t)
+
+    def robust_sum(d, scale):
+        d = np.abs(d) / scale
+        return np.where(d < HUBER, 0.5 * d * d, HUBER * (d - 0.5 * HUBER)).sum()
+
+    step_size, damping = 1e-6, 1e-3
+    current = distances(R, t)
+    scale = np.median(np.abs(current)) / 0.6745 + 1e-12  # of a normal distribution
+    for _ in range(15):
+        jacobian = np.stack([(distances(*moved(R, t, step_size * unit)) - current) / step_size
+                             for unit in np.eye(5)], 1)
+        weights = np.minimum(1, HUBER * scale / np.maximum(np.abs(current), 1e-12))
+        normal = jacobian.T @ (weights[:, None] * jacobian)
+        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), jacobian.T @ (weights * current))
+        trial = moved(R, t, step)
+        changed = distances(*trial)
+        if robust_sum(changed, scale) < robust_sum(current, scale):
+            (R, t), current, damping = trial, changed, damping / 3
+            if np.linalg.norm(step) < 1e-7:
+                break
+        else:
+            damping *= 10
+    return R, t
+
+
+HUBER = 1.345  # 95 % efficient where errors are normal
+
+
+def cross_matrix(v):
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])

@@ -23,7 +23,7 @@ import rospy
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from common import ROOT, fail, write_markdown  # noqa: E402
 from judges import OpenVins, state_errors  # noqa: E402
-from slam import DRONE, NAMES, Case, deblur, read_recording, render  # noqa: E402
+from slam import DRONE, NAMES, Case, bags_of, deblur, read_recording  # noqa: E402
 
 # It starts from what it sees and feels: there is no true state to start from.
 OWN_START = {"init_dyn_use": True, "num_opencv_threads": 2}
@@ -111,28 +111,27 @@ def main():
     parser.add_argument("--flight", default=DRONE, choices=sorted(NAMES))
     parser.add_argument("--exposure-ms", type=int, default=30)
     parser.add_argument("--speed", type=float, default=1.0)
-    parser.add_argument("--seconds", type=float, default=28, help="of the flight, at most [%(default)g]")
+    parser.add_argument("--seconds", type=float, default=20, help="of the flight, at most [%(default)g]")
     parser.add_argument("--seeds", type=int, default=3, help="draws of noise [%(default)d]")
     parser.add_argument("--data", type=pathlib.Path, default=ROOT.parent / "shared" / "data")
     parser.add_argument("--programs", type=pathlib.Path, default=ROOT / "build" / "experiments")
-    parser.add_argument("--scratch", type=pathlib.Path, help="for bags [the system's]")
+    parser.add_argument("--bags", type=pathlib.Path, help="folder where rendered bags are kept [they go]")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     case = Case(arguments.flight, arguments.exposure_ms, arguments.speed)
     seeds = list(range(1, arguments.seeds + 1))
     runs = []
-    with tempfile.TemporaryDirectory(dir=arguments.scratch) as folder, \
+    with tempfile.TemporaryDirectory() as folder, bags_of(case, ["day"], seeds, arguments) as bags, \
             contextlib.closing(OpenVins(arguments.openvins, arguments.out, OWN_START)) as judge:
         folder = pathlib.Path(folder)
         os.environ.update(judge.environment())
         rospy.init_node("monitor", disable_signals=True)
-        render(case, ["day"], seeds, arguments, folder)
         config = folder / "nodelet.yaml"
         config.write_text("{}\n")
         for seed in seeds:
             own = folder / str(seed)
             own.mkdir()
-            recording = read_recording(case, folder, "day", seed, "blurred")
+            recording = read_recording(case, bags, "day", seed, "blurred")
             offline = deblur(recording, {}, False, own)
             by_bag = judge.estimate(offline, own, "bag_%d" % seed)
             live = play(judge, dataclasses.replace(recording, image_topic=offline.image_topic), config, own,

@@ -63,8 +63,8 @@ class Case:
         return ", ".join(parts)
 
 
-REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms in (0, 20) for flight in (DRONE, HAND)
-            for speed in (1.7, 1.0) for exposure_ms in (30, 15)]
+REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms, exposures_ms in ((0, (30, 15)), (20, (30,)))
+            for flight in (DRONE, HAND) for speed in (1.7, 1.0) for exposure_ms in exposures_ms]
 # What is chosen is chosen on another flight.
 TUNED = [Case(TUNING, 30, 1.7)]
 
@@ -120,9 +120,7 @@ class Study:
             for case, jobs in missing.items():
                 if not jobs:
                     continue
-                with tempfile.TemporaryDirectory(dir=self.arguments.scratch) as folder:
-                    folder = pathlib.Path(folder)
-                    render(case, self.arguments.lights, seeds, self.arguments, folder)
+                with bags_of(case, self.arguments.lights, seeds, self.arguments) as folder:
                     waiting = [pool.submit(self.measure, case, folder, *job) for job in jobs]
                     for done in concurrent.futures.as_completed(waiting):
                         done.result()
@@ -144,12 +142,20 @@ class Study:
         self.keep(case, light, seed, variant, metrics)
 
 
-def render(case, lights, seeds, arguments, folder):
-    """The bags of a case."""
-    run_logged([arguments.programs / "slam_sequences", "--flight", case.flight, "--seconds",
-                case.seconds(arguments.seconds), "--speed", case.speed, "--exposure-ms", case.exposure_ms,
-                "--readout-ms", case.readout_ms, "--out", folder, "--data", arguments.data, "--quiet", "--lights",
-                *lights, "--seeds", *seeds], arguments.out / "render.log")
+@contextlib.contextmanager
+def bags_of(case, lights, seeds, arguments):
+    """Folder with the bags of a case, rendered where they are not there already; it goes where none was named."""
+    with contextlib.ExitStack() as stack:
+        if arguments.bags:
+            folder = arguments.bags / ("%s_%gs" % (case.key, case.seconds(arguments.seconds)))
+        else:
+            folder = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        if not all((folder / ("%s_%d_sharp.bag" % (light, seed))).exists() for light in lights for seed in seeds):
+            run_logged([arguments.programs / "slam_sequences", "--flight", case.flight, "--seconds",
+                        case.seconds(arguments.seconds), "--speed", case.speed, "--exposure-ms", case.exposure_ms,
+                        "--readout-ms", case.readout_ms, "--out", folder, "--data", arguments.data, "--quiet",
+                        "--lights", *lights, "--seeds", *seeds], arguments.out / "render.log")
+        yield folder
 
 
 def read_recording(case, folder, light, seed, kind):
@@ -281,14 +287,15 @@ def parse_arguments():
                         (", ".join(VARIANTS), " ".join(VARIANTS)))
     parser.add_argument("--lights", nargs="+", choices=list(LIGHTS), default=list(LIGHTS))
     parser.add_argument("--seeds", type=int, default=3, help="draws of noise [%(default)d]")
-    parser.add_argument("--seconds", type=float, default=28, help="of each flight, at most [%(default)g]")
+    parser.add_argument("--seconds", type=float, default=20, help="of each flight, at most [%(default)g]")
     parser.add_argument("--only", help="cases whose key contains this, such as V1_02_medium_30ms_x1.7_r0")
     parser.add_argument("--jobs", type=int, default=2, help="at a time [%(default)d]")
     parser.add_argument("--data", type=pathlib.Path, default=ROOT.parent / "shared" / "data",
                         help="recorded data, with trajectories/; see test/data/README.md")
     parser.add_argument("--programs", type=pathlib.Path, default=ROOT / "build" / "experiments",
                         help="where slam_sequences is")
-    parser.add_argument("--scratch", type=pathlib.Path, help="for bags: 2 GB a minute of flight [the system's]")
+    parser.add_argument("--bags", type=pathlib.Path,
+                        help="folder where rendered bags are kept for the next time, 0.4 GB a run [they go]")
     parser.add_argument("--report", action="store_true", help="tables and plot of what is there; measure nothing")
     return parser.parse_args()
 

@@ -14,7 +14,7 @@ import numpy as np
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "experiments" / "slam"))
-from judges import OpenVins, Recording, relative_motion  # noqa: E402
+from judges import OpenVins, Recording, refined_motion, relative_motion  # noqa: E402
 from trajectory import (Trajectory, absolute_error_m, aligned, angle_deg, common, relative_errors,  # noqa: E402
                         rotations)
 
@@ -88,6 +88,34 @@ class Motion(unittest.TestCase):
         found_R, found_t = relative_motion(points[:, :2] / points[:, 2:], second[:, :2] / second[:, 2:], 460)
         self.assertLess(angle_deg(found_R @ R.T), 1e-3)
         np.testing.assert_allclose(found_t, t / np.linalg.norm(t), atol=1e-4)
+        equal = np.broadcast_to(np.eye(2), (60, 2, 2))
+        off = rotations([[0, np.sin(0.01), 0, np.cos(0.01)]])[0]
+        found_R, found_t = refined_motion(off @ R, off @ found_t, points[:, :2] / points[:, 2:],
+                                          second[:, :2] / second[:, 2:], equal, equal)
+        self.assertLess(angle_deg(found_R @ R.T), 1e-3)
+        np.testing.assert_allclose(found_t, t / np.linalg.norm(t), atol=1e-4)
+
+
+    def test_weights_by_covariances_pay(self):
+        """Points that are uncertain along lines of their own, as far as is said."""
+        random = np.random.default_rng(2)
+        errors_deg = {"equal": [], "weighed": []}
+        for _ in range(40):
+            points = np.column_stack([random.uniform(-2, 2, (80, 2)), random.uniform(3, 6, 80)])
+            R, t = rotations([[0, np.sin(0.05), 0, np.cos(0.05)]])[0], np.array([0.9, 0.3, -0.3])
+            angles, deviations = random.uniform(0, np.pi, 80), random.choice([0.2, 3.0], 80) / 460
+            along = np.column_stack([np.cos(angles), np.sin(angles)])
+            covariances = (deviations**2)[:, None, None] * along[:, :, None] * along[:, None, :] + \
+                (0.2 / 460)**2 * np.eye(2)
+            noise = [np.einsum("nij,nj->ni", np.linalg.cholesky(covariances), random.normal(size=(80, 2)))
+                     for _ in range(2)]
+            second = points @ R.T + 0.3 * t
+            first, second = (p[:, :2] / p[:, 2:] + n for p, n in zip((points, second), noise))
+            equal = np.broadcast_to(np.eye(2), covariances.shape)
+            for name, c in ("equal", equal), ("weighed", covariances):
+                _, found = refined_motion(R, t / np.linalg.norm(t), first, second, c, c)
+                errors_deg[name].append(np.degrees(np.arccos(np.clip(found @ t / np.linalg.norm(t), -1, 1))))
+        self.assertLess(np.median(errors_deg["weighed"]), 0.6 * np.median(errors_deg["equal"]))
 
 
 class OpenVinsFiles(unittest.TestCase):
@@ -129,7 +157,7 @@ class ShortFlight(unittest.TestCase):
             out = pathlib.Path(folder)
             command = ["/usr/bin/python3", ROOT / "experiments" / "slam" / "slam.py", "--out", out, "--data",
                        arguments.data, "--programs", arguments.programs, "--only", "V1_02_medium_30ms_x1.7_r0",
-                       "--seconds", "3", "--seeds", "1", "--lights", "day", "--scratch", out]
+                       "--seconds", "3", "--seeds", "1", "--lights", "day"]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
             results = {r["variant"]: r for r in json.loads((out / "results.json").read_text())}
             self.assertEqual(set(results), {"sharp", "blurred", "gyroscope", "package"})
