@@ -1,5 +1,6 @@
 // Which corners of a shaken camera's frames are where they would be without blur, by status, extent and noise of their
-// block, and whether a frame's score says so. Writes the tables and data of doc/reports/image_quality.md.
+// block, and whether a frame's score says so; and whether the exposures that are advised are those of which it holds.
+// Writes the tables and data of doc/reports/image_quality.md.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -7,6 +8,7 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
 #include <map>
 #include <string>
 #include <tuple>
@@ -18,6 +20,7 @@
 
 #include "baselines.hpp"
 #include "footage.hpp"
+#include "gyro_deblur/exposure_advice.hpp"
 #include "gyro_deblur/frame_quality.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "image_pairs.hpp"
@@ -32,7 +35,7 @@ namespace {
 struct Arguments {
   std::string data = GYRO_DEBLUR_DATA_DIR, output;
   std::uint64_t seed = 1;
-  bool quick = false, quiet = false;
+  bool quick = false, quiet = false, exposures = false;
 };
 
 constexpr int kCorners = 500;
@@ -106,6 +109,143 @@ Frame count(const cv::Mat& image, const FrameBlur& field, const Shot& shot, cons
           quality.before.median_px};
 }
 
+/// The frame as it came, and as the package leaves it with its defaults.
+PipelineResult deblur(const cv::Mat& blurred, const Shot& shot) {
+  PipelineOptions options;
+  options.motion_from_images = false;  // frames are not consecutive
+  Pipeline pipeline(options);
+  pipeline.set_calibration(shot.simulator.scene().camera.calibration);
+  PipelineRequest request;
+  request.keypoints = false;
+  return pipeline.process(blurred, PixelLayout::GRAY, shot.rotation, shot.simulator.exposure(0), request);
+}
+
+/// Corners of the sharp view in this light, with other noise than the i-th frame's.
+std::vector<cv::KeyPoint> sharp_corners(const Shot& shot, const Light& light, std::size_t i) {
+  constexpr std::uint64_t kOther = 1'000'000;
+  return corners_of(lit(shot.sharp, light, 1 + i + kOther)).keypoints;
+}
+
+/// How a sensor's noise depends on the exposure, and what that is to the advice.
+struct NoiseLaw {
+  const char* name;
+  NoiseShares shares;
+  double noise_at(double noise, TimeNs exposure_ns) const {
+    const double shorter = static_cast<double>(kNoiseOfNs) / static_cast<double>(exposure_ns);
+    return noise * std::sqrt(shares.constant + shares.photons * shorter + shares.reading * shorter * shorter);
+  }
+  static constexpr TimeNs kNoiseOfNs = 10'000'000;  ///< the lights' noise is that of this exposure
+};
+
+/// What was measured of the frames of one law, light and shake.
+struct ExposureCase {
+  std::map<TimeNs, Counts> by_exposure;
+  std::vector<ExposureTerms> terms;  ///< of the frames exposed for kNoiseOfNs
+
+  /// Between exposures linear over the logarithm; beyond them the last one's.
+  double share_at(TimeNs exposure_ns) const {
+    const auto after = by_exposure.lower_bound(exposure_ns);
+    if (after == by_exposure.end()) return std::prev(after)->second.share();
+    if (after == by_exposure.begin()) return after->second.share();
+    const auto before = std::prev(after);
+    const double part = std::log(static_cast<double>(exposure_ns) / static_cast<double>(before->first)) /
+                        std::log(static_cast<double>(after->first) / static_cast<double>(before->first));
+    return before->second.share() + part * (after->second.share() - before->second.share());
+  }
+};
+
+/// By law, light and shake (index of each).
+using ExposureCases = std::map<std::tuple<std::size_t, std::size_t, std::size_t>, ExposureCase>;
+
+constexpr std::array<double, 2> kShakes{1, 0.3};
+const std::vector<NoiseLaw> kLaws{{"falls with light", {1, 0, 0}}, {"stays", {0, 0, 1}}};
+
+/// Deblurs a shot in every light, with the noise of either law, and counts.
+void count_exposure(const Shot& shot, TimeNs exposure_ns, std::size_t view, std::size_t shake, ExposureCases* cases) {
+  for (std::size_t law = 0; law < kLaws.size(); ++law) {
+    for (std::size_t i = 0; i < kLights.size(); ++i) {
+      Light light = kLights[i];
+      light.noise = kLaws[law].noise_at(light.noise, exposure_ns);
+      const cv::Mat blurred = lit(shot.blurred, light, 1 + view);
+      const PipelineResult result = deblur(blurred, shot);
+      const Features moved = rectified(corners_of(result.image.empty() ? blurred : result.image), result.field, shot);
+      const std::vector<cv::KeyPoint> sharp = sharp_corners(shot, light, view);
+      ExposureCase& of_case = (*cases)[{law, i, shake}];
+      Counts& counts = of_case.by_exposure[exposure_ns];
+      counts.corners += static_cast<double>(moved.keypoints.size());
+      counts.repeated +=
+          static_cast<double>(std::count_if(moved.keypoints.begin(), moved.keypoints.end(),
+                                            [&](const cv::KeyPoint& corner) { return is_repeated(corner, sharp); }));
+      if (exposure_ns != NoiseLaw::kNoiseOfNs) continue;
+      auto terms = exposure_terms(result.field, assess_quality(result.field), BlurFieldOptions(), NoiseModel());
+      if (!terms) continue;
+      terms->noise = kLaws[law].shares;
+      of_case.terms.push_back(*terms);
+    }
+  }
+}
+
+/// The exposures that the advice names, from frames of one exposure, beside what was measured at all of them.
+void run_exposures(const Arguments& arguments) {
+  const std::vector<TimeNs> exposures_ns{1'000'000,  2'000'000,  5'000'000, 10'000'000,
+                                         20'000'000, 30'000'000, 50'000'000};
+  const std::vector<sim::TraceSample> trace = load_hand_shake(arguments.data);
+  std::string source;
+  const std::vector<ImagePair> photographs = load_pairs(arguments.data, source);
+  const std::vector<View> views = random_views(arguments.seed, trace.back().t_s);
+  ExposureCases cases;
+  Progress progress(kShakes.size() * exposures_ns.size(), "exposures", arguments.quiet);
+  std::size_t done = 0;
+  for (std::size_t shake = 0; shake < kShakes.size(); ++shake) {
+    for (const TimeNs exposure_ns : exposures_ns) {
+      for (std::size_t view = 0; view < views.size(); view += 2) {
+        const Shot shot = take_shot(kVga, trace, kShakes[shake], exposure_ns, views[view], photographs);
+        count_exposure(shot, exposure_ns, view, shake, &cases);
+      }
+      progress.done(++done);
+    }
+  }
+
+  std::vector<std::string> header{"noise", "light", "shake", "speed [px/s]"};
+  for (const TimeNs exposure_ns : exposures_ns) header.push_back(text_of(to_seconds(exposure_ns) * 1e3, 0) + " ms");
+  for (const char* name : {"best of them [ms]", "best advised [ms]", "longest advised [ms]", "expected there",
+                           "measured there", "of the best measured"}) {
+    header.emplace_back(name);
+  }
+  ResultTable table(header);
+  for (const auto& [key, of_case] : cases) {
+    const auto& [law, light, shake] = key;
+    std::vector<ExposureTerms> terms = of_case.terms;
+    std::sort(terms.begin(), terms.end(),
+              [](const ExposureTerms& a, const ExposureTerms& b) { return a.speed_px_s < b.speed_px_s; });
+    std::vector<std::string> row{kLaws[law].name, kLights[light].name, "x" + text_of(kShakes[shake], 1)};
+    const ExposureTerms& typical = terms[terms.size() / 2];
+    row.push_back(text_of(typical.speed_px_s, 0));
+    double most = 0;
+    TimeNs best_ns = 0;
+    for (const auto& [exposure_ns, counts] : of_case.by_exposure) {
+      row.push_back(text_of(counts.share(), 2));
+      if (counts.share() > most) most = counts.share(), best_ns = exposure_ns;
+    }
+    row.push_back(text_of(to_seconds(best_ns) * 1e3, 0));
+    const auto advice = advise_exposure(typical, 1'000'000'000);
+    if (!advice) {
+      row.insert(row.end(), {"-", "-", "-", "-", "-"});
+    } else {
+      const double there = of_case.share_at(advice->longest_ns);
+      row.insert(row.end(),
+                 {text_of(to_seconds(advice->best_ns) * 1e3, 1), text_of(to_seconds(advice->longest_ns) * 1e3, 1),
+                  text_of(expected_repeatability_at(typical, advice->longest_ns), 2), text_of(there, 2),
+                  text_of(there / most, 2)});
+    }
+    table.add(row);
+  }
+  std::printf("Photographs: %s.\n%s", source.c_str(), table.markdown().c_str());
+  if (arguments.output.empty()) return;
+  std::filesystem::create_directories(arguments.output);
+  table.write(arguments.output, "image_quality_exposures");
+}
+
 void run(const Arguments& arguments) {
   const std::vector<sim::TraceSample> trace = load_hand_shake(arguments.data);
   std::string source;
@@ -126,18 +266,9 @@ void run(const Arguments& arguments) {
         for (std::size_t i = 0; i < views.size(); ++i) {
           const Shot shot = take_shot(camera, trace, scale, exposure_ns, views[i], photographs);
           for (std::size_t light = 0; light < kLights.size(); ++light) {
-            constexpr std::uint64_t kOther = 1'000'000;
             const cv::Mat blurred = lit(shot.blurred, kLights[light], 1 + i);
-            const std::vector<cv::KeyPoint> sharp =
-                corners_of(lit(shot.sharp, kLights[light], 1 + i + kOther)).keypoints;
-            PipelineOptions options;
-            options.motion_from_images = false;  // frames are not consecutive
-            Pipeline pipeline(options);
-            pipeline.set_calibration(shot.simulator.scene().camera.calibration);
-            PipelineRequest request;
-            request.keypoints = false;
-            const PipelineResult result =
-                pipeline.process(blurred, PixelLayout::GRAY, shot.rotation, shot.simulator.exposure(0), request);
+            const std::vector<cv::KeyPoint> sharp = sharp_corners(shot, kLights[light], i);
+            const PipelineResult result = deblur(blurred, shot);
             FrameBlur as_it_arrived = as_blurred(result.field);
             for (const bool deblurred : {false, true}) {
               frames.push_back(count(deblurred && !result.image.empty() ? result.image : blurred,
@@ -182,8 +313,10 @@ int main_of(int argc, char** argv) {
   app.add_option("--data", arguments.data, "recorded data, with handshake_gyro/");
   app.add_option("--seed", arguments.seed, "of the times and views [1]");
   app.add_flag("--quick", arguments.quick, "eight views of one camera, at one strength");
+  app.add_flag("--exposures", arguments.exposures,
+               "compare exposures that are advised with those of which most corners come back, instead");
   app.add_flag("--quiet", arguments.quiet, "no progress");
-  return run_tool(app, argc, argv, [&arguments] { run(arguments); });
+  return run_tool(app, argc, argv, [&arguments] { arguments.exposures ? run_exposures(arguments) : run(arguments); });
 }
 
 }  // namespace

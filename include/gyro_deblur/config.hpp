@@ -57,6 +57,7 @@ struct Config {
   TimeNs time_jump_ns = 500'000'000;      ///< a stamp that goes back by more is a clock reset
   /// How long an image waits until the other one of its stereo pair is decided on; 0: each camera on its own.
   TimeNs stereo_patience_ns = 100'000'000;
+  bool drop_bad = false;  ///< images of the verdict BAD are not published, see QualityVerdict
 
   void validate() const;  ///< throws OptionError
 };

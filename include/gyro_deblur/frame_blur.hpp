@@ -121,6 +121,8 @@ struct FrameBlur {
   bool images_alone = false;    ///< no other motion is known: residual velocities are the whole of it
 
   std::size_t count(BlockStatus status) const;
+  /// Every block that is to be deblurred becomes REJECTED: the image stays as it came.
+  void reject_all();
 };
 
 }  // namespace gyro_deblur

@@ -24,6 +24,9 @@ enum class QualityVerdict : std::uint8_t {
 /// Name of the verdict, e.g. "PARTLY". Never null.
 const char* to_string(QualityVerdict verdict);
 
+/// Images with a score below it are BAD: three of four corners that are found are wrong. ImageQuality.msg tells users.
+constexpr double kBadScore = 0.25;
+
 /// Extents [px] that half of the blocks, or all but a twentieth, do not exceed.
 struct ExtentSpread {
   double median_px = 0, p95_px = 0;

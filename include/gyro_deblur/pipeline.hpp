@@ -25,6 +25,13 @@ namespace gyro_deblur {
 
 class ResidualFlow;
 
+/// What is to become of a frame whose field is known.
+enum class Permit {
+  DEBLUR,
+  LEAVE,  ///< every block that would be deblurred is REJECTED, and nothing is moved to the reference time
+  STOP,   ///< the field is all that there is of the frame
+};
+
 /// What a caller wants of a frame; nothing else is computed.
 struct PipelineRequest {
   bool image = true;            ///< the deblurred image
@@ -32,8 +39,8 @@ struct PipelineRequest {
   bool luminance = false;       ///< the deblurred luminance
   bool global_shutter = false;  ///< the deblurred image with all rows moved to the reference time
   bool in_a_hurry = false;      ///< no bent paths: the plane takes ten times as long. Has no effect on engine "plane"
-  /// Asked with the validated field before anything is deblurred. False: every block that would be is REJECTED.
-  std::function<bool(const FrameBlur&)> permit = {};
+  /// Asked with the validated field before anything is deblurred. Absent: DEBLUR.
+  std::function<Permit(const FrameBlur&)> permit = {};
 };
 
 /// Wall time of each stage [ms]; 0 for a stage that did not run.

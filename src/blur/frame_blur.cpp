@@ -84,6 +84,12 @@ std::size_t FrameBlur::count(BlockStatus status) const {
   return std::count_if(blocks.begin(), blocks.end(), [status](const BlockBlur& b) { return b.status == status; });
 }
 
+void FrameBlur::reject_all() {
+  for (BlockBlur& block : blocks) {
+    if (block.status == BlockStatus::DEBLURRED) block.status = BlockStatus::REJECTED;
+  }
+}
+
 Eigen::Vector2d BlockBlur::shown_offset_px() const {
   const Eigen::Vector2d mean_px = mean_place_px.cast<double>();
   if (status != BlockStatus::DEBLURRED) return mean_px;

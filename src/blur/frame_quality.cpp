@@ -102,8 +102,7 @@ FrameQuality assess_quality(const FrameBlur& field) {
   // Of an image of which most is not known the rest says little.
   if (2 * known <= pixels_of_all) return quality;
   quality.score = score / known;
-  // Users are told of both in ImageQuality.msg: below a quarter three of four corners that are found are wrong.
-  constexpr double kNearlyAll = 0.9, kBadScore = 0.25;
+  constexpr double kNearlyAll = 0.9;  // ImageQuality.msg tells users
   const double sharp = quality.share(BlockStatus::SHARP), deblurred = quality.share(BlockStatus::DEBLURRED);
   quality.verdict = *quality.score < kBadScore        ? QualityVerdict::BAD
                     : sharp >= kNearlyAll             ? QualityVerdict::SHARP

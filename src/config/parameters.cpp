@@ -161,6 +161,17 @@ ParameterGroup stereo() {
           }};
 }
 
+ParameterGroup image_quality() {
+  return {"image quality",
+          "",
+          {
+              {"drop_bad", &Config::drop_bad,
+               "true: an image whose verdict is BAD, and what was found in it, is not published, the one exception to "
+               "one image out for every image in",
+               RUNNING},
+          }};
+}
+
 ParameterGroup blur_field() {
   return {"blur field",
           "",
@@ -258,7 +269,7 @@ ParameterGroup feature_tracks() {
 
 const std::vector<ParameterGroup>& parameter_groups() {
   static const std::vector<ParameterGroup> kGroups{
-      calibration_files(), camera_timing(), image(),      gyroscope(), stereo(),
+      calibration_files(), camera_timing(), image(),      gyroscope(), stereo(),        image_quality(),
       blur_field(),        wiener_filter(), validation(), keypoints(), feature_tracks()};
   return kGroups;
 }

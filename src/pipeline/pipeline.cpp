@@ -37,12 +37,6 @@ void require_fit(const cv::Mat& image, PixelLayout layout, const CameraCalibrati
   }
 }
 
-void reject_all(FrameBlur* field) {
-  for (BlockBlur& block : field->blocks) {
-    if (block.status == BlockStatus::DEBLURRED) block.status = BlockStatus::REJECTED;
-  }
-}
-
 std::vector<Eigen::Vector2d> positions(const std::vector<cv::KeyPoint>& keypoints) {
   std::vector<Eigen::Vector2d> points;
   points.reserve(keypoints.size());
@@ -185,8 +179,9 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     result.times.noise_ms += watch.ms();
   }
 
-  const bool permitted = !request.permit || request.permit(result.field);
-  if (!permitted) reject_all(&result.field);
+  const Permit permit = request.permit ? request.permit(result.field) : Permit::DEBLUR;
+  if (permit == Permit::STOP) return result;
+  if (permit == Permit::LEAVE) result.field.reject_all();
 
   const bool anything_to_deblur = result.field.count(BlockStatus::DEBLURRED) > 0;
   if ((request.image || request.global_shutter) && anything_to_deblur) {
@@ -195,7 +190,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     keep_range(image, result.significant_bits, result.image);
     result.times.deconvolution_ms = watch.ms();
   }
-  if (request.global_shutter && permitted) {
+  if (request.global_shutter && permit == Permit::DEBLUR) {
     move_to_reference(result.image.empty() ? image : result.image, layout, known, exposure, &result);
   }
   if (!request.keypoints && !request.luminance) return result;

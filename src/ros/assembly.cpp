@@ -91,6 +91,7 @@ Readiness FrameAssembly::assemble(const Terms& terms, PendingFrame* frame, Assem
   assembled->options = terms.config.pipeline;
   assembled->tracker_options = terms.config.tracker;
   assembled->rectified_input = terms.config.rectified_input;
+  assembled->drop_bad = terms.config.drop_bad;
   const Readiness readiness = find_all(terms, frame, assembled);
   if (readiness == Readiness::READY) collect(terms, assembled);
   return readiness;

@@ -27,6 +27,7 @@ struct AssembledFrame {
   PipelineOptions options;
   TrackerOptions tracker_options;
   bool rectified_input = false;
+  bool drop_bad = false;
   bool in_a_hurry = false;  ///< see OverloadRule::is_in_a_hurry()
 
   // The rest only of a frame that is not settled.

@@ -476,8 +476,10 @@ void DeblurNodelet::work() {
 
 void DeblurNodelet::publish(const FrameOutput& output) {
   report_.add(output);
-  image_publisher_.publish(output.image);
-  info_publisher_.publish(output.camera_info);
+  if (!output.dropped) {
+    image_publisher_.publish(output.image);
+    info_publisher_.publish(output.camera_info);
+  }
   blur_field_publisher_.publish(output.blur_field);
   quality_publisher_.publish(output.quality);
   if (output.trust_mask) trust_publisher_.publish(output.trust_mask);

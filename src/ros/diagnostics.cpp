@@ -5,6 +5,7 @@
 #include <cstdio>
 
 #include "base/median.hpp"
+#include "gyro_deblur/frame_quality.hpp"
 #include "ros/pass_through.hpp"
 #include "ros/value_conversion.hpp"
 
@@ -110,6 +111,7 @@ void DiagnosticReport::start(const ProcessorStatistics& statistics, Time time) {
   const std::lock_guard<std::mutex> lock(mutex_);
   latencies_.clear();
   from_images_ = {};
+  quality_ = {};
   last_ = statistics;
   last_time_ = time;
 }
@@ -118,6 +120,11 @@ void DiagnosticReport::add(const FrameOutput& output) {
   const std::lock_guard<std::mutex> lock(mutex_);
   latencies_["waiting"].add(output.waiting_ms);
   latencies_["processing"].add(output.total_ms);
+  if (output.quality) {
+    ++quality_.verdicts[output.quality->verdict];
+    if (output.quality->score >= 0) quality_.score_sum += output.quality->score, ++quality_.scores;
+  }
+  if (output.exposure_terms) quality_.exposures.push_back(*output.exposure_terms);
   if (!output.field) return;
   latencies_["motion from images"].add(output.stages.flow_ms);
   latencies_["blur field"].add(output.stages.blur_field_ms);
@@ -151,6 +158,8 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
   add_frames(now, status);
   add_unsent(now, status);
   add_blocks(now, status);
+  add_quality(now, status);
+  add_exposure_advice(now, status);
   add_motion_from_images(now, status);
   add_imu(now, status);
   status->add("time jumps", now.statistics.time_jumps);
@@ -159,6 +168,7 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
   status->add("engine", now.statistics.engine.empty() ? "none" : now.statistics.engine);
   latencies_.clear();
   from_images_ = {};
+  quality_ = {};
   last_ = now.statistics;
   last_unsent_ = now.unsent;
   last_time_ = now.time;
@@ -214,6 +224,43 @@ void DiagnosticReport::add_blocks(const Moment& now, DiagnosticStatusWrapper* st
         "time_offset and exposure_time with blur_overlay",
         rejected, judged);
   }
+}
+
+void DiagnosticReport::add_quality(const Moment& now, DiagnosticStatusWrapper* status) const {
+  std::size_t frames = 0;
+  for (const auto& [verdict, count] : quality_.verdicts) frames += count;
+  for (const auto& [verdict, count] : quality_.verdicts) {
+    status->addf(std::string("images, ") + to_string(static_cast<QualityVerdict>(verdict)) + " [%]", "%.0f",
+                 100 * static_cast<double>(count) / static_cast<double>(frames));
+  }
+  if (quality_.scores > 0) {
+    status->addf("score of images, mean", "%.2f", quality_.score_sum / static_cast<double>(quality_.scores));
+  }
+  status->add("images dropped, BAD", now.statistics.dropped_bad);
+  const std::size_t fresh = now.statistics.dropped_bad - last_.dropped_bad;
+  if (fresh > 0) {
+    status->mergeSummaryf(DiagnosticStatus::WARN,
+                          "%zu images dropped by drop_bad: they, or their partners, are BAD; see image_quality", fresh);
+  }
+}
+
+void DiagnosticReport::add_exposure_advice(const Moment& now, DiagnosticStatusWrapper* status) const {
+  if (quality_.exposures.empty()) return;
+  // The advice has to hold while the camera moves fast: of ten frames one is faster.
+  std::vector<ExposureTerms> exposures = quality_.exposures;
+  const auto fast = exposures.begin() + static_cast<std::ptrdiff_t>(exposures.size() * 9 / 10);
+  std::nth_element(exposures.begin(), fast, exposures.end(),
+                   [](const ExposureTerms& a, const ExposureTerms& b) { return a.speed_px_s < b.speed_px_s; });
+  status->addf("speed of the image, p90 [px/s]", "%.0f", fast->speed_px_s);
+  // The longest that exposure_time may be.
+  constexpr TimeNs kLongestNs = 1'000'000'000;
+  const auto advice = advise_exposure(*fast, std::min(kLongestNs, now.statistics.frame_period_ns.value_or(kLongestNs)));
+  if (!advice) {
+    status->add("longest exposure that is undone well [ms]", "none: BAD at any, too dark for this motion");
+    return;
+  }
+  status->addf("longest exposure that is undone well [ms]", "%.1f", to_seconds(advice->longest_ns) * 1e3);
+  status->addf("exposure with most corners [ms]", "%.1f", to_seconds(advice->best_ns) * 1e3);
 }
 
 void DiagnosticReport::add_motion_from_images(const Moment& now, DiagnosticStatusWrapper* status) const {

@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <map>
 #include <mutex>
 #include <string>
@@ -11,6 +12,7 @@
 #include <diagnostic_updater/DiagnosticStatusWrapper.h>
 #include <Eigen/Core>
 
+#include "gyro_deblur/exposure_advice.hpp"
 #include "gyro_deblur/time.hpp"
 #include "ros/processing.hpp"
 #include "ros/statistics.hpp"
@@ -51,16 +53,26 @@ class DiagnosticReport {
     Eigen::Vector3d rotation_sum_rad_s = Eigen::Vector3d::Zero();
     std::size_t rotations = 0;
   };
+  /// What the images of a period are worth.
+  struct Quality {
+    std::map<std::uint8_t, std::size_t> verdicts;  ///< frames, by ImageQuality's constants
+    double score_sum = 0;
+    std::size_t scores = 0;
+    std::vector<ExposureTerms> exposures;
+  };
   // What they report of the last period needs mutex_.
   void add_frames(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_unsent(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_blocks(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
+  void add_quality(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
+  void add_exposure_advice(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_motion_from_images(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_latencies(diagnostic_updater::DiagnosticStatusWrapper* status) const;
 
   std::mutex mutex_;  // everything below
   std::map<std::string, Latency> latencies_;
   FromImages from_images_;
+  Quality quality_;
   ProcessorStatistics last_;
   std::size_t last_unsent_ = 0;
   Time last_time_ = std::chrono::steady_clock::now();

@@ -27,6 +27,12 @@ enum class PassThroughReason : std::uint8_t {
 /// Name of the reason, e.g. "NO_GYRO". Never null.
 const char* to_string(PassThroughReason reason);
 
+/// What has been decided on a frame whose blur is known.
+struct FrameDecision {
+  std::string refusal;  ///< why nothing of it is deblurred; empty: what may be is
+  std::string drop;     ///< why it is not published, see Config::drop_bad; empty: it is
+};
+
 /// A frame that has to be passed through, with the reason and one line that has the values involved.
 class FrameError : public std::runtime_error {
  public:

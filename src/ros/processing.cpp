@@ -94,9 +94,12 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   const RotationTrack rotation(assembled.samples, assembled.gyro, assembled.R_cam_imu, assembled.own_begin);
   PipelineRequest wanted{request.image, request.keypoints, request.tracks, request.global_shutter};
   wanted.in_a_hurry = assembled.in_a_hurry;
-  std::string refusal;
-  if (request.permit) {
-    wanted.permit = [&](const FrameBlur& field) { return (refusal = request.permit(field)).empty(); };
+  FrameDecision decision;
+  if (request.decide) {
+    wanted.permit = [&](const FrameBlur& field) {
+      decision = request.decide(field);
+      return !decision.drop.empty() ? Permit::STOP : !decision.refusal.empty() ? Permit::LEAVE : Permit::DEBLUR;
+    };
   }
   PipelineResult result = pipeline.process(view.image, view.layout, rotation, *assembled.exposure, wanted);
   output->stages = result.times;
@@ -110,8 +113,11 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   output->engine_warning = pipeline.take_warning();
   output->keypoints_text = result.keypoints_text;
 
+  output->dropped = !decision.drop.empty();
+  if (output->dropped && !decision.refusal.empty()) result.field.reject_all();
+
   const std_msgs::Header& header = frame.image->header;
-  if (request.tracks) {
+  if (request.tracks && !output->dropped) {
     start = std::chrono::steady_clock::now();
     tracker->set_options(assembled.tracker_options);
     output->tracks =
@@ -122,21 +128,27 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   start = std::chrono::steady_clock::now();
   if (request.image && !result.image.empty()) output->image = to_image(result.image, *frame.image);
   if (!result.global_shutter.empty()) add_global_shutter(result, frame, output);
-  if (request.keypoints) output->keypoints = to_message(result, pipeline.options().keypoints, header);
+  if (request.keypoints && !output->dropped) {
+    output->keypoints = to_message(result, pipeline.options().keypoints, header);
+  }
   if (request.overlay) {
     output->overlay =
         to_bgr_image(draw_overlay(luminance8(view.image, view.layout, result.significant_bits), result.field), header);
   }
   if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
-  output->quality = to_message(assess_quality(result.field), header);
+  const FrameQuality quality = assess_quality(result.field);
+  output->quality = to_message(quality, header);
   if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field), header);
-  if (refusal.empty()) {
+  if (decision.refusal.empty() || output->dropped) {
+    output->exposure_terms =
+        exposure_terms(result.field, quality, assembled.options.blur_field, assembled.options.noise);
     add_field(assembled, rotation, result.field, output);
     output->field = std::move(result.field);
   } else {
     output->reason = PassThroughReason::PARTNER;
-    output->reason_text = refusal;
+    output->reason_text = decision.refusal;
   }
+  if (output->dropped) output->blur_field->reason_text = output->reason_text = "drop_bad: " + decision.drop;
   output->messages_ms += elapsed_ms(start);
 }
 
@@ -180,8 +192,10 @@ sensor_msgs::ImagePtr no_trust(const sensor_msgs::Image& input) {
 void pass_through_failed(const std::string& text, FrameOutput* output) {
   output->reason = PassThroughReason::INTERNAL_ERROR;
   output->reason_text = text;
+  output->dropped = false;
   output->image = output->input;
   output->field.reset();
+  output->exposure_terms.reset();
   output->slow_blocks.clear();
   output->blur_field.reset();
   output->quality.reset();
@@ -196,6 +210,14 @@ void pass_through_failed(const std::string& text, FrameOutput* output) {
 }
 
 }  // namespace
+
+std::string drop_text(const FrameBlur& field) {
+  const FrameQuality quality = assess_quality(field);
+  if (quality.verdict != QualityVerdict::BAD) return {};
+  char text[40];
+  std::snprintf(text, sizeof(text), "BAD, with a score of %.3f", *quality.score);
+  return text;
+}
 
 FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request, FeatureTracker* tracker) {
   const auto start = std::chrono::steady_clock::now();
@@ -212,6 +234,11 @@ FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request
     } catch (...) {
       pass_through_failed("an exception of unknown type", &output);
     }
+  }
+  if (output.dropped) {
+    output.image.reset();
+    output.total_ms = elapsed_ms(start);
+    return output;
   }
   output.camera_info =
       frame.info ? frame.info : sensor_msgs::CameraInfoConstPtr(uncalibrated_camera_info(*frame.image));

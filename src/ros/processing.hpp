@@ -11,6 +11,7 @@
 #include <visualization_msgs/MarkerArray.h>
 
 #include "gyro_deblur/engine.hpp"
+#include "gyro_deblur/exposure_advice.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/residual_rotation.hpp"
@@ -29,13 +30,16 @@ struct FrameRequest {
   bool tracks = false;
   bool global_shutter = false;
   bool trust_mask = false;
-  /// Asked with the validated field before anything is deblurred; a text refuses, and says why. Absent: permitted.
-  std::function<std::string(const FrameBlur&)> permit = {};
+  /// Asked with the validated field before anything is deblurred. Absent: everything is permitted.
+  std::function<FrameDecision(const FrameBlur&)> decide = {};
 };
 
 /// A frame on its way out: one for every frame that came in, in the same order.
 struct FrameOutput {
   sensor_msgs::ImageConstPtr input;
+  /// It is not published: image, keypoints, tracks, global_shutter and both camera_infos are null. What is said of it
+  /// is there.
+  bool dropped = false;
   sensor_msgs::ImageConstPtr image;             ///< the very input message when no pixel was changed
   sensor_msgs::CameraInfoConstPtr camera_info;  ///< the input's; one that is not calibrated when there was none
   BlurFieldPtr blur_field;
@@ -54,6 +58,7 @@ struct FrameOutput {
   PassThroughReason reason = PassThroughReason::NONE;
   std::string reason_text;
   std::optional<FrameBlur> field;                     ///< of the core; absent when the pipeline did not run
+  std::optional<ExposureTerms> exposure_terms;        ///< of the field, where they are known
   SlowBlocks slow_blocks;                             ///< that left the engine's fast path, by reason
   std::string engine_warning;                         ///< what the engine has to tell; mostly empty
   std::optional<ResidualRotation> residual_rotation;  ///< axes of the IMU; absent where images tell too little
@@ -63,6 +68,9 @@ struct FrameOutput {
   double messages_ms = 0;                             ///< conversion from and to messages, overlay and markers
   double total_ms = 0;                                ///< of processing, without waiting
 };
+
+/// Why Config::drop_bad keeps an image with this validated field from being published; empty: it does not.
+std::string drop_text(const FrameBlur& field);
 
 /// The last station of a frame. Depends on nothing but the frame, the request and the images that the tracker has seen.
 /// Exceptions of the pipeline become INTERNAL_ERROR; those of passing a frame through (for lack of memory) pass.

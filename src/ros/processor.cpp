@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "gyro_deblur/frame_quality.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/value_conversion.hpp"
 
@@ -19,6 +20,13 @@ LogLevel level_of(PassThroughReason reason) {
     default:
       return LogLevel::ERROR;
   }
+}
+
+/// What a camera that drops bad images tells its partners.
+DropTerms drop_terms(const FrameBlur& field) {
+  FrameBlur left = field;
+  left.reject_all();
+  return {assess_quality(field).verdict != QualityVerdict::UNKNOWN, drop_text(field), drop_text(left)};
 }
 
 }  // namespace
@@ -181,11 +189,20 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
 FrameOutput Processor::process_with_partners(const AssembledFrame& assembled) {
   FrameRequest request = environment_.request ? environment_.request() : FrameRequest();
   StereoCamera* const stereo = environment_.stereo.get();
-  if (!stereo) return process(assembled, request, &tracker_);
+  if (!stereo) {
+    if (assembled.drop_bad) {
+      request.decide = [](const FrameBlur& field) { return FrameDecision{"", drop_text(field)}; };
+    }
+    return process(assembled, request, &tracker_);
+  }
   const TimeNs stamp_ns = assembled.frame.stamp_ns;
+  const bool drop_bad = assembled.drop_bad;
   const PassThroughReason verdict = assembled.frame.verdict;
   verdict == PassThroughReason::NONE ? stereo->begin(stamp_ns) : stereo->pass_through(stamp_ns, verdict);
-  request.permit = [stereo, stamp_ns](const FrameBlur& field) { return stereo->decide(stamp_ns, field); };
+  request.decide = [stereo, stamp_ns, drop_bad](const FrameBlur& field) {
+    return drop_bad ? stereo->decide(stamp_ns, field, drop_terms(field))
+                    : FrameDecision{stereo->decide(stamp_ns, field), ""};
+  };
   FrameOutput output = process(assembled, request, &tracker_);
   if (output.reason != PassThroughReason::NONE) stereo->pass_through(stamp_ns, output.reason);
   return output;
@@ -215,6 +232,7 @@ void Processor::note(const FrameOutput& output) {
   if (!output.keypoints_text.empty()) {
     log_(LogLevel::ERROR, "keypoints", name + " has no keypoints: " + output.keypoints_text);
   }
+  if (output.dropped) log_(LogLevel::INFO, "drop_bad", name + " is not published: " + output.reason_text);
   // A jump has told its one message already.
   if (output.reason != PassThroughReason::NONE && output.reason != PassThroughReason::TIME_JUMP) {
     log_(level_of(output.reason), to_string(output.reason),
@@ -297,6 +315,7 @@ ProcessorStatistics Processor::statistics() const {
   static_cast<IntakeStatistics&>(statistics) = intake_.statistics();
   static_cast<OutputStatistics&>(statistics) = statistics_;
   statistics.waiting = intake_.queue().size() + in_progress_;
+  statistics.frame_period_ns = intake_.frame_period().get();
   statistics.gyro_available = intake_.gyro().available();
   if (!statistics.gyro_available.empty()) statistics.newest_imu_ns = statistics.gyro_available.end_ns;
   if (pipeline_) statistics.engine = pipeline_->engine();

@@ -22,6 +22,7 @@ namespace gyro_deblur {
 /// What has left.
 struct OutputStatistics {
   std::size_t frames_out = 0;
+  std::size_t dropped_bad = 0;  ///< frames that drop_bad kept from leaving
   std::map<PassThroughReason, std::size_t> passed_through;
   std::map<BlockStatus, std::size_t> blocks;  ///< of the frames that were not passed through
   std::size_t blocks_from_images = 0;         ///< of those, whose motion is also from the images
@@ -35,6 +36,7 @@ struct OutputStatistics {
 /// Of a processor; those of the IMU are since the start of its source.
 struct ProcessorStatistics : ImuStatistics, IntakeStatistics, OutputStatistics {
   std::size_t waiting = 0;                               ///< frames that have not left
+  std::optional<TimeNs> frame_period_ns;                 ///< by the stamps
   std::optional<TimeNs> newest_imu_ns;                   ///< IMU clock
   TimeRange gyro_available;                              ///< IMU clock
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< in use

@@ -13,6 +13,8 @@ namespace {
 /// More than frames may wait in a camera's queue (frame_queue_size).
 constexpr std::size_t kPairsKept = 1100;
 
+constexpr char kNothingToDeblur[] = "has no block of this image that may be deblurred";
+
 struct Registry {
   std::mutex mutex;
   std::map<std::string, std::weak_ptr<StereoRig>> rigs;
@@ -75,7 +77,7 @@ void StereoRig::announce(Id id, TimeNs stamp_ns) {
       pairs_.push_back(pair);
       if (pairs_.size() > kPairsKept) pairs_.pop_front();
     }
-    pair->places[id] = {stamp_ns, Phase::COME};
+    pair->places[id] = {stamp_ns, Phase::COME, std::nullopt};
     member->second.newest = pair->number;
   }
   changed_.notify_all();
@@ -118,6 +120,17 @@ void StereoRig::refuse(Id id, TimeNs stamp_ns, const std::string& why) {
   changed_.notify_all();
 }
 
+void StereoRig::pass_through(Id id, TimeNs stamp_ns, const std::string& why) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const std::shared_ptr<Pair> pair = find(id, stamp_ns);
+    if (!pair) return;
+    pair->leaves = true;
+    refuse(pair, id, why);
+  }
+  changed_.notify_all();
+}
+
 void StereoRig::agree(Id id, TimeNs stamp_ns) {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -155,30 +168,53 @@ void StereoRig::note_habits(const Pair& pair, Id id) {
   }
 }
 
-std::string StereoRig::give_up(const std::shared_ptr<Pair>& pair, Id id, const Blocking& blocking, bool waited) {
+void StereoRig::settle(Pair* pair) const {
+  pair->agreed = true;
+  if (pair->leaves) return;
+  for (const auto& [id, place] : pair->places) {
+    if (!place.drop) continue;
+    const std::string& why = pair->refusal.empty() ? place.drop->if_deblurred : place.drop->if_left;
+    if (why.empty()) continue;
+    pair->drop = "the image of " + members_.at(id).name + " is " + why;
+    return;
+  }
+}
+
+std::string StereoRig::give_up(const std::shared_ptr<Pair>& pair, Id id, const Blocking& blocking, bool waited,
+                               bool refuses) {
   Member& other = members_[blocking.id];
   if (waited) (blocking.has_come ? other.deciding : other.sending).miss();
   const std::string stamp = seconds_text(pair->places[id].stamp_ns) + " s";
   const std::string within = waited ? " within " + std::to_string(members_[id].patience_ns / 1'000'000) + " ms" : "";
-  refuse(pair, id, "has not waited for this image any longer");
+  pair->leaves = true;
+  if (refuses) refuse(pair, id, "has not waited for this image any longer");
   return blocking.has_come ? other.name + " has not decided on its image of " + stamp + within
                            : other.name + " has not had an image of " + stamp + within;
 }
 
-std::string StereoRig::meet(Id id, TimeNs stamp_ns) {
+FrameDecision StereoRig::meet(Id id, TimeNs stamp_ns, const Statement& statement) {
+  const FrameDecision alone{"", statement.drop ? statement.drop->if_deblurred : ""};
   std::unique_lock<std::mutex> lock(mutex_);
   const std::shared_ptr<Pair> pair = find(id, stamp_ns);
-  if (!pair) return {};
-  pair->places[id].phase = Phase::STATED;
+  if (!pair) return alone;
+  pair->places[id].drop = statement.drop;
+  if (statement.refusal.empty()) {
+    pair->places[id].phase = Phase::STATED;
+  } else {
+    refuse(pair, id, statement.refusal);
+  }
+  if (statement.drop && !statement.drop->may_be_dropped) pair->leaves = true;
   changed_.notify_all();
   const auto deadline = std::chrono::steady_clock::now() + std::chrono::nanoseconds(members_[id].patience_ns);
   bool waited = false, timed_out = false;
   Blocking blocked;
   while (true) {
-    if (pair->places.count(id) == 0 || pair->agreed) return {};  // it has left the rig, or all of them have said yes
-    if (!pair->refusal.empty()) {
+    if (pair->places.count(id) == 0) return alone;  // it has left the rig
+    if (pair->agreed) return {pair->refusal, statement.drop ? pair->drop : ""};
+    const bool may_be_dropped = statement.drop && !pair->leaves;
+    if (!may_be_dropped && (!statement.deblurs || !pair->refusal.empty())) {
       note_habits(*pair, id);
-      return pair->refusal;
+      return {pair->refusal, ""};
     }
     const Blocking before = blocked;
     blocked = blocking(*pair, id);
@@ -189,14 +225,14 @@ std::string StereoRig::meet(Id id, TimeNs stamp_ns) {
     }
     if (!blocked.id) {
       note_habits(*pair, id);
-      pair->agreed = true;
+      settle(pair.get());
       changed_.notify_all();
-      return {};
+      return {pair->refusal, statement.drop ? pair->drop : ""};
     }
     if (timed_out || !blocked.worth_waiting) {
-      const std::string why = give_up(pair, id, blocked, waited);
+      const std::string why = give_up(pair, id, blocked, waited, statement.deblurs);
       changed_.notify_all();
-      return why;
+      return {why, ""};
     }
     waited = true;
     timed_out = changed_.wait_until(lock, deadline) == std::cv_status::timeout;
@@ -213,17 +249,25 @@ void StereoCamera::set_patience(TimeNs patience_ns) {
 }
 
 void StereoCamera::pass_through(TimeNs stamp_ns, PassThroughReason reason) {
-  rig_->refuse(this, stamp_ns, std::string("passes this image through: ") + to_string(reason));
+  rig_->pass_through(this, stamp_ns, std::string("passes this image through: ") + to_string(reason));
 }
 
 std::string StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field) {
-  if (field.count(BlockStatus::DEBLURRED) > 0) return rig_->meet(this, stamp_ns);
+  if (field.count(BlockStatus::DEBLURRED) > 0) return rig_->meet(this, stamp_ns, {}).refusal;
   if (field.count(BlockStatus::SHARP) == field.blocks.size()) {
     rig_->agree(this, stamp_ns);
   } else {
-    rig_->refuse(this, stamp_ns, "has no block of this image that may be deblurred");
+    rig_->refuse(this, stamp_ns, kNothingToDeblur);
   }
   return {};
+}
+
+FrameDecision StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field, const DropTerms& drop) {
+  const bool deblurs = field.count(BlockStatus::DEBLURRED) > 0;
+  const bool is_sharp = field.count(BlockStatus::SHARP) == field.blocks.size();
+  FrameDecision decision = rig_->meet(this, stamp_ns, {deblurs, deblurs || is_sharp ? "" : kNothingToDeblur, drop});
+  if (!deblurs) decision.refusal.clear();  // there is nothing to refuse
+  return decision;
 }
 
 }  // namespace gyro_deblur

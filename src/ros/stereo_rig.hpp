@@ -9,6 +9,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 
 #include "gyro_deblur/frame_blur.hpp"
@@ -17,10 +18,21 @@
 
 namespace gyro_deblur {
 
+/// What a camera that drops bad images says of one.
+struct DropTerms {
+  bool may_be_dropped = true;  ///< false: it is never, and so neither are its partners
+  std::string if_deblurred;    ///< why it would be dropped, were it deblurred; empty: it would not
+  std::string if_left;         ///< the same, were it left as it came
+};
+
 /// Where the cameras of a rig meet. Of each image a camera says that it has come, that work on it has begun, and what
 /// would become of it. An image that would be deblurred waits, in its camera's worker, for what the others say of
 /// theirs with the same stamp. One that stays blurred is refused to all: it passes through, has no block that may be
 /// deblurred though some are blurred, or its camera would have to wait too long. What has been agreed on stays.
+///
+/// Cameras that drop bad images say, with what would become of theirs, whether that would be bad: then all cameras of
+/// the rig that drop bad images drop theirs of that instant, and for this also those wait that have nothing to deblur.
+/// Where one of them has left, or is going to whatever the others say, none is dropped.
 ///
 /// An image of which nothing has to be removed agrees with everything. There is no waiting for an image that its camera
 /// has left out (a later one has come), nor for a camera that has sent none yet.
@@ -63,6 +75,7 @@ class StereoRig {
   struct Place {
     TimeNs stamp_ns = 0;
     Phase phase = Phase::COME;
+    std::optional<DropTerms> drop;  ///< once stated, of a camera that drops bad images
   };
 
   /// Images of one instant.
@@ -70,8 +83,17 @@ class StereoRig {
     std::uint64_t number = 0;  ///< grows with the order in which the first images of pairs come
     TimeNs stamp_ns = 0;       ///< of the first
     std::map<Id, Place> places;
-    bool agreed = false;
-    std::string refusal;  ///< why none is deblurred; only while not agreed
+    bool agreed = false;  ///< what follows stays
+    bool leaves = false;  ///< one of its images, whatever the others say: none is dropped
+    std::string refusal;  ///< why none is deblurred
+    std::string drop;     ///< why those are dropped whose cameras drop bad images; once agreed
+  };
+
+  /// What a camera says of an image, and waits with for what the others say of theirs.
+  struct Statement {
+    bool deblurs = true;            ///< there are blocks that may be deblurred
+    std::string refusal;            ///< why its partners may not be deblurred, either; empty: they may
+    std::optional<DropTerms> drop;  ///< of a camera that drops bad images
   };
 
   /// Whom an image has to wait for.
@@ -85,9 +107,10 @@ class StereoRig {
   void leave(Id id);
   void announce(Id id, TimeNs stamp_ns);
   void begin(Id id, TimeNs stamp_ns);
+  void pass_through(Id id, TimeNs stamp_ns, const std::string& why);
   void refuse(Id id, TimeNs stamp_ns, const std::string& why);
   void agree(Id id, TimeNs stamp_ns);
-  std::string meet(Id id, TimeNs stamp_ns);
+  FrameDecision meet(Id id, TimeNs stamp_ns, const Statement& statement);
 
   // These need mutex_.
   std::shared_ptr<Pair> find(Id id, TimeNs stamp_ns) const;
@@ -95,7 +118,9 @@ class StereoRig {
   Blocking blocking(const Pair& pair, Id id) const;
   /// Once an image is decided on: which of the others had been in time.
   void note_habits(const Pair& pair, Id id);
-  std::string give_up(const std::shared_ptr<Pair>& pair, Id id, const Blocking& blocking, bool waited);
+  std::string give_up(const std::shared_ptr<Pair>& pair, Id id, const Blocking& blocking, bool waited, bool refuses);
+  /// Everybody has stated.
+  void settle(Pair* pair) const;
 
   std::mutex mutex_;  // everything below
   std::condition_variable changed_;
@@ -127,6 +152,8 @@ class StereoCamera {
   /// @param field  validated
   /// @return why not, with the partner's name; empty: it may
   std::string decide(TimeNs stamp_ns, const FrameBlur& field);
+  /// The same of a camera that drops bad images: whatever there is to deblur, it waits.
+  FrameDecision decide(TimeNs stamp_ns, const FrameBlur& field, const DropTerms& drop);
 
  private:
   const std::shared_ptr<StereoRig> rig_;

@@ -153,7 +153,7 @@ Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& 
 /// What holds for all frames.
 nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics, const Outcome& outcome) {
   const ProcessorStatistics& statistics = outcome.statistics;
-  const auto frame_count = static_cast<double>(statistics.frames_out);
+  const auto frame_count = static_cast<double>(statistics.frames_out + statistics.dropped_bad);
   nlohmann::json report;
   report["input"] = arguments.input;
   report["output"] = arguments.output;
@@ -164,6 +164,7 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
                       {"output_namespace", topics.output_namespace}};
   report["frames_in"] = statistics.frames_in;
   report["frames_out"] = statistics.frames_out;
+  report["dropped_bad"] = statistics.dropped_bad;
   report["passed_through"] = nlohmann::json::object();
   for (const auto& [reason, count] : statistics.passed_through) report["passed_through"][to_string(reason)] = count;
   report["imu"] = {{"accepted", statistics.imu_accepted},   {"not_finite", statistics.imu_not_finite},
@@ -185,6 +186,9 @@ void print_summary(const Arguments& arguments, const DeblurTopics& topics, const
   std::cout << arguments.output << ": " << outcome.statistics.frames_out << " frames of " << topics.image;
   for (const auto& [reason, count] : outcome.statistics.passed_through) {
     std::cout << ", " << count << " passed through (" << to_string(reason) << ")";
+  }
+  if (outcome.statistics.dropped_bad > 0) {
+    std::cout << ", " << outcome.statistics.dropped_bad << " more dropped as BAD (drop_bad)";
   }
   std::cout << "; " << outcome.bag_s << " s of recording in " << outcome.wall_s << " s\n";
 }

@@ -38,6 +38,7 @@ nlohmann::json report_of(const FrameOutput& output) {
   frame["stamp_ns"] = to_time_ns(output.input->header.stamp);
   frame["reason"] = to_string(output.reason);
   if (!output.reason_text.empty()) frame["reason_text"] = output.reason_text;
+  frame["dropped"] = output.dropped;
   frame["identical"] = output.image == output.input;
   frame["keypoints"] = output.keypoints ? output.keypoints->keypoints.size() : 0;
   if (output.field) report_field(*output.field, &frame);
@@ -58,8 +59,10 @@ nlohmann::json report_of(const FrameOutput& output) {
 void FrameWriter::write(const FrameOutput& frame) {
   const ros::Time time = record_times_.front();
   record_times_.pop_front();
-  bag_.write(topics_.image, time, *frame.image);
-  bag_.write(topics_.camera_info, time, *frame.camera_info);
+  if (!frame.dropped) {
+    bag_.write(topics_.image, time, *frame.image);
+    bag_.write(topics_.camera_info, time, *frame.camera_info);
+  }
   if (frame.keypoints) bag_.write(topics_.keypoints, time, *frame.keypoints);
   bag_.write(topics_.blur_field, time, *frame.blur_field);
   bag_.write(topics_.quality, time, *frame.quality);

@@ -45,12 +45,13 @@ std::string dump(const Config& c) {
     << "\nrectified_input " << c.rectified_input << "\nR ";
   if (c.R_cam_imu) s << *c.R_cam_imu;
   s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nstereo_patience "
-    << c.stereo_patience_ns << "\nbias_window " << c.bias_window_ns << "\nbias_max_stddev " << c.bias_max_stddev_rad_s
-    << "\ntime_jump " << c.time_jump_ns << "\nrectify_to " << static_cast<int>(c.pipeline.rectify_to)
-    << "\nglobal_shutter_border " << static_cast<int>(c.pipeline.global_shutter_border) << "\nengine "
-    << c.pipeline.engine << "\nthreads " << c.pipeline.threads << "\nsignificant_bits " << c.pipeline.significant_bits
-    << "\nblock_size " << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px
-    << "\nmax_extent " << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
+    << c.stereo_patience_ns << "\ndrop_bad " << c.drop_bad << "\nbias_window " << c.bias_window_ns
+    << "\nbias_max_stddev " << c.bias_max_stddev_rad_s << "\ntime_jump " << c.time_jump_ns << "\nrectify_to "
+    << static_cast<int>(c.pipeline.rectify_to) << "\nglobal_shutter_border "
+    << static_cast<int>(c.pipeline.global_shutter_border) << "\nengine " << c.pipeline.engine << "\nthreads "
+    << c.pipeline.threads << "\nsignificant_bits " << c.pipeline.significant_bits << "\nblock_size "
+    << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px << "\nmax_extent "
+    << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
     << "\nmotion_from_images " << c.pipeline.motion_from_images << "\nbridge_gyro_gaps " << c.pipeline.bridge_gyro_gaps
     << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing "
     << c.pipeline.kernel.smoothing_px << "\ngamma_rule " << static_cast<int>(c.pipeline.kernel.gamma_rule) << "\nnoise "
@@ -87,6 +88,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"gyro_timeout", "0"},
       {"frame_queue_size", "3"},
       {"stereo_patience", "0.25"},
+      {"drop_bad", "true"},
       {"bias_window", "2"},
       {"bias_max_stddev", "0.1"},
       {"time_jump_threshold", "1"},

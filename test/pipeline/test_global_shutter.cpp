@@ -47,7 +47,7 @@ PipelineOptions options(ImageBorder border = ImageBorder::BLACK, bool deblurs = 
 }
 
 PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion, const RowExposure& rows,
-                       const PipelineOptions& with = options(), std::function<bool(const FrameBlur&)> permit = {}) {
+                       const PipelineOptions& with = options(), std::function<Permit(const FrameBlur&)> permit = {}) {
   Pipeline pipeline(with);
   pipeline.set_calibration(test::small_camera());
   PipelineRequest request;
@@ -189,7 +189,7 @@ TEST(PipelineGlobalShutter, WhatCannotBeMovedIsNone) {
   EXPECT_TRUE(
       process(image, PixelLayout::GRAY, pan(kRateRadS, 3 * kStampNs), exposure(kReadoutNs)).global_shutter.empty());
   EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(kRateRadS, 3 * kStampNs), exposure(0)).global_shutter.empty());
-  const auto refuse = [](const FrameBlur&) { return false; };
+  const auto refuse = [](const FrameBlur&) { return Permit::LEAVE; };
   EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(kReadoutNs), options(), refuse)
                   .global_shutter.empty());
   Pipeline pipeline(options());

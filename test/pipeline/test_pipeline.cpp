@@ -56,6 +56,24 @@ bool equal(const cv::Mat& a, const cv::Mat& b) {
   return a.size() == b.size() && a.type() == b.type() && cv::norm(a, b, cv::NORM_INF) == 0;
 }
 
+TEST(Pipeline, FrameThatIsStoppedIsItsField) {
+  Pipeline p = pipeline();
+  PipelineRequest request;
+  request.luminance = request.global_shutter = true;
+  std::size_t to_deblur = 0;
+  request.permit = [&to_deblur](const FrameBlur& field) {
+    to_deblur = field.count(BlockStatus::DEBLURRED);
+    return Permit::STOP;
+  };
+  const PipelineResult result =
+      p.process(blurred_image(15), PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), request);
+  EXPECT_GE(to_deblur, 18u) << "of 20";
+  EXPECT_EQ(result.field.count(BlockStatus::DEBLURRED), to_deblur) << "what could be deblurred is still told";
+  EXPECT_TRUE(result.image.empty() && result.luminance.empty() && result.global_shutter.empty());
+  EXPECT_TRUE(result.features.keypoints.empty());
+  EXPECT_EQ(result.times.deconvolution_ms, 0);
+}
+
 TEST(Pipeline, SharpensABlurredFrame) {
   Pipeline p = pipeline();
   const cv::Mat blurred = blurred_image(15);

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include <gtest/gtest.h>
+#include <boost/make_shared.hpp>
 
 namespace gyro_deblur {
 namespace {
@@ -86,6 +87,78 @@ TEST_F(DiagnosticReportTest, KeypointsThatCannotBeFoundAreAnError) {
   statistics_.keypoints_text.clear();
   fill();
   EXPECT_EQ(level_, DiagnosticStatus::OK);
+}
+
+TEST_F(DiagnosticReportTest, VerdictsAndScoresAreThoseOfThePeriod) {
+  auto values = fill();
+  EXPECT_EQ(values.count("score of images, mean"), 0u);
+  EXPECT_EQ(values["images dropped, BAD"], "0");
+  FrameOutput output;
+  output.quality = boost::make_shared<ImageQuality>();
+  for (const auto& [verdict, score] : {std::pair{ImageQuality::DEBLURRED, 0.5f},
+                                       {ImageQuality::DEBLURRED, 0.75f},
+                                       {ImageQuality::BAD, 0.1f},
+                                       {ImageQuality::UNKNOWN, -1.f}}) {
+    output.quality->verdict = verdict;
+    output.quality->score = score;
+    report_.add(output);
+  }
+  values = fill();
+  EXPECT_EQ(values["images, DEBLURRED [%]"], "50");
+  EXPECT_EQ(values["images, BAD [%]"], "25");
+  EXPECT_EQ(values["images, UNKNOWN [%]"], "25");
+  EXPECT_EQ(values.count("images, SHARP [%]"), 0u);
+  EXPECT_EQ(values["score of images, mean"], "0.45") << "of those that have one";
+  EXPECT_EQ(fill().count("images, BAD [%]"), 0u) << "none since";
+  EXPECT_EQ(level_, DiagnosticStatus::OK) << "BAD images alone are no fault";
+}
+
+TEST_F(DiagnosticReportTest, DroppedImagesWarnWithTheParameter) {
+  FrameOutput output;
+  output.dropped = true;
+  statistics_.count(output);
+  statistics_.count(output);
+  EXPECT_EQ(statistics_.frames_out, 0u);
+  EXPECT_EQ(fill()["images dropped, BAD"], "2");
+  EXPECT_EQ(level_, DiagnosticStatus::WARN);
+  EXPECT_NE(summary_.find("2 images dropped by drop_bad"), std::string::npos) << summary_;
+  EXPECT_EQ(fill()["images dropped, BAD"], "2");
+  EXPECT_EQ(level_, DiagnosticStatus::OK) << "none since";
+}
+
+TEST_F(DiagnosticReportTest, ExposureIsAdvisedForFastFramesOfThePeriod) {
+  EXPECT_EQ(fill().count("longest exposure that is undone well [ms]"), 0u);
+  ExposureTerms terms;
+  terms.exposure_ns = 10'000'000;
+  terms.noise_to_contrast = 0.05;
+  const auto add = [&] {
+    for (int i = 0; i < 20; ++i) {
+      FrameOutput output;
+      terms.speed_px_s = 20.0 * (i * 7 % 20 + 1);  // 20 to 400, in disorder
+      output.exposure_terms = terms;
+      report_.add(output);
+    }
+  };
+  add();
+  auto values = fill();
+  EXPECT_EQ(values["speed of the image, p90 [px/s]"], "380");
+  terms.speed_px_s = 380;
+  const auto advice = advise_exposure(terms, 1'000'000'000);
+  EXPECT_NEAR(std::stod(values["longest exposure that is undone well [ms]"]), to_seconds(advice->longest_ns) * 1e3,
+              .05);
+  EXPECT_NEAR(std::stod(values["exposure with most corners [ms]"]), to_seconds(advice->best_ns) * 1e3, .05);
+  EXPECT_EQ(fill().count("longest exposure that is undone well [ms]"), 0u) << "no frame since";
+  statistics_.frame_period_ns = 5'000'000;
+  add();
+  EXPECT_EQ(fill()["longest exposure that is undone well [ms]"], "5.0") << "the frame period";
+  statistics_.frame_period_ns.reset();
+  terms.noise_to_contrast = 1;
+  for (int i = 0; i < 5; ++i) add();
+  FrameOutput fast;
+  terms.speed_px_s = 20'000;
+  fast.exposure_terms = terms;
+  for (int i = 0; i < 100; ++i) report_.add(fast);
+  EXPECT_EQ(fill()["longest exposure that is undone well [ms]"].rfind("none: BAD at any", 0), 0u);
 }
 
 TEST_F(DiagnosticReportTest, MostlyRejectedBlocksWarn) {

@@ -177,6 +177,18 @@ class NodeletTest : public CameraTopicsTest {
       }
     });
   }
+  /// Waits until blur fields of `fields` frames have come out, and all the rest of `leave` of them; no more have.
+  void expect_frames_but_dropped(std::size_t fields, std::size_t leave) {
+    const bool came = mailbox_.wait([&] {
+      return fields_.size() >= fields && std::min({images_.size(), infos_.size(), keypoints_.size()}) >= leave;
+    });
+    if (!came) throw std::runtime_error(std::to_string(images_.size()) + " of " + std::to_string(leave) + " frames");
+    mailbox_.look([&] {
+      EXPECT_EQ(images_.size(), leave);
+      EXPECT_EQ(infos_.size(), leave);
+      EXPECT_EQ(keypoints_.size(), leave);
+    });
+  }
   /// Waits until all of `count` frames but two have come out: fewer wait than overload takes.
   void keep_up_with(std::size_t count) {
     if (count > 2) expect_frames(count - 2);
@@ -601,6 +613,40 @@ TEST_F(NodeletTest, ParametersChangeWhileRunning) {
   publish_frame(kStart + 66 * kMs);
   expect_frames(3);
   EXPECT_EQ(fields_[2]->block_width, 64u);
+}
+
+TEST_F(NodeletTest, BadImagesAreDroppedWhereTheUserSaysSo) {
+  set("max_extent", 3.0);
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  // The warning is in one report only: somebody has to listen before the frame comes.
+  ASSERT_TRUE(mailbox_.wait([&] { return diagnostics.level == diagnostic_msgs::DiagnosticStatus::OK; }));
+  publish_imu(kStart - 50 * kMs, kStart + kSecond, 3.0);
+  publish_frame(kStart);
+  expect_frames(1);
+  dynamic_reconfigure::Config drop_bad;
+  drop_bad.bools.resize(1);
+  drop_bad.bools[0].name = "drop_bad";
+  drop_bad.bools[0].value = true;
+  reconfigure(name_, drop_bad);
+  // Without listeners of image_quality.
+  const auto bad = publish_frame(kStart + 33 * kMs);
+  ASSERT_TRUE(mailbox_.wait([&] { return fields_.size() == 2; }));
+  EXPECT_EQ(fields_[1]->header.stamp, bad->header.stamp);
+  EXPECT_EQ(fields_[1]->reason, BlurField::REASON_NONE);
+  EXPECT_NE(fields_[1]->reason_text.find("drop_bad: "), std::string::npos) << fields_[1]->reason_text;
+  EXPECT_TRUE(diagnostics.wait_for("images dropped, BAD", "1"));
+  EXPECT_TRUE(mailbox_.wait([&] {
+    return diagnostics.level == diagnostic_msgs::DiagnosticStatus::WARN &&
+           diagnostics.message.find("1 images dropped by drop_bad") != std::string::npos;
+  }));
+  drop_bad.bools[0].value = false;
+  reconfigure(name_, drop_bad);
+  const auto next = publish_frame(kStart + 66 * kMs);
+  expect_frames_but_dropped(3, 2);
+  EXPECT_EQ(images_[1]->header.stamp, next->header.stamp);
+  EXPECT_TRUE(diagnostics.wait_for("frames out", "2"));
+  EXPECT_TRUE(mailbox_.wait([&] { return diagnostics.values.count("images, BAD [%]") > 0; }));
 }
 
 TEST_F(NodeletTest, RefusedChangeRestoresTheFormerValues) {

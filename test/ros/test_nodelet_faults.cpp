@@ -519,6 +519,36 @@ TEST_F(StereoPairTest, EachOnItsOwnWhenValidationRejectsTheWholeOfOne) {
   expect_pairs(9, 8);
 }
 
+TEST_F(StereoPairTest, BadImageTakesItsPartnerAlongWhereBothDropThem) {
+  for (const std::size_t i : {0u, 1u}) {
+    set(i, "drop_bad", true);
+    if (i == 1) set(i, "max_extent", 3.0);  // nothing of it is undone
+    ASSERT_NO_FATAL_FAILURE(load(i));
+  }
+  // The first images of a camera are waited for by nobody: these leave at once.
+  for (const std::size_t i : {0u, 1u}) {
+    StereoTest::publish(i, kStart - kPeriod, "mono12");
+    ASSERT_TRUE(wait_for(i, 1));
+  }
+  constexpr std::size_t kPairs = 4;
+  for (std::size_t k = 1; k <= kPairs; ++k) {
+    const TimeNs stamp_ns = kStart + static_cast<TimeNs>(k - 1) * kPeriod;
+    for (const std::size_t i : {0u, 1u}) StereoTest::publish(i, stamp_ns);
+    publish_imu(k == 1 ? kStart - 50 * kMs : stamp_ns + kImuPeriod, stamp_ns + kPeriod, 3.0);
+    for (const Camera& camera : cameras_) {
+      ASSERT_TRUE(mailbox_.wait([&] { return camera.fields.size() == k + 1; })) << camera.ns << ", pair " << k;
+      EXPECT_NE(camera.fields[k]->reason_text.find("drop_bad: the image of " + cameras_[1].ns + "/image_raw is BAD"),
+                std::string::npos)
+          << camera.fields[k]->reason_text;
+    }
+  }
+  EXPECT_EQ(cameras_[0].fields[1]->status[0], BlurField::DEBLURRED) << "it could have been";
+  for (const std::size_t i : {0u, 1u}) {
+    unload(i);
+    EXPECT_EQ(cameras_[i].images.size(), 1u);
+  }
+}
+
 TEST_F(StereoTest, OtherLimitsOfStampsAreNotShared) {
   nh_.setParam(cameras_[1].ns + "/deblur/time_jump_threshold", 2.0);
   for (const std::size_t i : {0u, 1u}) ASSERT_NO_FATAL_FAILURE(load(i));

@@ -18,9 +18,9 @@ class ProcessingTest : public ProcessorTest {};
 
 TEST_F(ProcessingTest, RefusedFrameLeavesAsItCameAndIsStillTracked) {
   request_.tracks = true;
-  request_.permit = [](const FrameBlur& field) {
+  request_.decide = [](const FrameBlur& field) {
     EXPECT_EQ(field.count(BlockStatus::DEBLURRED), field.blocks.size());
-    return std::string("/cam1 says no");
+    return FrameDecision{"/cam1 says no", ""};
   };
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   add_frame(kStart);
@@ -31,11 +31,101 @@ TEST_F(ProcessingTest, RefusedFrameLeavesAsItCameAndIsStillTracked) {
   for (const Keypoint& keypoint : outputs_[0].keypoints->keypoints) {
     EXPECT_FALSE(keypoint.deblurred || keypoint.rectified);
   }
-  request_.permit = [](const FrameBlur&) { return std::string(); };
+  request_.decide = [](const FrameBlur&) { return FrameDecision(); };
   add_imu(kStart + 105 * kMs, kStart + 200 * kMs);
   add_frame(kStart + 100 * kMs);
   advance();
   expect_deblurred(1);
+}
+
+/// Three frames 200 ms apart. Within the second the camera turns, 24 px there and back, so that all show the same.
+class DropBadTest : public ProcessingTest {
+ protected:
+  void run() {
+    config_.pipeline.blur_field.max_extent_px = 5;  // nothing is undone
+    configure();
+    request_ = {true, true, true, true, true, true, true};
+    for (TimeNs t_ns = kStart - 50 * kMs; t_ns <= kStart + 500 * kMs; t_ns += kImuPeriod) {
+      const TimeNs since_ns = t_ns - kSecondFrame;
+      const bool turns = since_ns > 0 && since_ns <= 50 * kMs;
+      processor_.add_imu(imu_message(t_ns, !turns ? 0 : since_ns <= 25 * kMs ? 5 : -5));
+    }
+    for (const TimeNs stamp_ns : {kStart, kSecondFrame, kStart + 400 * kMs}) add_frame(stamp_ns);
+    advance();
+    ASSERT_EQ(outputs_.size(), 3u);
+    EXPECT_EQ(outputs_[1].quality->verdict, ImageQuality::BAD) << outputs_[1].quality->score;
+    for (const std::size_t i : {0u, 2u}) {
+      EXPECT_EQ(outputs_[i].image, outputs_[i].input);
+      EXPECT_EQ(outputs_[i].quality->verdict, ImageQuality::SHARP);
+    }
+  }
+  static constexpr TimeNs kSecondFrame = kStart + 200 * kMs;
+};
+
+TEST_F(DropBadTest, BadFrameIsKeptFromLeavingAndCounted) {
+  config_.drop_bad = true;
+  ASSERT_NO_FATAL_FAILURE(run());
+  const FrameOutput& bad = outputs_[1];
+  EXPECT_TRUE(bad.dropped && !outputs_[0].dropped && !outputs_[2].dropped);
+  EXPECT_EQ(bad.image, nullptr);
+  EXPECT_EQ(bad.camera_info, nullptr);
+  EXPECT_EQ(bad.keypoints, nullptr);
+  EXPECT_EQ(bad.tracks, nullptr);
+  EXPECT_EQ(bad.global_shutter, nullptr);
+  EXPECT_EQ(bad.global_shutter_info, nullptr);
+  EXPECT_STREQ(to_string(bad.reason), "NONE");
+  EXPECT_EQ(bad.blur_field->status, std::vector<std::uint8_t>(bad.field->blocks.size(), BlurField::TOO_LARGE));
+  EXPECT_EQ(bad.blur_field->reason_text.rfind("drop_bad: BAD, with a score of 0.", 0), 0u) << bad.reason_text;
+  EXPECT_EQ(bad.quality->header.stamp, bad.input->header.stamp);
+  EXPECT_NE(bad.trust_mask, nullptr);
+  EXPECT_NE(bad.overlay, nullptr);
+  EXPECT_NE(bad.markers, nullptr);
+  EXPECT_EQ(processor_.statistics().dropped_bad, 1u);
+  EXPECT_EQ(processor_.statistics().frames_out, 2u);
+  EXPECT_EQ(processor_.statistics().frames_in, 3u);
+  EXPECT_TRUE(processor_.statistics().passed_through.empty());
+  EXPECT_EQ(logged("is not published: drop_bad: BAD"), 1u);
+  // Only corners that have been seen before have a point: the third frame's are those of the first.
+  EXPECT_TRUE(outputs_[0].tracks->points.empty());
+  ASSERT_NE(outputs_[2].tracks, nullptr);
+  EXPECT_FALSE(outputs_[2].tracks->points.empty());
+}
+
+TEST_F(DropBadTest, BadFrameLeavesByDefault) {
+  ASSERT_NO_FATAL_FAILURE(run());
+  EXPECT_FALSE(outputs_[1].dropped);
+  EXPECT_EQ(outputs_[1].image, outputs_[1].input);
+  EXPECT_NE(outputs_[1].camera_info, nullptr);
+  EXPECT_NE(outputs_[1].tracks, nullptr);
+  EXPECT_EQ(processor_.statistics().dropped_bad, 0u);
+  EXPECT_EQ(processor_.statistics().frames_out, 3u);
+}
+
+TEST_F(DropBadTest, BadFrameIsDroppedBeforeWorkIsLostOnIt) {
+  config_.drop_bad = true;
+  config_.pipeline.blur_field.max_extent_px = 500;
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs, 22);
+  add_frame(kStart);
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u);
+  EXPECT_TRUE(outputs_[0].dropped) << outputs_[0].quality->score;
+  EXPECT_EQ(outputs_[0].field->count(BlockStatus::DEBLURRED), outputs_[0].field->blocks.size());
+  EXPECT_EQ(outputs_[0].stages.deconvolution_ms, 0);
+  EXPECT_EQ(outputs_[0].stages.keypoints_ms, 0);
+}
+
+TEST_F(DropBadTest, WhatIsNotKnownToBeBadLeaves) {
+  config_.drop_bad = true;
+  configure();
+  add_frame(kStart);  // without a gyroscope
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_GYRO, "");
+  add_imu(kStart + 150 * kMs, kStart + 300 * kMs);
+  add_frame(kStart + 200 * kMs);
+  advance();
+  expect_deblurred(1);
+  EXPECT_EQ(processor_.statistics().dropped_bad, 0u);
 }
 
 TEST_F(ProcessingTest, SharpFrameLeavesAsTheVeryMessage) {

@@ -94,7 +94,7 @@ TEST_F(ProcessorGlobalShutterTest, WhatPassesThroughKeepsItsStamp) {
   expect_passed_through(1, PassThroughReason::NO_GYRO, "");
   expect_unmoved(1);
   // Nor does a frame that its partner keeps from being deblurred.
-  request_.permit = [](const FrameBlur&) { return std::string("/cam1 says no"); };
+  request_.decide = [](const FrameBlur&) { return FrameDecision{"/cam1 says no", ""}; };
   add_imu(kStart + 700 * kMs, kStart + 900 * kMs);
   add_frame(kStart + 800 * kMs);
   advance();
@@ -138,7 +138,7 @@ TEST_F(ProcessorGlobalShutterTest, StampsNeverGoBack) {
   add_frame(kStart);
   advance();
   ASSERT_GT(moved_ns(0), kStart + 33 * kMs);
-  request_.permit = [](const FrameBlur&) { return std::string("/cam1 says no"); };
+  request_.decide = [](const FrameBlur&) { return FrameDecision{"/cam1 says no", ""}; };
   add_frame(kStart + 33 * kMs);
   advance();
   ASSERT_EQ(outputs_.size(), 2u);
@@ -146,7 +146,7 @@ TEST_F(ProcessorGlobalShutterTest, StampsNeverGoBack) {
   EXPECT_EQ(outputs_[1].global_shutter_info, nullptr);
   EXPECT_EQ(outputs_[1].image, outputs_[1].input) << "every other output has the frame";
   EXPECT_EQ(logged("has no global-shutter image"), 1u);
-  request_.permit = nullptr;
+  request_.decide = nullptr;
   add_imu(kStart + 105 * kMs, kStart + 300 * kMs);
   add_frame(kStart + 66 * kMs);
   advance();

@@ -252,6 +252,95 @@ TEST_F(StereoRigTest, RecordingThatIsPlayedAgainIsDecidedAnew) {
   }
 }
 
+/// Cameras that drop bad images.
+class DroppingRigTest : public StereoRigTest {
+ protected:
+  static DropTerms fine() { return {true, "", ""}; }
+  static DropTerms bad() { return {true, "BAD", "BAD"}; }
+  static DropTerms bad_if_left() { return {true, "", "BAD"}; }
+  std::future<FrameDecision> decide_drop(std::size_t i, TimeNs stamp_ns, const FrameBlur& field,
+                                         const DropTerms& drop) {
+    return std::async(std::launch::async, [this, i, stamp_ns, field, drop] {
+      camera(i).begin(stamp_ns);
+      return camera(i).decide(stamp_ns, field, drop);
+    });
+  }
+  /// What becomes of both images of a new instant.
+  std::array<FrameDecision, 2> decide_both(const FrameBlur& first_field, const DropTerms& first,
+                                           const FrameBlur& second_field, const DropTerms& second) {
+    stamp_ns_ += kPeriod;
+    announce(stamp_ns_);
+    auto one = decide_drop(0, stamp_ns_, first_field, first);
+    auto other = decide_drop(1, stamp_ns_, second_field, second);
+    return {one.get(), other.get()};
+  }
+  TimeNs stamp_ns_ = 0;
+};
+
+TEST_F(DroppingRigTest, BothAreDroppedWhereOneIsBad) {
+  make(kEndless);
+  for (const FrameBlur& partner : {blurred(), sharp(), rejected()}) {
+    for (const FrameBlur& field : {blurred(), rejected()}) {
+      for (const FrameDecision& decision : decide_both(field, bad(), partner, fine())) {
+        EXPECT_EQ(decision.drop, "the image of /cam0 is BAD");
+      }
+    }
+    for (const FrameDecision& decision : decide_both(blurred(), fine(), partner, fine())) {
+      EXPECT_EQ(decision.drop, "");
+    }
+  }
+}
+
+TEST_F(DroppingRigTest, WhetherItIsBadGoesByWhatBecomesOfIt) {
+  make(kEndless);
+  for (const FrameDecision& decision : decide_both(blurred(), bad_if_left(), blurred(), fine())) {
+    EXPECT_EQ(decision.drop + decision.refusal, "");
+  }
+  for (const FrameDecision& decision : decide_both(blurred(), bad_if_left(), rejected(), fine())) {
+    EXPECT_EQ(decision.drop, "the image of /cam0 is BAD") << "its partner keeps it from being deblurred";
+  }
+}
+
+TEST_F(DroppingRigTest, NoneIsDroppedWhereOneLeavesWhateverTheOthersSay) {
+  make(kEndless);
+  announce(kPeriod);
+  auto waits = decide_drop(0, kPeriod, blurred(), bad());
+  camera(1).pass_through(kPeriod, PassThroughReason::OVERLOAD);
+  const FrameDecision decision = waits.get();
+  EXPECT_EQ(decision.drop, "");
+  EXPECT_EQ(decision.refusal, "/cam1 passes this image through: OVERLOAD");
+  stamp_ns_ = kPeriod;
+  for (const FrameDecision& each : decide_both(blurred(), bad(), blurred(), {false, "", ""})) EXPECT_EQ(each.drop, "");
+}
+
+TEST_F(DroppingRigTest, WhoGivesUpLeavesAndSoDoesThePartner) {
+  make(kNone);
+  announce(kPeriod);
+  EXPECT_EQ(camera(0).decide(kPeriod, sharp(), fine()).refusal, "");
+  const FrameDecision late = camera(1).decide(kPeriod, blurred(), bad());
+  EXPECT_EQ(late.drop, "") << "a pair of which one image has left";
+  EXPECT_EQ(late.refusal, "") << "a sharp image goes with a deblurred one";
+  announce(2 * kPeriod);
+  EXPECT_NE(camera(0).decide(2 * kPeriod, blurred(), bad()).refusal, "");
+  EXPECT_EQ(camera(1).decide(2 * kPeriod, blurred(), bad()).drop, "");
+}
+
+TEST_F(DroppingRigTest, CameraThatDropsNoneLosesNone) {
+  make(kEndless);
+  announce(kPeriod);
+  auto dropping = decide_drop(0, kPeriod, blurred(), bad());
+  EXPECT_EQ(camera(1).decide(kPeriod, blurred()), "");
+  EXPECT_NE(dropping.get().drop, "");
+}
+
+TEST_F(DroppingRigTest, AloneItGoesByItself) {
+  make(kEndless, 1);
+  camera(0).announce(kPeriod);
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred(), bad()).drop, "the image of /cam0 is BAD");
+  camera(0).set_patience(0);
+  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred(), bad()).drop, "BAD");
+}
+
 TEST_F(StereoRigTest, CamerasOfOneImuMeet) {
   EXPECT_EQ(StereoRig::get("/imu"), StereoRig::get("/imu")) << "while somebody has it";
   const auto rig = StereoRig::get("/imu");

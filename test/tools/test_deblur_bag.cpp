@@ -203,6 +203,37 @@ TEST_F(DeblurBagTest, EveryFrameComesOutInOrderWithItsReason) {
   EXPECT_TRUE(read<std_msgs::Header>("out.bag", "/other").empty());
 }
 
+TEST_F(DeblurBagTest, BadImagesAreLeftOutWhereTheUserSaysSo) {
+  write_bag(3.0);  // 18 px
+  write_config("max_extent: 5\ndrop_bad: true\n");
+  const ProgramResult result = run({"--tracks", "--global-shutter"});
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  // The gyroscope does not cover the last one: nobody knows whether it is bad.
+  const TimeNs last_ns = kStart + (kFrames - 1) * kFramePeriod;
+  for (const std::string topic : {"deblurred/image_raw", "global_shutter/image_raw"}) {
+    const auto images = read<sensor_msgs::Image>("out.bag", "/cam/" + topic);
+    ASSERT_EQ(images.size(), 1u) << topic;
+    EXPECT_EQ(images[0]->header.stamp, to_ros_time(last_ns));
+  }
+  EXPECT_EQ(read<sensor_msgs::CameraInfo>("out.bag", "/cam/deblurred/camera_info").size(), 1u);
+  EXPECT_EQ(read<KeypointArray>("out.bag", "/cam/keypoints").size(), 1u);
+  EXPECT_EQ(read<BlurField>("out.bag", "/cam/blur_field").size(), std::size_t{kFrames});
+  const auto qualities = read<ImageQuality>("out.bag", "/cam/image_quality");
+  ASSERT_EQ(qualities.size(), std::size_t{kFrames});
+  EXPECT_EQ(qualities[0]->verdict, ImageQuality::BAD);
+  EXPECT_EQ(qualities[kFrames - 1]->verdict, ImageQuality::UNKNOWN);
+  const nlohmann::json json = report();
+  EXPECT_EQ(json["frames_in"], kFrames);
+  EXPECT_EQ(json["frames_out"], 1);
+  EXPECT_EQ(json["dropped_bad"], kFrames - 1);
+  EXPECT_EQ(json["frames"][0]["dropped"], true);
+  EXPECT_EQ(json["frames"][0]["reason_text"].get<std::string>().rfind("drop_bad: BAD", 0), 0u);
+  EXPECT_EQ(json["frames"][kFrames - 1]["dropped"], false);
+  EXPECT_NE(result.output.find("1 frames of /cam/image_raw, 1 passed through (NO_GYRO), 4 more dropped as BAD"),
+            std::string::npos)
+      << result.output;
+}
+
 TEST_F(DeblurBagTest, PixelsAreThoseOfTheProcessor) {
   write_bag(kFastRadS);
   ASSERT_EQ(run().exit_code, 0);
