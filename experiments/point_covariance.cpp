@@ -142,11 +142,11 @@ class Study {
   std::map<Bin, Calibration> bins_;
 };
 
-constexpr PointErrorFactors kNoiseAlone{1, 0, 0, 1, 0}, kNothing{0, 0, 0, 1, 0};
+constexpr PointErrors kNoiseAlone{1, 0, 0, 0, 0, 1, 0, 0}, kNothing{0, 0, 0, 0, 0, 1, 0, 0};
 
 /// A sample without its error.
 Sample sample_at(const std::string& points, const PointCovariance& covariance, const FrameBlur& field,
-                 const Eigen::Vector2d& pixel_px, double radius_px, const PointErrorFactors& factors) {
+                 const Eigen::Vector2d& pixel_px, double radius_px, const PointErrors& errors) {
   const BlockBlur& block = field.blocks[field.grid.index_at(pixel_px.x(), pixel_px.y())];
   Sample sample;
   sample.points = points;
@@ -155,7 +155,7 @@ Sample sample_at(const std::string& points, const PointCovariance& covariance, c
   sample.angle_rad = block.angle_rad;
   sample.shown_px = block.shown_offset_px();
   sample.radius_px = radius_px;
-  sample.covariance_px2 = covariance.at(pixel_px, radius_px, factors);
+  sample.covariance_px2 = covariance.at(pixel_px, radius_px, errors);
   sample.by_motion_px2 = covariance.at(pixel_px, radius_px, kNothing);
   sample.by_noise_px2 = covariance.at(pixel_px, radius_px, kNoiseAlone) - sample.by_motion_px2;
   return sample;
@@ -175,8 +175,8 @@ std::vector<int> mutual_matches(const Features& a, const Features& b) {
 /// Keypoints of a frame against those of the sharp one, of which they have the descriptors.
 void add_keypoints(const std::string& detector, std::size_t light, const cv::Mat& image, const FrameBlur& field,
                    const Features& found, const Features& moved, const Features& sharp, Study* study) {
-  // Farther away it is another feature, as those who match them find out: half of a smear, and what noise does.
-  constexpr double kFarPx = 4;
+  // Farther away it is another feature, as those who match find out: a part of a smear, and what noise does.
+  constexpr double kFarPx = 2, kFarOfExtent = 0.25;
   const PointCovariance covariance(image, field);
   const std::vector<int> matches = mutual_matches(found, sharp);
   for (std::size_t i = 0; i < matches.size(); ++i) {
@@ -184,11 +184,11 @@ void add_keypoints(const std::string& detector, std::size_t light, const cv::Mat
     const cv::KeyPoint& keypoint = found.keypoints[i];
     const cv::Point2f error = moved.keypoints[i].pt - sharp.keypoints[static_cast<std::size_t>(matches[i])].pt;
     const Eigen::Vector2d pixel_px(keypoint.pt.x, keypoint.pt.y);
-    Sample sample =
-        sample_at(detector, covariance, field, pixel_px, corner_radius_px(keypoint, detector), kKeypointErrors);
+    Sample sample = sample_at(detector, covariance, field, pixel_px, corner_radius_px(keypoint, detector),
+                              detector == "SIFT" ? kBlobErrors : kCornerErrors);
     sample.light = light;
     sample.error_px = {error.x, error.y};
-    if (sample.error_px.norm() > kFarPx + 0.5 * sample.extent_px) continue;
+    if (sample.error_px.norm() > kFarPx + kFarOfExtent * sample.extent_px) continue;
     if (sample.covariance_px2.allFinite()) study->add(sample);
   }
 }
@@ -198,11 +198,10 @@ void study_keypoints(const Arguments& arguments, Study* study) {
   std::string source;
   const std::vector<ImagePair> photographs = load_pairs(arguments.data, source);
   std::vector<View> views = random_views(arguments.seed, trace.back().t_s);
-  std::vector<ShakenCamera> cameras{kVga, kFullHd};
   std::vector<double> scales{1, 0.6, 0.3};
   const std::vector<TimeNs> exposures_ns{5'000'000, 10'000'000, 20'000'000, 30'000'000};
-  if (arguments.quick) views.resize(2 * kViewsOfEach), cameras.resize(1), scales.resize(1);
-  Progress progress(cameras.size() * scales.size() * exposures_ns.size(), "shakes", arguments.quiet);
+  if (arguments.quick) views.resize(2 * kViewsOfEach), scales.resize(1);
+  Progress progress(scales.size() * exposures_ns.size(), "shakes", arguments.quiet);
   std::size_t done = 0;
   std::map<std::string, FeatureExtractor> extractors;
   for (const std::string detector : {"SIFT", "ORB"}) {
@@ -210,36 +209,34 @@ void study_keypoints(const Arguments& arguments, Study* study) {
     options.detector = options.descriptor = detector;
     extractors.emplace(detector, options);
   }
-  for (const ShakenCamera& camera : cameras) {
-    for (const double scale : scales) {
-      for (const TimeNs exposure_ns : exposures_ns) {
-        for (std::size_t i = 0; i < views.size(); ++i) {
-          const Shot shot = take_shot(camera, trace, scale, exposure_ns, views[i], photographs);
-          PipelineOptions options;
-          options.motion_from_images = false;  // frames are not consecutive
-          Pipeline pipeline(options);
-          pipeline.set_calibration(shot.simulator.scene().camera.calibration);
-          PipelineRequest request;
-          request.keypoints = false;
-          // A view in one light, all lights in turn: those of a camera, strength and exposure have four of each.
-          const std::size_t light = (i + i / kLights.size() + done) % kLights.size();
-          const cv::Mat blurred = lit(shot.blurred, kLights[light], 1 + i);
-          const cv::Mat truth = lit(shot.sharp, {"", kLights[light].contrast, 0}, 1);
-          const PipelineResult result =
-              pipeline.process(blurred, PixelLayout::GRAY, shot.rotation, shot.simulator.exposure(0), request);
-          for (auto& [detector, extractor] : extractors) {
-            const Features sharp = extractor.extract(truth);
-            for (const bool deblurred : {false, true}) {
-              if (deblurred && result.image.empty()) continue;
-              const cv::Mat& image = deblurred ? result.image : blurred;
-              const FrameBlur field = deblurred ? result.field : as_blurred(result.field);
-              const Features found = extractor.extract(image);
-              add_keypoints(detector, light, image, field, found, rectified(found, field, shot), sharp, study);
-            }
+  for (const double scale : scales) {
+    for (const TimeNs exposure_ns : exposures_ns) {
+      for (std::size_t i = 0; i < views.size(); ++i) {
+        const Shot shot = take_shot(kVga, trace, scale, exposure_ns, views[i], photographs);
+        PipelineOptions options;
+        options.motion_from_images = false;  // frames are not consecutive
+        Pipeline pipeline(options);
+        pipeline.set_calibration(shot.simulator.scene().camera.calibration);
+        PipelineRequest request;
+        request.keypoints = false;
+        // A view in one light, all lights in turn: those of a strength and an exposure have four of each.
+        const std::size_t light = (i + i / kLights.size() + done) % kLights.size();
+        const cv::Mat blurred = lit(shot.blurred, kLights[light], 1 + i);
+        const cv::Mat truth = lit(shot.sharp, {"", kLights[light].contrast, 0}, 1);
+        const PipelineResult result =
+            pipeline.process(blurred, PixelLayout::GRAY, shot.rotation, shot.simulator.exposure(0), request);
+        for (auto& [detector, extractor] : extractors) {
+          const Features sharp = extractor.extract(truth);
+          for (const bool deblurred : {false, true}) {
+            if (deblurred && result.image.empty()) continue;
+            const cv::Mat& image = deblurred ? result.image : blurred;
+            const FrameBlur field = deblurred ? result.field : as_blurred(result.field);
+            const Features found = extractor.extract(image);
+            add_keypoints(detector, light, image, field, found, rectified(found, field, shot), sharp, study);
           }
         }
-        progress.done(++done);
       }
+      progress.done(++done);
     }
   }
 }
@@ -349,7 +346,7 @@ int main_of(int argc, char** argv) {
   app.add_option("--out", arguments.output, "folder for the tables, and for all points");
   app.add_option("--data", arguments.data, "recorded data, with handshake_gyro/ and trajectories/");
   app.add_option("--seed", arguments.seed, "of the times and views [1]")->check(CLI::Range(1, 1000));
-  app.add_flag("--quick", arguments.quick, "eight views of one camera, at one strength, and one flight");
+  app.add_flag("--quick", arguments.quick, "eight views, at one strength, and one flight");
   app.add_flag("--quiet", arguments.quiet, "no progress");
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }

@@ -8,6 +8,8 @@
 
 #include <Eigen/Dense>
 
+#include "gyro_deblur/keypoints.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -70,6 +72,10 @@ Eigen::Matrix2d texture_of(const cv::Mat& image, const Eigen::Vector2d& pixel_px
 
 }  // namespace
 
+const PointErrors kBlobErrors{3.2, 0.039, 0.033, 0.137, 0.088, 3.0, 0.021, 0};
+const PointErrors kCornerErrors{5.8, 0.051, 0.050, 0.156, 0.122, 1.1, 0, 0.033};
+const PointErrors kTrackErrors{2, 0.02, 0.02, 0.2, 0.05, 4, 0.05, 0};
+
 PointCovariance::PointCovariance(const cv::Mat& luminance, const FrameBlur& field)
     : luminance_(luminance), field_(field) {
   if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
@@ -78,8 +84,9 @@ PointCovariance::PointCovariance(const cv::Mat& luminance, const FrameBlur& fiel
   }
 }
 
-Eigen::Matrix2d PointCovariance::of_keypoint(const Eigen::Vector2d& pixel_px, double radius_px) const {
-  return at(pixel_px, radius_px, kKeypointErrors);
+Eigen::Matrix2d PointCovariance::of_keypoint(const cv::KeyPoint& keypoint, const std::string& detector) const {
+  return at({keypoint.pt.x, keypoint.pt.y}, corner_radius_px(keypoint, detector),
+            detector == "SIFT" || detector == "AKAZE" ? kBlobErrors : kCornerErrors);
 }
 
 Eigen::Matrix2d PointCovariance::of_track(const Eigen::Vector2d& pixel_px, int window_px) const {
@@ -87,27 +94,27 @@ Eigen::Matrix2d PointCovariance::of_track(const Eigen::Vector2d& pixel_px, int w
 }
 
 Eigen::Matrix2d PointCovariance::at(const Eigen::Vector2d& pixel_px, double radius_px,
-                                    const PointErrorFactors& factors) const {
+                                    const PointErrors& errors) const {
   const BlockBlur& block = field_.blocks[static_cast<std::size_t>(field_.grid.index_at(pixel_px.x(), pixel_px.y()))];
   if (!field_.noise || block.status == BlockStatus::NO_GYRO) {
     return Eigen::Vector2d::Constant(std::numeric_limits<double>::infinity()).asDiagonal();
   }
+  const auto squared = [](double value) { return value * value; };
   const bool deblurred = block.status == BlockStatus::DEBLURRED;
-  const double gain = deblurred ? block.noise_gain : 1;
-  const double variance = std::max(*field_.noise * *field_.noise * gain, kRoundingVariance);
+  const double variance = std::max(squared(*field_.noise) * (deblurred ? block.noise_gain : 1), kRoundingVariance);
   const Eigen::Matrix2d identity = Eigen::Matrix2d::Identity();
   const Eigen::Matrix2d information =
-      texture_of(luminance_, pixel_px, radius_px, variance) + variance / (radius_px * radius_px) * identity;
-  Eigen::Matrix2d covariance = factors.noise * factors.noise * variance * information.inverse();
+      texture_of(luminance_, pixel_px, radius_px, variance) + variance / squared(radius_px) * identity;
+  Eigen::Matrix2d covariance = squared(errors.noise) * variance * information.inverse();
 
   const double extent_px = block.extent_px;
-  const double along_px = deblurred ? factors.deblurred * extent_px
-                                    : factors.blurred * extent_px * extent_px / (extent_px + factors.blurred_from_px);
+  const double length_px = deblurred ? extent_px : squared(extent_px) / (extent_px + errors.from_px);
+  const double along_px = length_px * (deblurred ? errors.deblurred_along : errors.blurred_along);
+  const double across_px = length_px * (deblurred ? errors.deblurred_across : errors.blurred_across);
   const Eigen::Vector2d line(std::cos(block.angle_rad), std::sin(block.angle_rad));
-  covariance += along_px * along_px * line * line.transpose();
+  covariance += squared(across_px) * identity + (squared(along_px) - squared(across_px)) * line * line.transpose();
   covariance += covariance_of_moving(block, to_seconds(field_.exposure_ns));
-  const double least_px = factors.of_radius * radius_px;
-  return covariance + least_px * least_px * identity;
+  return covariance + (squared(errors.least_px) + squared(errors.of_radius * radius_px)) * identity;
 }
 
 Eigen::Matrix2d covariance_of_moving(const BlockBlur& block, double seconds) {

@@ -60,7 +60,7 @@ std::vector<Eigen::Matrix2d> covariances(const cv::Mat& luminance, const std::st
   for (std::size_t i = 0; i < result.points.size(); ++i) {
     const cv::KeyPoint& keypoint = result.features.keypoints[i];
     const Eigen::Vector2d pixel_px(keypoint.pt.x, keypoint.pt.y);
-    of_points.push_back(covariance.of_keypoint(pixel_px, corner_radius_px(keypoint, detector)));
+    of_points.push_back(covariance.of_keypoint(keypoint, detector));
     if (!result.points[i].rectified) continue;
     const BlockBlur& block = result.field.blocks[result.field.grid.index_at(pixel_px.x(), pixel_px.y())];
     of_points.back() += covariance_of_moving(block, to_seconds(result.reference_ns - exposure.middle(pixel_px.y())));

@@ -49,7 +49,7 @@ cv::Mat upright_edge() {
 }
 
 Eigen::Matrix2d of_keypoint(const cv::Mat& image, const FrameBlur& field, const Eigen::Vector2d& pixel_px = kMiddle) {
-  return PointCovariance(image, field).of_keypoint(pixel_px, kRadiusPx);
+  return PointCovariance(image, field).at(pixel_px, kRadiusPx, kBlobErrors);
 }
 
 /// What noise makes of a covariance when it grows from `less` to `more`; everything else goes out.
@@ -77,8 +77,9 @@ TEST(PointCovariance, GrowsWithTheVarianceOfNoiseAndFallsWithThatOfContrast) {
 
 TEST(PointCovariance, IsInverseToTheGradientsSquares) {
   // Of a bump the sum of squares is pi contrast^2 b / (2 a) along a, and the other way round.
-  const Eigen::Matrix2d covariance = of_noise(bump(200, 2, 1.5), 0.5, 1);
-  EXPECT_NEAR(covariance(0, 0) / covariance(1, 1), (2 / 1.5) * (2 / 1.5), 0.15);
+  const Eigen::Matrix2d covariance = of_noise(bump(200, 2.5, 2), 0.5, 1);
+  // Differences of pixels two apart see somewhat less of the steeper side.
+  EXPECT_NEAR(covariance(0, 0) / covariance(1, 1), 1.25 * 1.25, 0.12);
 }
 
 TEST(PointCovariance, IsLongAlongAnEdge) {
@@ -183,7 +184,7 @@ TEST(PointCovariance, IsPositiveDefiniteEverywhere) {
       const PointCovariance covariance(image, field);
       for (const double x : {-3.0, 0.0, 1.4, 64.0, 127.9, 128.0, 140.0}) {
         for (const double radius_px : {0.5, 2.0, 20.0, 100.0}) {
-          EXPECT_TRUE(is_positive_definite(covariance.of_keypoint({x, 128 - x}, radius_px)))
+          EXPECT_TRUE(is_positive_definite(covariance.at({x, 128 - x}, radius_px, kCornerErrors)))
               << to_string(status) << ' ' << extent_px << ' ' << x << ' ' << radius_px;
         }
         EXPECT_TRUE(is_positive_definite(covariance.of_track({x, 128 - x}, 21)));

@@ -77,8 +77,7 @@ TEST(Pipeline, SaysHowExactlyKeypointsArePlaced) {
         sum_px2 += covariance_px2.trace();
         // A global shutter moves nothing, and a pan has no residual velocity: it is that of the point as detected.
         const PointCovariance covariance(result.image, result.field);
-        EXPECT_TRUE(covariance_px2.isApprox(
-            covariance.of_keypoint({keypoint.pt.x, keypoint.pt.y}, corner_radius_px(keypoint, "ORB"))));
+        EXPECT_TRUE(covariance_px2.isApprox(covariance.of_keypoint(keypoint, "ORB")));
       }
       sum_px2 /= static_cast<double>(result.points.size());
       EXPECT_GT(sum_px2, before_px2);
