@@ -284,7 +284,7 @@ void add_tracks(const Footage& footage, const Light& light, std::size_t light_in
         sample.by_noise_px2 = own_px2[1] + from_px2[1];
         sample.by_motion_px2 = own_px2[2] + from_px2[2];
         // Not this point any more: tracks that left it are outliers to any estimator.
-        constexpr double kLostPx = 10;
+        constexpr double kLostPx = 5;
         if (sample.error_px.norm() < kLostPx && sample.covariance_px2.allFinite()) study->add(sample);
       };
       Seen seen;
@@ -311,7 +311,7 @@ void study_tracks(const Arguments& arguments, Study* study) {
   std::vector<test::RecordedFlight> flights = test::recorded_flights();
   std::vector<std::pair<TimeNs, double>> ways{{10'000'000, 1}, {20'000'000, 1}, {30'000'000, 1}, {30'000'000, 1.7}};
   double seconds = 6;
-  if (arguments.quick) flights.resize(1), ways.resize(3), seconds = 4;
+  if (arguments.quick) flights.resize(1), ways.resize(2), seconds = 3;
   Progress progress(flights.size() * ways.size(), "flights", arguments.quiet);
   std::size_t done = 0;
   for (test::RecordedFlight flight : flights) {

@@ -52,7 +52,8 @@ class PointCovariance {
   /// @param keypoint  in pixels of the image
   Eigen::Matrix2d of_keypoint(const cv::KeyPoint& keypoint, const std::string& detector) const;
 
-  /// Of a corner that was followed from image to image, against where the scene point is that it was found on.
+  /// Of a corner that was followed from image to image, against where the scene point is that it was found on, as many
+  /// as ten images ago. From one image to the next it errs far less.
   /// @param window_px  side of the patch that is compared
   Eigen::Matrix2d of_track(const Eigen::Vector2d& pixel_px, int window_px) const;
 

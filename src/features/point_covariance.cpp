@@ -72,9 +72,9 @@ Eigen::Matrix2d texture_of(const cv::Mat& image, const Eigen::Vector2d& pixel_px
 
 }  // namespace
 
-const PointErrors kBlobErrors{3.2, 0.039, 0.033, 0.137, 0.088, 3.0, 0.021, 0};
-const PointErrors kCornerErrors{5.8, 0.051, 0.050, 0.156, 0.122, 1.1, 0, 0.033};
-const PointErrors kTrackErrors{2, 0.02, 0.02, 0.2, 0.05, 4, 0.05, 0};
+const PointErrors kBlobErrors{3.0, 0.038, 0.032, 0.144, 0.092, 3.2, 0.024, 0};
+const PointErrors kCornerErrors{5.6, 0.048, 0.045, 0.158, 0.118, 1.1, 0, 0.036};
+const PointErrors kTrackErrors{1.65, 0.032, 0.027, 0.041, 0.033, 0.1, 0.284, 0};
 
 PointCovariance::PointCovariance(const cv::Mat& luminance, const FrameBlur& field)
     : luminance_(luminance), field_(field) {
