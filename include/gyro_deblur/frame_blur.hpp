@@ -102,6 +102,8 @@ struct BlockBlur {
   std::optional<ResidualVelocity> residual = std::nullopt;
   /// See KernelBank::choose(); 0 where it is not known.
   float noise_to_texture = 0;
+  /// Variance of the noise that filtering leaves over that before, see FilterChoice; 1 where it is not known.
+  float noise_gain = 1;
 
   /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
   /// point towards the middle of the line that it stands for, the farther the longer it is, the kernel of an uneven

@@ -57,6 +57,8 @@ struct FilterChoice {
   /// Of the error that blur makes, the share that is expected to be removed, less what is added of noise; at most 1.
   /// Below 0 filtering does harm. Noise that is smoothed away counts for nothing.
   double gain = 1;
+  /// Variance of white noise after filtering over that before: the integral over f of |W|^2, see KernelBank::choose().
+  double noise_gain = 1;
 };
 
 /// Kernels by extent in steps of kExtentStepPx, and by gamma, computed on first use and kept. Thread-safe.

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include <Eigen/Core>
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/blur_field.hpp"
@@ -64,8 +65,9 @@ struct PipelineResult {
   /// told then. A mosaic's is BGR, except when all rows were exposed around the reference time: then it is `image`, or
   /// the input, itself, and shares its memory.
   cv::Mat global_shutter;
-  Features features;                   ///< in pixels of the image as it arrived
-  std::vector<RectifiedPoint> points;  ///< one for each of features.keypoints
+  Features features;                             ///< in pixels of the image as it arrived
+  std::vector<RectifiedPoint> points;            ///< one for each of features.keypoints
+  std::vector<Eigen::Matrix2d> covariances_px2;  ///< of points[].rectified_px, see PointCovariance
   /// Why there are no keypoints though they were requested, such as a detector that OpenCV does not have; else empty.
   std::string keypoints_text;
   int significant_bits = 8;  ///< of the image that came in, see BitDepth

@@ -151,6 +151,19 @@ std::vector<std::string> available_detectors() { return available({"SIFT", "ORB"
 
 std::vector<std::string> available_descriptors() { return available({"SIFT", "ORB", "AKAZE", "BRISK", "NONE"}); }
 
+double corner_radius_px(const cv::KeyPoint& keypoint, const std::string& detector) {
+  // Of FAST's circle and Harris's window of 7 px, at the scale at which ORB (31 px) and BRISK (12 px) look.
+  constexpr double kCornerPx = 3.5, kOrbSizePx = 31, kBriskSizePx = 12;
+  // 3x3 windows of differences that reach a pixel farther.
+  constexpr double kGfttPx = 2.5;
+  if (detector == "ORB") return kCornerPx * keypoint.size / kOrbSizePx;
+  if (detector == "BRISK") return kCornerPx * keypoint.size / kBriskSizePx;
+  if (detector == "FAST") return kCornerPx;
+  if (detector == "GFTT") return kGfttPx;
+  // Twice the scale of a blob, half of its size: a blob ends at 1.4 times its scale, and its neighbourhood counts.
+  return keypoint.size;
+}
+
 FeatureExtractor::FeatureExtractor(const KeypointOptions& options) : options_(options) {
   options_.validate();
   const bool has_grid = options_.grid_cols * options_.grid_rows > 1;

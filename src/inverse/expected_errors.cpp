@@ -62,6 +62,7 @@ FilterChoice ExpectedErrors::least(double extent_px, double noise_to_texture) co
     chosen = error;
     choice.gamma_doublings = static_cast<int>(i);
   }
+  choice.noise_gain = chosen.noise;
   const double blurred = between(shorter.blurred, longer.blurred);
   choice.gain = 1 - (chosen.texture + noise_to_texture * std::max(0.0, chosen.noise - 1)) / blurred;
   return choice;

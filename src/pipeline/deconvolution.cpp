@@ -199,7 +199,9 @@ void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& fi
     // Without any texture no filter gains.
     constexpr double kMinTexture = 1e-4;
     block.noise_to_texture = static_cast<float>(kNoiseWeight * variance / std::max(texture, kMinTexture));
-    if (bank.choose(block.extent_px, block.noise_to_texture).gain < 0) block.status = BlockStatus::NOISY;
+    const FilterChoice choice = bank.choose(block.extent_px, block.noise_to_texture);
+    block.noise_gain = static_cast<float>(choice.noise_gain);
+    if (choice.gain < 0) block.status = BlockStatus::NOISY;
   });
 }
 

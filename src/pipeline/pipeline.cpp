@@ -9,6 +9,7 @@
 #include "gyro_deblur/blur_validation.hpp"
 #include "gyro_deblur/image_noise.hpp"
 #include "gyro_deblur/image_rectification.hpp"
+#include "gyro_deblur/point_covariance.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -42,6 +43,23 @@ std::vector<Eigen::Vector2d> positions(const std::vector<cv::KeyPoint>& keypoint
   points.reserve(keypoints.size());
   for (const cv::KeyPoint& keypoint : keypoints) points.emplace_back(keypoint.pt.x, keypoint.pt.y);
   return points;
+}
+
+/// Of a result's rectified points. @param luminance  as it leaves
+std::vector<Eigen::Matrix2d> covariances(const cv::Mat& luminance, const std::string& detector,
+                                         const RowExposure& exposure, const PipelineResult& result) {
+  const PointCovariance covariance(luminance, result.field);
+  std::vector<Eigen::Matrix2d> of_points;
+  of_points.reserve(result.points.size());
+  for (std::size_t i = 0; i < result.points.size(); ++i) {
+    const cv::KeyPoint& keypoint = result.features.keypoints[i];
+    const Eigen::Vector2d pixel_px(keypoint.pt.x, keypoint.pt.y);
+    of_points.push_back(covariance.of_keypoint(keypoint, detector));
+    if (!result.points[i].rectified) continue;
+    const BlockBlur& block = result.field.blocks[result.field.grid.index_at(pixel_px.x(), pixel_px.y())];
+    of_points.back() += covariance_of_moving(block, to_seconds(result.reference_ns - exposure.middle(pixel_px.y())));
+  }
+  return of_points;
 }
 
 /// Stands in for a motion that is not known: velocities beside it are the whole of it.
@@ -175,7 +193,13 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     }
     result.field.noise = options_.noise.is_known() ? image_noise(luminance, options_.noise) : found_noise;
     result.field.contrast = image_contrast(image, layout, result.significant_bits);
-    if (weighs) weigh_noise(luminance, *bank_, result.field, options_.threads);
+    if (weighs) {
+      weigh_noise(luminance, *bank_, result.field, options_.threads);
+    } else {
+      for (BlockBlur& block : result.field.blocks) {
+        block.noise_gain = static_cast<float>(bank_->choose(block.extent_px, 0).noise_gain);
+      }
+    }
     result.times.noise_ms += watch.ms();
   }
 
@@ -216,6 +240,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   extract(luminance, &result);
   result.points = rectify_points(positions(result.features.keypoints), result.field, *camera_, known, exposure,
                                  result.reference_ns);
+  result.covariances_px2 = covariances(luminance, options_.keypoints.detector, exposure, result);
   result.times.keypoints_ms = watch.ms();
   return result;
 }
@@ -263,6 +288,8 @@ PipelineResult Pipeline::detect(const cv::Mat& image, PixelLayout layout, TimeNs
     point.normalized = Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
     if (camera) point.normalized = camera->normalized(camera->ray(pixel_px));
     result.points.push_back(point);
+    // Nobody knows how blurred the image is.
+    result.covariances_px2.push_back(Eigen::Vector2d::Constant(std::numeric_limits<double>::infinity()).asDiagonal());
   }
   result.times.keypoints_ms = watch.ms();
   return result;

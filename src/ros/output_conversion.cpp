@@ -111,6 +111,10 @@ KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions&
     to.rectified_y = static_cast<float>(point.rectified_px.y());
     to.normalized_x = static_cast<float>(point.normalized.x());
     to.normalized_y = static_cast<float>(point.normalized.y());
+    const Eigen::Matrix2d& covariance_px2 = result.covariances_px2[i];
+    to.covariance_xx = static_cast<float>(covariance_px2(0, 0));
+    to.covariance_xy = static_cast<float>(covariance_px2(0, 1));
+    to.covariance_yy = static_cast<float>(covariance_px2(1, 1));
     to.size = from.size;
     to.angle = from.angle;
     to.response = from.response;
@@ -132,16 +136,20 @@ KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions&
   return message;
 }
 
-sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const std_msgs::Header& header) {
+sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const PointCovariance& covariance,
+                                      int window_px, const std_msgs::Header& header) {
   auto message = boost::make_shared<sensor_msgs::PointCloud>();
   message->header = header;
-  message->channels.resize(5);
-  enum Channel : std::size_t { ID, U, V, VELOCITY_X, VELOCITY_Y };
+  enum Channel : std::size_t { ID, U, V, VELOCITY_X, VELOCITY_Y, COVARIANCE_UU, COVARIANCE_UV, COVARIANCE_VV, COUNT };
+  message->channels.resize(COUNT);
   message->channels[ID].name = "id_of_point";
   message->channels[U].name = "u_of_point";
   message->channels[V].name = "v_of_point";
   message->channels[VELOCITY_X].name = "velocity_x_of_point";
   message->channels[VELOCITY_Y].name = "velocity_y_of_point";
+  message->channels[COVARIANCE_UU].name = "covariance_uu_of_point";
+  message->channels[COVARIANCE_UV].name = "covariance_uv_of_point";
+  message->channels[COVARIANCE_VV].name = "covariance_vv_of_point";
   const auto add = [&message](Channel channel, double value) {
     message->channels[channel].values.push_back(static_cast<float>(value));
   };
@@ -157,6 +165,10 @@ sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const st
     add(V, track.pixel_px.y());
     add(VELOCITY_X, track.velocity_1_s.x());
     add(VELOCITY_Y, track.velocity_1_s.y());
+    const Eigen::Matrix2d covariance_px2 = covariance.of_track(track.pixel_px, window_px);
+    add(COVARIANCE_UU, covariance_px2(0, 0));
+    add(COVARIANCE_UV, covariance_px2(0, 1));
+    add(COVARIANCE_VV, covariance_px2(1, 1));
   }
   return message;
 }

@@ -121,7 +121,8 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
     start = std::chrono::steady_clock::now();
     tracker->set_options(assembled.tracker_options);
     output->tracks =
-        to_message(tracker->track(result.luminance, Camera(*frame.calibration), rotation, *assembled.exposure), header);
+        to_message(tracker->track(result.luminance, Camera(*frame.calibration), rotation, *assembled.exposure),
+                   PointCovariance(result.luminance, result.field), assembled.tracker_options.window_px, header);
     output->tracks_ms = elapsed_ms(start);
   }
 

@@ -109,6 +109,22 @@ TEST(FeatureExtractor, RefusesUnknownNamesAndListsTheKnown) {
   EXPECT_THROW(FeatureExtractor(options_of("ORB", "ORB", 0)), OptionError);
 }
 
+// However large a detector calls them, keypoints of the finest scale are placed by a few pixels, and those of a scale k
+// times as coarse by a patch k times as large.
+TEST(FeatureExtractor, RadiusOfACornerIsThatOfItsScale) {
+  const cv::Mat image = test::textured_image(320, 240, 5);
+  for (const std::string& detector : kDetectors) {
+    double least_px = 1e3;
+    for (const cv::KeyPoint& keypoint : FeatureExtractor(options_of(detector, "NONE")).extract(image).keypoints) {
+      const double radius_px = corner_radius_px(keypoint, detector);
+      least_px = std::min(least_px, radius_px);
+      if (detector == "ORB") EXPECT_NEAR(radius_px, 3.5 * std::pow(1.2, keypoint.octave), 1e-3);
+    }
+    EXPECT_GT(least_px, 1.5) << detector;
+    EXPECT_LT(least_px, 6) << detector;
+  }
+}
+
 TEST(FeatureExtractor, KeepsTheStrongest) {
   const cv::Mat image = test::textured_image(320, 240, 5);
   for (const std::string& detector : kDetectors) {

@@ -49,6 +49,7 @@ TEST(ExpectedErrors, AreThoseOfTheKernels) {
       EXPECT_NEAR(choice.gain, 1 - (chosen.texture + noise_to_texture * std::max(0.0, chosen.noise - 1)) / blurred,
                   0.05)
           << extent_px << ' ' << noise_to_texture;
+      EXPECT_NEAR(choice.noise_gain, chosen.noise, 0.05 * chosen.noise) << extent_px << ' ' << noise_to_texture;
       // No other gamma is better by more than what the taps' limited number makes.
       for (int doublings = 0; doublings <= 7; ++doublings) {
         const Left other = left_by(extent_px, doublings);

@@ -210,6 +210,35 @@ TEST(WeighNoise, GainsInLowLightWhereGammaAsItIsLoses) {
   }
 }
 
+// Along an axis the filter has the taps of its kernel; between two, interpolation smooths noise besides.
+TEST(WeighNoise, SaysWhatFilteringMakesOfNoise) {
+  constexpr double kNoise = 3;
+  const cv::Mat light = test::textured_image(400, 300, 11);
+  for (const double extent_px : {6.0, 15.0, 30.0}) {
+    cv::Mat wide;
+    light.convertTo(wide, CV_64F, 0.5, 60);
+    const cv::Mat clean = test::expose(test::blur_along_line(wide, 0, extent_px), 0, 5),
+                  noisy = test::expose(test::blur_along_line(wide, 0, extent_px), kNoise, 5);
+    const FrameBlur field = uniform_blur_field(noisy.cols, noisy.rows, 0, extent_px, {});
+    const KernelBank bank{KernelOptions{}};
+    FrameBlur weighed = field;
+    weighed.noise = kNoise;
+    weigh_noise(noisy, bank, weighed);
+    cv::Mat of_clean, of_noisy, difference;
+    deconvolve(clean, PixelLayout::GRAY, weighed, bank, *make_engine("cpu"), of_clean);
+    deconvolve(noisy, PixelLayout::GRAY, weighed, bank, *make_engine("cpu"), of_noisy);
+    cv::subtract(of_noisy, of_clean, difference, cv::noArray(), CV_64F);
+    for (int i = 0; i < field.grid.size(); ++i) {
+      const cv::Rect rect = field.grid.rect(i);
+      if (weighed.blocks[i].status != BlockStatus::DEBLURRED || rect.x < 64 || rect.br().x > 336) continue;
+      cv::Scalar mean, stddev;
+      cv::meanStdDev(difference(rect), mean, stddev);
+      EXPECT_NEAR(stddev[0] / kNoise, std::sqrt(weighed.blocks[i].noise_gain), 0.1 * stddev[0] / kNoise)
+          << extent_px << ' ' << i;
+    }
+  }
+}
+
 TEST(WeighNoise, LeavesAloneWhatItWouldSpoilAndDoesNotGrainWhatIsFlat) {
   // Texture on the left, nothing on the right.
   cv::Mat light(256, 512, CV_64F, cv::Scalar(120));

@@ -11,6 +11,7 @@
 #include <Eigen/Geometry>
 
 #include "analytic_motion.hpp"
+#include "gyro_deblur/point_covariance.hpp"
 #include "panning_camera.hpp"
 #include "synthetic_blur.hpp"
 
@@ -72,6 +73,38 @@ TEST(Pipeline, FrameThatIsStoppedIsItsField) {
   EXPECT_TRUE(result.image.empty() && result.luminance.empty() && result.global_shutter.empty());
   EXPECT_TRUE(result.features.keypoints.empty());
   EXPECT_EQ(result.times.deconvolution_ms, 0);
+}
+
+// By rule FIXED as by rule NOISE; longer blur is less certain, of the same corners or others.
+TEST(Pipeline, SaysHowExactlyKeypointsArePlaced) {
+  for (const GammaRule rule : {GammaRule::NOISE, GammaRule::FIXED}) {
+    PipelineOptions fixed = options();
+    fixed.kernel.gamma_rule = rule;
+    Pipeline p(fixed);
+    p.set_calibration(test::small_camera());
+    double before_px2 = 0;
+    for (const double extent_px : {5.0, 20.0}) {
+      const PipelineResult result =
+          p.process(blurred_image(extent_px), PixelLayout::GRAY, pan(rate_for(extent_px)), global_shutter(), {});
+      ASSERT_EQ(result.covariances_px2.size(), result.features.keypoints.size());
+      double sum_px2 = 0;
+      for (std::size_t i = 0; i < result.points.size(); ++i) {
+        const cv::KeyPoint& keypoint = result.features.keypoints[i];
+        const Eigen::Matrix2d& covariance_px2 = result.covariances_px2[i];
+        EXPECT_GT(covariance_px2.determinant(), 0);
+        sum_px2 += covariance_px2.trace();
+        // A global shutter moves nothing, and a pan has no residual velocity: it is that of the point as detected.
+        const PointCovariance covariance(result.image, result.field);
+        EXPECT_TRUE(covariance_px2.isApprox(covariance.of_keypoint(keypoint, "ORB")));
+      }
+      sum_px2 /= static_cast<double>(result.points.size());
+      EXPECT_GT(sum_px2, before_px2);
+      before_px2 = sum_px2;
+      for (const BlockBlur& block : result.field.blocks) {
+        if (block.status == BlockStatus::DEBLURRED) EXPECT_NE(block.noise_gain, 1);
+      }
+    }
+  }
 }
 
 TEST(Pipeline, SharpensABlurredFrame) {
@@ -318,6 +351,7 @@ TEST(Pipeline, LeavesTheImageEmptyWhenNothingWasChanged) {
   EXPECT_EQ(result.field.count(BlockStatus::NO_GYRO), 20u);
   EXPECT_TRUE(result.image.empty());
   EXPECT_FALSE(result.features.keypoints.empty());
+  for (const Eigen::Matrix2d& covariance_px2 : result.covariances_px2) EXPECT_TRUE(std::isinf(covariance_px2(1, 1)));
   // Too fast.
   result = p.process(sharp, PixelLayout::GRAY, pan(rate_for(250)), global_shutter(), {});
   EXPECT_EQ(result.field.count(BlockStatus::TOO_LARGE), 20u);

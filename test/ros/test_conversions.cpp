@@ -259,6 +259,8 @@ TEST(KeypointMessage, DescriptorsKeepTheirBytes) {
   result.points[0].deblurred = result.points[0].rectified = true;
   result.points[1].rectified_px = {1, 2};
   result.points[1].normalized = {0, 0};
+  result.covariances_px2.resize(2, Eigen::Matrix2d::Identity());
+  result.covariances_px2[0] << 0.5, -0.125, -0.125, 0.25;
   KeypointOptions options;
   const auto message = to_message(result, options, std_msgs::Header());
   EXPECT_EQ(to_time_ns(message->reference_time), 3 * kSecond);
@@ -269,6 +271,10 @@ TEST(KeypointMessage, DescriptorsKeepTheirBytes) {
   EXPECT_EQ(first.rectified_x, 11);
   EXPECT_EQ(first.normalized_y, -0.25f);
   EXPECT_EQ(first.octave, 2);
+  EXPECT_EQ(first.covariance_xx, 0.5f);
+  EXPECT_EQ(first.covariance_xy, -0.125f);
+  EXPECT_EQ(first.covariance_yy, 0.25f);
+  EXPECT_EQ(message->keypoints[1].covariance_yy, 1.f);
   EXPECT_TRUE(first.rectified);
   EXPECT_FALSE(message->keypoints[1].rectified);
   EXPECT_EQ(message->descriptor_type, KeypointArray::DESCRIPTOR_FLOAT32);
@@ -417,7 +423,8 @@ TEST(Parameters, AreReadByTheTypeThatDynamicReconfigureHas) {
   EXPECT_FALSE(values.hasMember("absent")) << "reading adds nothing";
 }
 
-// Field by field what VINS-Mono's estimator reads: points (x, y, 1), then by position id, u, v and the velocities.
+// Field by field what VINS-Mono's estimator reads: points (x, y, 1), then by position id, u, v and the velocities. It
+// does not read what comes after these.
 TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
   std::vector<Track> tracks(3);
   tracks[0].id = 16'777'215;  // the largest
@@ -432,16 +439,28 @@ TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
   std_msgs::Header header;
   header.stamp = to_ros_time(12 * kSecond + 345);
   header.frame_id = kCameraFrame;
-  const sensor_msgs::PointCloudPtr message = to_message(tracks, header);
+  cv::Mat luminance(70, 100, CV_8UC1);
+  cv::RNG(1).fill(luminance, cv::RNG::UNIFORM, 0, 256);
+  FrameBlur field = example_field();
+  field.noise = 2;
+  const PointCovariance covariance(luminance, field);
+  constexpr int kWindowPx = 21;
+  const sensor_msgs::PointCloudPtr message = to_message(tracks, covariance, kWindowPx, header);
   EXPECT_EQ(message->header.stamp, header.stamp);
   EXPECT_EQ(message->header.frame_id, kCameraFrame);
   ASSERT_EQ(message->points.size(), 2u);
-  ASSERT_EQ(message->channels.size(), 5u);
-  const std::vector<std::pair<std::string, std::vector<float>>> expected{{"id_of_point", {16'777'215.f, 7}},
-                                                                         {"u_of_point", {100.25f, 0}},
-                                                                         {"v_of_point", {50.5f, 0}},
-                                                                         {"velocity_x_of_point", {0.5f, 0}},
-                                                                         {"velocity_y_of_point", {-1.5f, 0}}};
+  const Eigen::Matrix2f first = covariance.of_track(tracks[0].pixel_px, kWindowPx).cast<float>(),
+                        last = covariance.of_track(tracks[2].pixel_px, kWindowPx).cast<float>();
+  const std::vector<std::pair<std::string, std::vector<float>>> expected{
+      {"id_of_point", {16'777'215.f, 7}},
+      {"u_of_point", {100.25f, 0}},
+      {"v_of_point", {50.5f, 0}},
+      {"velocity_x_of_point", {0.5f, 0}},
+      {"velocity_y_of_point", {-1.5f, 0}},
+      {"covariance_uu_of_point", {first(0, 0), last(0, 0)}},
+      {"covariance_uv_of_point", {first(0, 1), last(0, 1)}},
+      {"covariance_vv_of_point", {first(1, 1), last(1, 1)}}};
+  ASSERT_EQ(message->channels.size(), expected.size());
   for (std::size_t i = 0; i < expected.size(); ++i) {
     EXPECT_EQ(message->channels[i].name, expected[i].first);
     EXPECT_EQ(message->channels[i].values, expected[i].second) << expected[i].first;

@@ -536,7 +536,10 @@ TEST_F(NodeletTest, TracksGoOnFromFrameToFrame) {
   ASSERT_TRUE(mailbox_.wait([&] { return tracks.size() >= 3; }));
   EXPECT_TRUE(tracks[0]->points.empty()) << "nothing has been seen twice yet";
   ASSERT_FALSE(tracks[2]->points.empty());
-  ASSERT_EQ(tracks[2]->channels.size(), 5u);
+  ASSERT_EQ(tracks[2]->channels.size(), 8u);
+  for (const std::size_t variance : {5u, 7u}) {
+    for (const float value_px2 : tracks[2]->channels[variance].values) EXPECT_TRUE(value_px2 > 0 && value_px2 < 100);
+  }
   EXPECT_EQ(tracks[2]->header.frame_id, kCameraFrame);
   // The same image: the same corners, and perhaps some that were found later.
   const std::vector<float>&before = tracks[1]->channels[0].values, &after = tracks[2]->channels[0].values;

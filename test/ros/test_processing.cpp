@@ -158,7 +158,10 @@ TEST_F(ProcessingTest, BufferThatLostTheFrameIsSaidAtOnceWithBothRanges) {
   advance();
   expect_passed_through(0, PassThroughReason::NO_GYRO, "100.200000000");
   EXPECT_FALSE(outputs_[0].keypoints->keypoints.empty()) << "the image is as good as ever for raw keypoints";
-  for (const Keypoint& keypoint : outputs_[0].keypoints->keypoints) EXPECT_FALSE(keypoint.rectified);
+  for (const Keypoint& keypoint : outputs_[0].keypoints->keypoints) {
+    EXPECT_FALSE(keypoint.rectified);
+    EXPECT_TRUE(std::isinf(keypoint.covariance_xx) && std::isinf(keypoint.covariance_yy)) << "how blurred is unknown";
+  }
 }
 
 TEST_F(ProcessingTest, PartlyCoveredFrameIsProcessedWhereCovered) {
@@ -327,6 +330,11 @@ TEST_F(ProcessingTest, OnlyWhatIsAskedForIsMade) {
   EXPECT_EQ(outputs_[1].markers->markers[0].points.size(), 2 * outputs_[1].field->blocks.size());
   ASSERT_NE(outputs_[1].keypoints, nullptr);
   EXPECT_EQ(outputs_[1].keypoints->descriptor, "ORB");
+  for (const Keypoint& keypoint : outputs_[1].keypoints->keypoints) {
+    EXPECT_GT(keypoint.covariance_xx, 0);
+    EXPECT_LT(keypoint.covariance_xx + keypoint.covariance_yy, 100) << "[px^2] of a corner";
+    EXPECT_GT(keypoint.covariance_xx * keypoint.covariance_yy, keypoint.covariance_xy * keypoint.covariance_xy);
+  }
 }
 
 // The tracker needs gyroscope samples from the image before on; the frame itself is none the different for it.

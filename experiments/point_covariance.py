@@ -1,0 +1,75 @@
+#!/usr/bin/python3
+"""Plots what point_covariance --out wrote: errors squared over what was expected of them. --fit: the factors anew."""
+
+import argparse
+import csv
+import pathlib
+
+import matplotlib
+import numpy as np
+
+from common import fail, one_line_about
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen first)
+
+MIN_POINTS = 100  # for a mean square that is right within a seventh, were they independent
+STATUSES = {"DEBLURRED": "-", "SHARP": ":"}
+
+
+def read(path):
+    with open(path, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def plot(axes, rows, columns):
+    """Some columns over the extent, for each light, with a marker of its own for each column."""
+    lights = list(dict.fromkeys(row["light"] for row in rows))
+    for light, color in zip(lights, plt.get_cmap("viridis")(np.linspace(0, 0.85, len(lights)))):
+        for status, style in STATUSES.items():
+            bins = [row for row in rows if row["status"] == status and row["light"] == light
+                    and int(row["points in it"]) >= MIN_POINTS]
+            bins.sort(key=lambda row: float(row["mean extent [px]"]))
+            extents = [float(row["mean extent [px]"]) for row in bins]
+            for column, marker in columns.items():
+                axes.plot(extents, [float(row[column]) for row in bins], style, marker=marker, markersize=4,
+                          linewidth=0.7, color=color, fillstyle="none",
+                          label=light if status == "DEBLURRED" and marker == "o" else None)
+    axes.axhline(1, color="black", linewidth=0.7)
+    axes.axhspan(0.5, 2, color="black", alpha=0.06)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_ylim(0.05, 20)
+    axes.grid(alpha=0.3)
+
+
+def draw(folder):
+    rows = read(folder / "point_covariance.csv")
+    kinds = list(dict.fromkeys(row["points"] for row in rows))
+    figure, axes = plt.subplots(2, len(kinds), figsize=(4.2 * len(kinds), 7.5), sharex=True, sharey=True)
+    for column, kind in enumerate(kinds):
+        of_kind = [row for row in rows if row["points"] == kind]
+        plot(axes[0, column], of_kind, {"mean": "o", "median": "x"})
+        plot(axes[1, column], of_kind, {"along": "o", "across": "x"})
+        axes[0, column].set_title(kind, fontsize=10)
+        axes[1, column].set_xlabel("extent [px]: solid deblurred, dotted left blurred")
+    axes[0, 0].set_ylabel("squared error over expected: o mean, x median")
+    axes[1, 0].set_ylabel("squared error over expected: o along, x across")
+    axes[0, 0].legend(fontsize=7)
+    figure.tight_layout()
+    figure.savefig(folder / "point_covariance.png", dpi=90)
+    print(folder / "point_covariance.png")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=one_line_about(__doc__))
+    parser.add_argument("folder", type=pathlib.Path, help="that point_covariance --out wrote")
+    arguments = parser.parse_args()
+    path = arguments.folder / "point_covariance.csv"
+    if not path.is_file():
+        fail(f"there is no {path}")
+    draw(arguments.folder)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+#!/usr/bin/env python3
+"""point_covariance --quick: errors squared are what the covariances say, by extent and light; the plot."""
+
+import argparse
+import csv
+import pathlib
+import subprocess
+import sys
+import tempfile
+import unittest
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+SKIPPED = 77  # as ctest is told
+MIN_POINTS = 300
+arguments = None
+
+
+class Quick(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.temporary = tempfile.TemporaryDirectory()
+        cls.out = pathlib.Path(cls.temporary.name)
+        subprocess.run([arguments.program, "--quick", "--quiet", "--data", arguments.data, "--out", cls.out], check=True,
+                       stdout=subprocess.DEVNULL)
+        with open(cls.out / "point_covariance.csv", newline="", encoding="utf-8") as file:
+            cls.rows = [row for row in csv.DictReader(file) if int(row["points in it"]) >= MIN_POINTS]
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.temporary.cleanup()
+
+    def test_every_kind_of_point_has_bins_of_both_statuses(self):
+        for points in "SIFT", "ORB", "tracks since the image before", "tracks since first seen":
+            of_kind = [row for row in self.rows if row["points"] == points]
+            self.assertEqual({row["status"] for row in of_kind}, {"SHARP", "DEBLURRED"}, msg=points)
+            self.assertGreater(len({row["extent [px]"] for row in of_kind}), 2, msg=points)
+
+    def test_errors_are_what_covariances_say(self):
+        for row in self.rows:
+            self.assertLess(float(row["mean"]), 3, msg=row)
+            self.assertGreater(float(row["within 95 %"]), 0.75, msg=row)
+            if row["points"] != "tracks since the image before":  # they have not gone far from their corner by then
+                self.assertGreater(float(row["mean"]), 1 / 3, msg=row)
+
+    def test_plot_is_drawn(self):
+        subprocess.run(["/usr/bin/python3", ROOT / "experiments" / "point_covariance.py", self.out], check=True,
+                       stdout=subprocess.DEVNULL)
+        self.assertGreater((self.out / "point_covariance.png").stat().st_size, 1000)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("program")
+    parser.add_argument("data", type=pathlib.Path)
+    arguments = parser.parse_args()
+    if not all((arguments.data / name).exists() for name in ("handshake_gyro", "trajectories")):
+        print(f"skipped: there is no {arguments.data}/handshake_gyro or trajectories")
+        sys.exit(SKIPPED)
+    unittest.main(argv=sys.argv[:1])
