@@ -28,8 +28,8 @@ std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int 
 /// The same by the sensor's model, at the image's mean grey level. Precondition: luminance is CV_8UC1, not empty.
 double image_noise(const cv::Mat& luminance, const NoiseModel& model);
 
-/// Standard deviation of an image's grey levels [of 8 bits], noise included, of every eighth pixel either way of the
-/// same channel, or plane of a mosaic. Blur leaves nearly all of it. 0 of an image without pixels.
+/// Standard deviation of an image's grey levels [of 8 bits], noise included, of every sixteenth pixel either way of
+/// the same channel, or plane of a mosaic. Blur leaves nearly all of it. 0 of an image without pixels.
 double image_contrast(const cv::Mat& image, PixelLayout layout, int significant_bits = 16);
 
 }  // namespace gyro_deblur

@@ -210,23 +210,24 @@ std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int 
 }
 
 double image_contrast(const cv::Mat& image, PixelLayout layout, int significant_bits) {
-  constexpr int kStep = 8;
+  constexpr int kStep = 16;
   const Plane plane = green_plane(image, layout);
   const bool wide = image.depth() == CV_16U;
-  double sum = 0, squares = 0, count = 0;
+  std::int64_t sum = 0, squares = 0, samples = 0;
   for (int y = 0; y < plane.rows(); y += kStep / plane.step) {
     const int row = plane.first_y + y * plane.step;
     for (int x = 0; x < plane.cols(); x += kStep / plane.step) {
       const int i = (plane.first_x + x * plane.step) * image.channels() + plane.channel;
-      const double level = wide ? image.ptr<std::uint16_t>(row)[i] : image.ptr<std::uint8_t>(row)[i];
+      const std::int64_t level = wide ? image.ptr<std::uint16_t>(row)[i] : image.ptr<std::uint8_t>(row)[i];
       sum += level;
       squares += level * level;
-      count += 1;
+      ++samples;
     }
   }
-  if (count == 0) return 0;
+  if (samples == 0) return 0;
   const double full_scale = wide ? (1 << significant_bits) - 1 : 255;
-  return 255 / full_scale * std::sqrt(std::max(0.0, squares / count - sum / count * sum / count));
+  const double mean = static_cast<double>(sum) / samples, mean_of_squares = static_cast<double>(squares) / samples;
+  return 255 / full_scale * std::sqrt(std::max(0.0, mean_of_squares - mean * mean));
 }
 
 double image_noise(const cv::Mat& luminance, const NoiseModel& model) {

@@ -56,9 +56,15 @@ PlaneInverse at_half_size(PlaneInverse inverse) {
   return inverse;
 }
 
-void clear(cv::Size size, cv::Mat& sums) {
-  sums.create(size, CV_32F);
-  sums.setTo(0);
+/// A block and its neighbours in a grid.
+template <typename Use>
+void for_each_around(int block, const FilterGrid& grid, const Use& use) {
+  const int block_col = block % grid.cols(), block_row = block / grid.cols();
+  for (int row = std::max(block_row - 1, 0); row <= std::min(block_row + 1, grid.rows() - 1); ++row) {
+    for (int col = std::max(block_col - 1, 0); col <= std::min(block_col + 1, grid.cols() - 1); ++col) {
+      use(row * grid.cols() + col);
+    }
+  }
 }
 
 }  // namespace
@@ -150,11 +156,7 @@ void PlaneFilter::cut_cells(const FilterGrid& grid, const std::vector<int>& bloc
         add_cell(col, row, block, level == HALF ? 0.5f * extent_px : extent_px, level);
       }
     }
-    for (int row = std::max(block_row - 1, 0); row <= std::min(block_row + 1, grid.rows() - 1); ++row) {
-      for (int col = std::max(block_col - 1, 0); col <= std::min(block_col + 1, grid.cols() - 1); ++col) {
-        ++levels_[level].around[row * grid.cols() + col];
-      }
-    }
+    for_each_around(block, grid, [&](int neighbour) { ++levels_[level].around[neighbour]; });
   }
 }
 
@@ -171,7 +173,50 @@ PlaneFilter::Plan PlaneFilter::make_plan(int size, int largest_radix, int level)
   return plan;
 }
 
-void PlaneFilter::prepare_levels(const cv::Mat& src, int threads) {
+void PlaneFilter::clear_sums(const FilterGrid& grid, int threads, Level& level) {
+  const cv::Size size(level.across.length, level.down.length);
+  for (const int odd : {0, 1}) {
+    for (cv::Mat& sums : level.sums[odd]) sums.create(size, CV_32F);
+    if (!are_ones_) level.weights[odd].create(size, CV_32F);
+  }
+  // Windows end in blocks with a cell beside them, and these look so far beyond themselves (margins, and at half the
+  // size the low pass), which is into the next ones where all but those at the edges are as long.
+  constexpr int kLooksPx = 10;
+  const auto are_long = [](const std::vector<int>& borders) {
+    for (std::size_t i = 2; i + 1 < borders.size(); ++i) {
+      if (borders[i] - borders[i - 1] < kLooksPx) return false;
+    }
+    return true;
+  };
+  std::vector<char> is_seen(grid.blocks.size(), are_long(grid.x) && are_long(grid.y) ? 0 : 1);
+  for (int block = 0; block < static_cast<int>(grid.blocks.size()); ++block) {
+    if (level.around[block] == 0) continue;
+    for_each_around(block, grid, [&](int neighbour) { is_seen[neighbour] = 1; });
+  }
+  const int shrink = &level == &levels_[HALF] ? 2 : 1;
+  const auto border = [shrink](const std::vector<int>& borders, int i, int length) {
+    return i + 1 == static_cast<int>(borders.size()) ? length : borders[i] / shrink;
+  };
+  run_parallel(grid.rows(), threads, 1, [&](int row) {
+    const char* seen = is_seen.data() + static_cast<std::ptrdiff_t>(row) * grid.cols();
+    const int begin_y = border(grid.y, row, size.height), end_y = border(grid.y, row + 1, size.height);
+    for (int col = 0, end_col; col < grid.cols(); col = end_col) {
+      end_col = col + 1;
+      while (end_col < grid.cols() && seen[end_col] == seen[col]) ++end_col;
+      if (!seen[col]) continue;
+      const int begin_x = border(grid.x, col, size.width), end_x = border(grid.x, end_col, size.width);
+      const auto clear = [&](cv::Mat& sums) {
+        for (int y = begin_y; y < end_y; ++y) std::fill_n(sums.ptr<float>(y) + begin_x, end_x - begin_x, 0.0f);
+      };
+      for (const int odd : {0, 1}) {
+        for (cv::Mat& sums : level.sums[odd]) clear(sums);
+        if (!are_ones_) clear(level.weights[odd]);
+      }
+    }
+  });
+}
+
+void PlaneFilter::prepare_levels(const cv::Mat& src, const FilterGrid& grid, int threads) {
   cv::split(src, channels_);
   for (Level& level : levels_) {
     if (!level.is_used()) continue;
@@ -182,12 +227,8 @@ void PlaneFilter::prepare_levels(const cv::Mat& src, int threads) {
       cv::copyMakeBorder(is_half ? half_ : channels_[channel], level.padded[channel], level.pad_before,
                          level.pad_behind, level.pad_before, level.pad_behind, cv::BORDER_REPLICATE);
     }
-    const cv::Size size(level.across.length, level.down.length);
-    for (const int odd : {0, 1}) {
-      level.sums[odd].resize(channels_.size());
-      for (cv::Mat& sums : level.sums[odd]) clear(size, sums);
-      if (!are_ones_) clear(size, level.weights[odd]);
-    }
+    for (std::vector<cv::Mat>& sums : level.sums) sums.resize(channels_.size());
+    clear_sums(grid, threads, level);
   }
 }
 
@@ -371,7 +412,7 @@ void PlaneFilter::filter_as(const cv::Mat& src, const FilterGrid& grid, const st
                             SeamBlender& seams, cv::Mat& dst) {
   cut_cells(grid, blocks);
   are_ones_ = blocks.size() == grid.blocks.size() && levels_[WHOLE].is_used() != levels_[HALF].is_used();
-  prepare_levels(src, threads);
+  prepare_levels(src, grid, threads);
   const PlaneGainLoops& gain_loops = *find_plane_gain_loops(loops_.name);
   while (static_cast<int>(scratch_.size()) < threads) scratch_.emplace_back(gain_loops);
   for (const int odd : {0, 1}) {

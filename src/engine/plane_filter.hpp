@@ -86,7 +86,9 @@ class PlaneFilter {
   void cut_cells(const FilterGrid& grid, const std::vector<int>& blocks);
   void add_cell(int col, int row, int block, float extent_px, int level);
   static Plan make_plan(int size, int largest_radix, int level);
-  void prepare_levels(const cv::Mat& src, int threads);
+  /// Where something is filtered, or looked at.
+  void clear_sums(const FilterGrid& grid, int threads, Level& level);
+  void prepare_levels(const cv::Mat& src, const FilterGrid& grid, int threads);
   template <typename Pixel>
   static void load_tile(const cv::Mat& padded, const Level& level, const Cell& cell, Scratch& scratch, float* tile);
   /// Replaces what a tile has from outside of the image.

@@ -144,6 +144,30 @@ TEST(PlaneFilter, SharesAnImageWithOtherFilters) {
   }
 }
 
+// Few blocks, at the whole and at half the size, after an image that was all filtered: memory that is kept shows
+// nowhere.
+TEST(PlaneFilter, KeepsNothingOfFormerImages) {
+  const cv::Mat former(256, 320, CV_8UC1, cv::Scalar(255)), src = test::textured_image(320, 256, 3);
+  const PlaneInverse brief{test::arc_path(12, 3, 0.3), 0.01f, 0.1f}, lengthy{test::arc_path(60, 9, 1.2), 0.1f, 1};
+  for (const int block_px : {4, 8, 64}) {
+    const auto grid_of = [&](const auto& is_filtered) {
+      const int cols = (src.cols + block_px - 1) / block_px;
+      return test::make_grid(src.size(), block_px, [&](int i) -> BlockFilter {
+        if (!is_filtered(i % cols, i / cols)) return {};
+        return {0, nullptr, i % 2 == 0 ? &brief : &lengthy};
+      });
+    };
+    const FilterGrid all = grid_of([](int, int) { return true; });
+    const FilterGrid few = grid_of([](int col, int row) { return row == 1 && (col == 0 || col == 3); });
+    const auto used = make_engine("cpu", 2), fresh = make_engine("cpu", 2);
+    cv::Mat dst, expected;
+    used->filter(former, all, dst);
+    used->filter(src, few, dst);
+    fresh->filter(src, few, expected);
+    EXPECT_TRUE(equal(dst, expected)) << block_px << " px";
+  }
+}
+
 // The noise of an image, and about what it makes of PlaneInverse's ratio in these scenes and in photographs.
 constexpr double kNoiseGreyLevels = 2;
 constexpr float kNoiseToSignal = 0.007f, kNoiseRisePx2 = 0.3f;
