@@ -34,7 +34,7 @@ namespace {
 struct Arguments {
   std::string data = GYRO_DEBLUR_DATA_DIR, output;
   std::uint64_t seed = 1;
-  bool quick = false, quiet = false;
+  bool no_keypoints = false, no_tracks = false, quick = false, quiet = false;
 };
 
 const std::vector<double> kExtentBordersPx{0, 1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 60, 100, 500};
@@ -335,8 +335,8 @@ void study_tracks(const Arguments& arguments, Study* study) {
 
 void run(const Arguments& arguments) {
   Study study(arguments);
-  study_keypoints(arguments, &study);
-  study_tracks(arguments, &study);
+  if (!arguments.no_keypoints) study_keypoints(arguments, &study);
+  if (!arguments.no_tracks) study_tracks(arguments, &study);
   study.report();
 }
 
@@ -346,6 +346,8 @@ int main_of(int argc, char** argv) {
   app.add_option("--out", arguments.output, "folder for the tables, and for all points");
   app.add_option("--data", arguments.data, "recorded data, with handshake_gyro/ and trajectories/");
   app.add_option("--seed", arguments.seed, "of the times and views [1]")->check(CLI::Range(1, 1000));
+  app.add_flag("--no-keypoints", arguments.no_keypoints, "leave keypoints out");
+  app.add_flag("--no-tracks", arguments.no_tracks, "leave tracks out");
   app.add_flag("--quick", arguments.quick, "eight views, at one strength, and one flight");
   app.add_flag("--quiet", arguments.quiet, "no progress");
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });

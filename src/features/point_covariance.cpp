@@ -67,7 +67,9 @@ Eigen::Matrix2d texture_of(const cv::Mat& image, const Eigen::Vector2d& pixel_px
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> parts(products);
   const double of_noise = 2 * variance * static_cast<double>(sum.count);
   const Eigen::Vector2d left = (parts.eigenvalues().array() - of_noise).max(0.0) / 4;
-  return parts.eigenvectors() * left.asDiagonal() * parts.eigenvectors().transpose();
+  Eigen::Matrix2d texture = parts.eigenvectors() * left.asDiagonal() * parts.eigenvectors().transpose();
+  texture(1, 0) = texture(0, 1);  // to the last bit
+  return texture;
 }
 
 }  // namespace
