@@ -67,9 +67,7 @@ Eigen::Matrix2d texture_of(const cv::Mat& image, const Eigen::Vector2d& pixel_px
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> parts(products);
   const double of_noise = 2 * variance * static_cast<double>(sum.count);
   const Eigen::Vector2d left = (parts.eigenvalues().array() - of_noise).max(0.0) / 4;
-  Eigen::Matrix2d texture = parts.eigenvectors() * left.asDiagonal() * parts.eigenvectors().transpose();
-  texture(1, 0) = texture(0, 1);  // to the last bit
-  return texture;
+  return parts.eigenvectors() * left.asDiagonal() * parts.eigenvectors().transpose();
 }
 
 }  // namespace
@@ -116,7 +114,9 @@ Eigen::Matrix2d PointCovariance::at(const Eigen::Vector2d& pixel_px, double radi
   const Eigen::Vector2d line(std::cos(block.angle_rad), std::sin(block.angle_rad));
   covariance += squared(across_px) * identity + (squared(along_px) - squared(across_px)) * line * line.transpose();
   covariance += covariance_of_moving(block, to_seconds(field_.exposure_ns));
-  return covariance + (squared(errors.least_px) + squared(errors.of_radius * radius_px)) * identity;
+  covariance += (squared(errors.least_px) + squared(errors.of_radius * radius_px)) * identity;
+  covariance(1, 0) = covariance(0, 1);  // to the last bit
+  return covariance;
 }
 
 Eigen::Matrix2d covariance_of_moving(const BlockBlur& block, double seconds) {
