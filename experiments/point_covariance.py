@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Plots what point_covariance --out wrote: errors squared over what was expected of them. --fit: the factors anew."""
+"""Plots what point_covariance --out wrote: errors squared over what was expected of them."""
 
 import argparse
 import csv
