@@ -219,6 +219,7 @@ void run_exposures(const Arguments& arguments) {
     std::sort(terms.begin(), terms.end(),
               [](const ExposureTerms& a, const ExposureTerms& b) { return a.speed_px_s < b.speed_px_s; });
     std::vector<std::string> row{kLaws[law].name, kLights[light].name, "x" + text_of(kShakes[shake], 1)};
+    if (terms.empty()) continue;  // nothing is known of its noise or contrast
     const ExposureTerms& typical = terms[terms.size() / 2];
     row.push_back(text_of(typical.speed_px_s, 0));
     double most = 0;

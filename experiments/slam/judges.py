@@ -47,6 +47,10 @@ def run_logged(command, log, environment=None, timeout_s=1800):
         raise RuntimeError("%s ended with status %d:\n%s" % (command[0], status, "\n".join(lines[-15:])))
 
 
+class Lost(Exception):
+    """The judge did its work, and what it was given was too bad for it."""
+
+
 class Master:
     """A roscore of its own on a free port, for programs that take parameters from one."""
 
@@ -213,13 +217,16 @@ class OpenVins:
             # With some releases of its libraries it crashes when it has done its work and ends.
             if not states.exists():
                 raise
-        return self.read_states(states)
+        estimate = self.read_states(states)
+        if len(estimate.t_s) < 2:
+            raise Lost("no states")
+        return estimate
 
     def judge(self, recording, folder, name):
         estimate = self.estimate(recording, folder, name)
         covered = (estimate.t_s[-1] - estimate.t_s[0]) / (recording.truth.t_s[-1] - recording.truth.t_s[0])
         if covered < self.MIN_COVERED:
-            raise RuntimeError("states of %.0f %% of the sequence alone" % (100 * covered))
+            raise Lost("states of %.0f %% of the sequence alone" % (100 * covered))
         return state_errors(estimate, recording.truth)
 
 
@@ -258,7 +265,7 @@ class OwnTracks:
         focal_px = recording.camera["intrinsics"][0]
         with rosbag.Bag(str(recording.bag)) as bag:
             clouds = {cloud.header.stamp.to_nsec(): self._points(cloud, focal_px)
-                      for _, cloud, _ in bag.read_messages(topics=[recording.image_topic]) if cloud.points}
+                      for _, cloud, _ in bag.read_messages(topics=[recording.image_topic])}
         stamps_ns = sorted(clouds)
         if len(stamps_ns) <= self.APART:
             raise RuntimeError("%s: %d images with tracks" % (name, len(stamps_ns)))
@@ -277,6 +284,8 @@ class OwnTracks:
             R_true = R_world_cam[k + self.APART].T @ R_world_cam[k]
             t_true = -R_world_cam[k + self.APART].T @ way_m
             errors_deg.append(self._errors_deg(pair, ids, R_true, t_true / np.linalg.norm(t_true), focal_px))
+        if not errors_deg:
+            raise RuntimeError("%s: the camera hardly moves" % name)
         medians = np.median(errors_deg, axis=0)
         return dict(zip(list(self.metrics)[:4], map(float, medians)), tracks=float(np.mean(counts)))
 
@@ -342,7 +351,8 @@ def refined_motion(R, t, first, second, first_covariances, second_covariances):
                              for unit in np.eye(5)], 1)
         weights = np.minimum(1, HUBER * scale / np.maximum(np.abs(current), 1e-12))
         normal = jacobian.T @ (weights[:, None] * jacobian)
-        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), jacobian.T @ (weights * current))
+        step = -np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), jacobian.T @ (weights * current),
+                                rcond=None)[0]
         trial = moved(R, t, step)
         changed = distances(*trial)
         if robust_sum(changed, scale) < robust_sum(current, scale):

@@ -6,11 +6,13 @@ in both it starts by itself, in flight. Writes live.json and live.md into --out.
 """
 
 import argparse
+import bisect
 import contextlib
 import dataclasses
 import json
 import os
 import pathlib
+import signal
 import subprocess
 import sys
 import tempfile
@@ -43,9 +45,21 @@ class Monitor:
         seconds, nanoseconds = np.frombuffer(message._buff, dtype="<u4", count=3)[1:]
         self.arrived_s[topic].setdefault(int(seconds) * 10**9 + int(nanoseconds), time.monotonic())
 
-    def latencies_ms(self, from_topic, to_topic):
-        first, second = self.arrived_s[from_topic], self.arrived_s[to_topic]
-        return 1e3 * np.array([second[stamp] - first[stamp] for stamp in sorted(first.keys() & second.keys())])
+    def latencies_ms(self, from_topic, to_topic, later_ns=0):
+        """later_ns: by how much the second topic's stamps are later; a millisecond more or less is the same."""
+        second = sorted(self.arrived_s[to_topic].items())
+        latencies = []
+        for stamp_ns, arrived_s in self.arrived_s[from_topic].items():
+            i = bisect.bisect_left(second, (stamp_ns + later_ns - 1_000_000,))
+            if i < len(second) and second[i][0] <= stamp_ns + later_ns + 1_000_000:
+                latencies.append(1e3 * (second[i][1] - arrived_s))
+        if not latencies:
+            raise RuntimeError("no message of %s belongs to one of %s" % (to_topic, from_topic))
+        return latencies
+
+    def end(self):
+        for subscriber in self._subscribers:
+            subscriber.unregister()
 
 
 class Load:
@@ -86,16 +100,24 @@ def play(judge, recording, config, folder, patience_s):
     load = Load()
     monitor = Monitor(["/camera/image_raw", recording.image_topic, "/stack/poseimu"])
     with open(folder / "live.log", "w", encoding="utf-8") as log:
-        status = subprocess.run(["bash", "-c", command], stdout=log, stderr=subprocess.STDOUT, check=False,
-                                env=judge.environment(), timeout=patience_s).returncode
-    load.end()
+        process = subprocess.Popen(["bash", "-c", command], stdout=log, stderr=subprocess.STDOUT,
+                                   env=judge.environment())
+        try:
+            status = process.wait(patience_s)
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)  # roslaunch then ends what it has started
+                process.wait()
+            load.end()
+            monitor.end()
     if status != 0 or not report.exists():
         raise RuntimeError("roslaunch ended with status %d:\n%s" % (
             status, "\n".join((folder / "live.log").read_text(errors="replace").splitlines()[-20:])))
     frames = json.loads(report.read_text())
     return {"frames_in": frames["frames_in"], "frames_out": frames["frames_out"],
-            "deblurred_ms": list(monitor.latencies_ms("/camera/image_raw", recording.image_topic)),
-            "pose_ms": list(monitor.latencies_ms("/camera/image_raw", "/stack/poseimu")),
+            "deblurred_ms": monitor.latencies_ms("/camera/image_raw", recording.image_topic),
+            # Stamped in the IMU's clock, with the instant that the image stands for.
+            "pose_ms": monitor.latencies_ms("/camera/image_raw", "/stack/poseimu", round(1e9 * recording.shift_s)),
             "processor_s": load.seconds, "states": judge.read_states(states)}
 
 

@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from common import ROOT, fail, write_markdown  # noqa: E402
-from judges import OpenVins, OwnTracks, Recording, run_logged  # noqa: E402
+from judges import Lost, OpenVins, OwnTracks, Recording, run_logged  # noqa: E402
 from trajectory import read_truth  # noqa: E402
 
 matplotlib.use("Agg")
@@ -63,8 +63,8 @@ class Case:
         return ", ".join(parts)
 
 
-REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms, exposures_ms in ((0, (30, 15)), (20, (30,)))
-            for flight in (DRONE, HAND) for speed in (1.7, 1.0) for exposure_ms in exposures_ms]
+REPORTED = [Case(flight, exposure_ms, speed) for flight in (DRONE, HAND) for speed in (1.7, 1.0)
+            for exposure_ms in (30, 15)] + [Case(flight, 30, 1.7, 20) for flight in (DRONE, HAND)]
 # What is chosen is chosen on another flight.
 TUNED = [Case(TUNING, 30, 1.7)]
 
@@ -84,8 +84,14 @@ def options_of(variant):
         key, _, value = pair.partition("=")
         if not value:
             fail("%s is neither one of %s nor KEY=VALUE" % (variant, ", ".join(VARIANTS)))
-        options[key] = json.loads(value) if value[0] in "0123456789-tf[\"" else value
+        try:
+            options[key] = json.loads(value)
+        except ValueError:
+            options[key] = value
     return options
+
+
+KEY = ("case", "seconds", "light", "seed", "variant", "judge")  # of a result
 
 
 class Study:
@@ -98,13 +104,13 @@ class Study:
         self._lock = threading.Lock()
 
     def known(self, case, light, seed, variant):
-        return next((r for r in self.results if (r["case"], r["light"], r["seed"], r["variant"], r["judge"]) ==
-                     (case.key, light, seed, variant, self.judge.name)), None)
+        key = (case.key, case.seconds(self.arguments.seconds), light, seed, variant, self.judge.name)
+        return next((r for r in self.results if key == tuple(r[k] for k in KEY)), None)
 
     def keep(self, case, light, seed, variant, metrics):
         with self._lock:
-            self.results.append({"case": case.key, "light": light, "seed": seed, "variant": variant,
-                                 "judge": self.judge.name, **metrics})
+            key = (case.key, case.seconds(self.arguments.seconds), light, seed, variant, self.judge.name)
+            self.results.append({**dict(zip(KEY, key)), **metrics})
             part = self.path.with_suffix(".part")
             part.write_text(json.dumps(self.results, indent=1) + "\n")
             part.rename(self.path)
@@ -136,9 +142,9 @@ class Study:
                 recording = deblur(recording, UNTOUCHED if options is None else options, tracks, own)
             try:
                 metrics = self.judge.judge(recording, own, name)
-            except RuntimeError as error:
-                tqdm.write("%s: %s" % (name, error), file=sys.stderr)
-                metrics = dict.fromkeys(self.judge.metrics, float("inf"))
+            except Lost as error:
+                tqdm.write("%s: lost: %s" % (name, error), file=sys.stderr)
+                metrics = dict.fromkeys(self.judge.metrics)
         self.keep(case, light, seed, variant, metrics)
 
 
@@ -192,24 +198,26 @@ def deblur(recording, options, tracks, folder):
 
 
 def cell(values):
-    """Mean and its standard error."""
-    values = np.array(values, dtype=float)
-    if not len(values):
+    """Mean and its standard error; an infinite mean when one of them was lost."""
+    if not values:
         return float("nan"), float("nan")
-    if not np.isfinite(values).all():
+    if None in values:
         return float("inf"), float("nan")
+    values = np.array(values)
     return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else float("nan")
 
 
 class Cells:
     """Results of one judge by case, light and variant."""
 
-    def __init__(self, results, judge):
-        self.results = [r for r in results if r["judge"] == judge.name]
+    def __init__(self, results, judge, seconds):
+        """seconds: of a case, at most."""
+        self._results = [r for r in results if r["judge"] == judge.name]
+        self._seconds = seconds
 
     def of(self, case, light, variant, metric):
-        return cell([r[metric] for r in self.results
-                     if (r["case"], r["light"], r["variant"]) == (case.key, light, variant)])
+        key = (case.key, case.seconds(self._seconds), light, variant)
+        return cell([r[metric] for r in self._results if key == (r["case"], r["seconds"], r["light"], r["variant"])])
 
 
 def share_of_the_way(cells, case, light, variant, metric):
@@ -217,9 +225,8 @@ def share_of_the_way(cells, case, light, variant, metric):
     (sharp, sharp_se), (blurred, blurred_se) = (cells.of(case, light, v, metric) for v in ("sharp", "blurred"))
     if not blurred - sharp > 2 * np.hypot(sharp_se, blurred_se):
         return None
-    if not np.isfinite(blurred):
-        return None
-    return 100 * (blurred - cells.of(case, light, variant, metric)[0]) / (blurred - sharp)
+    mean = cells.of(case, light, variant, metric)[0]
+    return 100 * (blurred - mean) / (blurred - sharp) if np.isfinite([blurred, mean]).all() else None
 
 
 def markdown(cells, cases, lights, variants, judge):
@@ -254,11 +261,12 @@ def plot(cells, cases, lights, variants, judge, path):
     colors = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue"}
     figure, axes = plt.subplots(figsize=(max(5, 1.5 + 0.62 * len(groups)), 4.6))
     width = 0.8 / len(variants)
-    largest = 0
     for k, variant in enumerate(variants):
         means, errors = zip(*(cells.of(case, light, variant, metric) for case, light in groups))
         finite = [mean if np.isfinite(mean) else 0 for mean in means]
-        largest = max([largest] + finite)
+        for x, mean in enumerate(means):
+            if np.isinf(mean):
+                axes.annotate("lost", (x, 1), xycoords=("data", "axes fraction"), fontsize=7, va="top", rotation=90)
         axes.bar(np.arange(len(groups)) + (k - 0.5 * (len(variants) - 1)) * width, finite, width,
                  yerr=[error if np.isfinite(error) else 0 for error in errors], color=colors.get(variant),
                  label=TITLES.get(variant, variant), error_kw={"elinewidth": 0.8})
@@ -320,7 +328,7 @@ def main():
         with contextlib.closing(judge):
             study = Study(arguments, judge)
             study.run(cases, arguments.variants)
-    cells = Cells(study.results, judge_type)
+    cells = Cells(study.results, judge_type, arguments.seconds)
     write_markdown(arguments.out / "slam.md", markdown(cells, cases, arguments.lights, arguments.variants, judge_type))
     plot(cells, cases, arguments.lights, arguments.variants, judge_type, arguments.out / "slam.png")
     print(arguments.out / "slam.png")

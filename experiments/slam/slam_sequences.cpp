@@ -189,8 +189,7 @@ int main_of(int argc, char** argv) {
   Arguments arguments;
   CLI::App app{
       "Writes bags for a SLAM stack: a recorded flight through a room of photographs, seen by a camera of 752x480 at "
-      "20 "
-      "Hz, in daylight and in low light, blurred (LIGHT_SEED_blurred.bag) and sharp at one instant "
+      "20 Hz, in daylight and in low light, blurred (LIGHT_SEED_blurred.bag) and sharp at one instant "
       "(LIGHT_SEED_sharp.bag), both with the IMU, and truth.csv and sequence.json beside them.",
       "slam_sequences"};
   app.add_option("--out", arguments.output, "folder")->required();

@@ -51,7 +51,7 @@ GradientSum sum_gradients(const cv::Mat& image, const cv::Point& middle, int ste
 Eigen::Matrix2d texture_of(const cv::Mat& image, const Eigen::Vector2d& pixel_px, double radius_px, double variance) {
   // Large patches belong to coarse features, which coarse differences tell.
   constexpr double kMostSteps = 6;
-  const int step_px = static_cast<int>(std::ceil(radius_px / kMostSteps));
+  const int step_px = std::max(1, static_cast<int>(std::ceil(radius_px / kMostSteps)));
   const int steps = static_cast<int>(radius_px / step_px);
   if (image.cols <= 2 * step_px || image.rows <= 2 * step_px) return Eigen::Matrix2d::Zero();
   const auto inside = [step_px](double place_px, int length) {

@@ -197,6 +197,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
       weigh_noise(luminance, *bank_, result.field, options_.threads);
     } else {
       for (BlockBlur& block : result.field.blocks) {
+        if (block.status != BlockStatus::DEBLURRED) continue;
         block.noise_gain = static_cast<float>(bank_->choose(block.extent_px, 0).noise_gain);
       }
     }

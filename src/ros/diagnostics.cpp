@@ -254,7 +254,8 @@ void DiagnosticReport::add_exposure_advice(const Moment& now, DiagnosticStatusWr
   status->addf("speed of the image, p90 [px/s]", "%.0f", fast->speed_px_s);
   // The longest that exposure_time may be.
   constexpr TimeNs kLongestNs = 1'000'000'000;
-  const auto advice = advise_exposure(*fast, std::min(kLongestNs, now.statistics.frame_period_ns.value_or(kLongestNs)));
+  const TimeNs period_ns = now.statistics.frame_period_ns.value_or(kLongestNs);
+  const auto advice = advise_exposure(*fast, std::clamp(period_ns, TimeNs{1}, kLongestNs));
   if (!advice) {
     status->add("longest exposure that is undone well [ms]", "none: BAD at any, too dark for this motion");
     return;

@@ -175,7 +175,8 @@ void StereoRig::settle(Pair* pair) const {
     if (!place.drop) continue;
     const std::string& why = pair->refusal.empty() ? place.drop->if_deblurred : place.drop->if_left;
     if (why.empty()) continue;
-    pair->drop = "the image of " + members_.at(id).name + " is " + why;
+    const auto member = members_.find(id);  // it may have left the rig
+    pair->drop = "the image of " + (member == members_.end() ? "a camera" : member->second.name) + " is " + why;
     return;
   }
 }
@@ -210,8 +211,9 @@ FrameDecision StereoRig::meet(Id id, TimeNs stamp_ns, const Statement& statement
   Blocking blocked;
   while (true) {
     if (pair->places.count(id) == 0) return alone;  // it has left the rig
-    if (pair->agreed) return {pair->refusal, statement.drop ? pair->drop : ""};
-    const bool may_be_dropped = statement.drop && !pair->leaves;
+    const bool droppable = statement.drop && statement.drop->may_be_dropped;
+    if (pair->agreed) return {pair->refusal, droppable ? pair->drop : ""};
+    const bool may_be_dropped = droppable && !pair->leaves;
     if (!may_be_dropped && (!statement.deblurs || !pair->refusal.empty())) {
       note_habits(*pair, id);
       return {pair->refusal, ""};

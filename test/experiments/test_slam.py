@@ -95,7 +95,6 @@ class Motion(unittest.TestCase):
         self.assertLess(angle_deg(found_R @ R.T), 1e-3)
         np.testing.assert_allclose(found_t, t / np.linalg.norm(t), atol=1e-4)
 
-
     def test_weights_by_covariances_pay(self):
         """Points that are uncertain along lines of their own, as far as is said."""
         random = np.random.default_rng(2)

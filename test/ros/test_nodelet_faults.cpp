@@ -542,7 +542,7 @@ TEST_F(StereoPairTest, BadImageTakesItsPartnerAlongWhereBothDropThem) {
           << camera.fields[k]->reason_text;
     }
   }
-  EXPECT_EQ(cameras_[0].fields[1]->status[0], BlurField::DEBLURRED) << "it could have been";
+  EXPECT_EQ(cameras_[0].fields[1]->status[0], BlurField::REJECTED) << "its partner keeps it from being deblurred";
   for (const std::size_t i : {0u, 1u}) {
     unload(i);
     EXPECT_EQ(cameras_[i].images.size(), 1u);

@@ -325,6 +325,17 @@ TEST_F(DroppingRigTest, WhoGivesUpLeavesAndSoDoesThePartner) {
   EXPECT_EQ(camera(1).decide(2 * kPeriod, blurred(), bad()).drop, "");
 }
 
+TEST_F(DroppingRigTest, WhoIsTooLateToBeAskedIsNotDroppedWhereItMayNotBe) {
+  make(kEndless);
+  // Nobody waits for a camera that has sent nothing yet.
+  camera(0).announce(kPeriod);
+  camera(0).begin(kPeriod);
+  EXPECT_NE(camera(0).decide(kPeriod, blurred(), bad()).drop, "");
+  camera(1).announce(kPeriod);
+  camera(1).begin(kPeriod);
+  EXPECT_EQ(camera(1).decide(kPeriod, blurred(), {false, "", ""}).drop, "");
+}
+
 TEST_F(DroppingRigTest, CameraThatDropsNoneLosesNone) {
   make(kEndless);
   announce(kPeriod);

@@ -30,7 +30,7 @@ def main():
         with open(path, encoding="utf-8") as file:
             report = json.load(file)
         for key in "frames_in", "frames_out", "dropped_bad":
-            joined[key] += report[key]
+            joined[key] += report.get(key, 0)  # reports of former versions have no dropped_bad
         joined["frames"] += report["frames"]
         passed_through.update(report["passed_through"])
     joined["passed_through"] = dict(passed_through)
