@@ -271,9 +271,12 @@ def plot(cells, cases, lights, variants, judge, path):
                  yerr=[error if np.isfinite(error) else 0 for error in errors], color=colors.get(variant),
                  label=TITLES.get(variant, variant), error_kw={"elinewidth": 0.8})
     axes.set_yscale("log")
+    axes.set_xlim(-0.7, len(groups) - 0.3)
     axes.set_xticks(range(len(groups)))
-    labels = [filter(None, [NAMES[case.flight].split(" (")[0], case.conditions().replace(", ", ",\n"), LIGHTS[light]])
-              for case, light in groups]
+    labels = []
+    for case, light in groups:
+        conditions = case.conditions().replace(", ", ",\n").replace("readout ", "readout\n")
+        labels.append(filter(None, [NAMES[case.flight].split(" (")[0], conditions, LIGHTS[light]]))
     axes.set_xticklabels(["\n".join(label) for label in labels], fontsize=7)
     axes.set_ylabel("%s: %s" % (judge.name, title))
     axes.grid(axis="y", alpha=0.3, which="both")
