@@ -118,7 +118,9 @@ TEST(FeatureExtractor, RadiusOfACornerIsThatOfItsScale) {
     for (const cv::KeyPoint& keypoint : FeatureExtractor(options_of(detector, "NONE")).extract(image).keypoints) {
       const double radius_px = corner_radius_px(keypoint, detector);
       least_px = std::min(least_px, radius_px);
-      if (detector == "ORB") EXPECT_NEAR(radius_px, 3.5 * std::pow(1.2, keypoint.octave), 1e-3);
+      if (detector == "ORB") {
+        EXPECT_NEAR(radius_px, 3.5 * std::pow(1.2, keypoint.octave), 1e-3);
+      }
     }
     EXPECT_GT(least_px, 1.5) << detector;
     EXPECT_LT(least_px, 6) << detector;

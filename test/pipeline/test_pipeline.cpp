@@ -101,7 +101,9 @@ TEST(Pipeline, SaysHowExactlyKeypointsArePlaced) {
       EXPECT_GT(sum_px2, before_px2);
       before_px2 = sum_px2;
       for (const BlockBlur& block : result.field.blocks) {
-        if (block.status == BlockStatus::DEBLURRED) EXPECT_NE(block.noise_gain, 1);
+        if (block.status == BlockStatus::DEBLURRED) {
+          EXPECT_NE(block.noise_gain, 1);
+        }
       }
     }
   }
