@@ -49,7 +49,9 @@ TEST(ExpectedErrors, AreThoseOfTheKernels) {
       EXPECT_NEAR(choice.gain, 1 - (chosen.texture + noise_to_texture * std::max(0.0, chosen.noise - 1)) / blurred,
                   0.05)
           << extent_px << ' ' << noise_to_texture;
-      EXPECT_NEAR(choice.noise_gain, chosen.noise, 0.05 * chosen.noise) << extent_px << ' ' << noise_to_texture;
+      // Expected is that of the whole inverse; what the taps leave out of a short one has up to a fifth of its noise.
+      EXPECT_GT(choice.noise_gain, 0.95 * chosen.noise) << extent_px << ' ' << noise_to_texture;
+      EXPECT_LT(choice.noise_gain, 1.25 * chosen.noise) << extent_px << ' ' << noise_to_texture;
       // No other gamma is better by more than what the taps' limited number makes.
       for (int doublings = 0; doublings <= 7; ++doublings) {
         const Left other = left_by(extent_px, doublings);
