@@ -1,4 +1,4 @@
-// Discrete Fourier transforms of small square tiles: their sizes, and what transforms of one size share.
+// Discrete Fourier transforms of small tiles: their sizes, and what transforms of one size share.
 #pragma once
 
 #include <vector>
@@ -8,15 +8,15 @@ namespace gyro_deblur {
 /// Sizes are multiples of this: two of the widest vector.
 constexpr int kFourierStep = 32;
 
-/// Largest size of a tile [px].
+/// Longest side of a tile [px].
 constexpr int kMaxFourierSize = 1024;
 
 /// The smallest multiple of kFourierStep that is at least `length` (1 to kMaxFourierSize) and has no prime factors
 /// other than 2, 3 and 5.
 int fourier_size(int length);
 
-/// Floats from a row of a tile to the next: an odd number of cache lines, so that pixels above each other do not
-/// compete for the same cache sets.
+/// Floats from a row of `size` pixels of a tile to the next: an odd number of cache lines, so that pixels above each
+/// other do not compete for the same cache sets.
 constexpr int fourier_stride(int size) { return size + 16; }
 
 /// A plan as the loops see it (fourier_loops.hpp).
@@ -26,6 +26,11 @@ struct FourierStages {
   const int* radices;     ///< by stage; their product is `size`
   const float* twiddles;  ///< by stage; see FourierPlan
   const int* places;      ///< of `size` frequencies: where a transform along one axis leaves them
+};
+
+/// A tile's two axes. Rows have across.size pixels.
+struct FourierTile {
+  FourierStages across, down;
 };
 
 /// Mixed-radix transform of one size, decimated in frequency (C. Van Loan, Computational Frameworks for the Fast

@@ -228,10 +228,12 @@ inline Elements in_scratch(float* scratch) { return {scratch, scratch + kLanes, 
 /// Columns that are transformed together: those of one vector are the real parts, those of the next the imaginary ones.
 constexpr int kPanel = 2 * kLanes;
 
-void transform_columns(const FourierStages& plan, float* tile, float* scratch) {
-  const int size = plan.size, stride = fourier_stride(size), last_radix = plan.radices[plan.count - 1];
+void transform_columns(const FourierTile& tile_plan, float* tile, float* scratch) {
+  const FourierStages& plan = tile_plan.down;
+  const int cols = tile_plan.across.size, size = plan.size, last_radix = plan.radices[plan.count - 1];
+  const std::ptrdiff_t stride = fourier_stride(cols);
   const Elements z = in_scratch(scratch);
-  for (int col = 0; col < size; col += kPanel) {
+  for (int col = 0; col < cols; col += kPanel) {
     const Elements columns{tile + col, tile + col + kLanes, stride};
     const float* twiddles = run_first_stages(plan, columns, z);
     run_stage<true>(z, z, size, last_radix, last_radix, twiddles);
@@ -248,10 +250,12 @@ void transform_columns(const FourierStages& plan, float* tile, float* scratch) {
   }
 }
 
-void filter_rows(const FourierStages& plan, int first_row, const float* gain, int first_col, int end_col, float* tile,
-                 float* scratch) {
-  const int size = plan.size, stride = fourier_stride(size);
-  float *re = tile + first_row * stride, *im = re + size / 2 * stride;
+void filter_rows(const FourierTile& tile_plan, int first_row, const float* gain, int first_col, int end_col,
+                 float* tile, float* scratch) {
+  const FourierStages& plan = tile_plan.across;
+  const int size = plan.size;
+  const std::ptrdiff_t stride = fourier_stride(size);
+  float *re = tile + first_row * stride, *im = re + tile_plan.down.size / 2 * stride;
   const Elements z = in_scratch(scratch);
   for (int x = 0; x < size; x += kLanes) {
     transpose(re + x, stride, z.re + x * z.step, z.step);
@@ -266,10 +270,12 @@ void filter_rows(const FourierStages& plan, int first_row, const float* gain, in
   }
 }
 
-void restore_columns(const FourierStages& plan, int first_col, int end_col, float* tile, float* scratch) {
-  const int size = plan.size, stride = fourier_stride(size), last_radix = plan.radices[plan.count - 1];
+void restore_columns(const FourierTile& tile_plan, int first_col, int end_col, float* tile, float* scratch) {
+  const FourierStages& plan = tile_plan.down;
+  const int cols = tile_plan.across.size, size = plan.size, last_radix = plan.radices[plan.count - 1];
+  const std::ptrdiff_t stride = fourier_stride(cols);
   // Forward and back, an axis each, multiply by its size; the spectrum has waited for its half.
-  const float scale = 0.5f / (static_cast<float>(size) * static_cast<float>(size));
+  const float scale = 0.5f / (static_cast<float>(cols) * static_cast<float>(size));
   const Elements z = in_scratch(scratch);
   const float* end_of_twiddles = plan.twiddles;
   int length = size;

@@ -66,38 +66,43 @@ void halve(const cv::Mat& src, int threads, cv::Mat& half) {
   }
 }
 
-void double_sum(const cv::Mat& half_a, const cv::Mat& half_b, const cv::Rect& rect, std::vector<float>& scratch,
-                float* result) {
-  // Of the low pass an even place meets every second tap from the second on, two pixels before it, the one that it
-  // belongs to and one behind; an odd place the same from behind. Twice, for the zeros.
+namespace {
+
+// Of the low pass an even place meets every second tap from the second on, two pixels before it, the one that it
+// belongs to and one behind; an odd place the same from behind.
+constexpr int kAround = 2;
+
+}  // namespace
+
+cv::Rect needed_of_half(const cv::Rect& rect, cv::Size half) {
+  const cv::Point begin(rect.x / 2 - kAround, rect.y / 2 - kAround);
+  const cv::Point end((rect.br().x + 1) / 2 + kAround, (rect.br().y + 1) / 2 + kAround);
+  return cv::Rect(begin, end) & cv::Rect({}, half);
+}
+
+void double_size(const cv::Rect& part, const float* pixels, const cv::Rect& rect, std::vector<float>& scratch,
+                 float* result) {
+  // Twice, for the zeros.
   constexpr float kFar = 2 * kHalvingTaps[0], kBehind = 2 * kHalvingTaps[1], kBefore = 2 * kHalvingTaps[2],
                   kNearest = 2 * kHalvingTaps[3];
-  constexpr int kAround = 2;
   const int first = rect.x / 2 - kAround, count = (rect.br().x + 1) / 2 + kAround - first;
-  const int rows_first = rect.y / 2 - kAround, rows = (rect.br().y + 1) / 2 + kAround - rows_first;
-  const int last_row = half_a.rows - 1, last_col = half_a.cols - 1;
-  // Sums of the pixels around, then one row of the result at half its width.
-  scratch.resize(static_cast<std::size_t>(rows + 1) * count + 2 * static_cast<std::size_t>(count));
-  float* row = scratch.data() + static_cast<std::ptrdiff_t>(rows) * count;
-  float* wide = row + count;
-  for (int y = 0; y < rows; ++y) {
-    const int at = std::clamp(rows_first + y, 0, last_row);
-    const float *a = half_a.ptr<float>(at), *b = half_b.ptr<float>(at);
-    float* to = scratch.data() + static_cast<std::ptrdiff_t>(y) * count;
-    const int inside = std::clamp(-first, 0, count), end = std::clamp(last_col + 1 - first, inside, count);
-    for (int x = inside; x < end; ++x) to[x] = a[first + x] + b[first + x];
-    std::fill(to, to + inside, a[0] + b[0]);
-    std::fill(to + end, to + count, a[last_col] + b[last_col]);
-  }
+  // One row of the result at half its width, between what its ends repeat, and at its whole width.
+  scratch.resize(3 * static_cast<std::size_t>(count));
+  float *row = scratch.data(), *wide = row + count;
+  const int begin = part.x - first;
+  const auto pixels_at = [&](int y) {
+    return pixels + static_cast<std::ptrdiff_t>(std::clamp(y - part.y, 0, part.height - 1)) * part.width;
+  };
   for (int y = 0; y < rect.height; ++y) {
-    const bool is_odd = (rect.y + y) % 2 != 0;
-    const float* own = scratch.data() + static_cast<std::ptrdiff_t>((rect.y + y) / 2 - rows_first) * count;
-    const std::ptrdiff_t behind = is_odd ? -count : count;  // to the row away from which the place lies
-    const float *far = own - 2 * behind, *before = own - behind, *after = own + behind;
+    const int at = (rect.y + y) / 2, behind = (rect.y + y) % 2 != 0 ? -1 : 1;  // to the row away from which it lies
+    const float *far = pixels_at(at - 2 * behind), *before = pixels_at(at - behind), *own = pixels_at(at),
+                *after = pixels_at(at + behind);
 #pragma omp simd
-    for (int x = 0; x < count; ++x) {
-      row[x] = kNearest * own[x] + kBefore * before[x] + kBehind * after[x] + kFar * far[x];
+    for (int x = 0; x < part.width; ++x) {
+      row[begin + x] = kNearest * own[x] + kBefore * before[x] + kBehind * after[x] + kFar * far[x];
     }
+    std::fill(row, row + begin, row[begin]);
+    std::fill(row + begin + part.width, row + count, row[begin + part.width - 1]);
     for (int x = kAround; x < count - kAround; ++x) {
       wide[2 * (x - kAround)] = kNearest * row[x] + kBefore * row[x - 1] + kBehind * row[x + 1] + kFar * row[x - 2];
       wide[2 * (x - kAround) + 1] = kNearest * row[x] + kBefore * row[x + 1] + kBehind * row[x - 1] + kFar * row[x + 2];

@@ -23,12 +23,14 @@ double left_by_halving(double f);
 /// @param half  CV_32FC1 with half of the columns and rows, rounded up; (re)allocated when needed
 void halve(const cv::Mat& src, int threads, cv::Mat& half);
 
-/// What is in `rect` of an image at twice the size of `half_a + half_b`: zeros between the pixels, and the low pass.
-/// @param half_a, half_b  CV_32FC1 of one size
-/// @param rect            in an image of which that is the half
-/// @param scratch         memory that is kept
-/// @param result          rect.area() floats, row by row
-void double_sum(const cv::Mat& half_a, const cv::Mat& half_b, const cv::Rect& rect, std::vector<float>& scratch,
-                float* result);
+/// What double_size() takes for `rect` of an image from its half, which has the size `half`.
+cv::Rect needed_of_half(const cv::Rect& rect, cv::Size half);
+
+/// What is in `rect` of an image at twice the size: zeros between the pixels, and the low pass.
+/// @param part     needed_of_half(rect, ...), and its pixels, row by row
+/// @param scratch  memory that is kept
+/// @param result   rect.area() floats, row by row
+void double_size(const cv::Rect& part, const float* pixels, const cv::Rect& rect, std::vector<float>& scratch,
+                 float* result);
 
 }  // namespace gyro_deblur

@@ -56,17 +56,6 @@ PlaneInverse at_half_size(PlaneInverse inverse) {
   return inverse;
 }
 
-/// A block and its neighbours in a grid.
-template <typename Use>
-void for_each_around(int block, const FilterGrid& grid, const Use& use) {
-  const int block_col = block % grid.cols(), block_row = block / grid.cols();
-  for (int row = std::max(block_row - 1, 0); row <= std::min(block_row + 1, grid.rows() - 1); ++row) {
-    for (int col = std::max(block_col - 1, 0); col <= std::min(block_col + 1, grid.cols() - 1); ++col) {
-      use(row * grid.cols() + col);
-    }
-  }
-}
-
 }  // namespace
 
 PlaneFilter::PlaneFilter(const FourierLoops& loops) : loops_(loops) {}
@@ -120,43 +109,49 @@ void PlaneFilter::halve_axis(const Axis& whole, Axis& half) {
   }
 }
 
-void PlaneFilter::add_cell(int col, int row, int block, float extent_px, int level_index) {
+void PlaneFilter::add_cell(int col, int row, int block, const Eigen::Vector2f& extent_px, int channels,
+                           int level_index) {
   Level& level = levels_[level_index];
   const cv::Rect window(level.across.window_begins[col], level.down.window_begins[row],
                         static_cast<int>(level.across.weights[col].size()),
                         static_cast<int>(level.down.weights[row].size()));
-  const float around_px = std::ceil(kAroundExtents * extent_px);
-  const int longest = std::max(window.width, window.height);
-  const int side = fourier_size(static_cast<int>(std::min<float>(longest + around_px, kMaxFourierSize)));
-  const cv::Size size(level.across.length, level.down.length);
-  const bool at_the_end = (window & cv::Rect(1, 1, size.width - 2, size.height - 2)) != window;
-  level.cells[row % 2].push_back({col, row, block, window, side, at_the_end});
-  level.pad_before = std::max({level.pad_before, side - window.br().x, side - window.br().y});
-  level.pad_behind = std::max({level.pad_behind, window.x + side - size.width, window.y + side - size.height});
-  if (level.plans.count(side) == 0) level.plans.emplace(side, make_plan(side, loops_.largest_radix, level_index));
+  const auto length_of_tile = [&](int in_window, float extent) {
+    const float length = static_cast<float>(in_window) + std::ceil(kAroundExtents * extent);
+    const int size = fourier_size(static_cast<int>(std::min<float>(length, kMaxFourierSize)));
+    if (level.plans.count(size) == 0) level.plans.emplace(size, make_plan(size, loops_.largest_radix, level_index));
+    return size;
+  };
+  const cv::Size tile(length_of_tile(window.width, extent_px.x()), length_of_tile(window.height, extent_px.y()));
+  const bool at_the_end = (window & cv::Rect(1, 1, level.across.length - 2, level.down.length - 2)) != window;
+  level.cell_at[static_cast<std::ptrdiff_t>(row) * level.across.cells() + col] = static_cast<int>(level.cells.size());
+  level.cells.push_back({col, row, block, window, tile, at_the_end, result_count_});
+  result_count_ += static_cast<std::size_t>(window.area()) * channels;
 }
 
-void PlaneFilter::cut_cells(const FilterGrid& grid, const std::vector<int>& blocks) {
-  for (Level& level : levels_) {
-    for (std::vector<Cell>& cells : level.cells) cells.clear();
-    level.pad_before = level.pad_behind = 0;
-    level.around.assign(grid.blocks.size(), 0);
-  }
+void PlaneFilter::cut_cells(const FilterGrid& grid, const std::vector<int>& blocks, int channels) {
   Level& whole = levels_[WHOLE];
   cut(grid.x, whole.across);
   cut(grid.y, whole.down);
   halve_axis(whole.across, levels_[HALF].across);
   halve_axis(whole.down, levels_[HALF].down);
+  for (Level& level : levels_) {
+    level.cells.clear();
+    level.cell_at.assign(static_cast<std::size_t>(whole.across.cells()) * whole.down.cells(), -1);
+  }
+  result_count_ = 0;
   for (const int block : blocks) {
     const int block_col = block % grid.cols(), block_row = block / grid.cols();
-    const float extent_px = extent_of(grid.blocks[block].inverse->path_px).maxCoeff();
+    const Eigen::Vector2f extent_px = extent_of(grid.blocks[block].inverse->path_px);
     const int level = is_for_half_size(*grid.blocks[block].inverse) ? HALF : WHOLE;
     for (int row = whole.down.first_of_block[block_row]; row < whole.down.first_of_block[block_row + 1]; ++row) {
       for (int col = whole.across.first_of_block[block_col]; col < whole.across.first_of_block[block_col + 1]; ++col) {
-        add_cell(col, row, block, level == HALF ? 0.5f * extent_px : extent_px, level);
+        add_cell(col, row, block, level == HALF ? 0.5f * extent_px : extent_px, channels, level);
       }
     }
-    for_each_around(block, grid, [&](int neighbour) { ++levels_[level].around[neighbour]; });
+  }
+  if (results_.size() < result_count_) {
+    results_.clear();  // or they would be copied
+    results_.resize(result_count_);
   }
 }
 
@@ -173,62 +168,17 @@ PlaneFilter::Plan PlaneFilter::make_plan(int size, int largest_radix, int level)
   return plan;
 }
 
-void PlaneFilter::clear_sums(const FilterGrid& grid, int threads, Level& level) {
-  const cv::Size size(level.across.length, level.down.length);
-  for (const int odd : {0, 1}) {
-    for (cv::Mat& sums : level.sums[odd]) sums.create(size, CV_32F);
-    if (!are_ones_) level.weights[odd].create(size, CV_32F);
+void PlaneFilter::prepare_images(const cv::Mat& src, int threads) {
+  std::vector<cv::Mat>& channels = levels_[WHOLE].images;
+  if (src.channels() == 1) {
+    channels = {src};
+  } else {
+    cv::split(src, channels);
   }
-  // Windows end in blocks with a cell beside them, and these look so far beyond themselves (margins, and at half the
-  // size the low pass), which is into the next ones where all but those at the edges are as long.
-  constexpr int kLooksPx = 10;
-  const auto are_long = [](const std::vector<int>& borders) {
-    for (std::size_t i = 2; i + 1 < borders.size(); ++i) {
-      if (borders[i] - borders[i - 1] < kLooksPx) return false;
-    }
-    return true;
-  };
-  std::vector<char> is_seen(grid.blocks.size(), are_long(grid.x) && are_long(grid.y) ? 0 : 1);
-  for (int block = 0; block < static_cast<int>(grid.blocks.size()); ++block) {
-    if (level.around[block] == 0) continue;
-    for_each_around(block, grid, [&](int neighbour) { is_seen[neighbour] = 1; });
-  }
-  const int shrink = &level == &levels_[HALF] ? 2 : 1;
-  const auto border = [shrink](const std::vector<int>& borders, int i, int length) {
-    return i + 1 == static_cast<int>(borders.size()) ? length : borders[i] / shrink;
-  };
-  run_parallel(grid.rows(), threads, 1, [&](int row) {
-    const char* seen = is_seen.data() + static_cast<std::ptrdiff_t>(row) * grid.cols();
-    const int begin_y = border(grid.y, row, size.height), end_y = border(grid.y, row + 1, size.height);
-    for (int col = 0, end_col; col < grid.cols(); col = end_col) {
-      end_col = col + 1;
-      while (end_col < grid.cols() && seen[end_col] == seen[col]) ++end_col;
-      if (!seen[col]) continue;
-      const int begin_x = border(grid.x, col, size.width), end_x = border(grid.x, end_col, size.width);
-      const auto clear = [&](cv::Mat& sums) {
-        for (int y = begin_y; y < end_y; ++y) std::fill_n(sums.ptr<float>(y) + begin_x, end_x - begin_x, 0.0f);
-      };
-      for (const int odd : {0, 1}) {
-        for (cv::Mat& sums : level.sums[odd]) clear(sums);
-        if (!are_ones_) clear(level.weights[odd]);
-      }
-    }
-  });
-}
-
-void PlaneFilter::prepare_levels(const cv::Mat& src, const FilterGrid& grid, int threads) {
-  cv::split(src, channels_);
-  for (Level& level : levels_) {
-    if (!level.is_used()) continue;
-    const bool is_half = &level == &levels_[HALF];
-    level.padded.resize(channels_.size());
-    for (std::size_t channel = 0; channel < channels_.size(); ++channel) {
-      if (is_half) halve(channels_[channel], threads, half_);
-      cv::copyMakeBorder(is_half ? half_ : channels_[channel], level.padded[channel], level.pad_before,
-                         level.pad_behind, level.pad_before, level.pad_behind, cv::BORDER_REPLICATE);
-    }
-    for (std::vector<cv::Mat>& sums : level.sums) sums.resize(channels_.size());
-    clear_sums(grid, threads, level);
+  Level& half = levels_[HALF];
+  half.images.resize(channels.size());
+  for (std::size_t channel = 0; channel < channels.size() && !half.cells.empty(); ++channel) {
+    halve(channels[channel], threads, half.images[channel]);
   }
 }
 
@@ -239,169 +189,227 @@ float* PlaneFilter::floats_in(std::vector<CacheLine>& lines, int count) {
 }
 
 template <typename Pixel>
-void PlaneFilter::load_tile(const cv::Mat& padded, const Level& level, const Cell& cell, Scratch& scratch,
-                            float* tile) {
+void PlaneFilter::load_tile(const cv::Mat& image, const Cell& cell, Scratch& scratch, float* tile) {
   const cv::Rect& window = cell.window;
-  const int size = cell.size, stride = fourier_stride(size);
-  const auto load_row = [&](int y, float* to) {
-    const Pixel* from = padded.ptr<Pixel>(window.y + y + level.pad_before) + window.x + level.pad_before;
+  const int cols = cell.tile.width, rows = cell.tile.height, stride = fourier_stride(cols);
+  // The image as far as the tile looks before and behind the window; its edges go on.
+  const int first = window.width - cols, count = cols - first;
+  const int inside = std::clamp(-(window.x + first), 0, count - 1);
+  const int end = std::clamp(image.cols - (window.x + first), inside + 1, count);
+  scratch.edge.resize(std::max<std::size_t>(scratch.edge.size(), count));
+  const auto fade = [&](const auto* from, float* to) {
 #pragma omp simd
     for (int x = 0; x < window.width; ++x) to[x] = from[x];
     const float* weights = scratch.fade_x.data();
 #pragma omp simd
-    for (int x = window.width; x < size; ++x) {
-      const float behind = from[x], before = from[x - size];
+    for (int x = window.width; x < cols; ++x) {
+      const float behind = from[x], before = from[x - cols];
       to[x] = behind + weights[x - window.width] * (before - behind);
     }
   };
-  for (int y = 0; y < size; ++y) {
+  const auto load_row = [&](int y, float* to) {
+    const Pixel* row = image.ptr<Pixel>(std::clamp(window.y + y, 0, image.rows - 1));
+    if (inside == 0 && end == count) return fade(row + window.x, to);
+    float* edge = scratch.edge.data();
+    const Pixel* from = row + (window.x + first);
+    std::fill(edge, edge + inside, static_cast<float>(row[0]));
+#pragma omp simd
+    for (int x = inside; x < end; ++x) edge[x] = from[x];
+    std::fill(edge + end, edge + count, static_cast<float>(row[image.cols - 1]));
+    fade(edge - first, to);
+  };
+  for (int y = 0; y < rows; ++y) {
     float* to = tile + y * stride;
     load_row(y, to);
     if (y < window.height) continue;
-    load_row(y - size, scratch.row.data());
+    load_row(y - rows, scratch.row.data());
     const float weight = scratch.fade_y[y - window.height];
 #pragma omp simd
-    for (int x = 0; x < size; ++x) to[x] += weight * (scratch.row[x] - to[x]);
+    for (int x = 0; x < cols; ++x) to[x] += weight * (scratch.row[x] - to[x]);
   }
 }
 
-void PlaneFilter::continue_tile(const Level& level, const Cell& cell, const FourierStages& plan, Scratch& scratch,
+void PlaneFilter::continue_tile(const Level& level, const Cell& cell, const FourierTile& plan, Scratch& scratch,
                                 float* tile) const {
-  const int size = cell.size, stride = fourier_stride(size);
+  const int cols = cell.tile.width, rows = cell.tile.height, stride = fourier_stride(cols);
   // Share of the image in what a tile has at an element, along one axis.
-  const auto find_inside = [size](int begin, int length, int image, const std::vector<float>& fade,
-                                  std::vector<float>& inside) {
+  const auto find_inside = [](int begin, int length, int size, int image, const std::vector<float>& fade,
+                              std::vector<float>& inside) {
     inside.assign(size, 1.0f);
     for (int i = length; i < size; ++i) {
       const float before = fade[i - length];
       inside[i] = (begin + i < image ? 1 - before : 0) + (begin + i - size >= 0 ? before : 0);
     }
   };
-  find_inside(cell.window.x, cell.window.width, level.across.length, scratch.fade_x, scratch.inside_x);
-  find_inside(cell.window.y, cell.window.height, level.down.length, scratch.fade_y, scratch.inside_y);
-  float* continued = floats_in(scratch.continued, size * stride);
-  float* transform = floats_in(scratch.transform, fourier_scratch(size));
-  float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * size);
-  std::copy_n(tile, size * stride, continued);
+  const cv::Rect& window = cell.window;
+  find_inside(window.x, window.width, cols, level.across.length, scratch.fade_x, scratch.inside_x);
+  find_inside(window.y, window.height, rows, level.down.length, scratch.fade_y, scratch.inside_y);
+  float* continued = floats_in(scratch.continued, rows * stride);
+  float* transform = floats_in(scratch.transform, fourier_scratch(std::max(cols, rows)));
+  float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * cols);
+  std::copy_n(tile, rows * stride, continued);
   loops_.transform_columns(plan, continued, transform);
-  for (int row = 0; row < size / 2; row += loops_.lanes) {
+  for (int row = 0; row < rows / 2; row += loops_.lanes) {
     scratch.gain.rows_blurred_again(row, gain);
-    loops_.filter_rows(plan, row, gain, 0, size, continued, transform);
+    loops_.filter_rows(plan, row, gain, 0, cols, continued, transform);
   }
-  loops_.restore_columns(plan, 0, size, continued, transform);
-  for (int y = 0; y < size; ++y) {
+  loops_.restore_columns(plan, 0, cols, continued, transform);
+  for (int y = 0; y < rows; ++y) {
     const float *inside_x = scratch.inside_x.data(), *from = continued + y * stride;
     const float inside_y = scratch.inside_y[y];
     float* to = tile + y * stride;
 #pragma omp simd
-    for (int x = 0; x < size; ++x) to[x] += kOverRelaxation * (1 - inside_x[x] * inside_y) * (from[x] - to[x]);
+    for (int x = 0; x < cols; ++x) to[x] += kOverRelaxation * (1 - inside_x[x] * inside_y) * (from[x] - to[x]);
   }
 }
 
 template <typename Pixel>
-void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, Level& level, Scratch& scratch) const {
-  const Plan& plan_of_size = level.plans.at(cell.size);
-  const FourierStages plan = plan_of_size.transform.stages();
+void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, const Level& level, Scratch& scratch) {
+  const Plan &plan_across = level.plans.at(cell.tile.width), &plan_down = level.plans.at(cell.tile.height);
+  const FourierTile plan{plan_across.transform.stages(), plan_down.transform.stages()};
   const cv::Rect& window = cell.window;
-  const int size = cell.size, stride = fourier_stride(size), channels = static_cast<int>(level.padded.size());
-  float* tiles = floats_in(scratch.tiles, channels * size * stride);
-  float* transform = floats_in(scratch.transform, fourier_scratch(size));
-  float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * size);
-  scratch.row.resize(std::max<std::size_t>(scratch.row.size(), size));
-  make_ramp(size - window.width, scratch.fade_x);
-  make_ramp(size - window.height, scratch.fade_y);
-  scratch.gain.set(inverse, plan, plan_of_size.band);
+  const int cols = cell.tile.width, rows = cell.tile.height, stride = fourier_stride(cols);
+  const int channels = static_cast<int>(level.images.size());
+  float* tiles = floats_in(scratch.tiles, channels * rows * stride);
+  float* transform = floats_in(scratch.transform, fourier_scratch(std::max(cols, rows)));
+  float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * cols);
+  scratch.row.resize(std::max<std::size_t>(scratch.row.size(), cols));
+  make_ramp(cols - window.width, scratch.fade_x);
+  make_ramp(rows - window.height, scratch.fade_y);
+  scratch.gain.set(inverse, plan, plan_across.band, plan_down.band);
   for (int channel = 0; channel < channels; ++channel) {
-    float* tile = tiles + channel * size * stride;
-    load_tile<Pixel>(level.padded[channel], level, cell, scratch, tile);
+    float* tile = tiles + channel * rows * stride;
+    load_tile<Pixel>(level.images[channel], cell, scratch, tile);
     if (cell.at_the_end) continue_tile(level, cell, plan, scratch, tile);
     loops_.transform_columns(plan, tile, transform);
   }
-  for (int row = 0; row < size / 2; row += loops_.lanes) {
+  for (int row = 0; row < rows / 2; row += loops_.lanes) {
     scratch.gain.rows(row, gain);
     for (int channel = 0; channel < channels; ++channel) {
-      loops_.filter_rows(plan, row, gain, 0, window.width, tiles + channel * size * stride, transform);
+      loops_.filter_rows(plan, row, gain, 0, window.width, tiles + channel * rows * stride, transform);
     }
   }
   const float *weights_x = level.across.weights[cell.col].data(), *weights_y = level.down.weights[cell.row].data();
+  float* to = results_.data() + cell.result;
   for (int channel = 0; channel < channels; ++channel) {
-    float* tile = tiles + channel * size * stride;
+    float* tile = tiles + channel * rows * stride;
     loops_.restore_columns(plan, 0, window.width, tile, transform);
-    for (int y = 0; y < window.height; ++y) {
-      const float* from = tile + y * stride;
-      float* sums = level.sums[cell.col % 2][channel].ptr<float>(window.y + y) + window.x;
+    for (int y = 0; y < window.height; ++y, to += window.width) {
+      const float *from = tile + y * stride, weight_y = weights_y[y];
 #pragma omp simd
-      for (int x = 0; x < window.width; ++x) sums[x] += from[x] * (weights_x[x] * weights_y[y]);
+      for (int x = 0; x < window.width; ++x) to[x] = from[x] * (weights_x[x] * weight_y);
     }
-  }
-  if (are_ones_) return;
-  for (int y = 0; y < window.height; ++y) {
-    float* weights = level.weights[cell.col % 2].ptr<float>(window.y + y) + window.x;
-    for (int x = 0; x < window.width; ++x) weights[x] += weights_x[x] * weights_y[y];
   }
 }
 
-bool PlaneFilter::are_ones_on(int block, const FilterGrid& grid) const {
-  const int col = block % grid.cols(), row = block / grid.cols();
-  const int cols = std::min(col + 2, grid.cols()) - std::max(col - 1, 0);
-  const int rows = std::min(row + 2, grid.rows()) - std::max(row - 1, 0);
-  return std::max(levels_[WHOLE].around[block], levels_[HALF].around[block]) == cols * rows;
-}
-
-void PlaneFilter::gather(int block, const cv::Rect& rect, int channel, bool are_ones, Scratch& scratch) const {
-  const std::size_t area = static_cast<std::size_t>(rect.area());
-  std::vector<float>&values = scratch.values, &weights = scratch.weights;
-  values.assign(area, 0);
-  if (!are_ones) weights.assign(area, 0);
-  const auto add = [&](int level, const cv::Mat& even, const cv::Mat& odd, std::vector<float>& to) {
-    if (level == HALF) {
-      scratch.doubled.resize(area);
-      double_sum(even, odd, rect, scratch.of_doubling, scratch.doubled.data());
-      for (std::size_t i = 0; i < area; ++i) to[i] += scratch.doubled[i];
-      return;
-    }
-    for (int y = 0; y < rect.height; ++y) {
-      const float *a = even.ptr<float>(rect.y + y) + rect.x, *b = odd.ptr<float>(rect.y + y) + rect.x;
-      float* row = to.data() + static_cast<std::ptrdiff_t>(y) * rect.width;
-#pragma omp simd
-      for (int x = 0; x < rect.width; ++x) row[x] += a[x] + b[x];
-    }
+PlaneFilter::Cells PlaneFilter::cells_around(const Level& level, int block_col, int block_row, const cv::Rect& rect) {
+  const auto along = [](const Axis& axis, int block, int begin_px, int end_px) {
+    cv::Range cells(axis.first_of_block[block], axis.first_of_block[block + 1]);
+    while (cells.start > 0 && axis.window_end(cells.start - 1) > begin_px) --cells.start;
+    while (cells.end < axis.cells() && axis.window_begins[cells.end] < end_px) ++cells.end;
+    return cells;
   };
-  for (const int i : {WHOLE, HALF}) {
-    const Level& level = levels_[i];
-    if (level.around[block] == 0) continue;
-    add(i, level.sums[0][channel], level.sums[1][channel], values);
-    if (!are_ones) add(i, level.weights[0], level.weights[1], weights);
+  return {along(level.across, block_col, rect.x, rect.br().x), along(level.down, block_row, rect.y, rect.br().y)};
+}
+
+void PlaneFilter::gather(int level_index, const FilterGrid& grid, int block, const cv::Rect& rect,
+                         std::optional<int> channel, Scratch& scratch, std::vector<float>& sums) const {
+  const Level& level = levels_[level_index];
+  if (level.cells.empty()) return;
+  const cv::Rect part = level_index == HALF ? needed_of_half(rect, {level.across.length, level.down.length}) : rect;
+  std::vector<float>& to = level_index == HALF ? scratch.halves : sums;
+  if (level_index == HALF) to.assign(part.area(), 0);
+  const Cells around = cells_around(level, block % grid.cols(), block / grid.cols(), part);
+  bool adds = false;
+  for (int row = around.rows.start; row < around.rows.end; ++row) {
+    for (int col = around.cols.start; col < around.cols.end; ++col) {
+      const int index = level.cell_at[static_cast<std::ptrdiff_t>(row) * level.across.cells() + col];
+      if (index < 0) continue;
+      const Cell& cell = level.cells[index];
+      const cv::Rect both = cell.window & part;
+      if (both.empty()) continue;
+      adds = true;
+      const cv::Point in_window = both.tl() - cell.window.tl();
+      const float* weights_x = level.across.weights[col].data() + in_window.x;
+      const float* weights_y = level.down.weights[row].data() + in_window.y;
+      const float* results =
+          results_.data() + cell.result + in_window.x +
+          (static_cast<std::ptrdiff_t>(channel.value_or(0)) * cell.window.height + in_window.y) * cell.window.width;
+      float* sum = to.data() + static_cast<std::ptrdiff_t>(both.y - part.y) * part.width + (both.x - part.x);
+      for (int y = 0; y < both.height; ++y, sum += part.width, results += cell.window.width) {
+        if (channel) {
+#pragma omp simd
+          for (int x = 0; x < both.width; ++x) sum[x] += results[x];
+        } else {
+#pragma omp simd
+          for (int x = 0; x < both.width; ++x) sum[x] += weights_x[x] * weights_y[y];
+        }
+      }
+    }
   }
+  if (level_index == WHOLE || !adds) return;
+  scratch.doubled.resize(sums.size());
+  double_size(part, to.data(), rect, scratch.of_doubling, scratch.doubled.data());
+  for (std::size_t i = 0; i < sums.size(); ++i) sums[i] += scratch.doubled[i];
+}
+
+bool PlaneFilter::are_ones(const FilterGrid& grid, int block, const cv::Rect& rect) const {
+  int levels_with_some = 0;
+  bool is_one_missing = false;
+  for (const int level_index : {WHOLE, HALF}) {
+    const Level& level = levels_[level_index];
+    if (level.cells.empty()) continue;
+    const cv::Rect part = level_index == HALF ? needed_of_half(rect, {level.across.length, level.down.length}) : rect;
+    const Cells around = cells_around(level, block % grid.cols(), block / grid.cols(), part);
+    int present = 0;
+    for (int row = around.rows.start; row < around.rows.end; ++row) {
+      const int* cells = level.cell_at.data() + static_cast<std::ptrdiff_t>(row) * level.across.cells();
+      for (int col = around.cols.start; col < around.cols.end; ++col) present += cells[col] >= 0 ? 1 : 0;
+    }
+    if (present == 0) continue;
+    ++levels_with_some;
+    is_one_missing |= present < around.rows.size() * around.cols.size();
+  }
+  return levels_with_some == 1 && !is_one_missing;
 }
 
 template <typename Pixel>
 void PlaneFilter::deliver(int block, const FilterGrid& grid, SeamBlender& seams, Scratch& scratch, cv::Mat& dst) const {
-  const bool are_ones = are_ones_on(block, grid);
   constexpr int kMax = std::numeric_limits<Pixel>::max();
-  const int channels = static_cast<int>(channels_.size());
+  const int channels = dst.channels();
   for (const SeamBlender::Part<Pixel>& part : seams.parts<Pixel>(block, dst)) {
     const cv::Rect& rect = part.rect;
     if (rect.empty()) continue;
+    const std::size_t area = static_cast<std::size_t>(rect.area());
+    const bool has_weights = !are_ones(grid, block, rect);
+    if (has_weights) {
+      scratch.weights.assign(area, 0);
+      for (const int level : {WHOLE, HALF}) gather(level, grid, block, rect, {}, scratch, scratch.weights);
+    }
     for (int channel = 0; channel < channels; ++channel) {
-      gather(block, rect, channel, are_ones, scratch);
-      const std::size_t area = scratch.values.size();
+      scratch.values.assign(area, 0);
+      for (const int level : {WHOLE, HALF}) gather(level, grid, block, rect, channel, scratch, scratch.values);
       // In steps that vectorise each: float to int, int clipped, int to pixel.
       scratch.whole_numbers.resize(area);
       int* numbers = scratch.whole_numbers.data();
       const float *values = scratch.values.data(), *weights = scratch.weights.data();
-      if (are_ones) {
-#pragma omp simd
-        for (std::size_t i = 0; i < area; ++i) numbers[i] = static_cast<int>(values[i] + 0.5f);
-      } else {
+      if (has_weights) {
 #pragma omp simd
         for (std::size_t i = 0; i < area; ++i) numbers[i] = static_cast<int>(values[i] / weights[i] + 0.5f);
+      } else {
+#pragma omp simd
+        for (std::size_t i = 0; i < area; ++i) numbers[i] = static_cast<int>(values[i] + 0.5f);
       }
 #pragma omp simd
       for (std::size_t i = 0; i < area; ++i) numbers[i] = std::min(std::max(numbers[i], 0), kMax);
       for (int y = 0; y < rect.height; ++y, numbers += rect.width) {
         Pixel* to = part.to + y * part.stride + channel;
-        for (int x = 0; x < rect.width; ++x) to[x * channels] = static_cast<Pixel>(numbers[x]);
+        if (channels == 1) {
+#pragma omp simd
+          for (int x = 0; x < rect.width; ++x) to[x] = static_cast<Pixel>(numbers[x]);
+        } else {
+          for (int x = 0; x < rect.width; ++x) to[x * channels] = static_cast<Pixel>(numbers[x]);
+        }
       }
     }
   }
@@ -410,27 +418,25 @@ void PlaneFilter::deliver(int block, const FilterGrid& grid, SeamBlender& seams,
 template <typename Pixel>
 void PlaneFilter::filter_as(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
                             SeamBlender& seams, cv::Mat& dst) {
-  cut_cells(grid, blocks);
-  are_ones_ = blocks.size() == grid.blocks.size() && levels_[WHOLE].is_used() != levels_[HALF].is_used();
-  prepare_levels(src, grid, threads);
+  cut_cells(grid, blocks, src.channels());
+  prepare_images(src, threads);
   const PlaneGainLoops& gain_loops = *find_plane_gain_loops(loops_.name);
   while (static_cast<int>(scratch_.size()) < threads) scratch_.emplace_back(gain_loops);
-  for (const int odd : {0, 1}) {
-    const std::vector<Cell>&of_whole = levels_[WHOLE].cells[odd], &of_half = levels_[HALF].cells[odd];
-    const int wholes = static_cast<int>(of_whole.size()), halves = static_cast<int>(of_half.size());
-    run_parallel(wholes + halves, threads, 1, [&](int i, int thread) {
-      if (i < wholes) {
-        const PlaneInverse& inverse = *grid.blocks[of_whole[i].block].inverse;
-        filter_cell<Pixel>(of_whole[i], inverse, levels_[WHOLE], scratch_[thread]);
-      } else {
-        const Cell& cell = of_half[i - wholes];
-        filter_cell<float>(cell, at_half_size(*grid.blocks[cell.block].inverse), levels_[HALF], scratch_[thread]);
-      }
-    });
-  }
-  constexpr int kBlocksAtATime = 16;
+  const std::vector<Cell>&of_whole = levels_[WHOLE].cells, &of_half = levels_[HALF].cells;
+  const int wholes = static_cast<int>(of_whole.size()), halves = static_cast<int>(of_half.size());
+  run_parallel(wholes + halves, threads, 1, [&](int i, int thread) {
+    if (i < wholes) {
+      const PlaneInverse& inverse = *grid.blocks[of_whole[i].block].inverse;
+      filter_cell<Pixel>(of_whole[i], inverse, levels_[WHOLE], scratch_[thread]);
+    } else {
+      const Cell& cell = of_half[i - wholes];
+      filter_cell<float>(cell, at_half_size(*grid.blocks[cell.block].inverse), levels_[HALF], scratch_[thread]);
+    }
+  });
+  constexpr int kBlocksAtATime = 4;
   run_parallel(static_cast<int>(blocks.size()), threads, kBlocksAtATime,
                [&](int i, int thread) { deliver<Pixel>(blocks[i], grid, seams, scratch_[thread], dst); });
+  levels_[WHOLE].images.clear();  // `src` belongs to the caller
 }
 
 void PlaneFilter::filter(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,

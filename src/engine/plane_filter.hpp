@@ -2,6 +2,7 @@
 #pragma once
 
 #include <map>
+#include <optional>
 #include <vector>
 
 #include <opencv2/core.hpp>
@@ -38,12 +39,16 @@ class PlaneFilter {
     std::vector<int> first_of_block;          ///< cells; behind the last block's, their number
     std::vector<int> window_begins;           ///< of cells [px]
     std::vector<std::vector<float>> weights;  ///< in the windows of cells
+
+    int cells() const { return first_of_block.back(); }
+    int window_end(int cell) const { return window_begins[cell] + static_cast<int>(weights[cell].size()); }
   };
   struct Cell {
     int col, row, block;
     cv::Rect window;
-    int size;         ///< of its tile, which begins with the window
-    bool at_the_end;  ///< of the image
+    cv::Size tile;       ///< begins with the window
+    bool at_the_end;     ///< of the image
+    std::size_t result;  ///< in results_: the window's pixels times their weights, channel by channel
   };
   struct alignas(64) CacheLine {
     float floats[16];
@@ -55,17 +60,10 @@ class PlaneFilter {
   /// The image at one size, and what is filtered at that.
   struct Level {
     Axis across, down;
-    std::vector<Cell> cells[2];  ///< in even and in odd rows: windows of a list overlap beside each other alone
-    std::map<int, Plan> plans;   ///< by size
-    int pad_before = 0, pad_behind = 0;
-    std::vector<cv::Mat> padded;  ///< image, by channel
-    /// Over the windows in even and in odd columns, which threads fill at the same time: weight times result, by
-    /// channel, and the weights, unless they sum up to 1 everywhere.
-    std::vector<cv::Mat> sums[2];
-    cv::Mat weights[2];
-    std::vector<int> around;  ///< by block, how many of it and its neighbours have their cells here
-
-    bool is_used() const { return !cells[0].empty() || !cells[1].empty(); }
+    std::vector<Cell> cells;
+    std::vector<int> cell_at;     ///< by row and column of cells; -1 where none is filtered
+    std::map<int, Plan> plans;    ///< by length
+    std::vector<cv::Mat> images;  ///< by channel
   };
   enum { WHOLE, HALF, LEVELS };
   /// Of one thread.
@@ -73,45 +71,48 @@ class PlaneFilter {
     explicit Scratch(const PlaneGainLoops& gain_loops) : gain(gain_loops) {}
     PlaneGain gain;
     std::vector<CacheLine> tiles, continued, gain_rows, transform;
-    std::vector<float> fade_x, fade_y, row, inside_x, inside_y;
-    std::vector<float> values, weights, doubled, of_doubling;
+    std::vector<float> fade_x, fade_y, row, edge, inside_x, inside_y;
+    std::vector<float> values, weights, halves, doubled, of_doubling;
     std::vector<int> whole_numbers;
+  };
+  /// Some columns and rows of cells, up to the end.
+  struct Cells {
+    cv::Range cols, rows;
   };
 
   static float* floats_in(std::vector<CacheLine>& lines, int count);
   static void cut(const std::vector<int>& borders, Axis& axis);
   /// The same windows at half the size.
   static void halve_axis(const Axis& whole, Axis& half);
-  /// Cells of `blocks`; makes the padding as wide as they look beyond the image.
-  void cut_cells(const FilterGrid& grid, const std::vector<int>& blocks);
-  void add_cell(int col, int row, int block, float extent_px, int level);
+  void cut_cells(const FilterGrid& grid, const std::vector<int>& blocks, int channels);
+  void add_cell(int col, int row, int block, const Eigen::Vector2f& extent_px, int channels, int level);
   static Plan make_plan(int size, int largest_radix, int level);
-  /// Where something is filtered, or looked at.
-  void clear_sums(const FilterGrid& grid, int threads, Level& level);
-  void prepare_levels(const cv::Mat& src, const FilterGrid& grid, int threads);
+  void prepare_images(const cv::Mat& src, int threads);
   template <typename Pixel>
-  static void load_tile(const cv::Mat& padded, const Level& level, const Cell& cell, Scratch& scratch, float* tile);
+  static void load_tile(const cv::Mat& image, const Cell& cell, Scratch& scratch, float* tile);
   /// Replaces what a tile has from outside of the image.
-  void continue_tile(const Level& level, const Cell& cell, const FourierStages& plan, Scratch& scratch,
+  void continue_tile(const Level& level, const Cell& cell, const FourierTile& plan, Scratch& scratch,
                      float* tile) const;
   template <typename Pixel>
-  void filter_cell(const Cell& cell, const PlaneInverse& inverse, Level& level, Scratch& scratch) const;
+  void filter_cell(const Cell& cell, const PlaneInverse& inverse, const Level& level, Scratch& scratch);
   template <typename Pixel>
   void filter_as(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
                  SeamBlender& seams, cv::Mat& dst);
-  /// Whether the weights sum up to 1 on a block and the margins around it.
-  bool are_ones_on(int block, const FilterGrid& grid) const;
-  /// Values of a piece of a block, and their weights unless these are ones.
-  void gather(int block, const cv::Rect& rect, int channel, bool are_ones, Scratch& scratch) const;
+  /// Those of a block and around it whose windows reach into `rect`.
+  static Cells cells_around(const Level& level, int block_col, int block_row, const cv::Rect& rect);
+  /// Sums of what the cells have in `rect` of a piece of a block: results, or, without a channel, weights.
+  void gather(int level, const FilterGrid& grid, int block, const cv::Rect& rect, std::optional<int> channel,
+              Scratch& scratch, std::vector<float>& sums) const;
+  /// Whether the weights sum up to 1 in `rect` of a piece of a block.
+  bool are_ones(const FilterGrid& grid, int block, const cv::Rect& rect) const;
   /// Rounds what is computed of a block.
   template <typename Pixel>
   void deliver(int block, const FilterGrid& grid, SeamBlender& seams, Scratch& scratch, cv::Mat& dst) const;
 
   const FourierLoops& loops_;
   Level levels_[LEVELS];
-  std::vector<cv::Mat> channels_;  // of the image
-  cv::Mat half_;
-  bool are_ones_ = true;          // the sums of weights
+  std::vector<float> results_;
+  std::size_t result_count_ = 0;
   std::vector<Scratch> scratch_;  // by thread
 };
 

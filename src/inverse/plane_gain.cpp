@@ -45,28 +45,36 @@ void make_phases(const PlanePath& path_px, int axis, int first, int count, int s
 
 }  // namespace
 
-void PlaneGain::set(const PlaneInverse& inverse, const FourierStages& stages, const PlaneBand& band) {
-  const int size = stages.size;
-  make_phases(inverse.path_px, 0, -size / 2, size, size, across_);
-  make_phases(inverse.path_px, 1, 0, size / 2, size, down_);
-  tables_.size = size;
-  tables_.places = stages.places;
+void PlaneGain::set(const PlaneInverse& inverse, const FourierTile& tile, const PlaneBand& band_across,
+                    const PlaneBand& band_down) {
+  const int cols = tile.across.size, rows = tile.down.size;
+  make_phases(inverse.path_px, 0, -cols / 2, cols, cols, across_);
+  make_phases(inverse.path_px, 1, 0, rows / 2, rows, down_);
+  tables_.cols = cols;
+  tables_.places = tile.across.places;
   tables_.across = across_.data();
   tables_.down = down_.data();
   for (int k = 0; k + 1 < kPathInstants; ++k) {
-    const Eigen::Vector2f slope = static_cast<float>(kPi / size) * (inverse.path_px[k + 1] - inverse.path_px[k]);
-    tables_.slope_across[k] = slope.x();
-    tables_.slope_down[k] = slope.y();
+    const Eigen::Vector2f moved_px = inverse.path_px[k + 1] - inverse.path_px[k];
+    tables_.slope_across[k] = static_cast<float>(kPi / cols) * moved_px.x();
+    tables_.slope_down[k] = static_cast<float>(kPi / rows) * moved_px.y();
   }
   tables_.noise_to_signal = inverse.noise_to_signal;
-  tables_.band = band.gain.data();
-  tables_.band_again = band.again.data();
-  tables_.noise_rise = inverse.noise_rise_px2 / (static_cast<float>(size) * static_cast<float>(size));
+  tables_.noise_rise_across = inverse.noise_rise_px2 / (static_cast<float>(cols) * static_cast<float>(cols));
+  tables_.noise_rise_down = inverse.noise_rise_px2 / (static_cast<float>(rows) * static_cast<float>(rows));
+  band_across_ = &band_across;
+  band_down_ = &band_down;
 }
 
-void PlaneGain::rows(int first_row, float* gain) const { loops_.gain_of_rows(tables_, first_row, false, gain); }
+void PlaneGain::rows(int first_row, float* gain) {
+  tables_.band_across = band_across_->gain.data();
+  tables_.band_down = band_down_->gain.data();
+  loops_.gain_of_rows(tables_, first_row, false, gain);
+}
 
-void PlaneGain::rows_blurred_again(int first_row, float* gain) const {
+void PlaneGain::rows_blurred_again(int first_row, float* gain) {
+  tables_.band_across = band_across_->again.data();
+  tables_.band_down = band_down_->again.data();
   loops_.gain_of_rows(tables_, first_row, true, gain);
 }
 

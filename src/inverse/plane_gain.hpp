@@ -9,7 +9,7 @@
 
 namespace gyro_deblur {
 
-/// What else the gain is multiplied with at k cycles in a tile along either axis, k = 0 .. size / 2 - 1.
+/// What else the gain is multiplied with at k cycles in a tile along one axis, k = 0 .. size / 2 - 1.
 struct PlaneBand {
   std::vector<float> gain;
   std::vector<float> again;  ///< where it blurs again
@@ -21,20 +21,22 @@ class PlaneGain {
   /// @param loops  with as many lanes as those of the transform
   explicit PlaneGain(const PlaneGainLoops& loops) : loops_(loops) {}
 
-  /// Prepares for rows() and rows_blurred_again(). Preconditions: finite places, PlaneInverse's ranges; the plan of
-  /// `stages` and `band` live on.
-  void set(const PlaneInverse& inverse, const FourierStages& stages, const PlaneBand& band);
+  /// Prepares for rows() and rows_blurred_again(). Preconditions: finite places, PlaneInverse's ranges; the plans of
+  /// `tile` and the bands of its axes live on.
+  void set(const PlaneInverse& inverse, const FourierTile& tile, const PlaneBand& band_across,
+           const PlaneBand& band_down);
 
   /// Gain at frequencies down of first_row .. first_row + lanes - 1 (first_row a multiple of lanes), as
-  /// FourierLoops::filter_rows takes it: 2 * lanes * size floats. 0 at half a cycle a pixel across.
-  void rows(int first_row, float* gain) const;
+  /// FourierLoops::filter_rows takes it: 2 * lanes * across.size floats. 0 at half a cycle a pixel across.
+  void rows(int first_row, float* gain);
 
   /// The same of the inverse and the blur after it: G(f) H(f), 0 to 1 + N(0), times the band.
-  void rows_blurred_again(int first_row, float* gain) const;
+  void rows_blurred_again(int first_row, float* gain);
 
  private:
   const PlaneGainLoops& loops_;
   PlaneGainTables tables_{};
+  const PlaneBand *band_across_ = nullptr, *band_down_ = nullptr;
   std::vector<float> across_, down_;  // of tables_
 };
 

@@ -8,18 +8,17 @@ namespace gyro_deblur {
 /// Floats of the phases of a path's places at one frequency: real parts, imaginary parts.
 constexpr int kPhaseFloats = 2 * kPathInstants;
 
-/// What the gain is made from, for tiles of `size`; frequencies in cycles in `size` px.
+/// What the gain is made from; frequencies in cycles in a tile.
 struct PlaneGainTables {
-  int size;
-  const int* places;                      ///< where frequency u (0 .. size - 1) across belongs
-  const float* across;                    ///< phases exp(-2 pi i u x) of the places' x, for u from -size / 2 on
-  const float* down;                      ///< the same of y, for v from 0 to size / 2 - 1
+  int cols;                               ///< of the tile [px]
+  const int* places;                      ///< where frequency u (0 .. cols - 1) across belongs
+  const float* across;                    ///< phases exp(-2 pi i u x) of the places' x, for u from -cols / 2 on
+  const float* down;                      ///< the same of y, for v from 0 to half the rows, less 1
   float slope_across[kPathInstants - 1];  ///< half the phase between two places, by u
   float slope_down[kPathInstants - 1];    ///< and by v
   float noise_to_signal;
-  float noise_rise;         ///< by u^2 + v^2
-  const float* band;        ///< further factor of the gain along an axis, for |u| and |v| from 0 to size / 2 - 1
-  const float* band_again;  ///< the same where it blurs again
+  float noise_rise_across, noise_rise_down;  ///< by u^2 and v^2
+  const float *band_across, *band_down;      ///< further factors of the gain, by |u| and v
 };
 
 /// The functions of one instruction set.

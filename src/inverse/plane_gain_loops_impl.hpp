@@ -38,12 +38,11 @@ void gain_of_rows(const PlaneGainTables& tables, int first_row, bool blurs_again
     }
   }
   for (int k = 0; k < kSegments; ++k) from_down[k] = tables.slope_down[k] * v;
-  const Vector noise_down = tables.noise_to_signal + tables.noise_rise * (v * v);
-  const float* band = blurs_again ? tables.band_again : tables.band;
-  const Vector scale = (1 + tables.noise_to_signal) * load(band + first_row);
+  const Vector noise_down = tables.noise_to_signal + tables.noise_rise_down * (v * v);
+  const Vector scale = (1 + tables.noise_to_signal) * load(tables.band_down + first_row);
 
   const Vector none = {};
-  const int size = tables.size;
+  const int size = tables.cols;
   const float* across = tables.across + kPhaseFloats;  // the first is half a cycle a pixel
   for (int u = 1 - size / 2; u < size / 2; ++u, across += kPhaseFloats) {
     Vector re = {}, im = {};  // 2 kSegments times the transfer function
@@ -64,8 +63,8 @@ void gain_of_rows(const PlaneGainTables& tables, int first_row, bool blurs_again
     re *= 0.5f / kSegments;
     im *= 0.5f / kSegments;
     const Vector power = re * re + im * im;
-    const Vector factor = scale * band[u < 0 ? -u : u] /
-                          (power + (noise_down + tables.noise_rise * static_cast<float>(u) * static_cast<float>(u)));
+    const float noise_across = tables.noise_rise_across * static_cast<float>(u) * static_cast<float>(u);
+    const Vector factor = scale * tables.band_across[u < 0 ? -u : u] / (power + (noise_down + noise_across));
     float* to = gain + static_cast<std::ptrdiff_t>(tables.places[u < 0 ? u + size : u]) * 2 * kLanes;
     store(to, (blurs_again ? power : re) * factor);
     store(to + kLanes, blurs_again ? none : -im * factor);

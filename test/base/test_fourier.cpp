@@ -43,40 +43,42 @@ class FourierTest : public testing::TestWithParam<const char*> {
 
   /// `image` times `gain` in the frequency domain, columns first_col to end_col of it.
   cv::Mat filtered(const cv::Mat& image, const Gain& gain, int first_col, int end_col) const {
-    const int size = image.rows, lanes = loops_->lanes;
-    const FourierPlan plan(size, loops_->largest_radix);
+    const int cols = image.cols, rows = image.rows, lanes = loops_->lanes;
+    const FourierPlan across(cols, loops_->largest_radix), down(rows, loops_->largest_radix);
+    const FourierTile plan{across.stages(), down.stages()};
     // OpenCV's matrices begin on a cache line.
-    cv::Mat tile(size, fourier_stride(size), CV_32F), scratch(1, fourier_scratch(size), CV_32F);
-    cv::Mat in_places(size, 2 * lanes, CV_32F);
-    image.convertTo(tile(cv::Rect(0, 0, size, size)), CV_32F);
-    loops_->transform_columns(plan.stages(), tile.ptr<float>(), scratch.ptr<float>());
-    for (int row = 0; row < size / 2; row += lanes) {
-      for (int u = 0; u < size; ++u) {
-        float* to = in_places.ptr<float>(plan.stages().places[u]);
+    cv::Mat tile(rows, fourier_stride(cols), CV_32F), scratch(1, fourier_scratch(std::max(cols, rows)), CV_32F);
+    cv::Mat in_places(cols, 2 * lanes, CV_32F);
+    image.convertTo(tile(cv::Rect(0, 0, cols, rows)), CV_32F);
+    loops_->transform_columns(plan, tile.ptr<float>(), scratch.ptr<float>());
+    for (int row = 0; row < rows / 2; row += lanes) {
+      for (int u = 0; u < cols; ++u) {
+        float* to = in_places.ptr<float>(plan.across.places[u]);
         for (int i = 0; i < lanes; ++i) {
           to[i] = static_cast<float>(gain(row + i, u).real());
           to[lanes + i] = static_cast<float>(gain(row + i, u).imag());
         }
       }
-      loops_->filter_rows(plan.stages(), row, in_places.ptr<float>(), first_col, end_col, tile.ptr<float>(),
+      loops_->filter_rows(plan, row, in_places.ptr<float>(), first_col, end_col, tile.ptr<float>(),
                           scratch.ptr<float>());
     }
-    loops_->restore_columns(plan.stages(), first_col, end_col, tile.ptr<float>(), scratch.ptr<float>());
-    return tile(cv::Rect(first_col, 0, end_col - first_col, size)).clone();
+    loops_->restore_columns(plan, first_col, end_col, tile.ptr<float>(), scratch.ptr<float>());
+    return tile(cv::Rect(first_col, 0, end_col - first_col, rows)).clone();
   }
 
   const FourierLoops* loops_ = nullptr;
 };
 
 /// A gain without half a cycle a pixel for tiles of real numbers.
-Gain random_gain(int size, cv::RNG& random) {
-  Gain gain(size, size, std::complex<double>(0));
-  for (int v = 0; v < size / 2; ++v) {
-    for (int u = v == 0 ? 0 : 1 - size / 2; u < size / 2; ++u) {
+Gain random_gain(cv::Size size, cv::RNG& random) {
+  const int cols = size.width, rows = size.height;
+  Gain gain(rows, cols, std::complex<double>(0));
+  for (int v = 0; v < rows / 2; ++v) {
+    for (int u = v == 0 ? 0 : 1 - cols / 2; u < cols / 2; ++u) {
       const bool is_real = u == 0 && v == 0;
       const std::complex<double> value(random.uniform(-1.0, 1.0), is_real ? 0 : random.uniform(-1.0, 1.0));
-      gain(v, (u + size) % size) = value;
-      gain((size - v) % size, (size - u) % size) = std::conj(value);
+      gain(v, (u + cols) % cols) = value;
+      gain((rows - v) % rows, (cols - u) % cols) = std::conj(value);
     }
   }
   return gain;
@@ -84,14 +86,16 @@ Gain random_gain(int size, cv::RNG& random) {
 
 TEST_P(FourierTest, MultiplyByAGainAsOpenCvDoes) {
   cv::RNG random(7);
-  for (const int size : {32, 64, 96, 128, 160, 192, 256, 288, 320, 480, 512, 640}) {
-    cv::Mat image(size, size, CV_64F), spectrum, expected;
+  std::vector<cv::Size> sizes = {{32, 160}, {480, 32}, {96, 128}};
+  for (const int size : {32, 64, 96, 128, 160, 192, 256, 288, 320, 480, 512, 640}) sizes.emplace_back(size, size);
+  for (const cv::Size& size : sizes) {
+    cv::Mat image(size, CV_64F), spectrum, expected;
     random.fill(image, cv::RNG::UNIFORM, -128.0, 128.0);
     const Gain gain = random_gain(size, random);
     cv::dft(image, spectrum, cv::DFT_COMPLEX_OUTPUT);
     spectrum.forEach<std::complex<double>>([&](std::complex<double>& z, const int* at) { z *= gain(at[0], at[1]); });
     cv::dft(spectrum, expected, cv::DFT_INVERSE | cv::DFT_SCALE | cv::DFT_REAL_OUTPUT);
-    for (const auto& [first, end] : {std::pair(0, size), std::pair(7, size / 2 + 3)}) {
+    for (const auto& [first, end] : {std::pair(0, size.width), std::pair(7, size.width / 2 + 3)}) {
       cv::Mat difference;
       cv::subtract(filtered(image, gain, first, end), expected.colRange(first, end), difference, cv::noArray(), CV_64F);
       // A float holds 128 to 8e-6; errors grow with the root of the number of stages.

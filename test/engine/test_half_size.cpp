@@ -29,7 +29,8 @@ cv::Mat wave(cv::Size size, double fx, double fy) {
 cv::Mat doubled(const cv::Mat& half, const cv::Rect& rect) {
   cv::Mat result(rect.size(), CV_32F);
   std::vector<float> scratch;
-  double_sum(half, cv::Mat::zeros(half.size(), CV_32F), rect, scratch, result.ptr<float>());
+  const cv::Rect part = needed_of_half(rect, half.size());
+  double_size(part, half(part).clone().ptr<float>(), rect, scratch, result.ptr<float>());
   return result;
 }
 

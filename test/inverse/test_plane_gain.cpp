@@ -24,17 +24,18 @@ class PlaneGainTest : public testing::TestWithParam<const char*> {
     lanes_ = find_fourier_loops(GetParam())->lanes;
   }
 
-  /// Calls check(v, u, gain, gain and blur) for all frequencies of tiles of `size`, u from 0 to size - 1.
+  /// Calls check(v, u, gain, gain and blur) for all frequencies of tiles of `size`, u from 0 to its width - 1.
   template <typename Check>
-  void for_each_gain(const PlaneInverse& inverse, int size, const PlaneBand& band, const Check& check) const {
-    const FourierPlan plan(size, 8);
+  void for_each_gain(const PlaneInverse& inverse, cv::Size size, const PlaneBand& band_across,
+                     const PlaneBand& band_down, const Check& check) const {
+    const FourierPlan plan(size.width, 8), plan_down(size.height, 8);
     PlaneGain gain(*loops_);
-    gain.set(inverse, plan.stages(), band);
-    std::vector<float> of_rows(2 * lanes_ * size), blurred_again(2 * lanes_ * size);
-    for (int row = 0; row < size / 2; row += lanes_) {
+    gain.set(inverse, {plan.stages(), plan_down.stages()}, band_across, band_down);
+    std::vector<float> of_rows(2 * lanes_ * size.width), blurred_again(2 * lanes_ * size.width);
+    for (int row = 0; row < size.height / 2; row += lanes_) {
       gain.rows(row, of_rows.data());
       gain.rows_blurred_again(row, blurred_again.data());
-      for (int u = 0; u < size; ++u) {
+      for (int u = 0; u < size.width; ++u) {
         const int place = plan.stages().places[u] * 2 * lanes_;
         const auto at = [&](const std::vector<float>& rows, int i) {
           return std::complex<double>(rows[place + i], rows[place + lanes_ + i]);
@@ -64,14 +65,15 @@ TEST_P(PlaneGainTest, IsTheWienerInverseOfThePath) {
   for (const PlanePath& path_px : paths) {
     for (const float rise_px2 : {0.0f, 5.0f}) {
       const PlaneInverse inverse{path_px, 0.007f, rise_px2};
-      for (const int size : {32, 192, 480}) {
+      for (const cv::Size& size : {cv::Size(32, 32), cv::Size(192, 192), cv::Size(480, 480), cv::Size(288, 64)}) {
         double worst = 0, worst_again = 0;
-        for_each_gain(
-            inverse, size, all(size), [&](int v, int u, std::complex<double> gain, std::complex<double> again) {
-              const std::complex<double> expected = test::gain_at(inverse, u, v, size);
-              worst = std::max(worst, std::abs(gain - expected));
-              worst_again = std::max(worst_again, std::abs(again - expected * test::transfer_at(path_px, u, v, size)));
-            });
+        for_each_gain(inverse, size, all(size.width), all(size.height),
+                      [&](int v, int u, std::complex<double> gain, std::complex<double> again) {
+                        const std::complex<double> expected = test::gain_at(inverse, u, v, size);
+                        worst = std::max(worst, std::abs(gain - expected));
+                        worst_again =
+                            std::max(worst_again, std::abs(again - expected * test::transfer_at(path_px, u, v, size)));
+                      });
         // Of gains of up to 1 / (2 sqrt(noise_to_signal)) = 6.
         EXPECT_LT(worst, 0.01) << extent_of(path_px).transpose() << " px, " << rise_px2 << " px^2, tile of " << size;
         EXPECT_LT(worst_again, 0.002) << extent_of(path_px).transpose() << " px, tile of " << size;
@@ -81,7 +83,7 @@ TEST_P(PlaneGainTest, IsTheWienerInverseOfThePath) {
 }
 
 TEST_P(PlaneGainTest, KeepsTheMean) {
-  for_each_gain({test::arc_path(50, 9, 1), 0.02f, 1}, 96, all(96),
+  for_each_gain({test::arc_path(50, 9, 1), 0.02f, 1}, {96, 64}, all(96), all(64),
                 [&](int v, int u, std::complex<double> gain, std::complex<double>) {
                   if (u != 0 || v != 0) return;
                   EXPECT_LT(std::abs(gain - 1.0), 1e-6);
@@ -89,20 +91,23 @@ TEST_P(PlaneGainTest, KeepsTheMean) {
 }
 
 TEST_P(PlaneGainTest, IsTimesItsBand) {
-  constexpr int kSize = 64;
+  const cv::Size size(64, 96);
   const PlaneInverse inverse{test::arc_path(20, 4, 0.7), 0.01f, 1};
-  PlaneBand band = all(kSize);
-  for (int k = 0; k < kSize / 2; ++k) {
-    band.gain[k] = 1 + 0.1f * static_cast<float>(k);
-    band.again[k] = 1 - 0.03f * static_cast<float>(k);
+  PlaneBand across = all(size.width), down = all(size.height);
+  for (int k = 0; k < size.height / 2; ++k) {
+    down.gain[k] = 1 + 0.1f * static_cast<float>(k);
+    down.again[k] = 1 - 0.02f * static_cast<float>(k);
+    if (k >= size.width / 2) continue;
+    across.gain[k] = 1 + 0.05f * static_cast<float>(k);
+    across.again[k] = 1 - 0.03f * static_cast<float>(k);
   }
-  for_each_gain(inverse, kSize, band, [&](int v, int u, std::complex<double> gain, std::complex<double> again) {
-    if (u == kSize / 2) return;
-    const int across = u < kSize / 2 ? u : kSize - u;
-    const std::complex<double> expected = test::gain_at(inverse, u, v, kSize),
-                               transfer = test::transfer_at(inverse.path_px, u, v, kSize);
-    EXPECT_LT(std::abs(gain - expected * static_cast<double>(band.gain[across] * band.gain[v])), 0.05);
-    EXPECT_LT(std::abs(again - expected * transfer * static_cast<double>(band.again[across] * band.again[v])), 0.002);
+  for_each_gain(inverse, size, across, down, [&](int v, int u, std::complex<double> gain, std::complex<double> again) {
+    if (u == size.width / 2) return;
+    const int of = u < size.width / 2 ? u : size.width - u;
+    const std::complex<double> expected = test::gain_at(inverse, u, v, size),
+                               transfer = test::transfer_at(inverse.path_px, u, v, size);
+    EXPECT_LT(std::abs(gain - expected * static_cast<double>(across.gain[of] * down.gain[v])), 0.05);
+    EXPECT_LT(std::abs(again - expected * transfer * static_cast<double>(across.again[of] * down.again[v])), 0.002);
   });
 }
 

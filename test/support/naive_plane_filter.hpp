@@ -170,17 +170,19 @@ inline NaiveSums naive_sums(const cv::Mat& image, const FilterGrid& grid,
         for (Eigen::Vector2f& place_px : inverse.path_px) place_px /= 2;
         inverse.noise_rise_px2 /= 4;
       }
-      const int longest = static_cast<int>(std::max(across.weights.size(), down.weights.size()));
-      const double extent_px = extent_of(inverse.path_px).maxCoeff();
+      const Eigen::Vector2f extent_px = extent_of(inverse.path_px);
       const bool at_the_end =
           across.begin == 0 || down.begin == 0 || across.end() == image.cols || down.end() == image.rows;
-      const int around = static_cast<int>(std::ceil(1.5 * extent_px));
-      const int size = fourier_size(std::min(longest + around, kMaxFourierSize));
-      cv::Mat tile(size, size, CV_64F, cv::Scalar(0)), outside(size, size, CV_64F, cv::Scalar(0));
-      for (int y = 0; y < size; ++y) {
-        for (int x = 0; x < size; ++x) {
-          for (const TileSource& of_y : sources_of(down, size, y, image.rows)) {
-            for (const TileSource& of_x : sources_of(across, size, x, image.cols)) {
+      const auto length_of_tile = [](const NaiveWindow& window, float extent) {
+        const int length = static_cast<int>(window.weights.size()) + static_cast<int>(std::ceil(1.5 * extent));
+        return fourier_size(std::min(length, kMaxFourierSize));
+      };
+      const cv::Size size(length_of_tile(across, extent_px.x()), length_of_tile(down, extent_px.y()));
+      cv::Mat tile(size, CV_64F, cv::Scalar(0)), outside(size, CV_64F, cv::Scalar(0));
+      for (int y = 0; y < size.height; ++y) {
+        for (int x = 0; x < size.width; ++x) {
+          for (const TileSource& of_y : sources_of(down, size.height, y, image.rows)) {
+            for (const TileSource& of_x : sources_of(across, size.width, x, image.cols)) {
               tile.at<double>(y, x) += of_x.weight * of_y.weight * image.at<double>(of_y.at, of_x.at);
               outside.at<double>(y, x) += of_x.inside && of_y.inside ? 0 : of_x.weight * of_y.weight;
             }
@@ -188,15 +190,15 @@ inline NaiveSums naive_sums(const cv::Mat& image, const FilterGrid& grid,
         }
       }
       const auto again = [&](int u, int v) {
-        const double passes = is_half ? passing(u, size) * passing(v, size) : 1;
+        const double passes = is_half ? passing(u, size.width) * passing(v, size.height) : 1;
         return passes * gain_at(inverse, u, v, size) * transfer_at(inverse.path_px, u, v, size);
       };
       const auto gain = [&](int u, int v) {
-        const auto restores = [&](int k) {
-          const double f = 0.5 * (k < size / 2 ? k : size - k) / size;
-          return is_half ? passing(k, size) / std::pow(left_by_halving(f), 2) : 1.0;
+        const auto restores = [&](int k, int length) {
+          const double f = 0.5 * (k < length / 2 ? k : length - k) / length;
+          return is_half ? passing(k, length) / std::pow(left_by_halving(f), 2) : 1.0;
         };
-        return restores(u) * restores(v) * gain_at(inverse, u, v, size);
+        return restores(u, size.width) * restores(v, size.height) * gain_at(inverse, u, v, size);
       };
       if (at_the_end) {
         tile += 2.5 * outside.mul(times_gain(tile, again) - tile);

@@ -34,10 +34,12 @@ inline std::complex<double> transfer_at(const PlanePath& path_px, double fx, dou
   return sum / (kPathInstants - 1.0);
 }
 
+/// u cycles in `size` px, 0 <= u < size [cycles/px].
+inline double frequency_of(int u, int size) { return static_cast<double>(u < size / 2 ? u : u - size) / size; }
+
 /// The same at u cycles across and v down in `size` px, 0 <= u, v < size.
-inline std::complex<double> transfer_at(const PlanePath& path_px, int u, int v, int size) {
-  const auto frequency = [size](int k) { return static_cast<double>(k < size / 2 ? k : k - size) / size; };
-  return transfer_at(path_px, frequency(u), frequency(v));
+inline std::complex<double> transfer_at(const PlanePath& path_px, int u, int v, cv::Size size) {
+  return transfer_at(path_px, frequency_of(u, size.width), frequency_of(v, size.height));
 }
 
 /// The blur of a point that runs along the path, to sub-pixel accuracy; see filter_in_plane.
@@ -47,10 +49,9 @@ inline cv::Mat blur_in_plane(const cv::Mat& image, const PlanePath& path_px) {
 }
 
 /// Gain of the inverse at u cycles across and v down in `size` px, 0 <= u, v < size.
-inline std::complex<double> gain_at(const PlaneInverse& inverse, int u, int v, int size) {
-  if (u == size / 2 || v == size / 2) return 0;
-  const double fx = static_cast<double>(u < size / 2 ? u : u - size) / size;
-  const double fy = static_cast<double>(v < size / 2 ? v : v - size) / size;
+inline std::complex<double> gain_at(const PlaneInverse& inverse, int u, int v, cv::Size size) {
+  if (u == size.width / 2 || v == size.height / 2) return 0;
+  const double fx = frequency_of(u, size.width), fy = frequency_of(v, size.height);
   const std::complex<double> h = transfer_at(inverse.path_px, u, v, size);
   const double noise = inverse.noise_to_signal + inverse.noise_rise_px2 * (fx * fx + fy * fy);
   return (1.0 + inverse.noise_to_signal) * std::conj(h) / (std::norm(h) + noise);
