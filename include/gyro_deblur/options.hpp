@@ -20,7 +20,7 @@ struct BlurFieldOptions {
   double min_extent_px = 3.0;
   double max_extent_px = 150.0;  ///< >= min_extent_px; larger blur is TOO_LARGE
   /// How far the path within the exposure may lie to either side of a straight line, less 2 % of the extent
-  /// (kStraightPathShare); more is undone in the plane, which takes ten times as long. At 0.1 px the box along the
+  /// (kStraightPathShare); more is undone in the plane, which takes three times as long. At 0.1 px the box along the
   /// line restores 2.4, 2.3, 2.4, 2.4, 2.0, 1.9 and 1.7 dB less than the inverse of the whole path, for extents of 5,
   /// 10, 20, 40, 60, 90 and 120 px, on Oxford images with noise of 1.5 grey levels, at 1.5 px 9.7 to 2.6 dB less; on a
   /// straight line 1.4 to 0.1 dB less. Of a recorded shake of 30 ms and 20 px (doc/reports/hand_shake.md) 1.5, 0.8 and

@@ -39,7 +39,7 @@ struct PipelineRequest {
   bool keypoints = true;        ///< keypoints and rectification (implies the deblurred luminance)
   bool luminance = false;       ///< the deblurred luminance
   bool global_shutter = false;  ///< the deblurred image with all rows moved to the reference time
-  bool in_a_hurry = false;      ///< no bent paths: the plane takes ten times as long. Has no effect on engine "plane"
+  bool in_a_hurry = false;      ///< no bent paths: the plane takes three times as long. Has no effect on engine "plane"
   /// Asked with the validated field before anything is deblurred. Absent: DEBLUR.
   std::function<Permit(const FrameBlur&)> permit = {};
 };

@@ -193,9 +193,8 @@ void PlaneFilter::load_tile(const cv::Mat& image, const Cell& cell, Scratch& scr
   const cv::Rect& window = cell.window;
   const int cols = cell.tile.width, rows = cell.tile.height, stride = fourier_stride(cols);
   // The image as far as the tile looks before and behind the window; its edges go on.
-  const int first = window.width - cols, count = cols - first;
-  const int inside = std::clamp(-(window.x + first), 0, count - 1);
-  const int end = std::clamp(image.cols - (window.x + first), inside + 1, count);
+  const int first = window.width - cols, count = cols - first, begin_x = window.x + first;
+  const int inside = std::clamp(-begin_x, 0, count - 1), end = std::clamp(image.cols - begin_x, inside + 1, count);
   scratch.edge.resize(std::max<std::size_t>(scratch.edge.size(), count));
   const auto fade = [&](const auto* from, float* to) {
 #pragma omp simd
@@ -211,10 +210,9 @@ void PlaneFilter::load_tile(const cv::Mat& image, const Cell& cell, Scratch& scr
     const Pixel* row = image.ptr<Pixel>(std::clamp(window.y + y, 0, image.rows - 1));
     if (inside == 0 && end == count) return fade(row + window.x, to);
     float* edge = scratch.edge.data();
-    const Pixel* from = row + (window.x + first);
     std::fill(edge, edge + inside, static_cast<float>(row[0]));
 #pragma omp simd
-    for (int x = inside; x < end; ++x) edge[x] = from[x];
+    for (int x = inside; x < end; ++x) edge[x] = row[begin_x + x];
     std::fill(edge + end, edge + count, static_cast<float>(row[image.cols - 1]));
     fade(edge - first, to);
   };
