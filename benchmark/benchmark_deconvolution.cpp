@@ -33,10 +33,10 @@ void deconvolution(::benchmark::State& state, const std::string& engine_name, cv
       ::benchmark::Counter(1e-6 * size.area(), ::benchmark::Counter::kIsIterationInvariantRate);
 }
 
-/// All blocks of 64 px with the inverse of an arc along the rows, which takes the largest tiles.
-void plane(::benchmark::State& state, cv::Size size, double extent_px, int threads) {
+/// All blocks of 64 px with the inverse of an arc along the rows, or along a diagonal, which needs larger tiles.
+void plane(::benchmark::State& state, cv::Size size, double extent_px, bool is_diagonal, int threads) {
   const cv::Mat image = extend(natural_images().front(), size);
-  const PlaneInverse inverse{test::arc_path(extent_px, 0.2 * extent_px, 0), 0.007f, 0.1f};
+  const PlaneInverse inverse{test::arc_path(extent_px, 0.2 * extent_px, is_diagonal ? CV_PI / 4 : 0), 0.007f, 0.1f};
   const FilterGrid grid = test::make_grid(size, 64, [&](int) { return BlockFilter{0, nullptr, &inverse}; });
   const auto engine = make_engine("auto", threads);
   cv::Mat dst;
@@ -49,12 +49,15 @@ void plane(::benchmark::State& state, cv::Size size, double extent_px, int threa
 
 const bool registered = [] {
   for (const auto& [size, extent_px] : {std::pair(cv::Size(752, 480), 25), std::pair(cv::Size(1920, 1080), 60)}) {
-    for (const int threads : {1, 2}) {
-      const std::string name = "plane/" + std::to_string(size.width) + "x" + std::to_string(size.height) + "/" +
-                               std::to_string(extent_px) + "px/" + std::to_string(threads) + "threads";
-      ::benchmark::RegisterBenchmark(name.c_str(), plane, size, extent_px, threads)
-          ->Unit(::benchmark::kMillisecond)
-          ->UseRealTime();
+    for (const bool is_diagonal : {false, true}) {
+      for (const int threads : {1, 2}) {
+        const std::string name = "plane/" + std::to_string(size.width) + "x" + std::to_string(size.height) + "/" +
+                                 std::to_string(extent_px) + "px/" + (is_diagonal ? "diagonal/" : "rows/") +
+                                 std::to_string(threads) + "threads";
+        ::benchmark::RegisterBenchmark(name.c_str(), plane, size, extent_px, is_diagonal, threads)
+            ->Unit(::benchmark::kMillisecond)
+            ->UseRealTime();
+      }
     }
   }
   for (const std::string& engine : available_engines()) {

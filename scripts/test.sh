@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Installs what is missing, builds, checks format and package, and runs every test. Ends with the line
 # 'N passed, N failed, N skipped'. --proof, first: sanitizers and fuzzers too (scripts/proof.sh --quick), which counts as
-# one test more, and as a skipped one when 55 minutes are over, from the beginning, before its last part begins. Further
-# arguments go to ctest.
+# one test more, and as a skipped one when 55 minutes are over, from the beginning, before its last part begins.
+# Further arguments go to ctest.
 set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
@@ -67,7 +67,7 @@ if "${proof}"; then
     0) proofs_passed=1 ;;
     77)
       proofs_skipped=1
-      say "SKIPPED: not done within ${PROOF_MINUTES} minutes; scripts/proof.sh goes on where this ended"
+      say "SKIPPED: not done within ${PROOF_ENDS_MINUTE} minutes of all; scripts/proof.sh goes on where this ended"
       ;;
     *) failed_checks=$((failed_checks + 1)) ;;
   esac

@@ -44,7 +44,6 @@ class FourierPlan {
   FourierPlan(int size, int largest_radix);
 
   FourierStages stages() const;
-  int size() const { return size_; }
 
  private:
   int size_;

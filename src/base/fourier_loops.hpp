@@ -21,7 +21,7 @@ struct FourierLoops {
   void (*transform_columns)(const FourierTile& plan, float* tile, float* scratch);
   /// Transforms the rows of frequencies first_row .. first_row + lanes - 1 (first_row a multiple of lanes), multiplies
   /// them by `gain` and transforms them back for columns first_col .. end_col - 1 at least.
-  /// @param gain  for places[u] of each frequency u across, `lanes` real and then `lanes` imaginary parts. Row 0 stands
+  /// @param gain  for across.places[u] of each frequency u, `lanes` real and then `lanes` imaginary parts. Row 0 stands
   ///              for itself alone, so that it has to have gain(-u) = conj(gain(u)).
   void (*filter_rows)(const FourierTile& plan, int first_row, const float* gain, int first_col, int end_col,
                       float* tile, float* scratch);

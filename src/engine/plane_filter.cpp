@@ -150,7 +150,7 @@ void PlaneFilter::cut_cells(const FilterGrid& grid, const std::vector<int>& bloc
     }
   }
   if (results_.size() < result_count_) {
-    results_.clear();  // or they would be copied
+    results_ = {};  // or they would be copied
     results_.resize(result_count_);
   }
 }
@@ -169,16 +169,12 @@ PlaneFilter::Plan PlaneFilter::make_plan(int size, int largest_radix, int level)
 }
 
 void PlaneFilter::prepare_images(const cv::Mat& src, int threads) {
-  std::vector<cv::Mat>& channels = levels_[WHOLE].images;
-  if (src.channels() == 1) {
-    channels = {src};
-  } else {
-    cv::split(src, channels);
-  }
-  Level& half = levels_[HALF];
-  half.images.resize(channels.size());
-  for (std::size_t channel = 0; channel < channels.size() && !half.cells.empty(); ++channel) {
-    halve(channels[channel], threads, half.images[channel]);
+  if (src.channels() > 1) cv::split(src, planes_);
+  Level &whole = levels_[WHOLE], &half = levels_[HALF];
+  whole.images = src.channels() > 1 ? planes_ : std::vector<cv::Mat>{src};
+  half.images.resize(whole.images.size());
+  for (std::size_t channel = 0; channel < whole.images.size() && !half.cells.empty(); ++channel) {
+    halve(whole.images[channel], threads, half.images[channel]);
   }
 }
 
@@ -300,108 +296,108 @@ void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, con
   }
 }
 
-PlaneFilter::Cells PlaneFilter::cells_around(const Level& level, int block_col, int block_row, const cv::Rect& rect) {
-  const auto along = [](const Axis& axis, int block, int begin_px, int end_px) {
-    cv::Range cells(axis.first_of_block[block], axis.first_of_block[block + 1]);
+PlaneFilter::Part PlaneFilter::part_of(int level_index, const FilterGrid& grid, int block, const cv::Rect& rect) const {
+  const Level& level = levels_[level_index];
+  const cv::Rect pixels = level_index == HALF ? needed_of_half(rect, {level.across.length, level.down.length}) : rect;
+  const auto along = [](const Axis& axis, int of_block, int begin_px, int end_px) {
+    cv::Range cells(axis.first_of_block[of_block], axis.first_of_block[of_block + 1]);
     while (cells.start > 0 && axis.window_end(cells.start - 1) > begin_px) --cells.start;
     while (cells.end < axis.cells() && axis.window_begins[cells.end] < end_px) ++cells.end;
     return cells;
   };
-  return {along(level.across, block_col, rect.x, rect.br().x), along(level.down, block_row, rect.y, rect.br().y)};
-}
-
-void PlaneFilter::gather(int level_index, const FilterGrid& grid, int block, const cv::Rect& rect,
-                         std::optional<int> channel, Scratch& scratch, std::vector<float>& sums) const {
-  const Level& level = levels_[level_index];
-  if (level.cells.empty()) return;
-  const cv::Rect part = level_index == HALF ? needed_of_half(rect, {level.across.length, level.down.length}) : rect;
-  std::vector<float>& to = level_index == HALF ? scratch.halves : sums;
-  if (level_index == HALF) to.assign(part.area(), 0);
-  const Cells around = cells_around(level, block % grid.cols(), block / grid.cols(), part);
-  bool adds = false;
-  for (int row = around.rows.start; row < around.rows.end; ++row) {
-    for (int col = around.cols.start; col < around.cols.end; ++col) {
-      const int index = level.cell_at[static_cast<std::ptrdiff_t>(row) * level.across.cells() + col];
-      if (index < 0) continue;
-      const Cell& cell = level.cells[index];
-      const cv::Rect both = cell.window & part;
-      if (both.empty()) continue;
-      adds = true;
-      const cv::Point in_window = both.tl() - cell.window.tl();
-      const float* weights_x = level.across.weights[col].data() + in_window.x;
-      const float* weights_y = level.down.weights[row].data() + in_window.y;
-      const float* results =
-          results_.data() + cell.result + in_window.x +
-          (static_cast<std::ptrdiff_t>(channel.value_or(0)) * cell.window.height + in_window.y) * cell.window.width;
-      float* sum = to.data() + static_cast<std::ptrdiff_t>(both.y - part.y) * part.width + (both.x - part.x);
-      for (int y = 0; y < both.height; ++y, sum += part.width, results += cell.window.width) {
-        if (channel) {
-#pragma omp simd
-          for (int x = 0; x < both.width; ++x) sum[x] += results[x];
-        } else {
-#pragma omp simd
-          for (int x = 0; x < both.width; ++x) sum[x] += weights_x[x] * weights_y[y];
-        }
+  const cv::Range cols = along(level.across, block % grid.cols(), pixels.x, pixels.br().x);
+  const cv::Range rows = along(level.down, block / grid.cols(), pixels.y, pixels.br().y);
+  Part part{pixels, {}, true};
+  for (int row = rows.start; row < rows.end; ++row) {
+    const int* cells = level.cell_at.data() + static_cast<std::ptrdiff_t>(row) * level.across.cells();
+    for (int col = cols.start; col < cols.end; ++col) {
+      if (cells[col] < 0) {
+        part.has_all = false;
+      } else if (!(level.cells[cells[col]].window & pixels).empty()) {
+        part.cells.push_back(cells[col]);
       }
     }
   }
-  if (level_index == WHOLE || !adds) return;
-  scratch.doubled.resize(sums.size());
-  double_size(part, to.data(), rect, scratch.of_doubling, scratch.doubled.data());
-  for (std::size_t i = 0; i < sums.size(); ++i) sums[i] += scratch.doubled[i];
+  return part;
 }
 
-bool PlaneFilter::are_ones(const FilterGrid& grid, int block, const cv::Rect& rect) const {
-  int levels_with_some = 0;
-  bool is_one_missing = false;
-  for (const int level_index : {WHOLE, HALF}) {
-    const Level& level = levels_[level_index];
-    if (level.cells.empty()) continue;
-    const cv::Rect part = level_index == HALF ? needed_of_half(rect, {level.across.length, level.down.length}) : rect;
-    const Cells around = cells_around(level, block % grid.cols(), block / grid.cols(), part);
-    int present = 0;
-    for (int row = around.rows.start; row < around.rows.end; ++row) {
-      const int* cells = level.cell_at.data() + static_cast<std::ptrdiff_t>(row) * level.across.cells();
-      for (int col = around.cols.start; col < around.cols.end; ++col) present += cells[col] >= 0 ? 1 : 0;
+void PlaneFilter::gather(int level_index, const Part& part, const cv::Rect& rect, std::optional<int> channel,
+                         Scratch& scratch, std::vector<float>& sums) const {
+  const Level& level = levels_[level_index];
+  std::vector<float>& to = level_index == HALF ? scratch.halves : sums;
+  to.assign(static_cast<std::size_t>(part.pixels.area()), 0);
+  for (const int index : part.cells) {
+    const Cell& cell = level.cells[index];
+    const cv::Rect both = cell.window & part.pixels;
+    const cv::Point in_window = both.tl() - cell.window.tl(), in_part = both.tl() - part.pixels.tl();
+    const float* weights_x = level.across.weights[cell.col].data() + in_window.x;
+    const float* weights_y = level.down.weights[cell.row].data() + in_window.y;
+    const float* results =
+        results_.data() + cell.result + in_window.x +
+        (static_cast<std::ptrdiff_t>(channel.value_or(0)) * cell.window.height + in_window.y) * cell.window.width;
+    float* sum = to.data() + static_cast<std::ptrdiff_t>(in_part.y) * part.pixels.width + in_part.x;
+    for (int y = 0; y < both.height; ++y, sum += part.pixels.width, results += cell.window.width) {
+      if (channel) {
+#pragma omp simd
+        for (int x = 0; x < both.width; ++x) sum[x] += results[x];
+      } else {
+#pragma omp simd
+        for (int x = 0; x < both.width; ++x) sum[x] += weights_x[x] * weights_y[y];
+      }
     }
-    if (present == 0) continue;
-    ++levels_with_some;
-    is_one_missing |= present < around.rows.size() * around.cols.size();
   }
-  return levels_with_some == 1 && !is_one_missing;
+  if (level_index == WHOLE) return;
+  sums.resize(static_cast<std::size_t>(rect.area()));
+  double_size(part.pixels, to.data(), rect, scratch.of_doubling, sums.data());
 }
 
 template <typename Pixel>
 void PlaneFilter::deliver(int block, const FilterGrid& grid, SeamBlender& seams, Scratch& scratch, cv::Mat& dst) const {
-  constexpr int kMax = std::numeric_limits<Pixel>::max();
+  constexpr float kMax = std::numeric_limits<Pixel>::max();
   const int channels = dst.channels();
-  for (const SeamBlender::Part<Pixel>& part : seams.parts<Pixel>(block, dst)) {
-    const cv::Rect& rect = part.rect;
+  for (const SeamBlender::Part<Pixel>& piece : seams.parts<Pixel>(block, dst)) {
+    const cv::Rect& rect = piece.rect;
     if (rect.empty()) continue;
     const std::size_t area = static_cast<std::size_t>(rect.area());
-    const bool has_weights = !are_ones(grid, block, rect);
-    if (has_weights) {
-      scratch.weights.assign(area, 0);
-      for (const int level : {WHOLE, HALF}) gather(level, grid, block, rect, {}, scratch, scratch.weights);
+    const Part parts[LEVELS] = {part_of(WHOLE, grid, block, rect), part_of(HALF, grid, block, rect)};
+    const bool is_mixed = !parts[WHOLE].cells.empty() && !parts[HALF].cells.empty();
+    const int first = parts[WHOLE].cells.empty() ? HALF : WHOLE;
+    // Weights of all cells at one size sum up to 1.
+    const bool has_weights = is_mixed || !parts[first].has_all;
+    for (const int level : {WHOLE, HALF}) {
+      if (has_weights && !parts[level].cells.empty()) {
+        gather(level, parts[level], rect, {}, scratch, scratch.weights[level]);
+      }
     }
     for (int channel = 0; channel < channels; ++channel) {
-      scratch.values.assign(area, 0);
-      for (const int level : {WHOLE, HALF}) gather(level, grid, block, rect, channel, scratch, scratch.values);
-      // In steps that vectorise each: float to int, int clipped, int to pixel.
+      for (const int level : {WHOLE, HALF}) {
+        if (!parts[level].cells.empty()) {
+          gather(level, parts[level], rect, channel, scratch, scratch.values[level]);
+        }
+      }
+      float* values = scratch.values[first].data();
+      const float* weights = scratch.weights[first].data();
+      if (is_mixed) {
+        const float *halves = scratch.values[HALF].data(), *weights_of_halves = scratch.weights[HALF].data();
+        for (std::size_t i = 0; i < area; ++i) {
+          // The low pass leaves a little beyond a window, and less than nothing for its weight.
+          const bool has_half = weights_of_halves[i] > 0 || weights[i] <= 0;
+          values[i] = (values[i] + (has_half ? halves[i] : 0)) / (weights[i] + (has_half ? weights_of_halves[i] : 0));
+        }
+      } else if (has_weights) {
+#pragma omp simd
+        for (std::size_t i = 0; i < area; ++i) values[i] /= weights[i];
+      }
+      // In steps that vectorise each: float clipped, float to int, int to pixel.
       scratch.whole_numbers.resize(area);
       int* numbers = scratch.whole_numbers.data();
-      const float *values = scratch.values.data(), *weights = scratch.weights.data();
-      if (has_weights) {
 #pragma omp simd
-        for (std::size_t i = 0; i < area; ++i) numbers[i] = static_cast<int>(values[i] / weights[i] + 0.5f);
-      } else {
-#pragma omp simd
-        for (std::size_t i = 0; i < area; ++i) numbers[i] = static_cast<int>(values[i] + 0.5f);
+      for (std::size_t i = 0; i < area; ++i) {
+        const float positive = values[i] > 0 ? values[i] : 0;  // nor is it NaN
+        numbers[i] = static_cast<int>((positive < kMax ? positive : kMax) + 0.5f);
       }
-#pragma omp simd
-      for (std::size_t i = 0; i < area; ++i) numbers[i] = std::min(std::max(numbers[i], 0), kMax);
       for (int y = 0; y < rect.height; ++y, numbers += rect.width) {
-        Pixel* to = part.to + y * part.stride + channel;
+        Pixel* to = piece.to + y * piece.stride + channel;
         if (channels == 1) {
 #pragma omp simd
           for (int x = 0; x < rect.width; ++x) to[x] = static_cast<Pixel>(numbers[x]);

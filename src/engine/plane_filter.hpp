@@ -72,12 +72,14 @@ class PlaneFilter {
     PlaneGain gain;
     std::vector<CacheLine> tiles, continued, gain_rows, transform;
     std::vector<float> fade_x, fade_y, row, edge, inside_x, inside_y;
-    std::vector<float> values, weights, halves, doubled, of_doubling;
+    std::vector<float> values[LEVELS], weights[LEVELS], halves, of_doubling;
     std::vector<int> whole_numbers;
   };
-  /// Some columns and rows of cells, up to the end.
-  struct Cells {
-    cv::Range cols, rows;
+  /// What a level has for a piece of a block.
+  struct Part {
+    cv::Rect pixels;         ///< of its image
+    std::vector<int> cells;  ///< whose windows reach into these
+    bool has_all;            ///< all that are in the grid there
   };
 
   static float* floats_in(std::vector<CacheLine>& lines, int count);
@@ -98,20 +100,18 @@ class PlaneFilter {
   template <typename Pixel>
   void filter_as(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
                  SeamBlender& seams, cv::Mat& dst);
-  /// Those of a block and around it whose windows reach into `rect`.
-  static Cells cells_around(const Level& level, int block_col, int block_row, const cv::Rect& rect);
-  /// Sums of what the cells have in `rect` of a piece of a block: results, or, without a channel, weights.
-  void gather(int level, const FilterGrid& grid, int block, const cv::Rect& rect, std::optional<int> channel,
-              Scratch& scratch, std::vector<float>& sums) const;
-  /// Whether the weights sum up to 1 in `rect` of a piece of a block.
-  bool are_ones(const FilterGrid& grid, int block, const cv::Rect& rect) const;
+  Part part_of(int level, const FilterGrid& grid, int block, const cv::Rect& rect) const;
+  /// Sums of what a part's cells have in `rect` of a piece of a block: results, or, without a channel, weights.
+  void gather(int level, const Part& part, const cv::Rect& rect, std::optional<int> channel, Scratch& scratch,
+              std::vector<float>& sums) const;
   /// Rounds what is computed of a block.
   template <typename Pixel>
   void deliver(int block, const FilterGrid& grid, SeamBlender& seams, Scratch& scratch, cv::Mat& dst) const;
 
   const FourierLoops& loops_;
   Level levels_[LEVELS];
-  std::vector<float> results_;
+  std::vector<cv::Mat> planes_;  // of an image with several channels
+  std::vector<float> results_;   // 16 bytes a pixel and channel where all blocks are filtered at the whole size
   std::size_t result_count_ = 0;
   std::vector<Scratch> scratch_;  // by thread
 };

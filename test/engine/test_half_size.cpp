@@ -90,6 +90,20 @@ TEST(HalfSize, KeepsAConstantImageUpToItsEdges) {
   }
 }
 
+TEST(HalfSize, ComesBackInPiecesAsItDoesWhole) {
+  for (const cv::Size& size : {cv::Size(37, 23), cv::Size(24, 9), cv::Size(3, 1)}) {
+    cv::Mat half;
+    halve(test::textured_image(size.width, size.height, 4), 1, half);
+    const cv::Mat whole = doubled(half, cv::Rect({}, size));
+    for (int y = 0; y < size.height; y += 5) {
+      for (int x = 0; x < size.width; x += 7) {
+        const cv::Rect piece = cv::Rect(x, y, 7, 5) & cv::Rect({}, size);
+        EXPECT_TRUE(test::equal(doubled(half, piece), whole(piece).clone())) << size << ", " << piece;
+      }
+    }
+  }
+}
+
 TEST(HalfSize, DoesNotDependOnThreads) {
   const cv::Mat image = test::textured_image(301, 203, 4);
   cv::Mat alone, together;

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -90,6 +91,38 @@ TEST_P(PlaneFilterTest, IsWhatTheDefinitionSays) {
     const double allowed = src.depth() == CV_8U ? 0.6 : 0.5 + 0.1 * 256;
     EXPECT_LT(worst_error(src, grid, filtered(src, grid, filter), cv::Rect({}, src.size())), allowed)
         << src.cols << "x" << src.rows << ", type " << c.type << ", " << c.extent_px << " px";
+  }
+}
+
+// Blocks at the whole and at half the size beside each other and beside copied ones, which the definition mixes.
+TEST_P(PlaneFilterTest, MixesSizesAsTheDefinitionSays) {
+  const PlaneInverse brief{test::arc_path(12, 3, 0.3), 0.01f, 0.1f}, lengthy{test::arc_path(60, 9, 1.2), 0.1f, 1};
+  ASSERT_NE(test::is_at_half_size(brief), test::is_at_half_size(lengthy));
+  PlaneFilter filter(*loops_);
+  for (const auto& [size, block_px, type] :
+       {std::tuple(cv::Size(200, 131), 64, CV_8UC1), std::tuple(cv::Size(101, 75), 24, CV_8UC3),
+        std::tuple(cv::Size(61, 45), 16, CV_16UC1), std::tuple(cv::Size(47, 33), 9, CV_8UC1)}) {
+    const cv::Mat src = test::random_image(size.width, size.height, type, 5);
+    const FilterGrid grid = test::make_grid(size, block_px, [&](int i) -> BlockFilter {
+      if (i % 5 == 4) return {};
+      return {0, nullptr, i % 5 == 1 || i % 5 == 2 ? &lengthy : &brief};
+    });
+    std::vector<int> blocks;
+    for (int i = 0; i < static_cast<int>(grid.blocks.size()); ++i) {
+      if (!grid.blocks[i].copies()) blocks.push_back(i);
+    }
+    cv::Mat dst(src.size(), src.type());
+    SeamBlender seams;
+    seams.plan(grid, src.type());
+    filter.filter(src, grid, blocks, 2, seams, dst);
+    const double allowed = src.depth() == CV_8U ? 0.6 : 0.5 + 0.1 * 256;
+    for (const int i : blocks) {
+      // Without the margins, in which results wait for their neighbours.
+      const cv::Rect rect = grid.rect(i);
+      const int margin_x = std::min(4, rect.width / 2), margin_y = std::min(4, rect.height / 2);
+      const cv::Rect inner(rect.x + margin_x, rect.y + margin_y, rect.width - 2 * margin_x, rect.height - 2 * margin_y);
+      EXPECT_LT(worst_error(src, grid, dst, inner), allowed) << size << ", " << block_px << " px, block " << i;
+    }
   }
 }
 

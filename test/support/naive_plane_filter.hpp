@@ -222,9 +222,19 @@ inline cv::Mat naive_plane_filter(const cv::Mat& src, int channel, const FilterG
   const std::vector<NaiveWindow> across = windows_of(grid.x), down = windows_of(grid.y);
   const NaiveSums of_whole = naive_sums(whole, grid, across, down, false);
   const NaiveSums of_half = naive_sums(half, grid, halved(across, src.cols), halved(down, src.rows), true);
-  // OpenCV: 0 where there is no window
-  return (of_whole.results + doubled(of_half.results, src.size())) /
-         (of_whole.weights + doubled(of_half.weights, src.size()));
+  const cv::Mat half_results = doubled(of_half.results, src.size()),
+                half_weights = doubled(of_half.weights, src.size());
+  cv::Mat result(src.size(), CV_64F);
+  result.forEach<double>([&](double& value, const int* at) {
+    double sum = of_whole.results.at<double>(at), weight = of_whole.weights.at<double>(at);
+    // The low pass leaves a little beyond a window, and less than nothing for its weight.
+    if (half_weights.at<double>(at) > 0 || weight <= 0) {
+      sum += half_results.at<double>(at);
+      weight += half_weights.at<double>(at);
+    }
+    value = weight == 0 ? 0 : sum / weight;  // 0 where there is no window
+  });
+  return result;
 }
 
 }  // namespace gyro_deblur::test
