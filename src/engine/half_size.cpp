@@ -12,6 +12,9 @@ namespace {
 constexpr int kPairs = kHalvingTapCount / 2;
 // Pixels before an output of halve(), and behind it, beside the two that it lies between.
 constexpr int kReach = kPairs - 1;
+// Of the low pass an even place of the double meets every second tap from the second on, two pixels before it, the one
+// that it belongs to and one behind; an odd place the same from behind.
+constexpr int kAround = 2;
 
 /// One row of halve().
 template <typename Pixel>
@@ -65,14 +68,6 @@ void halve(const cv::Mat& src, int threads, cv::Mat& half) {
     halve_as<std::uint16_t>(src, threads, half);
   }
 }
-
-namespace {
-
-// Of the low pass an even place meets every second tap from the second on, two pixels before it, the one that it
-// belongs to and one behind; an odd place the same from behind.
-constexpr int kAround = 2;
-
-}  // namespace
 
 cv::Rect needed_of_half(const cv::Rect& rect, cv::Size half) {
   const cv::Point begin(rect.x / 2 - kAround, rect.y / 2 - kAround);

@@ -169,9 +169,13 @@ PlaneFilter::Plan PlaneFilter::make_plan(int size, int largest_radix, int level)
 }
 
 void PlaneFilter::prepare_images(const cv::Mat& src, int threads) {
-  if (src.channels() > 1) cv::split(src, planes_);
   Level &whole = levels_[WHOLE], &half = levels_[HALF];
-  whole.images = src.channels() > 1 ? planes_ : std::vector<cv::Mat>{src};
+  if (src.channels() > 1) {
+    cv::split(src, planes_);
+    whole.images.assign(planes_.begin(), planes_.end());
+  } else {
+    whole.images.assign(1, src);
+  }
   half.images.resize(whole.images.size());
   for (std::size_t channel = 0; channel < whole.images.size() && !half.cells.empty(); ++channel) {
     halve(whole.images[channel], threads, half.images[channel]);
@@ -296,7 +300,8 @@ void PlaneFilter::filter_cell(const Cell& cell, const PlaneInverse& inverse, con
   }
 }
 
-PlaneFilter::Part PlaneFilter::part_of(int level_index, const FilterGrid& grid, int block, const cv::Rect& rect) const {
+void PlaneFilter::find_part(int level_index, const FilterGrid& grid, int block, const cv::Rect& rect,
+                            Part& part) const {
   const Level& level = levels_[level_index];
   const cv::Rect pixels = level_index == HALF ? needed_of_half(rect, {level.across.length, level.down.length}) : rect;
   const auto along = [](const Axis& axis, int of_block, int begin_px, int end_px) {
@@ -307,7 +312,9 @@ PlaneFilter::Part PlaneFilter::part_of(int level_index, const FilterGrid& grid, 
   };
   const cv::Range cols = along(level.across, block % grid.cols(), pixels.x, pixels.br().x);
   const cv::Range rows = along(level.down, block / grid.cols(), pixels.y, pixels.br().y);
-  Part part{pixels, {}, true};
+  part.pixels = pixels;
+  part.cells.clear();
+  part.has_all = true;
   for (int row = rows.start; row < rows.end; ++row) {
     const int* cells = level.cell_at.data() + static_cast<std::ptrdiff_t>(row) * level.across.cells();
     for (int col = cols.start; col < cols.end; ++col) {
@@ -318,7 +325,6 @@ PlaneFilter::Part PlaneFilter::part_of(int level_index, const FilterGrid& grid, 
       }
     }
   }
-  return part;
 }
 
 void PlaneFilter::gather(int level_index, const Part& part, const cv::Rect& rect, std::optional<int> channel,
@@ -359,7 +365,8 @@ void PlaneFilter::deliver(int block, const FilterGrid& grid, SeamBlender& seams,
     const cv::Rect& rect = piece.rect;
     if (rect.empty()) continue;
     const std::size_t area = static_cast<std::size_t>(rect.area());
-    const Part parts[LEVELS] = {part_of(WHOLE, grid, block, rect), part_of(HALF, grid, block, rect)};
+    Part(&parts)[LEVELS] = scratch.parts;
+    for (const int level : {WHOLE, HALF}) find_part(level, grid, block, rect, parts[level]);
     const bool is_mixed = !parts[WHOLE].cells.empty() && !parts[HALF].cells.empty();
     const int first = parts[WHOLE].cells.empty() ? HALF : WHOLE;
     // Weights of all cells at one size sum up to 1.

@@ -66,6 +66,12 @@ class PlaneFilter {
     std::vector<cv::Mat> images;  ///< by channel
   };
   enum { WHOLE, HALF, LEVELS };
+  /// What a level has for a piece of a block.
+  struct Part {
+    cv::Rect pixels;         ///< of its image
+    std::vector<int> cells;  ///< whose windows reach into these
+    bool has_all = false;    ///< all that are in the grid there
+  };
   /// Of one thread.
   struct Scratch {
     explicit Scratch(const PlaneGainLoops& gain_loops) : gain(gain_loops) {}
@@ -74,12 +80,7 @@ class PlaneFilter {
     std::vector<float> fade_x, fade_y, row, edge, inside_x, inside_y;
     std::vector<float> values[LEVELS], weights[LEVELS], halves, of_doubling;
     std::vector<int> whole_numbers;
-  };
-  /// What a level has for a piece of a block.
-  struct Part {
-    cv::Rect pixels;         ///< of its image
-    std::vector<int> cells;  ///< whose windows reach into these
-    bool has_all;            ///< all that are in the grid there
+    Part parts[LEVELS];
   };
 
   static float* floats_in(std::vector<CacheLine>& lines, int count);
@@ -100,7 +101,7 @@ class PlaneFilter {
   template <typename Pixel>
   void filter_as(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
                  SeamBlender& seams, cv::Mat& dst);
-  Part part_of(int level, const FilterGrid& grid, int block, const cv::Rect& rect) const;
+  void find_part(int level, const FilterGrid& grid, int block, const cv::Rect& rect, Part& part) const;
   /// Sums of what a part's cells have in `rect` of a piece of a block: results, or, without a channel, weights.
   void gather(int level, const Part& part, const cv::Rect& rect, std::optional<int> channel, Scratch& scratch,
               std::vector<float>& sums) const;
