@@ -52,7 +52,7 @@ struct Sample {
   double radius_px = 0;
   Eigen::Vector2d error_px;
   Eigen::Matrix2d covariance_px2;
-  /// Of it, by noise with a factor of 1, and by the motion's uncertainty within the exposure.
+  /// Of it, by noise with a factor of 1 and kUnseenPx, and by the motion's uncertainty within the exposure.
   Eigen::Matrix2d by_noise_px2, by_motion_px2;
   Eigen::Vector2d shown_px = Eigen::Vector2d::Zero();
 };
@@ -142,7 +142,9 @@ class Study {
   std::map<Bin, Calibration> bins_;
 };
 
-constexpr PointErrors kNoiseAlone{1, 0, 0, 0, 0, 1, 0, 0}, kNothing{0, 0, 0, 0, 0, 1, 0, 0};
+/// Large enough to tell texture from none.
+constexpr double kUnseenPx = 10;
+constexpr PointErrors kNoiseAlone{1, kUnseenPx, 0, 0, 0, 0, 1, 0, 0};
 
 /// A sample without its error.
 Sample sample_at(const std::string& points, const PointCovariance& covariance, const FrameBlur& field,
@@ -156,7 +158,7 @@ Sample sample_at(const std::string& points, const PointCovariance& covariance, c
   sample.shown_px = block.shown_offset_px();
   sample.radius_px = radius_px;
   sample.covariance_px2 = covariance.at(pixel_px, radius_px, errors);
-  sample.by_motion_px2 = covariance.at(pixel_px, radius_px, kNothing);
+  sample.by_motion_px2 = covariance_of_moving(block, to_seconds(field.exposure_ns));
   sample.by_noise_px2 = covariance.at(pixel_px, radius_px, kNoiseAlone) - sample.by_motion_px2;
   return sample;
 }

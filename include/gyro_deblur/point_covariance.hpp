@@ -13,7 +13,8 @@ namespace gyro_deblur {
 /// Standard deviations that a covariance is made of. Lengths of blur are e, a deblurred block's extent, and
 /// e^2 / (e + from_px) of one left blurred: extents well below from_px leave features where they are.
 struct PointErrors {
-  double noise;             ///< over that of the best unbiased estimate
+  double noise;      ///< > 0: over that of the best unbiased estimate,
+  double unseen_px;  ///< > 0: and what is left where texture tells nothing, of a point that was found all the same
   double deblurred_along;   ///< of the length, along the line of a deblurred block
   double deblurred_across;  ///< and across
   double blurred_along;     ///< the same of one left blurred
@@ -30,9 +31,10 @@ extern const PointErrors kBlobErrors, kCornerErrors, kTrackErrors;
 /// Covariance of the places of features in one image as it leaves, deblurred or not: 2x2 [px^2], x right, y down,
 /// symmetric and positive definite. It is the sum of
 ///
-/// - noise: v (A + v / r^2)^-1, v the variance of the image's noise as it leaves, A the sum of the gradients' outer
-///   products over a window of radius r, less what noise adds to it (W. Foerstner, E. Guelch, ISPRS Intercommission
-///   Workshop 1987). It is large along an edge, and r^2 where there is no texture at all;
+/// - noise: (A / v + 1 / u^2)^-1, v the variance of the image's noise as it leaves, A the sum of the gradients' outer
+///   products over a window, less what noise adds to it (W. Foerstner, E. Guelch, ISPRS Intercommission Workshop 1987).
+///   It is large along an edge, and u^2 where there is no texture at all: what was matched or followed, and passed the
+///   checks on it, is not farther off;
 /// - blur: along the block's line, in proportion to its extent where it was deblurred, and far more where it was not;
 ///   less of it across; in all directions what the block's motion is uncertain by within the exposure;
 /// - the detector, or the tracker, itself.

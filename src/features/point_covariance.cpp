@@ -72,9 +72,9 @@ Eigen::Matrix2d texture_of(const cv::Mat& image, const Eigen::Vector2d& pixel_px
 
 }  // namespace
 
-const PointErrors kBlobErrors{3.0, 0.038, 0.032, 0.144, 0.092, 3.2, 0.024, 0};
-const PointErrors kCornerErrors{5.6, 0.048, 0.045, 0.158, 0.118, 1.1, 0, 0.036};
-const PointErrors kTrackErrors{1.65, 0.032, 0.027, 0.041, 0.033, 0.1, 0.284, 0};
+const PointErrors kBlobErrors{3.0, 1, 0.038, 0.032, 0.144, 0.092, 3.2, 0.024, 0};
+const PointErrors kCornerErrors{5.6, 2, 0.048, 0.045, 0.158, 0.118, 1.1, 0, 0.036};
+const PointErrors kTrackErrors{2.45, 0.78, 0.0265, 0.0128, 0.0414, 0.0231, 0.1, 0.262, 0};
 
 PointCovariance::PointCovariance(const cv::Mat& luminance, const FrameBlur& field)
     : luminance_(luminance), field_(field) {
@@ -104,8 +104,9 @@ Eigen::Matrix2d PointCovariance::at(const Eigen::Vector2d& pixel_px, double radi
   const double variance = std::max(squared(*field_.noise) * (deblurred ? block.noise_gain : 1), kRoundingVariance);
   const Eigen::Matrix2d identity = Eigen::Matrix2d::Identity();
   const Eigen::Matrix2d information =
-      texture_of(luminance_, pixel_px, radius_px, variance) + variance / squared(radius_px) * identity;
-  Eigen::Matrix2d covariance = squared(errors.noise) * variance * information.inverse();
+      texture_of(luminance_, pixel_px, radius_px, variance) / (squared(errors.noise) * variance) +
+      identity / squared(errors.unseen_px);
+  Eigen::Matrix2d covariance = information.inverse();
 
   const double extent_px = block.extent_px;
   const double length_px = deblurred ? extent_px : squared(extent_px) / (extent_px + errors.from_px);

@@ -97,8 +97,19 @@ TEST(PointCovariance, IsFiniteWithoutTexture) {
   for (const double noise : {0.0, 0.5, 8.0}) {
     const Eigen::Matrix2d covariance = of_keypoint(bare, field_of(BlockStatus::SHARP, noise));
     EXPECT_TRUE(is_positive_definite(covariance));
-    EXPECT_GE(covariance(0, 0), kRadiusPx * kRadiusPx) << "it may be anywhere in its window";
+    EXPECT_NEAR(covariance(0, 0), kBlobErrors.unseen_px * kBlobErrors.unseen_px, 0.01) << "it was found all the same";
   }
+}
+
+TEST(PointCovariance, FaintTextureSaysNoLessThanNone) {
+  const FrameBlur field = field_of(BlockStatus::SHARP, 4);
+  double before = kBlobErrors.unseen_px * kBlobErrors.unseen_px + 0.01;
+  for (const double contrast : {10, 30, 60, 120}) {
+    const double variance = of_keypoint(bump(contrast, 2, 2), field)(0, 0);
+    EXPECT_LE(variance, before) << contrast;
+    before = variance;
+  }
+  EXPECT_LT(before, 0.1 * kBlobErrors.unseen_px * kBlobErrors.unseen_px);
 }
 
 TEST(PointCovariance, NoiseIsNotTakenForTexture) {
