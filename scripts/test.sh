@@ -22,7 +22,7 @@ scripts/install_dependencies.sh build test
 step ${STEPS} "Build"
 scripts/build.sh
 
-failed_checks=0
+failed_checks=()
 proofs_passed=0
 proofs_skipped=0
 
@@ -34,7 +34,7 @@ if clang-format --version 2> /dev/null | grep -q 'version 14\.'; then
     say "${#sources[@]} files follow .clang-format"
   else
     say "FAILED: run clang-format -i on the files above"
-    failed_checks=$((failed_checks + 1))
+    failed_checks+=("Format")
   fi
 else
   say "SKIPPED: there is no clang-format 14"
@@ -49,7 +49,7 @@ if command -v catkin_lint > /dev/null; then
     --ignore uninstalled_script --ignore immutable_var --ignore env_var "${GYRO_DEBLUR_ROOT}"; then
     say "no complaints"
   else
-    failed_checks=$((failed_checks + 1))
+    failed_checks+=("catkin_lint")
   fi
 else
   say "SKIPPED: there is no catkin_lint"
@@ -62,14 +62,16 @@ if "${proof}"; then
   PROOF_MINUTES=$((SECONDS / 60 < PROOF_ENDS_MINUTE ? PROOF_ENDS_MINUTE - SECONDS / 60 : 1))
   readonly PROOF_MINUTES
   proof_status=0
-  scripts/proof.sh --quick --within "${PROOF_MINUTES}" --only asan --only tsan --only fuzz || proof_status=$?
+  proof_log="${GYRO_DEBLUR_BUILD}/proof.log"
+  scripts/proof.sh --quick --within "${PROOF_MINUTES}" --only asan --only tsan --only fuzz 2>&1 |
+    tee "${proof_log}" || proof_status=$?
   case "${proof_status}" in
     0) proofs_passed=1 ;;
     77)
       proofs_skipped=1
       say "SKIPPED: not done within ${PROOF_ENDS_MINUTE} minutes of all; scripts/proof.sh goes on where this ended"
       ;;
-    *) failed_checks=$((failed_checks + 1)) ;;
+    *) failed_checks+=("Proof by tools") ;;
   esac
 fi
 
@@ -98,9 +100,11 @@ if ((skipped > 0)); then
   grep -h -A 1 -E '(: Skipped$|^SKIPPED:)' "${GYRO_DEBLUR_BUILD}/Testing/Temporary/LastTest.log" |
     grep -v -E '(: Skipped$|^SKIPPED:|^--$)' | sort | uniq -c | sort -rn | sed 's/^/  /' || true
 fi
-if ((failed_checks > 0)); then
-  printf '\n%d of the checks before the tests failed: see above\n' "${failed_checks}"
+if ((${#failed_checks[@]} > 0)); then
+  # Once more at the end: often that is all that is kept of a run.
+  [[ " ${failed_checks[*]} " != *" Proof by tools "* ]] || tail -n 80 "${proof_log}"
+  printf '\nFailed before the tests: %s\n' "$(printf '%s\n' "${failed_checks[@]}" | paste -s -d ,)"
 fi
 printf '\n%d passed, %d failed, %d skipped\n' $((total - failed - skipped + proofs_passed)) \
-  $((failed + failed_checks)) $((skipped + proofs_skipped))
-((failed == 0 && failed_checks == 0 && ctest_status == 0))
+  $((failed + ${#failed_checks[@]})) $((skipped + proofs_skipped))
+((failed == 0 && ${#failed_checks[@]} == 0 && ctest_status == 0))
