@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Plots what point_covariance --out wrote: errors squared over what was expected of them."""
+"""Plots what point_covariance --out wrote: errors squared over what was expected of them, and errors by what was said."""
 
 import argparse
 import csv
@@ -15,11 +15,41 @@ import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen fir
 
 MIN_POINTS = 100  # for a mean square that is right within a seventh, were they independent
 STATUSES = {"DEBLURRED": "-", "SHARP": ":"}
+SAID_BORDERS_PX = np.geomspace(0.05, 12.8, 17)  # of bins of standard deviations, each half as much again
 
 
 def read(path):
     with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
+
+
+def errors_by_what_was_said(path, min_points=MIN_POINTS):
+    """{kind of point: n x 3: standard deviation that was said, root mean square error [px, each of an axis], points}."""
+    points, said, errors = [], [], []
+    with open(path, newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            points.append(row["points"])
+            said.append((float(row["cxx"]) + float(row["cyy"])) / 2)
+            errors.append((float(row["ex"])**2 + float(row["ey"])**2) / 2)
+    points, said, errors = np.array(points), np.array(said), np.array(errors)
+    bins = np.digitize(np.sqrt(said), SAID_BORDERS_PX)
+    result = {}
+    for kind in dict.fromkeys(points):
+        inside = [(points == kind) & (bins == i) for i in range(len(SAID_BORDERS_PX) + 1)]
+        result[kind] = np.array([[np.sqrt(said[i].mean()), np.sqrt(errors[i].mean()), i.sum()]
+                                 for i in inside if i.sum() >= min_points])
+    return result
+
+
+def plot_said(axes, bins):
+    axes.plot(bins[:, 0], bins[:, 1], "o-", markersize=4, linewidth=0.7, fillstyle="none")
+    axes.plot([0.03, 5], [0.03, 5], color="black", linewidth=0.7)
+    axes.fill_between([0.03, 5], [0.03 / 2**0.5, 5 / 2**0.5], [0.03 * 2**0.5, 5 * 2**0.5], color="black", alpha=0.06)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(0.03, 5)
+    axes.set_ylim(0.03, 5)
+    axes.grid(alpha=0.3)
 
 
 def plot(axes, rows, columns):
@@ -46,15 +76,19 @@ def plot(axes, rows, columns):
 def draw(folder):
     rows = read(folder / "point_covariance.csv")
     kinds = list(dict.fromkeys(row["points"] for row in rows))
-    figure, axes = plt.subplots(2, len(kinds), figsize=(4.2 * len(kinds), 7.5), sharex=True, sharey=True)
+    said = errors_by_what_was_said(folder / "point_covariance_samples.csv")
+    figure, axes = plt.subplots(3, len(kinds), figsize=(4.2 * len(kinds), 11), sharex="row", sharey="row")
     for column, kind in enumerate(kinds):
         of_kind = [row for row in rows if row["points"] == kind]
         plot(axes[0, column], of_kind, {"mean": "o", "median": "x"})
         plot(axes[1, column], of_kind, {"along": "o", "across": "x"})
         axes[0, column].set_title(kind, fontsize=10)
         axes[1, column].set_xlabel("extent [px]: solid deblurred, dotted left blurred")
+        plot_said(axes[2, column], said[kind])
+        axes[2, column].set_xlabel("standard deviation that was said [px]")
     axes[0, 0].set_ylabel("squared error over expected: o mean, x median")
     axes[1, 0].set_ylabel("squared error over expected: o along, x across")
+    axes[2, 0].set_ylabel("root mean square error [px]")
     axes[0, 0].legend(fontsize=7)
     figure.tight_layout()
     figure.savefig(folder / "point_covariance.png", dpi=90)

@@ -9,7 +9,12 @@ import sys
 import tempfile
 import unittest
 
+import numpy as np
+
 ROOT = pathlib.Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "experiments"))
+from point_covariance import errors_by_what_was_said  # noqa: E402
+
 SKIPPED = 77  # as ctest is told
 MIN_POINTS = 300
 arguments = None
@@ -41,6 +46,15 @@ class Quick(unittest.TestCase):
             self.assertGreater(float(row["within 95 %"]), 0.75, msg=row)
             if row["points"] != "tracks since the image before":  # they have not gone far from their corner by then
                 self.assertGreater(float(row["mean"]), 1 / 3, msg=row)
+
+    def test_points_that_are_said_to_be_farther_off_are(self):
+        said = errors_by_what_was_said(self.out / "point_covariance_samples.csv", MIN_POINTS)
+        for points in "SIFT", "ORB", "tracks since first seen":
+            bins = said[points]
+            self.assertGreater(len(bins), 4, msg=points)
+            self.assertGreater(bins[-1, 1], 2 * bins[0, 1], msg=bins)
+            for of_bin in bins:
+                self.assertLess(abs(np.log2(of_bin[1] / of_bin[0])), 1, msg=of_bin)
 
     def test_plot_is_drawn(self):
         subprocess.run(["/usr/bin/python3", ROOT / "experiments" / "point_covariance.py", self.out], check=True,
