@@ -15,7 +15,8 @@ import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen fir
 
 MIN_POINTS = 100  # for a mean square that is right within a seventh, were they independent
 STATUSES = {"DEBLURRED": "-", "SHARP": ":"}
-SAID_BORDERS_PX = np.geomspace(0.05, 12.8, 17)  # of bins of standard deviations, each half as much again
+SAID_BORDERS_PX = 0.05 * 2**(np.arange(17) / 2)  # of bins of standard deviations
+SHOWN_PX = np.array([0.03, 8])  # of them, and of errors
 
 
 def read(path):
@@ -43,12 +44,12 @@ def errors_by_what_was_said(path, min_points=MIN_POINTS):
 
 def plot_said(axes, bins):
     axes.plot(bins[:, 0], bins[:, 1], "o-", markersize=4, linewidth=0.7, fillstyle="none")
-    axes.plot([0.03, 5], [0.03, 5], color="black", linewidth=0.7)
-    axes.fill_between([0.03, 5], [0.03 / 2**0.5, 5 / 2**0.5], [0.03 * 2**0.5, 5 * 2**0.5], color="black", alpha=0.06)
+    axes.plot(SHOWN_PX, SHOWN_PX, color="black", linewidth=0.7)
+    axes.fill_between(SHOWN_PX, SHOWN_PX / 2**0.5, SHOWN_PX * 2**0.5, color="black", alpha=0.06)  # as of squares above
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_xlim(0.03, 5)
-    axes.set_ylim(0.03, 5)
+    axes.set_xlim(SHOWN_PX)
+    axes.set_ylim(SHOWN_PX)
     axes.grid(alpha=0.3)
 
 

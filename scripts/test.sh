@@ -103,7 +103,7 @@ fi
 if ((${#failed_checks[@]} > 0)); then
   # Once more at the end: often that is all that is kept of a run.
   [[ " ${failed_checks[*]} " != *" Proof by tools "* ]] || tail -n 80 "${proof_log}"
-  printf '\nFailed before the tests: %s\n' "$(printf '%s\n' "${failed_checks[@]}" | paste -s -d ,)"
+  (IFS=, && printf '\nFailed before the tests: %s\n' "${failed_checks[*]}")
 fi
 printf '\n%d passed, %d failed, %d skipped\n' $((total - failed - skipped + proofs_passed)) \
   $((failed + ${#failed_checks[@]})) $((skipped + proofs_skipped))

@@ -31,10 +31,10 @@ extern const PointErrors kBlobErrors, kCornerErrors, kTrackErrors;
 /// Covariance of the places of features in one image as it leaves, deblurred or not: 2x2 [px^2], x right, y down,
 /// symmetric and positive definite. It is the sum of
 ///
-/// - noise: (A / v + 1 / u^2)^-1, v the variance of the image's noise as it leaves, A the sum of the gradients' outer
-///   products over a window, less what noise adds to it (W. Foerstner, E. Guelch, ISPRS Intercommission Workshop 1987).
-///   It is large along an edge, and u^2 where there is no texture at all: what was matched or followed, and passed the
-///   checks on it, is not farther off;
+/// - noise: (A / (n^2 v) + 1 / u^2)^-1, n and u PointErrors' noise and unseen_px, v the variance of the image's noise
+///   as it leaves, A the sum of the gradients' outer products over a window, less what noise adds to it (W. Foerstner,
+///   E. Guelch, ISPRS Intercommission Workshop 1987). It is large along an edge, and u^2 where there is no texture at
+///   all: what was matched or followed, and passed the checks on it, is not farther off;
 /// - blur: along the block's line, in proportion to its extent where it was deblurred, and far more where it was not;
 ///   less of it across; in all directions what the block's motion is uncertain by within the exposure;
 /// - the detector, or the tracker, itself.
