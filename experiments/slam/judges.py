@@ -1,8 +1,8 @@
 """What judges a sequence: a SLAM stack by the error of its trajectory, or, without one, the package's own tracks.
 
-A judge has a name, the metrics that it gives ({key: (title, digits)}, the first of which decides; less is better), and
-judge(recording, folder, name). Another stack is another class here: it gets a bag with images and an IMU and returns
-its trajectory in IMU poses.
+A judge has a name, reads_tracks (where it is given feature_tracks, not images), the metrics that it gives ({key: (title,
+digits)}, the first of which decides; less is better), and judge(recording, folder, name). Another stack is another class
+here: it gets a bag with images, or tracks, and an IMU, and its poses of the IMU are compared by state_errors.
 """
 
 import dataclasses
@@ -11,6 +11,7 @@ import os
 import pathlib
 import socket
 import subprocess
+import sys
 import threading
 import time
 
@@ -90,6 +91,7 @@ class OpenVins:
     starts from the true state, so that all start alike."""
 
     name = "OpenVINS"
+    reads_tracks = False  # but images
     metrics = {"ate_m": ("absolute trajectory error [m]", 3),
                "rte_percent": ("error relative to %g s of path [%%]" % RELATIVE_SPAN_S, 2)}
     # Of the recording of the IMU, which is longer than the images; with fewer states it has ended early.
@@ -217,17 +219,56 @@ class OpenVins:
             # With some releases of its libraries it crashes when it has done its work and ends.
             if not states.exists():
                 raise
-        estimate = self.read_states(states)
-        if len(estimate.t_s) < 2:
-            raise Lost("no states")
-        return estimate
+        return self.read_states(states)
 
     def judge(self, recording, folder, name):
-        estimate = self.estimate(recording, folder, name)
-        covered = (estimate.t_s[-1] - estimate.t_s[0]) / (recording.truth.t_s[-1] - recording.truth.t_s[0])
-        if covered < self.MIN_COVERED:
+        return self.errors(self.estimate(recording, folder, name), recording.truth)
+
+    @classmethod
+    def errors(cls, estimate, truth):
+        covered = np.ptp(estimate.t_s) / np.ptp(truth.t_s) if len(estimate.t_s) else 0
+        if covered < cls.MIN_COVERED:
             raise Lost("states of %.0f %% of the sequence alone" % (100 * covered))
-        return state_errors(estimate, recording.truth)
+        return state_errors(estimate, truth)
+
+
+class OpenVinsTracks(OpenVins):
+    """The same, on the package's tracks in place of corners of its own: all alike, 1 px as it is set, and each weighed
+    by its covariance. By a program that is built here against OpenVINS' libraries.
+
+    Judges global shutters alone: the filter takes an image for one instant."""
+
+    name = "OpenVINS on feature_tracks"
+    reads_tracks = True
+    metrics = {**OpenVins.metrics, "weighed_ate_m": ("absolute trajectory error [m], corners weighed", 3),
+               "weighed_rte_percent": ("error relative to %g s of path [%%], corners weighed" % RELATIVE_SPAN_S, 2)}
+    SOURCE = pathlib.Path(__file__).resolve().parent / "openvins_tracks"
+
+    def __init__(self, devel, folder):
+        super().__init__(devel, folder)
+        build = folder / self.SOURCE.name
+        python = ["-D%s_EXECUTABLE=%s" % (name, sys.executable) for name in ("PYTHON", "Python3")]
+        build.mkdir(parents=True, exist_ok=True)
+        try:
+            run_logged(["cmake", "-S", self.SOURCE, "-B", build, "-DCMAKE_PREFIX_PATH=%s" % self.devel, *python],
+                       folder / "build.log")
+            run_logged(["cmake", "--build", build], folder / "build.log")
+        except RuntimeError:
+            self.close()
+            raise
+        self._reader = build / self.SOURCE.name
+
+    def judge(self, recording, folder, name):
+        settings, start, states = self.write_settings(recording, folder), folder / "start.csv", folder / "states.txt"
+        self.write_start(recording, start)
+        metrics = {}
+        for prefix, weigh in ("", []), ("weighed_", ["--weigh"]):
+            run_logged([self._reader, settings, recording.bag, "--start", start, "--states", states, "--imu-topic",
+                        recording.imu_topic, "--tracks-topic", recording.image_topic, *weigh],
+                       folder / (name + ".log"), self.environment())
+            errors = self.errors(self.read_states(states), recording.truth)
+            metrics.update({prefix + key: value for key, value in errors.items()})
+        return metrics
 
 
 class OwnTracks:
@@ -237,6 +278,7 @@ class OwnTracks:
     Judges global shutters alone: tracks are where a point was at its own row's time."""
 
     name = "tracks"
+    reads_tracks = True
     metrics = {"direction_deg": ("direction of the translation, median error [degrees]", 2),
                "weighted_direction_deg": ("the same, points weighed by their covariances", 2),
                "rotation_deg": ("rotation, median error [degrees]", 3),

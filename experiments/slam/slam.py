@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from common import ROOT, fail, write_markdown  # noqa: E402
-from judges import Lost, OpenVins, OwnTracks, Recording, run_logged  # noqa: E402
+from judges import Lost, OpenVins, OpenVinsTracks, OwnTracks, Recording, run_logged  # noqa: E402
 from trajectory import read_truth  # noqa: E402
 
 matplotlib.use("Agg")
@@ -63,8 +63,9 @@ class Case:
         return ", ".join(parts)
 
 
-REPORTED = [Case(flight, exposure_ms, speed) for flight in (DRONE, HAND) for speed in (1.7, 1.0)
-            for exposure_ms in (30, 15)] + [Case(flight, 30, 1.7, 20) for flight in (DRONE, HAND)]
+READOUT_MS = 20  # of the rolling shutter
+REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms in (0, READOUT_MS) for flight in (DRONE, HAND)
+            for speed in (1.7, 1.0) for exposure_ms in (30, 15)]
 # What is chosen is chosen on another flight.
 TUNED = [Case(TUNING, 30, 1.7)]
 
@@ -135,7 +136,7 @@ class Study:
     def measure(self, case, folder, light, seed, variant):
         name = "%s_%s_%d_%s" % (case.key, light, seed, variant)
         recording = read_recording(case, folder, light, seed, "sharp" if variant == "sharp" else "blurred")
-        options, tracks = options_of(variant), self.judge.name == OwnTracks.name
+        options, tracks = options_of(variant), self.judge.reads_tracks
         with tempfile.TemporaryDirectory(dir=folder) as own:
             own = pathlib.Path(own)
             if options is not None or tracks:
@@ -255,11 +256,23 @@ def markdown(cells, cases, lights, variants, judge):
 
 
 def plot(cells, cases, lights, variants, judge, path):
-    """A group of bars for each case and light."""
+    """A group of bars for each case and light; a row for each shutter."""
     metric, (title, _) = next(iter(judge.metrics.items()))
-    groups = [(case, light) for case in cases for light in lights]
+    rows = [[(case, light) for case in cases if case.readout_ms == readout_ms for light in lights]
+            for readout_ms in sorted({case.readout_ms for case in cases})]
+    figure, all_axes = plt.subplots(len(rows), 1, figsize=(max(5, 1.5 + 0.62 * max(map(len, rows))), 4.3 * len(rows)),
+                                    sharey=True, squeeze=False)
+    for groups, axes in zip(rows, all_axes[:, 0]):
+        draw_bars(cells, groups, variants, metric, axes)
+        axes.set_ylabel("%s: %s" % (judge.name, title))
+    all_axes[0, 0].legend(fontsize=8, ncol=len(variants))
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def draw_bars(cells, groups, variants, metric, axes):
     colors = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue"}
-    figure, axes = plt.subplots(figsize=(max(5, 1.5 + 0.62 * len(groups)), 4.6))
     width = 0.8 / len(variants)
     for k, variant in enumerate(variants):
         means, errors = zip(*(cells.of(case, light, variant, metric) for case, light in groups))
@@ -278,12 +291,7 @@ def plot(cells, cases, lights, variants, judge, path):
         conditions = case.conditions().replace(", ", ",\n").replace("readout ", "readout\n")
         labels.append(filter(None, [NAMES[case.flight].split(" (")[0], conditions, LIGHTS[light]]))
     axes.set_xticklabels(["\n".join(label) for label in labels], fontsize=7)
-    axes.set_ylabel("%s: %s" % (judge.name, title))
     axes.grid(axis="y", alpha=0.3, which="both")
-    axes.legend(fontsize=8, ncol=len(variants))
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
 
 
 def parse_arguments():
@@ -291,6 +299,8 @@ def parse_arguments():
     parser.add_argument("--out", type=pathlib.Path, required=True, help="folder for the results")
     parser.add_argument("--openvins", type=pathlib.Path, metavar="DEVEL",
                         help="devel space of a workspace with OpenVINS (ROS 1) [the package's own tracks judge]")
+    parser.add_argument("--tracks", action="store_true",
+                        help="OpenVINS follows no corners of its own, but gets the package's tracks")
     parser.add_argument("--tuning", action="store_true",
                         help="on the flight that defaults are chosen on, instead of those that are reported")
     parser.add_argument("--variants", nargs="+", default=list(VARIANTS), metavar="VARIANT",
@@ -319,15 +329,15 @@ def main():
         fail("there is no rosrun: source build/devel/setup.bash")
     arguments.out.mkdir(parents=True, exist_ok=True)
     cases = [case for case in (TUNED if arguments.tuning else REPORTED) if (arguments.only or "") in case.key]
-    if not arguments.openvins:
+    judge_type = OwnTracks if not arguments.openvins else OpenVinsTracks if arguments.tracks else OpenVins
+    if judge_type.reads_tracks:
         cases = [case for case in cases if not case.readout_ms]  # tracks are those of each row's own time
     if not cases:
         fail("--only %s: there is no such case" % arguments.only)
-    judge_type = OpenVins if arguments.openvins else OwnTracks
     if arguments.report:
         study = Study(arguments, judge_type)
     else:
-        judge = OpenVins(arguments.openvins, arguments.out) if arguments.openvins else OwnTracks()
+        judge = judge_type(arguments.openvins, arguments.out) if arguments.openvins else judge_type()
         with contextlib.closing(judge):
             study = Study(arguments, judge)
             study.run(cases, arguments.variants)

@@ -14,7 +14,7 @@ import numpy as np
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "experiments" / "slam"))
-from judges import OpenVins, Recording, refined_motion, relative_motion  # noqa: E402
+from judges import Lost, OpenVins, OpenVinsTracks, Recording, refined_motion, relative_motion  # noqa: E402
 from trajectory import (Trajectory, absolute_error_m, aligned, angle_deg, common, relative_errors,  # noqa: E402
                         rotations)
 
@@ -148,6 +148,22 @@ class OpenVinsFiles(unittest.TestCase):
             states = OpenVins.read_states(path)
             np.testing.assert_allclose(states.p_m, [[1, 2, 3]])
             np.testing.assert_allclose(states.q, [[0.1, 0.2, 0.3, 0.9]])
+
+    def test_states_that_end_early_are_lost(self):
+        truth = circle()
+        almost = truth.at(truth.t_s[truth.t_s < 17])
+        self.assertLess(OpenVins.errors(almost, truth)["ate_m"], 1e-9)
+        with self.assertRaisesRegex(Lost, "75 %"):
+            OpenVins.errors(truth.at(truth.t_s[truth.t_s < 15.01]), truth)
+        with self.assertRaisesRegex(Lost, "0 %"):
+            OpenVins.errors(truth.at([]), truth)
+
+    def test_covariances_are_in_the_filters_unit(self):
+        """What weighs corners divides by their covariances in px^2, where the filter's own variance has to be 1."""
+        for key in "up_msckf_sigma_px", "up_slam_sigma_px":
+            self.assertEqual(OpenVinsTracks.SETTINGS[key], 1)
+        self.assertTrue(OpenVinsTracks.reads_tracks)
+        self.assertEqual(set(OpenVinsTracks.metrics), {"ate_m", "rte_percent", "weighed_ate_m", "weighed_rte_percent"})
 
 
 class ShortFlight(unittest.TestCase):

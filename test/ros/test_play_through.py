@@ -16,6 +16,7 @@ import unittest
 import rosbag
 import rosgraph
 import rospy
+from gyro_deblur.msg import BlurField
 from sensor_msgs.msg import CameraInfo, Image, Imu
 
 SCRIPT = sys.argv[1]
@@ -25,11 +26,13 @@ DEADLINE_S = 60
 
 
 class FrontEnd:
-    """Sends every image on, with its camera_info, but lets nothing in before the bag has been published."""
+    """Sends every image on, with its camera_info, but lets nothing in before the bag has been published. Of the first
+    ones, as many as it is to drop, it only says that they are BAD."""
 
-    def __init__(self, end_s):
+    def __init__(self, end_s, drops=0):
         self.frames = 0
-        self._end_s = end_s
+        self._end_s, self._drops = end_s, drops
+        self._field = rospy.Publisher("/camera/blur_field", BlurField, queue_size=FRAMES)
         self._image = rospy.Publisher("/camera/deblurred/image_raw", Image, queue_size=FRAMES)
         self._info = rospy.Publisher("/camera/deblurred/camera_info", CameraInfo, queue_size=FRAMES)
         # Called in the thread that reads the socket, which reads on when it returns.
@@ -45,8 +48,15 @@ class FrontEnd:
         while self.frames == 0 and not self._published() and time.monotonic() < deadline:
             time.sleep(0.05)
         self.frames += 1
-        self._image.publish(image)
-        self._info.publish(CameraInfo(header=image.header))
+        dropped = self.frames <= self._drops
+        if not dropped:
+            self._image.publish(image)
+            self._info.publish(CameraInfo(header=image.header))
+        self._field.publish(BlurField(header=image.header, reason_text="drop_bad: PARTLY" if dropped else ""))
+
+    def end(self):
+        for connection in self._subscribers + [self._image, self._info, self._field]:
+            connection.unregister()
 
 
 class PlayThrough(unittest.TestCase):
@@ -84,6 +94,7 @@ class PlayThrough(unittest.TestCase):
 
     def test_the_last_frames_come_out_and_are_recorded(self):
         front_end = FrontEnd(self.end_s)
+        self.addCleanup(front_end.end)
         outputs = ["/camera/deblurred/image_raw", "/camera/deblurred/camera_info"]
         result = subprocess.run([sys.executable, SCRIPT, self.bag, "--patience", "10", "--record", self.recorded, "--outputs", *outputs],
                                 stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True, timeout=300)
@@ -96,6 +107,15 @@ class PlayThrough(unittest.TestCase):
                 self.assertEqual(stamps, [rospy.Time.from_sec(100 + i * PERIOD_S).to_sec() for i in range(FRAMES)])
             for i, (_, image, _) in enumerate(bag.read_messages(topics=outputs[:1])):
                 self.assertEqual(image.data, bytes([i]) * BYTES)
+
+    def test_what_drop_bad_keeps_back_is_not_waited_for(self):
+        front_end = FrontEnd(self.end_s, drops=7)
+        self.addCleanup(front_end.end)
+        result = subprocess.run([sys.executable, SCRIPT, self.bag, "--patience", "10"], stdout=subprocess.PIPE,
+                                stderr=subprocess.STDOUT, universal_newlines=True, timeout=300)
+        self.assertEqual(result.returncode, 0, result.stdout)
+        self.assertIn("%d of %d frames came out" % (FRAMES - 7, FRAMES), result.stdout)
+        self.assertIn(", 7 were dropped as BAD", result.stdout)
 
 
 if __name__ == "__main__":
