@@ -2,12 +2,11 @@
 """Plays a bag through a running gyro_deblur, records what comes out, and ends when the last frame has left.
 
 Waits for what it needs instead of sleeping: until the nodelet and the other nodes given by --listener have subscribed,
-until the clock has reached the bag's end, until as many frames came out, or were kept back by drop_bad, and are recorded, as
-went in. Until then
-rosbag play is kept alive: with its end it would take away what it has not sent yet, and on a busy machine that can be
-most of a bag. A recorder of its own would lose its last messages in the same way; this one knows what it has. Ends with
-status 1, and says why, when nothing happens for --patience seconds. Played are the bag's topics that somebody has
-subscribed to.
+until the clock has reached the bag's end, until every frame that went in has come out and is recorded, or was kept back
+by drop_bad. Until then rosbag play is kept alive: with its end it would take away what it has not sent yet, and on a
+busy machine that can be most of a bag. A recorder of its own would lose its last messages in the same way; this one
+knows what it has. Ends with status 1, and says why, when nothing happens for --patience seconds. Played are the bag's
+topics that somebody has subscribed to.
 """
 import argparse
 import json
@@ -48,9 +47,9 @@ class Patience:
 class Outputs:
     """Counts the messages of the nodelet's topics as they come, and writes those that are asked for into a bag."""
 
-    # One message for every frame; there are fewer overlays and tracks. drop_bad keeps the first ones back.
-    OF_EVERY_FRAME = ("deblurred/image_raw", "deblurred/camera_info", "keypoints")
-    OF_DROPPED_TOO = ("blur_field", "blur_markers", "image_quality")
+    # One message for every frame, or for every one that drop_bad lets out; there are fewer overlays and tracks.
+    OF_EVERY_FRAME_OUT = ("deblurred/image_raw", "deblurred/camera_info", "keypoints")
+    OF_EVERY_FRAME = ("blur_field", "blur_markers", "image_quality")
 
     def __init__(self, camera, recorded, path):
         self.image, self._field = camera + "/deblurred/image_raw", camera + "/blur_field"
@@ -58,9 +57,9 @@ class Outputs:
         self.dropped = 0  # by drop_bad
         self._recorded = frozenset(recorded)
         self._counts = dict.fromkeys([self.image, self._field, *recorded], 0)
-        self._of_every_frame, self._of_dropped_too = (
+        self._of_every_frame_out, self._of_every_frame = (
             [t for t in self._counts if t in {camera + "/" + o for o in outputs}]
-            for outputs in (self.OF_EVERY_FRAME, self.OF_DROPPED_TOO))
+            for outputs in (self.OF_EVERY_FRAME_OUT, self.OF_EVERY_FRAME))
         self._lock = threading.Lock()
         self._bag = rosbag.Bag(path, "w") if path else None
         self._subscribers = [rospy.Subscriber(topic, rospy.AnyMsg, self._on_message, topic, buff_size=2**22)
@@ -71,7 +70,7 @@ class Outputs:
             if topic == self.image:
                 self.last_s = time.monotonic()
                 self.first_s = self.first_s or self.last_s
-            elif topic == self._field:
+            elif topic == self._field and message._connection_header["md5sum"] == BlurField._md5sum:
                 self.dropped += BlurField().deserialize(message._buff).reason_text.startswith("drop_bad:")
             if self._bag and topic in self._recorded:
                 header = message._connection_header  # rospy has no other access to it
@@ -90,8 +89,8 @@ class Outputs:
     def frames(self):
         """Of which everything has come that comes of every frame, those dropped among them."""
         with self._lock:
-            return min([self._counts[topic] + self.dropped for topic in self._of_every_frame] +
-                       [self._counts[topic] for topic in self._of_dropped_too])
+            return min([self._counts[topic] + self.dropped for topic in self._of_every_frame_out] +
+                       [self._counts[topic] for topic in self._of_every_frame])
 
     def rate_hz(self):
         """Of the images from the first to the last."""
@@ -254,7 +253,7 @@ def main():
           (", %d were dropped as BAD" % outputs.dropped if outputs.dropped else ""), flush=True)
     if arguments.json:
         with open(arguments.json, "w", encoding="utf-8") as file:
-            json.dump({"frames_in": expected, "frames_out": frames_out, "frames_dropped": outputs.dropped,
+            json.dump({"frames_in": expected, "frames_out": frames_out, "dropped_bad": outputs.dropped,
                        "rate_hz": outputs.rate_hz(), "wanted_rate_hz": wanted_rate_hz}, file)
     if screen:
         screen.take()

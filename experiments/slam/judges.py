@@ -1,8 +1,10 @@
 """What judges a sequence: a SLAM stack by the error of its trajectory, or, without one, the package's own tracks.
 
-A judge has a name, reads_tracks (where it is given feature_tracks, not images), the metrics that it gives ({key: (title,
-digits)}, the first of which decides; less is better), and judge(recording, folder, name). Another stack is another class
-here: it gets a bag with images, or tracks, and an IMU, and its poses of the IMU are compared by state_errors.
+A judge has a name, reads_tracks (whether it is given feature_tracks, not images), can_judge(readout_ms), the metrics
+that it gives ({key: (title, digits)}, the first of which decides; less is better), judge(recording, folder, name),
+which raises Lost, and close().
+Another stack is another class here: it gets a bag with images, or tracks, and an IMU, and its poses of the IMU are
+compared by state_errors.
 """
 
 import dataclasses
@@ -91,7 +93,7 @@ class OpenVins:
     starts from the true state, so that all start alike."""
 
     name = "OpenVINS"
-    reads_tracks = False  # but images
+    reads_tracks = False
     metrics = {"ate_m": ("absolute trajectory error [m]", 3),
                "rte_percent": ("error relative to %g s of path [%%]" % RELATIVE_SPAN_S, 2)}
     # Of the recording of the IMU, which is longer than the images; with fewer states it has ended early.
@@ -134,11 +136,30 @@ class OpenVins:
     def close(self):
         self._master.end()
 
+    @staticmethod
+    def can_judge(readout_ms):
+        del readout_ms
+        return True
+
     def environment(self):
         libraries = os.pathsep.join(filter(None, [str(self.devel / "lib"), os.environ.get("LD_LIBRARY_PATH", "")]))
         # The matrices are small: threads of the linear algebra would only wait for each other.
-        return dict(os.environ, **self._master.environment, LD_LIBRARY_PATH=libraries, OMP_NUM_THREADS="1",
+        return dict(os.environ, **self._master_environment(), LD_LIBRARY_PATH=libraries, OMP_NUM_THREADS="1",
                     OPENBLAS_NUM_THREADS="1")
+
+    def _master_environment(self):
+        return self._master.environment
+
+    @staticmethod
+    def run(command, states, log, environment):
+        """Its states, where it has written some: it crashes, with some releases of its libraries, when it has done its
+        work and ends, and ends itself where its covariance breaks down."""
+        try:
+            run_logged(command, log, environment)
+        except RuntimeError:
+            if not states.exists():
+                raise
+        return OpenVins.read_states(states)
 
     @classmethod
     def write_settings(cls, recording, folder, changes=None):
@@ -194,8 +215,11 @@ class OpenVins:
 
     @staticmethod
     def read_states(path):
-        """What it writes of every image."""
-        states = np.loadtxt(path, comments="#", usecols=range(8), ndmin=2)
+        """What it writes of every image. Raises Lost when there is nothing."""
+        lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+        if len(lines) < 2:
+            raise Lost("no states")
+        states = np.loadtxt(lines, usecols=range(8))
         # Its quaternions take the world to the body in JPL's convention: the same four numbers as Hamilton's of the
         # body to the world.
         return Trajectory(states[:, 0], states[:, 5:8], states[:, 1:5])
@@ -213,20 +237,14 @@ class OpenVins:
         if self._own_start is None:
             self.write_start(recording, folder / "start.csv")
             command.append("_path_gt:=%s" % (folder / "start.csv"))
-        try:
-            run_logged(command, folder / (name + ".log"), self.environment())
-        except RuntimeError:
-            # With some releases of its libraries it crashes when it has done its work and ends.
-            if not states.exists():
-                raise
-        return self.read_states(states)
+        return self.run(command, states, folder / (name + ".log"), self.environment())
 
     def judge(self, recording, folder, name):
         return self.errors(self.estimate(recording, folder, name), recording.truth)
 
     @classmethod
     def errors(cls, estimate, truth):
-        covered = np.ptp(estimate.t_s) / np.ptp(truth.t_s) if len(estimate.t_s) else 0
+        covered = np.ptp(estimate.t_s) / np.ptp(truth.t_s)
         if covered < cls.MIN_COVERED:
             raise Lost("states of %.0f %% of the sequence alone" % (100 * covered))
         return state_errors(estimate, truth)
@@ -234,9 +252,7 @@ class OpenVins:
 
 class OpenVinsTracks(OpenVins):
     """The same, on the package's tracks in place of corners of its own: all alike, 1 px as it is set, and each weighed
-    by its covariance. By a program that is built here against OpenVINS' libraries.
-
-    Judges global shutters alone: the filter takes an image for one instant."""
+    by its covariance. By a program that is built here against OpenVINS' libraries."""
 
     name = "OpenVINS on feature_tracks"
     reads_tracks = True
@@ -245,37 +261,47 @@ class OpenVinsTracks(OpenVins):
     SOURCE = pathlib.Path(__file__).resolve().parent / "openvins_tracks"
 
     def __init__(self, devel, folder):
-        super().__init__(devel, folder)
+        # Its program asks no master for parameters.
+        self.devel = pathlib.Path(devel).resolve()
         build = folder / self.SOURCE.name
-        python = ["-D%s_EXECUTABLE=%s" % (name, sys.executable) for name in ("PYTHON", "Python3")]
         build.mkdir(parents=True, exist_ok=True)
-        try:
-            run_logged(["cmake", "-S", self.SOURCE, "-B", build, "-DCMAKE_PREFIX_PATH=%s" % self.devel, *python],
-                       folder / "build.log")
-            run_logged(["cmake", "--build", build], folder / "build.log")
-        except RuntimeError:
-            self.close()
-            raise
+        # ROS wants the distribution's Python, which need not be the first one on the path.
+        python = ["-D%s_EXECUTABLE=%s" % (name, sys.executable) for name in ("PYTHON", "Python3")]
+        where = ["-S", self.SOURCE, "-B", build, "-DCMAKE_PREFIX_PATH=%s" % self.devel]
+        run_logged(["cmake", *where, *python], folder / "build.log")
+        run_logged(["cmake", "--build", build], folder / "build.log")
         self._reader = build / self.SOURCE.name
 
+    def close(self):
+        pass
+
+    def _master_environment(self):
+        return {}
+
+    @staticmethod
+    def can_judge(readout_ms):
+        return readout_ms == 0  # tracks are those of each row's own time, and the filter takes an image for one instant
+
     def judge(self, recording, folder, name):
-        settings, start, states = self.write_settings(recording, folder), folder / "start.csv", folder / "states.txt"
+        settings, start = self.write_settings(recording, folder), folder / "start.csv"
         self.write_start(recording, start)
         metrics = {}
         for prefix, weigh in ("", []), ("weighed_", ["--weigh"]):
-            run_logged([self._reader, settings, recording.bag, "--start", start, "--states", states, "--imu-topic",
-                        recording.imu_topic, "--tracks-topic", recording.image_topic, *weigh],
-                       folder / (name + ".log"), self.environment())
-            errors = self.errors(self.read_states(states), recording.truth)
+            states = folder / (prefix + "states.txt")
+            command = [self._reader, settings, recording.bag, "--start", start, "--states", states, "--imu-topic",
+                       recording.imu_topic, "--tracks-topic", recording.image_topic, *weigh]
+            try:
+                estimate = self.run(command, states, folder / (prefix + name + ".log"), self.environment())
+                errors = self.errors(estimate, recording.truth)
+            except Lost:
+                errors = dict.fromkeys(OpenVins.metrics)
             metrics.update({prefix + key: value for key, value in errors.items()})
         return metrics
 
 
 class OwnTracks:
     """Motion of the camera between images from the package's tracks: rotation, and direction of the translation, from
-    points of equal weight, and by their covariances.
-
-    Judges global shutters alone: tracks are where a point was at its own row's time."""
+    points of equal weight, and by their covariances."""
 
     name = "tracks"
     reads_tracks = True
@@ -292,6 +318,10 @@ class OwnTracks:
 
     def close(self):
         pass
+
+    @staticmethod
+    def can_judge(readout_ms):
+        return readout_ms == 0  # tracks are those of each row's own time
 
     @classmethod
     def _points(cls, cloud, focal_px):

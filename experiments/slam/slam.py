@@ -67,11 +67,12 @@ READOUT_MS = 20  # of the rolling shutter
 REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms in (0, READOUT_MS) for flight in (DRONE, HAND)
             for speed in (1.7, 1.0) for exposure_ms in (30, 15)]
 # What is chosen is chosen on another flight.
-TUNED = [Case(TUNING, 30, 1.7)]
+TUNED = [Case(TUNING, exposure_ms, speed) for speed in (1.7, 1.0) for exposure_ms in (30, 15)]
 
 # How the images get to the judge: keys of config/default.yaml; None: as they are in the bag.
 VARIANTS = {"sharp": None, "blurred": None, "gyroscope": {"motion_from_images": False}, "package": {}}
 TITLES = {"sharp": "sharp", "blurred": "blurred", "gyroscope": "gyroscope alone", "package": "the package"}
+COLORS = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue"}
 # Nothing is deblurred: for tracks on images as they are.
 UNTOUCHED = {"min_extent": 1, "max_extent": 1, "motion_from_images": False}
 
@@ -98,29 +99,28 @@ KEY = ("case", "seconds", "light", "seed", "variant", "judge")  # of a result
 class Study:
     """Measures what is missing."""
 
-    def __init__(self, arguments, judge):
-        self.arguments, self.judge = arguments, judge
+    def __init__(self, arguments):
+        self.arguments = arguments
         self.path = arguments.out / "results.json"
         self.results = json.loads(self.path.read_text()) if self.path.exists() else []
         self._lock = threading.Lock()
 
-    def known(self, case, light, seed, variant):
-        key = (case.key, case.seconds(self.arguments.seconds), light, seed, variant, self.judge.name)
-        return next((r for r in self.results if key == tuple(r[k] for k in KEY)), None)
+    def _key(self, judge, case, light, seed, variant):
+        return case.key, case.seconds(self.arguments.seconds), light, seed, variant, judge.name
 
-    def keep(self, case, light, seed, variant, metrics):
+    def keep(self, key, metrics):
         with self._lock:
-            key = (case.key, case.seconds(self.arguments.seconds), light, seed, variant, self.judge.name)
             self.results.append({**dict(zip(KEY, key)), **metrics})
             part = self.path.with_suffix(".part")
             part.write_text(json.dumps(self.results, indent=1) + "\n")
             part.rename(self.path)
 
-    def run(self, cases, variants):
+    def run(self, judges, cases, variants):
         seeds = list(range(1, self.arguments.seeds + 1))
-        missing = {case: [(light, seed, variant) for light in self.arguments.lights for seed in seeds
-                          for variant in variants if self.known(case, light, seed, variant) is None]
-                   for case in cases}
+        known = {tuple(r[k] for k in KEY) for r in self.results}
+        missing = {case: [(judge, case, light, seed, variant) for judge in judges if judge.can_judge(case.readout_ms)
+                          for light in self.arguments.lights for seed in seeds for variant in variants
+                          if self._key(judge, case, light, seed, variant) not in known] for case in cases}
         total = sum(map(len, missing.values()))
         with tqdm(total=total, unit="run", disable=None) as bar, \
                 concurrent.futures.ThreadPoolExecutor(self.arguments.jobs) as pool:
@@ -128,25 +128,25 @@ class Study:
                 if not jobs:
                     continue
                 with bags_of(case, self.arguments.lights, seeds, self.arguments) as folder:
-                    waiting = [pool.submit(self.measure, case, folder, *job) for job in jobs]
+                    waiting = [pool.submit(self.measure, folder, *job) for job in jobs]
                     for done in concurrent.futures.as_completed(waiting):
                         done.result()
                         bar.update()
 
-    def measure(self, case, folder, light, seed, variant):
+    def measure(self, folder, judge, case, light, seed, variant):
         name = "%s_%s_%d_%s" % (case.key, light, seed, variant)
         recording = read_recording(case, folder, light, seed, "sharp" if variant == "sharp" else "blurred")
-        options, tracks = options_of(variant), self.judge.reads_tracks
+        options = options_of(variant)
         with tempfile.TemporaryDirectory(dir=folder) as own:
             own = pathlib.Path(own)
-            if options is not None or tracks:
-                recording = deblur(recording, UNTOUCHED if options is None else options, tracks, own)
+            if options is not None or judge.reads_tracks:
+                recording = deblur(recording, UNTOUCHED if options is None else options, judge.reads_tracks, own)
             try:
-                metrics = self.judge.judge(recording, own, name)
+                metrics = judge.judge(recording, own, name)
             except Lost as error:
                 tqdm.write("%s: lost: %s" % (name, error), file=sys.stderr)
-                metrics = dict.fromkeys(self.judge.metrics)
-        self.keep(case, light, seed, variant, metrics)
+                metrics = dict.fromkeys(judge.metrics)
+        self.keep(self._key(judge, case, light, seed, variant), metrics)
 
 
 @contextlib.contextmanager
@@ -213,12 +213,34 @@ class Cells:
 
     def __init__(self, results, judge, seconds):
         """seconds: of a case, at most."""
+        self.judge = judge
         self._results = [r for r in results if r["judge"] == judge.name]
         self._seconds = seconds
 
     def of(self, case, light, variant, metric):
         key = (case.key, case.seconds(self._seconds), light, variant)
         return cell([r[metric] for r in self._results if key == (r["case"], r["seconds"], r["light"], r["variant"])])
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """Of a table, and of the plot."""
+    title: str
+    color: str
+    cells: Cells
+    variant: str
+    metric: str
+
+    def of(self, case, light):
+        return self.cells.of(case, light, self.variant, self.metric)
+
+
+def columns_of(cells, variants, metric, tracks=None):
+    """tracks: cells of the judge that weighs the package's tracks; a column of their own."""
+    columns = [Column(TITLES.get(v, v), COLORS.get(v), cells, v, metric) for v in variants]
+    if tracks is not None and "package" in variants:
+        columns.append(Column("the package's tracks, weighed", "tab:purple", tracks, "package", "weighed_" + metric))
+    return columns
 
 
 def share_of_the_way(cells, case, light, variant, metric):
@@ -230,20 +252,23 @@ def share_of_the_way(cells, case, light, variant, metric):
     return 100 * (blurred - mean) / (blurred - sharp) if np.isfinite([blurred, mean]).all() else None
 
 
-def markdown(cells, cases, lights, variants, judge):
+def markdown(cells, tracks, cases, lights, variants):
+    judge = cells.judge
+    cases = [case for case in cases if judge.can_judge(case.readout_ms)]
     lines = []
+    if not cases:
+        return lines
     for metric, (title, digits) in judge.metrics.items():
+        columns = columns_of(cells, variants, metric, tracks)
         way = metric == next(iter(judge.metrics)) and "package" in variants
-        header = ["flight", "conditions"] + [TITLES.get(v, v) for v in variants]
-        if way:
-            header.append("of the way to sharp")
+        header = ["flight", "conditions"] + [c.title for c in columns] + (["of the way to sharp"] if way else [])
         lines += ["%s: %s; mean of seeds ± its standard error" % (judge.name, title), "",
                   "| " + " | ".join(header) + " |", "| " + " | ".join(["---"] * len(header)) + " |"]
         for case in cases:
             for light in lights:
                 row = [NAMES[case.flight], ", ".join(filter(None, [case.conditions(), LIGHTS[light]]))]
-                for variant in variants:
-                    mean, error = cells.of(case, light, variant, metric)
+                for column in columns:
+                    mean, error = column.of(case, light)
                     row.append("lost" if np.isinf(mean) else "-" if np.isnan(mean) else
                                "%.*f" % (digits, mean) + ("" if np.isnan(error) else " ± %.*f" % (digits, error)))
                 if way:
@@ -255,34 +280,36 @@ def markdown(cells, cases, lights, variants, judge):
     return lines
 
 
-def plot(cells, cases, lights, variants, judge, path):
+def plot(cells, tracks, cases, lights, variants, path):
     """A group of bars for each case and light; a row for each shutter."""
-    metric, (title, _) = next(iter(judge.metrics.items()))
+    metric, (title, _) = next(iter(cells.judge.metrics.items()))
+    columns = columns_of(cells, variants, metric, tracks)
+    cases = [case for case in cases if cells.judge.can_judge(case.readout_ms)]
     rows = [[(case, light) for case in cases if case.readout_ms == readout_ms for light in lights]
             for readout_ms in sorted({case.readout_ms for case in cases})]
     figure, all_axes = plt.subplots(len(rows), 1, figsize=(max(5, 1.5 + 0.62 * max(map(len, rows))), 4.3 * len(rows)),
                                     sharey=True, squeeze=False)
     for groups, axes in zip(rows, all_axes[:, 0]):
-        draw_bars(cells, groups, variants, metric, axes)
-        axes.set_ylabel("%s: %s" % (judge.name, title))
-    all_axes[0, 0].legend(fontsize=8, ncol=len(variants))
+        readout_ms = groups[0][0].readout_ms
+        draw_bars([c for c in columns if c.cells.judge.can_judge(readout_ms)], groups, axes)
+        axes.set_ylabel("%s: %s" % (cells.judge.name, title))
+    all_axes[0, 0].legend(fontsize=8, ncol=len(columns), loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
     figure.tight_layout()
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
 
-def draw_bars(cells, groups, variants, metric, axes):
-    colors = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue"}
-    width = 0.8 / len(variants)
-    for k, variant in enumerate(variants):
-        means, errors = zip(*(cells.of(case, light, variant, metric) for case, light in groups))
+def draw_bars(columns, groups, axes):
+    width = 0.8 / len(columns)
+    for k, column in enumerate(columns):
+        means, errors = zip(*(column.of(case, light) for case, light in groups))
         finite = [mean if np.isfinite(mean) else 0 for mean in means]
         for x, mean in enumerate(means):
             if np.isinf(mean):
                 axes.annotate("lost", (x, 1), xycoords=("data", "axes fraction"), fontsize=7, va="top", rotation=90)
-        axes.bar(np.arange(len(groups)) + (k - 0.5 * (len(variants) - 1)) * width, finite, width,
-                 yerr=[error if np.isfinite(error) else 0 for error in errors], color=colors.get(variant),
-                 label=TITLES.get(variant, variant), error_kw={"elinewidth": 0.8})
+        axes.bar(np.arange(len(groups)) + (k - 0.5 * (len(columns) - 1)) * width, finite, width,
+                 yerr=[error if np.isfinite(error) else 0 for error in errors], color=column.color, label=column.title,
+                 error_kw={"elinewidth": 0.8})
     axes.set_yscale("log")
     axes.set_xlim(-0.7, len(groups) - 0.3)
     axes.set_xticks(range(len(groups)))
@@ -300,7 +327,7 @@ def parse_arguments():
     parser.add_argument("--openvins", type=pathlib.Path, metavar="DEVEL",
                         help="devel space of a workspace with OpenVINS (ROS 1) [the package's own tracks judge]")
     parser.add_argument("--tracks", action="store_true",
-                        help="OpenVINS follows no corners of its own, but gets the package's tracks")
+                        help="with --openvins: judge by it on the package's tracks, too, not on corners of its own")
     parser.add_argument("--tuning", action="store_true",
                         help="on the flight that defaults are chosen on, instead of those that are reported")
     parser.add_argument("--variants", nargs="+", default=list(VARIANTS), metavar="VARIANT",
@@ -325,25 +352,29 @@ def main():
     arguments = parse_arguments()
     if not (arguments.data / "trajectories").is_dir():
         fail("there is no %s/trajectories; see test/data/README.md" % arguments.data)
+    if arguments.tracks and not arguments.openvins:
+        fail("--tracks needs --openvins")
     if not arguments.report and shutil.which("rosrun") is None:
         fail("there is no rosrun: source build/devel/setup.bash")
     arguments.out.mkdir(parents=True, exist_ok=True)
     cases = [case for case in (TUNED if arguments.tuning else REPORTED) if (arguments.only or "") in case.key]
-    judge_type = OwnTracks if not arguments.openvins else OpenVinsTracks if arguments.tracks else OpenVins
-    if judge_type.reads_tracks:
-        cases = [case for case in cases if not case.readout_ms]  # tracks are those of each row's own time
+    types = [OwnTracks] if not arguments.openvins else [OpenVins] + [OpenVinsTracks] * arguments.tracks
+    cases = [case for case in cases if any(judge.can_judge(case.readout_ms) for judge in types)]
     if not cases:
         fail("--only %s: there is no such case" % arguments.only)
-    if arguments.report:
-        study = Study(arguments, judge_type)
-    else:
-        judge = judge_type(arguments.openvins, arguments.out) if arguments.openvins else judge_type()
-        with contextlib.closing(judge):
-            study = Study(arguments, judge)
-            study.run(cases, arguments.variants)
-    cells = Cells(study.results, judge_type, arguments.seconds)
-    write_markdown(arguments.out / "slam.md", markdown(cells, cases, arguments.lights, arguments.variants, judge_type))
-    plot(cells, cases, arguments.lights, arguments.variants, judge_type, arguments.out / "slam.png")
+    study = Study(arguments)
+    if not arguments.report:
+        with contextlib.ExitStack() as stack:
+            judges = [stack.enter_context(contextlib.closing(
+                judge(arguments.openvins, arguments.out) if arguments.openvins else judge())) for judge in types]
+            study.run(judges, cases, arguments.variants)
+    cells = [Cells(study.results, judge, arguments.seconds) for judge in types]
+    tracks = cells[1] if len(cells) > 1 else None
+    lines = markdown(cells[0], tracks, cases, arguments.lights, arguments.variants)
+    if tracks is not None:
+        lines += markdown(tracks, None, cases, arguments.lights, arguments.variants)
+    write_markdown(arguments.out / "slam.md", lines)
+    plot(cells[0], tracks, cases, arguments.lights, arguments.variants, arguments.out / "slam.png")
     print(arguments.out / "slam.png")
 
 

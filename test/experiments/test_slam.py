@@ -18,6 +18,7 @@ from judges import Lost, OpenVins, OpenVinsTracks, Recording, refined_motion, re
 from trajectory import (Trajectory, absolute_error_m, aligned, angle_deg, common, relative_errors,  # noqa: E402
                         rotations)
 
+SLAM = ["/usr/bin/python3", ROOT / "experiments" / "slam" / "slam.py"]
 SKIPPED = 77  # as ctest is told
 arguments = None
 
@@ -144,10 +145,10 @@ class OpenVinsFiles(unittest.TestCase):
     def test_states_are_poses_of_the_body(self):
         with tempfile.TemporaryDirectory() as folder:
             path = pathlib.Path(folder) / "states.txt"
-            path.write_text("# timestamp(s) q p v ...\n5.0 0.1 0.2 0.3 0.9 1 2 3 4 5 6 7 8 9 10 11 12\n")
+            path.write_text("# timestamp(s) q p v ...\n" + 2 * "5.0 0.1 0.2 0.3 0.9 1 2 3 4 5 6 7 8 9 10 11 12\n")
             states = OpenVins.read_states(path)
-            np.testing.assert_allclose(states.p_m, [[1, 2, 3]])
-            np.testing.assert_allclose(states.q, [[0.1, 0.2, 0.3, 0.9]])
+            np.testing.assert_allclose(states.p_m, 2 * [[1, 2, 3]])
+            np.testing.assert_allclose(states.q, 2 * [[0.1, 0.2, 0.3, 0.9]])
 
     def test_states_that_end_early_are_lost(self):
         truth = circle()
@@ -155,8 +156,11 @@ class OpenVinsFiles(unittest.TestCase):
         self.assertLess(OpenVins.errors(almost, truth)["ate_m"], 1e-9)
         with self.assertRaisesRegex(Lost, "75 %"):
             OpenVins.errors(truth.at(truth.t_s[truth.t_s < 15.01]), truth)
-        with self.assertRaisesRegex(Lost, "0 %"):
-            OpenVins.errors(truth.at([]), truth)
+        with tempfile.TemporaryDirectory() as folder:
+            path = pathlib.Path(folder) / "states.txt"
+            path.write_text("# timestamp(s) q p v ...\n")
+            with self.assertRaisesRegex(Lost, "no states"):
+                OpenVins.read_states(path)
 
     def test_covariances_are_in_the_filters_unit(self):
         """What weighs corners divides by their covariances in px^2, where the filter's own variance has to be 1."""
@@ -166,13 +170,47 @@ class OpenVinsFiles(unittest.TestCase):
         self.assertEqual(set(OpenVinsTracks.metrics), {"ate_m", "rte_percent", "weighed_ate_m", "weighed_rte_percent"})
 
 
+class Report(unittest.TestCase):
+    def test_two_judges_side_by_side(self):
+        errors_m = {"sharp": 0.01, "blurred": 0.05, "gyroscope": 0.04, "package": 0.02}
+        results = []
+        for case in "V1_02_medium_30ms_x1.7_r0", "V1_02_medium_30ms_x1.7_r20":
+            for seed, off_m in (1, -0.001), (2, 0), (3, 0.001):
+                for variant, error_m in errors_m.items():
+                    key = {"case": case, "seconds": 20, "light": "day", "seed": seed, "variant": variant}
+                    ate_m = error_m + off_m
+                    lost = variant == "gyroscope" and case.endswith("r20") and seed == 2
+                    results.append({**key, "judge": OpenVins.name, "ate_m": None if lost else ate_m,
+                                    "rte_percent": 10 * ate_m})
+                    if case.endswith("r0"):
+                        results.append({**key, "judge": OpenVinsTracks.name, "ate_m": ate_m / 2, "rte_percent": 1,
+                                        "weighed_ate_m": ate_m / 4, "weighed_rte_percent": 0.5})
+        with tempfile.TemporaryDirectory() as folder:
+            out = pathlib.Path(folder)
+            (out / "results.json").write_text(json.dumps(results))
+            command = [*SLAM, "--report", "--out", out, "--data", arguments.data, "--only", "V1_02_medium_30ms_x1.7",
+                       "--lights", "day"]
+            subprocess.run(command + ["--openvins", out, "--tracks"], check=True, stdout=subprocess.DEVNULL)
+            lines = (out / "slam.md").read_text().splitlines()
+            self.assertIn("| flight | conditions | sharp | blurred | gyroscope alone | the package | the package's "
+                          "tracks, weighed | of the way to sharp |", lines)
+            self.assertIn("| drone (EuRoC V1_02) | 30 ms, x1.7 | 0.010 ± 0.001 | 0.050 ± 0.001 | 0.040 ± 0.001 | "
+                          "0.020 ± 0.001 | 0.005 ± 0.000 | 25 %, 75 % |", lines)
+            self.assertIn("| drone (EuRoC V1_02) | 30 ms, readout 20 ms, x1.7 | 0.010 ± 0.001 | 0.050 ± 0.001 | "
+                          "lost | 0.020 ± 0.001 | - | -, 75 % |", lines)
+            self.assertEqual(sum("on feature_tracks: " in line for line in lines), 4)
+            self.assertGreater((out / "slam.png").stat().st_size, 1000)
+            refused = subprocess.run(command + ["--tracks"], check=False, stderr=subprocess.PIPE)
+            self.assertEqual(refused.returncode, 1)
+            self.assertIn(b"--tracks needs --openvins", refused.stderr)
+
+
 class ShortFlight(unittest.TestCase):
     def test_own_tracks_judge(self):
         with tempfile.TemporaryDirectory() as folder:
             out = pathlib.Path(folder)
-            command = ["/usr/bin/python3", ROOT / "experiments" / "slam" / "slam.py", "--out", out, "--data",
-                       arguments.data, "--programs", arguments.programs, "--only", "V1_02_medium_30ms_x1.7_r0",
-                       "--seconds", "3", "--seeds", "1", "--lights", "day"]
+            command = [*SLAM, "--out", out, "--data", arguments.data, "--programs", arguments.programs, "--only",
+                       "V1_02_medium_30ms_x1.7_r0", "--seconds", "3", "--seeds", "1", "--lights", "day"]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
             results = {r["variant"]: r for r in json.loads((out / "results.json").read_text())}
             self.assertEqual(set(results), {"sharp", "blurred", "gyroscope", "package"})

@@ -92,12 +92,15 @@ class PlayThrough(unittest.TestCase):
         rospy.init_node("front_end", disable_signals=True)
         cls.addClassCleanup(rospy.signal_shutdown, "the end")
 
+    def play(self, *options):
+        return subprocess.run([sys.executable, SCRIPT, self.bag, "--patience", "10", *options], stdout=subprocess.PIPE,
+                              stderr=subprocess.STDOUT, universal_newlines=True, timeout=300)
+
     def test_the_last_frames_come_out_and_are_recorded(self):
         front_end = FrontEnd(self.end_s)
         self.addCleanup(front_end.end)
         outputs = ["/camera/deblurred/image_raw", "/camera/deblurred/camera_info"]
-        result = subprocess.run([sys.executable, SCRIPT, self.bag, "--patience", "10", "--record", self.recorded, "--outputs", *outputs],
-                                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True, timeout=300)
+        result = self.play("--record", self.recorded, "--outputs", *outputs)
         self.assertEqual(result.returncode, 0, result.stdout)
         self.assertEqual(front_end.frames, FRAMES)
         self.assertIn("%d of %d frames came out" % (FRAMES, FRAMES), result.stdout)
@@ -111,8 +114,7 @@ class PlayThrough(unittest.TestCase):
     def test_what_drop_bad_keeps_back_is_not_waited_for(self):
         front_end = FrontEnd(self.end_s, drops=7)
         self.addCleanup(front_end.end)
-        result = subprocess.run([sys.executable, SCRIPT, self.bag, "--patience", "10"], stdout=subprocess.PIPE,
-                                stderr=subprocess.STDOUT, universal_newlines=True, timeout=300)
+        result = self.play()
         self.assertEqual(result.returncode, 0, result.stdout)
         self.assertIn("%d of %d frames came out" % (FRAMES - 7, FRAMES), result.stdout)
         self.assertIn(", 7 were dropped as BAD", result.stdout)
