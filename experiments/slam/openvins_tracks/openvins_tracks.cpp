@@ -2,6 +2,7 @@
 // or each weighed by its covariance. Starts from a given state and writes the poses that it estimates.
 #include <cmath>
 #include <cstddef>
+#include <cstdio>
 #include <deque>
 #include <exception>
 #include <fstream>
@@ -200,6 +201,7 @@ int main(int argc, char** argv) {
     run(arguments);
   } catch (const std::exception& error) {
     std::cerr << "openvins_tracks: " << error.what() << '\n';
+    std::remove(arguments.states.c_str());  // what is there is not what was asked for
     return 1;
   }
   return 0;
