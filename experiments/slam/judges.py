@@ -1,10 +1,9 @@
 """What judges a sequence: a SLAM stack by the error of its trajectory, or, without one, the package's own tracks.
 
-A judge has a name, reads_tracks (whether it is given feature_tracks, not images), can_judge(readout_ms), the metrics
-that it gives ({key: (title, digits)}, the first of which decides; less is better), judge(recording, folder, name),
-which raises Lost, and close().
-Another stack is another class here: it gets a bag with images, or tracks, and an IMU, and its poses of the IMU are
-compared by state_errors.
+A judge has a name, reads_tracks (whether it is given feature_tracks, not images), the metrics that it gives ({key:
+(title, digits)}, the first of which decides; less is better), judge(recording, folder, name), which raises Lost, and
+close(). Another stack is another class here: it gets a bag with images, or tracks, and an IMU, and its poses of the IMU
+are compared by state_errors.
 """
 
 import dataclasses
@@ -136,19 +135,15 @@ class OpenVins:
     def close(self):
         self._master.end()
 
-    @staticmethod
-    def can_judge(readout_ms):
-        del readout_ms
-        return True
-
     def environment(self):
-        libraries = os.pathsep.join(filter(None, [str(self.devel / "lib"), os.environ.get("LD_LIBRARY_PATH", "")]))
-        # The matrices are small: threads of the linear algebra would only wait for each other.
-        return dict(os.environ, **self._master_environment(), LD_LIBRARY_PATH=libraries, OMP_NUM_THREADS="1",
-                    OPENBLAS_NUM_THREADS="1")
+        return {**self.environment_of(self.devel), **self._master.environment}
 
-    def _master_environment(self):
-        return self._master.environment
+    @staticmethod
+    def environment_of(devel):
+        """For programs that use its libraries."""
+        libraries = os.pathsep.join(filter(None, [str(devel / "lib"), os.environ.get("LD_LIBRARY_PATH", "")]))
+        # The matrices are small: threads of the linear algebra would only wait for each other.
+        return dict(os.environ, LD_LIBRARY_PATH=libraries, OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
     @staticmethod
     def run(command, states, log, environment):
@@ -250,53 +245,50 @@ class OpenVins:
         return state_errors(estimate, truth)
 
 
-class OpenVinsTracks(OpenVins):
-    """The same, on the package's tracks in place of corners of its own: all alike, 1 px as it is set, and each weighed
-    by its covariance. By a program that is built here against OpenVINS' libraries."""
+class OpenVinsTracks:
+    """OpenVINS as above, on the package's tracks in place of corners of its own: all alike, 1 px as it is set, and each
+    weighed by its covariance. By a program that is built here against OpenVINS' libraries, and needs no master."""
 
     name = "OpenVINS on feature_tracks"
     reads_tracks = True
     metrics = {**OpenVins.metrics, "weighed_ate_m": ("absolute trajectory error [m], corners weighed", 3),
                "weighed_rte_percent": ("error relative to %g s of path [%%], corners weighed" % RELATIVE_SPAN_S, 2)}
-    SOURCE = pathlib.Path(__file__).resolve().parent / "openvins_tracks"
 
     def __init__(self, devel, folder):
-        # Its program asks no master for parameters.
         self.devel = pathlib.Path(devel).resolve()
-        build = folder / self.SOURCE.name
-        build.mkdir(parents=True, exist_ok=True)
-        # ROS wants the distribution's Python, which need not be the first one on the path.
-        python = ["-D%s_EXECUTABLE=%s" % (name, sys.executable) for name in ("PYTHON", "Python3")]
-        where = ["-S", self.SOURCE, "-B", build, "-DCMAKE_PREFIX_PATH=%s" % self.devel]
-        run_logged(["cmake", *where, *python], folder / "build.log")
-        run_logged(["cmake", "--build", build], folder / "build.log")
-        self._reader = build / self.SOURCE.name
+        self._reader = built_reader(self.devel, folder)
 
     def close(self):
         pass
 
-    def _master_environment(self):
-        return {}
-
-    @staticmethod
-    def can_judge(readout_ms):
-        return readout_ms == 0  # tracks are those of each row's own time, and the filter takes an image for one instant
-
     def judge(self, recording, folder, name):
-        settings, start = self.write_settings(recording, folder), folder / "start.csv"
-        self.write_start(recording, start)
+        settings, start = OpenVins.write_settings(recording, folder), folder / "start.csv"
+        OpenVins.write_start(recording, start)
         metrics = {}
         for prefix, weigh in ("", []), ("weighed_", ["--weigh"]):
             states = folder / (prefix + "states.txt")
             command = [self._reader, settings, recording.bag, "--start", start, "--states", states, "--imu-topic",
                        recording.imu_topic, "--tracks-topic", recording.image_topic, *weigh]
             try:
-                estimate = self.run(command, states, folder / (prefix + name + ".log"), self.environment())
-                errors = self.errors(estimate, recording.truth)
+                estimate = OpenVins.run(command, states, folder / (prefix + name + ".log"),
+                                        OpenVins.environment_of(self.devel))
+                errors = OpenVins.errors(estimate, recording.truth)
             except Lost:
                 errors = dict.fromkeys(OpenVins.metrics)
             metrics.update({prefix + key: value for key, value in errors.items()})
         return metrics
+
+
+def built_reader(devel, folder):
+    """Path of the program openvins_tracks, built in a part of the folder."""
+    source = pathlib.Path(__file__).resolve().parent / "openvins_tracks"
+    build = folder / source.name
+    build.mkdir(parents=True, exist_ok=True)
+    # ROS wants the distribution's Python, which need not be the first one on the path.
+    python = ["-D%s_EXECUTABLE=%s" % (name, sys.executable) for name in ("PYTHON", "Python3")]
+    run_logged(["cmake", "-S", source, "-B", build, "-DCMAKE_PREFIX_PATH=%s" % devel, *python], folder / "build.log")
+    run_logged(["cmake", "--build", build], folder / "build.log")
+    return build / source.name
 
 
 class OwnTracks:
@@ -318,10 +310,6 @@ class OwnTracks:
 
     def close(self):
         pass
-
-    @staticmethod
-    def can_judge(readout_ms):
-        return readout_ms == 0  # tracks are those of each row's own time
 
     @classmethod
     def _points(cls, cloud, focal_px):

@@ -62,6 +62,10 @@ class Case:
             parts.append("x%g" % self.speed)
         return ", ".join(parts)
 
+    def suits(self, judge):
+        """Tracks are those of each row's own time, and who judges them takes an image for one instant."""
+        return not (judge.reads_tracks and self.readout_ms)
+
 
 READOUT_MS = 20  # of the rolling shutter
 REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms in (0, READOUT_MS) for flight in (DRONE, HAND)
@@ -118,7 +122,7 @@ class Study:
     def run(self, judges, cases, variants):
         seeds = list(range(1, self.arguments.seeds + 1))
         known = {tuple(r[k] for k in KEY) for r in self.results}
-        missing = {case: [(judge, case, light, seed, variant) for judge in judges if judge.can_judge(case.readout_ms)
+        missing = {case: [(judge, case, light, seed, variant) for judge in judges if case.suits(judge)
                           for light in self.arguments.lights for seed in seeds for variant in variants
                           if self._key(judge, case, light, seed, variant) not in known] for case in cases}
         total = sum(map(len, missing.values()))
@@ -254,7 +258,7 @@ def share_of_the_way(cells, case, light, variant, metric):
 
 def markdown(cells, tracks, cases, lights, variants):
     judge = cells.judge
-    cases = [case for case in cases if judge.can_judge(case.readout_ms)]
+    cases = [case for case in cases if case.suits(judge)]
     lines = []
     if not cases:
         return lines
@@ -284,14 +288,12 @@ def plot(cells, tracks, cases, lights, variants, path):
     """A group of bars for each case and light; a row for each shutter."""
     metric, (title, _) = next(iter(cells.judge.metrics.items()))
     columns = columns_of(cells, variants, metric, tracks)
-    cases = [case for case in cases if cells.judge.can_judge(case.readout_ms)]
     rows = [[(case, light) for case in cases if case.readout_ms == readout_ms for light in lights]
             for readout_ms in sorted({case.readout_ms for case in cases})]
     figure, all_axes = plt.subplots(len(rows), 1, figsize=(max(5, 1.5 + 0.62 * max(map(len, rows))), 4.3 * len(rows)),
                                     sharey=True, squeeze=False)
     for groups, axes in zip(rows, all_axes[:, 0]):
-        readout_ms = groups[0][0].readout_ms
-        draw_bars([c for c in columns if c.cells.judge.can_judge(readout_ms)], groups, axes)
+        draw_bars([c for c in columns if all(case.suits(c.cells.judge) for case, _ in groups)], groups, axes)
         axes.set_ylabel("%s: %s" % (cells.judge.name, title))
     all_axes[0, 0].legend(fontsize=8, ncol=len(columns), loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
     figure.tight_layout()
@@ -359,7 +361,7 @@ def main():
     arguments.out.mkdir(parents=True, exist_ok=True)
     cases = [case for case in (TUNED if arguments.tuning else REPORTED) if (arguments.only or "") in case.key]
     types = [OwnTracks] if not arguments.openvins else [OpenVins] + [OpenVinsTracks] * arguments.tracks
-    cases = [case for case in cases if any(judge.can_judge(case.readout_ms) for judge in types)]
+    cases = [case for case in cases if any(map(case.suits, types))]
     if not cases:
         fail("--only %s: there is no such case" % arguments.only)
     study = Study(arguments)

@@ -9,8 +9,12 @@ import subprocess
 import sys
 import tempfile
 import unittest
+import unittest.mock
 
 import numpy as np
+import rosbag
+import rospy
+from std_msgs.msg import Header
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "experiments" / "slam"))
@@ -33,6 +37,14 @@ def circle(seconds=20.0, rate_hz=50):
     angle = 0.5 * t_s
     p_m = np.stack([2 * np.cos(angle), 2 * np.sin(angle), 0.1 * np.sin(2 * angle)], 1)
     return Trajectory(t_s, p_m, np.array([yaw(a) for a in angle]))
+
+
+def recording(bag, topic):
+    """Of that circle."""
+    return Recording(bag, topic, "/imu", 0.015, False,
+                     {"intrinsics": [460, 461, 375.5, 239.5], "size": [752, 480],
+                      "R_cam_imu": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], "p_imu_cam_m": [-0.05, -0.04, 0]},
+                     {"rate_hz": 200, "gyro_noise_rad_s": 0.003, "accel_noise_m_s2": 0.05}, circle(), np.zeros(6))
 
 
 class Trajectories(unittest.TestCase):
@@ -121,13 +133,9 @@ class Motion(unittest.TestCase):
 class OpenVinsFiles(unittest.TestCase):
     def test_settings_are_read_by_opencv(self):
         import cv2
-        recording = Recording(pathlib.Path("a.bag"), "/camera/image_raw", "/imu", 0.015, False,
-                              {"intrinsics": [460, 461, 375.5, 239.5], "size": [752, 480],
-                               "R_cam_imu": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], "p_imu_cam_m": [-0.05, -0.04, 0]},
-                              {"rate_hz": 200, "gyro_noise_rad_s": 0.003, "accel_noise_m_s2": 0.05}, circle(),
-                              np.zeros(6))
         with tempfile.TemporaryDirectory() as folder:
-            path = OpenVins.write_settings(recording, pathlib.Path(folder), {"num_pts": 150})
+            path = OpenVins.write_settings(recording(pathlib.Path("a.bag"), "/camera/image_raw"), pathlib.Path(folder),
+                                           {"num_pts": 150})
             settings = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
             self.assertEqual(settings.getNode("num_pts").real(), 150)
             cameras = cv2.FileStorage(str(path.parent / settings.getNode("relative_config_imucam").string()),
@@ -162,12 +170,65 @@ class OpenVinsFiles(unittest.TestCase):
             with self.assertRaisesRegex(Lost, "no states"):
                 OpenVins.read_states(path)
 
-    def test_covariances_are_in_the_filters_unit(self):
-        """What weighs corners divides by their covariances in px^2, where the filter's own variance has to be 1."""
-        for key in "up_msckf_sigma_px", "up_slam_sigma_px":
-            self.assertEqual(OpenVinsTracks.SETTINGS[key], 1)
-        self.assertTrue(OpenVinsTracks.reads_tracks)
-        self.assertEqual(set(OpenVinsTracks.metrics), {"ate_m", "rte_percent", "weighed_ate_m", "weighed_rte_percent"})
+
+# Gives the states that lie beside it, and ends as when the library ends the process; refuses where there are none.
+STAND_IN = """#!/usr/bin/python3
+import pathlib, shutil, sys
+states = pathlib.Path(sys.argv[sys.argv.index("--states") + 1])
+settings = pathlib.Path(sys.argv[1]).read_text()
+assert "up_msckf_sigma_px: 1\\n" in settings and "up_slam_sigma_px: 1\\n" in settings
+source = pathlib.Path(__file__).parent / ("weighed.txt" if "--weigh" in sys.argv else "alike.txt")
+if not source.exists():
+    sys.exit("the stand-in refuses")
+shutil.copy(source, states)
+sys.exit(1)
+"""
+
+
+class OpenVinsOnTracks(unittest.TestCase):
+    """Its judge, with a stand-in for the program that reads tracks."""
+
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = pathlib.Path(folder.name)
+        self.truth = circle()
+        with rosbag.Bag(str(self.folder / "tracks.bag"), "w") as bag:
+            bag.write("/tracks", Header(), rospy.Time.from_sec(1.0))
+        reader = self.folder / "reader"
+        reader.write_text(STAND_IN)
+        reader.chmod(0o755)
+        with unittest.mock.patch("judges.built_reader", return_value=reader):
+            self.judge = OpenVinsTracks(self.folder, self.folder)
+
+    def states(self, name, scale, until_s=20.0):
+        rows = ["%.9f %.9f %.9f %.9f %.9f %.9f %.9f %.9f" % (t_s, *q, *(scale * p_m)) for t_s, p_m, q in
+                zip(self.truth.t_s, self.truth.p_m, self.truth.q) if t_s < until_s]
+        (self.folder / name).write_text("# t q p\n" + "\n".join(rows) + "\n")
+
+    def metrics(self):
+        return self.judge.judge(recording(self.folder / "tracks.bag", "/tracks"), self.folder, "run")
+
+    def test_each_way_has_its_own_states(self):
+        self.states("alike.txt", 1.1)
+        self.states("weighed.txt", 1.05)
+        metrics = self.metrics()
+        self.assertEqual(set(metrics), set(OpenVinsTracks.metrics))
+        self.assertGreater(metrics["weighed_ate_m"], 0.05)
+        self.assertAlmostEqual(metrics["ate_m"], 2 * metrics["weighed_ate_m"], 6)
+
+    def test_one_that_is_lost_leaves_the_other(self):
+        self.states("alike.txt", 1.0)
+        self.states("weighed.txt", 1.0, until_s=5)
+        metrics = self.metrics()
+        self.assertLess(metrics["ate_m"], 1e-6)
+        self.assertIsNone(metrics["weighed_ate_m"])
+        self.assertIsNone(metrics["weighed_rte_percent"])
+
+    def test_a_refusal_is_no_result(self):
+        self.states("alike.txt", 1.0)
+        with self.assertRaisesRegex(RuntimeError, "the stand-in refuses"):
+            self.metrics()
 
 
 class Report(unittest.TestCase):
