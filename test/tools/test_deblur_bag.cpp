@@ -420,7 +420,8 @@ TEST_F(DeblurBagTest, MemoryGrowsByNoRecordOfFrames) {
     EXPECT_EQ(result.exit_code, 0) << result.output;
     return static_cast<double>(result.peak_memory_kib);
   };
-  constexpr int kFew = 300, kMany = 1500;
+  // The peak varies by some MiB with which pages of the libraries are resident: a difference of many frames tells.
+  constexpr int kFew = 300, kMany = 6000;
   for (const std::vector<std::string>& arguments :
        {std::vector<std::string>{}, std::vector<std::string>{"--json", path("report.json")}}) {
     const double growth_kib = peak_kib(kMany, arguments) - peak_kib(kFew, arguments);
