@@ -84,8 +84,8 @@ void mark_own(const TimeRange& own, AssembledFrame* assembled) {
 
 }  // namespace
 
-FrameAssembly::FrameAssembly(const Intake& intake, Extrinsic extrinsic, ThrottledLog* log)
-    : intake_(intake), extrinsic_(std::move(extrinsic)), log_(*log) {}
+FrameAssembly::FrameAssembly(const Intake& intake, Extrinsic extrinsic, ThrottledLog* log, InputProblems* problems)
+    : intake_(intake), extrinsic_(std::move(extrinsic)), log_(*log), problems_(*problems) {}
 
 Readiness FrameAssembly::assemble(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {
   assembled->options = terms.config.pipeline;

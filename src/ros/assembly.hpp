@@ -15,6 +15,7 @@
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "ros/frame_queue.hpp"
+#include "ros/input_problems.hpp"
 #include "ros/intake.hpp"
 #include "ros/throttled_log.hpp"
 
@@ -63,8 +64,8 @@ class FrameAssembly {
     bool timed_out = false;  ///< nothing is waited for any longer
   };
 
-  /// @param extrinsic  may be absent; intake and log have to outlive this
-  FrameAssembly(const Intake& intake, Extrinsic extrinsic, ThrottledLog* log);
+  /// @param extrinsic  may be absent; intake, log and problems have to outlive this
+  FrameAssembly(const Intake& intake, Extrinsic extrinsic, ThrottledLog* log, InputProblems* problems);
 
   /// Notes in `frame` what was found and whether it is settled, in `assembled` everything but the frame.
   Readiness assemble(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
@@ -96,6 +97,7 @@ class FrameAssembly {
   const Intake& intake_;
   const Extrinsic extrinsic_;
   ThrottledLog& log_;
+  InputProblems& problems_;
 };
 
 }  // namespace gyro_deblur

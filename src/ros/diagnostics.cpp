@@ -155,6 +155,9 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
   if (!now.statistics.keypoints_text.empty()) {
     status->mergeSummary(DiagnosticStatus::ERROR, "no keypoints: " + now.statistics.keypoints_text);
   }
+  for (const auto& [kind, problem] : now.statistics.input_problems) {
+    if (problem.active && problem.level != LogLevel::INFO) status->mergeSummary(DiagnosticStatus::WARN, problem.text);
+  }
   add_frames(now, status);
   add_unsent(now, status);
   add_blocks(now, status);

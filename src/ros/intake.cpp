@@ -19,12 +19,13 @@ bool SameExposure::operator()(const Exposure& a, const Exposure& b) const {
 }
 
 Intake::Intake(Clocks clocks, std::shared_ptr<GyroSource> gyro_source, std::function<bool()> exposure_sender, Log log,
-               ThrottledLog* throttled_log)
+               ThrottledLog* throttled_log, InputProblems* problems)
     : clocks_(std::move(clocks)),
       gyro_source_(std::move(gyro_source)),
       exposure_sender_(std::move(exposure_sender)),
       log_(std::move(log)),
       throttled_log_(*throttled_log),
+      problems_(*problems),
       jumps_(config_.time_jump_ns),
       gyro_(gyro_source_),
       queue_(static_cast<std::size_t>(config_.frame_queue_size)) {}

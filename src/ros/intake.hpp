@@ -15,6 +15,7 @@
 #include "ros/companion.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/gyro_source.hpp"
+#include "ros/input_problems.hpp"
 #include "ros/messages.hpp"
 #include "ros/throttled_log.hpp"
 #include "ros/time_jump.hpp"
@@ -44,10 +45,11 @@ class Intake {
     std::function<TimeNs()> steady;  ///< keeps going when a simulated clock stops; may be absent
   };
 
-  /// @param log  for what is told once; `throttled_log` for what may be told with every message. Has to outlive this.
+  /// @param log  for what is told once; `throttled_log` for what may be told with every message. Both, and `problems`,
+  /// have to outlive this.
   /// @param exposure_sender  true when somebody will send exposure messages; may be absent
   Intake(Clocks clocks, std::shared_ptr<GyroSource> gyro_source, std::function<bool()> exposure_sender, Log log,
-         ThrottledLog* throttled_log);
+         ThrottledLog* throttled_log, InputProblems* problems);
 
   void set_config(const Config& config);
 
@@ -100,6 +102,7 @@ class Intake {
   const std::function<bool()> exposure_sender_;
   const Log log_;
   ThrottledLog& throttled_log_;
+  InputProblems& problems_;
   Config config_;
   TimeJumpDetector jumps_;
   GyroReader gyro_;

@@ -34,13 +34,14 @@ DropTerms drop_terms(const FrameBlur& field) {
 Processor::Processor(Environment environment)
     : environment_(std::move(environment)),
       log_(environment_.log),
+      problems_(&log_),
       gyro_source_(environment_.gyro
                        ? environment_.gyro
                        : std::make_shared<GyroSource>(GyroSource::options_of(Config()), environment_.log)),
       tracker_(TrackerOptions{}),
       intake_({environment_.clock, environment_.steady_clock}, gyro_source_, environment_.exposure_expected,
-              environment_.log, &log_),
-      assembly_(intake_, environment_.extrinsic, &log_) {}
+              environment_.log, &log_, &problems_),
+      assembly_(intake_, environment_.extrinsic, &log_, &problems_) {}
 
 void Processor::set_config(const Config& config) {
   config.validate();
@@ -282,6 +283,7 @@ void Processor::reset() {
   estimated_bias_rad_s_.reset();
   gyro_errors_.clear();
   log_.clear();
+  problems_.clear();
 }
 
 bool Processor::estimate_bias(std::string* text) {
@@ -322,6 +324,7 @@ ProcessorStatistics Processor::statistics() const {
   statistics.configuration_error = config_error_;
   statistics.bias_rad_s = bias_in_use();
   statistics.gyro_error = gyro_errors_.find();
+  statistics.input_problems = problems_.all();
   return statistics;
 }
 

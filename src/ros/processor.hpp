@@ -18,6 +18,7 @@
 #include "ros/assembly.hpp"
 #include "ros/gyro_bias.hpp"
 #include "ros/gyro_source.hpp"
+#include "ros/input_problems.hpp"
 #include "ros/intake.hpp"
 #include "ros/messages.hpp"
 #include "ros/overload.hpp"
@@ -111,6 +112,7 @@ class Processor {
 
   const Environment environment_;
   ThrottledLog log_;
+  InputProblems problems_;                         // locks itself
   const std::shared_ptr<GyroSource> gyro_source_;  // locks itself; taken after mutex_
   std::mutex advance_mutex_;                       // one thread at a time takes frames out; taken before mutex_
   FeatureTracker tracker_;                         // of the thread that holds advance_mutex_ alone

@@ -13,6 +13,7 @@
 #include "gyro_deblur/residual_rotation.hpp"
 #include "gyro_deblur/time.hpp"
 #include "ros/gyro_source.hpp"
+#include "ros/input_problems.hpp"
 #include "ros/intake.hpp"
 #include "ros/pass_through.hpp"
 #include "ros/processing.hpp"
@@ -40,6 +41,7 @@ struct ProcessorStatistics : ImuStatistics, IntakeStatistics, OutputStatistics {
   std::optional<TimeNs> newest_imu_ns;                   ///< IMU clock
   TimeRange gyro_available;                              ///< IMU clock
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< in use
+  std::map<std::string, InputProblem> input_problems;    ///< by kind
   std::optional<GyroError> gyro_error;                   ///< that the images have shown since it is; axes of the IMU
   std::string engine;                                    ///< empty while the configuration cannot be used
   std::string configuration_error;                       ///< empty when it can

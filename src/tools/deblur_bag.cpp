@@ -172,6 +172,10 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
                    {"stray", statistics.imu_stray},         {"without_gyroscope", statistics.imu_without_gyroscope},
                    {"saturated", statistics.imu_saturated}};
   report["blocks_off_fast_path"] = statistics.slow_blocks;
+  report["input_problems"] = nlohmann::json::array();
+  for (const auto& [kind, problem] : statistics.input_problems) {
+    report["input_problems"].push_back({{"kind", kind}, {"text", problem.text}, {"count", problem.count}});
+  }
   report["time_jumps"] = statistics.time_jumps;
   report["gyro_bias_rad_s"] = {outcome.bias_rad_s.x(), outcome.bias_rad_s.y(), outcome.bias_rad_s.z()};
   report["engine"] = statistics.engine;
@@ -191,6 +195,11 @@ void print_summary(const Arguments& arguments, const DeblurTopics& topics, const
     std::cout << ", " << outcome.statistics.dropped_bad << " more dropped as BAD (drop_bad)";
   }
   std::cout << "; " << outcome.bag_s << " s of recording in " << outcome.wall_s << " s\n";
+  for (const auto& [kind, problem] : outcome.statistics.input_problems) {
+    std::cout << (problem.level == LogLevel::ERROR ? "error: " : "warning: ") << problem.text;
+    if (problem.count > 1) std::cout << " (" << problem.count << " times)";
+    std::cout << '\n';
+  }
 }
 
 void run(const Arguments& arguments) {

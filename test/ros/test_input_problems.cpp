@@ -1,0 +1,49 @@
+#include "ros/input_problems.hpp"
+
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace gyro_deblur {
+namespace {
+
+class InputProblemsTest : public testing::Test {
+ protected:
+  std::vector<std::string> lines_;
+  ThrottledLog log_{[this](LogLevel, const std::string& text) { lines_.push_back(text); }};
+  InputProblems problems_{&log_};
+};
+
+TEST_F(InputProblemsTest, LogAndListSayTheSame) {
+  problems_.report("unit", "exposure is 3e-4 s, must be > 0.001 s");
+  ASSERT_EQ(lines_.size(), 1u);
+  const InputProblem problem = problems_.all().at("unit");
+  EXPECT_EQ(problem.text, lines_.front());
+  EXPECT_TRUE(problem.active);
+  EXPECT_EQ(problem.count, 1u);
+}
+
+TEST_F(InputProblemsTest, RepeatedReportsAreCountedAndThrottled) {
+  for (int i = 0; i < 10; ++i) problems_.report("unit", "text " + std::to_string(i));
+  EXPECT_EQ(lines_.size(), 1u);
+  EXPECT_EQ(problems_.all().at("unit").count, 10u);
+  EXPECT_EQ(problems_.all().at("unit").text, "text 9");
+}
+
+TEST_F(InputProblemsTest, ResolvedProblemsAreKeptAndBecomeActiveAgain) {
+  problems_.resolve("never reported");
+  EXPECT_TRUE(problems_.all().empty());
+  problems_.report("unit", "text");
+  problems_.report("size", "text", LogLevel::ERROR);
+  problems_.resolve("unit");
+  EXPECT_FALSE(problems_.all().at("unit").active);
+  EXPECT_TRUE(problems_.all().at("size").active);
+  EXPECT_EQ(problems_.all().at("size").level, LogLevel::ERROR);
+  problems_.report("unit", "text");
+  EXPECT_TRUE(problems_.all().at("unit").active);
+  EXPECT_EQ(problems_.all().at("unit").count, 2u);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
