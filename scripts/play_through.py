@@ -5,8 +5,8 @@ Waits for what it needs instead of sleeping: until the nodelet and the other nod
 until the clock has reached the bag's end, until every frame that went in has come out and is recorded, or was kept back
 by drop_bad. Until then rosbag play is kept alive: with its end it would take away what it has not sent yet, and on a
 busy machine that can be most of a bag. A recorder of its own would lose its last messages in the same way; this one
-knows what it has. Ends with status 1, and says why, when nothing happens for --patience seconds. Played are the bag's
-topics that somebody has subscribed to.
+knows what it has. Says what it waits for after 5 s, and ends with status 1 when nothing happens for --patience seconds.
+Played are the bag's topics that somebody has subscribed to.
 """
 import argparse
 import json
@@ -19,9 +19,11 @@ import rosgraph
 import rospy
 from gyro_deblur.msg import BlurField
 
+from bag_input import image_topic, open_bag
 from report_tables import fail
 
 POLL_S = 0.2  # between two looks at something that has no event
+SILENT_S = 5.0  # of waiting, before the user is told what for
 
 
 class Patience:
@@ -32,15 +34,19 @@ class Patience:
 
     def until(self, condition, what, progress=lambda: None):
         """Returns when condition() is true; fails when progress() has not changed for too long."""
-        last, since = progress(), time.monotonic()
+        last, since, told = progress(), time.monotonic(), False
         while not condition():
             if rospy.is_shutdown():
                 fail("interrupted while waiting for " + what)
             now = progress()
             if now != last:
-                last, since = now, time.monotonic()
-            if time.monotonic() - since > self.seconds:
+                last, since, told = now, time.monotonic(), False
+            waited_s = time.monotonic() - since
+            if waited_s > self.seconds:
                 fail("waited %.0f s in vain for %s" % (self.seconds, what))
+            if waited_s > SILENT_S and not told:
+                print("waiting for %s, for %.0f s at most" % (what, self.seconds), flush=True)
+                told = True
             time.sleep(POLL_S)
 
 
@@ -128,20 +134,23 @@ class Player:
 class Recording:
     """What a bag has for the nodelet."""
 
-    def __init__(self, path, camera, imu, duration_s):
-        with rosbag.Bag(path) as bag:
-            self.topics = sorted(bag.get_type_and_topic_info().topics)
+    def __init__(self, path, raw, imu, duration_s):
+        with open_bag(path) as bag:
+            types = {name: info.msg_type for name, info in bag.get_type_and_topic_info().topics.items()}
+            self.topics = sorted(types)
             self.end_s = bag.get_end_time()
             end = None
             if duration_s is not None:
                 end = rospy.Time.from_sec(bag.get_start_time() + duration_s)
                 self.end_s = min(self.end_s, end.to_sec())
             # Raw, or what a plugin of image_transport makes of it.
-            raw = camera + "/image_raw"
             self.images = {t: [at.to_sec() for _, _, at in bag.read_messages(topics=[t], end_time=end, raw=True)]
                            for t in self.topics if t == raw or t.startswith(raw + "/")}
-        if not any(self.images.values()) or imu not in self.topics:
-            fail("%s: no images on %s or no samples on %s; the bag has %s" % (path, raw, imu, ", ".join(self.topics)))
+        for topic, found, arguments in ((raw, any(self.images.values()), "camera:= and image:="),
+                                        (imu, imu in types, "imu:=")):
+            if not found:
+                fail("%s: no messages on %s; %s of the launch file name the topic; the bag has %s" % (
+                    path, topic, arguments, ", ".join("%s (%s)" % (t, types[t]) for t in self.topics)))
 
 
 def subscribers(topic):
@@ -193,6 +202,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("bag")
     parser.add_argument("--camera", default="/camera", help="its namespace [%(default)s]")
+    parser.add_argument("--image", default="image_raw",
+                        help="topic of the images, in that namespace unless it begins with / [%(default)s]")
     parser.add_argument("--imu", default="/imu", help="its topic, may be in that namespace [%(default)s]")
     parser.add_argument("--listener", action="append", default=[], metavar="TOPIC=NODE",
                         help="node that has to subscribe to a topic before the bag is played")
@@ -208,11 +219,12 @@ def main():
     parser.add_argument("--screenshot", metavar="PNG", help="at the end, a picture of the display")
     arguments = parser.parse_args(rospy.myargv()[1:])
 
-    rospy.init_node("conductor")
-    patience = Patience(arguments.patience)
     camera = "/" + arguments.camera.strip("/")
     imu = arguments.imu if arguments.imu.startswith("/") else camera + "/" + arguments.imu
-    recording = Recording(arguments.bag, camera, imu, arguments.duration)
+    image = image_topic(camera, arguments.image)
+    recording = Recording(arguments.bag, image, imu, arguments.duration)
+    rospy.init_node("conductor")
+    patience = Patience(arguments.patience)
     outputs = Outputs(camera, arguments.outputs if arguments.record else [], arguments.record)
 
     def listeners(topic):
@@ -220,7 +232,9 @@ def main():
 
     patience.until(outputs.connected, "the nodelet's outputs")
     # The nodelet subscribes to its images last.
-    patience.until(lambda: any(map(listeners, recording.images)), "a subscriber of " + " or ".join(recording.images))
+    patience.until(lambda: any(map(listeners, recording.images)),
+                   "a subscriber of %s, which the bag has (image_transport:= decides between them)" %
+                   " or ".join(recording.images))
     patience.until(lambda: listeners(imu), "a subscriber of " + imu)
     for listener in arguments.listener:
         topic, node = listener.split("=")

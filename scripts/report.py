@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Compares a bag of blurred images with the bag that gyro_deblur made of it: pictures, plots and numbers.
 
-Reads image_raw from INPUT, the outputs (deblurred/image_raw, keypoints, blur_field, blur_overlay, /diagnostics) from
+Reads the images from INPUT, the outputs (deblurred/image_raw, keypoints, blur_field, blur_overlay, /diagnostics) from
 OUTPUT, and the simulator's truth (/truth/sharp, /truth/global_shutter) from INPUT where it is there. Writes report.md,
 report.json and PNG pictures into a folder.
 """
@@ -13,8 +13,9 @@ import sys
 import numpy as np
 from tqdm import tqdm
 
-from report_bags import (STATUS_NAMES, BagPair, Field, decode, find_topic, is_whole, messages_of, open_bag,
-                         read_diagnostics, stamp_ns, topic_types)
+from bag_input import open_bag
+from report_bags import (STATUS_NAMES, BagPair, Field, decode, find_topic, is_whole, messages_of, read_diagnostics,
+                         stamp_ns, topic_types)
 from report_measures import CORRECT_PX, MATCH_RATIO, MOVED_PX, SIFT_MATCHED, MeasuredFrame, rectification_summary
 from report_pictures import Pictures, plot
 from report_tables import number, one_line_about, read_json, table
@@ -59,7 +60,7 @@ def summary(pair, rows, stamps_in):
 
 def analyse(arguments):
     """The content of report.json; leaves the pictures in the folder."""
-    pair = BagPair(arguments.input, arguments.output)
+    pair = BagPair(arguments.input, arguments.output, arguments.image_topic)
     os.makedirs(arguments.folder, exist_ok=True)
     pictures = Pictures(arguments.folder, arguments.pictures)
     rows, errors_px, stamps_in, previous = [], [], [], None
@@ -215,6 +216,7 @@ def main():
     parser.add_argument("input", help="bag with the blurred images, and the truth if there is one")
     parser.add_argument("output", help="bag that deblur_bag wrote, or that was recorded from the nodelet")
     parser.add_argument("folder", help="where the report goes")
+    parser.add_argument("--image-topic", help="sensor_msgs/Image of the input [the one that ends with image_raw]")
     parser.add_argument("--title", default="gyro_deblur: report")
     parser.add_argument("--pictures", type=int, default=2, help="how many frames, most blurred first [%(default)s]")
     parser.add_argument("--throughput", nargs=2, metavar=("BAG", "JSON"),

@@ -1,12 +1,11 @@
 """The two bags that report.py compares: images, blur fields and diagnostics as arrays and values, frame by frame."""
 import collections
 import math
-import os
 
 import cv2
 import numpy as np
-import rosbag
 
+from bag_input import open_bag
 from report_tables import fail
 
 STATUS_NAMES = ["SHARP", "DEBLURRED", "REJECTED", "TOO_LARGE", "NO_GYRO", "BENT", "NOISY"]
@@ -58,16 +57,6 @@ def to_bgr(image):
     return image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
 
 
-def open_bag(path):
-    """Fails with a line about the file when there is none, or it is no bag."""
-    if not os.path.isfile(path):
-        fail(path + ": no such file")
-    try:
-        return rosbag.Bag(path)
-    except rosbag.ROSBagException as error:
-        fail("%s: not a bag that can be read: %s" % (path, error))
-
-
 def messages_of(bag, topic):
     """The messages of a topic, in the order of their recording; none for no topic. Ends with one line at a damaged one."""
     reader = bag.read_messages(topics=[topic]) if topic else iter(())
@@ -105,7 +94,8 @@ def topic_types(bag):
 
 def find_topic(types, suffix, message_type, path, required=True):
     """The only topic of a type whose name ends with `suffix`."""
-    found = [t for t, kind in types.items() if kind == message_type and ("/" + t.lstrip("/")).endswith("/" + suffix)]
+    ending = "/" + suffix.lstrip("/")
+    found = [t for t, kind in types.items() if kind == message_type and ("/" + t.lstrip("/")).endswith(ending)]
     if len(found) == 1:
         return found[0]
     if not found and not required:
@@ -182,11 +172,11 @@ Frame = collections.namedtuple("Frame", "index image output field keypoints over
 class BagPair:
     """The bag of blurred images, perhaps with the truth, and the bag that gyro_deblur made of it."""
 
-    def __init__(self, input_path, output_path):
+    def __init__(self, input_path, output_path, image_topic=None):
         self._source, self._result = open_bag(input_path), open_bag(output_path)
         types_in, types_out = topic_types(self._source), topic_types(self._result)
         image = "sensor_msgs/Image"
-        self._image = find_topic(types_in, "image_raw", image, input_path)
+        self._image = find_topic(types_in, image_topic or "image_raw", image, input_path)
         self._deblurred = find_topic(types_out, "deblurred/image_raw", image, output_path)
         self._field = find_topic(types_out, "blur_field", "gyro_deblur/BlurField", output_path)
         self._keypoints = find_topic(types_out, "keypoints", "gyro_deblur/KeypointArray", output_path, False)

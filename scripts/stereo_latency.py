@@ -18,8 +18,8 @@ import threading
 import time
 
 import numpy as np
-import rosbag
 
+from bag_input import open_bag
 from report_tables import fail, number, table
 
 CAMERAS = ("/cam0", "/cam1")
@@ -90,7 +90,7 @@ def measure(bag_path, camera, imu_topic, seconds):
     targets = {camera + "/" + name: [c + "/" + name for c in CAMERAS]
                for name in ("image_raw", "camera_info", "exposure")}
     targets.update({imu_topic: ["/imu"], "/tf_static": ["/tf_static"]})
-    with rosbag.Bag(bag_path) as bag:
+    with open_bag(bag_path) as bag:
         start = bag.get_start_time()
         messages = [(topic, message, t.to_sec() - start) for topic, message, t in bag.read_messages(topics=targets)
                     if t.to_sec() - start <= seconds]

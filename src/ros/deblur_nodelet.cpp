@@ -364,7 +364,8 @@ void DeblurNodelet::subscribe_on_demand() {
     last_image_ns_ = steady_now_ns();
     return;
   }
-  image_subscriber_ = transport_->subscribe("image_raw", kImageQueue, &DeblurNodelet::on_image, this, hints);
+  // By its resolved name: a transport would append its own to "image_raw", which no remapping fits then.
+  image_subscriber_ = transport_->subscribe(image_topic, kImageQueue, &DeblurNodelet::on_image, this, hints);
   last_image_ns_ = steady_now_ns();
 }
 

@@ -119,6 +119,18 @@ class PlayThrough(unittest.TestCase):
         self.assertIn("%d of %d frames came out" % (FRAMES - 7, FRAMES), result.stdout)
         self.assertIn(", 7 were dropped as BAD", result.stdout)
 
+    def test_says_what_it_waits_for(self):
+        """Nobody deblurs: the bag is never played."""
+        began = time.monotonic()
+        player = subprocess.Popen([sys.executable, SCRIPT, self.bag, "--patience", "20"], stdout=subprocess.PIPE,
+                                  stderr=subprocess.STDOUT, universal_newlines=True)
+        self.addCleanup(player.stdout.close)
+        self.assertEqual(player.stdout.readline(), "waiting for the nodelet's outputs, for 20 s at most\n")
+        self.assertGreater(time.monotonic() - began, 5)
+        output, _ = player.communicate(timeout=DEADLINE_S)
+        self.assertEqual(player.returncode, 1)
+        self.assertIn("waited 20 s in vain for the nodelet's outputs", output)
+
 
 if __name__ == "__main__":
     unittest.main(argv=sys.argv[:1], verbosity=2)
