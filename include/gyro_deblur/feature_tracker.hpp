@@ -57,6 +57,11 @@ class FeatureTracker {
   const std::vector<Track>& track(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
                                   const RowExposure& exposure);
 
+  /// The same for the picture of the newest image, which another image repeats: its corners are where they were, and
+  /// as fast. Tracks it where it was not the newest one.
+  const std::vector<Track>& track_again(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
+                                        const RowExposure& exposure);
+
  private:
   void follow(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
               const RowExposure& exposure);

@@ -40,6 +40,10 @@ struct PipelineRequest {
   bool luminance = false;       ///< the deblurred luminance
   bool global_shutter = false;  ///< the deblurred image with all rows moved to the reference time
   bool in_a_hurry = false;      ///< no bent paths: the plane takes three times as long. Has no effect on engine "plane"
+  /// The image shows the picture of the call before again: one that was exposed once, and came a second time. What is
+  /// not known of its motion was found then, for between a picture and itself nothing moves. `motion` and `exposure`
+  /// have to be those of the call before, too.
+  bool repeats_picture = false;
   /// Asked with the validated field before anything is deblurred. Absent: DEBLUR.
   std::function<Permit(const FrameBlur&)> permit = {};
 };
@@ -71,7 +75,7 @@ struct PipelineResult {
   /// Why there are no keypoints though they were requested, such as a detector that OpenCV does not have; else empty.
   std::string keypoints_text;
   int significant_bits = 8;  ///< of the image that came in, see BitDepth
-  /// What the residual velocities have in common; nothing where too few are known.
+  /// What the residual velocities have in common; nothing where too few are known, and for a picture that is repeated.
   std::optional<ResidualRotation> residual_rotation;
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;
@@ -106,7 +110,7 @@ class Pipeline {
   /// set_options and after each frame.
   std::string take_warning();
 
-  /// Exposure of the image before, from which corners are followed: how far back the next call's `motion` should reach.
+  /// Exposure of the picture before, from which corners are followed: how far back the next call's `motion` should reach.
   std::optional<TimeRange> newest_frame() const;
 
   /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
@@ -125,6 +129,9 @@ class Pipeline {
                         const std::optional<CameraCalibration>& calibration);
 
  private:
+  /// Beside `known`, of the blocks. Precondition: motion is looked for in images.
+  ResidualField residual_velocities(const cv::Mat& luminance, const CameraMotion& known, const RowExposure& exposure,
+                                    bool repeats_picture);
   /// @param image  deblurred
   void move_to_reference(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                          const RowExposure& exposure, PipelineResult* result) const;

@@ -77,6 +77,12 @@ const std::vector<Track>& FeatureTracker::track(const cv::Mat& luminance, const 
   return tracks_;
 }
 
+const std::vector<Track>& FeatureTracker::track_again(const cv::Mat& luminance, const Camera& camera,
+                                                      const CameraMotion& motion, const RowExposure& exposure) {
+  const bool is_newest = exposure_ && exposure_->start(0) == exposure.start(0);
+  return is_newest ? tracks_ : track(luminance, camera, motion, exposure);
+}
+
 void FeatureTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
                             const RowExposure& exposure) {
   if (tracks_.empty()) return;

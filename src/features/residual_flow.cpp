@@ -195,11 +195,17 @@ std::optional<TimeRange> ResidualFlow::newest_frame() const {
   return exposure_->frame();
 }
 
+std::optional<ResidualField> ResidualFlow::found_for(const RowExposure& exposure, const BlockGrid& grid) const {
+  if (!exposure_ || exposure_->start(0) != exposure.start(0)) return std::nullopt;
+  return newest_.size() == static_cast<std::size_t>(grid.size()) ? newest_ : ResidualField();
+}
+
 void ResidualFlow::reset() {
   exposure_.reset();
   samples_.clear();
   corners_.clear();
   means_.clear();
+  newest_.clear();
   accelerations_.clear();
   inertial_.clear();
 }
@@ -208,6 +214,7 @@ void ResidualFlow::change_motion(const Camera& camera, const BlockGrid& grid, co
   whole_ = known != nullptr;
   ResidualField before = std::move(means_);
   means_.clear();
+  newest_.clear();
   accelerations_.clear();
   inertial_.clear();
   if (!known || !exposure_ || !known->covers(exposure_->frame())) return;
@@ -269,6 +276,7 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
   on_one_thread([&] { corners_ = corners_everywhere(small, options_); });
   pyramid_ = std::move(pyramid);
   exposure_ = exposure;
+  newest_ = carried;
   return carried;
 }
 

@@ -60,6 +60,9 @@ class ResidualFlow {
   ResidualField follow(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
                        const RowExposure& exposure, const BlockGrid& grid, int threads = 0);
 
+  /// What follow() found for the newest image; nothing where that was not exposed then, empty for other blocks.
+  std::optional<ResidualField> found_for(const RowExposure& exposure, const BlockGrid& grid) const;
+
   const std::vector<Sample>& samples() const { return samples_; }
 
   /// Exposure of the newest image: how far back the next call's `motion` should reach. Nothing before the first one.
@@ -98,8 +101,9 @@ class ResidualFlow {
   double scale_ = 1;                  // pixels of the image in one of it
   std::optional<RowExposure> exposure_;
   std::vector<Sample> samples_;
-  ResidualField means_;  // since the image before
-  TimeNs mean_ns_ = 0;   // the middle of the time that they are means over
+  ResidualField means_;   // since the image before
+  ResidualField newest_;  // they, carried on to the newest image
+  TimeNs mean_ns_ = 0;    // the middle of the time that they are means over
   using Accelerations = std::vector<std::optional<Eigen::Vector2d>>;
   Accelerations accelerations_;  // of each block, between the last two means [px/s^2]
   InertialChange inertial_;

@@ -158,8 +158,8 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     luminance = luminance8(image, layout, result.significant_bits);
     if (alone != alone_) flow_->change_motion(*camera_, estimator_->grid(), alone ? &motion : nullptr);
     alone_ = alone;
-    residuals = flow_->follow(luminance, *camera_, known, exposure, estimator_->grid(), options_.threads);
-    if (!alone) {
+    residuals = residual_velocities(luminance, known, exposure, request.repeats_picture);
+    if (!alone && !request.repeats_picture) {
       result.residual_rotation = fit_residual_rotation(residuals, estimator_->grid(), *camera_, motion, exposure);
     }
     result.times.flow_ms = watch.ms();
@@ -244,6 +244,15 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   result.covariances_px2 = covariances(luminance, options_.keypoints.detector, exposure, result);
   result.times.keypoints_ms = watch.ms();
   return result;
+}
+
+ResidualField Pipeline::residual_velocities(const cv::Mat& luminance, const CameraMotion& known,
+                                            const RowExposure& exposure, bool repeats_picture) {
+  // A picture that was not followed the first time, for it passed through then, is followed now.
+  std::optional<ResidualField> found;
+  if (repeats_picture) found = flow_->found_for(exposure, estimator_->grid());
+  return found ? *std::move(found)
+               : flow_->follow(luminance, *camera_, known, exposure, estimator_->grid(), options_.threads);
 }
 
 void Pipeline::move_to_reference(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,

@@ -224,5 +224,25 @@ TEST_F(FeatureTrackerTest, RefusesWhatDoesNotFit) {
   EXPECT_THROW(FeatureTracker{even}, OptionError);
 }
 
+// At twice the sensor's rate, and for the first time where the picture was not tracked.
+TEST_F(FeatureTrackerTest, RepeatedPictureHasTheTracksOfTheFirstTime) {
+  FeatureTracker once(options_), again(options_);
+  const auto same = [](const std::vector<Track>& a, const std::vector<Track>& b) {
+    return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](const Track& x, const Track& y) {
+      return x.id == y.id && x.length == y.length && x.pixel_px == y.pixel_px && x.normalized == y.normalized &&
+             x.velocity_1_s == y.velocity_1_s;
+    });
+  };
+  for (int i = 0; i < simulator_.frames(); ++i) {
+    const cv::Mat& image = images_[static_cast<std::size_t>(i)];
+    const RowExposure exposure = simulator_.exposure(i);
+    const std::vector<Track> expected = once.track(image, simulator_.camera(), motion_, exposure);
+    if (i != 5) {
+      EXPECT_TRUE(same(again.track(image, simulator_.camera(), motion_, exposure), expected)) << i;
+    }
+    EXPECT_TRUE(same(again.track_again(image, simulator_.camera(), motion_, exposure), expected)) << i;
+  }
+}
+
 }  // namespace
 }  // namespace gyro_deblur

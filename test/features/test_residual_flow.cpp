@@ -187,6 +187,34 @@ TEST_F(StillCamera, SeesAShiftAsAVelocity) {
   }
 }
 
+// Between a picture and itself nothing moves: what comes after is followed from when it was exposed.
+TEST_F(StillCamera, KnowsAgainWhatItFoundForAPicture) {
+  const auto exposure_of = [](TimeNs stamp_ns) {
+    ShutterTiming timing;
+    timing.exposure_ns = 10'000'000;
+    return RowExposure(stamp_ns, 480, timing);
+  };
+  EXPECT_FALSE(flow_.found_for(exposure_of(0), grid_));
+  std::optional<ResidualField> found;
+  for (int i = 0; i < 4; ++i) {
+    const ResidualField residuals = follow(i * kPeriodNs, view(100 - 6 * i, 80 + 4 * i));
+    found = flow_.found_for(exposure_of(i * kPeriodNs), grid_);
+    ASSERT_TRUE(found);
+    ASSERT_EQ(found->size(), residuals.size());
+    for (std::size_t b = 0; b < residuals.size(); ++b) {
+      ASSERT_EQ((*found)[b].has_value(), residuals[b].has_value());
+      if (residuals[b]) {
+        EXPECT_EQ((*found)[b]->velocity_px_s, residuals[b]->velocity_px_s);
+      }
+    }
+    EXPECT_FALSE(flow_.found_for(exposure_of(i * kPeriodNs + 1), grid_)) << "another picture";
+  }
+  EXPECT_TRUE(flow_.found_for(exposure_of(3 * kPeriodNs), BlockGrid(640, 480, kBlockPx / 2))->empty())
+      << "other blocks";
+  flow_.reset();
+  EXPECT_FALSE(flow_.found_for(exposure_of(3 * kPeriodNs), grid_));
+}
+
 TEST_F(StillCamera, SeesNothingAtRest) {
   for (int i = 0; i < 3; ++i) {
     for (const auto& residual : follow(i * kPeriodNs, view(100, 80))) {

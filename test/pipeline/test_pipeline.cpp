@@ -13,6 +13,7 @@
 #include "analytic_motion.hpp"
 #include "gyro_deblur/point_covariance.hpp"
 #include "panning_camera.hpp"
+#include "repeated_pictures.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {
@@ -411,6 +412,64 @@ TEST(Pipeline, TakesNewOptions) {
   p.set_options(options());
   EXPECT_TRUE(
       equal(before.image, p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image));
+}
+
+/// A pipeline that goes by images, too, and a camera that moves before a wall.
+class PipelineByImages : public testing::Test {
+ protected:
+  PipelineByImages() : pipeline_(options()), rotation_(samples(), GyroOptions{}, Eigen::Matrix3d::Identity()) {
+    pipeline_.set_calibration(camera_.simulator().camera().calibration());
+  }
+
+  std::vector<GyroSample> samples() const {
+    std::vector<GyroSample> samples;
+    for (const sim::ImuSample& sample : camera_.simulator().imu()) samples.push_back({sample.t_ns, sample.rate_rad_s});
+    return samples;
+  }
+  PipelineResult process(int i, bool repeats) {
+    PipelineRequest request;
+    request.repeats_picture = repeats;
+    return pipeline_.process(camera_.picture(i), PixelLayout::GRAY, rotation_, camera_.simulator().exposure(i),
+                             request);
+  }
+
+  const test::HandheldCamera camera_{12};
+  Pipeline pipeline_;
+  const RotationTrack rotation_;
+};
+
+TEST_F(PipelineByImages, RepeatedPictureIsWhatItWasAndDisturbsNothing) {
+  std::vector<PipelineResult> once;
+  for (int i = 0; i < camera_.frames(); ++i) once.push_back(process(i, false));
+  pipeline_ = Pipeline(options());
+  pipeline_.set_calibration(camera_.simulator().camera().calibration());
+  std::size_t by_images = 0;
+  for (int i = 0; i < camera_.frames(); ++i) {
+    const PipelineResult& expected = once[static_cast<std::size_t>(i)];
+    for (const bool repeats : {false, true, true}) {
+      const PipelineResult result = process(i, repeats);
+      EXPECT_TRUE(equal(result.image, expected.image)) << "picture " << i << ", repeats " << repeats;
+      for (std::size_t b = 0; b < result.field.blocks.size(); ++b) {
+        EXPECT_EQ(result.field.blocks[b].residual.has_value(), expected.field.blocks[b].residual.has_value());
+        by_images += result.field.blocks[b].residual ? 1 : 0;
+      }
+      // A rotation that has been told once is no second witness of an error of the gyroscope.
+      EXPECT_EQ(result.residual_rotation.has_value(), expected.residual_rotation.has_value() && !repeats);
+    }
+  }
+  EXPECT_GT(by_images, 100u);
+}
+
+// It passed through the first time.
+TEST_F(PipelineByImages, RepetitionOfAPictureThatWasNotSeenIsFollowed) {
+  Pipeline expected(options());
+  expected.set_calibration(camera_.simulator().camera().calibration());
+  for (int i = 0; i < 4; ++i) {
+    const PipelineResult result = process(i, i == 3);
+    const PipelineResult clean =
+        expected.process(camera_.picture(i), PixelLayout::GRAY, rotation_, camera_.simulator().exposure(i), {});
+    EXPECT_TRUE(equal(result.image, clean.image)) << i;
+  }
 }
 
 /// Writes down for what it is prepared.
