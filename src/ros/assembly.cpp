@@ -93,7 +93,10 @@ Readiness FrameAssembly::assemble(const Terms& terms, PendingFrame* frame, Assem
   assembled->rectified_input = terms.config.rectified_input;
   assembled->drop_bad = terms.config.drop_bad;
   const Readiness readiness = find_all(terms, frame, assembled);
-  if (readiness == Readiness::READY) collect(terms, assembled);
+  if (readiness == Readiness::READY && !(frame->picture && frame->picture->motion)) {
+    collect(terms, assembled);
+    if (frame->picture) frame->picture->motion = *assembled;
+  }
   return readiness;
 }
 
@@ -107,6 +110,10 @@ Readiness FrameAssembly::find_all(const Terms& terms, PendingFrame* frame, Assem
   Readiness readiness = Readiness::READY;
   // A frame that goes by the file, and still waits, goes by its camera_info as soon as that has come.
   if (!frame->described_by_topic) readiness = find_calibration(terms, frame);
+  if (readiness == Readiness::READY && frame->picture && frame->picture->motion) {
+    static_cast<PictureMotion&>(*assembled) = *frame->picture->motion;
+    return Readiness::READY;
+  }
   if (readiness == Readiness::READY) readiness = find_exposure(terms, frame, assembled);
   if (readiness == Readiness::READY) readiness = find_motion(terms, frame, assembled);
   return readiness;
@@ -168,10 +175,11 @@ Readiness FrameAssembly::find_calibration(const Terms& terms, PendingFrame* fram
 
 Readiness FrameAssembly::find_timing(const Terms& terms, PendingFrame* frame, ShutterTiming* timing) const {
   const Config& config = terms.config;
+  const TimeNs stamp_ns = frame->picture_ns();  // an image that repeats a picture has its exposure
   *timing = config.shutter;
   timing->readout_ns = region_readout_ns(timing->readout_ns, *frame->info);
   const Intake::Exposures& exposures = intake_.exposures();
-  if (const Exposure* message = exposures.find(frame->stamp_ns)) {
+  if (const Exposure* message = exposures.find(stamp_ns)) {
     take_times(*message, timing);
     return Readiness::READY;
   }
@@ -179,26 +187,26 @@ Readiness FrameAssembly::find_timing(const Terms& terms, PendingFrame* frame, Sh
     timing->exposure_ns = *intake_.exposure_setting_ns();
     return Readiness::READY;
   }
-  if (const Exposure* message = exposures.find_between_alike(frame->stamp_ns)) {
+  if (const Exposure* message = exposures.find_between_alike(stamp_ns)) {
     take_times(*message, timing);
     return Readiness::READY;
   }
   // Exposures change all the time, so that this is what a lost one costs: two frame periods.
   constexpr std::size_t kOvertaking = 2;
   const bool expected = intake_.exposure_expected();
-  const bool overtaken = exposures.later(frame->stamp_ns) >= kOvertaking;
+  const bool overtaken = exposures.later(stamp_ns) >= kOvertaking;
   if (expected && exposures.awaited() && !overtaken && !terms.timed_out) return Readiness::WAITS;
-  const TimeNs oldest_ns = frame->stamp_ns - config.exposure_max_age_ns;
-  if (const Exposure* before = exposures.find_before(frame->stamp_ns, oldest_ns)) {
+  const TimeNs oldest_ns = stamp_ns - config.exposure_max_age_ns;
+  if (const Exposure* before = exposures.find_before(stamp_ns, oldest_ns)) {
     take_times(*before, timing);
   } else if (timing->exposure_ns == 0) {
     return settle(frame, PassThroughReason::NO_EXPOSURE_TIME,
-                  "no exposure message with the image's stamp " + seconds_text(frame->stamp_ns) +
+                  "no exposure message with the image's stamp " + seconds_text(stamp_ns) +
                       " s, none within exposure_max_age = " + seconds_text(config.exposure_max_age_ns) +
                       " s before it, and parameter exposure_time = 0 is outside (0, 1] s");
   } else if (expected && exposures.awaited()) {
     log_(LogLevel::WARNING, "exposure message missing",
-         "no exposure message with the image's stamp " + seconds_text(frame->stamp_ns) +
+         "no exposure message with the image's stamp " + seconds_text(stamp_ns) +
              " s: using parameter exposure_time = " + seconds_text(timing->exposure_ns) + " s");
   }
   return Readiness::READY;
@@ -214,7 +222,7 @@ Readiness FrameAssembly::find_exposure(const Terms& terms, PendingFrame* frame, 
     return settle(frame, PassThroughReason::BAD_CONFIGURATION, error.what());
   }
   try {
-    assembled->exposure.emplace(frame->stamp_ns, static_cast<int>(frame->image->height), timing);
+    assembled->exposure.emplace(frame->picture_ns(), static_cast<int>(frame->image->height), timing);
   } catch (const OptionError& error) {
     return settle(frame, PassThroughReason::NO_EXPOSURE_TIME, error.what());
   }

@@ -21,8 +21,9 @@
 
 namespace gyro_deblur {
 
-/// A frame with all that processing it takes; copies, so that it needs no lock.
-struct AssembledFrame {
+/// A frame with all that processing it takes; copies, so that it needs no lock. The motion, of a frame that is not
+/// settled alone, is that of its picture.
+struct AssembledFrame : PictureMotion {
   PendingFrame frame;
   std::shared_ptr<Pipeline> pipeline;  ///< null while the configuration cannot be used
   PipelineOptions options;
@@ -30,15 +31,9 @@ struct AssembledFrame {
   bool rectified_input = false;
   bool drop_bad = false;
   bool in_a_hurry = false;  ///< see OverloadRule::is_in_a_hurry()
-
-  // The rest only of a frame that is not settled.
-  std::optional<RowExposure> exposure;
-  GyroOptions gyro;  ///< with the bias in use
-  Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
-  /// Over the frame, and the way from the image before it that is tracked.
-  std::vector<GyroSample> samples;
-  std::size_t own_begin = 0, own_end = 0;  ///< indices of those that the frame itself needs
-  std::string coverage_text;               ///< which of its own are missing, should some be
+  int configuration = 0;    ///< number of the one that `options` are of
+  /// The camera sends pictures again: what is made of this one is kept for them.
+  bool pictures_repeat = false;
 };
 
 /// What a frame that is looked at can do.

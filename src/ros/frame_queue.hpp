@@ -2,6 +2,7 @@
 #pragma once
 
 #include <deque>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
@@ -12,6 +13,7 @@
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/time.hpp"
 #include "ros/pass_through.hpp"
+#include "ros/picture.hpp"
 #include "ros/time_jump.hpp"
 
 namespace gyro_deblur {
@@ -23,6 +25,8 @@ struct PendingFrame {
   std::optional<CameraCalibration> calibration;  ///< of info
   bool described_by_topic = false;               ///< info came with the image, and not from a file
   TimeNs stamp_ns = 0;                           ///< camera clock
+  std::shared_ptr<Picture> picture;              ///< that it shows; null while it is not known, and if not usable
+  bool repeats = false;                          ///< an image before showed the same picture
   TimeNs arrival_ns = 0;                         ///< node clock (may be simulated time)
   TimeNs arrival_steady_ns = 0;                  ///< steady clock
   std::optional<TimeNs> ready_steady_ns;         ///< steady clock; since when it has all that it needs
@@ -31,6 +35,9 @@ struct PendingFrame {
   PassThroughReason verdict = PassThroughReason::NONE;
   std::string verdict_text;
   bool verdict_told = false;  ///< to the partners of a stereo camera
+
+  /// Stamp of the picture: of the first image that showed it.
+  TimeNs picture_ns() const { return picture ? picture->stamp_ns : stamp_ns; }
 
   void settle(PassThroughReason reason, const std::string& text) {
     verdict = reason;

@@ -153,15 +153,29 @@ void Intake::add_frame(PendingFrame frame) {
   frame.arrival_ns = now();
   frame.arrival_steady_ns = steady_now();
   note_time(Stream::IMAGE, frame.stamp_ns);
+  find_picture(&frame);
   if (frame.verdict == PassThroughReason::NONE) {
     // With a calibration file nobody has to send any.
     const bool info_expected = infos_.seen() || !config_.calibration || !config_.calibration->camera;
     if (info_expected) infos_.expect(frame.stamp_ns, frame.arrival_ns);
-    if (exposure_expected() && !exposure_setting_ns_) exposures_.expect(frame.stamp_ns, frame.arrival_ns);
+    if (exposure_expected() && !exposure_setting_ns_ && !frame.repeats)
+      exposures_.expect(frame.stamp_ns, frame.arrival_ns);
   }
-  frame_period_.add(frame.stamp_ns);
   ++statistics_.frames_in;
   queue_.push(std::move(frame));
+}
+
+void Intake::find_picture(PendingFrame* frame) {
+  if (frame->verdict == PassThroughReason::NONE) {
+    const PictureTracker::Shown shown = pictures_.add(frame->image, frame->stamp_ns);
+    frame->picture = shown.picture;
+    frame->repeats = !shown.is_new;
+  }
+  if (frame->repeats) {
+    ++statistics_.repeated_pictures;
+  } else {
+    frame_period_.add(frame->stamp_ns);
+  }
 }
 
 void Intake::reset() {
@@ -170,6 +184,7 @@ void Intake::reset() {
   gyro_.forget();
   infos_.reset();
   exposures_.reset();
+  pictures_.forget();
   frame_period_.clear();
   jumps_.clear();
 }

@@ -17,6 +17,7 @@
 #include "ros/gyro_source.hpp"
 #include "ros/input_problems.hpp"
 #include "ros/messages.hpp"
+#include "ros/picture.hpp"
 #include "ros/throttled_log.hpp"
 #include "ros/time_jump.hpp"
 
@@ -25,6 +26,7 @@ namespace gyro_deblur {
 /// What has come in since the start.
 struct IntakeStatistics {
   std::size_t frames_in = 0;
+  std::size_t repeated_pictures = 0;  ///< frames that show the picture of the one before
   std::size_t time_jumps = 0;
 };
 
@@ -59,6 +61,9 @@ class Intake {
   /// Precondition of the frame: image, stamp, and a verdict if it is not usable.
   void add_frame(PendingFrame frame);
 
+  /// No more images will come: none is kept to compare the next one with.
+  void forget_picture() { pictures_.forget(); }
+
   /// As after the start: waiting frames are settled as TIME_JUMP.
   void reset();
 
@@ -78,6 +83,7 @@ class Intake {
   /// True when images have exposure messages, or cannot do without.
   bool exposure_expected() const;
   std::optional<TimeNs> exposure_setting_ns() const { return exposure_setting_ns_; }
+  /// Of new pictures: repeated ones leave it as it is.
   const FramePeriod& frame_period() const { return frame_period_; }
   const GyroReader& gyro() const { return gyro_; }
   std::string imu_frame() const { return gyro_source_->frame_id(); }
@@ -94,6 +100,8 @@ class Intake {
   enum class ShownBy { ITSELF, OTHER };
   void forget(Stream stream, ShownBy shown_by);
   std::size_t store_size() const;
+  /// Notes in the frame which picture it shows.
+  void find_picture(PendingFrame* frame);
   /// Ends waiting for companions that do not come, and tells so.
   void note_attendance(TimeNs now_ns);
 
@@ -109,6 +117,7 @@ class Intake {
   Exposures exposures_;
   CameraInfos infos_;
   std::optional<TimeNs> exposure_setting_ns_;
+  PictureTracker pictures_;
   FramePeriod frame_period_;
   FrameQueue queue_;
   IntakeStatistics statistics_;

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
+#include <memory>
 #include <utility>
 
 #include <sensor_msgs/image_encodings.h>
@@ -20,6 +21,23 @@
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
+
+/// What the pipeline made of a picture, for images that repeat it.
+struct MadePicture {
+  sensor_msgs::ImageConstPtr image;  ///< some of the result may share its memory
+  int configuration = 0;
+  CameraCalibration calibration;
+  PipelineRequest request;
+  PipelineResult result;
+
+  /// Whether it is what would be made of this frame for this request.
+  bool serves(const AssembledFrame& assembled, const PipelineRequest& wanted) const {
+    return configuration == assembled.configuration && calibration == *assembled.frame.calibration &&
+           (request.image || !wanted.image) && (request.keypoints || !wanted.keypoints) &&
+           (request.luminance || !wanted.luminance) && (request.global_shutter || !wanted.global_shutter);
+  }
+};
+
 namespace {
 
 double elapsed_ms(std::chrono::steady_clock::time_point since) {
@@ -80,6 +98,43 @@ void add_global_shutter(const PipelineResult& result, const PendingFrame& frame,
   output->global_shutter_info = info;
 }
 
+Permit permit_of(const FrameDecision& decision) {
+  return !decision.drop.empty() ? Permit::STOP : !decision.refusal.empty() ? Permit::LEAVE : Permit::DEBLUR;
+}
+
+/// The pipeline's work, which is not done again for a picture that comes again.
+/// @param decision  set to what `decide` says of the field
+PipelineResult make(const AssembledFrame& assembled, const FrameRequest& request, const ImageView& view,
+                    const RotationTrack& rotation, FrameDecision* decision) {
+  const PendingFrame& frame = assembled.frame;
+  PipelineRequest wanted{request.image, request.keypoints, request.tracks, request.global_shutter};
+  wanted.in_a_hurry = assembled.in_a_hurry;
+  wanted.repeats_picture = frame.repeats;
+  const std::shared_ptr<const MadePicture> made = frame.picture ? frame.picture->made : nullptr;
+  if (made && frame.repeats && made->serves(assembled, wanted)) {
+    if (request.decide) *decision = request.decide(made->result.field);
+    if (permit_of(*decision) == Permit::DEBLUR) {
+      PipelineResult result = made->result;
+      result.times = {};
+      result.residual_rotation.reset();
+      return result;
+    }
+    wanted.permit = [decision](const FrameBlur&) { return permit_of(*decision); };
+  } else if (request.decide) {
+    wanted.permit = [&request, decision](const FrameBlur& field) {
+      *decision = request.decide(field);
+      return permit_of(*decision);
+    };
+  }
+  PipelineResult result = assembled.pipeline->process(view.image, view.layout, rotation, *assembled.exposure, wanted);
+  if (assembled.pictures_repeat && frame.picture && permit_of(*decision) == Permit::DEBLUR) {
+    wanted.permit = nullptr;
+    frame.picture->made = std::make_shared<MadePicture>(
+        MadePicture{frame.image, assembled.configuration, *frame.calibration, wanted, result});
+  }
+  return result;
+}
+
 /// Precondition: the frame is ready.
 void deblur(const AssembledFrame& assembled, const FrameRequest& request, FeatureTracker* tracker,
             FrameOutput* output) {
@@ -92,16 +147,10 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   pipeline.set_options(assembled.options);
   pipeline.set_calibration(*frame.calibration);
   const RotationTrack rotation(assembled.samples, assembled.gyro, assembled.R_cam_imu, assembled.own_begin);
-  PipelineRequest wanted{request.image, request.keypoints, request.tracks, request.global_shutter};
-  wanted.in_a_hurry = assembled.in_a_hurry;
   FrameDecision decision;
-  if (request.decide) {
-    wanted.permit = [&](const FrameBlur& field) {
-      decision = request.decide(field);
-      return !decision.drop.empty() ? Permit::STOP : !decision.refusal.empty() ? Permit::LEAVE : Permit::DEBLUR;
-    };
-  }
-  PipelineResult result = pipeline.process(view.image, view.layout, rotation, *assembled.exposure, wanted);
+  PipelineResult result = make(assembled, request, view, rotation, &decision);
+  // What is said of a picture holds for the image that shows it, as though it had been exposed by that one's stamp.
+  result.reference_ns += frame.stamp_ns - frame.picture_ns();
   output->stages = result.times;
   if (result.residual_rotation) {
     const Eigen::Matrix3d R_imu_cam = assembled.R_cam_imu.transpose();
@@ -120,8 +169,9 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   if (request.tracks && !output->dropped) {
     start = std::chrono::steady_clock::now();
     tracker->set_options(assembled.tracker_options);
+    const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
     output->tracks =
-        to_message(tracker->track(result.luminance, Camera(*frame.calibration), rotation, *assembled.exposure),
+        to_message((tracker->*track)(result.luminance, Camera(*frame.calibration), rotation, *assembled.exposure),
                    PointCovariance(result.luminance, result.field), assembled.tracker_options.window_px, header);
     output->tracks_ms = elapsed_ms(start);
   }

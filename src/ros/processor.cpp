@@ -41,7 +41,8 @@ Processor::Processor(Environment environment)
       tracker_(TrackerOptions{}),
       intake_({environment_.clock, environment_.steady_clock}, gyro_source_, environment_.exposure_expected,
               environment_.log, &log_, &problems_),
-      assembly_(intake_, environment_.extrinsic, &log_, &problems_) {}
+      assembly_(intake_, environment_.extrinsic, &log_, &problems_),
+      repetitions_(&problems_) {}
 
 void Processor::set_config(const Config& config) {
   config.validate();
@@ -62,6 +63,7 @@ void Processor::set_config(const Config& config) {
 
   const std::lock_guard<std::mutex> lock(mutex_);
   config_ = config;
+  ++configurations_;
   config_error_.clear();
   pipeline_ = std::move(pipeline);
   intake_.set_config(config);
@@ -152,6 +154,7 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
   const std::lock_guard<std::mutex> lock(mutex_);
   const TimeNs now_ns = intake_.now(), steady_ns = intake_.steady_now();
   overload_.end(steady_ns);
+  if (finishing) intake_.forget_picture();
   if (intake_.queue().empty()) return std::nullopt;
   PendingFrame& frame = intake_.queue().front();
   AssembledFrame assembled;
@@ -165,6 +168,11 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
                                        timed_out};
       const Readiness readiness = assembly_.assemble(terms, &frame, &assembled);
       if (readiness == Readiness::WAITS) return std::nullopt;
+      if (readiness == Readiness::READY) {
+        repetitions_.add(frame, intake_.gyro(), assembled.gyro, intake_.statistics());
+        assembled.configuration = configurations_;
+        assembled.pictures_repeat = intake_.statistics().repeated_pictures > 0;
+      }
       if (readiness == Readiness::READY && !finishing) {
         const TimeNs ready_ns = frame.ready_steady_ns.value_or(steady_ns);
         const std::size_t ready_behind = intake_.queue().ready_behind_front();
@@ -282,6 +290,7 @@ void Processor::reset() {
   intake_.reset();
   estimated_bias_rad_s_.reset();
   gyro_errors_.clear();
+  repetitions_.clear();
   log_.clear();
   problems_.clear();
 }

@@ -23,6 +23,7 @@
 #include "ros/messages.hpp"
 #include "ros/overload.hpp"
 #include "ros/processing.hpp"
+#include "ros/repetition_watch.hpp"
 #include "ros/statistics.hpp"
 #include "ros/stereo_rig.hpp"
 #include "ros/throttled_log.hpp"
@@ -129,6 +130,8 @@ class Processor {
   Intake intake_;
   FrameAssembly assembly_;
   OverloadRule overload_;
+  RepetitionWatch repetitions_;
+  int configurations_ = 0;  // so far
   std::size_t in_progress_ = 0;
   OutputStatistics statistics_;
   GyroErrorWatch gyro_errors_;  // with the configuration and bias in use

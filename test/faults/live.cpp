@@ -47,7 +47,9 @@ void play_live(const std::vector<Delivery>& deliveries, TimeNs round_ns, TimeNs 
   }
   lock.unlock();
   camera.join();
-  while (processor->waiting() > 0) processor->finish(sink);
+  do {
+    processor->finish(sink);
+  } while (processor->waiting() > 0);
 }
 
 }  // namespace gyro_deblur::test

@@ -122,7 +122,9 @@ ReplayResult replay(const Recording& recording, const std::vector<Delivery>& del
     result.peak_waiting = std::max(result.peak_waiting, processor.waiting());
     if (processor.waiting() > 0 && steady_ns >= busy_until_ns) processor.advance(sink);
   }
-  while (processor.waiting() > 0) processor.finish(sink);
+  do {
+    processor.finish(sink);
+  } while (processor.waiting() > 0);
   std::sort(result.latencies_periods.begin(), result.latencies_periods.end());
   result.balance = deliverer.balance();
   result.statistics = processor.statistics();

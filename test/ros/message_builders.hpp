@@ -41,6 +41,15 @@ inline cv::Mat texture(int type = CV_8UC1, int width = kWidth, int height = kHei
   return image;
 }
 
+/// The noise of a sensor: no two pictures are alike, although they show the same. One grey level, in the first row.
+inline void add_sensor_noise(TimeNs stamp_ns, cv::Mat* image) {
+  cv::RNG rng(static_cast<std::uint64_t>(stamp_ns));
+  cv::Mat noise(1, image->cols, image->type());
+  rng.fill(noise, cv::RNG::UNIFORM, 0, 2);
+  cv::bitwise_xor(image->row(0), noise, image->row(0));
+}
+
+/// A new picture for every stamp.
 inline sensor_msgs::ImagePtr image_message(TimeNs stamp_ns, const std::string& encoding = "mono8", int width = kWidth,
                                            int height = kHeight) {
   const int depth = sensor_msgs::image_encodings::bitDepth(encoding) == 16 ? CV_16U : CV_8U;
@@ -49,7 +58,9 @@ inline sensor_msgs::ImagePtr image_message(TimeNs stamp_ns, const std::string& e
   like.header.stamp = to_ros_time(stamp_ns);
   like.header.frame_id = kCameraFrame;
   like.encoding = encoding;
-  return to_image(texture(CV_MAKETYPE(depth, channels), width, height), like);
+  cv::Mat pixels = texture(CV_MAKETYPE(depth, channels), width, height);
+  add_sensor_noise(stamp_ns, &pixels);
+  return to_image(pixels, like);
 }
 
 inline sensor_msgs::CameraInfoPtr camera_info(TimeNs stamp_ns, int width = kWidth, int height = kHeight) {

@@ -61,6 +61,14 @@ class ProcessorTest : public testing::Test {
     processor_.add_camera_info(camera_info(stamp_ns));
     return image;
   }
+  /// The picture of an image again, under another stamp.
+  sensor_msgs::ImageConstPtr add_repetition(const sensor_msgs::Image& image, TimeNs stamp_ns) {
+    const auto again = boost::make_shared<sensor_msgs::Image>(image);
+    again->header.stamp = to_ros_time(stamp_ns);
+    processor_.add_image(again);
+    processor_.add_camera_info(camera_info(stamp_ns));
+    return again;
+  }
   void advance() {
     processor_.advance([this](FrameOutput&& output) {
       outputs_.push_back(std::move(output));

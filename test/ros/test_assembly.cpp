@@ -594,6 +594,16 @@ TEST_F(FrameAssemblyTest, ReadoutLongerThanTheFramePeriodIsNamed) {
                         "readout_time = 0.02 s is longer than the frame period 0.01 s");
 }
 
+TEST_F(FrameAssemblyTest, ReadoutOfAPeriodPassesWhenEveryPictureComesTwice) {
+  add_imu(kStart - 50 * kMs, kStart + 2 * kSecond);
+  for (int i = 0; i < 50; ++i) {
+    add_repetition(*add_frame(kStart + i * kReadout), kStart + i * kReadout + kReadout / 2);
+    advance();
+  }
+  ASSERT_EQ(outputs_.size(), 100u);
+  for (std::size_t i = 0; i < outputs_.size(); ++i) expect_deblurred(i);
+}
+
 TEST_F(FrameAssemblyTest, ReadoutOfAPeriodPassesWhenFramesAreStampedInPairs) {
   config_.shutter.readout_ns = 33'300'000;
   configure();

@@ -279,5 +279,30 @@ TEST_F(IntakeTest, ClockAloneGoingBackIsAJump) {
   EXPECT_EQ(processor_.statistics().time_jumps, 1u);
 }
 
+// A sensor at 20 Hz whose driver publishes at 40 Hz, one image in five repeated, and a message that comes twice.
+TEST_F(IntakeTest, FramePeriodCountsNewPicturesOnly) {
+  constexpr int kPictures = 40;
+  constexpr TimeNs kPeriod = 50 * kMs;
+  const auto period_with = [&](const std::function<void(int, const sensor_msgs::Image&)>& after_picture) {
+    processor_.reset();
+    for (int i = 0; i < kPictures; ++i) after_picture(i, *add_frame(kStart + i * kPeriod));
+    return processor_.statistics().frame_period_ns;
+  };
+  EXPECT_EQ(period_with([](int, const sensor_msgs::Image&) {}), kPeriod);
+  EXPECT_EQ(processor_.statistics().repeated_pictures, 0u);
+  EXPECT_EQ(period_with([this](int i, const sensor_msgs::Image& image) {
+              add_repetition(image, kStart + i * kPeriod + kPeriod / 2);
+            }),
+            kPeriod);
+  EXPECT_EQ(processor_.statistics().repeated_pictures, std::size_t{kPictures});
+  EXPECT_EQ(period_with([this](int i, const sensor_msgs::Image& image) {
+              if (i % 5 == 4) add_repetition(image, kStart + i * kPeriod + kPeriod / 2);
+            }),
+            kPeriod);
+  EXPECT_EQ(
+      period_with([this](int i, const sensor_msgs::Image& image) { add_repetition(image, kStart + i * kPeriod); }),
+      kPeriod);
+}
+
 }  // namespace
 }  // namespace gyro_deblur

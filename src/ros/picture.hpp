@@ -1,0 +1,65 @@
+// What images show: some cameras send one picture several times, under a new stamp each time.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <sensor_msgs/Image.h>
+#include <Eigen/Core>
+
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/gyro_buffer.hpp"
+#include "gyro_deblur/options.hpp"
+#include "gyro_deblur/time.hpp"
+
+namespace gyro_deblur {
+
+/// When a picture was exposed, and how the camera moved meanwhile; copies, so that it needs no lock.
+struct PictureMotion {
+  std::optional<RowExposure> exposure;
+  GyroOptions gyro;  ///< with the bias in use
+  Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
+  /// Over the exposure, and the way from the picture before it that is tracked.
+  std::vector<GyroSample> samples;
+  std::size_t own_begin = 0, own_end = 0;  ///< indices of those that the picture itself needs
+  std::string coverage_text;               ///< which of its own are missing, should some be
+};
+
+struct MadePicture;
+
+/// One picture, shared by the images that show it: it was exposed once, by the stamp of the first of them.
+struct Picture {
+  TimeNs stamp_ns = 0;                  ///< of the first image that shows it, camera clock
+  std::optional<PictureMotion> motion;  ///< once one of the images has had what belongs to it
+  /// What process() made of it; of the thread that calls it alone.
+  std::shared_ptr<const MadePicture> made;
+};
+
+/// Whether two images have the same size, encoding and pixels, byte by byte: the noise of a sensor makes every new
+/// picture differ, also of a scene at rest. Ends at the first difference. Padding of rows is not compared.
+/// Precondition: both pass check_image().
+bool show_same_pixels(const sensor_msgs::Image& a, const sensor_msgs::Image& b);
+
+/// Tells images that show a new picture from those that repeat the one before. Not thread-safe.
+class PictureTracker {
+ public:
+  struct Shown {
+    std::shared_ptr<Picture> picture;  ///< not null
+    bool is_new = true;
+  };
+  /// Keeps the image while it is the newest new picture. An image with an older stamp than the picture is a new one:
+  /// time was reset.
+  Shown add(const sensor_msgs::ImageConstPtr& image, TimeNs stamp_ns);
+
+  /// The next image shows a new picture.
+  void forget() { *this = {}; }
+
+ private:
+  sensor_msgs::ImageConstPtr image_;  // the first one that shows the picture
+  std::shared_ptr<Picture> picture_;
+};
+
+}  // namespace gyro_deblur

@@ -1,0 +1,60 @@
+#include "ros/repetition_watch.hpp"
+
+#include <algorithm>
+#include <cstddef>
+#include <string>
+
+#include <Eigen/Geometry>
+
+#include "gyro_deblur/rotation_track.hpp"
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr char kKind[] = "repeated pictures";
+/// One image that is repeated now and then disturbs nobody.
+constexpr std::size_t kReported = 3;
+constexpr TimeNs kWatchedNs = 5'000'000'000;
+/// A bias that nobody has told is smaller than this rate, and noise turns less far than the scene by this much.
+constexpr double kLeastRateRadS = 0.1, kLeastShiftPx = 1;
+constexpr TimeNs kLongestTurnNs = 1'000'000'000;
+
+/// Whether the image's scene has moved since its picture was exposed, as far as samples reach.
+bool has_turned(const PendingFrame& frame, const GyroReader& gyro, const GyroOptions& options) {
+  if (!frame.calibration) return false;
+  TimeRange turn_cam{std::max(frame.picture_ns(), frame.stamp_ns - kLongestTurnNs), frame.stamp_ns};
+  const TimeNs offset_ns = options.time_offset_ns;
+  turn_cam.end_ns = std::min(turn_cam.end_ns, gyro.available().end_ns - offset_ns);
+  if (turn_cam.begin_ns >= turn_cam.end_ns) return false;
+  const RotationTrack track(gyro.window({turn_cam.begin_ns + offset_ns, turn_cam.end_ns + offset_ns}), options,
+                            Eigen::Matrix3d::Identity());
+  if (!track.covers(turn_cam)) return false;
+  const double turned_rad = Eigen::AngleAxisd(track.rotation(turn_cam.begin_ns, turn_cam.end_ns)).angle();
+  return turned_rad >= kLeastRateRadS * to_seconds(turn_cam.end_ns - turn_cam.begin_ns) &&
+         turned_rad * frame.calibration->fx_px >= kLeastShiftPx;
+}
+
+}  // namespace
+
+void RepetitionWatch::add(const PendingFrame& frame, const GyroReader& gyro, const GyroOptions& options,
+                          const IntakeStatistics& counts) {
+  const bool reported = proven_ns_.size() >= kReported;
+  while (!proven_ns_.empty() &&
+         (proven_ns_.front() > frame.stamp_ns || frame.stamp_ns - proven_ns_.front() > kWatchedNs)) {
+    proven_ns_.pop_front();
+  }
+  if (reported && proven_ns_.empty()) problems_.resolve(kKind);
+  if (!frame.repeats || !has_turned(frame, gyro, options)) return;
+  proven_ns_.push_back(frame.stamp_ns);
+  if (proven_ns_.size() < kReported) return;
+  problems_.report(kKind, std::to_string(counts.repeated_pictures) + " of " + std::to_string(counts.frames_in) +
+                              " images repeat the picture before under a new stamp although the camera turns, the one "
+                              "of " +
+                              seconds_text(frame.stamp_ns) + " s that of " + seconds_text(frame.picture_ns()) +
+                              " s: they are deblurred as that picture, and images tell no motion across them. If the "
+                              "camera has stopped or sees nothing, restart or uncover it; else let its driver publish "
+                              "every picture once");
+}
+
+}  // namespace gyro_deblur
