@@ -76,6 +76,7 @@ struct Row {
   std::size_t allowed_waiting = 0;              ///< 0: not looked at
   std::optional<double> allowed_p99_periods{};  ///< of the latency
   std::set<PassThroughReason> not_allowed{};    ///< for no frame
+  std::optional<std::size_t> allowed_mispredicted{};
   bool good() const {
     for (const PassThroughReason reason : not_allowed) {
       if (result.balance.passed_through.count(reason) > 0) return false;
@@ -83,7 +84,9 @@ struct Row {
     const std::vector<double>& latencies = result.latencies_periods;
     const bool in_time =
         !allowed_p99_periods || latencies.empty() || percentile(latencies, 0.99) <= *allowed_p99_periods;
-    return result.balance.good() && in_time && (allowed_waiting == 0 || result.peak_waiting <= allowed_waiting);
+    const bool predicted = !allowed_mispredicted || result.mispredicted <= *allowed_mispredicted;
+    return result.balance.good() && in_time && predicted &&
+           (allowed_waiting == 0 || result.peak_waiting <= allowed_waiting);
   }
   std::string latency(double part) const {
     if (result.latencies_periods.empty()) return "";
@@ -116,7 +119,7 @@ class Table {
 
   void make(bool quiet) {
     const Stream streams[] = {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE};
-    constexpr std::size_t kOthers = 32;
+    constexpr std::size_t kOthers = 35;
     Progress progress(std::size(kFaults) * std::size(streams) * std::size(kRates) + kOthers, "faults", quiet);
     std::size_t done = 0;
     const auto add = [&](Row row) {
@@ -196,6 +199,15 @@ class Table {
       if (delivery.at_ns >= third_ns) delivery.clock_ns -= 10 * kSecond;
     }
     one("only the node's clock steps by -10 s", "clock", node_clock, options_);
+    // They are deblurred with the blur of their picture, wherever the camera points by now.
+    const std::size_t mispredicted = rows_.front().result.mispredicted;
+    for (const std::size_t period : {2, 5}) {
+      one("every " + std::string(period == 2 ? "other" : "fifth") + " repeats the picture before", "image",
+          repeat_pictures(all, period), options_);
+      rows_.back().allowed_mispredicted = mispredicted;
+    }
+    one("frozen", "image", freeze(all, third_ns, two_thirds_ns), options_);
+    rows_.back().allowed_mispredicted = mispredicted;
     constexpr std::size_t kFramesOfAKind = 7;
     one("size changes", "image", change_sizes(all, kFramesOfAKind), options_);
     one("encoding changes", "image", change_encodings(all, kFramesOfAKind), options_);
@@ -335,9 +347,8 @@ int main_of(int argc, char** argv) {
       if (!file.flush()) throw std::runtime_error(markdown_path + ": cannot be written");
     }
     if (!table.good()) {
-      std::cerr
-          << "fault_table: the rows with WRONG lost, repeated, reordered or altered frames, or held too many or too "
-             "long\n";
+      std::cerr << "fault_table: the rows with WRONG lost, repeated, reordered or altered frames, held too many or too "
+                   "long, or went by another blur than the picture's\n";
       return 1;
     }
   } catch (const std::exception& error) {

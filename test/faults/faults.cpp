@@ -286,6 +286,39 @@ std::vector<Delivery> with_action(const std::vector<Delivery>& deliveries, TimeN
   return result;
 }
 
+namespace {
+
+/// Images for which `repeats` holds show the picture of the one before, under their own stamps; their truth is its.
+template <typename Repeats>
+std::vector<Delivery> with_repetitions(const std::vector<Delivery>& deliveries, Repeats repeats) {
+  std::vector<Delivery> result = deliveries;
+  const Delivery* shown = nullptr;
+  for (Delivery& delivery : result) {
+    auto* image = std::get_if<sensor_msgs::ImageConstPtr>(&delivery.message);
+    if (image == nullptr) continue;
+    if (shown != nullptr && repeats(delivery)) {
+      auto again = copy_of(std::get<sensor_msgs::ImageConstPtr>(shown->message));
+      again->header = (*image)->header;
+      *image = again;
+      delivery.frame = shown->frame;
+    }
+    shown = &delivery;
+  }
+  return result;
+}
+
+}  // namespace
+
+std::vector<Delivery> repeat_pictures(const std::vector<Delivery>& deliveries, std::size_t period) {
+  std::size_t images = 0;
+  return with_repetitions(deliveries, [&](const Delivery&) { return ++images % period == 0; });
+}
+
+std::vector<Delivery> freeze(const std::vector<Delivery>& deliveries, TimeNs from_ns, TimeNs to_ns) {
+  return with_repetitions(
+      deliveries, [&](const Delivery& delivery) { return delivery.at_ns >= from_ns && delivery.at_ns < to_ns; });
+}
+
 std::vector<Delivery> change_encodings(const std::vector<Delivery>& deliveries, std::size_t period) {
   std::vector<Delivery> result = deliveries;
   for (Delivery& delivery : result) {

@@ -36,6 +36,12 @@ std::vector<Delivery> step_clock(const std::vector<Delivery>& deliveries, TimeNs
 /// A gyroscope that can measure up to `range_rad_s` (> 0) on each axis, and says that where there is more.
 std::vector<Delivery> clip_gyro(const std::vector<Delivery>& deliveries, double range_rad_s);
 
+/// Every `period`th image (>= 2) shows the picture of the one before, under its own stamp.
+std::vector<Delivery> repeat_pictures(const std::vector<Delivery>& deliveries, std::size_t period);
+
+/// Images that arrive in [from_ns, to_ns) show the picture of the one before them: the camera's buffer is not written.
+std::vector<Delivery> freeze(const std::vector<Delivery>& deliveries, TimeNs from_ns, TimeNs to_ns);
+
 /// `action` every `period_ns`.
 std::vector<Delivery> with_action(const std::vector<Delivery>& deliveries, TimeNs period_ns, const Action& action);
 
