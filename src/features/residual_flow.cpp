@@ -30,6 +30,9 @@ constexpr double kFloorPx = 0.05;
 /// Of the change that is carried on: a velocity need not go on changing as it did. More than on recorded flights, so
 /// that a velocity that is nothing but carried on is not certain (see is_certain).
 constexpr double kDoubtOfChange = 0.3;
+/// Part of the corners. Where fewer are found again the image shows another scene, or one that has jumped beyond the
+/// search: one in a hundred is found by chance, six in ten where the scene is the same.
+constexpr double kLeastFollowed = 0.1;
 /// Of the square of the farthest neighbour's distance: where a neighbour has half the weight.
 constexpr double kNearShare = 0.3;
 
@@ -396,6 +399,7 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
     if (2 * since_ns < exposure.start(0) - exposure_->start(0)) continue;
     samples_.push_back({pixel_px, (pixel_px - *at) / to_seconds(since_ns), since_ns});
   }
+  if (static_cast<double>(samples_.size()) < kLeastFollowed * static_cast<double>(before.size())) samples_.clear();
 }
 
 ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) const {

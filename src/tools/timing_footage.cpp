@@ -15,6 +15,7 @@
 #include "calibrate/frame_tracker.hpp"
 #include "ros/conversions.hpp"
 #include "ros/messages.hpp"
+#include "ros/picture.hpp"
 #include "tools/bag_reading.hpp"
 #include "tools/progress.hpp"
 
@@ -156,11 +157,14 @@ Footage read_footage(const InputBag& input, const FootageTopics& topics, const F
   Progress progress(view.size(), "images", options.quiet);
   FrameTrackerOptions tracker;
   tracker.max_points = options.points;
+  PictureTracker pictures;
   PairCollector collector(exposures, config, tracker, &footage);
   for (const rosbag::MessageInstance& instance : view) {
     const auto image = read_message<sensor_msgs::Image>(instance);
     if (!image) continue;
     const ImageView pixels = view_image(*image);
+    // Between a picture and itself nothing moves, whatever the gyroscope says.
+    if (!pictures.add(image, to_time_ns(image->header.stamp)).is_new) continue;
     if (footage.frames == 0) {
       read_camera(bag, *image, topics, config, &footage);
       camera_frame = image->header.frame_id;

@@ -34,7 +34,7 @@ struct Footage {
   std::vector<TrackWindow> windows;
   std::vector<GyroSample> samples;
   std::optional<Eigen::Matrix3d> R_cam_imu;  ///< of tf
-  std::size_t frames = 0;
+  std::size_t frames = 0;                    ///< that show a new picture
   std::size_t without_exposure = 0;
   std::optional<TimeNs> message_readout_ns;  ///< of exposure messages
   FramePeriod period;

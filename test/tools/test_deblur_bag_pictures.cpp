@@ -11,8 +11,7 @@
 #include <rosbag/view.h>
 #include <nlohmann/json.hpp>
 
-#include "message_builders.hpp"
-#include "repeated_pictures.hpp"
+#include "picture_bag.hpp"
 #include "run_program.hpp"
 
 namespace gyro_deblur {
@@ -40,26 +39,6 @@ class DeblurBagPictures : public testing::Test {
   }
   std::string path(const std::string& name) const { return (directory_ / name).string(); }
 
-  void write_bag(const std::vector<Shot>& shots) const {
-    rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Write);
-    for (const sim::ImuSample& sample : camera().simulator().imu()) {
-      sensor_msgs::Imu imu = test::imu_message(sample.t_ns, sample.rate_rad_s.y());
-      imu.angular_velocity.x = sample.rate_rad_s.x();
-      imu.angular_velocity.z = sample.rate_rad_s.z();
-      bag.write("/imu", to_ros_time(sample.t_ns), imu);
-    }
-    const CameraCalibration& calibration = camera().simulator().camera().calibration();
-    for (const Shot& shot : shots) {
-      sensor_msgs::CameraInfoPtr info = test::camera_info(shot.stamp_ns, calibration.width_px, calibration.height_px);
-      info->K = {calibration.fx_px, 0, calibration.cx_px, 0, calibration.fy_px, calibration.cy_px, 0, 0, 1};
-      sensor_msgs::Image like;
-      like.header = info->header;
-      like.encoding = "mono8";
-      bag.write("/cam/image_raw", info->header.stamp, *to_image(shot.pixels, like));
-      bag.write("/cam/camera_info", info->header.stamp, *info);
-    }
-  }
-
   /// What deblur_bag says, and makes of every shot.
   struct Run {
     std::string said;
@@ -67,7 +46,7 @@ class DeblurBagPictures : public testing::Test {
     double psnr_db = 0;  ///< mean of new pictures
   };
   Run run(const std::vector<Shot>& shots, const std::string& more_config = "") const {
-    write_bag(shots);
+    test::write_bag(path("in.bag"), camera(), shots);
     std::ofstream(path("config.yaml")) << "exposure_time: 0.02\nreadout_time: 0.015\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\n"
                                        << more_config;
     const ProgramResult program =
