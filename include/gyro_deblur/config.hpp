@@ -58,6 +58,7 @@ struct Config {
   /// How long an image waits until the other one of its stereo pair is decided on; 0: each camera on its own.
   TimeNs stereo_patience_ns = 100'000'000;
   bool drop_bad = false;  ///< images of the verdict BAD are not published, see QualityVerdict
+  std::string mask_file;  ///< of the pixels that show the scene, see PixelMask; empty: all do
 
   void validate() const;  ///< throws OptionError
 };
@@ -66,12 +67,12 @@ struct Config {
 /// to `unknown` (when given) and otherwise ignored.
 /// Throws OptionError that names the key, its value and what is allowed, and for a calibration file that contradicts
 /// another or a key both values. A key that has its default says nothing, and leaves it to the file.
-/// @param folder  calibration files are relative to it; empty: to the working folder
+/// @param folder  calibration files and the mask are relative to it; empty: to the working folder
 Config parse_config(const std::string& yaml, std::vector<std::string>* unknown = nullptr,
                     const std::string& folder = "");
 
-/// Reads a YAML file; calibration files are relative to its folder. Throws OptionError with the path when it cannot be
-/// read or parsed.
+/// Reads a YAML file; calibration files and the mask are relative to its folder. Throws OptionError with the path when
+/// it cannot be read or parsed.
 Config load_config(const std::string& path, std::vector<std::string>* unknown = nullptr);
 
 /// What to tell of a key that is not known: "KEY is not known, ignored", and its present name where it has been

@@ -8,6 +8,7 @@
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/kernel_bank.hpp"
 #include "gyro_deblur/options.hpp"
+#include "gyro_deblur/pixel_mask.hpp"
 
 namespace gyro_deblur {
 
@@ -15,7 +16,9 @@ namespace gyro_deblur {
 /// noise_to_texture, by which make_filter_grid() chooses gamma, and turns those blocks NOISY that filtering would make
 /// worse. Does nothing by other rules, or where field.noise is not known.
 /// @param luminance  CV_8UC1 of the field's size
-void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& field, int threads = 0);
+/// @param mask       empty, or of the field's size: of the pixels that noise is found in
+void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& field, int threads = 0,
+                 const PixelMask& mask = {});
 
 /// The filters that deblur `field`: for DEBLURRED blocks of at least kMinKernelExtentPx the bank's kernels, or own ones
 /// where the path is uneven, made on at most `threads` threads (0: one for each core); inverses in the plane where it

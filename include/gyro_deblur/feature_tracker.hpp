@@ -11,6 +11,7 @@
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/options.hpp"
+#include "gyro_deblur/pixel_mask.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "gyro_deblur/time.hpp"
 
@@ -41,6 +42,10 @@ class FeatureTracker {
   /// Throws OptionError and keeps the former options when the new ones are not valid.
   void set_options(const TrackerOptions& options);
 
+  /// From the next image on no corner is on a masked pixel, and none is started whose window has one.
+  /// @param mask  empty, or of the camera's size
+  void set_mask(const PixelMask& mask);
+
   /// Forgets all tracks; ids go on.
   void reset();
 
@@ -53,7 +58,7 @@ class FeatureTracker {
   /// @param exposure   of this image; all tracks are forgotten first when it is not after the one before, or more than
   /// kLongestTrackBreakNs later
   /// @return all corners in this image, longest tracks first
-  /// Throws std::invalid_argument when the image does not fit.
+  /// Throws std::invalid_argument when the image, or the mask, does not fit.
   const std::vector<Track>& track(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
                                   const RowExposure& exposure);
 
@@ -68,6 +73,8 @@ class FeatureTracker {
   void add_corners(const cv::Mat& luminance, const Camera& camera);
 
   TrackerOptions options_;
+  PixelMask mask_;
+  cv::Mat with_used_window_;  // where corners may start; empty: everywhere, or not worked out yet
   std::int32_t next_id_ = 0;
   std::vector<Track> tracks_;
   std::vector<cv::Mat> pyramid_;  // of the newest image

@@ -25,12 +25,16 @@ enum class BlockStatus : std::uint8_t {
   NO_GYRO = 4,    ///< no usable gyroscope samples for this block's exposure: copied unchanged
   BENT = 5,       ///< the path leaves a straight line; too long for the plane, or no time for it: copied unchanged
   NOISY = 6,      ///< filtering would add more noise than it removes blur: copied unchanged
+  MASKED = 7,     ///< no pixel of it is used, see PixelMask: copied unchanged
+  /// Its pixels, or those that its filter would read, are masked in part or do not move with the camera in part: copied
+  /// unchanged.
+  STATIC_EDGE = 8,
 };
 
 /// All there are.
-constexpr std::array<BlockStatus, 7> kBlockStatuses{
-    BlockStatus::SHARP,   BlockStatus::DEBLURRED, BlockStatus::REJECTED, BlockStatus::TOO_LARGE,
-    BlockStatus::NO_GYRO, BlockStatus::BENT,      BlockStatus::NOISY};
+constexpr std::array<BlockStatus, 9> kBlockStatuses{
+    BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED, BlockStatus::TOO_LARGE,  BlockStatus::NO_GYRO,
+    BlockStatus::BENT,  BlockStatus::NOISY,     BlockStatus::MASKED,   BlockStatus::STATIC_EDGE};
 
 /// Name of the status, e.g. "DEBLURRED". Never null.
 const char* to_string(BlockStatus status);

@@ -9,6 +9,7 @@
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/pixel_mask.hpp"
 
 namespace gyro_deblur {
 
@@ -32,7 +33,7 @@ struct ExtentSpread {
   double median_px = 0, p95_px = 0;
 };
 
-/// An image after validation and deblurring. Blocks count by their pixels.
+/// An image after validation and deblurring. Blocks count by their pixels, MASKED ones in `shares` alone.
 struct FrameQuality {
   QualityVerdict verdict = QualityVerdict::UNKNOWN;
   /// [0, 1], the mean of expected_repeatability() of all blocks; nothing: not known.
@@ -50,7 +51,7 @@ struct FrameQuality {
 /// Shi-Tomasi corners, the 500 strongest of each image. Fitted to experiments/image_quality, see
 /// doc/reports/image_quality.md.
 /// @param noise_to_contrast  of the image, >= 0; see noise_to_contrast()
-/// @return in [0, 1]; nothing for a block whose blur is not known (NO_GYRO)
+/// @return in [0, 1]; nothing for a block whose blur is not known (NO_GYRO, MASKED)
 std::optional<double> expected_repeatability(const BlockBlur& block, double noise_to_contrast);
 
 /// Noise over what of an image's contrast is not noise, in [0, 1]; 0 where one of them is not known.
@@ -60,8 +61,9 @@ double noise_to_contrast(const FrameBlur& field);
 FrameQuality assess_quality(const FrameBlur& field);
 
 /// CV_8UC1 of the field's size: 255 where the image is sharp or restored, 0 where it is not, or nothing is known of it.
-/// A deblurred pixel is restored where all that its blur has mixed is inside the image.
-/// @param field  validated
-cv::Mat trust_mask(const FrameBlur& field);
+/// A deblurred pixel is restored where all that its blur has mixed is inside the image. Masked pixels have 0.
+/// @param field          validated
+/// @param mask_of_input  empty, or of the field's size
+cv::Mat trust_mask(const FrameBlur& field, const PixelMask& mask_of_input = {});
 
 }  // namespace gyro_deblur

@@ -7,6 +7,7 @@
 
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/options.hpp"
+#include "gyro_deblur/pixel_mask.hpp"
 
 namespace gyro_deblur {
 
@@ -23,13 +24,17 @@ namespace gyro_deblur {
 /// @param significant_bits  of 16-bit images: 2^bits - 1 becomes 255
 /// @param mean_of           >= 1; the noise that pixels would have if it were white and left in means of so many in
 ///                          either direction what is found there
-std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits = 16, int mean_of = 1);
+/// @param mask              empty, or of the image's size; squares with a masked pixel are left out
+std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits = 16, int mean_of = 1,
+                                  const PixelMask& mask = {});
 
-/// The same by the sensor's model, at the image's mean grey level. Precondition: luminance is CV_8UC1, not empty.
-double image_noise(const cv::Mat& luminance, const NoiseModel& model);
+/// The same by the sensor's model, at the mean grey level of the pixels that are used. Precondition: luminance is
+/// CV_8UC1, not empty.
+double image_noise(const cv::Mat& luminance, const NoiseModel& model, const PixelMask& mask = {});
 
 /// Standard deviation of an image's grey levels [of 8 bits], noise included, of every sixteenth pixel either way of
 /// the same channel, or plane of a mosaic. Blur leaves nearly all of it. 0 of an image without pixels.
-double image_contrast(const cv::Mat& image, PixelLayout layout, int significant_bits = 16);
+/// @param mask  empty, or of the image's size; masked pixels are left out
+double image_contrast(const cv::Mat& image, PixelLayout layout, int significant_bits = 16, const PixelMask& mask = {});
 
 }  // namespace gyro_deblur

@@ -7,6 +7,7 @@
 #include <opencv2/features2d.hpp>
 
 #include "gyro_deblur/options.hpp"
+#include "gyro_deblur/pixel_mask.hpp"
 
 namespace gyro_deblur {
 
@@ -33,8 +34,9 @@ class FeatureExtractor {
   explicit FeatureExtractor(const KeypointOptions& options);
 
   /// @param luminance CV_8UC1; smaller than about 16x16 gives no keypoints
+  /// @param mask      empty, or of the image's size; no keypoint is on a masked pixel
   /// Keypoints are ordered by falling response; equal input gives equal output.
-  Features extract(const cv::Mat& luminance);
+  Features extract(const cv::Mat& luminance, const PixelMask& mask = {});
 
   const KeypointOptions& options() const { return options_; }
 

@@ -18,6 +18,7 @@
 #include "gyro_deblur/kernel_bank.hpp"
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/options.hpp"
+#include "gyro_deblur/pixel_mask.hpp"
 #include "gyro_deblur/rectification.hpp"
 #include "gyro_deblur/residual_rotation.hpp"
 #include "gyro_deblur/rotation_track.hpp"
@@ -25,6 +26,7 @@
 namespace gyro_deblur {
 
 class ResidualFlow;
+class StaticContent;
 
 /// What is to become of a frame whose field is known.
 enum class Permit {
@@ -77,6 +79,9 @@ struct PipelineResult {
   int significant_bits = 8;  ///< of the image that came in, see BitDepth
   /// What the residual velocities have in common; nothing where too few are known, and for a picture that is repeated.
   std::optional<ResidualRotation> residual_rotation;
+  /// About how much of the image does not move with the camera and is not masked, in [0, 1], see StaticContent; blocks
+  /// at its edge are STATIC_EDGE.
+  double static_share = 0;
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;
   SlowBlocks slow_blocks;  ///< blocks that left the engine's fast path, and why
@@ -103,6 +108,12 @@ class Pipeline {
   /// Throws OptionError and keeps the former calibration when the new one is not valid. Cheap when nothing changed.
   void set_calibration(const CameraCalibration& calibration);
 
+  /// Masked pixels leave as they came, and are neither followed nor described nor counted; see mark_masked() and
+  /// mark_static_edges() for what becomes of blocks. The global-shutter image has them where they are.
+  /// @param mask  empty, or of the size of the images to come
+  void set_mask(const PixelMask& mask) { mask_ = mask; }
+  const PixelMask& mask() const { return mask_; }
+
   /// Name of the engine in use. Any thread may ask during process().
   std::string engine() const;
 
@@ -110,14 +121,15 @@ class Pipeline {
   /// set_options and after each frame.
   std::string take_warning();
 
-  /// Exposure of the picture before, from which corners are followed: how far back the next call's `motion` should reach.
+  /// Exposure of the picture before, from which corners are followed and static content is told: how far back the next
+  /// call's `motion` should reach.
   std::optional<TimeRange> newest_frame() const;
 
   /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
   /// @param motion  of the camera over the frame; blocks it does not cover are NO_GYRO. What it does not know of the
   ///                motion is found in the images, where it reaches back to the one before. With bridge_gyro_gaps, of
   ///                a frame that it does not cover wholly, the images tell all of it, or the block is NO_GYRO
-  /// Throws std::invalid_argument when the image does not fit, std::logic_error before set_calibration.
+  /// Throws std::invalid_argument when the image or the mask does not fit, std::logic_error before set_calibration.
   PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                          const RowExposure& exposure, const PipelineRequest& request);
 
@@ -125,6 +137,7 @@ class Pipeline {
   /// @param image        CV_8U or CV_16U that fits `layout`
   /// @param stamp_ns     becomes the result's reference time
   /// @param calibration  for the normalised coordinates, which are NaN without it
+  /// A mask of another size is not used.
   PipelineResult detect(const cv::Mat& image, PixelLayout layout, TimeNs stamp_ns,
                         const std::optional<CameraCalibration>& calibration);
 
@@ -132,11 +145,16 @@ class Pipeline {
   /// Beside `known`, of the blocks. Precondition: motion is looked for in images.
   ResidualField residual_velocities(const cv::Mat& luminance, const CameraMotion& known, const RowExposure& exposure,
                                     bool repeats_picture);
+  /// Looks for static content. @param luminance  may be empty: it is made where it is needed, and left there
+  void watch_static_content(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
+                            const RowExposure& exposure, cv::Mat* luminance, PipelineResult* result);
+  /// Blocks that the mask or static content keeps from being deblurred.
+  void mark_blocks(FrameBlur* field) const;
   /// @param image  deblurred
   void move_to_reference(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                          const RowExposure& exposure, PipelineResult* result) const;
   /// Fills features, or keypoints_text.
-  void extract(const cv::Mat& luminance, PipelineResult* result);
+  void extract(const cv::Mat& luminance, const PixelMask& mask, PipelineResult* result);
 
   EngineFactory make_engine_;
   PipelineOptions options_;
@@ -145,6 +163,9 @@ class Pipeline {
   std::unique_ptr<KernelBank> bank_;
   std::unique_ptr<Engine> engine_;
   BitDepth bit_depth_;
+  PixelMask mask_;
+  std::unique_ptr<StaticContent> static_content_;
+  std::optional<RowExposure> exposure_before_;
   std::unique_ptr<ResidualFlow> flow_;           // where asked for
   bool alone_ = false;                           // its newest image had no motion beside it
   std::unique_ptr<FeatureExtractor> extractor_;  // made when keypoints are asked for

@@ -22,6 +22,10 @@ const char* to_string(BlockStatus status) {
       return "BENT";
     case BlockStatus::NOISY:
       return "NOISY";
+    case BlockStatus::MASKED:
+      return "MASKED";
+    case BlockStatus::STATIC_EDGE:
+      return "STATIC_EDGE";
   }
   return "UNKNOWN";
 }

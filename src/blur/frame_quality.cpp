@@ -61,7 +61,7 @@ const char* to_string(QualityVerdict verdict) {
 }
 
 std::optional<double> expected_repeatability(const BlockBlur& block, double noise_to_contrast) {
-  if (block.status == BlockStatus::NO_GYRO) return std::nullopt;
+  if (block.status == BlockStatus::NO_GYRO || block.status == BlockStatus::MASKED) return std::nullopt;
   const double extent_px = block.extent_px;
   if (block.status == BlockStatus::DEBLURRED) {
     constexpr double kSharp = 0.79, kHalvedPx = 54, kByNoise = 1.36, kNoiseFromPx = 1.25;
@@ -99,11 +99,13 @@ FrameQuality assess_quality(const FrameBlur& field) {
   }
   quality.before = spread_of(before);
   quality.after = spread_of(after);
+  const double unmasked = 1 - quality.share(BlockStatus::MASKED);
   // Of an image of which most is not known the rest says little.
-  if (2 * known <= pixels_of_all) return quality;
+  if (2 * known <= unmasked * pixels_of_all) return quality;
   quality.score = score / known;
   constexpr double kNearlyAll = 0.9;  // ImageQuality.msg tells users
-  const double sharp = quality.share(BlockStatus::SHARP), deblurred = quality.share(BlockStatus::DEBLURRED);
+  const double sharp = quality.share(BlockStatus::SHARP) / unmasked,
+               deblurred = quality.share(BlockStatus::DEBLURRED) / unmasked;
   quality.verdict = *quality.score < kBadScore        ? QualityVerdict::BAD
                     : sharp >= kNearlyAll             ? QualityVerdict::SHARP
                     : sharp + deblurred >= kNearlyAll ? QualityVerdict::DEBLURRED
@@ -111,7 +113,7 @@ FrameQuality assess_quality(const FrameBlur& field) {
   return quality;
 }
 
-cv::Mat trust_mask(const FrameBlur& field) {
+cv::Mat trust_mask(const FrameBlur& field, const PixelMask& mask_of_input) {
   constexpr int kTrusted = 255;
   cv::Mat mask = cv::Mat::zeros(field.grid.height_px(), field.grid.width_px(), CV_8UC1);
   for (int i = 0; i < static_cast<int>(field.blocks.size()); ++i) {
@@ -126,6 +128,7 @@ cv::Mat trust_mask(const FrameBlur& field) {
     }
     mask(trusted) = kTrusted;
   }
+  if (!mask_of_input.empty()) mask &= mask_of_input.pixels();
   return mask;
 }
 

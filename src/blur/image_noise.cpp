@@ -31,6 +31,7 @@ struct Plane {
   int step;              ///< pixels between samples
   int channel;
   int mean_of = 1;  ///< so many samples in either direction are one value
+  PixelMask mask = {};
 
   int cols() const { return (image.cols - first_x + step - 1) / step / mean_of; }
   int rows() const { return (image.rows - first_y + step - 1) / step / mean_of; }
@@ -61,7 +62,7 @@ struct Square {
 constexpr int kBandRows = kSquarePx + 2 * kReachPx;
 using Band = std::array<std::vector<float>, kBandRows>;
 
-/// Added to a sample that is black or saturated; makes the mean of any others negative.
+/// Added to a sample that is black, saturated or masked; makes the mean of any others negative.
 constexpr float kClipped = -1e4;
 
 /// Adds `count` samples, `stride` of the image's values apart.
@@ -82,8 +83,9 @@ void load(const Plane& plane, int first_row, int full_scale, Band& band) {
   for (int y = 0; y < kBandRows; ++y) {
     band[y].assign(cols, 0);
     for (int i = 0; i < n * n; ++i) {
-      const Pixel* from = plane.image.ptr<Pixel>(plane.first_y + ((first_row + y) * n + i / n) * plane.step) +
-                          (plane.first_x + i % n * plane.step) * channels + plane.channel;
+      const int row = plane.first_y + ((first_row + y) * n + i / n) * plane.step,
+                first_col = plane.first_x + i % n * plane.step;
+      const Pixel* from = plane.image.ptr<Pixel>(row) + first_col * channels + plane.channel;
       float* to = band[y].data();
       // Strides that the compiler knows vectorise.
       if (stride == 1) {
@@ -93,13 +95,16 @@ void load(const Plane& plane, int first_row, int full_scale, Band& band) {
       } else {
         add_samples(from, stride, cols, scale, full_scale, to);
       }
+      if (plane.mask.empty()) continue;
+      const std::uint8_t* used = plane.mask.pixels().ptr<std::uint8_t>(row) + first_col;
+      for (int x = 0; x < cols; ++x) to[x] += used[x * n * plane.step] == 0 ? kClipped : 0;
     }
   }
 }
 
 float checkerboard(float a, float b, float c, float d, float e) { return a + e + kOuter * (b + d) + kInner * c; }
 
-/// Adds the squares of a band that are neither black nor saturated anywhere.
+/// Adds the squares of a band that are neither black nor saturated nor masked anywhere.
 void add_squares(const Band& band, std::vector<float>& down, std::vector<float>& sums, std::vector<Square>& squares) {
   const int cols = static_cast<int>(band[0].size()), count = (cols - 2 * kReachPx) / kSquarePx;
   // By column: the filter's power, sum and sum of squares of the means, and whether a pixel is at the end of the range.
@@ -199,17 +204,19 @@ double variance_without_texture(const std::vector<Square>& squares) {
 
 }  // namespace
 
-std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits, int mean_of) {
+std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits, int mean_of,
+                                  const PixelMask& mask) {
   const int full_scale = image.depth() == CV_8U ? 255 : (1 << significant_bits) - 1;
   Plane plane = green_plane(image, layout);
   plane.mean_of = mean_of;
+  plane.mask = mask;
   std::vector<Square> squares = squares_of(plane, image.depth(), full_scale);
   if (squares.size() < kMinSquares) return std::nullopt;
   std::sort(squares.begin(), squares.end(), [](const Square& a, const Square& b) { return a.texture < b.texture; });
   return mean_of * std::sqrt(variance_without_texture(squares));
 }
 
-double image_contrast(const cv::Mat& image, PixelLayout layout, int significant_bits) {
+double image_contrast(const cv::Mat& image, PixelLayout layout, int significant_bits, const PixelMask& mask) {
   constexpr int kStep = 16;
   const Plane plane = green_plane(image, layout);
   const bool wide = image.depth() == CV_16U;
@@ -219,7 +226,8 @@ double image_contrast(const cv::Mat& image, PixelLayout layout, int significant_
     const int row = plane.first_y + y * plane.step;
     // Every second row half a step farther, or stripes as wide as a step would look flat.
     for (int x = y / step % 2 * step / 2; x < plane.cols(); x += step) {
-      const int i = (plane.first_x + x * plane.step) * image.channels() + plane.channel;
+      const int col = plane.first_x + x * plane.step, i = col * image.channels() + plane.channel;
+      if (!mask.empty() && mask.pixels().at<std::uint8_t>(row, col) == 0) continue;
       const std::int64_t level = wide ? image.ptr<std::uint16_t>(row)[i] : image.ptr<std::uint8_t>(row)[i];
       sum += level;
       squares += level * level;
@@ -232,8 +240,10 @@ double image_contrast(const cv::Mat& image, PixelLayout layout, int significant_
   return 255 / full_scale * std::sqrt(std::max(0.0, mean_of_squares - mean * mean));
 }
 
-double image_noise(const cv::Mat& luminance, const NoiseModel& model) {
-  return std::sqrt(model.read_noise * model.read_noise + model.noise_gain * cv::mean(luminance)[0]);
+double image_noise(const cv::Mat& luminance, const NoiseModel& model, const PixelMask& mask) {
+  // Without a mask OpenCV wants none at all.
+  const double mean = mask.empty() ? cv::mean(luminance)[0] : cv::mean(luminance, mask.pixels())[0];
+  return std::sqrt(model.read_noise * model.read_noise + model.noise_gain * mean);
 }
 
 }  // namespace gyro_deblur

@@ -76,6 +76,10 @@ const char* fate(BlockStatus status) {
       return "blurred along a bow";
     case BlockStatus::NOISY:
       return "too noisy to gain";
+    case BlockStatus::MASKED:
+      return "masked";
+    case BlockStatus::STATIC_EDGE:
+      return "at a static edge";
   }
   return "";
 }
@@ -174,6 +178,10 @@ cv::Vec3b status_color_rgb(BlockStatus status) {
       return {70, 200, 255};
     case BlockStatus::NOISY:
       return {140, 110, 255};
+    case BlockStatus::MASKED:
+      return {90, 90, 90};
+    case BlockStatus::STATIC_EDGE:
+      return {255, 140, 130};
   }
   return {255, 255, 255};
 }

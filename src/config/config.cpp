@@ -133,6 +133,7 @@ Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
 
 Config parse_node(const YAML::Node& node, std::vector<std::string>* unknown, const std::string& folder) {
   Config config = read_keys(node, unknown);
+  if (!config.mask_file.empty()) config.mask_file = (std::filesystem::path(folder) / config.mask_file).string();
   if (!config.calibration_files.empty()) {
     std::vector<SensorCalibration> sources;
     for (const std::string& file : config.calibration_files) {

@@ -120,6 +120,9 @@ ParameterGroup image() {
                "of the sensor, standard deviation at 8 bits; 0 and noise_gain 0: estimated from each image", RUNNING},
               {"noise_gain", &NoiseModel::noise_gain, within(0, 10, "grey levels"),
                "of the sensor: what a grey level more adds to the noise's variance", RUNNING},
+              {"mask", &Config::mask_file,
+               "PNG or PGM file, mono8, of the image's size: pixels of 0 (a lens's rim, a part of the vehicle) are not "
+               "deblurred, followed or described; relative as calibration_file, '': none; the topic mask replaces it"},
               {"global_shutter_border", &PipelineOptions::global_shutter_border,
                "what the global-shutter image has where the image ends: nothing, or the nearest pixel"},
           }};

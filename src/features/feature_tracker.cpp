@@ -42,7 +42,14 @@ void FeatureTracker::set_options(const TrackerOptions& options) {
   options.validate();
   // The pyramid of the newest image has the former levels and borders.
   if (options.window_px != options_.window_px || options.levels != options_.levels) reset();
+  if (options.window_px != options_.window_px) with_used_window_.release();
   options_ = options;
+}
+
+void FeatureTracker::set_mask(const PixelMask& mask) {
+  if (mask.is_same(mask_)) return;
+  mask_ = mask;
+  with_used_window_.release();
 }
 
 void FeatureTracker::reset() {
@@ -64,6 +71,7 @@ const std::vector<Track>& FeatureTracker::track(const cv::Mat& luminance, const 
     throw std::invalid_argument("tracking needs 8-bit luminance of the camera's size, " +
                                 std::to_string(calibration.width_px) + "x" + std::to_string(calibration.height_px));
   }
+  if (!mask_.empty() && mask_.size() != luminance.size()) throw std::invalid_argument("the mask has not its size");
   if (exposure_) {
     const TimeNs step_ns = exposure.start(0) - exposure_->start(0);
     if (step_ns <= 0 || step_ns > kLongestTrackBreakNs || calibration != calibration_) reset();
@@ -107,6 +115,7 @@ void FeatureTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& c
   const double focal_px = camera.calibration().fx_px;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
     if (!corners.found[i] || !inside(after[i], size)) continue;
+    if (!mask_.uses({cvRound(after[i].x), cvRound(after[i].y)})) continue;
     Track track = tracks_[i];
     const Eigen::Vector3d ray = camera.ray(to_eigen(after[i]));
     if (!ray.allFinite()) continue;
@@ -139,7 +148,9 @@ void FeatureTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& c
 
 void FeatureTracker::add_corners(const cv::Mat& luminance, const Camera& camera) {
   std::stable_sort(tracks_.begin(), tracks_.end(), [](const Track& a, const Track& b) { return a.length > b.length; });
+  if (with_used_window_.empty()) with_used_window_ = mask_.with_used_window(options_.window_px / 2);
   cv::Mat allowed(luminance.size(), CV_8UC1, cv::Scalar(255));
+  if (!with_used_window_.empty()) with_used_window_.copyTo(allowed);
   const int radius_px = cvRound(options_.min_distance_px);
   cv::Mat met(luminance.size(), CV_8UC1, cv::Scalar(0));
   std::size_t kept = 0;

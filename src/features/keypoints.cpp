@@ -175,13 +175,13 @@ FeatureExtractor::FeatureExtractor(const KeypointOptions& options) : options_(op
   }
 }
 
-Features FeatureExtractor::extract(const cv::Mat& luminance) {
+Features FeatureExtractor::extract(const cv::Mat& luminance, const PixelMask& mask) {
   if (luminance.type() != CV_8UC1) throw std::invalid_argument("keypoints are detected on CV_8UC1 luminance");
   Features features;
   if (luminance.cols < kMinSidePx || luminance.rows < kMinSidePx) return features;
 
   std::vector<cv::KeyPoint> found;
-  detector_->detect(luminance, found);
+  detector_->detect(luminance, found, mask.pixels());
   // GFTT of OpenCV before 4.5.5 gives no response but falls in strength: let the rank stand for it.
   const bool no_response = std::all_of(found.begin(), found.end(), [](const auto& k) { return k.response == 0; });
   if (no_response) {

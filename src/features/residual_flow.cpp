@@ -145,7 +145,9 @@ double seen_from_px(const VelocityPlane& plane, const std::vector<Neighbour>& ne
 }
 
 /// The best of each cell: all over the image, for what has most texture may be an object that moves by itself.
-std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const ResidualFlowOptions& options) {
+/// @param usable  CV_8UC1 of the image's size: 0 where no corner is wanted; or empty
+std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const cv::Mat& usable,
+                                            const ResidualFlowOptions& options) {
   constexpr int kNeighbourhoodPx = 3;
   const auto cells_along = [&](int length_px) {
     return std::max(1, (length_px + options.cell_px / 2) / options.cell_px);
@@ -170,6 +172,7 @@ std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const Residual
         for (int x = cell.x; x < cell.x + cell.width; ++x) {
           const float value = strength.at<float>(y, x);
           if (value <= 0 || value != largest.at<float>(y, x)) continue;
+          if (!usable.empty() && usable.at<uchar>(y, x) == 0) continue;
           best = std::max(best, value);
           candidates.emplace_back(value, cv::Point2f(static_cast<float>(x), static_cast<float>(y)));
         }
@@ -201,6 +204,23 @@ std::optional<TimeRange> ResidualFlow::newest_frame() const {
 std::optional<ResidualField> ResidualFlow::found_for(const RowExposure& exposure, const BlockGrid& grid) const {
   if (!exposure_ || exposure_->start(0) != exposure.start(0)) return std::nullopt;
   return newest_.size() == static_cast<std::size_t>(grid.size()) ? newest_ : ResidualField();
+}
+
+void ResidualFlow::set_mask(const PixelMask& mask) {
+  if (mask.is_same(mask_)) return;
+  mask_ = mask;
+  usable_.release();
+}
+
+void ResidualFlow::shrink_mask(const cv::Size& size) {
+  if (mask_.empty() || usable_.size() == size) return;
+  cv::Mat share;
+  cv::resize(mask_.pixels(), share, size, 0, 0, cv::INTER_AREA);
+  // Each halving smooths over two pixels to either side.
+  constexpr int kSmoothedPx = 2;
+  constexpr int kWholly = 255;
+  const int side_px = options_.window_px + 2 * kSmoothedPx;
+  cv::erode(share == kWholly, usable_, cv::getStructuringElement(cv::MORPH_RECT, {side_px, side_px}));
 }
 
 void ResidualFlow::reset() {
@@ -255,6 +275,7 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
   std::vector<cv::Mat> pyramid;
   on_one_thread([&] {
     small = shrink(luminance);
+    shrink_mask(small.size());
     pyramid = corner_pyramid(small, options_.window_px, options_.levels);
   });
   samples_.clear();
@@ -276,7 +297,7 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
     inertial_.clear();
   }
   corners_.clear();
-  on_one_thread([&] { corners_ = corners_everywhere(small, options_); });
+  on_one_thread([&] { corners_ = corners_everywhere(small, usable_, options_); });
   pyramid_ = std::move(pyramid);
   exposure_ = exposure;
   newest_ = carried;
@@ -384,6 +405,7 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
   const std::vector<cv::Point2f>& after = corners.places;
   for (std::size_t i = 0; i < after.size(); ++i) {
     if (!corners.found[i] || !has_window(after[i], size, options_.window_px)) continue;
+    if (!usable_.empty() && usable_.at<uchar>(cvRound(after[i].y), cvRound(after[i].x)) == 0) continue;
     Eigen::Vector2d from_px(scale * before[i].x, scale * before[i].y);
     Eigen::Vector2d pixel_px(scale * after[i].x, scale * after[i].y);
     const auto from_offset_px = mean_offset(from_px, camera, motion, *exposure_);

@@ -12,6 +12,7 @@
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/pixel_mask.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "gyro_deblur/time.hpp"
 
@@ -41,6 +42,10 @@ struct ResidualFlowOptions {
 class ResidualFlow {
  public:
   explicit ResidualFlow(const ResidualFlowOptions& options = {}) : options_(options) {}
+
+  /// From the next image on corners are those whose window has no masked pixel.
+  /// @param mask  empty, or of the camera's size
+  void set_mask(const PixelMask& mask);
 
   /// A corner of the newest image.
   struct Sample {
@@ -79,6 +84,8 @@ class ResidualFlow {
  private:
   ResidualFlowOptions options_;
   cv::Mat shrink(const cv::Mat& luminance);
+  /// Works usable_ out for a smaller image of this size.
+  void shrink_mask(const cv::Size& size);
   void follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
                       const RowExposure& exposure, const BlockGrid& grid);
   /// What the image before had for the velocity of what a block shows now, as it would be seen now; nothing where that
@@ -96,6 +103,8 @@ class ResidualFlow {
   /// Since the image before.
   ResidualField mean_velocities(const BlockGrid& grid, int threads) const;
 
+  PixelMask mask_;
+  cv::Mat usable_;                    // smaller: 255 where a corner may be; empty: everywhere, or not worked out yet
   std::vector<cv::Mat> pyramid_;      // of the newest image, smaller
   std::vector<cv::Point2f> corners_;  // of it, in its pixels
   double scale_ = 1;                  // pixels of the image in one of it

@@ -172,7 +172,8 @@ cv::Rect at_least(int side_px, const cv::Rect& rect, const cv::Size& image) {
 
 }  // namespace
 
-void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& field, int threads) {
+void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& field, int threads,
+                 const PixelMask& mask) {
   if (bank.options().gamma_rule != GammaRule::NOISE || !field.noise || field.count(BlockStatus::DEBLURRED) == 0) return;
   if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
       luminance.rows != field.grid.height_px()) {
@@ -181,7 +182,7 @@ void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& fi
   // A camera that smooths its noise, or compresses its images, leaves more of it in coarser detail than in the finest.
   // Of texture blur of 10 px leaves an eighth or less there (0.25 cycles/px); up to half as much again may be that.
   constexpr double kTextureShare = 1.5, kMinCoarseExtentPx = 10;
-  const double found = image_noise(luminance, PixelLayout::GRAY, 8, 2).value_or(0);
+  const double found = image_noise(luminance, PixelLayout::GRAY, 8, 2, mask).value_or(0);
   const double coarse = found > kTextureShare * *field.noise ? found : *field.noise;
   constexpr int kBlocksAtATime = 16, kMinSidePx = 32;  // 240 differences: a tenth off
   run_parallel(field.grid.size(), threads, kBlocksAtATime, [&](int i) {

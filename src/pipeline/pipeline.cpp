@@ -5,6 +5,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "blur/static_content.hpp"
+#include "features/corner_prediction.hpp"
 #include "features/residual_flow.hpp"
 #include "gyro_deblur/blur_validation.hpp"
 #include "gyro_deblur/image_noise.hpp"
@@ -25,7 +27,13 @@ class Stopwatch {
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };
 
-void require_fit(const cv::Mat& image, PixelLayout layout, const CameraCalibration& calibration) {
+void require_fit(const cv::Mat& image, PixelLayout layout, const CameraCalibration& calibration,
+                 const PixelMask& mask) {
+  if (!mask.empty() && mask.size() != image.size()) {
+    throw std::invalid_argument("mask of " + std::to_string(mask.size().width) + "x" +
+                                std::to_string(mask.size().height) + " px does not fit the image of " +
+                                std::to_string(image.cols) + "x" + std::to_string(image.rows) + " px");
+  }
   if (image.cols != calibration.width_px || image.rows != calibration.height_px) {
     throw std::invalid_argument("image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
                                 " px does not fit the calibration of " + std::to_string(calibration.width_px) + "x" +
@@ -69,6 +77,15 @@ class StandingCamera : public CameraMotion {
   Eigen::Matrix3d rotation(TimeNs, TimeNs) const override { return Eigen::Matrix3d::Identity(); }
 };
 
+/// Residual velocities of blocks that are not masked wholly.
+ResidualField of_used(ResidualField residuals, const BlockGrid& grid, const PixelMask& mask) {
+  for (std::size_t i = 0; !mask.empty() && i < residuals.size(); ++i) {
+    const cv::Rect rect = grid.rect(static_cast<int>(i));
+    if (mask.masked_in(rect) == rect.area()) residuals[i].reset();
+  }
+  return residuals;
+}
+
 /// Blocks of a field beside no motion: that none was found does not say that there is none.
 void require_residuals(FrameBlur* field) {
   field->images_alone = true;
@@ -80,7 +97,7 @@ void require_residuals(FrameBlur* field) {
 }  // namespace
 
 Pipeline::Pipeline(const PipelineOptions& options, EngineFactory engine_factory)
-    : make_engine_(std::move(engine_factory)) {
+    : make_engine_(std::move(engine_factory)), static_content_(std::make_unique<StaticContent>()) {
   set_options(options);
 }
 
@@ -122,7 +139,11 @@ void Pipeline::set_options(const PipelineOptions& options) {
   }
 }
 
-std::optional<TimeRange> Pipeline::newest_frame() const { return flow_ ? flow_->newest_frame() : std::nullopt; }
+std::optional<TimeRange> Pipeline::newest_frame() const {
+  if (flow_) return flow_->newest_frame();
+  if (!exposure_before_) return std::nullopt;
+  return exposure_before_->frame();
+}
 
 void Pipeline::set_calibration(const CameraCalibration& calibration) {
   if (camera_ && camera_->calibration() == calibration) return;
@@ -131,6 +152,8 @@ void Pipeline::set_calibration(const CameraCalibration& calibration) {
   camera_ = std::move(camera);
   estimator_ = std::move(estimator);
   if (flow_) flow_->reset();
+  static_content_->reset();
+  exposure_before_.reset();
 }
 
 std::string Pipeline::engine() const { return engine_->name(); }
@@ -143,7 +166,7 @@ std::string Pipeline::take_warning() {
 PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                                  const RowExposure& exposure, const PipelineRequest& request) {
   if (!camera_) throw std::logic_error("Pipeline::process before set_calibration");
-  require_fit(image, layout, camera_->calibration());
+  require_fit(image, layout, camera_->calibration(), mask_);
 
   PipelineResult result;
   result.reference_ns = exposure.reference_time(options_.rectify_to);
@@ -158,21 +181,25 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     luminance = luminance8(image, layout, result.significant_bits);
     if (alone != alone_) flow_->change_motion(*camera_, estimator_->grid(), alone ? &motion : nullptr);
     alone_ = alone;
+    flow_->set_mask(mask_);
     residuals = residual_velocities(luminance, known, exposure, request.repeats_picture);
     if (!alone && !request.repeats_picture) {
-      result.residual_rotation = fit_residual_rotation(residuals, estimator_->grid(), *camera_, motion, exposure);
+      result.residual_rotation = fit_residual_rotation(of_used(residuals, estimator_->grid(), mask_),
+                                                       estimator_->grid(), *camera_, motion, exposure);
     }
     result.times.flow_ms = watch.ms();
   }
   const Stopwatch blur_field_watch;
+  watch_static_content(image, layout, motion, exposure, &luminance, &result);
   result.field = estimator_->estimate(known, exposure, residuals, request.in_a_hurry);
   if (alone) require_residuals(&result.field);
+  mark_blocks(&result.field);
   result.times.blur_field_ms = blur_field_watch.ms();
 
   std::optional<double> found_noise;
   if (!options_.noise.is_known()) {
     const Stopwatch watch;
-    found_noise = image_noise(image, layout, result.significant_bits);
+    found_noise = image_noise(image, layout, result.significant_bits, 1, mask_);
     result.times.noise_ms = watch.ms();
   }
   const bool image_is_luminance = layout == PixelLayout::GRAY && image.depth() == CV_8U;
@@ -191,10 +218,10 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     if (luminance.empty() && (weighs || options_.noise.is_known())) {
       luminance = luminance8(image, layout, result.significant_bits);
     }
-    result.field.noise = options_.noise.is_known() ? image_noise(luminance, options_.noise) : found_noise;
-    result.field.contrast = image_contrast(image, layout, result.significant_bits);
+    result.field.noise = options_.noise.is_known() ? image_noise(luminance, options_.noise, mask_) : found_noise;
+    result.field.contrast = image_contrast(image, layout, result.significant_bits, mask_);
     if (weighs) {
-      weigh_noise(luminance, *bank_, result.field, options_.threads);
+      weigh_noise(luminance, *bank_, result.field, options_.threads, mask_);
     } else {
       for (BlockBlur& block : result.field.blocks) {
         if (block.status != BlockStatus::DEBLURRED) continue;
@@ -238,7 +265,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (request.luminance) result.luminance = luminance;
   if (!request.keypoints) return result;
   const Stopwatch watch;
-  extract(luminance, &result);
+  extract(luminance, mask_, &result);
   result.points = rectify_points(positions(result.features.keypoints), result.field, *camera_, known, exposure,
                                  result.reference_ns);
   result.covariances_px2 = covariances(luminance, options_.keypoints.detector, exposure, result);
@@ -255,6 +282,26 @@ ResidualField Pipeline::residual_velocities(const cv::Mat& luminance, const Came
                : flow_->follow(luminance, *camera_, known, exposure, estimator_->grid(), options_.threads);
 }
 
+void Pipeline::watch_static_content(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
+                                    const RowExposure& exposure, cv::Mat* luminance, PipelineResult* result) {
+  const Eigen::Vector2d center_px(0.5 * (image.cols - 1), 0.5 * (image.rows - 1));
+  std::optional<Eigen::Vector2d> now_px;
+  if (exposure_before_) now_px = predicted_pixel(center_px, *camera_, motion, *exposure_before_, exposure);
+  exposure_before_ = exposure;
+  if (now_px && static_content_->move(*now_px - center_px)) {
+    if (luminance->empty()) *luminance = luminance8(image, layout, result->significant_bits);
+    static_content_->add(*luminance, mask_);
+  }
+  result->static_share = static_content_->share();
+}
+
+void Pipeline::mark_blocks(FrameBlur* field) const {
+  const FilterReach reach{options_.kernel.length_factor, engine_->prefers_plane()};
+  mark_masked(mask_, field);
+  mark_static_edges(mask_, reach, field);
+  mark_static_edges(static_content_->edges(), reach, field);
+}
+
 void Pipeline::move_to_reference(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                                  const RowExposure& exposure, PipelineResult* result) const {
   if (result->field.count(BlockStatus::NO_GYRO) == result->field.blocks.size()) return;
@@ -266,16 +313,18 @@ void Pipeline::move_to_reference(const cv::Mat& image, PixelLayout layout, const
         global_shutter_map(result->field, *camera_, motion, exposure, result->reference_ns, options_.threads);
     if (map.empty()) return;
     // A mosaic's pixels lose their colours where they are moved by fractions of a pixel.
-    result->global_shutter = to_global_shutter(is_bayer(layout) ? demosaiced(image, layout) : image, map,
-                                               options_.global_shutter_border, options_.threads);
+    const cv::Mat colors = is_bayer(layout) ? demosaiced(image, layout) : image;
+    result->global_shutter = to_global_shutter(colors, map, options_.global_shutter_border, options_.threads);
+    // What does not move with the camera stays where it is.
+    if (!mask_.empty()) colors.copyTo(result->global_shutter, mask_.pixels() == 0);
   }
   result->times.global_shutter_ms = watch.ms();
 }
 
-void Pipeline::extract(const cv::Mat& luminance, PipelineResult* result) {
+void Pipeline::extract(const cv::Mat& luminance, const PixelMask& mask, PipelineResult* result) {
   try {
     if (!extractor_) extractor_ = std::make_unique<FeatureExtractor>(options_.keypoints);
-    result->features = extractor_->extract(luminance);
+    result->features = extractor_->extract(luminance, mask);
   } catch (const std::exception& error) {
     result->features = {};
     result->keypoints_text = error.what();
@@ -288,7 +337,8 @@ PipelineResult Pipeline::detect(const cv::Mat& image, PixelLayout layout, TimeNs
   result.reference_ns = stamp_ns;
   result.significant_bits = bit_depth_.of(image, layout);
   const Stopwatch watch;
-  extract(luminance8(image, layout, result.significant_bits), &result);
+  extract(luminance8(image, layout, result.significant_bits), mask_.size() == image.size() ? mask_ : PixelMask(),
+          &result);
   const std::vector<Eigen::Vector2d> points_px = positions(result.features.keypoints);
   std::optional<Camera> camera;
   if (calibration) camera.emplace(*calibration);

@@ -14,6 +14,7 @@
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/pipeline.hpp"
+#include "gyro_deblur/pixel_mask.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/input_problems.hpp"
 #include "ros/intake.hpp"
@@ -31,6 +32,7 @@ struct AssembledFrame : PictureMotion {
   bool rectified_input = false;
   bool drop_bad = false;
   bool in_a_hurry = false;  ///< see OverloadRule::is_in_a_hurry()
+  PixelMask mask;           ///< empty, or of the image's size
   int configuration = 0;    ///< number of the one that `options` are of
   /// The camera sends pictures again: what is made of this one is kept for them.
   bool pictures_repeat = false;

@@ -67,6 +67,7 @@ DeblurNodelet::~DeblurNodelet() {
   bias_service_.shutdown();
   tf_subscriber_.shutdown();
   tf_static_subscriber_.shutdown();
+  mask_subscriber_.shutdown();
   image_transport::Subscriber image_subscriber;
   ros::Subscriber camera_info_subscriber, compressed_subscriber;
   {
@@ -162,6 +163,7 @@ void DeblurNodelet::onInit() {
   transport_ = std::make_unique<image_transport::ImageTransport>(nh);
   tf_static_subscriber_ = nh.subscribe("/tf_static", kTfQueue, &DeblurNodelet::on_transforms, this);
   tf_subscriber_ = nh.subscribe("/tf", kTfQueue, &DeblurNodelet::on_transforms, this);
+  mask_subscriber_ = nh.subscribe("mask", 1, &DeblurNodelet::on_mask, this);
   imu_->listen(this, [this] { on_imu(); });
   report_.start(processor_->statistics(), std::chrono::steady_clock::now());
   advertise(output_queue(config.value_or(Config())));
@@ -393,6 +395,10 @@ void DeblurNodelet::on_compressed_image(const sensor_msgs::CompressedImageConstP
 void DeblurNodelet::on_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   guarded("taking a camera_info in", [&] { processor_->add_camera_info(info); });
   wake_worker();
+}
+
+void DeblurNodelet::on_mask(const sensor_msgs::ImageConstPtr& mask) {
+  guarded("taking a mask in", [&] { processor_->add_mask(*mask); });
 }
 
 void DeblurNodelet::on_imu() {

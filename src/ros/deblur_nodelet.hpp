@@ -67,6 +67,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   void on_image(const sensor_msgs::ImageConstPtr& image);
   void on_compressed_image(const sensor_msgs::CompressedImageConstPtr& image);
   void on_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
+  void on_mask(const sensor_msgs::ImageConstPtr& mask);
   void on_imu();
   void on_exposure(const ExposureConstPtr& exposure);
   void on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event);
@@ -95,6 +96,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   tf2::BufferCore tf_buffer_;
   ros::Subscriber tf_subscriber_;
   ros::Subscriber tf_static_subscriber_;
+  ros::Subscriber mask_subscriber_;
 
   std::unique_ptr<image_transport::ImageTransport> transport_;
   std::shared_ptr<SharedImu> imu_;

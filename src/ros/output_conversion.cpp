@@ -85,6 +85,8 @@ ImageQualityPtr to_message(const FrameQuality& quality, const std_msgs::Header& 
   message->no_gyro = share(BlockStatus::NO_GYRO);
   message->bent = share(BlockStatus::BENT);
   message->noisy = share(BlockStatus::NOISY);
+  message->masked = share(BlockStatus::MASKED);
+  message->static_edge = share(BlockStatus::STATIC_EDGE);
   return message;
 }
 

@@ -27,12 +27,14 @@ struct MadePicture {
   sensor_msgs::ImageConstPtr image;  ///< some of the result may share its memory
   int configuration = 0;
   CameraCalibration calibration;
+  PixelMask mask;
   PipelineRequest request;
   PipelineResult result;
 
   /// Whether it is what would be made of this frame for this request.
   bool serves(const AssembledFrame& assembled, const PipelineRequest& wanted) const {
     return configuration == assembled.configuration && calibration == *assembled.frame.calibration &&
+           mask.is_same(assembled.mask) &&
            (request.image || !wanted.image) && (request.keypoints || !wanted.keypoints) &&
            (request.luminance || !wanted.luminance) && (request.global_shutter || !wanted.global_shutter);
   }
@@ -130,7 +132,7 @@ PipelineResult make(const AssembledFrame& assembled, const FrameRequest& request
   if (assembled.pictures_repeat && frame.picture && permit_of(*decision) == Permit::DEBLUR) {
     wanted.permit = nullptr;
     frame.picture->made = std::make_shared<MadePicture>(
-        MadePicture{frame.image, assembled.configuration, *frame.calibration, wanted, result});
+        MadePicture{frame.image, assembled.configuration, *frame.calibration, assembled.mask, wanted, result});
   }
   return result;
 }
@@ -146,6 +148,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
 
   pipeline.set_options(assembled.options);
   pipeline.set_calibration(*frame.calibration);
+  pipeline.set_mask(assembled.mask);
   const RotationTrack rotation(assembled.samples, assembled.gyro, assembled.R_cam_imu, assembled.own_begin);
   FrameDecision decision;
   PipelineResult result = make(assembled, request, view, rotation, &decision);
@@ -158,6 +161,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
     output->residual_rotation->rate_rad_s = R_imu_cam * result.residual_rotation->rate_rad_s;
     output->residual_rotation->known_rad_s = R_imu_cam * result.residual_rotation->known_rad_s;
   }
+  output->static_share = result.static_share;
   output->slow_blocks = result.slow_blocks;
   output->engine_warning = pipeline.take_warning();
   output->keypoints_text = result.keypoints_text;
@@ -169,6 +173,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   if (request.tracks && !output->dropped) {
     start = std::chrono::steady_clock::now();
     tracker->set_options(assembled.tracker_options);
+    tracker->set_mask(assembled.mask);
     const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
     output->tracks =
         to_message((tracker->*track)(result.luminance, Camera(*frame.calibration), rotation, *assembled.exposure),
@@ -189,7 +194,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
   const FrameQuality quality = assess_quality(result.field);
   output->quality = to_message(quality, header);
-  if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field), header);
+  if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field, assembled.mask), header);
   if (decision.refusal.empty() || output->dropped) {
     output->exposure_terms =
         exposure_terms(result.field, quality, assembled.options.blur_field, assembled.options.noise);
@@ -223,6 +228,7 @@ KeypointArrayPtr raw_keypoints(const AssembledFrame& assembled, PassThroughReaso
       }
     }
     assembled.pipeline->set_options(assembled.options);
+    assembled.pipeline->set_mask(assembled.mask);
     const PipelineResult result = assembled.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration);
     *text = result.keypoints_text;
     return to_message(result, assembled.options.keypoints, none->header);
@@ -258,6 +264,7 @@ void pass_through_failed(const std::string& text, FrameOutput* output) {
   output->global_shutter.reset();
   output->global_shutter_info.reset();
   output->residual_rotation.reset();
+  output->static_share = 0;
 }
 
 }  // namespace

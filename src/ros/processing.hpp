@@ -62,6 +62,7 @@ struct FrameOutput {
   SlowBlocks slow_blocks;                             ///< that left the engine's fast path, by reason
   std::string engine_warning;                         ///< what the engine has to tell; mostly empty
   std::optional<ResidualRotation> residual_rotation;  ///< axes of the IMU; absent where images tell too little
+  double static_share = 0;                            ///< of the image, see PipelineResult::static_share
   StageTimes stages;                                  ///< [ms]
   double tracks_ms = 0;                               ///< of following corners
   double waiting_ms = 0;                              ///< steady time in the queue; left to the caller

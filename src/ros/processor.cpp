@@ -1,5 +1,6 @@
 #include "ros/processor.hpp"
 
+#include <cstdio>
 #include <utility>
 
 #include "gyro_deblur/frame_quality.hpp"
@@ -39,6 +40,7 @@ Processor::Processor(Environment environment)
                        ? environment_.gyro
                        : std::make_shared<GyroSource>(GyroSource::options_of(Config()), environment_.log)),
       tracker_(TrackerOptions{}),
+      mask_(&problems_),
       intake_({environment_.clock, environment_.steady_clock}, gyro_source_, environment_.exposure_expected,
               environment_.log, &log_, &problems_),
       assembly_(intake_, environment_.extrinsic, &log_, &problems_),
@@ -66,6 +68,7 @@ void Processor::set_config(const Config& config) {
   ++configurations_;
   config_error_.clear();
   pipeline_ = std::move(pipeline);
+  mask_.set_file(config.mask_file);
   intake_.set_config(config);
   gyro_errors_.clear();
   if (environment_.stereo) environment_.stereo->set_patience(config.stereo_patience_ns);
@@ -123,6 +126,11 @@ void Processor::add_image(const sensor_msgs::ImageConstPtr& image) {
   intake_.add_frame(std::move(frame));
   note_ready();
   tell_partners();
+}
+
+void Processor::add_mask(const sensor_msgs::Image& mask) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  mask_.set_message(mask);
 }
 
 void Processor::note_ready() {
@@ -189,6 +197,9 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
     frame.settle(PassThroughReason::INTERNAL_ERROR, error.what());
   }
   frame.info = assembly_.best_info(frame);
+  if (frame.verdict != PassThroughReason::BAD_IMAGE && frame.verdict != PassThroughReason::UNSUPPORTED_ENCODING) {
+    assembled.mask = mask_.for_image({static_cast<int>(frame.image->width), static_cast<int>(frame.image->height)});
+  }
   if (frame.verdict == PassThroughReason::NONE) overload_.begin(steady_ns, assembled.in_a_hurry);
   assembled.frame = intake_.queue().pop();
   ++in_progress_;
@@ -233,10 +244,28 @@ void Processor::keep_global_shutter_in_order(FrameOutput* output) {
   last_moved_ = stamp;
 }
 
+void Processor::note_static_content(const FrameOutput& output) {
+  constexpr char kKind[] = "static content";
+  if (!output.field) return;
+  if (output.static_share == 0) {
+    problems_.resolve(kKind);
+    return;
+  }
+  char share[32];
+  std::snprintf(share, sizeof(share), "about %.2g %%", 100 * output.static_share);
+  problems_.report(
+      kKind, std::string(share) +
+                 " of the image does not move with the camera (a lens's rim, a part of the vehicle?): blocks at "
+                 "its edge are not deblurred, corners on it are no landmarks. Set mask, or publish the topic "
+                 "mask: mono8 of " +
+                 size_text(output.input->width, output.input->height) + ", 0 where a pixel does not show the scene");
+}
+
 void Processor::note(const FrameOutput& output) {
   statistics_.count(output);
   const TimeNs stamp_ns = to_time_ns(output.input->header.stamp);
   const std::string name = "frame " + seconds_text(stamp_ns);
+  note_static_content(output);
   if (output.residual_rotation) gyro_errors_.add(stamp_ns, *output.residual_rotation);
   if (!output.keypoints_text.empty()) {
     log_(LogLevel::ERROR, "keypoints", name + " has no keypoints: " + output.keypoints_text);

@@ -18,6 +18,7 @@
 #include "ros/assembly.hpp"
 #include "ros/gyro_bias.hpp"
 #include "ros/gyro_source.hpp"
+#include "ros/input_mask.hpp"
 #include "ros/input_problems.hpp"
 #include "ros/intake.hpp"
 #include "ros/messages.hpp"
@@ -75,6 +76,8 @@ class Processor {
   void add_exposure_setting(TimeNs exposure_ns);
   void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
   void add_image(const sensor_msgs::ImageConstPtr& image);
+  /// Replaces the configuration's mask, see InputMask.
+  void add_mask(const sensor_msgs::Image& mask);
 
   /// Hands every frame that can leave to `sink`. Exceptions of processing become INTERNAL_ERROR; those of `sink` pass.
   void advance(const Sink& sink);
@@ -108,6 +111,8 @@ class Processor {
   FrameOutput process_with_partners(const AssembledFrame& assembled);
   /// Stamps of global-shutter images are not those that came in, and grow all the same. Needs both mutexes.
   void keep_global_shutter_in_order(FrameOutput* output);
+  /// Reports what does not move with the camera.
+  void note_static_content(const FrameOutput& output);
   /// Counts a frame that leaves, and tells what is wrong with it.
   void note(const FrameOutput& output);
 
@@ -127,6 +132,7 @@ class Processor {
   std::string config_error_ = "not configured yet";
   std::shared_ptr<Pipeline> pipeline_;
   std::optional<Eigen::Vector3d> estimated_bias_rad_s_;
+  InputMask mask_;
   Intake intake_;
   FrameAssembly assembly_;
   OverloadRule overload_;

@@ -254,9 +254,18 @@ void StereoCamera::pass_through(TimeNs stamp_ns, PassThroughReason reason) {
   rig_->pass_through(this, stamp_ns, std::string("passes this image through: ") + to_string(reason));
 }
 
+namespace {
+
+/// Of what is not masked.
+bool is_all_sharp(const FrameBlur& field) {
+  return field.count(BlockStatus::SHARP) + field.count(BlockStatus::MASKED) == field.blocks.size();
+}
+
+}  // namespace
+
 std::string StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field) {
   if (field.count(BlockStatus::DEBLURRED) > 0) return rig_->meet(this, stamp_ns, {}).refusal;
-  if (field.count(BlockStatus::SHARP) == field.blocks.size()) {
+  if (is_all_sharp(field)) {
     rig_->agree(this, stamp_ns);
   } else {
     rig_->refuse(this, stamp_ns, kNothingToDeblur);
@@ -266,7 +275,7 @@ std::string StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field) {
 
 FrameDecision StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field, const DropTerms& drop) {
   const bool deblurs = field.count(BlockStatus::DEBLURRED) > 0;
-  const bool is_sharp = field.count(BlockStatus::SHARP) == field.blocks.size();
+  const bool is_sharp = is_all_sharp(field);
   FrameDecision decision = rig_->meet(this, stamp_ns, {deblurs, deblurs || is_sharp ? "" : kNothingToDeblur, drop});
   if (!deblurs) decision.refusal.clear();  // there is nothing to refuse
   return decision;

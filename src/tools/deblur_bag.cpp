@@ -19,6 +19,7 @@
 
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
+#include "mask_file/mask_file.hpp"
 #include "ros/conversions.hpp"
 #include "ros/processor.hpp"
 #include "tools/bag_file.hpp"
@@ -34,7 +35,7 @@ namespace gyro_deblur {
 namespace {
 
 struct Arguments {
-  std::string input, output, config, json;
+  std::string input, output, config, mask, json;
   NamedTopics topics;
   bool keep_all_topics = false;
   FrameRequest request;
@@ -209,6 +210,8 @@ void run(const Arguments& arguments) {
   }
   Config config = read_config(arguments.config);
   if (arguments.threads) config.pipeline.threads = *arguments.threads;
+  if (!arguments.mask.empty()) config.mask_file = arguments.mask;
+  if (!config.mask_file.empty()) load_mask(config.mask_file);  // refused before the bag is read
   const DeblurTopics topics = choose_topics(input, arguments.topics, config);
   if (arguments.keep_all_topics) require_free_topics(input, OutputTopics(topics.output_namespace));
   FrameReport report(arguments.json);
@@ -239,6 +242,8 @@ int main_of(int argc, char** argv) {
   app.add_option("input", arguments.input, "bag with images, camera_info and imu")->required();
   app.add_option("output", arguments.output, "bag to write")->required();
   app.add_option("--config", arguments.config, "YAML file with the keys of config/default.yaml")->required();
+  app.add_option("--mask", arguments.mask,
+                 "PNG or PGM file of the image's size, 0 where a pixel does not show the scene [the configuration's]");
   app.add_option("--camera-ns", arguments.topics.camera_namespace, "the images are on NAMESPACE/image_raw");
   app.add_option("--image-topic", arguments.topics.image, "sensor_msgs/Image, or sensor_msgs/CompressedImage");
   app.add_option("--camera-info-topic", arguments.topics.camera_info,

@@ -22,6 +22,8 @@
 #include "gyro_deblur/deconvolution.hpp"
 #include "gyro_deblur/image_noise.hpp"
 #include "gyro_deblur/overlay.hpp"
+#include "gyro_deblur/pixel_mask.hpp"
+#include "mask_file/mask_file.hpp"
 #include "tools/output_file.hpp"
 #include "tools/tool_main.hpp"
 
@@ -29,7 +31,7 @@ namespace gyro_deblur {
 namespace {
 
 struct Arguments {
-  std::string input, output, overlay, json;
+  std::string input, output, mask, overlay, json;
   double angle_deg = 0;
   double extent_px = 0;
   std::vector<std::string> field;  // empty: uniform blur
@@ -144,7 +146,7 @@ cv::Mat read_displacement(const std::string& path, double offset) {
 double median_extent_px(const FrameBlur& field) {
   std::vector<float> extents;
   for (const BlockBlur& block : field.blocks) {
-    if (block.status != BlockStatus::NO_GYRO) extents.push_back(block.extent_px);
+    if (block.status != BlockStatus::NO_GYRO && block.status != BlockStatus::MASKED) extents.push_back(block.extent_px);
   }
   return median(extents);
 }
@@ -164,16 +166,24 @@ void run(const Arguments& arguments) {
         image.cols, image.rows, read_displacement(arguments.field[0], arguments.field_offset),
         read_displacement(arguments.field[1], arguments.field_offset), arguments.blur_field);
   }
+  const PixelMask mask = arguments.mask.empty() ? PixelMask() : load_mask(arguments.mask);
+  if (!mask.empty() && mask.size() != image.size()) {
+    throw std::runtime_error("--mask " + arguments.mask + " has " + std::to_string(mask.size().width) + "x" +
+                             std::to_string(mask.size().height) + " px, the image has " + std::to_string(image.cols) +
+                             "x" + std::to_string(image.rows) + " px");
+  }
+  const auto engine = make_engine(arguments.engine, arguments.threads);
+  mark_masked(mask, &field);
+  mark_static_edges(mask, {arguments.kernel.length_factor, engine->prefers_plane()}, &field);
   BitDepth depth(arguments.significant_bits);
   const int bits = depth.of(image, layout);
   if (const std::string message = depth.take_message(); !message.empty()) std::cerr << "warning: " << message << "\n";
   const cv::Mat luminance = luminance8(image, layout, bits);
   field = validate_blur_field(field, luminance, arguments.validation);
-  field.noise = image_noise(image, layout, bits);
+  field.noise = image_noise(image, layout, bits, 1, mask);
 
   const KernelBank bank(arguments.kernel);
-  weigh_noise(luminance, bank, field);
-  const auto engine = make_engine(arguments.engine, arguments.threads);
+  weigh_noise(luminance, bank, field, 0, mask);
   cv::Mat deblurred;
   const auto start = std::chrono::steady_clock::now();
   deconvolve(image, layout, field, bank, *engine, deblurred);
@@ -250,6 +260,8 @@ int main_of(int argc, char** argv) {
   app.add_flag_callback(
       "--no-validation", [&] { arguments.validation.enabled = false; },
       "deblur blocks even where the image contradicts the blur");
+  app.add_option("--mask", arguments.mask,
+                 "PNG or PGM of the image's size, 0 where a pixel does not show the scene: it stays as it is");
   app.add_option("--overlay", arguments.overlay, "also write a picture of the blur field");
   app.add_option("--json", arguments.json, "also write what was done as JSON");
   app.callback([&] {

@@ -19,7 +19,7 @@ double readable_degrees(double angle_rad) {
 void report_field(const FrameBlur& field, nlohmann::json* frame) {
   std::vector<double> extents;
   for (const BlockBlur& block : field.blocks) {
-    if (block.status != BlockStatus::NO_GYRO) extents.push_back(block.extent_px);
+    if (block.status != BlockStatus::NO_GYRO && block.status != BlockStatus::MASKED) extents.push_back(block.extent_px);
   }
   const BlockBlur& center = field.blocks[static_cast<std::size_t>(
       field.grid.index_at((field.grid.width_px() - 1) / 2.0, (field.grid.height_px() - 1) / 2.0))];

@@ -43,6 +43,8 @@ TEST(StatusColor, IsDifferentForEveryStatusAndNamedRight) {
   EXPECT_TRUE(is(BlockStatus::NO_GYRO, true, true, false));
   EXPECT_TRUE(is(BlockStatus::BENT, false, true, true));
   EXPECT_TRUE(is(BlockStatus::NOISY, false, false, true));
+  EXPECT_TRUE(is(BlockStatus::MASKED, false, false, false));
+  EXPECT_TRUE(is(BlockStatus::STATIC_EDGE, true, false, false));
 }
 
 TEST(BlurSegment, IsThePathCentredOnTheBlock) {

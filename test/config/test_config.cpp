@@ -45,7 +45,7 @@ std::string dump(const Config& c) {
     << "\nrectified_input " << c.rectified_input << "\nR ";
   if (c.R_cam_imu) s << *c.R_cam_imu;
   s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nstereo_patience "
-    << c.stereo_patience_ns << "\ndrop_bad " << c.drop_bad << "\nbias_window " << c.bias_window_ns
+    << c.stereo_patience_ns << "\ndrop_bad " << c.drop_bad << "\nmask " << c.mask_file << "\nbias_window " << c.bias_window_ns
     << "\nbias_max_stddev " << c.bias_max_stddev_rad_s << "\ntime_jump " << c.time_jump_ns << "\nrectify_to "
     << static_cast<int>(c.pipeline.rectify_to) << "\nglobal_shutter_border "
     << static_cast<int>(c.pipeline.global_shutter_border) << "\nengine " << c.pipeline.engine << "\nthreads "
@@ -70,6 +70,7 @@ std::string dump(const Config& c) {
 const std::vector<std::pair<std::string, std::string>>& other_values() {
   static const std::vector<std::pair<std::string, std::string>> kValues{
       {"calibration_camera", "cam1"},
+      {"mask", "mask.png"},
       {"on_calibration_conflict", "configured"},
       {"exposure_time", "0.02"},
       {"exposure_source", "realsense_metadata_us"},

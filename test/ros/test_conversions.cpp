@@ -231,6 +231,8 @@ TEST(BlurField, ConstantsEqualTheCores) {
   EXPECT_EQ(BlurField::NO_GYRO, static_cast<int>(BlockStatus::NO_GYRO));
   EXPECT_EQ(BlurField::BENT, static_cast<int>(BlockStatus::BENT));
   EXPECT_EQ(BlurField::NOISY, static_cast<int>(BlockStatus::NOISY));
+  EXPECT_EQ(BlurField::MASKED, static_cast<int>(BlockStatus::MASKED));
+  EXPECT_EQ(BlurField::STATIC_EDGE, static_cast<int>(BlockStatus::STATIC_EDGE));
   const std::pair<int, PassThroughReason> reasons[] = {
       {BlurField::REASON_NONE, PassThroughReason::NONE},
       {BlurField::REASON_NO_GYRO, PassThroughReason::NO_GYRO},

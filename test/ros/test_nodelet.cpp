@@ -297,6 +297,58 @@ TEST_F(NodeletTest, FrameWaitsForALateImu) {
   EXPECT_EQ(diagnostics.values["engine"].empty(), false);
 }
 
+// The nodelet reads the file; the latched topic replaces it, whenever it comes.
+TEST_F(NodeletTest, MaskComesFromTheFileThenFromTheTopic) {
+  const std::string path = (std::filesystem::temp_directory_path() / "gyro_deblur_test_mask.png").string();
+  cv::Mat left(kHeight, kWidth, CV_8UC1, cv::Scalar(0));
+  left.colRange(0, kWidth / 2).setTo(255);
+  ASSERT_TRUE(cv::imwrite(path, left));
+  set("mask", path);
+  start();
+  std::filesystem::remove(path);
+  const auto masked_columns = [this](std::size_t frame) {
+    const BlurField& field = *fields_[frame];
+    std::vector<bool> masked(field.cols);
+    for (std::size_t i = 0; i < masked.size(); ++i) masked[i] = field.status[i] == BlurField::MASKED;
+    return masked;
+  };
+  publish_imu(kStart - 50 * kMs, kStart + 500 * kMs);
+  publish_frame(kStart);
+  expect_frames(1);
+  EXPECT_EQ(masked_columns(0), (std::vector<bool>{false, false, false, true, true, true}));
+  for (const auto& keypoint : keypoints_[0]->keypoints) EXPECT_LT(keypoint.x, kWidth / 2);
+
+  ros::Publisher publisher = nh_.advertise<sensor_msgs::Image>(ns_ + "/mask", 1, true);
+  sensor_msgs::Image like;
+  like.encoding = "mono8";
+  publisher.publish(to_image(cv::Mat(255 - left), like));
+  // It is taken in some time after it has been sent.
+  TimeNs stamp_ns = kStart;
+  std::size_t frames = 1;
+  const std::vector<bool> swapped{true, true, true, false, false, false};
+  ASSERT_TRUE(poll_until([&] {
+    stamp_ns += 5 * kMs;
+    publish_imu(stamp_ns + 450 * kMs, stamp_ns + 450 * kMs);
+    publish_frame(stamp_ns);
+    expect_frames(++frames);
+    return masked_columns(frames - 1) == swapped;
+  }));
+
+  like.encoding = "bgr8";
+  publisher.publish(to_image(cv::Mat(kHeight, kWidth, CV_8UC3, cv::Scalar::all(1)), like));
+  EXPECT_TRUE(wait_for_log("its encoding \"bgr8\" is neither mono8 nor 8UC1"));
+  like.encoding = "mono8";
+  publisher.publish(to_image(cv::Mat(kHeight, 2 * kWidth, CV_8UC1, cv::Scalar(1)), like));
+  ASSERT_TRUE(poll_until([&] {
+    stamp_ns += 5 * kMs;
+    publish_imu(stamp_ns + 450 * kMs, stamp_ns + 450 * kMs);
+    publish_frame(stamp_ns);
+    expect_frames(++frames);
+    return count_log("has 384x128, the images have 192x128") > 0;
+  }));
+  expect_reason(frames - 1, PassThroughReason::NONE);
+}
+
 TEST_F(NodeletTest, RejectedBlocksAreAWarning) {
   set("validate", true);
   set("validation", "paper");

@@ -171,6 +171,36 @@ TEST_F(DeblurBagTest, CalibrationFileStandsInForCameraInfo) {
   EXPECT_EQ(read<sensor_msgs::CameraInfo>("out.bag", "/cam/deblurred/camera_info")[0]->K, info->K);
 }
 
+// By the option, and by the configuration's key, relative to its folder.
+TEST_F(DeblurBagTest, MaskedPixelsLeaveAsTheyCame) {
+  write_bag(kFastRadS);
+  cv::Mat used(kHeight, kWidth, CV_8UC1, cv::Scalar(255));
+  used.colRange(0, kWidth / 2).setTo(0);
+  ASSERT_TRUE(cv::imwrite(path("mask.png"), used));
+  const auto expect_masked = [&](const ProgramResult& result) {
+    ASSERT_EQ(result.exit_code, 0) << result.output;
+    const auto inputs = read<sensor_msgs::Image>("in.bag", "/cam/image_raw");
+    const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+    const cv::Mat in = view_image(*inputs[0]).image, out = view_image(*images[0]).image;
+    EXPECT_EQ(cv::norm(in, out, cv::NORM_INF, used == 0), 0);
+    EXPECT_GT(cv::norm(in, out, cv::NORM_INF, used), 0);
+    EXPECT_GT(report()["frames"][0]["blocks"]["MASKED"], 5);
+    EXPECT_EQ(read<ImageQuality>("out.bag", "/cam/image_quality")[0]->masked, 0.5f);
+    fs::remove(path("out.bag"));
+  };
+  expect_masked(run({"--mask", path("mask.png")}));
+  write_config("mask: mask.png\n");
+  expect_masked(run());
+  expect_error(run({"--mask", path("none.png")}), {"none.png is no file", "give a PNG or PGM of the image's size"});
+  write_config("mask: mask.jpg\n");
+  expect_error(run(), {"mask.jpg is no file"});
+  ASSERT_TRUE(cv::imwrite(path("mask.png"), used.rowRange(0, 10)));
+  const ProgramResult other_size = run({"--mask", path("mask.png")});
+  EXPECT_EQ(other_size.exit_code, 0);
+  EXPECT_NE(other_size.output.find("mask.png has 192x10, the images have 192x128"), std::string::npos)
+      << other_size.output;
+}
+
 TEST_F(DeblurBagTest, EveryFrameComesOutInOrderWithItsReason) {
   write_bag(kFastRadS);
   const ProgramResult result = run();

@@ -59,7 +59,7 @@ TEST_F(DeblurImage, ExplainsItself) {
   const test::ProgramResult help = run({"--help"});
   EXPECT_EQ(help.exit_code, 0);
   for (const char* option : {"--angle-deg", "--extent-px", "--field", "--gamma", "--engine", "--block-size",
-                             "--no-validation", "--overlay", "--json"}) {
+                             "--no-validation", "--mask", "--overlay", "--json"}) {
     EXPECT_NE(help.output.find(option), std::string::npos) << option;
   }
 }
@@ -91,6 +91,37 @@ TEST_F(DeblurImage, RefusesBadInputInOneLine) {
   expect_refusal({in, out, "--field", csv, write("empty.csv", "\n")}, "empty.csv");
   expect_refusal({in, out, "--field", csv, write("other.csv", "1,2,3\n")}, "size");
   expect_refusal({write_image("in16.png", CV_16UC1), path("out.jpg"), "--angle-deg", "1", "--extent-px", "9"}, "JPEG");
+}
+
+TEST_F(DeblurImage, LeavesMaskedPixelsAsTheyAre) {
+  const std::string in = write_image("in.png", CV_8UC3), out = path("out.png");
+  cv::Mat used(60, 80, CV_8UC1, cv::Scalar(1));
+  used.colRange(0, 20).setTo(0);
+  ASSERT_TRUE(cv::imwrite(path("mask.png"), used));
+  const std::vector<std::string> arguments{
+      in, out, "--angle-deg", "0", "--extent-px", "4", "--block-size", "10", "--no-validation", "--fixed-gamma"};
+  std::vector<std::string> masked = arguments;
+  masked.insert(masked.end(), {"--mask", path("mask.png"), "--json", path("out.json")});
+  const test::ProgramResult result = run(masked);
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  const cv::Mat before = cv::imread(in), after = cv::imread(out);
+  EXPECT_EQ(cv::norm(before, after, cv::NORM_INF, used == 0), 0);
+  EXPECT_GT(cv::norm(before.colRange(50, 80), after.colRange(50, 80), cv::NORM_INF), 0);
+  const nlohmann::json report = nlohmann::json::parse(std::ifstream(path("out.json")));
+  EXPECT_EQ(report["blocks"]["MASKED"], 2 * 6);
+  EXPECT_EQ(report["blocks"]["STATIC_EDGE"], 2 * 6) << "8 px of taps to either side, and the seams";
+
+  std::filesystem::remove(out);
+  ASSERT_TRUE(cv::imwrite(path("small.png"), used.colRange(0, 40)));
+  ASSERT_TRUE(cv::imwrite(path("black.png"), 0 * used));
+  const auto with_mask = [&](const std::string& mask) {
+    std::vector<std::string> bad = arguments;
+    bad.insert(bad.end(), {"--mask", path(mask)});
+    return bad;
+  };
+  expect_refusal(with_mask("none.png"), "none.png is no file; give a PNG or PGM of the image's size");
+  expect_refusal(with_mask("black.png"), "black.png has no pixel above 0");
+  expect_refusal(with_mask("small.png"), "small.png has 40x60 px, the image has 80x60 px");
 }
 
 TEST_F(DeblurImage, KeepsTheTypeOfTheImage) {

@@ -1,0 +1,82 @@
+#include "ros/input_mask.hpp"
+
+#include <exception>
+
+#include <sensor_msgs/image_encodings.h>
+
+#include "mask_file/mask_file.hpp"
+#include "ros/image_conversion.hpp"
+#include "ros/pass_through.hpp"
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr char kFileKind[] = "mask file", kTopicKind[] = "mask topic", kSizeKind[] = "mask size";
+
+PixelMask read_message(const sensor_msgs::Image& message) {
+  namespace encodings = sensor_msgs::image_encodings;
+  if (message.encoding != encodings::MONO8 && message.encoding != encodings::TYPE_8UC1) {
+    throw std::invalid_argument("its encoding \"" + message.encoding + "\" is neither mono8 nor 8UC1");
+  }
+  const cv::Mat used = view_image(message).image;
+  if (cv::countNonZero(used) == 0) {
+    throw std::invalid_argument("it has no pixel above 0: nothing of the image would be used");
+  }
+  return PixelMask(used);
+}
+
+}  // namespace
+
+void InputMask::set_file(const std::string& path) {
+  if (path == path_) return;
+  path_ = path;
+  if (!by_topic_) mask_ = PixelMask();
+  if (path.empty()) {
+    problems_.resolve(kFileKind);
+    return;
+  }
+  try {
+    const PixelMask mask = load_mask(path);
+    problems_.resolve(kFileKind);
+    if (by_topic_) return;
+    mask_ = mask;
+    origin_ = "mask = " + path;
+  } catch (const std::exception& error) {
+    path_.clear();  // to be tried again
+    problems_.report(kFileKind, std::string(error.what()) + ". Images are processed without it", LogLevel::ERROR);
+  }
+}
+
+void InputMask::set_message(const sensor_msgs::Image& message) {
+  try {
+    mask_ = read_message(message);
+    origin_ = "the message on the topic mask";
+    by_topic_ = true;
+    problems_.resolve(kTopicKind);
+    problems_.resolve(kFileKind);
+  } catch (const std::exception& error) {
+    problems_.report(kTopicKind,
+                     std::string("a message on the topic mask cannot be used: ") + error.what() +
+                         ". Publish mono8 of the image's size, 0 where a pixel does not show the scene; until then the "
+                         "mask stays what it was",
+                     LogLevel::ERROR);
+  }
+}
+
+PixelMask InputMask::for_image(const cv::Size& size) {
+  if (mask_.empty() || mask_.size() == size) {
+    problems_.resolve(kSizeKind);
+    return mask_;
+  }
+  const auto text = [](const cv::Size& s) {
+    return size_text(static_cast<std::uint32_t>(s.width), static_cast<std::uint32_t>(s.height));
+  };
+  problems_.report(kSizeKind,
+                   origin_ + " has " + text(mask_.size()) + ", the images have " + text(size) +
+                       ": they are processed without it; give one of their size",
+                   LogLevel::ERROR);
+  return {};
+}
+
+}  // namespace gyro_deblur
