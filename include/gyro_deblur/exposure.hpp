@@ -43,9 +43,15 @@ class FramePeriod {
   /// Throws OptionError as the function does, once enough frames have come to know. However stamps scatter within a
   /// period, a readout that is not longer than the true one passes.
   void require_plausible_readout(const char* name, TimeNs readout_ns) const;
+  /// The same of an exposure: an image's ends before the next one's begins. Goes by the longer of the period and the
+  /// newest intervals, as a camera that exposes for longer may lower its rate. Until there are enough frames to tell a
+  /// period to a tenth, only what is far above it is refused.
+  void require_plausible_exposure(const char* name, TimeNs exposure_ns) const;
 
  private:
   std::optional<TimeNs> estimate() const;
+  /// Median of the newest intervals; nothing before there are enough of them.
+  std::optional<TimeNs> newest_interval() const;
   std::size_t span() const;  // in frames; even, so that pairs of frames with about the same stamp do not matter
 
   struct Stamp {

@@ -45,19 +45,26 @@ TimeNs phase_offset_ns(const ShutterTiming& timing, StampPhase phase) {
   return std::llround(static_cast<double>(timing.exposure_ns) * fraction_of(phase));
 }
 
+void require_within_period(const char* name, TimeNs time_ns, TimeNs frame_period_ns, double tolerance) {
+  const double time_s = std::abs(to_seconds(time_ns)), period_s = to_seconds(frame_period_ns);
+  if (time_s <= (1 + tolerance) * period_s) return;
+  std::ostringstream text;
+  text << name << " = " << to_seconds(time_ns) << " s is longer than the frame period " << period_s
+       << " s: is its unit right?";
+  throw OptionError(text.str());
+}
+
 /// Of a frame period. The longest span makes the tolerance a tenth; there are more than as many of them among the
 /// frames that are kept, so that the median can tell.
 constexpr std::size_t kShortestSpan = 2, kLongestSpan = 30, kKeptFrames = 75, kFewestFrames = 6;
+/// One period of scatter over a span of n makes the estimate 1 / n too short, for which a tolerance of 2 / n would do.
+/// Three are a tenth at the longest span, and allow for frames that wait for their stamps in a queue of three.
+constexpr double kScatterFrames = 3;
 
 }  // namespace
 
 void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns, double tolerance) {
-  const double readout_s = std::abs(to_seconds(readout_ns)), period_s = to_seconds(frame_period_ns);
-  if (readout_s <= (1 + tolerance) * period_s) return;
-  std::ostringstream text;
-  text << name << " = " << to_seconds(readout_ns) << " s is longer than the frame period " << period_s
-       << " s: is its unit right?";
-  throw OptionError(text.str());
+  require_within_period(name, readout_ns, frame_period_ns, tolerance);
 }
 
 void FramePeriod::add(TimeNs stamp_ns) {
@@ -80,6 +87,16 @@ std::size_t FramePeriod::span() const {
 
 std::optional<TimeNs> FramePeriod::get() const { return stamps_.size() < kFewestFrames ? std::nullopt : estimate(); }
 
+std::optional<TimeNs> FramePeriod::newest_interval() const {
+  constexpr std::size_t kIntervals = 5;
+  std::vector<TimeNs> intervals_ns;
+  for (std::size_t i = stamps_.size(); i-- > 1 && intervals_ns.size() < kIntervals;) {
+    if (stamps_[i].resets == stamps_[i - 1].resets) intervals_ns.push_back(stamps_[i].t_ns - stamps_[i - 1].t_ns);
+  }
+  if (intervals_ns.size() < kIntervals) return std::nullopt;
+  return median(std::move(intervals_ns));
+}
+
 std::optional<TimeNs> FramePeriod::estimate() const {
   std::vector<TimeNs> periods_ns;
   const std::size_t n = span();
@@ -93,13 +110,23 @@ std::optional<TimeNs> FramePeriod::estimate() const {
 }
 
 void FramePeriod::require_plausible_readout(const char* name, TimeNs readout_ns) const {
-  // One period of scatter over a span of n makes the estimate 1 / n too short, for which 2 / n would do. Three are a
-  // tenth at the longest span, and allow for frames that wait for their stamps in a queue of three.
-  constexpr std::size_t kScatterFrames = 3;
   const std::optional<TimeNs> period_ns = get();
-  if (!period_ns || span() <= kScatterFrames) return;
-  const double tolerance = static_cast<double>(kScatterFrames) / static_cast<double>(span());
-  gyro_deblur::require_plausible_readout(name, readout_ns, *period_ns, tolerance);
+  if (!period_ns || static_cast<double>(span()) <= kScatterFrames) return;
+  require_within_period(name, readout_ns, *period_ns, kScatterFrames / static_cast<double>(span()));
+}
+
+void FramePeriod::require_plausible_exposure(const char* name, TimeNs exposure_ns) const {
+  // Of bursts of up to three frames, four frames are of two bursts, and seven show a period.
+  constexpr std::size_t kFewestFramesOfMean = 4, kFewestFramesOfMedian = 7;
+  TimeNs period_ns = 0;
+  if (stamps_.size() < kFewestFramesOfMean) return;
+  if (stamps_.size() >= kFewestFramesOfMedian) {
+    period_ns = std::max(get().value_or(0), newest_interval().value_or(0));
+  } else if (stamps_.front().resets == stamps_.back().resets) {
+    period_ns = (stamps_.back().t_ns - stamps_.front().t_ns) / static_cast<TimeNs>(stamps_.size() - 1);
+  }
+  if (period_ns <= 0) return;
+  require_within_period(name, exposure_ns, period_ns, kScatterFrames / static_cast<double>(span()));
 }
 
 RowExposure::RowExposure(TimeNs stamp_ns, int rows, const ShutterTiming& timing)

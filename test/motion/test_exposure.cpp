@@ -184,6 +184,58 @@ bool refuses(const FramePeriod& period, double readout_s) {
   }
 }
 
+bool refuses_exposure(const FramePeriod& period, double exposure_s) {
+  try {
+    period.require_plausible_exposure("exposure", to_ns(exposure_s));
+    return false;
+  } catch (const OptionError&) {
+    return true;
+  }
+}
+
+TEST(FramePeriod, AnExposureOfAPeriodIsNeverRefused) {
+  for (const Driver& driver : kDrivers) {
+    int refused = 0;
+    drive(driver, [&refused](int, const FramePeriod& period) { refused += refuses_exposure(period, kPeriodS); });
+    EXPECT_EQ(refused, 0) << driver.name;
+  }
+}
+
+TEST(FramePeriod, AnExposureFarAboveItIsRefusedFromTheFourthFrameOn) {
+  FramePeriod period;
+  for (int i = 0; i < 100; ++i) {
+    period.add(to_ns(100 + i * kPeriodS));
+    EXPECT_EQ(refuses_exposure(period, 3 * kPeriodS), i >= 3) << i;
+    EXPECT_FALSE(refuses_exposure(period, 1.05 * kPeriodS)) << i;
+    if (i >= 74) {
+      EXPECT_TRUE(refuses_exposure(period, 1.2 * kPeriodS)) << i;
+    }
+  }
+  try {
+    period.require_plausible_exposure("exposure_time", to_ns(0.2));
+    FAIL() << "accepted";
+  } catch (const OptionError& error) {
+    EXPECT_STREQ(error.what(), "exposure_time = 0.2 s is longer than the frame period 0.0333333 s: is its unit right?");
+  }
+}
+
+// As webcams do in dim light.
+TEST(FramePeriod, AnExposureThatSlowsTheCameraDownIsAcceptedOnceItHas) {
+  FramePeriod period;
+  double stamp_s = 100;
+  for (int i = 0; i < 100; ++i) period.add(to_ns(stamp_s += kPeriodS));
+  EXPECT_TRUE(refuses_exposure(period, 1.9 * kPeriodS));
+  for (int i = 0; i < 100; ++i) {
+    period.add(to_ns(stamp_s += 2 * kPeriodS));
+    EXPECT_EQ(refuses_exposure(period, 1.9 * kPeriodS), i < 2) << i;
+  }
+  // And back: nothing that was right before is wrong now.
+  for (int i = 0; i < 100; ++i) {
+    period.add(to_ns(stamp_s += kPeriodS));
+    EXPECT_FALSE(refuses_exposure(period, kPeriodS)) << i;
+  }
+}
+
 TEST(FramePeriod, NoScatterOfStampsRefusesAReadoutOfAPeriod) {
   for (const Driver& driver : kDrivers) {
     int refused = 0;
