@@ -86,6 +86,16 @@ ResidualField of_used(ResidualField residuals, const BlockGrid& grid, const Pixe
   return residuals;
 }
 
+/// Rate of a camera [rad/s], in its axes; 0 where its motion is not known. At most 3000 rad/s, where the rotation
+/// within the time that it is taken over is half a turn.
+Eigen::Vector3d rate_at(const CameraMotion& motion, TimeNs t_ns) {
+  constexpr TimeNs kHalfNs = 500'000;
+  const TimeRange range{t_ns - kHalfNs, t_ns + kHalfNs};
+  if (!motion.covers(range)) return Eigen::Vector3d::Zero();
+  const Eigen::AngleAxisd turn(motion.rotation(range.begin_ns, range.end_ns));
+  return -turn.angle() / to_seconds(range.end_ns - range.begin_ns) * turn.axis();
+}
+
 /// Blocks of a field beside no motion: that none was found does not say that there is none.
 void require_residuals(FrameBlur* field) {
   field->images_alone = true;
@@ -154,6 +164,7 @@ void Pipeline::set_calibration(const CameraCalibration& calibration) {
   if (flow_) flow_->reset();
   static_content_->reset();
   exposure_before_.reset();
+  unaided_flow_.reset();
 }
 
 std::string Pipeline::engine() const { return engine_->name(); }
@@ -195,6 +206,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (alone) require_residuals(&result.field);
   mark_blocks(&result.field);
   result.times.blur_field_ms = blur_field_watch.ms();
+  if (flow_ && !alone && !request.repeats_picture) result.seen_rotation = seen_rotation(luminance, motion, exposure, result);
 
   std::optional<double> found_noise;
   if (!options_.noise.is_known()) {
@@ -300,6 +312,27 @@ void Pipeline::mark_blocks(FrameBlur* field) const {
   mark_masked(mask_, field);
   mark_static_edges(mask_, reach, field);
   mark_static_edges(static_content_->edges(), reach, field);
+}
+
+std::optional<ResidualRotation> Pipeline::seen_rotation(const cv::Mat& luminance, const CameraMotion& motion,
+                                                        const RowExposure& exposure, const PipelineResult& result) {
+  // Fast motion is soon over; a wrong unit lasts.
+  constexpr int kFramesOfFastMotion = 3;
+  const BlockGrid& grid = estimator_->grid();
+  if (2 * result.field.count(BlockStatus::TOO_LARGE) <= result.field.blocks.size()) {
+    too_large_frames_ = 0;
+    unaided_flow_.reset();
+    std::optional<ResidualRotation> seen = result.residual_rotation;
+    if (seen) seen->rate_rad_s += seen->known_rad_s;
+    return seen;
+  }
+  if (++too_large_frames_ < kFramesOfFastMotion) return std::nullopt;
+  if (!unaided_flow_) unaided_flow_ = std::make_unique<ResidualFlow>();
+  const StandingCamera standing;
+  const ResidualField whole = unaided_flow_->follow(luminance, *camera_, standing, exposure, grid, options_.threads);
+  std::optional<ResidualRotation> seen = fit_residual_rotation(whole, grid, *camera_, standing, exposure);
+  if (seen) seen->known_rad_s = rate_at(motion, exposure.middle(0.5 * (grid.height_px() - 1)));
+  return seen;
 }
 
 void Pipeline::move_to_reference(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,

@@ -119,6 +119,7 @@ PipelineResult make(const AssembledFrame& assembled, const FrameRequest& request
       PipelineResult result = made->result;
       result.times = {};
       result.residual_rotation.reset();
+      result.seen_rotation.reset();
       return result;
     }
     wanted.permit = [decision](const FrameBlur&) { return permit_of(*decision); };

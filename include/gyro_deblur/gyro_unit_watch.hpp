@@ -1,0 +1,51 @@
+// Whether images turn as fast as the gyroscope says: its rates may be in another unit, or none at all.
+#pragma once
+
+#include <cstddef>
+#include <deque>
+#include <optional>
+
+#include "gyro_deblur/residual_rotation.hpp"
+#include "gyro_deblur/time.hpp"
+
+namespace gyro_deblur {
+
+/// What is wrong with the rates as such.
+struct GyroUnitFault {
+  enum class Kind {
+    DEGREES,  ///< they are in degrees/s
+    NO_RATES  ///< they are 0 while the images turn
+  };
+  Kind kind = Kind::DEGREES;
+  double told_rad_s = 0;  ///< largest rate by the gyroscope, as if it were in rad/s
+  double seen_rad_s = 0;  ///< rate of the images at that time
+};
+
+/// Watches the rotations of one camera's images over the last seconds. Not thread-safe.
+class GyroUnitWatch {
+ public:
+  /// @param t_ns  increasing; begins anew where it is not
+  /// @param seen  of an image: `rate_rad_s` by which it turns as a whole, `known_rad_s` by which the gyroscope says
+  void add(TimeNs t_ns, const ResidualRotation& seen);
+  void clear();
+
+  /// @param rates_are_zero  all rates of the last second are exactly 0, as no gyroscope's are
+  std::optional<GyroUnitFault> find(bool rates_are_zero) const;
+
+  /// Some images have turned about as fast as the gyroscope said.
+  bool is_confirmed() const { return agreeing_ >= kConfirming; }
+
+ private:
+  static constexpr std::size_t kConfirming = 3;
+  struct Entry {
+    TimeNs t_ns;
+    ResidualRotation seen;
+  };
+  std::optional<GyroUnitFault> find_degrees() const;
+  std::optional<GyroUnitFault> find_no_rates() const;
+
+  std::deque<Entry> entries_;  // of the last seconds
+  std::size_t agreeing_ = 0;
+};
+
+}  // namespace gyro_deblur

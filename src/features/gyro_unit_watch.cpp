@@ -1,0 +1,73 @@
+#include "gyro_deblur/gyro_unit_watch.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr TimeNs kWatchedNs = 5'000'000'000;
+
+}  // namespace
+
+void GyroUnitWatch::add(TimeNs t_ns, const ResidualRotation& seen) {
+  if (!entries_.empty() && t_ns <= entries_.back().t_ns) entries_.clear();
+  entries_.push_back({t_ns, seen});
+  while (t_ns - entries_.front().t_ns > kWatchedNs) entries_.pop_front();
+  // What turns more slowly is seen with an error of as much.
+  constexpr double kLeastRadS = 0.05;
+  const double told_rad_s = seen.known_rad_s.norm(), seen_rad_s = seen.rate_rad_s.norm();
+  if (told_rad_s > kLeastRadS && told_rad_s < 3 * seen_rad_s && seen_rad_s < 3 * told_rad_s) ++agreeing_;
+}
+
+void GyroUnitWatch::clear() {
+  entries_.clear();
+  agreeing_ = 0;
+}
+
+std::optional<GyroUnitFault> GyroUnitWatch::find(bool rates_are_zero) const {
+  return rates_are_zero ? find_no_rates() : find_degrees();
+}
+
+std::optional<GyroUnitFault> GyroUnitWatch::find_degrees() const {
+  // Around 180 / pi, as rates change between images and blurred corners are followed to some per cent. Edges of the
+  // image that stand still, on which corners may be found instead, give far more.
+  constexpr double kLeastRatio = 40, kLargestRatio = 80;
+  constexpr double kLeastSeenRadS = 0.02;
+  constexpr std::size_t kFewest = 5;
+  std::size_t judged = 0, agreeing = 0;
+  GyroUnitFault fault;
+  for (const Entry& entry : entries_) {
+    const double told_rad_s = entry.seen.known_rad_s.norm(), seen_rad_s = entry.seen.rate_rad_s.norm();
+    if (told_rad_s < kLeastSeenRadS * kLeastRatio) continue;
+    ++judged;
+    if (seen_rad_s < kLeastSeenRadS || told_rad_s < kLeastRatio * seen_rad_s ||
+        told_rad_s > kLargestRatio * seen_rad_s) {
+      continue;
+    }
+    ++agreeing;
+    if (told_rad_s > fault.told_rad_s) fault = {GyroUnitFault::Kind::DEGREES, told_rad_s, seen_rad_s};
+  }
+  if (agreeing < kFewest || 2 * agreeing < judged) return std::nullopt;
+  return fault;
+}
+
+std::optional<GyroUnitFault> GyroUnitWatch::find_no_rates() const {
+  // A camera that is carried along without turning must not look like one that turns.
+  constexpr double kLeastSeenRadS = 0.1;
+  constexpr std::size_t kFewest = 8;
+  std::size_t turning = 0;
+  double energy = 0, beside_rotation = 0, beside_translation = 0;
+  GyroUnitFault fault;
+  fault.kind = GyroUnitFault::Kind::NO_RATES;
+  for (const Entry& entry : entries_) {
+    const double seen_rad_s = entry.seen.rate_rad_s.norm();
+    if (seen_rad_s < kLeastSeenRadS) continue;
+    ++turning;
+    energy += entry.seen.energy_px2_s2;
+    beside_rotation += entry.seen.beside_rotation_px2_s2;
+    beside_translation += entry.seen.beside_translation_px2_s2;
+    if (seen_rad_s > fault.seen_rad_s) fault.seen_rad_s = seen_rad_s;
+  }
+  if (turning < kFewest || 2 * beside_rotation > energy || beside_rotation > beside_translation) return std::nullopt;
+  return fault;
+}
+
+}  // namespace gyro_deblur

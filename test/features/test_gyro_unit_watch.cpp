@@ -1,0 +1,79 @@
+#include "gyro_deblur/gyro_unit_watch.hpp"
+
+#include <cmath>
+#include <random>
+
+#include <gtest/gtest.h>
+
+namespace gyro_deblur {
+namespace {
+
+constexpr TimeNs kPeriod = 50'000'000;
+constexpr double kDegrees = 180 / M_PI;
+
+/// Images that turn to and fro, seen with an error of 5 %, while the gyroscope tells `told` times as much.
+/// @param seen_from_translation  the residual velocities look like a translation rather than a rotation
+GyroUnitWatch watched(int frames, double told, double amplitude_rad_s = 1.5, bool seen_from_translation = false) {
+  std::mt19937 random(3);
+  std::normal_distribution<double> error(0, 0.05);
+  GyroUnitWatch watch;
+  for (int i = 0; i < frames; ++i) {
+    ResidualRotation seen;
+    const double rate_rad_s = amplitude_rad_s * std::sin(0.4 * i + 0.3);
+    seen.rate_rad_s = {0.2 * rate_rad_s, rate_rad_s * (1 + error(random)), 0};
+    seen.known_rad_s = Eigen::Vector3d(0.2, 1, 0) * told * rate_rad_s;
+    seen.energy_px2_s2 = 1e4 * rate_rad_s * rate_rad_s;
+    seen.beside_rotation_px2_s2 = (seen_from_translation ? 0.4 : 0.1) * seen.energy_px2_s2;
+    seen.beside_translation_px2_s2 = (seen_from_translation ? 0.1 : 0.4) * seen.energy_px2_s2;
+    watch.add(1'000'000'000 + i * kPeriod, seen);
+  }
+  return watch;
+}
+
+TEST(GyroUnitWatch, FindsDegreesWithinASecond) {
+  const auto fault = watched(20, kDegrees).find(false);
+  ASSERT_TRUE(fault);
+  EXPECT_EQ(fault->kind, GyroUnitFault::Kind::DEGREES);
+  EXPECT_NEAR(fault->told_rad_s, 1.5 * kDegrees, 10);
+  EXPECT_NEAR(fault->seen_rad_s, 1.5, 0.2);
+  EXPECT_FALSE(watched(20, kDegrees).is_confirmed());
+}
+
+TEST(GyroUnitWatch, RatesThatAreRightAreConfirmed) {
+  for (const double told : {0.5, 1.0, 2.0}) {
+    const GyroUnitWatch watch = watched(100, told);
+    EXPECT_FALSE(watch.find(false)) << told;
+    EXPECT_TRUE(watch.is_confirmed()) << told;
+  }
+  EXPECT_FALSE(watched(2, 1).is_confirmed());
+}
+
+// Corners on a rim that does not move with the scene, while the camera turns fast.
+TEST(GyroUnitWatch, ImagesThatSeemToStandStillAreNoUnit) {
+  EXPECT_FALSE(watched(100, 1e4, 0.001).find(false));
+  EXPECT_FALSE(watched(100, 500, 0.05).find(false));
+  EXPECT_FALSE(watched(100, 10, 1).find(false)) << "nor ones that are followed badly";
+}
+
+TEST(GyroUnitWatch, FindsAGyroscopeWithoutRatesWhereImagesTurn) {
+  const auto fault = watched(20, 0).find(true);
+  ASSERT_TRUE(fault);
+  EXPECT_EQ(fault->kind, GyroUnitFault::Kind::NO_RATES);
+  EXPECT_NEAR(fault->seen_rad_s, 1.5, 0.2);
+  EXPECT_FALSE(watched(20, 0).find(false)) << "a gyroscope's rates are never exactly 0";
+  EXPECT_FALSE(watched(20, 0, 1.5, true).find(true)) << "the camera is carried along";
+  EXPECT_FALSE(watched(20, 0, 0.05).find(true)) << "the camera stands";
+}
+
+TEST(GyroUnitWatch, OldImagesAreForgotten) {
+  GyroUnitWatch watch = watched(20, kDegrees);
+  ResidualRotation still;
+  for (int i = 1; i <= 110; ++i) watch.add(1'000'000'000 + (20 + i) * kPeriod, still);
+  EXPECT_FALSE(watch.find(false));
+  watch = watched(20, kDegrees);
+  watch.clear();
+  EXPECT_FALSE(watch.find(false));
+}
+
+}  // namespace
+}  // namespace gyro_deblur
