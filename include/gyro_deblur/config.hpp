@@ -19,7 +19,13 @@ enum class OnCalibrationConflict {
   CONFIGURED,  ///< the parameters and the file hold
 };
 
-enum class ExposureUnit { SECONDS, MILLISECONDS, MICROSECONDS };
+enum class ExposureUnit {
+  SECONDS,
+  MILLISECONDS,
+  HUNDRED_MICROSECONDS,  ///< of V4L2's exposure_absolute, and of what is read from it
+  TEN_MICROSECONDS,
+  MICROSECONDS,
+};
 
 /// The messages that exposure times are read from.
 struct ExposureSource {

@@ -97,8 +97,8 @@ ParameterGroup camera_timing() {
           {"exposure_time", &Shutter::exposure_ns, above(0, 1, "s"), "of each row; 0: only from the exposure topic"},
           {"exposure_source", &Config::exposure_source,
            "the exposure topic has gyro_deblur/Exposure; any message with exposure_field, in that unit; a RealSense's "
-           "metadata (exposure_field: actual_exposure unless given); or a driver's parameter_updates with the "
-           "parameter exposure_field"},
+           "metadata (exposure_field: actual_exposure unless given; infrared in us, colour in 100us); or a driver's "
+           "parameter_updates with the parameter exposure_field"},
           {"exposure_field", &ExposureSource::field, "e.g. exposure_time, exposures[0].shutterms"},
           {"exposure_max_age", &Config::exposure_max_age_ns, within(0, 60, "s"),
            "how long the last exposure serves images without their own; 0: not at all"},
@@ -132,7 +132,9 @@ ParameterGroup gyroscope() {
   return {"gyroscope",
           "",
           {
-              {"time_offset", &Gyro::time_offset_ns, within(-10, 10, "s"),
+              // One clock may count from 1970 and the other from when it was switched on. ros::Time ends after 4.3e9 s,
+              // a sum of both fits into 64 bits of nanoseconds.
+              {"time_offset", &Gyro::time_offset_ns, within(-4e9, 4e9, "s"),
                "t_imu = t_cam + time_offset; Kalibr's: see doc/guides/calibration.md"},
               {"R_cam_imu", &Config::R_cam_imu,
                "rotation from IMU to camera coordinates (Kalibr's T_cam_imu), by rows; []: from tf"},

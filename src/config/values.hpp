@@ -81,10 +81,15 @@ inline const Names<ExposureMessage>& names_of(const ExposureSource&) {
   static const Names<ExposureMessage> kNames{
       {"message", {Kind::MESSAGE, ExposureUnit::SECONDS}},
       {"field_us", {Kind::FIELD, ExposureUnit::MICROSECONDS}},
+      {"field_10us", {Kind::FIELD, ExposureUnit::TEN_MICROSECONDS}},
+      {"field_100us", {Kind::FIELD, ExposureUnit::HUNDRED_MICROSECONDS}},
       {"field_ms", {Kind::FIELD, ExposureUnit::MILLISECONDS}},
       {"field_s", {Kind::FIELD, ExposureUnit::SECONDS}},
       {"realsense_metadata_us", {Kind::REALSENSE_METADATA, ExposureUnit::MICROSECONDS}},
+      {"realsense_metadata_100us", {Kind::REALSENSE_METADATA, ExposureUnit::HUNDRED_MICROSECONDS}},
       {"dynamic_reconfigure_us", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::MICROSECONDS}},
+      {"dynamic_reconfigure_10us", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::TEN_MICROSECONDS}},
+      {"dynamic_reconfigure_100us", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::HUNDRED_MICROSECONDS}},
       {"dynamic_reconfigure_ms", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::MILLISECONDS}},
       {"dynamic_reconfigure_s", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::SECONDS}}};
   return kNames;

@@ -44,8 +44,8 @@ double read_number(const std::string& key, const YAML::Node& node, const std::st
 }
 
 TimeNs read_seconds(const std::string& key, const YAML::Node& node) {
-  // No duration here is longer than a minute; the bound only keeps the conversion from overflowing.
-  constexpr double kLongestS = 1e6;
+  // The bound only keeps the conversion to 64 bits of nanoseconds (292 years) from overflowing.
+  constexpr double kLongestS = 9e9;
   const double seconds = read_number(key, node, "a finite number of seconds");
   require_range(key.c_str(), seconds, -kLongestS, kLongestS, "s");
   return to_ns(seconds);

@@ -252,7 +252,8 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("exposure_time: 20", "exposure_time = 20 is outside [1e-09, 1] s: is it in milliseconds?");
   expect("exposure_time: 20000", "exposure_time = 20000 is outside [1e-09, 1] s: is it in microseconds?");
   expect("readout_time: 25", "readout_time = 25 is outside [-1, 1] s: is it in milliseconds?");
-  expect("exposure_source: field", "exposure_source = field is not one of message field_us field_ms field_s");
+  expect("exposure_source: field",
+         "exposure_source = field is not one of message field_us field_10us field_100us field_ms field_s");
   expect("exposure_source: field_us", "exposure_field = \"\" is not the name of a field");
   expect("exposure_max_age: 61", "exposure_max_age = 61 is outside [0, 60] s");
   expect("stamp_phase: 0", "stamp_phase = 0 is not one of start middle end");
@@ -280,7 +281,7 @@ TEST(ParseConfig, RefusesValuesOutOfRange) {
   const std::vector<Limits> limits{
       {"exposure_time", {"0", "1e-9", "1"}, {"-0.001", "1.001"}},
       {"readout_time", {"-1", "1"}, {"-1.001", "1.001"}},
-      {"time_offset", {"-10", "10"}, {"-10.001", "10.001"}},
+      {"time_offset", {"-4e9", "4e9"}, {"-4000000001", "4000000001"}},
       {"gyro_buffer_duration", {"0.101", "60"}, {"0.1", "60.001"}},
       {"max_gyro_gap", {"0.001", "1"}, {"0.0009", "1.001"}},
       {"gyro_range", {"0", "400"}, {"-0.001", "2000"}},
