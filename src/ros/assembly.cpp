@@ -7,6 +7,7 @@
 
 #include "gyro_deblur/feature_tracker.hpp"
 #include "ros/calibration_conversion.hpp"
+#include "ros/exposure_check.hpp"
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
@@ -29,6 +30,17 @@ std::string coverage_text(const TimeRange& needed, const std::optional<TimeRange
 Readiness settle(PendingFrame* frame, PassThroughReason reason, const std::string& text) {
   frame->settle(reason, text);
   return Readiness::SETTLED;
+}
+
+/// Why there is no exposure time, and where one was looked for.
+/// @param told_none  the driver has told that it does not know it
+std::string no_exposure_text(const Config& config, bool told_none, TimeNs stamp_ns) {
+  const std::string stamp_text = seconds_text(stamp_ns) + " s";
+  return (told_none ? "the driver tells an exposure time of 0 s, which is not known, for the image with the stamp " +
+                          stamp_text + ", its neighbours tell none, "
+                    : "no exposure message with the image's stamp " + stamp_text + ", ") +
+         "none within exposure_max_age = " + seconds_text(config.exposure_max_age_ns) +
+         " s before it, and parameter exposure_time is not set: set it to (0, 1] s, or publish exposures";
 }
 
 void take_times(const Exposure& message, ShutterTiming* timing) {
@@ -173,38 +185,50 @@ Readiness FrameAssembly::find_calibration(const Terms& terms, PendingFrame* fram
   return Readiness::READY;
 }
 
-Readiness FrameAssembly::find_timing(const Terms& terms, PendingFrame* frame, ShutterTiming* timing) const {
+Readiness FrameAssembly::find_timing(const Terms& terms, PendingFrame* frame, ShutterTiming* timing,
+                                     std::string* source) const {
   const Config& config = terms.config;
   const TimeNs stamp_ns = frame->picture_ns();  // an image that repeats a picture has its exposure
   *timing = config.shutter;
   timing->readout_ns = region_readout_ns(timing->readout_ns, *frame->info);
   const Intake::Exposures& exposures = intake_.exposures();
-  if (const Exposure* message = exposures.find(stamp_ns)) {
-    take_times(*message, timing);
+  const auto is_known = [](const Exposure* message) { return message && !message->exposure_time.isZero(); };
+  const auto take = [&](const Exposure& message) {
+    take_times(message, timing);
+    *source = kMessageExposure;
+    return Readiness::READY;
+  };
+  const Exposure* own = exposures.find(stamp_ns);
+  if (is_known(own)) return take(*own);
+  if (own && !own->readout_time.isZero()) timing->readout_ns = own->readout_time.toNSec();
+  const std::optional<TimeNs> setting_ns = intake_.exposure_setting_ns();
+  if (setting_ns.value_or(0) != 0) {
+    timing->exposure_ns = *setting_ns;
+    *source = kSettingExposure;
     return Readiness::READY;
   }
-  if (intake_.exposure_setting_ns()) {
-    timing->exposure_ns = *intake_.exposure_setting_ns();
-    return Readiness::READY;
-  }
-  if (const Exposure* message = exposures.find_between_alike(stamp_ns)) {
-    take_times(*message, timing);
-    return Readiness::READY;
-  }
+  const Exposure* neighbour = exposures.find_between_alike(stamp_ns);
+  if (is_known(neighbour)) return take(*neighbour);
   // Exposures change all the time, so that this is what a lost one costs: two frame periods.
   constexpr std::size_t kOvertaking = 2;
+  bool waits = !terms.timed_out && exposures.later(stamp_ns) < kOvertaking;
   const bool expected = intake_.exposure_expected();
-  const bool overtaken = exposures.later(stamp_ns) >= kOvertaking;
-  if (expected && exposures.awaited() && !overtaken && !terms.timed_out) return Readiness::WAITS;
+  if (own) {
+    // Of a driver that does not know yet, no neighbour knows either.
+    waits = waits && (timing->exposure_ns == 0 || is_known(exposures.find_before(stamp_ns, 0)));
+  } else {
+    waits = waits && expected && exposures.awaited() && !setting_ns;
+  }
+  if (waits) return Readiness::WAITS;
   const TimeNs oldest_ns = stamp_ns - config.exposure_max_age_ns;
-  if (const Exposure* before = exposures.find_before(stamp_ns, oldest_ns)) {
-    take_times(*before, timing);
-  } else if (timing->exposure_ns == 0) {
+  const Exposure* before = exposures.find_before(stamp_ns, oldest_ns);
+  if (is_known(before)) return take(*before);
+  *source = kParameterExposure;
+  if (timing->exposure_ns == 0) {
     return settle(frame, PassThroughReason::NO_EXPOSURE_TIME,
-                  "no exposure message with the image's stamp " + seconds_text(stamp_ns) +
-                      " s, none within exposure_max_age = " + seconds_text(config.exposure_max_age_ns) +
-                      " s before it, and parameter exposure_time = 0 is outside (0, 1] s");
-  } else if (expected && exposures.awaited()) {
+                  no_exposure_text(config, own != nullptr || setting_ns.has_value(), stamp_ns));
+  }
+  if (!own && expected && exposures.awaited() && !setting_ns) {
     log_(LogLevel::WARNING, "exposure message missing",
          "no exposure message with the image's stamp " + seconds_text(stamp_ns) +
              " s: using parameter exposure_time = " + seconds_text(timing->exposure_ns) + " s");
@@ -214,13 +238,23 @@ Readiness FrameAssembly::find_timing(const Terms& terms, PendingFrame* frame, Sh
 
 Readiness FrameAssembly::find_exposure(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {
   ShutterTiming timing;
-  const Readiness readiness = find_timing(terms, frame, &timing);
+  std::string source;
+  const Readiness readiness = find_timing(terms, frame, &timing, &source);
   if (readiness != Readiness::READY) return readiness;
+  const FramePeriod& period = intake_.frame_period();
+  const bool from_parameter = source == kParameterExposure;
+  if (const std::optional<std::string> fault = exposure_fault(source, timing.exposure_ns, period)) {
+    // Reported when it came.
+    return settle(frame, from_parameter ? PassThroughReason::BAD_CONFIGURATION : PassThroughReason::NO_EXPOSURE_TIME,
+                  *fault);
+  }
   try {
-    intake_.frame_period().require_plausible_readout("readout_time", timing.readout_ns);
+    period.require_plausible_readout("readout_time", timing.readout_ns);
   } catch (const OptionError& error) {
+    problems_.report("readout_time", error.what());
     return settle(frame, PassThroughReason::BAD_CONFIGURATION, error.what());
   }
+  problems_.resolve("readout_time");
   try {
     assembled->exposure.emplace(frame->picture_ns(), static_cast<int>(frame->image->height), timing);
   } catch (const OptionError& error) {
@@ -250,13 +284,19 @@ Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame,
     return Readiness::READY;
   }
   if (from_tf) {
+    frame->missing_extrinsic.clear();
+    problems_.resolve(kNoExtrinsic);
     *R_cam_imu = *from_tf;
     return Readiness::READY;
   }
-  if (!terms.timed_out) return Readiness::WAITS;
-  return settle(frame, PassThroughReason::NO_EXTRINSIC,
-                "no transform from IMU frame \"" + imu_frame + "\" to camera frame \"" + camera_frame +
-                    "\", and no parameter R_cam_imu");
+  const std::string missing = "no transform from IMU frame \"" + imu_frame + "\" to camera frame \"" + camera_frame +
+                              "\", and no parameter R_cam_imu: set it, or publish a static transform";
+  if (terms.timed_out) {
+    problems_.report(kNoExtrinsic, missing);
+    return settle(frame, PassThroughReason::NO_EXTRINSIC, missing);
+  }
+  frame->missing_extrinsic = missing;
+  return Readiness::WAITS;
 }
 
 Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {

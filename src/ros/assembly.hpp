@@ -31,9 +31,10 @@ struct AssembledFrame : PictureMotion {
   TrackerOptions tracker_options;
   bool rectified_input = false;
   bool drop_bad = false;
-  bool in_a_hurry = false;  ///< see OverloadRule::is_in_a_hurry()
-  PixelMask mask;           ///< empty, or of the image's size
-  int configuration = 0;    ///< number of the one that `options` are of
+  bool doubts_large_blur = false;  ///< no image has confirmed the gyroscope's rates yet
+  bool in_a_hurry = false;         ///< see OverloadRule::is_in_a_hurry()
+  PixelMask mask;                  ///< empty, or of the image's size
+  int configuration = 0;           ///< number of the one that `options` are of
   /// The camera sends pictures again: what is made of this one is kept for them.
   bool pictures_repeat = false;
 };
@@ -83,7 +84,8 @@ class FrameAssembly {
   Readiness find_calibration(const Terms& terms, PendingFrame* frame) const;
   Readiness find_exposure(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
   /// Exposure and readout time from a message, a setting or the parameters.
-  Readiness find_timing(const Terms& terms, PendingFrame* frame, ShutterTiming* timing) const;
+  /// @param source  what the exposure time is of, for messages
+  Readiness find_timing(const Terms& terms, PendingFrame* frame, ShutterTiming* timing, std::string* source) const;
   /// The rotation from the parameters, the calibration file or tf.
   Readiness find_extrinsic(const Terms& terms, PendingFrame* frame, Eigen::Matrix3d* R_cam_imu) const;
   /// Gyroscope samples up to the frame's end, and how the sensors are mounted. Precondition: the exposure is known.

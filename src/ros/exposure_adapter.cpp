@@ -47,6 +47,10 @@ double ExposureAdapter::seconds(double value) const {
   switch (source_.unit) {
     case ExposureUnit::MICROSECONDS:
       return value * 1e-6;
+    case ExposureUnit::TEN_MICROSECONDS:
+      return value * 1e-5;
+    case ExposureUnit::HUNDRED_MICROSECONDS:
+      return value * 1e-4;
     case ExposureUnit::MILLISECONDS:
       return value * 1e-3;
     case ExposureUnit::SECONDS:
@@ -116,7 +120,15 @@ std::optional<ExposureReading> ExposureAdapter::read(const std::string& type, co
 
 void ExposureAdapter::pass_on(const std::string& type, const std::string& definition,
                               const std::vector<std::uint8_t>& bytes, Processor* processor) {
-  const std::optional<ExposureReading> reading = read(type, definition, bytes.data(), bytes.size());
+  constexpr char kKind[] = "exposure source";
+  std::optional<ExposureReading> reading;
+  try {
+    reading = read(type, definition, bytes.data(), bytes.size());
+  } catch (const std::runtime_error& error) {
+    processor->note_unreadable(kKind, error.what());
+    return;
+  }
+  processor->note_unreadable(kKind, "");
   if (!reading) return;
   if (!reading->stamp_ns) {
     processor->add_exposure_setting(reading->exposure_ns);

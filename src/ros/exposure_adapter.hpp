@@ -21,12 +21,12 @@ struct ExposureReading {
 };
 
 /// Reads exposure times by the rule of a configuration (`exposure_source`, `exposure_field`).
-/// - field_us, field_ms, field_s: a number, time or duration anywhere in a message. Its image's stamp is the message's
-///   `header.stamp`, else the `stamp` beside the field.
-/// - realsense_metadata_us: a number in the JSON of realsense2_camera/Metadata, by default "actual_exposure"
-/// (librealsense:
-///   RS2_FRAME_METADATA_ACTUAL_EXPOSURE, microseconds).
-/// - dynamic_reconfigure_us, _ms, _s: a parameter of dynamic_reconfigure/Config, which a driver's server publishes as
+/// The end of the rule's name is the unit: us, 10us, 100us, ms or s.
+/// - field_UNIT: a number, time or duration anywhere in a message. Its image's stamp is the message's `header.stamp`,
+///   else the `stamp` beside the field.
+/// - realsense_metadata_UNIT: a number in the JSON of realsense2_camera/Metadata, by default "actual_exposure": in us
+///   for infrared streams, in units of 100 us for colour streams, see doc/guides/calibration.md.
+/// - dynamic_reconfigure_UNIT: a parameter of dynamic_reconfigure/Config, which a driver's server publishes as
 ///   parameter_updates.
 /// Message packages need not be installed.
 class ExposureAdapter {
@@ -40,7 +40,7 @@ class ExposureAdapter {
   std::optional<ExposureReading> read(const std::string& type, const std::string& definition, const std::uint8_t* bytes,
                                       std::size_t size);
 
-  /// Reads a message and gives the processor what it says. Throws as read().
+  /// Reads a message and gives the processor what it says, or why it cannot be read.
   void pass_on(const std::string& type, const std::string& definition, const std::vector<std::uint8_t>& bytes,
                Processor* processor);
 

@@ -34,7 +34,8 @@ struct PendingFrame {
   /// Not NONE: it is settled that the frame passes through unchanged, and why.
   PassThroughReason verdict = PassThroughReason::NONE;
   std::string verdict_text;
-  bool verdict_told = false;  ///< to the partners of a stereo camera
+  std::string missing_extrinsic;  ///< why it waits for the rotation between IMU and camera; empty: it does not
+  bool verdict_told = false;      ///< to the partners of a stereo camera
 
   /// Stamp of the picture: of the first image that showed it.
   TimeNs picture_ns() const { return picture ? picture->stamp_ns : stamp_ns; }
@@ -68,6 +69,7 @@ class FrameQueue {
   std::size_t size() const { return frames_.size(); }
   std::deque<PendingFrame>& frames() { return frames_; }
   PendingFrame& front() { return frames_.front(); }
+  const PendingFrame& front() const { return frames_.front(); }
 
   /// Frames behind the foremost one that have all that they need.
   std::size_t ready_behind_front() const;

@@ -42,8 +42,7 @@ bool GyroSource::add(const sensor_msgs::Imu& imu) {
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!sample) {
     ++statistics_.imu_without_gyroscope;
-    log_(LogLevel::ERROR, "imu without gyroscope",
-         "imu message dropped: angular_velocity_covariance[0] = -1 says that it has no angular velocity");
+    check_.add_without_rates();
     return false;
   }
   frame_id_ = imu.header.frame_id;
@@ -55,11 +54,12 @@ bool GyroSource::add(const sensor_msgs::Imu& imu) {
              vector_text(sample->rate_rad_s) + " rad/s is not finite");
     return false;
   }
+  check_.add(*sample, options_.gyro);
   return take(*sample);
 }
 
 bool GyroSource::take(const GyroSample& sample) {
-  const auto ruling = stamps_.add(sample, imu_stamps(options_.gyro.max_gap_ns, options_.time_jump_ns));
+  const auto ruling = stamps_.add(sample, imu_stamps(check_.longest_step_ns(options_.gyro), options_.time_jump_ns));
   if (ruling.newest_refused) {
     --statistics_.imu_accepted;
     if (is_saturated(buffer_.drop_newest(), options_.gyro)) --statistics_.imu_saturated;
@@ -103,6 +103,11 @@ void GyroSource::refuse(const StampRuling<GyroSample>::Refused& refused) {
 ImuStatistics GyroSource::statistics() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   return statistics_;
+}
+
+bool GyroSource::rates_are_zero() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return check_.rates_are_zero();
 }
 
 std::string GyroSource::frame_id() const {

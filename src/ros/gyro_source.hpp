@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -13,6 +14,8 @@
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
 #include "gyro_deblur/time.hpp"
+#include "ros/gyro_check.hpp"
+#include "ros/input_problems.hpp"
 #include "ros/stamp_rule.hpp"
 #include "ros/throttled_log.hpp"
 
@@ -52,6 +55,10 @@ class GyroSource {
   bool add(const sensor_msgs::Imu& imu);
 
   ImuStatistics statistics() const;
+  /// What the samples have shown to be wrong, by kind.
+  std::map<std::string, InputProblem> problems() const { return problems_.all(); }
+  /// All rates of the last second or more are exactly 0, as no gyroscope's are.
+  bool rates_are_zero() const;
   /// Frame of the newest message.
   std::string frame_id() const;
 
@@ -64,9 +71,11 @@ class GyroSource {
   void resize(TimeNs capacity_ns);
 
   ThrottledLog log_;
+  InputProblems problems_{&log_};  // locks itself
 
   mutable std::mutex mutex_;  // everything below
   Options options_;
+  GyroCheck check_{&problems_};
   GyroBuffer buffer_;
   StampRule<GyroSample> stamps_;
   std::string frame_id_;

@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "ros/exposure_check.hpp"
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
@@ -28,6 +29,8 @@ Intake::Intake(Clocks clocks, std::shared_ptr<GyroSource> gyro_source, std::func
       problems_(*problems),
       jumps_(config_.time_jump_ns),
       gyro_(gyro_source_),
+      missing_(problems),
+      clocks_apart_(problems),
       queue_(static_cast<std::size_t>(config_.frame_queue_size)) {}
 
 void Intake::set_config(const Config& config) {
@@ -75,6 +78,7 @@ void Intake::handle(TimeJumpDetector::Verdict verdict, Stream stream, TimeNs fro
       break;
   }
   ++statistics_.time_jumps;
+  clocks_apart_.clear();
   for (const Stream every : {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE}) {
     forget(every, every == stream ? ShownBy::ITSELF : ShownBy::OTHER);
   }
@@ -94,7 +98,9 @@ void Intake::note_imu() {
   if (news.restarted && jumps_.newest_ns(Stream::IMU)) {
     handle(jumps_.went_back(Stream::IMU, news.to_ns), Stream::IMU, news.from_ns, news.to_ns);
   }
-  if (news.samples > 0 && news.newest_ns) jumps_.update(Stream::IMU, *news.newest_ns, news.samples);
+  if (news.samples == 0 || !news.newest_ns) return;
+  jumps_.update(Stream::IMU, *news.newest_ns, news.samples);
+  clocks_apart_.add_samples(*news.newest_ns, news.samples);
 }
 
 bool Intake::exposure_expected() const {
@@ -121,6 +127,8 @@ TimeNs Intake::now() {
   note_time(Stream::CLOCK, now_ns);
   note_imu();
   note_attendance(now_ns);
+  if (clocks_.steady) missing_.check(config_, seen(), steady_now());
+  clocks_apart_.check(config_, clocks_.steady ? steady_now() : now_ns, clocks_.steady != nullptr);
   for (PendingFrame& frame : queue_.frames()) {
     // Simulated time is 0 until its first message, and it can be set back: waiting starts anew then.
     if (frame.arrival_ns == 0 || frame.arrival_ns > now_ns) frame.arrival_ns = now_ns;
@@ -135,10 +143,52 @@ bool Intake::has_timed_out(const PendingFrame& frame, TimeNs now_ns, TimeNs time
          (clocks_.steady && steady_now() - frame.arrival_steady_ns >= kSteadyTimeoutFactor * timeout_ns);
 }
 
+MissingInputs::Seen Intake::seen() const {
+  MissingInputs::Seen seen;
+  seen.camera_info = infos_.seen();
+  seen.imu = !gyro_.empty();
+  seen.exposure = exposure_known_;
+  if (!queue_.empty()) seen.extrinsic = queue_.front().missing_extrinsic;
+  return seen;
+}
+
+void Intake::check_exposure(const std::string& name, TimeNs exposure_ns) {
+  if (exposure_ns == 0) {
+    const std::string otherwise =
+        config_.shutter.exposure_ns > 0 ? seconds_text(config_.shutter.exposure_ns) + " s" : "0, which is not set";
+    problems_.report("exposure 0", name + " is 0 s, taken as not known: images without one go by their neighbours, " +
+                                       "else by exposure_time = " + otherwise);
+    return;
+  }
+  problems_.resolve("exposure 0");
+  exposure_known_ = true;
+  if (const std::optional<std::string> fault = exposure_fault(name, exposure_ns, frame_period_)) {
+    problems_.report("exposure", *fault);
+  } else {
+    problems_.resolve("exposure");
+  }
+}
+
+void Intake::check_parameters() {
+  // Where exposures come, the parameter only stands in for lost ones.
+  if (exposure_known_ || config_.shutter.exposure_ns == 0) return;
+  if (const auto fault = exposure_fault(kParameterExposure, config_.shutter.exposure_ns, frame_period_)) {
+    problems_.report("exposure_time", *fault);
+  } else {
+    problems_.resolve("exposure_time");
+  }
+}
+
+void Intake::add_exposure_setting(TimeNs exposure_ns) {
+  exposure_setting_ns_ = exposure_ns;
+  check_exposure(kSettingExposure, exposure_ns);
+}
+
 void Intake::add_exposure(const Exposure& exposure) {
   now();
   const TimeNs stamp_ns = to_time_ns(exposure.header.stamp);
   note_time(Stream::EXPOSURE, stamp_ns);
+  check_exposure(kMessageExposure, exposure.exposure_time.toNSec());
   exposures_.add(stamp_ns, exposure, store_size());
 }
 
@@ -161,6 +211,9 @@ void Intake::add_frame(PendingFrame frame) {
     if (exposure_expected() && !exposure_setting_ns_ && !frame.repeats)
       exposures_.expect(frame.stamp_ns, frame.arrival_ns);
   }
+  check_parameters();
+  if (frame.verdict == PassThroughReason::NONE) clocks_apart_.add_image(frame.stamp_ns);
+  missing_.add_image(frame.arrival_steady_ns);
   ++statistics_.frames_in;
   queue_.push(std::move(frame));
 }
@@ -186,6 +239,8 @@ void Intake::reset() {
   exposures_.reset();
   pictures_.forget();
   frame_period_.clear();
+  missing_.clear();
+  clocks_apart_.clear();
   jumps_.clear();
 }
 

@@ -12,11 +12,13 @@
 
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/exposure.hpp"
+#include "ros/clock_check.hpp"
 #include "ros/companion.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/gyro_source.hpp"
 #include "ros/input_problems.hpp"
 #include "ros/messages.hpp"
+#include "ros/missing_inputs.hpp"
 #include "ros/picture.hpp"
 #include "ros/throttled_log.hpp"
 #include "ros/time_jump.hpp"
@@ -56,7 +58,8 @@ class Intake {
   void set_config(const Config& config);
 
   void add_exposure(const Exposure& exposure);
-  void add_exposure_setting(TimeNs exposure_ns) { exposure_setting_ns_ = exposure_ns; }
+  /// @param exposure_ns  0: the driver does not know
+  void add_exposure_setting(TimeNs exposure_ns);
   void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
   /// Precondition of the frame: image, stamp, and a verdict if it is not usable.
   void add_frame(PendingFrame frame);
@@ -66,6 +69,9 @@ class Intake {
 
   /// As after the start: waiting frames are settled as TIME_JUMP.
   void reset();
+
+  /// Nothing more will come: tells what never has.
+  void finish() { missing_.finish(config_, seen()); }
 
   /// Reads the clock, and notices what it and the source of samples have done since.
   TimeNs now();
@@ -82,6 +88,7 @@ class Intake {
   const Exposures& exposures() const { return exposures_; }
   /// True when images have exposure messages, or cannot do without.
   bool exposure_expected() const;
+  /// Of the newest setting; 0: the driver does not know.
   std::optional<TimeNs> exposure_setting_ns() const { return exposure_setting_ns_; }
   /// Of new pictures: repeated ones leave it as it is.
   const FramePeriod& frame_period() const { return frame_period_; }
@@ -104,6 +111,12 @@ class Intake {
   void find_picture(PendingFrame* frame);
   /// Ends waiting for companions that do not come, and tells so.
   void note_attendance(TimeNs now_ns);
+  MissingInputs::Seen seen() const;
+  /// Tells of an exposure time that a message or a setting has, and that cannot be used.
+  /// @param name  what the time is of
+  void check_exposure(const std::string& name, TimeNs exposure_ns);
+  /// Tells of parameters that the frame period contradicts.
+  void check_parameters();
 
   const Clocks clocks_;
   const std::shared_ptr<GyroSource> gyro_source_;  // locks itself
@@ -118,6 +131,9 @@ class Intake {
   CameraInfos infos_;
   std::optional<TimeNs> exposure_setting_ns_;
   PictureTracker pictures_;
+  bool exposure_known_ = false;  // a message or a setting has told one
+  MissingInputs missing_;
+  ClockCheck clocks_apart_;
   FramePeriod frame_period_;
   FrameQueue queue_;
   IntakeStatistics statistics_;

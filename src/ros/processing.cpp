@@ -163,6 +163,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
     output->residual_rotation->known_rad_s = R_imu_cam * result.residual_rotation->known_rad_s;
   }
   output->static_share = result.static_share;
+  output->seen_rotation = result.seen_rotation;
   output->slow_blocks = result.slow_blocks;
   output->engine_warning = pipeline.take_warning();
   output->keypoints_text = result.keypoints_text;
@@ -266,6 +267,7 @@ void pass_through_failed(const std::string& text, FrameOutput* output) {
   output->global_shutter_info.reset();
   output->residual_rotation.reset();
   output->static_share = 0;
+  output->seen_rotation.reset();
 }
 
 }  // namespace

@@ -63,6 +63,7 @@ struct FrameOutput {
   std::string engine_warning;                         ///< what the engine has to tell; mostly empty
   std::optional<ResidualRotation> residual_rotation;  ///< axes of the IMU; absent where images tell too little
   double static_share = 0;                            ///< of the image, see PipelineResult::static_share
+  std::optional<ResidualRotation> seen_rotation;      ///< axes of the camera; of the image as a whole
   StageTimes stages;                                  ///< [ms]
   double tracks_ms = 0;                               ///< of following corners
   double waiting_ms = 0;                              ///< steady time in the queue; left to the caller

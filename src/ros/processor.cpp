@@ -23,6 +23,11 @@ LogLevel level_of(PassThroughReason reason) {
   }
 }
 
+/// Images whose blur is too large by rates that no image has confirmed yet are not dropped: the unit may be wrong.
+bool is_doubted(const AssembledFrame& assembled, const FrameBlur& field) {
+  return assembled.doubts_large_blur && 2 * field.count(BlockStatus::TOO_LARGE) > field.blocks.size();
+}
+
 /// What a camera that drops bad images tells its partners.
 DropTerms drop_terms(const FrameBlur& field) {
   FrameBlur left = field;
@@ -133,6 +138,10 @@ void Processor::add_mask(const sensor_msgs::Image& mask) {
   mask_.set_message(mask);
 }
 
+void Processor::note_unreadable(const std::string& kind, const std::string& text) {
+  text.empty() ? problems_.resolve(kind) : problems_.report(kind, text);
+}
+
 void Processor::note_ready() {
   if (!config_) return;
   // Not the tracker's time: another thread's, and of no matter for being ready.
@@ -175,6 +184,9 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
                                        {tracker_.newest_frame(), pipeline_ ? pipeline_->newest_frame() : std::nullopt},
                                        timed_out};
       const Readiness readiness = assembly_.assemble(terms, &frame, &assembled);
+      // By rates of a wrong unit every image looks BAD.
+      if (gyro_unit_is_wrong_) assembled.drop_bad = false;
+      assembled.doubts_large_blur = config_->pipeline.motion_from_images && !gyro_unit_.is_confirmed();
       if (readiness == Readiness::WAITS) return std::nullopt;
       if (readiness == Readiness::READY) {
         repetitions_.add(frame, intake_.gyro(), assembled.gyro, intake_.statistics());
@@ -211,7 +223,9 @@ FrameOutput Processor::process_with_partners(const AssembledFrame& assembled) {
   StereoCamera* const stereo = environment_.stereo.get();
   if (!stereo) {
     if (assembled.drop_bad) {
-      request.decide = [](const FrameBlur& field) { return FrameDecision{"", drop_text(field)}; };
+      request.decide = [&assembled](const FrameBlur& field) {
+        return FrameDecision{"", is_doubted(assembled, field) ? "" : drop_text(field)};
+      };
     }
     return process(assembled, request, &tracker_);
   }
@@ -219,9 +233,9 @@ FrameOutput Processor::process_with_partners(const AssembledFrame& assembled) {
   const bool drop_bad = assembled.drop_bad;
   const PassThroughReason verdict = assembled.frame.verdict;
   verdict == PassThroughReason::NONE ? stereo->begin(stamp_ns) : stereo->pass_through(stamp_ns, verdict);
-  request.decide = [stereo, stamp_ns, drop_bad](const FrameBlur& field) {
-    return drop_bad ? stereo->decide(stamp_ns, field, drop_terms(field))
-                    : FrameDecision{stereo->decide(stamp_ns, field), ""};
+  request.decide = [&assembled, stereo, stamp_ns, drop_bad](const FrameBlur& field) {
+    return drop_bad && !is_doubted(assembled, field) ? stereo->decide(stamp_ns, field, drop_terms(field))
+                                                     : FrameDecision{stereo->decide(stamp_ns, field), ""};
   };
   FrameOutput output = process(assembled, request, &tracker_);
   if (output.reason != PassThroughReason::NONE) stereo->pass_through(stamp_ns, output.reason);
@@ -267,6 +281,7 @@ void Processor::note(const FrameOutput& output) {
   const std::string name = "frame " + seconds_text(stamp_ns);
   note_static_content(output);
   if (output.residual_rotation) gyro_errors_.add(stamp_ns, *output.residual_rotation);
+  check_gyro_unit(output);
   if (!output.keypoints_text.empty()) {
     log_(LogLevel::ERROR, "keypoints", name + " has no keypoints: " + output.keypoints_text);
   }
@@ -276,6 +291,30 @@ void Processor::note(const FrameOutput& output) {
     log_(level_of(output.reason), to_string(output.reason),
          name + " passes through unchanged: " + to_string(output.reason) + ": " + output.reason_text);
   }
+}
+
+void Processor::check_gyro_unit(const FrameOutput& output) {
+  constexpr char kKind[] = "imu unit by images";
+  if (!output.seen_rotation) return;
+  gyro_unit_.add(to_time_ns(output.input->header.stamp), *output.seen_rotation);
+  const std::optional<GyroUnitFault> fault = gyro_unit_.find(gyro_source_->rates_are_zero());
+  const bool was_wrong = std::exchange(gyro_unit_is_wrong_, fault.has_value());
+  if (!fault && was_wrong) problems_.resolve(kKind);
+  if (!fault || was_wrong) return;
+  char text[300];
+  if (fault->kind == GyroUnitFault::Kind::DEGREES) {
+    std::snprintf(text, sizeof(text),
+                  "the IMU tells rates of up to %.3g \"rad/s\" while the images turn by %.3g rad/s: are they in "
+                  "degrees/s? sensor_msgs/Imu has rad/s",
+                  fault->told_rad_s, fault->seen_rad_s);
+  } else {
+    std::snprintf(text, sizeof(text),
+                  "all rates of the IMU are 0 while the images turn by up to %.3g rad/s: is imu connected to an "
+                  "accelerometer's topic? realsense2_camera publishes accelerometer and gyroscope apart unless "
+                  "unite_imu_method is set",
+                  fault->seen_rad_s);
+  }
+  problems_.report(kKind, text);
 }
 
 void Processor::advance(const Sink& sink, bool finishing) {
@@ -307,7 +346,11 @@ void Processor::advance(const Sink& sink, bool finishing) {
 
 void Processor::advance(const Sink& sink) { advance(sink, false); }
 
-void Processor::finish(const Sink& sink) { advance(sink, true); }
+void Processor::finish(const Sink& sink) {
+  advance(sink, true);
+  const std::lock_guard<std::mutex> lock(mutex_);
+  intake_.finish();
+}
 
 std::size_t Processor::waiting() const {
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -320,6 +363,8 @@ void Processor::reset() {
   estimated_bias_rad_s_.reset();
   gyro_errors_.clear();
   repetitions_.clear();
+  gyro_unit_.clear();
+  gyro_unit_is_wrong_ = false;
   log_.clear();
   problems_.clear();
 }
@@ -363,6 +408,7 @@ ProcessorStatistics Processor::statistics() const {
   statistics.bias_rad_s = bias_in_use();
   statistics.gyro_error = gyro_errors_.find();
   statistics.input_problems = problems_.all();
+  for (const auto& [kind, problem] : gyro_source_->problems()) statistics.input_problems.emplace(kind, problem);
   return statistics;
 }
 

@@ -13,6 +13,7 @@
 
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
+#include "gyro_deblur/gyro_unit_watch.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/residual_rotation.hpp"
 #include "ros/assembly.hpp"
@@ -78,6 +79,8 @@ class Processor {
   void add_image(const sensor_msgs::ImageConstPtr& image);
   /// Replaces the configuration's mask, see InputMask.
   void add_mask(const sensor_msgs::Image& mask);
+  /// Tells of a message that could not be read, or no longer does (empty text).
+  void note_unreadable(const std::string& kind, const std::string& text);
 
   /// Hands every frame that can leave to `sink`. Exceptions of processing become INTERNAL_ERROR; those of `sink` pass.
   void advance(const Sink& sink);
@@ -115,6 +118,8 @@ class Processor {
   void note_static_content(const FrameOutput& output);
   /// Counts a frame that leaves, and tells what is wrong with it.
   void note(const FrameOutput& output);
+  /// Tells when images do not turn as the gyroscope says. Needs mutex_.
+  void check_gyro_unit(const FrameOutput& output);
 
   const Environment environment_;
   ThrottledLog log_;
@@ -141,6 +146,8 @@ class Processor {
   std::size_t in_progress_ = 0;
   OutputStatistics statistics_;
   GyroErrorWatch gyro_errors_;  // with the configuration and bias in use
+  GyroUnitWatch gyro_unit_;
+  bool gyro_unit_is_wrong_ = false;
 };
 
 }  // namespace gyro_deblur

@@ -24,8 +24,10 @@ namespace gyro_deblur {
 ros::Time Slice::read_from() const { return std::max(to_ros_time(begin_ns - lead_ns), ros::TIME_MIN); }
 
 TimeNs lead_ns(const Config& config) {
-  return config.gyro.buffer_ns + std::abs(config.gyro.time_offset_ns) + config.gyro_timeout_ns +
-         config.exposure_max_age_ns;
+  // Clocks that are hours apart record their messages at the same time all the same: what an image needs is among the
+  // samples that are kept when it comes.
+  return config.gyro.buffer_ns + std::min(std::abs(config.gyro.time_offset_ns), config.gyro.buffer_ns) +
+         config.gyro_timeout_ns + config.exposure_max_age_ns;
 }
 
 DeblurFeed::DeblurFeed(const DeblurTopics& topics, const Config& config, const FrameRequest& request, Log log)
@@ -105,19 +107,10 @@ bool DeblurFeed::take_image(const rosbag::MessageInstance& instance) {
 
 void DeblurFeed::take_exposure(const rosbag::MessageInstance& instance) {
   if (driver_messages_) {
-    take_driver_message(instance);
+    // As in the nodelet: a message without an exposure time costs its frame, not the run.
+    adapter_.pass_on(instance.getDataType(), instance.getMessageDefinition(), read_bytes(instance), &processor_);
   } else if (const auto message = read_message<Exposure>(instance)) {
     processor_.add_exposure(*message);
-  }
-}
-
-void DeblurFeed::take_driver_message(const rosbag::MessageInstance& instance) {
-  const std::vector<std::uint8_t> bytes = read_bytes(instance);
-  try {
-    adapter_.pass_on(instance.getDataType(), instance.getMessageDefinition(), bytes, &processor_);
-  } catch (const std::exception& error) {
-    if (refused_exposures_++ > 0) return;
-    log_(LogLevel::WARNING, MessageError(instance, error.what()).what());
   }
 }
 

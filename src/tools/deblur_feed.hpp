@@ -54,8 +54,6 @@ class DeblurFeed {
   void take_transforms(const rosbag::Bag& bag, const std::string& topic, ros::Time until);
   bool take_image(const rosbag::MessageInstance& instance);
   void take_exposure(const rosbag::MessageInstance& instance);
-  /// As in the nodelet: a driver's message without an exposure time costs its frame, not the run.
-  void take_driver_message(const rosbag::MessageInstance& instance);
 
   const DeblurTopics topics_;
   const bool driver_messages_;
@@ -63,7 +61,6 @@ class DeblurFeed {
   tf2::BufferCore tf_buffer_;
   TimeNs now_ns_ = 0;
   ExposureAdapter adapter_;
-  std::size_t refused_exposures_ = 0;
   Processor processor_;
 };
 

@@ -77,7 +77,9 @@ struct Row {
   std::optional<double> allowed_p99_periods{};  ///< of the latency
   std::set<PassThroughReason> not_allowed{};    ///< for no frame
   std::optional<std::size_t> allowed_mispredicted{};
+  std::string reported{};                       ///< kind of the input problem that has to be told; empty: none has to
   bool good() const {
+    if (!reported.empty() && result.statistics.input_problems.count(reported) == 0) return false;
     for (const PassThroughReason reason : not_allowed) {
       if (result.balance.passed_through.count(reason) > 0) return false;
     }
@@ -119,7 +121,7 @@ class Table {
 
   void make(bool quiet) {
     const Stream streams[] = {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE};
-    constexpr std::size_t kOthers = 35;
+    constexpr std::size_t kOthers = 41;
     Progress progress(std::size(kFaults) * std::size(streams) * std::size(kRates) + kOthers, "faults", quiet);
     std::size_t done = 0;
     const auto add = [&](Row row) {
@@ -208,6 +210,17 @@ class Table {
     }
     one("frozen", "image", freeze(all, third_ns, two_thirds_ns), options_);
     rows_.back().allowed_mispredicted = mispredicted;
+    const auto told = [&](const std::string& fault, const std::string& stream, const std::vector<Delivery>& deliveries,
+                          const std::string& kind) {
+      one(fault, stream, deliveries, options_);
+      rows_.back().reported = kind;
+    };
+    told("rates in degrees/s", "imu", scale_rates(all, 180 / M_PI), "imu unit");
+    told("an accelerometer's topic", "imu", scale_rates(all, 0), "imu unit by images");
+    told("10 Hz", "imu", thin_out(all, Stream::IMU, 20), "imu rate");
+    told("another clock, 50 years ahead", "imu", shift_clock(all, Stream::IMU, 50 * 31'536'000 * kSecond), "clocks");
+    told("10 times the time that it is", "exposure", set_exposures(all, kSecond / 5, all.size()), "exposure");
+    told("0 at first", "exposure", set_exposures(all, 0, 10), "exposure 0");
     constexpr std::size_t kFramesOfAKind = 7;
     one("size changes", "image", change_sizes(all, kFramesOfAKind), options_);
     one("encoding changes", "image", change_encodings(all, kFramesOfAKind), options_);

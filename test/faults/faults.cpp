@@ -276,6 +276,41 @@ std::vector<Delivery> clip_gyro(const std::vector<Delivery>& deliveries, double 
   return result;
 }
 
+std::vector<Delivery> scale_rates(const std::vector<Delivery>& deliveries, double factor) {
+  std::vector<Delivery> result = deliveries;
+  for (Delivery& delivery : result) {
+    auto* imu = std::get_if<sensor_msgs::ImuConstPtr>(&delivery.message);
+    if (imu == nullptr) continue;
+    auto scaled = copy_of(*imu);
+    for (double* rate : {&scaled->angular_velocity.x, &scaled->angular_velocity.y, &scaled->angular_velocity.z}) {
+      *rate *= factor;
+    }
+    *imu = scaled;
+  }
+  return result;
+}
+
+std::vector<Delivery> shift_clock(const std::vector<Delivery>& deliveries, Stream stream, TimeNs by_ns) {
+  std::vector<Delivery> result = deliveries;
+  for (Delivery& delivery : result) {
+    if (stream_of(delivery) == stream) shift_stamp(&delivery, by_ns);
+  }
+  return result;
+}
+
+std::vector<Delivery> set_exposures(const std::vector<Delivery>& deliveries, TimeNs exposure_ns, std::size_t count) {
+  std::vector<Delivery> result = deliveries;
+  for (Delivery& delivery : result) {
+    auto* exposure = std::get_if<ExposureConstPtr>(&delivery.message);
+    if (exposure == nullptr || count == 0) continue;
+    --count;
+    auto changed = copy_of(*exposure);
+    changed->exposure_time.fromNSec(exposure_ns);
+    *exposure = changed;
+  }
+  return result;
+}
+
 std::vector<Delivery> with_action(const std::vector<Delivery>& deliveries, TimeNs period_ns, const Action& action) {
   std::vector<Delivery> result = deliveries;
   const ActionConstPtr shared = boost::make_shared<Action>(action);

@@ -41,6 +41,14 @@ std::vector<Delivery> repeat_pictures(const std::vector<Delivery>& deliveries, s
 
 /// Images that arrive in [from_ns, to_ns) show the picture of the one before them: the camera's buffer is not written.
 std::vector<Delivery> freeze(const std::vector<Delivery>& deliveries, TimeNs from_ns, TimeNs to_ns);
+/// Rates of the gyroscope are multiplied: by 180 / pi they are in degrees/s, by 0 those of an accelerometer's topic.
+std::vector<Delivery> scale_rates(const std::vector<Delivery>& deliveries, double factor);
+
+/// The clock that stamps `stream` differs from all others by `by_ns`.
+std::vector<Delivery> shift_clock(const std::vector<Delivery>& deliveries, Stream stream, TimeNs by_ns);
+
+/// The first `count` exposure messages tell `exposure_ns`.
+std::vector<Delivery> set_exposures(const std::vector<Delivery>& deliveries, TimeNs exposure_ns, std::size_t count);
 
 /// `action` every `period_ns`.
 std::vector<Delivery> with_action(const std::vector<Delivery>& deliveries, TimeNs period_ns, const Action& action);

@@ -2,6 +2,7 @@
 
 #include <cstring>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <dynamic_reconfigure/Config.h>
@@ -60,6 +61,36 @@ TEST(ExposureAdapter, ReadsAFieldInTheUnitOfItsName) {
   EXPECT_EQ(second->stamp_ns, kStamp);
   EXPECT_EQ(read({Kind::FIELD, ExposureUnit::MILLISECONDS, "gain"}, type, kSequence, bytes)->exposure_ns, 3 * kMs);
   EXPECT_EQ(read({Kind::FIELD, ExposureUnit::SECONDS, "gain"}, type, kSequence, bytes)->exposure_ns, 3 * kSecond);
+}
+
+// V4L2's exposure_absolute and the colour stream of RealSense cameras count in 100 us.
+TEST(ExposureAdapter, ReadsEveryUnit) {
+  constexpr TimeNs kUs = 1000;
+  const std::vector<std::pair<ExposureUnit, TimeNs>> units{{ExposureUnit::MICROSECONDS, kUs},
+                                                           {ExposureUnit::TEN_MICROSECONDS, 10 * kUs},
+                                                           {ExposureUnit::HUNDRED_MICROSECONDS, 100 * kUs},
+                                                           {ExposureUnit::MILLISECONDS, kMs},
+                                                           {ExposureUnit::SECONDS, kSecond}};
+  dynamic_reconfigure::Config setting;
+  setting.ints.resize(1);
+  setting.ints[0].name = "exposure_absolute";
+  setting.ints[0].value = 200;
+  Bytes setting_bytes;
+  setting_bytes.data.resize(ros::serialization::serializationLength(setting));
+  ros::serialization::OStream stream(setting_bytes.data.data(), static_cast<std::uint32_t>(setting_bytes.data.size()));
+  ros::serialization::serialize(stream, setting);
+  for (const auto& [unit, unit_ns] : units) {
+    const auto of_metadata = read({Kind::REALSENSE_METADATA, unit, ""}, "realsense2_camera/Metadata", kMetadata,
+                                  metadata(kStamp, R"({"actual_exposure":200})"));
+    EXPECT_EQ(of_metadata->exposure_ns, 200 * unit_ns);
+    const auto of_setting =
+        read({Kind::DYNAMIC_RECONFIGURE, unit, "exposure_absolute"}, "dynamic_reconfigure/Config", "", setting_bytes);
+    EXPECT_EQ(of_setting->exposure_ns, 200 * unit_ns);
+    const auto of_field = read({Kind::FIELD, unit, "exposure"}, "a/B", "time stamp\nfloat64 exposure\n",
+                               Bytes().add<std::uint32_t>(100).add<std::uint32_t>(5'000'000).add(200.0));
+    EXPECT_EQ(of_field->exposure_ns, 200 * unit_ns);
+    EXPECT_EQ(of_field->stamp_ns, kStamp);
+  }
 }
 
 TEST(ExposureAdapter, FindsTheStampBesideANestedField) {

@@ -852,6 +852,40 @@ TEST_F(NodeletTest, NoExposureTime) {
   expect_identical(0, *input);
 }
 
+TEST_F(NodeletTest, InputsThatDoNotComeAreToldBeforeFramesLeave) {
+  set("exposure_time", 0.0);
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  image_publisher_.publish(image_message(kStart));
+  for (const std::string part : {"exposure_time is not set, and no exposure message has come",
+                                 "no camera_info has come", "no IMU message with angular rates has come"}) {
+    EXPECT_TRUE(wait_for_log(part)) << part;
+    EXPECT_TRUE(mailbox_.wait([&] { return diagnostics.message.find(part) != std::string::npos; })) << part;
+  }
+  EXPECT_TRUE(mailbox_.look([this] { return images_.empty(); })) << "the frame waits for ten seconds";
+  publish_imu(kStart - 50 * kMs, kStart + kSecond);
+  EXPECT_TRUE(mailbox_.wait([&] { return diagnostics.message.find("no IMU message") == std::string::npos; }));
+}
+
+TEST_F(NodeletTest, WrongUnitAndClockOfTheImuAreTold) {
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  constexpr TimeNs kYear = 31'536'000 * kSecond;
+  publish_imu(kStart + kYear, kStart + kYear + kSecond, 160);
+  EXPECT_TRUE(wait_for_log("are they in degrees/s"));
+  // Both streams go on until the report has come.
+  TimeNs passed_ns = kSecond;
+  EXPECT_TRUE(poll_until([&] {
+    publish_frame(kStart + passed_ns);
+    publish_imu(kStart + kYear + passed_ns + kImuPeriod, kStart + kYear + passed_ns + 50 * kMs, 160);
+    passed_ns += 50 * kMs;
+    return mailbox_.look([this] { return count_log("do not overlap") > 0; });
+  }));
+  for (const std::string part : {"are they in degrees/s", "time_offset: 31536000."}) {
+    EXPECT_TRUE(mailbox_.wait([&] { return diagnostics.message.find(part) != std::string::npos; })) << part;
+  }
+}
+
 TEST_F(NodeletTest, TransformMayComeLater) {
   nh_.deleteParam(name_ + "/R_cam_imu");
   start();

@@ -312,7 +312,7 @@ TEST_F(ProcessorTest, CamerasShareASourceAndKeepWhatIsTheirOwn) {
 
 TEST_F(ProcessorTest, ThreadsMayFeedItAtOnce) {
   constexpr int kFrames = 60;
-  constexpr TimeNs kPeriod = kReadout;
+  constexpr TimeNs kPeriod = kExposure;
   const TimeNs last_imu_ns = kStart + kFrames * kPeriod + kFrameDuration;
   config_.frame_queue_size = kFrames;
   config_.gyro_timeout_ns = 10 * kSecond;

@@ -1,0 +1,53 @@
+#include "ros/missing_inputs.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// After the first image. Topics connect and drivers start within it; the report comes within a second.
+constexpr TimeNs kPatienceNs = 600'000'000;
+
+}  // namespace
+
+void MissingInputs::check(const Config& config, const Seen& seen, TimeNs steady_ns) {
+  if (!first_image_ns_ || steady_ns - *first_image_ns_ < kPatienceNs) return;
+  report(config, seen, "0.6 s after the first image");
+}
+
+void MissingInputs::finish(const Config& config, const Seen& seen) {
+  if (first_image_ns_) report(config, seen, "to the last image");
+}
+
+void MissingInputs::clear() {
+  first_image_ns_.reset();
+  reported_.clear();
+}
+
+void MissingInputs::report(const Config& config, const Seen& seen, const std::string& when) {
+  const bool file_has_camera = config.calibration && config.calibration->camera && !config.rectified_input;
+  set("no exposure time", seen.exposure || config.shutter.exposure_ns > 0
+                              ? ""
+                              : "exposure_time is not set, and no exposure message has come " + when +
+                                    ": set exposure_time [s], or connect the exposure topic and say by "
+                                    "exposure_source what it has");
+  set("no camera_info", seen.camera_info || file_has_camera
+                            ? ""
+                            : "no camera_info has come " + when + ", and no calibration file has the camera" +
+                                  (config.rectified_input ? " (rectified_input needs camera_info)" : "") +
+                                  ": publish camera_info beside the images" +
+                                  (config.rectified_input ? "" : ", or set calibration_file"));
+  set("no imu", seen.imu || config.pipeline.bridge_gyro_gaps
+                    ? ""
+                    : "no IMU message with angular rates has come " + when + ": connect imu to the gyroscope's topic");
+  // Whoever finds it resolves the report.
+  if (!seen.extrinsic.empty()) set(kNoExtrinsic, seen.extrinsic);
+}
+
+void MissingInputs::set(const std::string& kind, const std::string& text) {
+  if (text.empty()) {
+    if (reported_.erase(kind) > 0) problems_.resolve(kind);
+  } else if (reported_.insert(kind).second) {
+    problems_.report(kind, text);
+  }
+}
+
+}  // namespace gyro_deblur

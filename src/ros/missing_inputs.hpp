@@ -1,0 +1,54 @@
+// Tells of inputs that images need and that have never come.
+#pragma once
+
+#include <optional>
+#include <set>
+#include <string>
+
+#include "gyro_deblur/config.hpp"
+#include "gyro_deblur/time.hpp"
+#include "ros/input_problems.hpp"
+
+namespace gyro_deblur {
+
+/// Kind of the report that the rotation between IMU and camera is missing.
+constexpr char kNoExtrinsic[] = "no extrinsic";
+
+/// Reports each missing input once, and resolves the report when the input has come. By a clock that does not stop with
+/// a simulated one. Its owner serialises access.
+class MissingInputs {
+ public:
+  /// What has come since the start.
+  struct Seen {
+    bool camera_info = false;
+    bool imu = false;       ///< a sample that can be used
+    bool exposure = false;  ///< a message, or a setting, that tells a time
+    /// Why the foremost frame waits for the rotation between IMU and camera; empty: it does not.
+    std::string extrinsic;
+  };
+
+  /// @param problems  has to outlive this
+  explicit MissingInputs(InputProblems* problems) : problems_(*problems) {}
+
+  /// An image has come.
+  void add_image(TimeNs steady_ns) {
+    if (!first_image_ns_) first_image_ns_ = steady_ns;
+  }
+  /// To be called as time passes.
+  void check(const Config& config, const Seen& seen, TimeNs steady_ns);
+  /// Nothing more will come.
+  void finish(const Config& config, const Seen& seen);
+  /// As after the start.
+  void clear();
+
+ private:
+  void report(const Config& config, const Seen& seen, const std::string& when);
+  /// @param text  why; empty: it is not missing
+  void set(const std::string& kind, const std::string& text);
+
+  InputProblems& problems_;
+  std::optional<TimeNs> first_image_ns_;
+  std::set<std::string> reported_;  // and not resolved
+};
+
+}  // namespace gyro_deblur
