@@ -13,8 +13,8 @@ constexpr char kKind[] = "clocks";
 
 ClockCheck::Side ClockCheck::side(const Config& config, bool is_live) const {
   // Live, frames end their waiting for samples that come later than the timeout, and those older than the buffer are
-  // gone; a second of latency is usual. No recording is written later than the longest buffer.
-  constexpr TimeNs kUsualLatencyNs = 1'000'000'000, kLatestRecordingNs = 60'000'000'000;
+  // gone; a second of latency is usual. What a recorder writes, it writes within a few seconds.
+  constexpr TimeNs kUsualLatencyNs = 1'000'000'000, kLatestRecordingNs = 10'000'000'000;
   const TimeNs ahead_ns = *newest_image_ns_ + config.gyro.time_offset_ns - *newest_imu_ns_;
   if (ahead_ns > (is_live ? std::max(config.gyro_timeout_ns, kUsualLatencyNs) : kLatestRecordingNs)) {
     return Side::IMAGES_AHEAD;
