@@ -25,8 +25,8 @@ void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& fi
 /// is bent, or `in_plane` for all of them; none for the others. Lives no longer than the bank.
 FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int threads = 0, bool in_plane = false);
 
-/// Deblurs the DEBLURRED blocks of `field` and copies the rest bit for bit; alpha is copied; Bayer mosaics are filtered
-/// plane by plane with half the extent.
+/// Deblurs the DEBLURRED blocks of `field` and copies the rest bit for bit; alpha, and the colours of YUV 4:2:2, are
+/// copied; Bayer mosaics are filtered plane by plane with half the extent.
 /// Preconditions: image has the field's size and a type that fits `layout`. `dst` as for Engine::filter,
 /// `threads` as for make_filter_grid.
 /// Returns Engine::slow_blocks(); of a mosaic the largest number of any plane, for a block is filtered alike in each.

@@ -68,8 +68,8 @@ struct PipelineResult {
   cv::Mat image;
   cv::Mat luminance;  ///< deblurred, CV_8UC1; may share memory with the input; empty when not requested
   /// The deblurred image at the reference time; empty when not requested, or where no motion is known: it cannot be
-  /// told then. A mosaic's is BGR, except when all rows were exposed around the reference time: then it is `image`, or
-  /// the input, itself, and shares its memory.
+  /// told then. That of a mosaic or YUV 4:2:2 is BGR, except when all rows were exposed around the reference time: then
+  /// it is `image`, or the input, itself, and shares its memory.
   cv::Mat global_shutter;
   Features features;                             ///< in pixels of the image as it arrived
   std::vector<RectifiedPoint> points;            ///< one for each of features.keypoints

@@ -81,6 +81,8 @@ std::optional<PixelLayout> layout_of_encoding(const std::string& encoding) {
       {"16UC1", PixelLayout::GRAY},
       {"bgr8", PixelLayout::BGR},
       {"bgr16", PixelLayout::BGR},
+      {"8UC3", PixelLayout::BGR},
+      {"16UC3", PixelLayout::BGR},
       {"rgb8", PixelLayout::RGB},
       {"rgb16", PixelLayout::RGB},
       {"bgra8", PixelLayout::BGRA},
@@ -95,6 +97,10 @@ std::optional<PixelLayout> layout_of_encoding(const std::string& encoding) {
       {"bayer_gbrg16", PixelLayout::BAYER_GBRG},
       {"bayer_grbg8", PixelLayout::BAYER_GRBG},
       {"bayer_grbg16", PixelLayout::BAYER_GRBG},
+      {"yuv422", PixelLayout::YUV422_UYVY},
+      {"uyvy", PixelLayout::YUV422_UYVY},
+      {"yuv422_yuy2", PixelLayout::YUV422_YUYV},
+      {"yuyv", PixelLayout::YUV422_YUYV},
   };
   const auto found = layouts.find(encoding);
   if (found == layouts.end()) return std::nullopt;
@@ -106,8 +112,17 @@ bool is_bayer(PixelLayout layout) {
          layout == PixelLayout::BAYER_GRBG;
 }
 
+bool is_yuv422(PixelLayout layout) { return layout == PixelLayout::YUV422_UYVY || layout == PixelLayout::YUV422_YUYV; }
+
+int luminance_channel(PixelLayout layout) { return layout == PixelLayout::YUV422_YUYV ? 0 : 1; }
+
+bool shares_colors(PixelLayout layout) { return is_bayer(layout) || is_yuv422(layout); }
+
 int channels_of(PixelLayout layout) {
   switch (layout) {
+    case PixelLayout::YUV422_UYVY:
+    case PixelLayout::YUV422_YUYV:
+      return 2;
     case PixelLayout::BGR:
     case PixelLayout::RGB:
       return 3;
@@ -153,11 +168,14 @@ cv::Mat luminance8(const cv::Mat& image, PixelLayout layout, int significant_bit
   if (image.empty()) return cv::Mat(image.size(), CV_8UC1);
 
   cv::Mat gray = image;
-  if (is_bayer(layout)) {
+  if (is_yuv422(layout)) {
+    gray = cv::Mat();
+    cv::extractChannel(image, gray, luminance_channel(layout));
+  } else if (is_bayer(layout)) {
     // OpenCV's direct conversion (COLOR_Bayer*2GRAY) leaves a checkerboard of up to 8 % on a uniform colour, which
     // validation would take for sharp edges.
     gray = cv::Mat();  // it would be written into the mosaic, which has the same type
-    cv::cvtColor(demosaiced(image, layout), gray, luminance_conversion(layout));
+    cv::cvtColor(to_bgr(image, layout), gray, luminance_conversion(layout));
   } else if (layout != PixelLayout::GRAY) {
     cv::cvtColor(image, gray, luminance_conversion(layout));
   }
@@ -169,10 +187,14 @@ cv::Mat luminance8(const cv::Mat& image, PixelLayout layout, int significant_bit
   return gray;
 }
 
-cv::Mat demosaiced(const cv::Mat& mosaic, PixelLayout layout) {
-  const bool is_large = mosaic.cols >= kMinBayerSidePx && mosaic.rows >= kMinBayerSidePx;
+cv::Mat to_bgr(const cv::Mat& image, PixelLayout layout) {
   cv::Mat color;
-  cv::cvtColor(mosaic, color, is_large ? demosaicing(layout) : cv::COLOR_GRAY2BGR);
+  if (is_yuv422(layout)) {
+    cv::cvtColor(image, color, layout == PixelLayout::YUV422_UYVY ? cv::COLOR_YUV2BGR_UYVY : cv::COLOR_YUV2BGR_YUYV);
+    return color;
+  }
+  const bool is_large = image.cols >= kMinBayerSidePx && image.rows >= kMinBayerSidePx;
+  cv::cvtColor(image, color, is_large ? demosaicing(layout) : cv::COLOR_GRAY2BGR);
   return color;
 }
 

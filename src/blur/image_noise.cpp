@@ -45,6 +45,9 @@ Plane green_plane(const cv::Mat& image, PixelLayout layout) {
     case PixelLayout::BAYER_GBRG:
     case PixelLayout::BAYER_GRBG:
       return {image, 0, 0, 2, 0};
+    case PixelLayout::YUV422_UYVY:
+    case PixelLayout::YUV422_YUYV:
+      return {image, 0, 0, 1, luminance_channel(layout)};
     case PixelLayout::GRAY:
       return {image, 0, 0, 1, 0};
     default:

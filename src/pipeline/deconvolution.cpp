@@ -261,6 +261,14 @@ SlowBlocks deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur&
   if (is_bayer(layout)) return deconvolve_bayer(image, field, bank, engine, threads, dst);
 
   const FilterGrid grid = make_filter_grid(field, bank, threads, engine.prefers_plane());
+  if (is_yuv422(layout)) {
+    cv::Mat luminance, filtered;
+    cv::extractChannel(image, luminance, luminance_channel(layout));
+    engine.filter(luminance, grid, filtered);
+    image.copyTo(dst);
+    cv::insertChannel(filtered, dst, luminance_channel(layout));
+    return engine.slow_blocks();
+  }
   if (image.channels() < 4) {
     engine.filter(image, grid, dst);
     return engine.slow_blocks();

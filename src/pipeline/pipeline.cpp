@@ -214,12 +214,12 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     found_noise = image_noise(image, layout, result.significant_bits, 1, mask_);
     result.times.noise_ms = watch.ms();
   }
-  const bool image_is_luminance = layout == PixelLayout::GRAY && image.depth() == CV_8U;
+  const bool image_has_luminance = is_yuv422(layout) || (layout == PixelLayout::GRAY && image.depth() == CV_8U);
   if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {
     const Stopwatch watch;
     if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
     result.field = validate_blur_field(result.field, luminance, options_.validation, options_.threads,
-                                       image_is_luminance ? found_noise : std::nullopt);
+                                       image_has_luminance ? found_noise : std::nullopt);
     result.times.validation_ms = watch.ms();
   }
 
@@ -260,9 +260,9 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (!request.keypoints && !request.luminance) return result;
 
   // The same keypoints whether or not somebody wants the image too: found on the deblurred luminance, which is not
-  // quite the luminance of the deblurred colours. With 8-bit grey they are one and the same.
-  if (!result.image.empty() && image_is_luminance) {
-    luminance = result.image;
+  // quite the luminance of the deblurred colours. With 8-bit grey they are one and the same, with YUV 4:2:2 as well.
+  if (!result.image.empty() && image_has_luminance) {
+    luminance = luminance8(result.image, layout);
   } else {
     if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
     if (anything_to_deblur) {
@@ -345,8 +345,8 @@ void Pipeline::move_to_reference(const cv::Mat& image, PixelLayout layout, const
     const GlobalShutterMap map =
         global_shutter_map(result->field, *camera_, motion, exposure, result->reference_ns, options_.threads);
     if (map.empty()) return;
-    // A mosaic's pixels lose their colours where they are moved by fractions of a pixel.
-    const cv::Mat colors = is_bayer(layout) ? demosaiced(image, layout) : image;
+    // Pixels that share colours lose them where they are moved by fractions of a pixel.
+    const cv::Mat colors = shares_colors(layout) ? to_bgr(image, layout) : image;
     result->global_shutter = to_global_shutter(colors, map, options_.global_shutter_border, options_.threads);
     // What does not move with the camera stays where it is.
     if (!mask_.empty()) colors.copyTo(result->global_shutter, mask_.pixels() == 0);

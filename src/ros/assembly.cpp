@@ -61,7 +61,9 @@ void set_calibration(const Config& config, PendingFrame* frame) {
   described.roi = frame->info->roi;
   described.binning_x = frame->info->binning_x;
   described.binning_y = frame->info->binning_y;
-  if (config.on_calibration_conflict == OnCalibrationConflict::CONFIGURED && !config.rectified_input) {
+  const bool file_holds =
+      config.on_calibration_conflict == OnCalibrationConflict::CONFIGURED || is_uncalibrated(*frame->info);
+  if (file_holds && !config.rectified_input) {
     frame->calibration = to_calibration(described, width_px, height_px, false);
     return;
   }
@@ -131,13 +133,41 @@ Readiness FrameAssembly::find_all(const Terms& terms, PendingFrame* frame, Assem
   return readiness;
 }
 
+const sensor_msgs::CameraInfoConstPtr* FrameAssembly::find_other(TimeNs stamp_ns, bool give_up) const {
+  const Intake::CameraInfos& infos = intake_.infos();
+  if (is_unset(stamp_ns)) return infos.find_newest();
+  const sensor_msgs::CameraInfoConstPtr* other = infos.find_between_alike(stamp_ns);
+  if (other == nullptr && give_up) other = infos.find_last_unchanged(stamp_ns);
+  if (other == nullptr && give_up) other = infos.find_standing(stamp_ns);
+  return other;
+}
+
 sensor_msgs::CameraInfoConstPtr FrameAssembly::stand_in(const PendingFrame& frame, bool give_up) const {
-  const sensor_msgs::CameraInfoConstPtr* other = intake_.infos().find_between_alike(frame.stamp_ns);
-  if (other == nullptr && give_up) other = intake_.infos().find_last_unchanged(frame.stamp_ns);
+  const sensor_msgs::CameraInfoConstPtr* other = find_other(frame.stamp_ns, give_up);
   if (other == nullptr || !describes_size(**other, frame.image->width, frame.image->height)) return nullptr;
   auto info = boost::make_shared<sensor_msgs::CameraInfo>(**other);
   info->header.stamp = frame.image->header.stamp;
   return info;
+}
+
+std::string FrameAssembly::missing_info_text(const PendingFrame& frame) const {
+  const std::string text = "no camera_info with the image's stamp " + seconds_text(frame.stamp_ns) + " s";
+  const Intake::CameraInfos& infos = intake_.infos();
+  if (!infos.seen()) return text + ", nor any other";
+  if (const sensor_msgs::CameraInfoConstPtr* other = find_other(frame.stamp_ns, true)) {
+    return text + ", and the one that would serve describes an image of another size than " +
+           size_text(frame.image->width, frame.image->height) + " px: its size is " +
+           size_text((*other)->width, (*other)->height) + ", its region of interest " +
+           size_text((*other)->roi.width, (*other)->roi.height);
+  }
+  switch (infos.near(frame.stamp_ns)) {
+    case 0:
+      return text + ", and none within 1 s of it";
+    case 1:
+      return text + ", and a single one within 1 s of it, which may be of another region";
+    default:
+      return text + ", and those within 1 s of it differ from each other";
+  }
 }
 
 sensor_msgs::CameraInfoConstPtr FrameAssembly::best_info(const PendingFrame& frame) const {
@@ -169,10 +199,7 @@ Readiness FrameAssembly::find_calibration(const Terms& terms, PendingFrame* fram
     described->header = frame->image->header;
     frame->info = described;
   } else if (give_up) {
-    return settle(
-        frame, PassThroughReason::NO_CALIBRATION,
-        "no camera_info with the image's stamp " + seconds_text(frame->stamp_ns) + " s" +
-            (infos.seen() ? ", and of those around it no two are alike and describe an image of its size" : ""));
+    return settle(frame, PassThroughReason::NO_CALIBRATION, missing_info_text(*frame));
   } else {
     return Readiness::WAITS;
   }

@@ -76,9 +76,13 @@ class FrameAssembly {
   sensor_msgs::CameraInfoConstPtr best_info(const PendingFrame& frame) const;
 
  private:
-  /// Of another image, with this one's stamp; null when there is none that serves.
+  /// The camera_info of another image, or of all, that stands for the one of this stamp; null when there is none.
   /// @param give_up  the last one will do: none that is newer is waited for
+  const sensor_msgs::CameraInfoConstPtr* find_other(TimeNs stamp_ns, bool give_up) const;
+  /// The same with this image's stamp, where it describes an image of its size; else null.
   sensor_msgs::CameraInfoConstPtr stand_in(const PendingFrame& frame, bool give_up) const;
+  /// Why there is no camera_info for the frame. Precondition: there is none.
+  std::string missing_info_text(const PendingFrame& frame) const;
   Readiness find_all(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
   /// The frame's camera_info and calibration, from the topic or the calibration file.
   Readiness find_calibration(const Terms& terms, PendingFrame* frame) const;

@@ -42,7 +42,14 @@ bool is_binned_size(double image_px, double region_px, double binning) {
 
 }  // namespace
 
+bool lacks_size(const sensor_msgs::CameraInfo& info) {
+  return info.width == 0 && info.height == 0 && info.roi.width == 0 && info.roi.height == 0;
+}
+
+bool is_uncalibrated(const sensor_msgs::CameraInfo& info) { return info.K[0] == 0; }
+
 bool describes_size(const sensor_msgs::CameraInfo& info, double image_width_px, double image_height_px) {
+  if (lacks_size(info)) return true;
   const Region region = region_of(info);
   return is_binned_size(image_width_px, region.width_px, region.binning_x) &&
          is_binned_size(image_height_px, region.height_px, region.binning_y);
@@ -66,7 +73,8 @@ CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_
   if (!(matrix[0] > 0) || !(matrix[stride + 1] > 0)) {
     std::ostringstream text;
     text << "camera_info: focal lengths in " << name << " are (" << matrix[0] << ", " << matrix[stride + 1]
-         << ") px, they have to be > 0: the camera is not calibrated";
+         << ") px, they have to be > 0: the camera is not calibrated. Calibrate it with camera_calibration"
+         << (rectified_input ? "" : ", or set calibration_file");
     throw OptionError(text.str());
   }
   // Relative to the focal length; printed calibrations are no more exact.

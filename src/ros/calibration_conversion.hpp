@@ -18,7 +18,13 @@ namespace gyro_deblur {
 CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_width_px, int image_height_px,
                                  bool rectified_input);
 
-/// True when camera_info is about images of this size, its region of interest and binning considered.
+/// True when width and height are 0, and there is no region of interest: the size is not filled in.
+bool lacks_size(const sensor_msgs::CameraInfo& info);
+
+/// True when camera_info says that the camera is not calibrated: K[0] = 0, by sensor_msgs/CameraInfo.msg.
+bool is_uncalibrated(const sensor_msgs::CameraInfo& info);
+
+/// True when camera_info is about images of this size, its region of interest and binning considered, or lacks_size().
 bool describes_size(const sensor_msgs::CameraInfo& info, double image_width_px, double image_height_px);
 
 /// The way back, for a raw image: P repeats K. Without distortion the model is plumb_bob with zeros. The header is left

@@ -41,12 +41,14 @@ class Attendance {
       hits_ = image.there ? hits_ + 1 : 0;
       misses_ = image.there ? 0 : misses_ + 1;
       if (misses_ >= kMissesEndWaiting) awaited_ = false;
-      if (hits_ >= kHitsBringItBack) awaited_ = true;
+      if (hits_ >= kHitsBringItBack) awaited_ = is_per_image_ = true;
     }
     return awaited_ == before ? std::nullopt : std::optional<bool>(awaited_);
   }
 
   bool awaited() const { return awaited_; }
+  /// Two images in a row have had theirs, so that the stream is one of single images.
+  bool is_per_image() const { return is_per_image_; }
   void clear() { *this = {}; }
 
  private:
@@ -56,7 +58,7 @@ class Attendance {
   };
   std::deque<Image> undecided_;  // in order of arrival
   std::size_t hits_ = 0, misses_ = 0;
-  bool awaited_ = true;
+  bool awaited_ = true, is_per_image_ = false;
 };
 
 /// The newest messages of such a stream, and what stands for one that is lost. Not thread-safe.
@@ -70,20 +72,29 @@ class CompanionStore {
 
   void add(TimeNs stamp_ns, T value, std::size_t capacity) {
     // Whoever begins to speak is waited for at once.
-    if (!seen_) attendance_.clear();
-    seen_ = true;
+    if (!seen_stamped_) attendance_.clear();
+    seen_ = seen_stamped_ = true;
+    take_newest(value);
     store_.add(stamp_ns, std::move(value), capacity);
     attendance_.came(stamp_ns);
   }
+  /// A message whose stamp has not been set.
+  void add_unstamped(T value) {
+    seen_ = true;
+    take_newest(std::move(value));
+  }
 
   /// An image has come that has to have one.
-  void expect(TimeNs stamp_ns, TimeNs now_ns) { attendance_.expect(stamp_ns, now_ns, find(stamp_ns) != nullptr); }
+  void expect(TimeNs stamp_ns, TimeNs now_ns) {
+    if (has_no_stamps()) return;
+    attendance_.expect(stamp_ns, now_ns, find(stamp_ns) != nullptr);
+  }
   /// To be called as time passes, see Attendance::update.
   std::optional<bool> update(TimeNs now_ns, TimeNs timeout_ns) {
     return attendance_.update(now_ns, timeout_ns, [this](TimeNs stamp_ns) { return later(stamp_ns) >= kOvertaking; });
   }
-  /// False: so many images had to do without that none waits any more.
-  bool awaited() const { return attendance_.awaited(); }
+  /// False: so many images had to do without that none waits any more, or there are no stamps to wait for.
+  bool awaited() const { return attendance_.awaited() && !has_no_stamps(); }
   bool seen() const { return seen_; }
 
   const T* find(TimeNs stamp_ns) const { return store_.find(stamp_ns); }
@@ -106,16 +117,38 @@ class CompanionStore {
     return Same()(*around.before, *around.before_that) ? around.before : nullptr;
   }
 
-  /// As after the start.
-  void reset() { *this = {}; }
+  /// Messages that do not come with single images (latched ones, seldom ones, ones without a stamp) hold from one to
+  /// the next: the newest to come. Null where they do, or where so many have come after the stamp that its own is lost.
+  const T* find_standing(TimeNs stamp_ns) const {
+    return newest_ && !attendance_.is_per_image() && later(stamp_ns) < kOvertaking ? &*newest_ : nullptr;
+  }
+  /// For an image without a stamp: the newest to come, if it is as the one before, or holds for all. Else null.
+  const T* find_newest() const {
+    return newest_ && (newest_is_as_before_ || !attendance_.is_per_image()) ? &*newest_ : nullptr;
+  }
+  /// How many have come for other stamps that are near enough to say something.
+  std::size_t near(TimeNs stamp_ns) const {
+    const Around around = store_.around(stamp_ns, kReachNs, kReachNs);
+    return around.later + (around.before != nullptr) + (around.before_that != nullptr);
+  }
+
+  /// As after the start; one that holds from one to the next is not sent again, and stays.
+  void reset() {
+    std::optional<T> standing = attendance_.is_per_image() ? std::nullopt : std::move(newest_);
+    const bool had_stamps = standing && seen_stamped_;
+    *this = {};
+    newest_ = std::move(standing);
+    seen_ = newest_.has_value();
+    seen_stamped_ = had_stamps;
+  }
   /// See StampedStore; what belongs to an image is judged by the new epoch alone.
   void clear() {
     store_.clear();
-    attendance_.clear();
+    begin_epoch();
   }
   void clear_old_epoch() {
     store_.clear_old_epoch();
-    attendance_.clear();
+    begin_epoch();
   }
 
  private:
@@ -123,9 +156,21 @@ class CompanionStore {
   /// Farther apart, messages say nothing about each other: a stamp may be wrong, or be of another epoch.
   static constexpr TimeNs kReachNs = 1'000'000'000;
 
+  bool has_no_stamps() const { return seen_ && !seen_stamped_; }
+  void take_newest(T value) {
+    newest_is_as_before_ = newest_ && Same()(*newest_, value);
+    newest_ = std::move(value);
+  }
+  void begin_epoch() {
+    if (attendance_.is_per_image()) newest_.reset();
+    attendance_.clear();
+  }
+
   StampedStore<T> store_;
   Attendance attendance_;
-  bool seen_ = false;
+  std::optional<T> newest_;           // to come
+  bool newest_is_as_before_ = false;  // the one that came before it is like it
+  bool seen_ = false, seen_stamped_ = false;
 };
 
 }  // namespace gyro_deblur

@@ -11,7 +11,6 @@
 
 #include "base/time_slice.hpp"
 #include "gyro_deblur/config.hpp"
-#include "ros/image_conversion.hpp"
 #include "ros/param_conversion.hpp"
 #include "ros/tf_conversion.hpp"
 #include "ros/value_conversion.hpp"
@@ -358,9 +357,8 @@ void DeblurNodelet::subscribe_on_demand() {
       remapped ? nh.resolveName("camera_info") : image_transport::getCameraInfoTopic(image_topic);
   camera_info_subscriber_ = nh.subscribe(info_topic, kImageQueue, &DeblurNodelet::on_camera_info, this);
   const image_transport::TransportHints hints("raw", ros::TransportHints(), getPrivateNodeHandle());
-  const std::vector<std::string> installed = transport_->getLoadableTransports();
-  if (hints.getTransport() == "compressed" &&
-      std::find(installed.begin(), installed.end(), "image_transport/compressed") == installed.end()) {
+  // image_transport's plugin leaves out what it cannot decode without a word, and nothing could be counted.
+  if (hints.getTransport() == "compressed") {
     compressed_subscriber_ =
         nh.subscribe(image_topic + "/compressed", kImageQueue, &DeblurNodelet::on_compressed_image, this);
     last_image_ns_ = steady_now_ns();
@@ -389,7 +387,9 @@ void DeblurNodelet::on_image(const sensor_msgs::ImageConstPtr& image) {
 }
 
 void DeblurNodelet::on_compressed_image(const sensor_msgs::CompressedImageConstPtr& image) {
-  guarded("decoding an image", [&] { on_image(decode_image(*image)); });
+  last_image_ns_ = steady_now_ns();
+  guarded("taking a compressed image in", [&] { processor_->add_compressed_image(*image); });
+  wake_worker();
 }
 
 void DeblurNodelet::on_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {

@@ -110,7 +110,7 @@ class DeblurNodelet : public nodelet::Nodelet {
 
   mutable std::mutex connection_mutex_;  // subscribers of the camera and the set of publishers
   image_transport::Subscriber image_subscriber_;
-  ros::Subscriber compressed_subscriber_;  // in its place where the plugin is not installed
+  ros::Subscriber compressed_subscriber_;  // in its place with image_transport: compressed
   ros::Subscriber camera_info_subscriber_;
   image_transport::Publisher image_publisher_;
   ros::Publisher info_publisher_;

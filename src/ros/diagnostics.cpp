@@ -48,6 +48,8 @@ const char* remedy(PassThroughReason reason) {
     case PassThroughReason::PARTNER:
       return "see why the other image of the pair passes through, or set stereo_patience: 0 for cameras that are no "
              "pair";
+    case PassThroughReason::NO_STAMP:
+      return "have the driver stamp every image with the time of its exposure";
   }
   return "";
 }
@@ -189,6 +191,14 @@ void DiagnosticReport::add_frames(const Moment& now, DiagnosticStatusWrapper* st
   status->add("frames in", statistics.frames_in);
   status->add("frames out", statistics.frames_out);
   status->add("frames waiting", statistics.waiting);
+  status->add("compressed images left out, not decodable", statistics.undecodable_images);
+  const std::size_t undecodable = statistics.undecodable_images - last_.undecodable_images;
+  if (undecodable > 0) {
+    status->mergeSummaryf(DiagnosticStatus::WARN,
+                          "%zu compressed images could not be decoded and are left out: check the camera's cable, its "
+                          "bandwidth and its driver",
+                          undecodable);
+  }
   for (const auto& [reason, count] : statistics.passed_through) {
     status->add(std::string("passed through, ") + to_string(reason), count);
     const std::size_t fresh = count - count_of(last_.passed_through, reason);

@@ -4,6 +4,8 @@
 #include <iterator>
 #include <utility>
 
+#include "ros/value_conversion.hpp"
+
 namespace gyro_deblur {
 
 std::size_t FrameQueue::unsettled() const {
@@ -13,7 +15,7 @@ std::size_t FrameQueue::unsettled() const {
 }
 
 std::size_t FrameQueue::push(PendingFrame frame) {
-  frame.epoch = epochs_.next(frame.stamp_ns);
+  frame.epoch = is_unset(frame.stamp_ns) ? epochs_.current() : epochs_.next(frame.stamp_ns);
   frames_.push_back(std::move(frame));
   std::size_t settled = 0;
   std::size_t waiting = unsettled();

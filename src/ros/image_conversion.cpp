@@ -8,7 +8,6 @@
 
 #include <sensor_msgs/image_encodings.h>
 #include <boost/make_shared.hpp>
-#include <opencv2/imgcodecs.hpp>
 
 #include "ros/pass_through.hpp"
 #include "ros/value_conversion.hpp"
@@ -28,19 +27,28 @@ struct PixelType {
   int cv_type;
 };
 
-PixelType pixel_type_of(const std::string& encoding) {
+std::optional<PixelType> find_pixel_type(const std::string& encoding) {
   const std::optional<PixelLayout> layout = layout_of_encoding(encoding);
-  if (!layout) {
-    throw FrameError(PassThroughReason::UNSUPPORTED_ENCODING,
-                     "encoding \"" + encoding +
-                         "\" is not one of mono8, mono16, 8UC1, 16UC1, bgr8, rgb8, bgra8, rgba8, their 16-bit kin and "
-                         "bayer_*8/16");
-  }
-  const int depth = sensor_msgs::image_encodings::bitDepth(encoding) == 16 ? CV_16U : CV_8U;
-  return {*layout, CV_MAKETYPE(depth, channels_of(*layout))};
+  if (!layout) return std::nullopt;
+  // sensor_msgs' own function does not know all of them; of those that have a layout the names tell.
+  const int depth = encoding.find("16") == std::string::npos ? CV_8U : CV_16U;
+  return PixelType{*layout, CV_MAKETYPE(depth, channels_of(*layout))};
+}
+
+PixelType pixel_type_of(const std::string& encoding) {
+  if (const std::optional<PixelType> type = find_pixel_type(encoding)) return *type;
+  throw FrameError(PassThroughReason::UNSUPPORTED_ENCODING,
+                   "encoding \"" + encoding +
+                       "\" is not one of mono8, mono16, 8UC1, 16UC1, bgr8, rgb8, 8UC3, bgra8, rgba8, their 16-bit "
+                       "kin, bayer_*8/16, yuv422 and yuv422_yuy2");
 }
 
 }  // namespace
+
+std::optional<int> type_of_encoding(const std::string& encoding) {
+  const std::optional<PixelType> type = find_pixel_type(encoding);
+  return type ? std::optional<int>(type->cv_type) : std::nullopt;
+}
 
 void check_image(const sensor_msgs::Image& message) {
   if (message.width == 0 || message.height == 0) {
@@ -51,6 +59,11 @@ void check_image(const sensor_msgs::Image& message) {
   if (message.width > kLargestSide || message.height > kLargestSide) {
     throw FrameError(PassThroughReason::BAD_IMAGE, "image size " + size_text(message.width, message.height) +
                                                        " is outside [1, " + std::to_string(kLargestSide) + "] px");
+  }
+  if (is_yuv422(type.layout) && message.width % 2 != 0) {
+    throw FrameError(PassThroughReason::BAD_IMAGE, "image width = " + std::to_string(message.width) + " is odd, " +
+                                                       message.encoding +
+                                                       " has one colour for each two pixels of a row");
   }
   const std::size_t row_bytes = static_cast<std::size_t>(message.width) * CV_ELEM_SIZE(type.cv_type);
   if (message.step < row_bytes || message.step % CV_ELEM_SIZE1(type.cv_type) != 0) {
@@ -115,44 +128,6 @@ sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& h
 
 sensor_msgs::ImagePtr to_mono_image(const cv::Mat& gray, const std_msgs::Header& header) {
   return with_header(gray, header, sensor_msgs::image_encodings::MONO8.c_str());
-}
-
-sensor_msgs::ImagePtr decode_image(const sensor_msgs::CompressedImage& compressed) {
-  namespace encodings = sensor_msgs::image_encodings;
-  sensor_msgs::Image like;
-  like.header = compressed.header;
-  cv::Mat pixels;
-  try {
-    // compressedDepth puts a header of its own before the data.
-    if (!compressed.data.empty() && compressed.format.find("compressedDepth") == std::string::npos) {
-      pixels = cv::imdecode(compressed.data, cv::IMREAD_UNCHANGED);
-    }
-  } catch (const cv::Exception&) {
-    pixels.release();  // the same as data that is none
-  }
-  const std::string original = compressed.format.substr(0, compressed.format.find(';'));
-  const bool wide = pixels.depth() == CV_16U;
-  if (!pixels.empty() && (wide || pixels.depth() == CV_8U)) {
-    switch (pixels.channels()) {
-      case 1:
-        like.encoding = wide ? encodings::MONO16 : encodings::MONO8;
-        if (encodings::isBayer(original) && encodings::bitDepth(original) == (wide ? 16 : 8)) like.encoding = original;
-        break;
-      case 3:
-        like.encoding = wide ? encodings::BGR16 : encodings::BGR8;
-        break;
-      case 4:
-        like.encoding = wide ? encodings::BGRA16 : encodings::BGRA8;
-        break;
-      default:
-        break;
-    }
-  }
-  if (like.encoding.empty()) {
-    like.encoding = encodings::MONO8;
-    pixels.release();
-  }
-  return to_image(pixels, like);
 }
 
 }  // namespace gyro_deblur

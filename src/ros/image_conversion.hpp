@@ -1,7 +1,9 @@
 // Between image messages and pixels.
 #pragma once
 
-#include <sensor_msgs/CompressedImage.h>
+#include <optional>
+#include <string>
+
 #include <sensor_msgs/Image.h>
 #include <std_msgs/Header.h>
 #include <opencv2/core.hpp>
@@ -19,6 +21,9 @@ struct ImageView {
 /// Throws FrameError: BAD_IMAGE when empty or its buffer does not fit its header, UNSUPPORTED_ENCODING.
 ImageView view_image(const sensor_msgs::Image& message);
 
+/// Type of the cv::Mat that view_image gives for an encoding; nothing where it is not supported.
+std::optional<int> type_of_encoding(const std::string& encoding);
+
 /// The checks of view_image alone.
 void check_image(const sensor_msgs::Image& message);
 
@@ -30,10 +35,5 @@ sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& h
 
 /// A mono8 message with the header of `input`.
 sensor_msgs::ImagePtr to_mono_image(const cv::Mat& gray, const std_msgs::Header& header);
-
-/// Pixels of a compressed image (JPEG, PNG, whatever OpenCV reads), with its header. Colours come as bgr8 (bgr16,
-/// bgra8), one channel as mono8, mono16, or the Bayer encoding that `format` names before its semicolon. What cannot be
-/// decoded gives an image of 0x0, which check_image refuses as BAD_IMAGE: the frame comes out in its turn.
-sensor_msgs::ImagePtr decode_image(const sensor_msgs::CompressedImage& compressed);
 
 }  // namespace gyro_deblur

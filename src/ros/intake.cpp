@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "ros/calibration_conversion.hpp"
 #include "ros/exposure_check.hpp"
 #include "ros/value_conversion.hpp"
 
@@ -187,21 +188,59 @@ void Intake::add_exposure_setting(TimeNs exposure_ns) {
 void Intake::add_exposure(const Exposure& exposure) {
   now();
   const TimeNs stamp_ns = to_time_ns(exposure.header.stamp);
+  note_lack("exposure stamp", is_unset(stamp_ns),
+            "exposure message has the stamp 0: it holds until the next, as a setting does. Give it the stamp of its "
+            "image");
+  if (is_unset(stamp_ns)) {
+    // Beside messages with stamps it says nothing: each image has its own.
+    if (exposures_.seen() || exposure.exposure_time <= ros::Duration()) return;
+    add_exposure_setting(exposure.exposure_time.toNSec());
+    setting_lacks_stamp_ = true;
+    return;
+  }
+  if (setting_lacks_stamp_) exposure_setting_ns_.reset();
+  setting_lacks_stamp_ = false;
   note_time(Stream::EXPOSURE, stamp_ns);
   check_exposure(kMessageExposure, exposure.exposure_time.toNSec());
   exposures_.add(stamp_ns, exposure, store_size());
 }
 
+void Intake::note_lack(const std::string& kind, bool lacks, const std::string& text) {
+  if (lacks && lacks_.insert(kind).second) problems_.report(kind, text);
+  if (!lacks && lacks_.erase(kind) > 0) problems_.resolve(kind);
+}
+
 void Intake::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   now();
   const TimeNs stamp_ns = to_time_ns(info->header.stamp);
+  note_lack("camera_info stamp", is_unset(stamp_ns),
+            "camera_info has the stamp 0: each image takes the newest one. The driver should give it the stamp of its "
+            "image");
+  note_lack("camera_info size", lacks_size(*info),
+            "camera_info has width and height 0: the image's are taken. The driver should fill them in");
+  if (is_unset(stamp_ns)) {
+    infos_.add_unstamped(info);
+    return;
+  }
   note_time(Stream::CAMERA_INFO, stamp_ns);
   infos_.add(stamp_ns, info, store_size());
+}
+
+void Intake::count_undecodable(const std::string& text) {
+  constexpr char kKind[] = "compressed image";
+  ++statistics_.undecodable_images;
+  problems_.report(kKind, text);
+  problems_.resolve(kKind);  // of this image alone; the diagnostics go by the count
 }
 
 void Intake::add_frame(PendingFrame frame) {
   frame.arrival_ns = now();
   frame.arrival_steady_ns = steady_now();
+  ++statistics_.frames_in;
+  if (is_unset(frame.stamp_ns)) {
+    queue_.push(std::move(frame));
+    return;
+  }
   note_time(Stream::IMAGE, frame.stamp_ns);
   find_picture(&frame);
   if (frame.verdict == PassThroughReason::NONE) {
@@ -214,7 +253,6 @@ void Intake::add_frame(PendingFrame frame) {
   check_parameters();
   if (frame.verdict == PassThroughReason::NONE) clocks_apart_.add_image(frame.stamp_ns);
   missing_.add_image(frame.arrival_steady_ns);
-  ++statistics_.frames_in;
   queue_.push(std::move(frame));
 }
 
@@ -238,6 +276,7 @@ void Intake::reset() {
   infos_.reset();
   exposures_.reset();
   pictures_.forget();
+  lacks_.clear();
   frame_period_.clear();
   missing_.clear();
   clocks_apart_.clear();

@@ -5,6 +5,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 
 #include <sensor_msgs/CameraInfo.h>
@@ -29,6 +30,7 @@ namespace gyro_deblur {
 struct IntakeStatistics {
   std::size_t frames_in = 0;
   std::size_t repeated_pictures = 0;  ///< frames that show the picture of the one before
+  std::size_t undecodable_images = 0;  ///< compressed ones that are left out; not among frames_in
   std::size_t time_jumps = 0;
 };
 
@@ -61,8 +63,10 @@ class Intake {
   /// @param exposure_ns  0: the driver does not know
   void add_exposure_setting(TimeNs exposure_ns);
   void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
-  /// Precondition of the frame: image, stamp, and a verdict if it is not usable.
+  /// Precondition of the frame: image, stamp, and a verdict if it is not usable. A stamp of 0 says nothing about time.
   void add_frame(PendingFrame frame);
+  /// A compressed image that cannot be decoded is left out.
+  void count_undecodable(const std::string& text);
 
   /// No more images will come: none is kept to compare the next one with.
   void forget_picture() { pictures_.forget(); }
@@ -109,6 +113,8 @@ class Intake {
   std::size_t store_size() const;
   /// Notes in the frame which picture it shows.
   void find_picture(PendingFrame* frame);
+  /// Reports something that each message of a kind may lack when it begins, and when it ends.
+  void note_lack(const std::string& kind, bool lacks, const std::string& text);
   /// Ends waiting for companions that do not come, and tells so.
   void note_attendance(TimeNs now_ns);
   MissingInputs::Seen seen() const;
@@ -131,9 +137,11 @@ class Intake {
   CameraInfos infos_;
   std::optional<TimeNs> exposure_setting_ns_;
   PictureTracker pictures_;
-  bool exposure_known_ = false;  // a message or a setting has told one
+  bool exposure_known_ = false;       // a message or a setting has told one
+  bool setting_lacks_stamp_ = false;  // the setting is a message of a single image that lacks its stamp
   MissingInputs missing_;
   ClockCheck clocks_apart_;
+  std::set<std::string> lacks_;  // kinds of what the newest message lacks
   FramePeriod frame_period_;
   FrameQueue queue_;
   IntakeStatistics statistics_;

@@ -30,6 +30,8 @@ const char* to_string(PassThroughReason reason) {
       return "GYRO_SATURATED";
     case PassThroughReason::PARTNER:
       return "PARTNER";
+    case PassThroughReason::NO_STAMP:
+      return "NO_STAMP";
   }
   return "UNKNOWN";
 }

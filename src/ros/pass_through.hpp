@@ -22,6 +22,7 @@ enum class PassThroughReason : std::uint8_t {
   INTERNAL_ERROR = 10,       ///< an exception while processing; the log has its text
   GYRO_SATURATED = 11,       ///< no block's exposure is free of samples at the gyroscope's limit
   PARTNER = 12,              ///< the other image of a stereo pair stays blurred
+  NO_STAMP = 13,             ///< the image's stamp is 0: nobody has set it
 };
 
 /// Name of the reason, e.g. "NO_GYRO". Never null.

@@ -90,7 +90,7 @@ void add_field(const AssembledFrame& assembled, const RotationTrack& rotation, c
 void add_global_shutter(const PipelineResult& result, const PendingFrame& frame, FrameOutput* output) {
   auto image = to_image(result.global_shutter, *frame.image);
   if (result.global_shutter.channels() != view_image(*frame.image).image.channels()) {
-    namespace encodings = sensor_msgs::image_encodings;  // a mosaic has become colours
+    namespace encodings = sensor_msgs::image_encodings;  // a mosaic, or YUV 4:2:2, has become BGR
     image->encoding = result.global_shutter.depth() == CV_16U ? encodings::BGR16 : encodings::BGR8;
   }
   auto info = frame.info ? boost::make_shared<sensor_msgs::CameraInfo>(*frame.info)

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "gyro_deblur/frame_quality.hpp"
+#include "ros/compressed_image.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/value_conversion.hpp"
 
@@ -17,6 +18,7 @@ LogLevel level_of(PassThroughReason reason) {
     case PassThroughReason::GYRO_SATURATED:
     case PassThroughReason::OVERLOAD:
     case PassThroughReason::PARTNER:
+    case PassThroughReason::NO_STAMP:
       return LogLevel::WARNING;
     default:
       return LogLevel::ERROR;
@@ -117,17 +119,32 @@ void Processor::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   note_ready();
 }
 
-void Processor::add_image(const sensor_msgs::ImageConstPtr& image) {
+bool Processor::add_compressed_image(const sensor_msgs::CompressedImage& compressed) {
+  const DecodedImage decoded = decode_image(compressed);
+  if (decoded.image) {
+    add_image(decoded.image, decoded.problem);
+    return true;
+  }
+  const std::lock_guard<std::mutex> lock(mutex_);
+  intake_.count_undecodable("compressed image " + seconds_text(to_time_ns(compressed.header.stamp)) +
+                            " is left out: " + decoded.problem);
+  return false;
+}
+
+void Processor::add_image(const sensor_msgs::ImageConstPtr& image, const std::string& problem) {
   PendingFrame frame;
   frame.image = image;
   frame.stamp_ns = to_time_ns(image->header.stamp);
   try {
     check_image(*image);
+    if (!problem.empty()) throw FrameError(PassThroughReason::BAD_IMAGE, problem);
+    if (is_unset(frame.stamp_ns)) throw FrameError(PassThroughReason::NO_STAMP, "the image's stamp is 0");
   } catch (const FrameError& error) {
     frame.settle(error.reason(), error.what());
   }
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (environment_.stereo) environment_.stereo->announce(frame.stamp_ns);
+  // One without a stamp is no image of the instant 0.
+  if (environment_.stereo && !is_unset(frame.stamp_ns)) environment_.stereo->announce(frame.stamp_ns);
   intake_.add_frame(std::move(frame));
   note_ready();
   tell_partners();
@@ -243,7 +260,7 @@ FrameOutput Processor::process_with_partners(const AssembledFrame& assembled) {
 }
 
 void Processor::keep_global_shutter_in_order(FrameOutput* output) {
-  if (!output->global_shutter) return;
+  if (!output->global_shutter || is_unset(to_time_ns(output->input->header.stamp))) return;
   const MovedStamp stamp{to_time_ns(output->input->header.stamp), to_time_ns(output->global_shutter->header.stamp)};
   if (last_moved_ && stamp.input_ns > last_moved_->input_ns && stamp.output_ns <= last_moved_->output_ns) {
     output->global_shutter.reset();

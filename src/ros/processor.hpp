@@ -8,6 +8,7 @@
 #include <string>
 
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 
@@ -76,7 +77,9 @@ class Processor {
   /// A setting that holds for the images from now on, until the next.
   void add_exposure_setting(TimeNs exposure_ns);
   void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
-  void add_image(const sensor_msgs::ImageConstPtr& image);
+  void add_image(const sensor_msgs::ImageConstPtr& image) { add_image(image, {}); }
+  /// @return true when a frame came in; false when the image cannot be decoded: it is counted, and has no output
+  bool add_compressed_image(const sensor_msgs::CompressedImage& compressed);
   /// Replaces the configuration's mask, see InputMask.
   void add_mask(const sensor_msgs::Image& mask);
   /// Tells of a message that could not be read, or no longer does (empty text).
@@ -107,6 +110,8 @@ class Processor {
   void advance(const Sink& sink, bool finishing);
   /// The foremost frame with what belongs to it, or nothing while it has to wait.
   std::optional<AssembledFrame> next_frame(bool finishing);
+  /// @param problem  why its pixels cannot be used; empty: they can
+  void add_image(const sensor_msgs::ImageConstPtr& image, const std::string& problem);
   /// Remembers which frames have become ready; after every message. Needs mutex_.
   void note_ready();
   /// Partners need not wait until frames that are settled leave. Needs mutex_.

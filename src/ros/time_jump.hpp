@@ -72,6 +72,9 @@ class EpochCounter {
   /// Epoch of a message that has come.
   int next(TimeNs stamp_ns);
 
+  /// Epoch of the last message that has come.
+  int current() const { return epoch_; }
+
   /// Time was reset, as another stream shows. Messages of the returned epoch or later are new; without a step back
   /// since the last reset none of those that have come is.
   int reset();

@@ -166,6 +166,7 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
   report["frames_in"] = statistics.frames_in;
   report["frames_out"] = statistics.frames_out;
   report["dropped_bad"] = statistics.dropped_bad;
+  report["undecodable_images"] = statistics.undecodable_images;
   report["passed_through"] = nlohmann::json::object();
   for (const auto& [reason, count] : statistics.passed_through) report["passed_through"][to_string(reason)] = count;
   report["imu"] = {{"accepted", statistics.imu_accepted},   {"not_finite", statistics.imu_not_finite},
@@ -194,6 +195,9 @@ void print_summary(const Arguments& arguments, const DeblurTopics& topics, const
   }
   if (outcome.statistics.dropped_bad > 0) {
     std::cout << ", " << outcome.statistics.dropped_bad << " more dropped as BAD (drop_bad)";
+  }
+  if (outcome.statistics.undecodable_images > 0) {
+    std::cout << ", " << outcome.statistics.undecodable_images << " more left out: they could not be decoded";
   }
   std::cout << "; " << outcome.bag_s << " s of recording in " << outcome.wall_s << " s\n";
   for (const auto& [kind, problem] : outcome.statistics.input_problems) {

@@ -61,6 +61,14 @@ void DeblurFeed::take_transforms(const rosbag::Bag& bag, const std::string& topi
 
 void DeblurFeed::catch_up(const rosbag::Bag& bag, ros::Time until) {
   take_transforms(bag, "/tf", until);
+  // Where it is published once, or seldom, the last one holds.
+  if (!topics_.camera_info.empty()) {
+    rosbag::View infos(bag, rosbag::TopicQuery(topics_.camera_info), ros::TIME_MIN, until);
+    std::optional<rosbag::MessageInstance> last;
+    for (const rosbag::MessageInstance& instance : infos) last.emplace(instance);
+    set_clock(to_time_ns(until));
+    if (last) take(*last, false);
+  }
   if (!driver_messages_ || topics_.exposure.empty()) return;
   // A setting is published when it changes, which may be long before the slice.
   rosbag::View before(bag, rosbag::TopicQuery(topics_.exposure), ros::TIME_MIN, until);
@@ -94,12 +102,11 @@ bool DeblurFeed::take(const rosbag::MessageInstance& instance, bool with_images)
 }
 
 bool DeblurFeed::take_image(const rosbag::MessageInstance& instance) {
-  sensor_msgs::ImageConstPtr image;
   if (topics_.compressed) {
-    if (const auto compressed = read_message<sensor_msgs::CompressedImage>(instance)) image = decode_image(*compressed);
-  } else {
-    image = read_message<sensor_msgs::Image>(instance);
+    const auto compressed = read_message<sensor_msgs::CompressedImage>(instance);
+    return compressed && processor_.add_compressed_image(*compressed);
   }
+  const sensor_msgs::ImageConstPtr image = read_message<sensor_msgs::Image>(instance);
   if (!image) return false;
   processor_.add_image(image);
   return true;

@@ -37,7 +37,7 @@ class DeblurFeed {
 
   /// Latched transforms of the whole bag: a node would have them from the start.
   void take_static_transforms(const rosbag::Bag& bag) { take_transforms(bag, "/tf_static", ros::TIME_MAX); }
-  /// What was said before the slice and still holds: transforms, and a setting of the driver.
+  /// What was said before the slice and still holds: transforms, camera_info, and a setting of the driver.
   void catch_up(const rosbag::Bag& bag, ros::Time until);
 
   /// When the next message was recorded.

@@ -23,6 +23,12 @@ TEST(LayoutOfEncoding, KnowsEveryEncodingThatCanBeDeblurred) {
       {"16UC1", PixelLayout::GRAY},
       {"bgr8", PixelLayout::BGR},
       {"bgr16", PixelLayout::BGR},
+      {"8UC3", PixelLayout::BGR},
+      {"16UC3", PixelLayout::BGR},
+      {"yuv422", PixelLayout::YUV422_UYVY},
+      {"uyvy", PixelLayout::YUV422_UYVY},
+      {"yuv422_yuy2", PixelLayout::YUV422_YUYV},
+      {"yuyv", PixelLayout::YUV422_YUYV},
       {"rgb8", PixelLayout::RGB},
       {"rgb16", PixelLayout::RGB},
       {"bgra8", PixelLayout::BGRA},
@@ -42,8 +48,10 @@ TEST(LayoutOfEncoding, KnowsEveryEncodingThatCanBeDeblurred) {
     ASSERT_TRUE(layout_of_encoding(encoding).has_value()) << encoding;
     EXPECT_EQ(*layout_of_encoding(encoding), layout) << encoding;
     EXPECT_EQ(is_bayer(layout), std::string(encoding).rfind("bayer", 0) == 0) << encoding;
+    EXPECT_EQ(is_yuv422(layout), std::string(encoding).find('y') < 2) << encoding;
+    EXPECT_EQ(shares_colors(layout), is_bayer(layout) || is_yuv422(layout)) << encoding;
   }
-  for (const char* encoding : {"", "MONO8", "mono32", "32FC1", "8UC2", "8UC3", "yuv422", "nv21", "jpeg"}) {
+  for (const char* encoding : {"", "MONO8", "mono32", "32FC1", "8UC2", "8UC4", "yuv420", "nv21", "jpeg"}) {
     EXPECT_FALSE(layout_of_encoding(encoding).has_value()) << encoding;
   }
 }
@@ -51,6 +59,8 @@ TEST(LayoutOfEncoding, KnowsEveryEncodingThatCanBeDeblurred) {
 TEST(ChannelsOf, FollowsTheLayout) {
   EXPECT_EQ(channels_of(PixelLayout::GRAY), 1);
   EXPECT_EQ(channels_of(PixelLayout::BAYER_GBRG), 1);
+  EXPECT_EQ(channels_of(PixelLayout::YUV422_UYVY), 2);
+  EXPECT_EQ(channels_of(PixelLayout::YUV422_YUYV), 2);
   EXPECT_EQ(channels_of(PixelLayout::BGR), 3);
   EXPECT_EQ(channels_of(PixelLayout::RGBA), 4);
 }
@@ -71,6 +81,29 @@ TEST(Luminance8, TellsChannelOrdersApart) {
     const cv::Mat luminance = luminance8(image, layout);
     ASSERT_EQ(luminance.type(), CV_8UC1);
     EXPECT_NEAR(luminance.at<uchar>(2, 2), expected, 1);
+  }
+}
+
+TEST(Luminance8, OfYuv422IsItsOwnByte) {
+  // Two pixels of luminance 90 and 160; U 60, V 210.
+  cv::Mat uyvy(4, 6, CV_8UC2), yuyv(4, 6, CV_8UC2);
+  for (int y = 0; y < 4; ++y) {
+    for (int x = 0; x < 6; ++x) {
+      const auto chroma = static_cast<uchar>(x % 2 == 0 ? 60 : 210), light = static_cast<uchar>(x % 2 == 0 ? 90 : 160);
+      uyvy.at<cv::Vec2b>(y, x) = {chroma, light};
+      yuyv.at<cv::Vec2b>(y, x) = {light, chroma};
+    }
+  }
+  for (const auto& [image, layout] :
+       {std::pair(uyvy, PixelLayout::YUV422_UYVY), std::pair(yuyv, PixelLayout::YUV422_YUYV)}) {
+    const cv::Mat luminance = luminance8(image, layout);
+    ASSERT_EQ(luminance.type(), CV_8UC1);
+    EXPECT_EQ(luminance.at<uchar>(2, 2), 90);
+    EXPECT_EQ(luminance.at<uchar>(2, 3), 160);
+    // ITU-R BT.601, of 16 to 235: R = 1.164 (Y - 16) + 1.596 (V - 128), B = 1.164 (Y - 16) + 2.018 (U - 128).
+    const cv::Vec3b bgr = to_bgr(image, layout).at<cv::Vec3b>(2, 2);
+    EXPECT_NEAR(bgr[2], 1.164 * 74 + 1.596 * 82, 2);
+    EXPECT_NEAR(bgr[0], std::max(0.0, 1.164 * 74 - 2.018 * 68), 2);
   }
 }
 

@@ -361,12 +361,47 @@ TEST(Pipeline, LeavesTheImageEmptyWhenNothingWasChanged) {
   EXPECT_TRUE(result.image.empty());
 }
 
+// Its luminance is deblurred as a grey image is, and its colours are copied.
+TEST(Pipeline, DeblursTheLuminanceOfYuv422) {
+  const cv::Mat grey = blurred_image(15);
+  PipelineRequest request;
+  request.luminance = request.global_shutter = true;
+  Pipeline of_grey = pipeline();
+  const PipelineResult expected =
+      of_grey.process(grey, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), request);
+  ASSERT_GT(expected.field.count(BlockStatus::DEBLURRED), 0u);
+  cv::Mat chroma(grey.size(), CV_8UC1);
+  cv::RNG rng(3);
+  rng.fill(chroma, cv::RNG::UNIFORM, 0, 256);
+  for (const PixelLayout layout : {PixelLayout::YUV422_UYVY, PixelLayout::YUV422_YUYV}) {
+    const bool light_first = layout == PixelLayout::YUV422_YUYV;
+    const auto with_chroma = [&](const cv::Mat& light) {
+      cv::Mat image;
+      cv::merge(std::vector<cv::Mat>{light_first ? light : chroma, light_first ? chroma : light}, image);
+      return image;
+    };
+    Pipeline p = pipeline();
+    const cv::Mat image = with_chroma(grey);
+    const PipelineResult result = p.process(image, layout, pan(rate_for(15)), global_shutter(), request);
+    ASSERT_EQ(result.image.type(), CV_8UC2);
+    EXPECT_TRUE(equal(result.image, with_chroma(expected.image)));
+    EXPECT_TRUE(equal(result.luminance, expected.luminance));
+    EXPECT_EQ(result.field.noise, expected.field.noise);
+    EXPECT_EQ(result.field.contrast, expected.field.contrast);
+    EXPECT_EQ(result.features.keypoints.size(), expected.features.keypoints.size());
+    EXPECT_EQ(result.global_shutter.channels(), result.global_shutter.data == result.image.data ? 2 : 3);
+    EXPECT_EQ(p.detect(image, layout, kStampNs, std::nullopt).features.keypoints.size(),
+              of_grey.detect(grey, PixelLayout::GRAY, kStampNs, std::nullopt).features.keypoints.size());
+  }
+}
+
 TEST(Pipeline, HandlesEveryLayout) {
   const cv::Mat grey = blurred_image(15);
-  const PixelLayout layouts[] = {PixelLayout::GRAY, PixelLayout::BGR,  PixelLayout::RGB,
-                                 PixelLayout::BGRA, PixelLayout::RGBA, PixelLayout::BAYER_GBRG};
+  const PixelLayout layouts[] = {PixelLayout::GRAY, PixelLayout::BGR,        PixelLayout::RGB,        PixelLayout::BGRA,
+                                 PixelLayout::RGBA, PixelLayout::BAYER_GBRG, PixelLayout::YUV422_UYVY};
   for (const PixelLayout layout : layouts) {
     for (const int depth : {CV_8U, CV_16U}) {
+      if (is_yuv422(layout) && depth != CV_8U) continue;
       cv::Mat deep, image;
       grey.convertTo(deep, depth, depth == CV_8U ? 1 : 257);
       cv::merge(std::vector<cv::Mat>(channels_of(layout), deep), image);

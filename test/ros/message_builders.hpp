@@ -9,7 +9,6 @@
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
-#include <sensor_msgs/image_encodings.h>
 #include <boost/make_shared.hpp>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
@@ -52,13 +51,11 @@ inline void add_sensor_noise(TimeNs stamp_ns, cv::Mat* image) {
 /// A new picture for every stamp.
 inline sensor_msgs::ImagePtr image_message(TimeNs stamp_ns, const std::string& encoding = "mono8", int width = kWidth,
                                            int height = kHeight) {
-  const int depth = sensor_msgs::image_encodings::bitDepth(encoding) == 16 ? CV_16U : CV_8U;
-  const int channels = sensor_msgs::image_encodings::numChannels(encoding);
   sensor_msgs::Image like;
   like.header.stamp = to_ros_time(stamp_ns);
   like.header.frame_id = kCameraFrame;
   like.encoding = encoding;
-  cv::Mat pixels = texture(CV_MAKETYPE(depth, channels), width, height);
+  cv::Mat pixels = texture(type_of_encoding(encoding).value(), width, height);
   add_sensor_noise(stamp_ns, &pixels);
   return to_image(pixels, like);
 }

@@ -268,7 +268,7 @@ TEST_F(FrameAssemblyTest, LostCameraInfoBetweenOnesThatDifferPassesThroughWithou
     advance();
   }
   ASSERT_EQ(outputs_.size(), 1u);
-  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "no two are alike");
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, "within 1 s of it differ from each other");
   EXPECT_EQ(outputs_[0].camera_info->K[0], 0) << "whose region it is nobody knows";
 }
 
@@ -282,7 +282,8 @@ TEST_F(FrameAssemblyTest, NeighboursCameraInfoServesNoImageOfAnotherSize) {
   for (int i = 3; i <= 4; ++i) add_frame(kStart + i * 33 * kMs);
   advance();
   ASSERT_EQ(outputs_.size(), 5u);
-  expect_passed_through(1, PassThroughReason::NO_CALIBRATION, "describe an image of its size");
+  expect_passed_through(1, PassThroughReason::NO_CALIBRATION,
+                        "describes an image of another size than 192x64 px: its size is 192x128");
   EXPECT_EQ(outputs_[1].camera_info->height, static_cast<unsigned>(kHeight / 2));
 }
 
@@ -516,6 +517,221 @@ TEST_F(FrameAssemblyTest, ImageOfAnotherSizeThanTheFileWaitsForItsCameraInfo) {
   processor_.add_camera_info(info);
   advance();
   expect_deblurred(1);
+}
+
+/// A driver that does not know its calibration: all zeros but size, region and binning.
+sensor_msgs::CameraInfoPtr uncalibrated_info(TimeNs stamp_ns) {
+  auto info = boost::make_shared<sensor_msgs::CameraInfo>();
+  info->header = camera_info(stamp_ns)->header;
+  info->width = kWidth;
+  info->height = kHeight;
+  return info;
+}
+
+TEST_F(FrameAssemblyTest, UncalibratedCameraInfoContradictsNoFile) {
+  config_.calibration = calibration_file();
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  const auto info = uncalibrated_info(kStart);
+  processor_.add_image(image_message(kStart));
+  processor_.add_camera_info(info);
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].camera_info, info) << "the input's own";
+  const auto region = uncalibrated_info(kStart + 33 * kMs);
+  region->roi.y_offset = 30;
+  region->roi.width = kWidth;
+  region->roi.height = kHeight / 2;
+  processor_.add_image(image_message(kStart + 33 * kMs, "mono8", kWidth, kHeight / 2));
+  processor_.add_camera_info(region);
+  advance();
+  expect_deblurred(1);
+  EXPECT_EQ(outputs_[1].field->readout_ns, kReadout / 2) << "its region applies";
+}
+
+TEST_F(FrameAssemblyTest, UncalibratedCameraInfoWithoutAFileIsToldWithTheRemedies) {
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  processor_.add_image(image_message(kStart));
+  processor_.add_camera_info(uncalibrated_info(kStart));
+  advance();
+  for (const char* part : {"K are (0, 0)", "camera_calibration", "calibration_file"}) {
+    expect_passed_through(0, PassThroughReason::NO_CALIBRATION, part);
+  }
+}
+
+TEST_F(FrameAssemblyTest, CameraInfoWithoutAStampServesAllImages) {
+  constexpr int kFrames = 20;
+  add_imu(kStart - 50 * kMs, kStart + kFrames * 33 * kMs + kSecond);
+  for (int i = 0; i < kFrames; ++i) {
+    now_ns_ = kStart + i * 33 * kMs;
+    processor_.add_image(image_message(now_ns_));
+    processor_.add_camera_info(camera_info(0));
+    advance();
+    ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(i + 1)) << "at once";
+    expect_deblurred(static_cast<std::size_t>(i));
+    sensor_msgs::CameraInfo expected = *camera_info(now_ns_);
+    EXPECT_EQ(*outputs_.back().camera_info, expected) << "all of it, with the image's stamp";
+  }
+  EXPECT_EQ(logged("camera_info has the stamp 0"), 1u);
+  EXPECT_EQ(log_.size(), 1u) << log_.back();
+  EXPECT_TRUE(processor_.statistics().input_problems.at("camera_info stamp").active);
+  EXPECT_EQ(processor_.statistics().time_jumps, 0u);
+  add_frame(now_ns_ + 33 * kMs);
+  EXPECT_FALSE(processor_.statistics().input_problems.at("camera_info stamp").active) << "the driver has been mended";
+}
+
+TEST_F(FrameAssemblyTest, NewestCameraInfoWithoutAStampHolds) {
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  processor_.add_camera_info(camera_info(0));
+  processor_.add_image(image_message(kStart));
+  auto moved = camera_info(0);
+  moved->K[0] = moved->K[4] = 2 * kFocalPx;
+  advance();
+  processor_.add_camera_info(moved);
+  processor_.add_image(image_message(kStart + 33 * kMs));
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  EXPECT_EQ(outputs_[0].camera_info->K[0], kFocalPx);
+  EXPECT_EQ(outputs_[1].camera_info->K[0], 2 * kFocalPx);
+}
+
+TEST_F(FrameAssemblyTest, StrayCameraInfoWithoutAStampChangesNothing) {
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  for (int i = 0; i < 3; ++i) add_frame(kStart + i * 33 * kMs);
+  auto other = camera_info(0);
+  other->K[0] = 7;
+  processor_.add_camera_info(other);
+  processor_.add_image(image_message(kStart + 99 * kMs));
+  advance();
+  EXPECT_EQ(outputs_.size(), 3u) << "each image still waits for its own";
+  processor_.add_camera_info(camera_info(kStart + 99 * kMs));
+  advance();
+  ASSERT_EQ(outputs_.size(), 4u);
+  for (std::size_t i = 0; i < 4; ++i) EXPECT_EQ(outputs_[i].camera_info->K[0], kFocalPx);
+}
+
+/// A camera_info that is sent once, then another.
+class LatchedCameraInfoTest : public FrameAssemblyTest {
+ protected:
+  static constexpr TimeNs kPeriod = 33 * kMs;
+  /// With the samples of each image before it.
+  void play(int from, int to) {
+    for (int i = from; i < to; ++i) {
+      now_ns_ = kStart + i * kPeriod;
+      for (; next_imu_ns_ <= now_ns_ + 2 * kPeriod; next_imu_ns_ += kImuPeriod) {
+        processor_.add_imu(imu_message(next_imu_ns_, kFastRadS));
+      }
+      processor_.add_image(image_message(now_ns_));
+      advance();
+    }
+  }
+  TimeNs next_imu_ns_ = kStart - 50 * kMs;
+};
+
+TEST_F(LatchedCameraInfoTest, ServesAllImages) {
+  // Before the first image, with its stamp, or behind some.
+  for (const TimeNs stamp_ns : {kStart - 10 * kSecond, kStart, kStart + 3 * kPeriod}) {
+    SCOPED_TRACE(seconds_text(stamp_ns));
+    outputs_.clear();
+    log_.clear();
+    now_ns_ = kStart;
+    Processor fresh(environment());
+    fresh.set_config(config_);
+    for (TimeNs t_ns = kStart - 50 * kMs; t_ns <= kStart + 60 * kPeriod; t_ns += kImuPeriod) {
+      fresh.add_imu(imu_message(t_ns, kFastRadS));
+    }
+    for (int i = 0; i < 40; ++i) {
+      now_ns_ = kStart + i * kPeriod;
+      if (i == 0 && stamp_ns <= kStart) fresh.add_camera_info(camera_info(stamp_ns));
+      fresh.add_image(image_message(now_ns_));
+      if (i > 0 && stamp_ns == now_ns_) fresh.add_camera_info(camera_info(stamp_ns));
+      fresh.advance([this](FrameOutput&& output) {
+        outputs_.push_back(std::move(output));
+        return true;
+      });
+    }
+    ASSERT_EQ(outputs_.size(), 40u) << "the last ones do not wait";
+    for (std::size_t i = 0; i < 40; ++i) {
+      expect_deblurred(i);
+      EXPECT_EQ(outputs_[i].camera_info->header.stamp, outputs_[i].input->header.stamp);
+    }
+    EXPECT_EQ(logged("images no longer wait"), 1u);
+  }
+}
+
+TEST_F(LatchedCameraInfoTest, NextOneReplacesIt) {
+  processor_.add_camera_info(camera_info(kStart));
+  play(0, 30);
+  auto other = camera_info(kStart + 30 * kPeriod);
+  other->K[0] = other->K[4] = 2 * kFocalPx;
+  processor_.add_camera_info(other);
+  play(30, 60);
+  ASSERT_EQ(outputs_.size(), 60u);
+  for (std::size_t i = 0; i < 60; ++i) {
+    expect_deblurred(i);
+    EXPECT_EQ(outputs_[i].camera_info->K[0], (i < 30 ? 1 : 2) * kFocalPx) << i;
+  }
+}
+
+TEST_F(LatchedCameraInfoTest, ResetsOfTimeAndOfTheNodeKeepIt) {
+  processor_.add_camera_info(camera_info(kStart));
+  play(0, 30);
+  processor_.reset();
+  play(40, 70);
+  next_imu_ns_ = now_ns_ = kStart - 50 * kMs;  // a bag that loops
+  play(0, 30);
+  time_out();
+  ASSERT_EQ(outputs_.size(), 90u);
+  for (std::size_t i = 0; i < 90; ++i) expect_deblurred(i);
+}
+
+TEST_F(LatchedCameraInfoTest, ServesNoImageOfAnotherSize) {
+  processor_.add_camera_info(camera_info(kStart, kWidth, 2 * kHeight));
+  play(0, 30);
+  time_out();
+  expect_passed_through(29, PassThroughReason::NO_CALIBRATION, "192x128 px: its size is 192x256");
+}
+
+TEST_F(FrameAssemblyTest, SizeThatIsNotFilledInIsTheImages) {
+  add_imu(kStart - 50 * kMs, kStart + kSecond);
+  for (int i = 0; i < 3; ++i) {
+    const auto info = camera_info(kStart + i * 33 * kMs);
+    info->width = info->height = 0;
+    processor_.add_image(image_message(kStart + i * 33 * kMs));
+    processor_.add_camera_info(info);
+  }
+  advance();
+  ASSERT_EQ(outputs_.size(), 3u);
+  for (std::size_t i = 0; i < 3; ++i) {
+    expect_deblurred(i);
+    EXPECT_EQ(outputs_[i].camera_info->width, 0u) << "the input's own";
+  }
+  EXPECT_EQ(outputs_[0].field->readout_ns, kReadout);
+  EXPECT_EQ(logged("width and height 0"), 1u);
+}
+
+TEST_F(FrameAssemblyTest, ReasonSaysWhatCameraInfoThereIs) {
+  add_imu(kStart - 50 * kMs, kStart + 20 * kSecond);
+  processor_.add_image(image_message(kStart));
+  time_out();
+  expect_passed_through(0, PassThroughReason::NO_CALIBRATION, ", nor any other");
+  // Two in a row, so that each may be of a region of its own.
+  const auto add_with_region = [this](TimeNs stamp_ns, std::uint32_t y_offset_px) {
+    processor_.add_image(image_message(stamp_ns));
+    processor_.add_camera_info(region_info(stamp_ns, y_offset_px));
+  };
+  for (std::uint32_t i = 0; i < 3; ++i) add_with_region(kStart + kSecond + i * 33 * kMs, i);
+  processor_.add_image(image_message(kStart + 10 * kSecond));
+  advance();
+  time_out();
+  ASSERT_EQ(outputs_.size(), 5u);
+  expect_passed_through(4, PassThroughReason::NO_CALIBRATION, "and none within 1 s of it");
+  add_with_region(kStart + 11 * kSecond, 5);
+  processor_.add_image(image_message(kStart + 11 * kSecond + 33 * kMs));
+  advance();
+  time_out();
+  ASSERT_EQ(outputs_.size(), 7u);
+  expect_passed_through(6, PassThroughReason::NO_CALIBRATION, "a single one within 1 s of it");
 }
 
 TEST_F(FrameAssemblyTest, UsableCameraInfoServesAfterUnusableOnes) {

@@ -177,7 +177,12 @@ TEST(ImageView, ReasonsOfRefusal) {
   image.width = std::numeric_limits<std::uint32_t>::max();
   image.height = std::numeric_limits<std::uint32_t>::max();
   EXPECT_EQ(reason_of(image), PassThroughReason::BAD_IMAGE);
-  for (const char* encoding : {"32FC1", "yuv422", "", "nonsense"}) {
+  image = *image_message(0, "yuv422", 31, 20);
+  EXPECT_EQ(reason_of(image), PassThroughReason::BAD_IMAGE) << "half a pair of pixels";
+  image = *image_message(0);
+  image.encoding = "yuv422";
+  EXPECT_EQ(reason_of(image), PassThroughReason::BAD_IMAGE) << "one byte a pixel";
+  for (const char* encoding : {"32FC1", "8UC4", "nv21", "", "nonsense"}) {
     image = *image_message(0);
     image.encoding = encoding;
     EXPECT_EQ(reason_of(image), PassThroughReason::UNSUPPORTED_ENCODING) << encoding;
@@ -246,7 +251,8 @@ TEST(BlurField, ConstantsEqualTheCores) {
       {BlurField::REASON_TIME_JUMP, PassThroughReason::TIME_JUMP},
       {BlurField::REASON_INTERNAL_ERROR, PassThroughReason::INTERNAL_ERROR},
       {BlurField::REASON_GYRO_SATURATED, PassThroughReason::GYRO_SATURATED},
-      {BlurField::REASON_PARTNER, PassThroughReason::PARTNER}};
+      {BlurField::REASON_PARTNER, PassThroughReason::PARTNER},
+      {BlurField::REASON_NO_STAMP, PassThroughReason::NO_STAMP}};
   for (const auto& [constant, reason] : reasons) EXPECT_EQ(constant, static_cast<int>(reason)) << to_string(reason);
 }
 
@@ -509,7 +515,7 @@ TEST(Names, AgreeWithTheMessage) {
     }
   }
   EXPECT_EQ(statuses, static_cast<int>(kBlockStatuses.size()));
-  EXPECT_EQ(reasons, 13);
+  EXPECT_EQ(reasons, 14);
   EXPECT_EQ(sources, 3);
 }
 

@@ -68,6 +68,17 @@ TEST_F(DiagnosticReportTest, FramesThatPassThroughWarnOnceWithARemedy) {
   EXPECT_EQ(level_, DiagnosticStatus::OK) << "none since";
 }
 
+TEST_F(DiagnosticReportTest, ImagesThatAreLeftOutWarnOnce) {
+  const std::string key = "compressed images left out, not decodable";
+  EXPECT_EQ(fill()[key], "0");
+  statistics_.undecodable_images = 2;
+  EXPECT_EQ(fill()[key], "2");
+  EXPECT_EQ(level_, DiagnosticStatus::WARN);
+  EXPECT_NE(summary_.find("2 compressed images could not be decoded and are left out"), std::string::npos) << summary_;
+  EXPECT_EQ(fill()[key], "2");
+  EXPECT_EQ(level_, DiagnosticStatus::OK) << "none since";
+}
+
 TEST_F(DiagnosticReportTest, MessagesThatAreNotSentWarnOnce) {
   EXPECT_EQ(fill()["messages published, not sent"], "0");
   EXPECT_EQ(level_, DiagnosticStatus::OK);

@@ -166,6 +166,95 @@ TEST_F(IntakeTest, StrayImageStampIsNoJump) {
   EXPECT_EQ(processor_.statistics().time_jumps, 0u);
 }
 
+TEST_F(IntakeTest, ImageWithoutAStampPassesInItsTurnAndChangesNothing) {
+  constexpr int kFrames = 40;
+  constexpr TimeNs kPeriod = 50 * kMs;
+  config_.pipeline.motion_from_images = true;
+  configure();
+  request_.tracks = request_.global_shutter = true;
+  // With every tenth image's stamp missing, then with these images left out.
+  std::vector<FrameOutput> with, without;
+  std::vector<TimeNs> frame_periods_ns;
+  for (std::vector<FrameOutput>* result : {&with, &without}) {
+    now_ns_ = kStart;
+    Processor fresh(environment());
+    fresh.set_config(config_);
+    outputs_.clear();
+    TimeNs imu_ns = kStart - 50 * kMs;
+    for (int i = 0; i < kFrames; ++i) {
+      now_ns_ = kStart + i * kPeriod;
+      for (; imu_ns <= now_ns_; imu_ns += kImuPeriod) fresh.add_imu(imu_message(imu_ns, kFastRadS));
+      const bool unset = i % 10 == 4;
+      if (!unset || result == &with) {
+        fresh.add_image(image_message(unset ? 0 : now_ns_));
+        fresh.add_camera_info(camera_info(unset ? 0 : now_ns_));
+      }
+      fresh.advance([this](FrameOutput&& output) {
+        outputs_.push_back(std::move(output));
+        return true;
+      });
+    }
+    fresh.finish([this](FrameOutput&& output) {
+      outputs_.push_back(std::move(output));
+      return true;
+    });
+    *result = std::move(outputs_);
+    const ProcessorStatistics statistics = fresh.statistics();
+    EXPECT_EQ(statistics.time_jumps, 0u);
+    ASSERT_TRUE(statistics.frame_period_ns);
+    frame_periods_ns.push_back(*statistics.frame_period_ns);
+  }
+  EXPECT_EQ(frame_periods_ns.at(0), frame_periods_ns.at(1));
+  ASSERT_EQ(with.size(), static_cast<std::size_t>(kFrames));
+  outputs_ = std::move(with);
+  std::size_t other = 0;
+  for (std::size_t i = 0; i < kFrames; ++i) {
+    if (i % 10 == 4) {
+      expect_passed_through(i, PassThroughReason::NO_STAMP, "stamp is 0");
+      EXPECT_EQ(outputs_[i].camera_info->K[0], kFocalPx) << "as those before";
+      EXPECT_EQ(outputs_[i].global_shutter, outputs_[i].input);
+      continue;
+    }
+    const FrameOutput& expected = without.at(other++);
+    EXPECT_EQ(outputs_[i].reason, expected.reason) << i << ": " << outputs_[i].reason_text;
+    EXPECT_EQ(outputs_[i].image->data, expected.image->data) << i;
+    EXPECT_EQ(*outputs_[i].camera_info, *expected.camera_info) << i;
+    EXPECT_EQ(outputs_[i].global_shutter->data, expected.global_shutter->data) << i;
+    ASSERT_NE(outputs_[i].tracks, nullptr);
+    EXPECT_EQ(outputs_[i].tracks->channels[0].values, expected.tracks->channels[0].values) << i;
+  }
+}
+
+TEST_F(IntakeTest, MessagesWithoutAStampAreNoResetOfTime) {
+  add_imu(kStart - 50 * kMs, kStart + 20 * kMs);
+  for (int i = 0; i < 3; ++i) {
+    processor_.add_imu(imu_message(0, 100));
+    processor_.add_image(image_message(0));
+    processor_.add_camera_info(camera_info(0));
+    processor_.add_exposure(Exposure());
+  }
+  add_frame(kStart);
+  add_imu(kStart + 25 * kMs, kStart + 100 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 4u);
+  expect_deblurred(3);
+  EXPECT_EQ(processor_.statistics().time_jumps, 0u);
+}
+
+TEST_F(IntakeTest, AJumpBehindAnImageWithoutAStampStillShows) {
+  add_imu(kStart + 900 * kMs, kStart + kSecond);
+  add_frame(kStart + 970 * kMs);  // lacks samples
+  processor_.add_image(image_message(0));
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  add_frame(kStart + 33 * kMs);
+  advance();
+  EXPECT_EQ(processor_.statistics().time_jumps, 1u);
+  ASSERT_EQ(outputs_.size(), 3u);
+  expect_passed_through(0, PassThroughReason::TIME_JUMP, "backwards");
+  expect_passed_through(1, PassThroughReason::NO_STAMP, "stamp is 0");
+  expect_deblurred(2);
+}
+
 TEST_F(IntakeTest, OldImageOutOfOrderDoesNotHideALaterJump) {
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   add_frame(kStart + 10 * kMs);

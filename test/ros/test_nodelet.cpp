@@ -622,6 +622,133 @@ TEST_F(NodeletTest, CompressedImagesNeedNoPlugin) {
   expect_identical(0, *image);
 }
 
+TEST_F(NodeletTest, CompressedImagesThatCannotBeDecodedAreLeftOutAndCounted) {
+  set("image_transport", std::string("compressed"));
+  const ros::Publisher publisher = nh_.advertise<sensor_msgs::CompressedImage>(ns_ + "/image_raw/compressed", 10);
+  image_publisher_ = publisher;
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  ASSERT_TRUE(mailbox_.wait([&] { return diagnostics.level == diagnostic_msgs::DiagnosticStatus::OK; }));
+  publish_imu(kStart - 50 * kMs, kStart + kSecond);
+  constexpr int kFrames = 6, kGarbage = 1, kCut = 3;
+  for (int i = 0; i < kFrames; ++i) {
+    const TimeNs stamp_ns = kStart + i * 33 * kMs;
+    sensor_msgs::CompressedImage compressed;
+    compressed.header = image_message(stamp_ns)->header;
+    compressed.format = "rgb8; jpeg compressed bgr8";
+    cv::imencode(".jpg", texture(CV_8UC3), compressed.data);
+    if (i == kGarbage) std::fill(compressed.data.begin(), compressed.data.end(), 7);
+    if (i == kCut) compressed.data.resize(compressed.data.size() / 2);
+    const auto info = camera_info(stamp_ns);
+    info->D[0] = 1e-3 * i;  // each image's own
+    info_publisher_.publish(info);
+    publisher.publish(compressed);
+  }
+  expect_frames(kFrames - 1);
+  const int numbers[] = {0, 2, 3, 4, 5};
+  for (std::size_t i = 0; i < kFrames - 1; ++i) {
+    EXPECT_EQ(to_time_ns(images_[i]->header.stamp), kStart + numbers[i] * 33 * kMs);
+    EXPECT_EQ(images_[i]->width, static_cast<unsigned>(kWidth));
+    EXPECT_EQ(images_[i]->height, static_cast<unsigned>(kHeight));
+    EXPECT_EQ(images_[i]->encoding, "rgb8");
+    EXPECT_EQ(infos_[i]->D[0], 1e-3 * numbers[i]);
+    expect_reason(i, numbers[i] == kCut ? PassThroughReason::BAD_IMAGE : PassThroughReason::NONE);
+  }
+  EXPECT_TRUE(wait_for_log("compressed image 100.033000000 is left out"));
+  EXPECT_TRUE(diagnostics.wait_for("compressed images left out, not decodable", "1"));
+  EXPECT_TRUE(diagnostics.wait_for("frames in", std::to_string(kFrames - 1)));
+}
+
+/// A way of drivers to send camera_info.
+struct InfoHabit {
+  const char* name;
+  std::function<void(sensor_msgs::CameraInfo*)> change;
+  const char* log;  ///< that is told of it; null: nothing
+  bool latched = false, with_file = false;
+};
+
+TEST_F(NodeletTest, CameraInfoOfEveryHabitServes) {
+  const std::string file = (std::filesystem::temp_directory_path() / "nodelet_camchain.yaml").string();
+  const sensor_msgs::CameraInfoPtr described = camera_info(kStart);
+  std::ofstream(file) << "cam0:\n  camera_model: pinhole\n  intrinsics: [" << kFocalPx << ", " << kFocalPx << ", "
+                      << described->K[2] << ", " << described->K[5]
+                      << "]\n  distortion_model: none\n  distortion_coeffs: []\n  resolution: [" << kWidth << ", "
+                      << kHeight << "]\n";
+  const InfoHabit habits[] = {
+      {"not calibrated, beside a file",
+       [](sensor_msgs::CameraInfo* info) {
+         info->K.fill(0);
+         info->P.fill(0);
+         info->R.fill(0);
+         info->D.clear();
+         info->distortion_model.clear();
+       },
+       nullptr, false, true},
+      {"stamp 0", [](sensor_msgs::CameraInfo* info) { info->header.stamp = ros::Time(); },
+       "camera_info has the stamp 0"},
+      {"latched", [](sensor_msgs::CameraInfo* info) { info->header.stamp = ros::Time(5); },
+       "images no longer wait for theirs", true},
+      {"no size", [](sensor_msgs::CameraInfo* info) { info->width = info->height = 0; },
+       "camera_info has width and height 0"},
+  };
+  set("gyro_timeout", kShortTimeoutS);
+  set("drop_bad", true);
+  constexpr std::size_t kFrames = 8;
+  for (const InfoHabit& habit : habits) {
+    SCOPED_TRACE(habit.name);
+    set("calibration_file", habit.with_file ? file : std::string());
+    info_publisher_.shutdown();  // or the next one would be latched as it was
+    info_publisher_ = nh_.advertise<sensor_msgs::CameraInfo>(ns_ + "/camera_info", 10, habit.latched);
+    const auto info_of = [&](TimeNs stamp_ns) {
+      const auto info = camera_info(stamp_ns);
+      habit.change(info.get());
+      return info;
+    };
+    if (habit.latched) info_publisher_.publish(info_of(kStart));
+    mailbox_.put([this] { images_.clear(), infos_.clear(), fields_.clear(), keypoints_.clear(); });
+    start();
+    publish_imu(kStart - 50 * kMs, kStart + kSecond);
+    std::vector<sensor_msgs::ImagePtr> inputs;
+    for (std::size_t i = 0; i < kFrames; ++i) {
+      inputs.push_back(image_message(kStart + static_cast<TimeNs>(i) * 33 * kMs));
+      if (!habit.latched) info_publisher_.publish(info_of(to_time_ns(inputs.back()->header.stamp)));
+      image_publisher_.publish(inputs.back());
+      // Of a latched one the first three images show that there is no other.
+      if (!habit.latched || i >= 2) expect_frames(i + 1);
+    }
+    for (std::size_t i = 0; i < kFrames; ++i) expect_deblurred(i, *inputs[i]);
+    if (habit.log) EXPECT_TRUE(wait_for_log(habit.log));
+    unload();
+  }
+  std::filesystem::remove(file);
+}
+
+TEST_F(NodeletTest, ImagesWithoutAStampPassInTheirTurn) {
+  set("drop_bad", true);
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  publish_imu(kStart - 50 * kMs, kStart + 2 * kSecond);
+  std::vector<sensor_msgs::ImagePtr> inputs;
+  constexpr std::size_t kFrames = 20, kEvery = 10, kFirst = 4;
+  for (std::size_t i = 0; i < kFrames; ++i) {
+    inputs.push_back(image_message(i % kEvery == kFirst ? 0 : kStart + static_cast<TimeNs>(i) * 33 * kMs));
+    info_publisher_.publish(camera_info(to_time_ns(inputs.back()->header.stamp)));
+    image_publisher_.publish(inputs.back());
+    keep_up_with(inputs.size());
+  }
+  expect_frames(kFrames);
+  for (std::size_t i = 0; i < kFrames; ++i) {
+    if (i % kEvery == kFirst) {
+      expect_reason(i, PassThroughReason::NO_STAMP);
+      expect_identical(i, *inputs[i]);
+    } else {
+      expect_deblurred(i, *inputs[i]);
+    }
+  }
+  EXPECT_TRUE(diagnostics.wait_for("passed through, NO_STAMP", "2"));
+  EXPECT_TRUE(diagnostics.wait_for("time jumps", "0"));
+}
+
 TEST_F(NodeletTest, UnknownTransportLeavesTheManagerAlive) {
   set("image_transport", std::string("pigeon"));
   load();
@@ -1111,14 +1238,15 @@ TEST_F(NodeletTest, WhatASlowSubscriberDoesNotGetIsCounted) {
 TEST_F(NodeletTest, EncodingsGoodAndBadComeOutInOrder) {
   start();
   publish_imu(kStart - 50 * kMs, kStart + 2 * kSecond);
-  const std::vector<std::string> good{"mono8", "mono16", "8UC1",        "bgr8",        "rgb8",
-                                      "bgra8", "rgba8",  "bayer_rggb8", "bayer_gbrg8", "bayer_bggr16"};
+  const std::vector<std::string> good{"mono8",        "mono16", "8UC1",       "8UC3",        "bgr8",
+                                      "rgb8",         "bgra8",  "rgba8",      "bayer_rggb8", "bayer_gbrg8",
+                                      "bayer_bggr16", "yuv422", "yuv422_yuy2"};
   std::vector<sensor_msgs::ImagePtr> inputs;
   for (const std::string& encoding : good) {
     inputs.push_back(publish_frame(kStart + static_cast<TimeNs>(inputs.size()) * 33 * kMs, encoding));
     keep_up_with(inputs.size());
   }
-  for (const std::string& bad : {std::string("32FC1"), std::string("yuv422"), std::string("nonsense")}) {
+  for (const std::string& bad : {std::string("32FC1"), std::string("8UC4"), std::string("nonsense")}) {
     auto image = image_message(kStart + static_cast<TimeNs>(inputs.size()) * 33 * kMs);
     image->encoding = bad;
     image_publisher_.publish(image);

@@ -1,4 +1,6 @@
 // deblur_bag as a user runs it.
+#include <algorithm>
+#include <cstdint>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -51,6 +53,55 @@ class DeblurBagTest : public testing::Test {
         << "exposure_time: 0.03\nreadout_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\n"
            "block_size: 32\nvalidate: false\nmotion_from_images: false\ndetector: FAST\ndescriptor: ORB\n"
         << more;
+  }
+
+  /// Rewrites in.bag; `write` gets each of its messages and the new bag.
+  void change_bag(const std::function<void(const rosbag::MessageInstance&, rosbag::Bag*)>& write) {
+    fs::rename(path("in.bag"), path("before.bag"));
+    {
+      rosbag::Bag before(path("before.bag"), rosbag::bagmode::Read), bag(path("in.bag"), rosbag::bagmode::Write);
+      for (const rosbag::MessageInstance& instance : rosbag::View(before)) write(instance, &bag);
+    }
+    fs::remove(path("before.bag"));
+  }
+  /// Changes the messages of one type; `change` gets each and its number, and leaves it out when it returns false.
+  template <typename Message>
+  void change_messages(const std::function<bool(Message*, int)>& change) {
+    int count = 0;
+    change_bag([&](const rosbag::MessageInstance& instance, rosbag::Bag* bag) {
+      const auto message = instance.instantiate<Message>();
+      if (!message) {
+        bag->write(instance.getTopic(), instance.getTime(), instance);
+      } else if (change(message.get(), count++)) {
+        bag->write(instance.getTopic(), instance.getTime(), *message);
+      }
+    });
+  }
+  /// Compresses the images; `change` gets each compressed one and its number.
+  void compress_images(const std::string& extension, const std::string& format,
+                       const std::function<void(sensor_msgs::CompressedImage*, int)>& change) {
+    int count = 0;
+    change_bag([&](const rosbag::MessageInstance& instance, rosbag::Bag* bag) {
+      const auto image = instance.instantiate<sensor_msgs::Image>();
+      if (!image) {
+        bag->write(instance.getTopic(), instance.getTime(), instance);
+        return;
+      }
+      sensor_msgs::CompressedImage compressed;
+      compressed.header = image->header;
+      compressed.format = format;
+      cv::imencode(extension, view_image(*image).image, compressed.data);
+      change(&compressed, count++);
+      bag->write("/cam/image_raw/compressed", instance.getTime(), compressed);
+    });
+  }
+  /// A calibration file of the bag's camera.
+  void write_calibration_file() {
+    const sensor_msgs::CameraInfoPtr info = camera_info(kStart);
+    std::ofstream(path("camchain.yaml")) << "cam0:\n  camera_model: pinhole\n  intrinsics: [" << info->K[0] << ", "
+                                         << info->K[4] << ", " << info->K[2] << ", " << info->K[5]
+                                         << "]\n  distortion_model: none\n  distortion_coeffs: []\n  resolution: ["
+                                         << info->width << ", " << info->height << "]\n";
   }
 
   /// Frames and IMU; the IMU ends 60 ms before the last frame does.
@@ -108,37 +159,226 @@ TEST_F(DeblurBagTest, CompressedImagesAreDecoded) {
   write_bag(kFastRadS);
   ASSERT_EQ(run().exit_code, 0);
   const auto expected = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
-  // The same bag with PNGs, which lose nothing, in place of the images; one of them is broken.
-  fs::rename(path("in.bag"), path("raw.bag"));
-  {
-    rosbag::Bag raw(path("raw.bag"), rosbag::bagmode::Read), bag(path("in.bag"), rosbag::bagmode::Write);
-    std::size_t images = 0;
-    for (const rosbag::MessageInstance& instance : rosbag::View(raw)) {
-      const auto image = instance.instantiate<sensor_msgs::Image>();
-      if (!image) {
-        bag.write(instance.getTopic(), instance.getTime(), instance);
-        continue;
-      }
-      sensor_msgs::CompressedImage compressed;
-      compressed.header = image->header;
-      compressed.format = "mono8; png compressed ";
-      cv::imencode(".png", view_image(*image).image, compressed.data);
-      if (++images == 2) compressed.data.resize(compressed.data.size() / 8);
-      bag.write("/cam/image_raw/compressed", instance.getTime(), compressed);
-    }
-  }
+  // The same bag with PNGs, which lose nothing, in place of the images.
+  compress_images(".png", "mono8; png compressed ", [](auto*, int) {});
   const ProgramResult result = run();
   ASSERT_EQ(result.exit_code, 0) << result.output;
   const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
   ASSERT_EQ(images.size(), expected.size());
   for (std::size_t i = 0; i < images.size(); ++i) {
     EXPECT_EQ(images[i]->header.stamp, expected[i]->header.stamp);
-    if (i == 1) continue;
     EXPECT_EQ(images[i]->encoding, "mono8");
     EXPECT_EQ(images[i]->data, expected[i]->data);
   }
-  EXPECT_EQ(report()["frames"][1]["reason"], "BAD_IMAGE");
-  EXPECT_EQ(report()["passed_through"]["BAD_IMAGE"], 1);
+  EXPECT_EQ(report()["undecodable_images"], 0);
+}
+
+TEST_F(DeblurBagTest, WhatCannotBeDecodedIsLeftOutAndMovesNothingElse) {
+  write_bag(kFastRadS, true);
+  change_messages<Exposure>([](Exposure* exposure, int i) {
+    exposure->exposure_time.fromNSec((20 + i) * kMs);
+    return true;
+  });
+  compress_images(".jpg", "mono8; jpeg compressed ", [](sensor_msgs::CompressedImage* image, int i) {
+    if (i == 1) std::fill(image->data.begin(), image->data.end(), 7);
+    if (i == 3) image->data.resize(image->data.size() / 2);
+  });
+  write_config("drop_bad: true\n");
+  const ProgramResult result = run();
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  EXPECT_NE(result.output.find("1 more left out: they could not be decoded"), std::string::npos) << result.output;
+  EXPECT_NE(result.output.find("warning: compressed image 100.100000000 is left out: "), std::string::npos);
+  const nlohmann::json all = report();
+  EXPECT_EQ(all["frames_in"], kFrames - 1);
+  EXPECT_EQ(all["frames_out"], kFrames - 1);
+  EXPECT_EQ(all["dropped_bad"], 0);
+  EXPECT_EQ(all["undecodable_images"], 1);
+  EXPECT_EQ(all["passed_through"], (nlohmann::json{{"BAD_IMAGE", 1}, {"NO_GYRO", 1}})) << "the IMU ends too early";
+  const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  const auto infos = read<sensor_msgs::CameraInfo>("out.bag", "/cam/deblurred/camera_info");
+  const auto fields = read<BlurField>("out.bag", "/cam/blur_field");
+  ASSERT_EQ(images.size(), static_cast<std::size_t>(kFrames - 1));
+  ASSERT_EQ(infos.size(), images.size());
+  ASSERT_EQ(fields.size(), images.size());
+  const int numbers[] = {0, 2, 3, 4};
+  for (std::size_t i = 0; i < images.size(); ++i) {
+    const TimeNs stamp_ns = kStart + numbers[i] * kFramePeriod;
+    EXPECT_EQ(to_time_ns(images[i]->header.stamp), stamp_ns);
+    EXPECT_EQ(images[i]->width, static_cast<unsigned>(kWidth));
+    EXPECT_EQ(images[i]->height, static_cast<unsigned>(kHeight));
+    EXPECT_EQ(images[i]->encoding, "mono8");
+    EXPECT_EQ(*infos[i], *camera_info(stamp_ns));
+    if (fields[i]->reason == BlurField::REASON_NONE) {
+      EXPECT_EQ(fields[i]->exposure_time.toNSec(), (20 + numbers[i]) * kMs);
+    }
+  }
+  EXPECT_EQ(fields[2]->reason, BlurField::REASON_BAD_IMAGE);
+  EXPECT_NE(fields[2]->reason_text.find("the JPEG ends after"), std::string::npos) << fields[2]->reason_text;
+}
+
+TEST_F(DeblurBagTest, ImagesWithoutAStampPassInTheirTurn) {
+  write_bag(kFastRadS);
+  write_config("drop_bad: true\n");
+  ASSERT_EQ(run().exit_code, 0);
+  const auto expected = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  change_messages<sensor_msgs::Image>([](sensor_msgs::Image* image, int i) {
+    if (i == 2) image->header.stamp = ros::Time();
+    return true;
+  });
+  const ProgramResult result = run();
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  const auto inputs = read<sensor_msgs::Image>("in.bag", "/cam/image_raw");
+  const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  ASSERT_EQ(images.size(), expected.size());
+  for (std::size_t i = 0; i < images.size(); ++i) {
+    EXPECT_EQ(images[i]->header.stamp, inputs[i]->header.stamp) << i;
+    EXPECT_EQ(images[i]->data, (i == 2 ? inputs : expected)[i]->data) << i;
+  }
+  EXPECT_EQ(report()["passed_through"], (nlohmann::json{{"NO_STAMP", 1}, {"NO_GYRO", 1}}));
+  EXPECT_EQ(report()["time_jumps"], 0);
+  EXPECT_EQ(report()["dropped_bad"], 0);
+}
+
+/// A way of drivers to fill camera_info.
+struct InfoHabit {
+  const char* name;
+  std::function<bool(sensor_msgs::CameraInfo*, int)> change;
+  const char* warning;  ///< of the closing lines; null: none
+  bool with_file = false;
+};
+
+TEST_F(DeblurBagTest, CameraInfoOfEveryHabitServes) {
+  const InfoHabit habits[] = {
+      {"not calibrated, beside a file",
+       [](sensor_msgs::CameraInfo* info, int) {
+         info->K.fill(0);
+         info->P.fill(0);
+         info->R.fill(0);
+         info->D.clear();
+         info->distortion_model.clear();
+         return true;
+       },
+       nullptr, true},
+      {"stamp 0",
+       [](sensor_msgs::CameraInfo* info, int) {
+         info->header.stamp = ros::Time();
+         return true;
+       },
+       "warning: camera_info has the stamp 0"},
+      {"once", [](sensor_msgs::CameraInfo*, int i) { return i == 0; }, nullptr},
+      {"once, from long before",
+       [](sensor_msgs::CameraInfo* info, int i) {
+         info->header.stamp = ros::Time(5);
+         return i == 0;
+       },
+       nullptr},
+      {"no size",
+       [](sensor_msgs::CameraInfo* info, int) {
+         info->width = info->height = 0;
+         return true;
+       },
+       "warning: camera_info has width and height 0"},
+  };
+  write_calibration_file();
+  write_bag(kFastRadS);
+  ASSERT_EQ(run().exit_code, 0);
+  const auto expected = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  for (const InfoHabit& habit : habits) {
+    SCOPED_TRACE(habit.name);
+    write_bag(kFastRadS);
+    write_config(std::string("drop_bad: true\n") + (habit.with_file ? "calibration_file: camchain.yaml\n" : ""));
+    change_messages<sensor_msgs::CameraInfo>(habit.change);
+    const ProgramResult result = run();
+    ASSERT_EQ(result.exit_code, 0) << result.output;
+    const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+    ASSERT_EQ(images.size(), expected.size());
+    for (std::size_t i = 0; i < images.size(); ++i) EXPECT_EQ(images[i]->data, expected[i]->data) << i;
+    for (const auto& info : read<sensor_msgs::CameraInfo>("out.bag", "/cam/deblurred/camera_info")) {
+      EXPECT_EQ(info->K[0], habit.with_file ? 0 : kFocalPx) << "the input's own";
+    }
+    EXPECT_EQ(report()["dropped_bad"], 0);
+    const auto warnings = report()["input_problems"];
+    EXPECT_EQ(warnings.size(), habit.warning ? 1u : 0u) << warnings;
+    if (habit.warning) EXPECT_NE(result.output.find(habit.warning), std::string::npos) << result.output;
+  }
+}
+
+TEST_F(DeblurBagTest, SliceUsesTheCameraInfoFromLongBeforeIt) {
+  write_bag(kFastRadS);
+  change_messages<sensor_msgs::CameraInfo>([](sensor_msgs::CameraInfo* info, int i) {
+    info->header.stamp = ros::Time(5);
+    return i == 0;
+  });
+  // Half a minute before the images: farther than a slice reads back.
+  const sensor_msgs::CameraInfoPtr once = camera_info(5 * kSecond);
+  change_bag([&](const rosbag::MessageInstance& instance, rosbag::Bag* bag) {
+    if (instance.getTopic() == "/cam/camera_info") {
+      bag->write("/cam/camera_info", instance.getTime() - ros::Duration(30), *once);
+    } else {
+      bag->write(instance.getTopic(), instance.getTime(), instance);
+    }
+  });
+  const ProgramResult result = run({"--start", "30.15"});
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  EXPECT_EQ(report()["frames_out"], kFrames - 2);
+  EXPECT_EQ(report()["passed_through"], (nlohmann::json{{"NO_GYRO", 1}}));
+}
+
+TEST_F(DeblurBagTest, EncodingStaysThatOfTheInput) {
+  write_config("drop_bad: true\n");
+  for (const char* encoding : {"8UC3", "yuv422", "yuv422_yuy2", "16UC1", "8UC4"}) {
+    SCOPED_TRACE(encoding);
+    const bool known = std::string(encoding) != "8UC4";
+    write_bag(kFastRadS);
+    change_messages<sensor_msgs::Image>([&](sensor_msgs::Image* image, int) {
+      const TimeNs stamp_ns = to_time_ns(image->header.stamp);
+      *image = *image_message(stamp_ns, known ? encoding : "bgra8");
+      image->encoding = encoding;
+      return true;
+    });
+    const ProgramResult result = run({"--global-shutter"});
+    ASSERT_EQ(result.exit_code, 0) << result.output;
+    const auto inputs = read<sensor_msgs::Image>("in.bag", "/cam/image_raw");
+    const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+    ASSERT_EQ(images.size(), inputs.size());
+    for (std::size_t i = 0; i < images.size(); ++i) {
+      EXPECT_EQ(images[i]->encoding, inputs[i]->encoding);
+      EXPECT_EQ(images[i]->width, inputs[i]->width);
+      EXPECT_EQ(images[i]->height, inputs[i]->height);
+      EXPECT_EQ(images[i]->step, inputs[i]->step);
+      EXPECT_EQ(images[i]->header.stamp, inputs[i]->header.stamp);
+      EXPECT_EQ(images[i]->data == inputs[i]->data, !known || i + 1 == images.size()) << i;
+    }
+    EXPECT_EQ(report()["dropped_bad"], 0);
+    EXPECT_EQ(report()["passed_through"],
+              known ? (nlohmann::json{{"NO_GYRO", 1}}) : (nlohmann::json{{"UNSUPPORTED_ENCODING", kFrames}}));
+  }
+}
+
+TEST_F(DeblurBagTest, ColoursAreInTheOrderOfTheFormat) {
+  // A texture whose channels differ in brightness: red, then green, then blue.
+  const auto colours = [](TimeNs stamp_ns) {
+    const sensor_msgs::ImagePtr image = image_message(stamp_ns, "rgb8");
+    for (std::size_t i = 0; i < image->data.size(); ++i) {
+      image->data[i] = static_cast<std::uint8_t>(image->data[i] / (2 + 2 * (i % 3)));
+    }
+    return image;
+  };
+  write_bag(kFastRadS);
+  change_messages<sensor_msgs::Image>([&](sensor_msgs::Image* image, int) {
+    *image = *colours(to_time_ns(image->header.stamp));
+    return true;
+  });
+  ASSERT_EQ(run().exit_code, 0);
+  const auto expected = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  compress_images(".png", "rgb8; png compressed rgb8", [](auto*, int) {});
+  ASSERT_EQ(run().exit_code, 0);
+  const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
+  ASSERT_EQ(images.size(), expected.size());
+  for (std::size_t i = 0; i < images.size(); ++i) {
+    EXPECT_EQ(images[i]->encoding, "rgb8");
+    EXPECT_EQ(images[i]->data, expected[i]->data) << i;
+  }
 }
 
 TEST_F(DeblurBagTest, CalibrationFileStandsInForCameraInfo) {
@@ -154,11 +394,7 @@ TEST_F(DeblurBagTest, CalibrationFileStandsInForCameraInfo) {
     for (const rosbag::MessageInstance& instance : view) some.write(instance.getTopic(), instance.getTime(), instance);
   }
   expect_error(run(), {"no topic of type sensor_msgs/CameraInfo"});
-  const sensor_msgs::CameraInfoPtr info = camera_info(kStart);
-  std::ofstream(path("camchain.yaml")) << "cam0:\n  camera_model: pinhole\n  intrinsics: [" << info->K[0] << ", "
-                                       << info->K[4] << ", " << info->K[2] << ", " << info->K[5]
-                                       << "]\n  distortion_model: none\n  distortion_coeffs: []\n  resolution: ["
-                                       << kWidth << ", " << kHeight << "]\n";
+  write_calibration_file();
   std::ofstream(path("config.yaml"), std::ios::app) << "calibration_file: camchain.yaml\n";
   const ProgramResult result = run();
   ASSERT_EQ(result.exit_code, 0) << result.output;
