@@ -35,6 +35,13 @@ function(gyro_deblur_add_room room)
   gyro_deblur_see_rooms(gyro_deblur_${room} PRIVATE)
   target_include_directories(gyro_deblur_${room} SYSTEM PRIVATE ${OpenCV_INCLUDE_DIRS})
   target_link_libraries(gyro_deblur_${room} PRIVATE Eigen3::Eigen ${ARG_LIBRARIES} gyro_deblur_warnings)
+  get_property(rooms GLOBAL PROPERTY GYRO_DEBLUR_ROOMS)
+  list(GET rooms 0 first_room)
+  if(room STREQUAL first_room)
+    gyro_deblur_precompile(gyro_deblur_${room} ${gyro_deblur_core_headers})
+  else()
+    gyro_deblur_use_precompiled(gyro_deblur_${room} gyro_deblur_${first_room})
+  endif()
 endfunction()
 
 # gyro_deblur_show_view(TARGET ROOM): the include path of one view, for the target and those who link it.
@@ -58,7 +65,7 @@ function(gyro_deblur_compile_for_instruction_sets room stem)
   endif()
   set(path ${PROJECT_SOURCE_DIR}/src/${room}/${stem})
   target_sources(gyro_deblur_${room} PRIVATE ${path}_avx2.cpp ${path}_avx512.cpp)
-  set_source_files_properties(${path}_avx2.cpp PROPERTIES COMPILE_OPTIONS "-mavx2;-mfma")
-  set_source_files_properties(${path}_avx512.cpp PROPERTIES
+  set_source_files_properties(${path}_avx2.cpp PROPERTIES SKIP_PRECOMPILE_HEADERS ON COMPILE_OPTIONS "-mavx2;-mfma")
+  set_source_files_properties(${path}_avx512.cpp PROPERTIES SKIP_PRECOMPILE_HEADERS ON
     COMPILE_OPTIONS "-mavx512f;-mavx512bw;-mavx512vl;-mavx512dq;-mavx512vnni;-mavx512vbmi;-mavx2;-mfma;-mprefer-vector-width=512;-Wno-maybe-uninitialized")
 endfunction()

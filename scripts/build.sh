@@ -35,9 +35,11 @@ arguments=(
 )
 if command -v ccache > /dev/null; then
   arguments+=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
+else
+  arguments+=(-DGYRO_DEBLUR_FAST_BUILD=ON)
 fi
 if [[ "${CI:-}" == true ]]; then
-  arguments+=(-DGYRO_DEBLUR_WERROR=ON)
+  arguments+=(-DGYRO_DEBLUR_WERROR=ON -DGYRO_DEBLUR_FAST_BUILD=ON)
 fi
 arguments+=("${options[@]}")
 

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Proof by tools, in build/proof: every test of the package itself, nodelets and all, under AddressSanitizer and
-# UndefinedBehaviorSanitizer, those of what works with threads under ThreadSanitizer, the fuzz targets for a bounded
-# time, the soak. Fails when one of them finds something, or a test hangs. --quick: fuzzers for 10 s each instead of
-# 60 s, the soak 1 min instead of 10 min. Half an hour on two free cores, most of it compiling; a second time, a quarter
-# of one.
+# Extended tests, in build/proof: every test of the package itself, nodelets included, under AddressSanitizer and
+# UndefinedBehaviorSanitizer, those of what works with threads under ThreadSanitizer, the fuzz targets for a minute each,
+# the soak for ten minutes of simulated time, and the long tests (test/long_tests.txt). Fails when one of them finds
+# something, or a test hangs. --quick, as in continuous integration: the tests of test/sanitized_tests.txt, fuzzers for
+# 10 s each, the soak for a minute, no long tests.
 #
-#   scripts/proof.sh [--quick] [--within MINUTES] [--only asan|tsan|fuzz|soak]...
+#   scripts/proof.sh [--quick] [--within MINUTES] [--only asan|tsan|fuzz|soak|long]...
 #
 #   --within MINUTES  after that time a build is broken off and no test or fuzzer begun; the status is 77 then, unless
 #                     something has failed. The next run goes on where this ended.
@@ -17,10 +17,12 @@ cd "${GYRO_DEBLUR_ROOT}"
 fuzz_s=60
 soak_s=600
 minutes=0
+quick=false
 only=()
 while (($# > 0)); do
   case "$1" in
     --quick)
+      quick=true
       fuzz_s=10
       soak_s=60
       ;;
@@ -30,7 +32,7 @@ while (($# > 0)); do
       shift
       ;;
     --only)
-      [[ "${2:-}" =~ ^(asan|tsan|fuzz|soak)$ ]] || fail "--only takes asan, tsan, fuzz or soak"
+      [[ "${2:-}" =~ ^(asan|tsan|fuzz|soak|long)$ ]] || fail "--only takes asan, tsan, fuzz, soak or long"
       only+=("$2")
       shift
       ;;
@@ -38,7 +40,10 @@ while (($# > 0)); do
   esac
   shift
 done
-((${#only[@]} > 0)) || only=(asan tsan fuzz soak)
+if ((${#only[@]} == 0)); then
+  only=(asan tsan fuzz soak)
+  "${quick}" || only+=(long)
+fi
 wanted() { [[ " ${only[*]} " == *" $1 "* ]]; }
 readonly STEPS=$((1 + ${#only[@]}))
 # As of a skipped test of ctest's.
@@ -76,7 +81,7 @@ configure() {
     launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
   fi
   mkdir -p "${folder}"
-  cmake -S . -B "${folder}" "${launcher[@]}" -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" \
+  cmake -S . -B "${folder}" "${launcher[@]}" -DGYRO_DEBLUR_FAST_BUILD=ON -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" \
     -DCMAKE_CXX_COMPILER=clang++ -DPYTHON_EXECUTABLE=/usr/bin/python3 -DPython3_EXECUTABLE=/usr/bin/python3 "$@" \
     > "${folder}/configure.log" 2>&1 || { cat "${folder}/configure.log" >&2; fail "cmake failed"; }
 }
@@ -183,10 +188,22 @@ fi
 # bags, whose messages the fuzz target bag_messages goes through.
 mapfile -t test_sources < <(printf '%s\n' test/*/test_*.cpp |
   grep -v -E '^test/(data|experiments)/|/test_(nodelet|nodelet_faults|deblur_bag)\.cpp$')
+asan_tests=() tsan_tests=()
+while read -r name sanitizers; do
+  [[ " ${sanitizers} " != *" asan "* ]] || asan_tests+=("${name}")
+  [[ " ${sanitizers} " != *" tsan "* ]] || tsan_tests+=("${name}")
+done < <(grep -v -E '^ *(#|$)' test/sanitized_tests.txt)
+if ! "${quick}"; then
+  mapfile -t asan_tests < <(basename -s .cpp "${test_sources[@]}")
+  # And each test that has threads of its own.
+  mapfile -t tsan_tests < <({
+    printf '%s\n' "${tsan_tests[@]}"
+    grep -l '#include <thread>' "${test_sources[@]}" | xargs basename -s .cpp
+  } | sort -u)
+fi
 
 if wanted asan; then
-  step ${STEPS} "AddressSanitizer and UndefinedBehaviorSanitizer: every test of the package"
-  mapfile -t asan_tests < <(basename -s .cpp "${test_sources[@]}")
+  step ${STEPS} "AddressSanitizer and UndefinedBehaviorSanitizer: ${#asan_tests[@]} tests, nodelets"
   make_targets "${asan_folder}" "${asan_tests[@]}" leak_in_parallel test_nodelet_faults
   want_leaks "${asan_folder}"
   run_tests "${asan_folder}" "${asan_tests[@]}"
@@ -194,14 +211,8 @@ if wanted asan; then
 fi
 
 if wanted tsan; then
-  step ${STEPS} "ThreadSanitizer: buffers, queue, engines, kernels, processor, nodelets"
+  step ${STEPS} "ThreadSanitizer: ${#tsan_tests[@]} tests, fault table, nodelets"
   tsan_folder="${GYRO_DEBLUR_BUILD}/proof/tsan"
-  # Of what several threads share or is divided among them, and each test that has threads of its own.
-  mapfile -t tsan_tests < <({
-    printf '%s\n' test_gyro_buffer test_frame_queue test_time_jump test_intake test_assembly test_processing \
-      test_parallel test_fallback_engine test_cpu_engine test_float_engine test_deconvolution test_kernel_bank
-    grep -l '#include <thread>' "${test_sources[@]}" | xargs basename -s .cpp
-  } | sort -u)
   configure "${tsan_folder}" -DGYRO_DEBLUR_SANITIZE=thread
   make_targets "${tsan_folder}" "${tsan_tests[@]}" fault_table test_nodelet_faults
   run_tests "${tsan_folder}" "${tsan_tests[@]}"
@@ -238,4 +249,10 @@ if wanted soak; then
   "${GYRO_DEBLUR_BUILD}/devel/lib/gyro_deblur/soak" --seconds "${soak_s}" --json "${results}/soak.json"
   /usr/bin/python3 scripts/soak_plot.py "${results}/soak.json" "${results}/soak.png"
   say "plot: ${results}/soak.png"
+fi
+
+if wanted long; then
+  step ${STEPS} "Long tests"
+  scripts/build.sh
+  (source_devel_space && cd "${GYRO_DEBLUR_BUILD}" && ctest --output-on-failure --no-tests=error --parallel "$(nproc)" -R "$(long_tests)")
 fi

@@ -13,7 +13,7 @@ endfunction()
 # configure(SOURCE BINARY OPTIONS...): without optimisation, which takes longer than running the result does.
 function(configure source binary)
   run(${CMAKE_COMMAND} -S ${source} -B ${binary} -G ${GENERATOR} -DCMAKE_CXX_COMPILER=${COMPILER}
-    -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} -DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_FLAGS_DEBUG=-O0 ${ARGN})
+    -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} -DGYRO_DEBLUR_FAST_BUILD=${FAST_BUILD} --no-warn-unused-cli -DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_FLAGS_DEBUG=-O0 ${ARGN})
 endfunction()
 
 function(build binary)
