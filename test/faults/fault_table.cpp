@@ -187,6 +187,17 @@ class Table {
     sparse.config.exposure_max_age_ns = kSecond;
     one("every tenth alone", "exposure", thin_out(all, Stream::EXPOSURE, kSparse), sparse);
     one("every tenth alone", "camera_info", thin_out(all, Stream::CAMERA_INFO, kSparse), options_);
+    for (const auto& [stream, name] : {std::pair(Stream::IMU, "imu"),
+                                       {Stream::IMAGE, "image"},
+                                       {Stream::CAMERA_INFO, "camera_info"},
+                                       {Stream::EXPOSURE, "exposure"}}) {
+      one("every tenth has the stamp 0", name, unset_stamps(all, stream, kSparse, kSparse / 2), options_);
+      rows_.back().not_allowed = {PassThroughReason::TIME_JUMP, PassThroughReason::NO_CALIBRATION};
+    }
+    one("the stamp is 0", "camera_info", unset_stamps(all, Stream::CAMERA_INFO, 1), options_);
+    rows_.back().not_allowed = {PassThroughReason::NO_CALIBRATION};
+    one("comes once", "camera_info", thin_out(all, Stream::CAMERA_INFO, all.size()), options_);
+    rows_.back().not_allowed = {PassThroughReason::NO_CALIBRATION};
     // Three frames become ready at once then, and are processed at once: no overload.
     one("comes in batches of 100 ms", "imu", in_batches(all, Stream::IMU, kSecond / 10), options_);
     rows_.back().not_allowed = {PassThroughReason::OVERLOAD};

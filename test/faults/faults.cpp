@@ -239,6 +239,17 @@ std::vector<Delivery> thin_out(const std::vector<Delivery>& deliveries, Stream s
   return result;
 }
 
+std::vector<Delivery> unset_stamps(const std::vector<Delivery>& deliveries, Stream stream, std::size_t period,
+                                   std::size_t first) {
+  std::vector<Delivery> result = deliveries;
+  std::size_t count = 0;
+  for (Delivery& delivery : result) {
+    if (stream_of(delivery) != stream || count++ % period != first) continue;
+    change(&delivery, [](auto& message) { message.header.stamp = ros::Time(); });
+  }
+  return result;
+}
+
 std::vector<Delivery> in_batches(const std::vector<Delivery>& deliveries, Stream stream, TimeNs batch_ns) {
   std::vector<Delivery> result = deliveries;
   const TimeNs begin_ns = deliveries.front().at_ns;
@@ -361,7 +372,7 @@ std::vector<Delivery> change_encodings(const std::vector<Delivery>& deliveries, 
     if (image == nullptr) continue;
     const cv::Mat grey = pixels_of(**image);
     cv::Mat pixels = grey;
-    switch (delivery.frame / period % 7) {
+    switch (delivery.frame / period % 9) {
       case 1:
         grey.convertTo(pixels, CV_16U, 257);
         *image = image_like(**image, pixels, "mono16");
@@ -378,11 +389,19 @@ std::vector<Delivery> change_encodings(const std::vector<Delivery>& deliveries, 
         *image = image_like(**image, grey, "bayer_rggb8");
         break;
       case 5:
-        *image = image_like(**image, grey, "yuv422");
+        *image = image_like(**image, grey, "nonsense");
         break;
       case 6:
         cv::cvtColor(grey, pixels, cv::COLOR_GRAY2RGB);
         *image = image_like(**image, pixels, "rgb8");
+        break;
+      case 7:
+        cv::cvtColor(grey, pixels, cv::COLOR_GRAY2BGR);
+        *image = image_like(**image, pixels, "8UC3");
+        break;
+      case 8:
+        cv::merge(std::vector<cv::Mat>{cv::Mat(grey.size(), CV_8UC1, cv::Scalar(128)), grey}, pixels);
+        *image = image_like(**image, pixels, "yuv422");
         break;
       default:
         break;

@@ -27,6 +27,10 @@ std::vector<Delivery> silence(const std::vector<Delivery>& deliveries, Stream st
 /// Of `stream`, only every `period`th message (>= 1), from the first on.
 std::vector<Delivery> thin_out(const std::vector<Delivery>& deliveries, Stream stream, std::size_t period);
 
+/// Every `period`th message (>= 1) of `stream`, from the `first` on, has the stamp 0.
+std::vector<Delivery> unset_stamps(const std::vector<Delivery>& deliveries, Stream stream, std::size_t period,
+                                   std::size_t first = 0);
+
 /// Messages of `stream` arrive in batches: each when the newest of its `batch_ns` (> 0) has come.
 std::vector<Delivery> in_batches(const std::vector<Delivery>& deliveries, Stream stream, TimeNs batch_ns);
 
@@ -53,8 +57,8 @@ std::vector<Delivery> set_exposures(const std::vector<Delivery>& deliveries, Tim
 /// `action` every `period_ns`.
 std::vector<Delivery> with_action(const std::vector<Delivery>& deliveries, TimeNs period_ns, const Action& action);
 
-/// Images change their encoding every `period` frames: grey of 8 and 16 bits, three colour orders, a Bayer mosaic, and
-/// one that cannot be deblurred.
+/// Images change their encoding every `period` frames: grey of 8 and 16 bits, four colour orders, a Bayer mosaic, YUV,
+/// and one that cannot be deblurred.
 std::vector<Delivery> change_encodings(const std::vector<Delivery>& deliveries, std::size_t period);
 
 /// Images, and their camera_info, are cut to another size every `period` frames.
