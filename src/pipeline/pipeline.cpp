@@ -264,15 +264,15 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (!result.image.empty() && image_has_luminance) {
     luminance = luminance8(result.image, layout);
   } else {
+    const Stopwatch watch;
     if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
     if (anything_to_deblur) {
-      const Stopwatch watch;
       cv::Mat deblurred;
       keep_larger(deconvolve(luminance, PixelLayout::GRAY, result.field, *bank_, *engine_, deblurred, options_.threads),
                   result.slow_blocks);
       luminance = deblurred;
-      result.times.deconvolution_ms += watch.ms();
     }
+    result.times.deconvolution_ms += watch.ms();
   }
   if (request.luminance) result.luminance = luminance;
   if (!request.keypoints) return result;

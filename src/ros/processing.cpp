@@ -147,15 +147,18 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   const ImageView view = view_image(*frame.image);
   output->messages_ms += elapsed_ms(start);
 
+  start = std::chrono::steady_clock::now();
   pipeline.set_options(assembled.options);
   pipeline.set_calibration(*frame.calibration);
   pipeline.set_mask(assembled.mask);
   const RotationTrack rotation(assembled.samples, assembled.gyro, assembled.R_cam_imu, assembled.own_begin);
+  const double preparation_ms = elapsed_ms(start);
   FrameDecision decision;
   PipelineResult result = make(assembled, request, view, rotation, &decision);
   // What is said of a picture holds for the image that shows it, as though it had been exposed by that one's stamp.
   result.reference_ns += frame.stamp_ns - frame.picture_ns();
   output->stages = result.times;
+  output->stages.blur_field_ms += preparation_ms;  // of what the field is predicted from
   if (result.residual_rotation) {
     const Eigen::Matrix3d R_imu_cam = assembled.R_cam_imu.transpose();
     output->residual_rotation = result.residual_rotation;
@@ -211,8 +214,8 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
 }
 
 /// Keypoints of a frame that passes through; an empty array when it can have none.
-/// @param text  set to why, where they could not be found
-KeypointArrayPtr raw_keypoints(const AssembledFrame& assembled, PassThroughReason reason, std::string* text) {
+/// @param output  gets the time, and why they could not be found, where that is so
+KeypointArrayPtr raw_keypoints(const AssembledFrame& assembled, PassThroughReason reason, FrameOutput* output) {
   const PendingFrame& frame = assembled.frame;
   auto none = boost::make_shared<KeypointArray>();
   none->header = frame.image->header;
@@ -232,7 +235,8 @@ KeypointArrayPtr raw_keypoints(const AssembledFrame& assembled, PassThroughReaso
     assembled.pipeline->set_options(assembled.options);
     assembled.pipeline->set_mask(assembled.mask);
     const PipelineResult result = assembled.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration);
-    *text = result.keypoints_text;
+    output->keypoints_text = result.keypoints_text;
+    output->stages.keypoints_ms = result.times.keypoints_ms;
     return to_message(result, assembled.options.keypoints, none->header);
   } catch (const std::exception&) {
     return none;  // the frame has its reason already
@@ -301,6 +305,7 @@ FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request
     output.total_ms = elapsed_ms(start);
     return output;
   }
+  const auto rest = std::chrono::steady_clock::now();
   output.camera_info =
       frame.info ? frame.info : sensor_msgs::CameraInfoConstPtr(uncalibrated_camera_info(*frame.image));
   if (request.global_shutter && !output.global_shutter) {
@@ -311,9 +316,12 @@ FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request
   if (!output.quality) output.quality = unknown_quality(frame.image->header);
   if (request.trust_mask && !output.trust_mask) output.trust_mask = no_trust(*frame.image);
   if (request.keypoints && !output.keypoints) {
-    output.keypoints = raw_keypoints(assembled, output.reason, &output.keypoints_text);
+    const double found_ms = output.stages.keypoints_ms;
+    output.keypoints = raw_keypoints(assembled, output.reason, &output);
+    output.messages_ms -= output.stages.keypoints_ms - found_ms;
   }
   if (request.markers && !output.markers) output.markers = no_markers(frame.image->header);
+  output.messages_ms += elapsed_ms(rest);
   output.total_ms = elapsed_ms(start);
   return output;
 }

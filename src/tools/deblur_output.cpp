@@ -49,6 +49,7 @@ nlohmann::json report_of(const FrameOutput& output) {
                            {"deconvolution", output.stages.deconvolution_ms},
                            {"keypoints", output.stages.keypoints_ms},
                            {"global_shutter", output.stages.global_shutter_ms},
+                           {"tracks", output.tracks_ms},
                            {"messages", output.messages_ms},
                            {"total", output.total_ms}};
   return frame;
