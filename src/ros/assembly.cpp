@@ -27,6 +27,11 @@ std::string coverage_text(const TimeRange& needed, const std::optional<TimeRange
   return text + "some of which are farther apart than max_gyro_gap = " + seconds_text(options.max_gap_ns) + " s";
 }
 
+Readiness wait_for(Awaited awaited, PendingFrame* frame) {
+  frame->awaits = awaited;
+  return Readiness::WAITS;
+}
+
 Readiness settle(PendingFrame* frame, PassThroughReason reason, const std::string& text) {
   frame->settle(reason, text);
   return Readiness::SETTLED;
@@ -120,6 +125,7 @@ Readiness FrameAssembly::look(const Terms& terms, PendingFrame* frame) const {
 }
 
 Readiness FrameAssembly::find_all(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {
+  frame->awaits = Awaited::NOTHING;
   if (frame->verdict != PassThroughReason::NONE) return Readiness::SETTLED;
   Readiness readiness = Readiness::READY;
   // A frame that goes by the file, and still waits, goes by its camera_info as soon as that has come.
@@ -201,7 +207,7 @@ Readiness FrameAssembly::find_calibration(const Terms& terms, PendingFrame* fram
   } else if (give_up) {
     return settle(frame, PassThroughReason::NO_CALIBRATION, missing_info_text(*frame));
   } else {
-    return Readiness::WAITS;
+    return wait_for(Awaited::CAMERA_INFO, frame);
   }
   try {
     set_calibration(config, frame);
@@ -246,7 +252,7 @@ Readiness FrameAssembly::find_timing(const Terms& terms, PendingFrame* frame, Sh
   } else {
     waits = waits && expected && exposures.awaited() && !setting_ns;
   }
-  if (waits) return Readiness::WAITS;
+  if (waits) return wait_for(Awaited::EXPOSURE, frame);
   const TimeNs oldest_ns = stamp_ns - config.exposure_max_age_ns;
   const Exposure* before = exposures.find_before(stamp_ns, oldest_ns);
   if (is_known(before)) return take(*before);
@@ -323,7 +329,7 @@ Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame,
     return settle(frame, PassThroughReason::NO_EXTRINSIC, missing);
   }
   frame->missing_extrinsic = missing;
-  return Readiness::WAITS;
+  return wait_for(Awaited::TRANSFORM, frame);
 }
 
 Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {
@@ -333,9 +339,9 @@ Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, As
   const TimeRange available = intake_.gyro().available();
   const bool empty = available.empty();
   if (!terms.timed_out) {
-    if (empty || available.end_ns < own.end_ns) return Readiness::WAITS;
+    if (empty || available.end_ns < own.end_ns) return wait_for(Awaited::IMU, frame);
     // After a jump late samples of the old epoch say nothing about frames of the new one.
-    if (intake_.imu_is_stale() && own.end_ns < available.begin_ns) return Readiness::WAITS;
+    if (intake_.imu_is_stale() && own.end_ns < available.begin_ns) return wait_for(Awaited::IMU, frame);
   }
   if (empty && terms.config.pipeline.bridge_gyro_gaps) return Readiness::READY;
   if (empty) {  // nor is the IMU's frame known then

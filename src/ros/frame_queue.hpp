@@ -18,6 +18,9 @@
 
 namespace gyro_deblur {
 
+/// What may keep a frame waiting.
+enum class Awaited { NOTHING, CAMERA_INFO, EXPOSURE, IMU, TRANSFORM };
+
 /// An image on its way through the node.
 struct PendingFrame {
   sensor_msgs::ImageConstPtr image;              ///< never null
@@ -34,8 +37,9 @@ struct PendingFrame {
   /// Not NONE: it is settled that the frame passes through unchanged, and why.
   PassThroughReason verdict = PassThroughReason::NONE;
   std::string verdict_text;
-  std::string missing_extrinsic;  ///< why it waits for the rotation between IMU and camera; empty: it does not
-  bool verdict_told = false;      ///< to the partners of a stereo camera
+  Awaited awaits = Awaited::NOTHING;  ///< when it was looked at last
+  std::string missing_extrinsic;      ///< why it waits for the rotation between IMU and camera; empty: it does not
+  bool verdict_told = false;          ///< to the partners of a stereo camera
 
   /// Stamp of the picture: of the first image that showed it.
   TimeNs picture_ns() const { return picture ? picture->stamp_ns : stamp_ns; }

@@ -374,6 +374,11 @@ std::size_t Processor::waiting() const {
   return intake_.queue().size() + in_progress_;
 }
 
+Awaited Processor::awaited() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return intake_.queue().empty() ? Awaited::NOTHING : intake_.queue().front().awaits;
+}
+
 void Processor::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
   intake_.reset();

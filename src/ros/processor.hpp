@@ -92,6 +92,8 @@ class Processor {
 
   /// Frames that have not left.
   std::size_t waiting() const;
+  /// What the foremost of them waits for, as of the last call of advance.
+  Awaited awaited() const;
 
   /// As after the start: waiting frames leave as TIME_JUMP, samples and an estimated bias are forgotten.
   void reset();
