@@ -127,7 +127,7 @@ void report_rates(const TimingStart& start, const TimingModel& model, const Timi
 }  // namespace
 
 void TimingOptions::validate() const {
-  constexpr double kLongestOffsetS = 10, kLongestSearchS = 5;
+  constexpr double kLongestOffsetS = 4e9, kLongestSearchS = 5;  // any clocks of ros::Time
   require_range("time_offset", to_seconds(time_offset_ns), -kLongestOffsetS, kLongestOffsetS, "s");
   require_range("search", to_seconds(search_ns), 0, kLongestSearchS, "s");
   require_range("readout_time", to_seconds(readout_ns), -1, 1, "s");

@@ -24,7 +24,7 @@ class TimingError : public std::runtime_error {
 struct TimingOptions {
   StampRow stamp_row = StampRow::FIRST;        ///< that stamps refer to
   StampPhase stamp_phase = StampPhase::START;  ///< that stamps refer to
-  TimeNs time_offset_ns = 0;                   ///< where the search begins; |.| <= 10 s
+  TimeNs time_offset_ns = 0;                   ///< where the search begins; |.| <= 4e9 s
   TimeNs search_ns = 500'000'000;              ///< [0, 5 s]: the offset lies at most this far from there; 0: no search
   TimeNs readout_ns = 0;                       ///< where the estimation begins, or what holds
   bool estimate_readout = true;

@@ -136,7 +136,8 @@ double TimingStart::search_offset(TimeNs search_ns, TimingState* state) const {
     text.precision(2);
     text << "the angular speeds of image and gyroscope do not agree at any offset within " << to_seconds(search_ns)
          << " s of " << to_seconds(center_ns) << " s: the best correlation is " << best << ", " << kMinCorrelation
-         << " is needed; is there motion, do the recordings belong together, are the rates in rad/s?";
+         << " is needed; is there motion, are the images not stabilised, do the recordings belong together, are the "
+            "rates in rad/s?";
     throw TimingError(text.str());
   }
   return best;

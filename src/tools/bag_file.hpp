@@ -11,7 +11,8 @@
 
 namespace gyro_deblur {
 
-/// A bag to read. Throws std::runtime_error that names it when it cannot be opened.
+/// A bag to read. Throws std::runtime_error that names it and the remedy when it cannot be opened: cut or without an
+/// index, of ROS 2, no bag at all.
 class InputBag {
  public:
   explicit InputBag(const std::string& path);

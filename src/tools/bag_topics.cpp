@@ -1,17 +1,15 @@
 #include "tools/bag_topics.hpp"
 
+#include <algorithm>
 #include <vector>
 
 namespace gyro_deblur {
-namespace {
 
 std::string list_of(const BagTopics& topics) {
   std::string list;
   for (const auto& [name, type] : topics) list += (list.empty() ? "" : ", ") + name + " (" + type + ")";
   return list.empty() ? "no topics" : list;
 }
-
-}  // namespace
 
 std::string parent_namespace(const std::string& topic) { return topic.substr(0, topic.rfind('/')); }
 
@@ -23,6 +21,17 @@ BagTopics topics_of(const rosbag::Bag& bag) {
   }
   return topics;
 }
+
+namespace {
+
+/// "camera_info" is named by --camera-info-topic.
+std::string option_of(const std::string& kind) {
+  std::string option = kind + "-topic";
+  std::replace(option.begin(), option.end(), '_', '-');
+  return option;
+}
+
+}  // namespace
 
 std::string choose_topic(const BagTopics& topics, const std::string& kind, const std::string& type,
                          const std::string& named, const std::string& preferred, bool required) {
@@ -43,7 +52,10 @@ std::string choose_topic(const BagTopics& topics, const std::string& kind, const
   }
   if (candidates.size() == 1) return candidates.front();
   if (candidates.empty()) return required ? fail("no topic of type " + type + " for " + kind) : std::string();
-  return fail("several topics of type " + type + ", name the one for " + kind);
+  std::string list;
+  for (const std::string& name : candidates) list += (list.empty() ? "" : ", ") + name;
+  throw std::runtime_error("several topics of type " + type + ", name the one for " + kind + " with --" +
+                           option_of(kind) + ": " + list);
 }
 
 }  // namespace gyro_deblur

@@ -17,11 +17,14 @@ std::string parent_namespace(const std::string& topic);
 /// Topics of a bag by name, with their type.
 using BagTopics = std::map<std::string, std::string>;
 BagTopics topics_of(const rosbag::Bag& bag);
+/// "NAME (TYPE), ...", or "no topics".
+std::string list_of(const BagTopics& topics);
 
 /// The topic to use for one kind of message: the one named, else the only one of its type.
+/// @param kind  such as "camera_info", which the option --camera-info-topic names
 /// @param preferred  taken, when nothing is named, if the bag has it; may be empty
 /// @return empty when there is none and none is required
-/// Throws std::runtime_error that lists the bag's topics.
+/// Throws std::runtime_error that lists the candidates when there are several, else the bag's topics.
 std::string choose_topic(const BagTopics& topics, const std::string& kind, const std::string& type,
                          const std::string& named, const std::string& preferred, bool required);
 

@@ -6,8 +6,10 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 #include "calibrate/timing_calibration.hpp"
+#include "calibrate/timing_checks.hpp"
 #include "gyro_deblur/config.hpp"
 #include "ros/conversions.hpp"
 #include "tools/bag_file.hpp"
@@ -20,11 +22,12 @@ namespace gyro_deblur {
 namespace {
 
 struct Arguments {
-  std::string bag, output, config, json;
-  FootageTopics topics;
+  std::string bag, output, config;
+  CommonArguments common;
+  NamedFootage topics;
   FootageOptions footage;
   double search_s = 0.5;
-  bool fixed_readout = false, fixed_bias = false, estimate_rotation = false;
+  bool fixed_readout = false, fixed_bias = false, estimate_rotation = false, force = false;
 };
 
 TimingOptions options_of(const Arguments& arguments, const Config& config, const Footage& footage) {
@@ -43,20 +46,31 @@ TimingOptions options_of(const Arguments& arguments, const Config& config, const
   return options;
 }
 
-TimingResult estimate(const Arguments& arguments, const Config& config, const Footage& footage) {
-  const TimingOptions options = options_of(arguments, config, footage);
+void say(const std::string& text) { std::cerr << "calibrate_timing: warning: " << text << "\n"; }
+
+/// The estimate, and in `objections` why it should not be used.
+TimingResult estimate(const Arguments& arguments, const Config& config, const Footage& footage,
+                      std::vector<std::string>* objections) {
+  TimingOptions options = options_of(arguments, config, footage);
+  const std::optional<OffsetStart> distant =
+      start_of_distant_clocks(footage, options.time_offset_ns, options.search_ns);
+  if (distant) {
+    options.time_offset_ns = distant->time_offset_ns;
+    options.search_ns = distant->search_ns;
+    say(distant->problem + ": searching around " + std::to_string(to_seconds(options.time_offset_ns)) + " s");
+  }
   TimingResult result;
   result.bag = arguments.bag;
   result.rotation_from = !options.R_cam_imu ? "estimated" : config.R_cam_imu ? "as configured" : "tf";
   result.estimate = estimate_timing(Camera(footage.camera), footage.windows, footage.samples, options);
   result.sensor_readout_s = {result.estimate.readout_s.value / footage.readout_part,
                              result.estimate.readout_s.stddev / footage.readout_part};
+  *objections = timing_objections(result.estimate, options, footage.period);
   return result;
 }
 
 /// What the user should know before using the estimate.
 void warn(const TimingEstimate& estimate, const Footage& footage) {
-  const auto say = [](const std::string& text) { std::cerr << "calibrate_timing: warning: " << text << "\n"; };
   constexpr double kLooseOffsetS = 1e-3, kLooseReadoutS = 2e-3, kLooseBiasRadS = 0.01;
   if (estimate.time_offset_s.stddev > kLooseOffsetS || estimate.readout_s.stddev > kLooseReadoutS ||
       std::max({estimate.bias_rad_s[0].stddev, estimate.bias_rad_s[1].stddev, estimate.bias_rad_s[2].stddev}) >
@@ -71,11 +85,6 @@ void warn(const TimingEstimate& estimate, const Footage& footage) {
     say("the exposure messages bring a readout time of " + std::to_string(to_seconds(*footage.message_readout_ns)) +
         " s of their own, which holds before readout_time");
   }
-  try {
-    footage.period.require_plausible_readout("readout_time", to_ns(estimate.readout_s.value));
-  } catch (const OptionError& error) {
-    say(error.what());
-  }
 }
 
 void run(const Arguments& arguments) {
@@ -85,18 +94,25 @@ void run(const Arguments& arguments) {
   FootageTopics topics;
   Footage footage;
   TimingResult result;
+  std::vector<std::string> objections;
   try {
     topics = choose_topics(input, arguments.topics, config);
     footage = read_footage(input, topics, arguments.footage, config);
-    result = estimate(arguments, config, footage);
+    result = estimate(arguments, config, footage, &objections);
   } catch (const FrameError& error) {
-    throw std::runtime_error(arguments.bag + ": " + topics.image + ": " + error.what());
+    throw std::runtime_error(arguments.bag + ": " + topics.image.name + ": " + error.what());
   } catch (const std::exception& error) {
     throw std::runtime_error(arguments.bag + ": " + error.what());
   }
   print_summary(result);
   warn(result.estimate, footage);
-  write_json(arguments.json, report_of(result, topics), 1);
+  if (!objections.empty() && !arguments.force) {
+    std::string text;
+    for (const std::string& objection : objections) text += (text.empty() ? "" : "; ") + objection;
+    throw std::runtime_error(arguments.bag + ": nothing is written (--force writes all the same): " + text);
+  }
+  for (const std::string& objection : objections) say(objection);
+  write_json(arguments.common.json, report_of(result, topics), 1);
   if (!arguments.output.empty()) write_text(arguments.output, configuration_of(result, config, arguments.config));
 }
 
@@ -119,20 +135,25 @@ int main_of(int argc, char** argv) {
   app.add_flag("--fixed-bias", arguments.fixed_bias, "gyro_bias is known: do not estimate it");
   app.add_flag("--estimate-rotation", arguments.estimate_rotation,
                "estimate R_cam_imu from nothing although it is known");
+  app.add_flag("--force", arguments.force, "write the values although the recording does not determine them");
   app.add_option("--points", arguments.footage.points, "of each image that are tracked in those after it [100]")
       ->check(CLI::Range(10, 10000));
   app.add_option("--start", arguments.footage.start_s, "[s] since the bag's first message [0]")
       ->check(CLI::NonNegativeNumber);
   app.add_option("--end", arguments.footage.end_s, "[s] since the bag's first message [its end]")
       ->check(CLI::PositiveNumber);
-  app.add_option("--image-topic", arguments.topics.image, "sensor_msgs/Image");
+  add_image_options(app, &arguments.topics.images);
   app.add_option("--camera-info-topic", arguments.topics.camera_info,
                  "sensor_msgs/CameraInfo [camera_info beside the images]");
   app.add_option("--imu-topic", arguments.topics.imu, "sensor_msgs/Imu");
-  app.add_option("--exposure-topic", arguments.topics.exposure, "gyro_deblur/Exposure [exposure beside the images]");
-  app.add_option("--json", arguments.json, "write values and residuals as JSON, for plot_timing.py");
-  app.add_flag("--quiet", arguments.footage.quiet, "no progress on stderr");
-  return run_tool(app, argc, argv, [&arguments] { run(arguments); });
+  app.add_option("--exposure-topic", arguments.topics.exposure,
+                 "gyro_deblur/Exposure [exposure in --camera-ns, or beside the images]");
+  app.footer("The JSON holds values and residuals, for plot_timing.py.");
+  add_common_options(app, &arguments.common);
+  return run_tool(app, argc, argv, [&arguments] {
+    arguments.footage.quiet = arguments.common.quiet;
+    run(arguments);
+  });
 }
 
 }  // namespace

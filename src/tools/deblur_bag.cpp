@@ -1,5 +1,6 @@
 // Everything the nodelet does, straight from bag to bag.
 
+#include <algorithm>
 #include <chrono>
 #include <cstddef>
 #include <filesystem>
@@ -35,7 +36,8 @@ namespace gyro_deblur {
 namespace {
 
 struct Arguments {
-  std::string input, output, config, mask, json;
+  std::string input, output, config, mask;
+  CommonArguments common;
   NamedTopics topics;
   bool keep_all_topics = false;
   FrameRequest request;
@@ -114,41 +116,50 @@ Log log_beside(Progress& progress) {
   };
 }
 
+/// Of what is read [s].
+double length_s(const rosbag::Bag& bag, const Slice& slice) {
+  rosbag::View read(bag, slice.read_from());
+  if (read.size() == 0) return 0;
+  return to_seconds(std::min(to_time_ns(read.getEndTime()), slice.end_ns) - to_time_ns(read.getBeginTime()));
+}
+
 /// Plays the input through the processor into the output.
 Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& config, const Arguments& arguments,
                rosbag::Bag& output, FrameReport& report) {
   const Slice slice = slice_of(input.bag(), arguments, config);
-  rosbag::View view(input.bag(), slice.read_from());
-  Progress progress(view.size(), "messages", !Progress::watched());
-  DeblurFeed feed(topics, config, arguments.request, log_beside(progress));
-  feed.take_static_transforms(input.bag());
-  if (arguments.start_s > 0) feed.catch_up(input.bag(), slice.read_from());
+  rosbag::View view;
+  const ros::Time begin = std::max(to_ros_time(slice.begin_ns), ros::TIME_MIN);
+  if (arguments.keep_all_topics) {
+    view.addQuery(input.bag(), begin);
+  } else {
+    view.addQuery(input.bag(), rosbag::TopicQuery(topics.image.name), begin);
+  }
+  Progress progress(view.size(), arguments.keep_all_topics ? "messages" : "images",
+                    arguments.common.quiet || !Progress::watched());
+  DeblurFeed feed(input.bag(), topics, config, arguments.request, slice.read_from(), log_beside(progress));
+  if (arguments.start_s > 0) feed.catch_up();
 
   FrameWriter writer(output, OutputTopics(topics.output_namespace), report);
   const Processor::Sink sink = [&writer](FrameOutput&& frame) {
     writer.write(frame);
     return true;
   };
-  Processor& processor = feed.processor();
+  const auto expect = [&writer](ros::Time recorded) { writer.expect_frame(recorded); };
   const auto start = std::chrono::steady_clock::now();
   std::size_t done = 0;
   for (const rosbag::MessageInstance& instance : view) {
-    const TimeNs now_ns = to_time_ns(instance.getTime());
-    feed.set_clock(now_ns);
-    if (now_ns >= slice.end_ns && processor.waiting() == 0) break;
-    const bool inside = slice.holds(now_ns);
-    if (arguments.keep_all_topics && inside) {
+    if (to_time_ns(instance.getTime()) >= slice.end_ns) break;
+    if (arguments.keep_all_topics) {
       output.write(instance.getTopic(), instance.getTime(), instance, instance.getConnectionHeader());
     }
-    if (feed.take(instance, inside)) writer.expect_frame(instance.getTime());
-    if (processor.waiting() > 0) processor.advance(sink);
+    if (instance.getTopic() == topics.image.name) feed.add(instance, expect, sink);
     progress.done(++done);
   }
-  processor.finish(sink);
+  feed.finish(expect, sink);
   output.close();
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  const double bag_s = view.size() == 0 ? 0 : (view.getEndTime() - view.getBeginTime()).toSec();
-  return {processor.statistics(), processor.bias_rad_s(), writer.processing_ms(), bag_s, wall_s};
+  const Processor& processor = feed.processor();
+  return {processor.statistics(), processor.bias_rad_s(), writer.processing_ms(), length_s(input.bag(), slice), wall_s};
 }
 
 /// What holds for all frames.
@@ -158,7 +169,7 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
   nlohmann::json report;
   report["input"] = arguments.input;
   report["output"] = arguments.output;
-  report["topics"] = {{"image", topics.image},
+  report["topics"] = {{"image", topics.image.name},
                       {"camera_info", topics.camera_info},
                       {"imu", topics.imu},
                       {"exposure", topics.exposure},
@@ -189,7 +200,7 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
 }
 
 void print_summary(const Arguments& arguments, const DeblurTopics& topics, const Outcome& outcome) {
-  std::cout << arguments.output << ": " << outcome.statistics.frames_out << " frames of " << topics.image;
+  std::cout << arguments.output << ": " << outcome.statistics.frames_out << " frames of " << topics.image.name;
   for (const auto& [reason, count] : outcome.statistics.passed_through) {
     std::cout << ", " << count << " passed through (" << to_string(reason) << ")";
   }
@@ -218,7 +229,7 @@ void run(const Arguments& arguments) {
   if (!config.mask_file.empty()) load_mask(config.mask_file);  // refused before the bag is read
   const DeblurTopics topics = choose_topics(input, arguments.topics, config);
   if (arguments.keep_all_topics) require_free_topics(input, OutputTopics(topics.output_namespace));
-  FrameReport report(arguments.json);
+  FrameReport report(arguments.common.json);
   Outcome outcome;
   try {
     if (arguments.bias_seconds) {
@@ -248,14 +259,14 @@ int main_of(int argc, char** argv) {
   app.add_option("--config", arguments.config, "YAML file with the keys of config/default.yaml")->required();
   app.add_option("--mask", arguments.mask,
                  "PNG or PGM file of the image's size, 0 where a pixel does not show the scene [the configuration's]");
-  app.add_option("--camera-ns", arguments.topics.camera_namespace, "the images are on NAMESPACE/image_raw");
-  app.add_option("--image-topic", arguments.topics.image, "sensor_msgs/Image, or sensor_msgs/CompressedImage");
+  add_image_options(app, &arguments.topics.images);
   app.add_option("--camera-info-topic", arguments.topics.camera_info,
                  "sensor_msgs/CameraInfo [camera_info beside the images]");
   app.add_option("--imu-topic", arguments.topics.imu, "sensor_msgs/Imu");
   app.add_option("--exposure-topic", arguments.topics.exposure,
-                 "gyro_deblur/Exposure, or what exposure_source says [exposure beside the images]");
-  app.add_option("--output-namespace", arguments.topics.output_namespace, "of the topics written [that of the images]");
+                 "gyro_deblur/Exposure, or what exposure_source says [exposure in --camera-ns, or beside the images]");
+  app.add_option("--output-namespace", arguments.topics.output_namespace,
+                 "of the topics written [--camera-ns, or that of the images]");
   app.add_flag("--keep-all-topics", arguments.keep_all_topics, "copy every message of the input as well");
   app.add_option("--estimate-bias-first", arguments.bias_seconds,
                  "the sensor is at rest in the first SECONDS: use its mean rate as bias")
@@ -273,7 +284,7 @@ int main_of(int argc, char** argv) {
   app.add_flag("--global-shutter", arguments.request.global_shutter,
                "also write global_shutter/image_raw and its camera_info");
   app.add_flag("--markers", arguments.request.markers, "also write blur_markers");
-  app.add_option("--json", arguments.json, "also write what was done as JSON");
+  add_common_options(app, &arguments.common);
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }
 

@@ -10,8 +10,6 @@
 
 #include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
-#include <sensor_msgs/CompressedImage.h>
-#include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 #include <tf2_msgs/TFMessage.h>
 
@@ -30,13 +28,24 @@ TimeNs lead_ns(const Config& config) {
          config.gyro_timeout_ns + config.exposure_max_age_ns;
 }
 
-DeblurFeed::DeblurFeed(const DeblurTopics& topics, const Config& config, const FrameRequest& request, Log log)
-    : topics_(topics),
+DeblurFeed::DeblurFeed(const rosbag::Bag& bag, const DeblurTopics& topics, const Config& config,
+                       const FrameRequest& request, ros::Time from, Log log)
+    : bag_(bag),
+      topics_(topics),
+      from_(from),
+      time_offset_ns_(config.gyro.time_offset_ns),
       driver_messages_(reads_driver_messages(config)),
       log_(std::move(log)),
       adapter_(config.exposure_source),
-      processor_(environment(request)) {
+      processor_(environment(request)),
+      imu_(bag, topics.imu, from, config.time_jump_ns, imu_reader()),
+      camera_info_(bag, topics.camera_info, from, config.time_jump_ns, camera_info_reader()),
+      exposure_(bag, topics.exposure, from, config.time_jump_ns,
+                driver_messages_ ? driver_reader() : exposure_reader()),
+      transforms_(bag, "/tf", from, config.time_jump_ns, transform_reader()) {
   processor_.set_config(config);
+  // Latched transforms of the whole bag: a node would have them from the start.
+  take_transforms("/tf_static", ros::TIME_MAX);
 }
 
 Processor::Environment DeblurFeed::environment(const FrameRequest& request) {
@@ -51,27 +60,28 @@ Processor::Environment DeblurFeed::environment(const FrameRequest& request) {
   return environment;
 }
 
-void DeblurFeed::take_transforms(const rosbag::Bag& bag, const std::string& topic, ros::Time until) {
+void DeblurFeed::take_transforms(const std::string& topic, ros::Time until) {
   const auto take = [this](const tf2_msgs::TFMessage& message) {
     add_transforms(message, &tf_buffer_);
     return true;
   };
-  for_each_message<tf2_msgs::TFMessage>(bag, {topic}, take, ros::TIME_MIN, until);
+  for_each_message<tf2_msgs::TFMessage>(bag_, {topic}, take, ros::TIME_MIN, until);
 }
 
-void DeblurFeed::catch_up(const rosbag::Bag& bag, ros::Time until) {
-  take_transforms(bag, "/tf", until);
+void DeblurFeed::catch_up() {
+  take_transforms("/tf", from_);
   // Where it is published once, or seldom, the last one holds.
   if (!topics_.camera_info.empty()) {
-    rosbag::View infos(bag, rosbag::TopicQuery(topics_.camera_info), ros::TIME_MIN, until);
+    rosbag::View infos(bag_, rosbag::TopicQuery(topics_.camera_info), ros::TIME_MIN, from_);
     std::optional<rosbag::MessageInstance> last;
     for (const rosbag::MessageInstance& instance : infos) last.emplace(instance);
-    set_clock(to_time_ns(until));
-    if (last) take(*last, false);
+    now_ns_ = to_time_ns(from_);
+    const auto info = last ? read_message<sensor_msgs::CameraInfo>(*last) : nullptr;
+    if (info) processor_.add_camera_info(info);
   }
   if (!driver_messages_ || topics_.exposure.empty()) return;
   // A setting is published when it changes, which may be long before the slice.
-  rosbag::View before(bag, rosbag::TopicQuery(topics_.exposure), ros::TIME_MIN, until);
+  rosbag::View before(bag_, rosbag::TopicQuery(topics_.exposure), ros::TIME_MIN, from_);
   for (const rosbag::MessageInstance& instance : before) {
     const std::vector<std::uint8_t> bytes = read_bytes(instance);
     try {
@@ -85,39 +95,139 @@ void DeblurFeed::catch_up(const rosbag::Bag& bag, ros::Time until) {
   }
 }
 
-bool DeblurFeed::take(const rosbag::MessageInstance& instance, bool with_images) {
-  const std::string& topic = instance.getTopic();
-  if (topic == topics_.imu) {
-    if (const auto message = read_message<sensor_msgs::Imu>(instance)) processor_.add_imu(*message);
-  } else if (topic == topics_.camera_info) {
-    if (const auto message = read_message<sensor_msgs::CameraInfo>(instance)) processor_.add_camera_info(message);
-  } else if (topic == topics_.image) {
-    return with_images && take_image(instance);
-  } else if (topic == topics_.exposure) {
-    take_exposure(instance);
-  } else if (topic == "/tf") {
-    if (const auto message = read_message<tf2_msgs::TFMessage>(instance)) add_transforms(*message, &tf_buffer_);
-  }
-  return false;
+MessageStream::Read DeblurFeed::imu_reader() {
+  return [this](const rosbag::MessageInstance& instance, MessageStream::Message* message) {
+    const auto imu = read_message<sensor_msgs::Imu>(instance);
+    if (!imu) return false;
+    message->stamp_ns = to_time_ns(imu->header.stamp) - time_offset_ns_;
+    message->deliver = [this, imu] { processor_.add_imu(*imu); };
+    return true;
+  };
 }
 
-bool DeblurFeed::take_image(const rosbag::MessageInstance& instance) {
-  if (topics_.compressed) {
-    const auto compressed = read_message<sensor_msgs::CompressedImage>(instance);
-    return compressed && processor_.add_compressed_image(*compressed);
-  }
-  const sensor_msgs::ImageConstPtr image = read_message<sensor_msgs::Image>(instance);
-  if (!image) return false;
-  processor_.add_image(image);
-  return true;
+MessageStream::Read DeblurFeed::camera_info_reader() {
+  return [this](const rosbag::MessageInstance& instance, MessageStream::Message* message) {
+    const auto info = read_message<sensor_msgs::CameraInfo>(instance);
+    if (!info) return false;
+    message->stamp_ns = to_time_ns(info->header.stamp);
+    message->deliver = [this, info] { processor_.add_camera_info(info); };
+    return true;
+  };
 }
 
-void DeblurFeed::take_exposure(const rosbag::MessageInstance& instance) {
-  if (driver_messages_) {
-    // As in the nodelet: a message without an exposure time costs its frame, not the run.
-    adapter_.pass_on(instance.getDataType(), instance.getMessageDefinition(), read_bytes(instance), &processor_);
-  } else if (const auto message = read_message<Exposure>(instance)) {
-    processor_.add_exposure(*message);
+MessageStream::Read DeblurFeed::exposure_reader() {
+  return [this](const rosbag::MessageInstance& instance, MessageStream::Message* message) {
+    const auto exposure = read_message<Exposure>(instance);
+    if (!exposure) return false;
+    message->stamp_ns = to_time_ns(exposure->header.stamp);
+    message->deliver = [this, exposure] { processor_.add_exposure(*exposure); };
+    return true;
+  };
+}
+
+MessageStream::Read DeblurFeed::driver_reader() {
+  return [this](const rosbag::MessageInstance& instance, MessageStream::Message* message) {
+    const std::vector<std::uint8_t> bytes = read_bytes(instance);
+    const std::string type = instance.getDataType(), definition = instance.getMessageDefinition();
+    try {
+      const std::optional<ExposureReading> reading = adapter_.read(type, definition, bytes.data(), bytes.size());
+      if (reading) message->stamp_ns = reading->stamp_ns;
+    } catch (const std::exception&) {
+      // Reported when it is delivered, when it was recorded.
+    }
+    message->deliver = [this, type, definition, bytes] { adapter_.pass_on(type, definition, bytes, &processor_); };
+    return true;
+  };
+}
+
+MessageStream::Read DeblurFeed::transform_reader() {
+  return [this](const rosbag::MessageInstance& instance, MessageStream::Message* message) {
+    const auto transforms = read_message<tf2_msgs::TFMessage>(instance);
+    if (!transforms || transforms->transforms.empty()) return false;
+    message->stamp_ns = to_time_ns(transforms->transforms.front().header.stamp);
+    message->deliver = [this, transforms] { add_transforms(*transforms, &tf_buffer_); };
+    return true;
+  };
+}
+
+TimeNs DeblurFeed::BagImage::stamp_ns() const { return to_time_ns(raw ? raw->header.stamp : compressed->header.stamp); }
+
+void DeblurFeed::add(const rosbag::MessageInstance& instance, const Expect& expect, const Processor::Sink& sink) {
+  BagImage image;
+  image.recorded = instance.getTime();
+  if (topics_.image.compressed) {
+    image.compressed = read_message<sensor_msgs::CompressedImage>(instance);
+  } else {
+    image.raw = read_message<sensor_msgs::Image>(instance);
+  }
+  if (!image.raw && !image.compressed) return;
+  images_.push_back(std::move(image));
+  constexpr std::size_t kCompared = 2;  // that follow an image: one of them may have a wrong stamp
+  if (images_.size() > kCompared) pass_front(expect, sink);
+}
+
+void DeblurFeed::finish(const Expect& expect, const Processor::Sink& sink) {
+  while (!images_.empty()) pass_front(expect, sink);
+}
+
+TimeNs DeblurFeed::until_ns() const {
+  // An image whose stamp is ahead of those that follow must not use up what they need.
+  constexpr TimeNs kAheadNs = 1'000'000'000;  // stores hold some seconds
+  if (images_.size() < 2) return images_.front().stamp_ns() + kAheadNs;
+  TimeNs following_ns = images_[1].stamp_ns();
+  for (std::size_t i = 2; i < images_.size(); ++i) following_ns = std::max(following_ns, images_[i].stamp_ns());
+  return std::min(images_.front().stamp_ns(), following_ns) + kAheadNs;
+}
+
+void DeblurFeed::pass_front(const Expect& expect, const Processor::Sink& sink) {
+  const TimeNs until = until_ns();
+  const BagImage image = std::move(images_.front());
+  images_.pop_front();
+  now_ns_ = to_time_ns(image.recorded);
+  deliver_due(until);
+  if (image.raw) {
+    processor_.add_image(image.raw);
+  } else if (!processor_.add_compressed_image(*image.compressed)) {
+    return;
+  }
+  expect(image.recorded);
+  processor_.advance(sink);
+  while (processor_.waiting() > 0) {
+    MessageStream* const stream = awaited_stream();
+    const bool more = stream != nullptr && stream->deliver_ahead(image.stamp_ns(), until);
+    // Without more of what it waits for, the frame makes do with what is there.
+    more ? processor_.advance(sink) : processor_.finish(sink);
+  }
+}
+
+MessageStream* DeblurFeed::awaited_stream() {
+  switch (processor_.awaited()) {
+    case Awaited::NOTHING:
+      return nullptr;
+    case Awaited::CAMERA_INFO:
+      return &camera_info_;
+    case Awaited::EXPOSURE:
+      return &exposure_;
+    case Awaited::IMU:
+      return &imu_;
+    case Awaited::TRANSFORM:
+      return &transforms_;
+  }
+  return nullptr;
+}
+
+void DeblurFeed::deliver_due(TimeNs until_ns) {
+  while (true) {
+    MessageStream* earliest = nullptr;
+    TimeNs recorded_ns = 0;
+    for (MessageStream* const stream : {&imu_, &camera_info_, &exposure_, &transforms_}) {
+      const MessageStream::Message* message = stream->due(now_ns_, until_ns);
+      if (message == nullptr || (earliest != nullptr && message->recorded_ns >= recorded_ns)) continue;
+      earliest = stream;
+      recorded_ns = message->recorded_ns;
+    }
+    if (earliest == nullptr) return;
+    earliest->deliver_due();
   }
 }
 

@@ -1,18 +1,22 @@
 // The messages of a bag on their way into a processor.
 #pragma once
 
-#include <cstddef>
+#include <deque>
+#include <functional>
 #include <string>
 
 #include <ros/time.h>
 #include <rosbag/bag.h>
 #include <rosbag/message_instance.h>
+#include <sensor_msgs/CompressedImage.h>
+#include <sensor_msgs/Image.h>
 #include <tf2/buffer_core.h>
 
 #include "gyro_deblur/config.hpp"
 #include "ros/exposure_adapter.hpp"
 #include "ros/processor.hpp"
 #include "tools/deblur_topics.hpp"
+#include "tools/message_stream.hpp"
 
 namespace gyro_deblur {
 
@@ -28,40 +32,68 @@ struct Slice {
 /// it.
 TimeNs lead_ns(const Config& config);
 
-/// A processor whose clock, transforms and messages are those of a bag. All members that read throw MessageError.
+/// A processor whose clock, transforms and messages are those of a bag. An image leaves when the stamps of what it
+/// waits for have passed, whenever that was recorded, or when the bag has no more of it. All members that read
+/// throw MessageError.
 class DeblurFeed {
  public:
-  DeblurFeed(const DeblurTopics& topics, const Config& config, const FrameRequest& request, Log log);
+  /// @param from  when the first messages that are read were recorded
+  DeblurFeed(const rosbag::Bag& bag, const DeblurTopics& topics, const Config& config, const FrameRequest& request,
+             ros::Time from, Log log);
   DeblurFeed(const DeblurFeed&) = delete;
   DeblurFeed& operator=(const DeblurFeed&) = delete;
 
-  /// Latched transforms of the whole bag: a node would have them from the start.
-  void take_static_transforms(const rosbag::Bag& bag) { take_transforms(bag, "/tf_static", ros::TIME_MAX); }
-  /// What was said before the slice and still holds: transforms, camera_info, and a setting of the driver.
-  void catch_up(const rosbag::Bag& bag, ros::Time until);
+  /// What was said before `from` and still holds: transforms, camera_info, and a setting of the driver.
+  void catch_up();
 
-  /// When the next message was recorded.
-  void set_clock(TimeNs now_ns) { now_ns_ = now_ns; }
-  /// The next message.
-  /// @param with_images  false: leave images out
-  /// @return true when a frame came in, which will come out of the processor
-  bool take(const rosbag::MessageInstance& instance, bool with_images);
+  /// Told when the image of a frame that will come out was recorded.
+  using Expect = std::function<void(ros::Time)>;
+  /// The next image. Those before it go through the processor, but for the last few, whose stamps are still compared
+  /// with what follows.
+  void add(const rosbag::MessageInstance& instance, const Expect& expect, const Processor::Sink& sink);
+  /// There are no more images.
+  void finish(const Expect& expect, const Processor::Sink& sink);
 
-  Processor& processor() { return processor_; }
+  const Processor& processor() const { return processor_; }
 
  private:
   Processor::Environment environment(const FrameRequest& request);
-  void take_transforms(const rosbag::Bag& bag, const std::string& topic, ros::Time until);
-  bool take_image(const rosbag::MessageInstance& instance);
-  void take_exposure(const rosbag::MessageInstance& instance);
+  void take_transforms(const std::string& topic, ros::Time until);
+  MessageStream::Read imu_reader();
+  MessageStream::Read camera_info_reader();
+  MessageStream::Read exposure_reader();
+  /// As in the nodelet: a message without an exposure time costs its frame, not the run.
+  MessageStream::Read driver_reader();
+  MessageStream::Read transform_reader();
+  /// Of what the foremost frame waits for; null when it waits for nothing.
+  MessageStream* awaited_stream();
+  /// The foremost image goes in, with what belongs to it, and out again.
+  void pass_front(const Expect& expect, const Processor::Sink& sink);
+  /// Up to which stamps messages are read for the foremost image.
+  TimeNs until_ns() const;
+  /// What was recorded by now, with stamps up to `until_ns`.
+  void deliver_due(TimeNs until_ns);
 
+  /// One of the two is there.
+  struct BagImage {
+    sensor_msgs::ImageConstPtr raw;
+    sensor_msgs::CompressedImageConstPtr compressed;
+    ros::Time recorded;
+    TimeNs stamp_ns() const;
+  };
+
+  const rosbag::Bag& bag_;
   const DeblurTopics topics_;
+  const ros::Time from_;
+  const TimeNs time_offset_ns_;
   const bool driver_messages_;
   const Log log_;
   tf2::BufferCore tf_buffer_;
   TimeNs now_ns_ = 0;
   ExposureAdapter adapter_;
   Processor processor_;
+  MessageStream imu_, camera_info_, exposure_, transforms_;
+  std::deque<BagImage> images_;
 };
 
 }  // namespace gyro_deblur

@@ -31,7 +31,8 @@ namespace gyro_deblur {
 namespace {
 
 struct Arguments {
-  std::string input, output, mask, overlay, json;
+  std::string input, output, mask, overlay;
+  CommonArguments common;
   double angle_deg = 0;
   double extent_px = 0;
   std::vector<std::string> field;  // empty: uniform blur
@@ -200,15 +201,15 @@ void run(const Arguments& arguments) {
   for (const BlockStatus status : kBlockStatuses) {
     counts[to_string(status)] = field.count(status);
   }
-  write_json(arguments.json, {{"input", arguments.input},
-                              {"output", arguments.output},
-                              {"width", image.cols},
-                              {"height", image.rows},
-                              {"engine", engine->name()},
-                              {"gamma", arguments.kernel.gamma},
-                              {"blocks", counts},
-                              {"median_extent_px", median_extent_px(field)},
-                              {"deconvolution_ms", deconvolution_ms}});
+  write_json(arguments.common.json, {{"input", arguments.input},
+                                     {"output", arguments.output},
+                                     {"width", image.cols},
+                                     {"height", image.rows},
+                                     {"engine", engine->name()},
+                                     {"gamma", arguments.kernel.gamma},
+                                     {"blocks", counts},
+                                     {"median_extent_px", median_extent_px(field)},
+                                     {"deconvolution_ms", deconvolution_ms}});
 
   std::cout << arguments.output << ": " << field.count(BlockStatus::DEBLURRED) << " of " << field.blocks.size()
             << " blocks deblurred";
@@ -263,7 +264,7 @@ int main_of(int argc, char** argv) {
   app.add_option("--mask", arguments.mask,
                  "PNG or PGM of the image's size, 0 where a pixel does not show the scene: it stays as it is");
   app.add_option("--overlay", arguments.overlay, "also write a picture of the blur field");
-  app.add_option("--json", arguments.json, "also write what was done as JSON");
+  add_common_options(app, &arguments.common);
   app.callback([&] {
     if (field->count() + extent->count() == 0) throw CLI::RequiredError("--angle-deg and --extent-px, or --field");
   });

@@ -6,13 +6,14 @@
 
 #include "gyro_deblur/config.hpp"
 #include "tools/bag_file.hpp"
+#include "tools/image_topics.hpp"
 
 namespace gyro_deblur {
 
 /// What the user named; the empty ones are looked for.
 struct NamedTopics {
-  std::string camera_namespace;  ///< stands for the images on NAMESPACE/image_raw
-  std::string image, camera_info, imu, exposure;
+  NamedImages images;
+  std::string camera_info, imu, exposure;
   std::string output_namespace;
 };
 
@@ -26,8 +27,8 @@ struct OutputTopics {
 };
 
 struct DeblurTopics {
-  std::string image, imu;
-  bool compressed = false;            ///< the images are
+  ImageTopic image;
+  std::string imu;
   std::string camera_info, exposure;  ///< empty: none
   std::string output_namespace;
 };

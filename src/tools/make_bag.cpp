@@ -36,8 +36,8 @@ struct Arguments {
   std::string imu_topic = "/imu";
   std::string camera_frame = "camera";
   std::string imu_frame = "imu";
-  std::string json;
-  bool quiet = false;
+  std::string image = "image_raw";
+  CommonArguments common;
 };
 
 /// Reads an image file as it is stored, or converted. Returns the pixels and sets the encoding.
@@ -94,8 +94,8 @@ TimeNs delivery_time(const RecordedFrame& frame, const Recording& recording) {
 /// Topics of the bag.
 struct Topics {
   explicit Topics(const Arguments& arguments)
-      : image(arguments.camera_namespace + "/image_raw"),
-        camera_info(arguments.camera_namespace + "/camera_info"),
+      : image(arguments.camera_namespace + "/" + arguments.image),
+        camera_info(parent_namespace(image) + "/camera_info"),
         exposure(arguments.camera_namespace + "/exposure"),
         imu(arguments.imu_topic) {}
   std::string image, camera_info, exposure, imu;
@@ -117,7 +117,7 @@ TimeNs write_imu(rosbag::Bag& bag, const Recording& recording, const Arguments& 
 std::string write_images(rosbag::Bag& bag, const Recording& recording, const Arguments& arguments) {
   const Topics topics(arguments);
   sensor_msgs::CameraInfo info = camera_info_message(recording.camera);
-  Progress progress(recording.frames.size(), "images", arguments.quiet);
+  Progress progress(recording.frames.size(), "images", arguments.common.quiet);
   std::string encoding;
   for (std::size_t i = 0; i < recording.frames.size(); ++i) {
     const RecordedFrame& frame = recording.frames[i];
@@ -193,7 +193,7 @@ void run(const Arguments& arguments) {
   const nlohmann::json report = report_of(recording, arguments, encoding);
   std::cout << arguments.output << ": " << report["images"] << " images, " << report["imu_samples"] << " IMU samples, "
             << report["exposures"] << " exposure times\n";
-  write_json(arguments.json, report);
+  write_json(arguments.common.json, report);
 }
 
 int main_of(int argc, char** argv) {
@@ -213,13 +213,13 @@ int main_of(int argc, char** argv) {
       ->check(CLI::Range(0.0, 1.0));
   app.add_option("--encoding", arguments.encoding, "pixels in the bag: as_recorded, mono8 or bgr8 [as_recorded]")
       ->check(CLI::IsMember({"as_recorded", "mono8", "bgr8"}));
-  app.add_option("--camera-namespace", arguments.camera_namespace,
-                 "image_raw, camera_info and exposure go here [/camera]");
+  app.add_option("--camera-ns,--camera-namespace", arguments.camera_namespace,
+                 "images, camera_info and exposure go here [/camera]");
+  app.add_option("--image-topic", arguments.image, "of the images, in --camera-ns [image_raw]");
   app.add_option("--imu-topic", arguments.imu_topic, "[/imu]");
   app.add_option("--camera-frame", arguments.camera_frame, "tf frame of the camera (optical) [camera]");
   app.add_option("--imu-frame", arguments.imu_frame, "tf frame of the IMU [imu]");
-  app.add_option("--json", arguments.json, "write what was done to this file as JSON");
-  app.add_flag("--quiet", arguments.quiet, "no progress on stderr");
+  add_common_options(app, &arguments.common);
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }
 

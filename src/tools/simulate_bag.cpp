@@ -44,9 +44,8 @@ struct Arguments {
   std::string scene;
   int frames = 0;       // 0: as the scene says
   long long seed = -1;  // -1: as the scene says
-  std::string json;
+  CommonArguments common;
   bool no_truth = false;
-  bool quiet = false;
 };
 
 geometry_msgs::PoseStamped pose_message(const std_msgs::Header& header, const Pose& pose) {
@@ -156,7 +155,7 @@ nlohmann::json write_simulation(rosbag::Bag& bag, Simulator& simulator, const Ar
   const Scene& scene = simulator.scene();
   SimulationWriter writer(bag, simulator, !arguments.no_truth);
   writer.write_extrinsic();
-  Progress progress(static_cast<std::size_t>(simulator.frames()), "images", arguments.quiet);
+  Progress progress(static_cast<std::size_t>(simulator.frames()), "images", arguments.common.quiet);
   nlohmann::json frames = nlohmann::json::array();
   const auto started = std::chrono::steady_clock::now();
   for (int i = 0; i < simulator.frames(); ++i) {
@@ -191,7 +190,7 @@ void run(const Arguments& arguments) {
   const nlohmann::json report = write_simulation(output.bag(), simulator, arguments);
   output.finish();
   std::cout << arguments.output << ": " << report["images"] << " images, " << report["imu_samples"] << " IMU samples\n";
-  write_json(arguments.json, report);
+  write_json(arguments.common.json, report);
 }
 
 int main_of(int argc, char** argv) {
@@ -205,9 +204,8 @@ int main_of(int argc, char** argv) {
   app.add_option("--scene", arguments.scene, "YAML scene; config/scenes/handheld.yaml documents the keys")->required();
   app.add_option("--frames", arguments.frames, "number of images [as in the scene]")->check(CLI::Range(1, 1000000));
   app.add_option("--seed", arguments.seed, "seed of all noise [as in the scene]")->check(CLI::Range(0, 1000000000));
-  app.add_option("--json", arguments.json, "write what was simulated to this file as JSON");
   app.add_flag("--no-truth", arguments.no_truth, "leave the truth images out (faster)");
-  app.add_flag("--quiet", arguments.quiet, "no progress on stderr");
+  add_common_options(app, &arguments.common);
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }
 

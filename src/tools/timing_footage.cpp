@@ -12,6 +12,7 @@
 #include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include "base/median.hpp"
 #include "calibrate/frame_tracker.hpp"
 #include "ros/conversions.hpp"
 #include "ros/messages.hpp"
@@ -33,15 +34,20 @@ std::map<TimeNs, Exposure> read_exposures(const rosbag::Bag& bag, const std::str
   return exposures;
 }
 
-std::vector<GyroSample> read_gyro(const rosbag::Bag& bag, const std::string& topic, std::string* frame) {
+std::vector<GyroSample> read_gyro(const rosbag::Bag& bag, const std::string& topic, std::string* frame,
+                                  TimeNs* delay_ns) {
   std::vector<GyroSample> samples;
-  for_each_message<sensor_msgs::Imu>(bag, {topic}, [&](const sensor_msgs::Imu& imu) {
-    const std::optional<GyroSample> sample = to_gyro_sample(imu);
-    if (!sample || !sample->rate_rad_s.allFinite()) return true;
-    *frame = imu.header.frame_id;
+  std::vector<TimeNs> delays_ns;
+  rosbag::View view(bag, rosbag::TopicQuery(topic));
+  for (const rosbag::MessageInstance& instance : view) {
+    const auto imu = read_message<sensor_msgs::Imu>(instance);
+    const std::optional<GyroSample> sample = imu ? to_gyro_sample(*imu) : std::nullopt;
+    if (!sample || !sample->rate_rad_s.allFinite()) continue;
+    *frame = imu->header.frame_id;
     samples.push_back(*sample);
-    return true;
-  });
+    delays_ns.push_back(to_time_ns(instance.getTime()) - sample->t_ns);
+  }
+  if (!delays_ns.empty()) *delay_ns = median(std::move(delays_ns));
   // Messages of a bag are in the order of their arrival.
   const auto earlier = [](const GyroSample& a, const GyroSample& b) { return a.t_ns < b.t_ns; };
   std::stable_sort(samples.begin(), samples.end(), earlier);
@@ -130,16 +136,39 @@ std::optional<Eigen::Matrix3d> extrinsic_of(const rosbag::Bag& bag, const std::s
 
 }  // namespace
 
-FootageTopics choose_topics(const InputBag& input, const FootageTopics& named, const Config& config) {
+FootageTopics choose_topics(const InputBag& input, const NamedFootage& named, const Config& config) {
   FootageTopics chosen;
-  chosen.image = input.choose_topic<sensor_msgs::Image>("images", named.image, "", true);
-  const std::string beside = parent_namespace(chosen.image);
+  chosen.image = choose_images(input, named.images);
+  const std::string beside = chosen.image.name_space();
   const bool info_required = !config.calibration || !config.calibration->camera;
   chosen.camera_info = input.choose_topic<sensor_msgs::CameraInfo>("camera_info", named.camera_info,
                                                                    beside + "/camera_info", info_required);
   chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", true);
-  chosen.exposure = input.choose_topic<Exposure>("exposure", named.exposure, beside + "/exposure", false);
+  chosen.exposure =
+      input.choose_topic<Exposure>("exposure", named.exposure, named.images.home(beside) + "/exposure", false);
   return chosen;
+}
+
+std::optional<OffsetStart> start_of_distant_clocks(const Footage& footage, TimeNs time_offset_ns, TimeNs search_ns) {
+  if (footage.samples.empty()) return std::nullopt;
+  const TimeRange imu{footage.samples.front().t_ns, footage.samples.back().t_ns}, images = footage.images;
+  const auto apart_ns = [&](TimeNs offset_ns) {
+    return std::max({TimeNs{0}, imu.begin_ns - (images.end_ns + offset_ns), images.begin_ns + offset_ns - imu.end_ns});
+  };
+  if (apart_ns(time_offset_ns) <= search_ns) return std::nullopt;
+  OffsetStart start;
+  start.problem = "the stamps of images and IMU do not overlap: images from " + seconds_text(images.begin_ns) + " to " +
+                  seconds_text(images.end_ns) + " s, IMU from " + seconds_text(imu.begin_ns) + " to " +
+                  seconds_text(imu.end_ns) + " s, which with time_offset = " + seconds_text(time_offset_ns) +
+                  " s are " + seconds_text(apart_ns(time_offset_ns)) + " s apart";
+  start.time_offset_ns = footage.image_delay_ns - footage.imu_delay_ns;
+  start.search_ns = search_ns;
+  if (apart_ns(start.time_offset_ns) > 0) {
+    constexpr TimeNs kWide = 5'000'000'000;  // the most that TimingOptions allow
+    start.time_offset_ns = imu.begin_ns - images.begin_ns;
+    start.search_ns = kWide;
+  }
+  return start;
 }
 
 Footage read_footage(const InputBag& input, const FootageTopics& topics, const FootageOptions& options,
@@ -147,20 +176,21 @@ Footage read_footage(const InputBag& input, const FootageTopics& topics, const F
   const rosbag::Bag& bag = input.bag();
   Footage footage;
   std::string imu_frame, camera_frame;
-  footage.samples = read_gyro(bag, topics.imu, &imu_frame);
+  footage.samples = read_gyro(bag, topics.imu, &imu_frame, &footage.imu_delay_ns);
   const std::map<TimeNs, Exposure> exposures = read_exposures(bag, topics.exposure);
 
   rosbag::View whole(bag);
   const ros::Time begin = whole.getBeginTime() + ros::Duration(options.start_s);
   const ros::Time end = options.end_s ? whole.getBeginTime() + ros::Duration(*options.end_s) : ros::TIME_MAX;
-  rosbag::View view(bag, rosbag::TopicQuery(topics.image), begin, end);
+  rosbag::View view(bag, rosbag::TopicQuery(topics.image.name), begin, end);
   Progress progress(view.size(), "images", options.quiet);
   FrameTrackerOptions tracker;
   tracker.max_points = options.points;
   PictureTracker pictures;
   PairCollector collector(exposures, config, tracker, &footage);
+  std::vector<TimeNs> delays_ns;
   for (const rosbag::MessageInstance& instance : view) {
-    const auto image = read_message<sensor_msgs::Image>(instance);
+    const sensor_msgs::ImageConstPtr image = read_image(instance, topics.image.compressed);
     if (!image) continue;
     const ImageView pixels = view_image(*image);
     // Between a picture and itself nothing moves, whatever the gyroscope says.
@@ -169,11 +199,17 @@ Footage read_footage(const InputBag& input, const FootageTopics& topics, const F
       read_camera(bag, *image, topics, config, &footage);
       camera_frame = image->header.frame_id;
     }
-    collector.add(to_time_ns(image->header.stamp), pixels);
+    const TimeNs stamp_ns = to_time_ns(image->header.stamp);
+    collector.add(stamp_ns, pixels);
+    delays_ns.push_back(to_time_ns(instance.getTime()) - stamp_ns);
+    footage.images = footage.frames == 1 ? TimeRange{stamp_ns, stamp_ns}
+                                         : TimeRange{std::min(footage.images.begin_ns, stamp_ns),
+                                                     std::max(footage.images.end_ns, stamp_ns)};
     progress.done(footage.frames);
   }
   collector.finish();
-  if (footage.frames == 0) throw std::runtime_error("no image on " + topics.image);
+  if (footage.frames == 0) throw std::runtime_error("no image on " + topics.image.name);
+  footage.image_delay_ns = median(std::move(delays_ns));
   footage.R_cam_imu = extrinsic_of(bag, camera_frame, imu_frame);
   return footage;
 }

@@ -13,11 +13,18 @@
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "tools/bag_file.hpp"
+#include "tools/image_topics.hpp"
 
 namespace gyro_deblur {
 
+struct NamedFootage {
+  NamedImages images;
+  std::string camera_info, imu, exposure;
+};
+
 struct FootageTopics {
-  std::string image, imu;
+  ImageTopic image;
+  std::string imu;
   std::string camera_info, exposure;  ///< empty: none
 };
 
@@ -36,13 +43,28 @@ struct Footage {
   std::optional<Eigen::Matrix3d> R_cam_imu;  ///< of tf
   std::size_t frames = 0;                    ///< that show a new picture
   std::size_t without_exposure = 0;
+  TimeRange images;           ///< first to last stamp
+  TimeNs image_delay_ns = 0;  ///< median time from a stamp to the recording of its message
+  TimeNs imu_delay_ns = 0;
   std::optional<TimeNs> message_readout_ns;  ///< of exposure messages
   FramePeriod period;
 };
 
+/// Where the search for the time offset begins when the stamps of images and IMU do not overlap.
+struct OffsetStart {
+  std::string problem;  ///< which stamps, and how far they are apart
+  TimeNs time_offset_ns = 0;
+  TimeNs search_ns = 0;
+};
+
+/// Nothing where the stamps overlap at an offset that the search reaches. Else the offset by which messages were
+/// recorded at the same time, or, where stamps do not overlap at that either (a bag that was written by its stamps),
+/// the difference of their beginnings, with a wide search.
+std::optional<OffsetStart> start_of_distant_clocks(const Footage& footage, TimeNs time_offset_ns, TimeNs search_ns);
+
 /// @param named  what the user named; the empty ones are looked for
 /// Throws std::runtime_error that lists the bag's topics.
-FootageTopics choose_topics(const InputBag& input, const FootageTopics& named, const Config& config);
+FootageTopics choose_topics(const InputBag& input, const NamedFootage& named, const Config& config);
 
 /// Throws std::runtime_error for messages that cannot be read and bags without images, OptionError for a camera that is
 /// not calibrated, FrameError for an image that cannot be used.

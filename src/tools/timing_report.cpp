@@ -131,8 +131,10 @@ nlohmann::json report_of(const TimingResult& result, const FootageTopics& topics
   const TimingEstimate& e = result.estimate;
   nlohmann::json report;
   report["bag"] = result.bag;
-  report["topics"] = {
-      {"image", topics.image}, {"camera_info", topics.camera_info}, {"imu", topics.imu}, {"exposure", topics.exposure}};
+  report["topics"] = {{"image", topics.image.name},
+                      {"camera_info", topics.camera_info},
+                      {"imu", topics.imu},
+                      {"exposure", topics.exposure}};
   report["time_offset_s"] = to_json(e.time_offset_s);
   report["readout_time_s"] = to_json(e.readout_s);
   report["gyro_bias_rad_s"] = {to_json(e.bias_rad_s[0]), to_json(e.bias_rad_s[1]), to_json(e.bias_rad_s[2])};

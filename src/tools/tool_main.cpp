@@ -5,6 +5,11 @@
 
 namespace gyro_deblur {
 
+void add_common_options(CLI::App& app, CommonArguments* arguments) {
+  app.add_option("--json", arguments->json, "write what was done to this file as JSON");
+  app.add_flag("--quiet", arguments->quiet, "no progress on stderr");
+}
+
 int run_tool(CLI::App& app, int argc, char** argv, const std::function<void()>& run) {
   try {
     app.parse(argc, argv);

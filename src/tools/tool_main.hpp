@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <string>
 
 #include <CLI/CLI.hpp>
 
@@ -9,6 +10,14 @@ namespace gyro_deblur {
 
 /// Bad input and bad usage can be told apart in scripts.
 enum ExitCode { SUCCESS = 0, BAD_INPUT = 1, BAD_USAGE = 2 };
+
+/// What every tool takes.
+struct CommonArguments {
+  std::string json;    ///< file of the report; empty: none
+  bool quiet = false;  ///< no progress on stderr
+};
+/// Adds --json and --quiet.
+void add_common_options(CLI::App& app, CommonArguments* arguments);
 
 /// Parses the arguments, then runs the tool.
 /// @param app  with the tool's name and options

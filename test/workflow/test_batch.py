@@ -122,7 +122,7 @@ def main():
         check(all(second[name] == time for name, time in first.items()), "results of the first run are untouched")
         report = batch.report()
         check(f"{BAGS - 1} of {BAGS} bags have a result, 1 failed: {CORRUPT}" in report, "its report names one failure")
-        check(f"| bags/{CORRUPT}.bag | **failed** |" in report and "not a bag that can be read" in report,
+        check(f"| bags/{CORRUPT}.bag | **failed** |" in report and "run rosbag reindex" in report,
               "with the cause")
 
         for name in sorted(second):

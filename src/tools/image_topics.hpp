@@ -1,0 +1,45 @@
+// Which topic of a bag has the images.
+#pragma once
+
+#include <string>
+
+#include <rosbag/message_instance.h>
+#include <sensor_msgs/Image.h>
+#include <CLI/CLI.hpp>
+
+#include "tools/bag_file.hpp"
+
+namespace gyro_deblur {
+
+/// What the user named, in the words of the launch files.
+struct NamedImages {
+  std::string camera_namespace;  ///< of a topic that does not begin with "/"; empty: "/"
+  std::string topic;             ///< empty: image_raw where there is a namespace, else whatever is found
+
+  /// Where exposures are and outputs go: the camera's namespace, "/" before it, else `beside` the images.
+  std::string home(const std::string& beside) const;
+};
+
+/// Adds --camera-ns and --image-topic.
+void add_image_options(CLI::App& app, NamedImages* named);
+
+struct ImageTopic {
+  std::string name;
+  bool compressed = false;  ///< sensor_msgs/CompressedImage
+
+  /// The namespace of what belongs to the images: "/camera" for "/camera/image_raw/compressed".
+  std::string name_space() const;
+};
+
+/// The image of a message of the topic, decoded where it is compressed; null for a message of another type, or that
+/// cannot be decoded as a whole. Throws MessageError.
+sensor_msgs::ImageConstPtr read_image(const rosbag::MessageInstance& instance, bool compressed);
+
+/// The images to work on: the topic that is named, or its compressed version; without a name the only images of the
+/// bag. A compressed version of a raw topic is not another one. Depth (by the encoding of the first message, or by
+/// "depth" or "disparity" in the name) is taken only where it is named.
+/// Throws std::runtime_error that lists the candidates when there are several, else the bag's topics; MessageError for
+/// a first message that cannot be read.
+ImageTopic choose_images(const InputBag& input, const NamedImages& named);
+
+}  // namespace gyro_deblur
