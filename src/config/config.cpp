@@ -5,6 +5,7 @@
 #include <map>
 #include <set>
 #include <sstream>
+#include <type_traits>
 
 #include <yaml-cpp/yaml.h>
 
@@ -21,9 +22,7 @@ void read(const Parameter& p, const YAML::Node& node, bool& value) {
   value = read_scalar<bool>(p.key, node, "true or false");
 }
 
-void read(const Parameter& p, const YAML::Node& node, int& value) {
-  value = read_scalar<int>(p.key, node, "an integer");
-}
+void read(const Parameter& p, const YAML::Node& node, int& value) { value = read_integer(p.key, node); }
 
 void read(const Parameter& p, const YAML::Node& node, double& value) {
   value = read_number(p.key, node, "a finite number");
@@ -110,6 +109,19 @@ void apply_calibration(const SensorCalibration& calibration, Config& config) {
   }
 }
 
+/// A list that came as a string, "[0, 0, 0]", as `<param value="...">` of a launch file gives it.
+template <typename T>
+YAML::Node unquoted_list(const YAML::Node& node) {
+  constexpr bool kIsList = std::is_same_v<T, Eigen::Vector3d> || std::is_same_v<T, std::optional<Eigen::Matrix3d>> ||
+                           std::is_same_v<T, std::vector<std::string>>;
+  if (!kIsList || !is_quoted(node) || node.Scalar().empty() || node.Scalar().front() != '[') return node;
+  try {
+    return YAML::Load(node.Scalar());
+  } catch (const YAML::Exception&) {
+    return node;
+  }
+}
+
 /// Sets what the keys say. Calibration files are not opened yet.
 Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
   Config config;
@@ -122,7 +134,7 @@ Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
     if (!seen.insert(key).second) throw OptionError(key + " = " + describe(entry.second) + " is given a second time");
     if (const Parameter* parameter = find_parameter(key)) {
       Value value = parameter->standard();
-      std::visit([&](auto& v) { read(*parameter, entry.second, v); }, value);
+      std::visit([&](auto& v) { read(*parameter, unquoted_list<std::decay_t<decltype(v)>>(entry.second), v); }, value);
       parameter->set(config, value);
     } else if (unknown != nullptr) {
       unknown->push_back(key);

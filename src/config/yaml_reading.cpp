@@ -1,7 +1,10 @@
 #include "config/yaml_reading.hpp"
 
 #include <fstream>
+#include <limits>
 #include <sstream>
+
+#include "config/text_value.hpp"
 
 namespace gyro_deblur {
 
@@ -35,6 +38,27 @@ std::string describe(const YAML::Node& node) {
 
 void refuse(const std::string& key, const YAML::Node& node, const std::string& allowed) {
   throw OptionError(key + " = " + describe(node) + " is not " + allowed);
+}
+
+std::optional<double> to_number(const std::string& text) {
+  double value = 0;
+  return YAML::convert<double>::decode(YAML::Node(text), value) ? std::optional<double>(value) : std::nullopt;
+}
+
+std::optional<bool> to_truth_value(const std::string& text) {
+  bool value = false;
+  return YAML::convert<bool>::decode(YAML::Node(text), value) ? std::optional<bool>(value) : std::nullopt;
+}
+
+int read_integer(const std::string& key, const YAML::Node& node) {
+  const std::string allowed = "an integer";
+  int value = 0;
+  if (node.IsScalar() && YAML::convert<int>::decode(node, value)) return value;
+  const double number = read_scalar<double>(key, node, allowed);  // 1e3, 20.0
+  const bool is_integer = number == std::trunc(number) && number >= std::numeric_limits<int>::min() &&
+                          number <= std::numeric_limits<int>::max();
+  if (!is_integer) refuse(key, node, allowed);
+  return static_cast<int>(number);
 }
 
 double read_number(const std::string& key, const YAML::Node& node, const std::string& allowed) {

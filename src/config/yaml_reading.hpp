@@ -18,18 +18,23 @@ YAML::Node load_yaml_file(const std::string& path);
 /// The value on one line, shortened for messages.
 std::string describe(const YAML::Node& node);
 
-/// A quoted scalar has the tag "!": it is a string, even where its text is a number.
+/// A quoted scalar has the tag "!".
 bool is_quoted(const YAML::Node& node);
 
 /// Throws OptionError "KEY = VALUE is not ALLOWED".
 [[noreturn]] void refuse(const std::string& key, const YAML::Node& node, const std::string& allowed);
 
+/// A quoted scalar counts, too, where all of its text is a value of the type: rosparam's YAML 1.1 takes 2e-2 for a
+/// string.
 template <typename T>
 T read_scalar(const std::string& key, const YAML::Node& node, const std::string& allowed) {
   T value;
-  if (!node.IsScalar() || is_quoted(node) || !YAML::convert<T>::decode(node, value)) refuse(key, node, allowed);
+  if (!node.IsScalar() || !YAML::convert<T>::decode(node, value)) refuse(key, node, allowed);
   return value;
 }
+
+/// An integer, also as 1e3 or 20.0.
+int read_integer(const std::string& key, const YAML::Node& node);
 
 /// A finite number.
 double read_number(const std::string& key, const YAML::Node& node, const std::string& allowed);

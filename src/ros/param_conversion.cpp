@@ -3,7 +3,10 @@
 #include <cmath>
 #include <limits>
 #include <locale>
+#include <optional>
 #include <sstream>
+
+#include "config/text_value.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -65,9 +68,12 @@ std::string to_yaml(XmlRpcValue& value) {
 }
 
 bool read_parameter(XmlRpcValue& parameters, const std::string& name, std::uint8_t& truth_value) {
-  if (type_of(parameters, name) != XmlRpcValue::TypeBoolean) return false;
-  truth_value = static_cast<bool>(parameters[name]) ? 1 : 0;
-  return true;
+  std::optional<bool> value;
+  const XmlRpcValue::Type type = type_of(parameters, name);
+  if (type == XmlRpcValue::TypeBoolean) value = static_cast<bool>(parameters[name]);
+  if (type == XmlRpcValue::TypeString) value = to_truth_value(static_cast<std::string>(parameters[name]));
+  if (value) truth_value = *value ? 1 : 0;
+  return value.has_value();
 }
 
 bool read_parameter(XmlRpcValue& parameters, const std::string& name, int& value) {
@@ -79,10 +85,13 @@ bool read_parameter(XmlRpcValue& parameters, const std::string& name, int& value
 }
 
 bool read_parameter(XmlRpcValue& parameters, const std::string& name, double& value) {
+  std::optional<double> number;
   const XmlRpcValue::Type type = type_of(parameters, name);
-  if (type == XmlRpcValue::TypeInt) value = static_cast<int>(parameters[name]);
-  if (type == XmlRpcValue::TypeDouble) value = static_cast<double>(parameters[name]);
-  return type == XmlRpcValue::TypeInt || type == XmlRpcValue::TypeDouble;
+  if (type == XmlRpcValue::TypeInt) number = static_cast<int>(parameters[name]);
+  if (type == XmlRpcValue::TypeDouble) number = static_cast<double>(parameters[name]);
+  if (type == XmlRpcValue::TypeString) number = to_number(static_cast<std::string>(parameters[name]));
+  if (number) value = *number;
+  return number.has_value();
 }
 
 bool read_parameter(XmlRpcValue& parameters, const std::string& name, std::string& value) {

@@ -228,6 +228,25 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
   EXPECT_NE(unknown_key_message("odometry_clock").find("motion_from_images"), std::string::npos);
 }
 
+// rosparam's YAML 1.1 makes a string of 2e-2 and of y, and a launch file's <param> makes one of a list.
+TEST(ParseConfig, TakesStringsThatAreEntirelyValues) {
+  EXPECT_EQ(parse("exposure_time: \"2e-2\"").shutter.exposure_ns, 20 * kMs);
+  EXPECT_EQ(parse("gamma: \"0.01\"").pipeline.kernel.gamma, 0.01);
+  for (const char* integer : {"1e2", "\"1e2\"", "100.0", "\"100\""}) {
+    EXPECT_EQ(parse(std::string("frame_queue_size: ") + integer).frame_queue_size, 100) << integer;
+  }
+  for (const char* off : {"false", "\"false\"", "\"no\"", "\"n\"", "\"off\"", "\"False\""}) {
+    EXPECT_FALSE(parse(std::string("validate: ") + off).pipeline.validation.enabled) << off;
+  }
+  EXPECT_TRUE(parse("drop_bad: \"y\"").drop_bad);
+  EXPECT_EQ(parse("max_extent: 100").pipeline.blur_field.max_extent_px, 100) << "an integer for a double";
+  const Eigen::Vector3d bias(-0.002, 0.021, 0.078);
+  EXPECT_EQ(parse("gyro_bias: [\"-2e-3\", \"0.021\", 0.078]").gyro.bias_rad_s, bias);
+  EXPECT_EQ(parse("gyro_bias: \"[-2e-3, 0.021, 0.078]\"").gyro.bias_rad_s, bias);
+  EXPECT_EQ((*parse("R_cam_imu: \"[0, -1, 0, -1, 0, 0, 0, 0, -1]\"").R_cam_imu)(0, 1), -1);
+  EXPECT_FALSE(parse("R_cam_imu: \"[]\"").R_cam_imu);
+}
+
 TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   const auto expect = [](const std::string& yaml, const std::string& start) {
     EXPECT_EQ(error_of(yaml).rfind(start, 0), 0u) << yaml << "\n" << error_of(yaml);
@@ -235,7 +254,12 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("gamma: low", "gamma = low is not a finite number");
   expect("gamma: .nan", "gamma = .nan is not a finite number");
   expect("gamma: .inf", "gamma = .inf is not a finite number");
-  expect("gamma: \"0.01\"", "gamma = \"0.01\" is not a finite number");
+  expect("gamma: \"0.01 px\"", "gamma = \"0.01 px\" is not a finite number");
+  expect("gamma: \"\"", "gamma = \"\" is not a finite number");
+  expect("block_size: \"64.5\"", "block_size = \"64.5\" is not an integer");
+  expect("validate: \"1\"", "validate = \"1\" is not true or false");
+  expect("gyro_bias: \"[0, 0]\"", "gyro_bias = [0, 0] is not a list of 3 finite numbers");
+  expect("gyro_bias: \"[0, 0\"", "gyro_bias = \"[0, 0\" is not a list of 3 finite numbers");
   expect("gamma: [0.01]", "gamma = [0.01] is not a finite number");
   expect("gamma:", "gamma = ~ is not a finite number");
   expect("exposure_time: 20ms", "exposure_time = 20ms is not a finite number of seconds");
