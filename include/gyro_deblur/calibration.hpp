@@ -21,21 +21,24 @@ struct SensorCalibration {
   std::optional<TimeNs> time_offset_ns;        ///< t_imu = t_cam + time_offset
   std::optional<TimeNs> readout_ns;            ///< first to one past the last row
   std::optional<TimeNs> frame_period_ns;       ///< > 0
+  std::vector<std::string> notes;  ///< what of a file was not understood: sentences that begin with its path
 };
 
 /// Reads a calibration file. Which format it has is told by its keys:
-/// - Kalibr's camchain.yaml and camchain-imucam.yaml (github.com/ethz-asl/kalibr/wiki/yaml-formats): pinhole with
-/// radtan,
-///   equidistant or none, `T_cam_imu`, `timeshift_cam_imu`;
+/// - Kalibr's camchain.yaml and camchain-imucam.yaml (github.com/ethz-asl/kalibr/wiki/yaml-formats), also as OpenVINS
+/// has
+///   them: pinhole with radtan, equidistant or none, ds, eucm, and omni with radtan or none; `T_cam_imu` or its inverse
+///   `T_imu_cam`, `timeshift_cam_imu`;
 /// - EuRoC's sensor.yaml of a camera (Burri et al., IJRR 2016): pinhole with radial-tangential or equidistant, `T_BS`
 ///   from camera to body, `rate_hz`. The IMU's own `T_BS` is read from ../imu0/sensor.yaml where that is; without it
 ///   the body is the IMU;
 /// - VINS-Mono's and VINS-Fusion's configuration (github.com/HKUST-Aerial-Robotics): `body_T_cam0`, or
 ///   `extrinsicRotation` and `extrinsicTranslation`, from camera to IMU; `td`, `rolling_shutter_tr`, intrinsics of the
-///   models PINHOLE and KANNALA_BRANDT in the same file or in that of `cam0_calib`;
+///   models PINHOLE, KANNALA_BRANDT and MEI in the same file or in that of `cam0_calib`;
+/// - Basalt's JSON (gitlab.com/VladyslavUsenko/basalt): `camera_type` ds, eucm, kb4, pinhole or pinhole-radtan8,
+///   `T_imu_cam`, `cam_time_offset_ns`;
 /// - camera_calibration's YAML (`camera_matrix`): intrinsics alone.
-/// Kalibr's fov, omni, eucm and ds and VINS' MEI have no equivalent in OpenCV's and ROS's pinhole models and are
-/// refused by name.
+/// Other lens models are refused by name. Keys that are not known are named in `notes`.
 /// @param camera  which of several, e.g. "cam1"
 /// Throws OptionError that begins with the path and names the key: one that is missing or has the wrong form, a value
 /// that is not finite, a matrix that is no rotation, a readout longer than the frame period.

@@ -23,14 +23,15 @@ struct CameraCalibration {
   int height_px = 0;
   double fx_px = 0, fy_px = 0, cx_px = 0, cy_px = 0;  ///< pixel centres at integers
   std::string model = "none";                         ///< sensor_msgs/CameraInfo's name of the lens model, or "none"
-  /// OpenCV's order: plumb_bob k1 k2 p1 p2 [k3]; rational_polynomial k1 k2 p1 p2 k3 k4 k5 k6; equidistant k1 k2 k3 k4.
+  /// OpenCV's order: plumb_bob k1 k2 p1 p2 k3; rational_polynomial k1 k2 p1 p2 k3 k4 k5 k6; equidistant k1 k2 k3 k4.
+  /// ds: xi alpha; eucm: alpha beta; mei: xi k1 k2 p1 p2. Zeros at the end may be missing, or too many.
   /// plumb_bob without any is an ideal lens (drivers of uncalibrated and simulated cameras send that).
   std::vector<double> coefficients;
   /// Camera frame of the calibration to the frame of the image: identity for raw images, camera_info's R for rectified
   /// ones (whose intrinsics are those of P).
   Eigen::Matrix3d R_image_cam = Eigen::Matrix3d::Identity();
 
-  /// Throws OptionError: sizes >= 1, finite focal lengths > 0, a known model and as many coefficients as it takes.
+  /// Throws OptionError: sizes >= 1, finite focal lengths > 0, a known model, and coefficients that it has.
   void validate() const;
   bool operator==(const CameraCalibration& other) const;
   bool operator!=(const CameraCalibration& other) const { return !(*this == other); }

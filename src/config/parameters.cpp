@@ -78,8 +78,8 @@ using Shutter = ShutterTiming;
 ParameterGroup calibration_files() {
   return {
       "calibration files",
-      "Kalibr's camchain-imucam.yaml, EuRoC's sensor.yaml, VINS' configuration or camera_calibration's YAML, as they "
-      "are; one path or a list. What a file says need not be set below; where both say something they have to agree.",
+      "Kalibr's camchain-imucam.yaml (also OpenVINS'), EuRoC's sensor.yaml, VINS' configuration, Basalt's JSON or "
+      "camera_calibration's YAML, as they are; one path or a list. What a file says need not be set below; where both say something they have to agree.",
       {
           {"calibration_file", &Config::calibration_files,
            "relative to the configuration file, for the nodelet absolute; '': none"},

@@ -5,7 +5,6 @@
 
 #include <Eigen/Geometry>
 
-#include "base/listing.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "motion/lens_models.hpp"
 
@@ -28,16 +27,7 @@ void CameraCalibration::validate() const {
   require_range("camera fy", fy_px, smallest, largest, "px");
   require_range("camera cx", cx_px, -largest, largest, "px");
   require_range("camera cy", cy_px, -largest, largest, "px");
-  const std::vector<std::size_t>& counts = lens_model(model).coefficient_counts;
-  if (std::find(counts.begin(), counts.end(), coefficients.size()) == counts.end()) {
-    std::vector<std::string> allowed;
-    for (const std::size_t count : counts) allowed.push_back(std::to_string(count));
-    throw OptionError("camera distortion has " + std::to_string(coefficients.size()) + " coefficients; " + model +
-                      " takes " + listing(allowed, "or"));
-  }
-  for (const double coefficient : coefficients) {
-    require_range("camera distortion coefficient", coefficient, -largest, largest);
-  }
+  require_coefficients(lens_model(model), coefficients);
   require_rotation("camera R", R_image_cam);
 }
 
@@ -50,7 +40,7 @@ bool CameraCalibration::operator==(const CameraCalibration& other) const {
 Camera::Camera(const CameraCalibration& calibration) : calibration_(calibration) {
   calibration.validate();
   R_image_cam_ = require_rotation("camera R", calibration.R_image_cam);
-  lens_ = lens_model(calibration.model).make(calibration.coefficients);
+  lens_ = make_lens(lens_model(calibration.model), calibration.coefficients);
 }
 
 Eigen::Vector3d Camera::ray(const Eigen::Vector2d& pixel_px) const {

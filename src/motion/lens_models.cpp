@@ -3,10 +3,14 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <sstream>
 
 #include <Eigen/LU>
 
+#include "base/listing.hpp"
+#include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/option_error.hpp"
+#include "motion/sphere_lenses.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -190,12 +194,10 @@ class RadialTangential : public LensModel {
   double limit_;    // undistorted radius up to which the curve increases
 };
 
-/// k1 k2 p1 p2 [k3]. Without any it is an ideal lens: drivers of uncalibrated and simulated cameras send that.
+/// k1 k2 p1 p2 k3.
 class PlumbBob : public RadialTangential {
  public:
-  explicit PlumbBob(const std::vector<double>& k)
-      : RadialTangential(k.empty() ? RadialCurve{} : RadialCurve{{1, k[0], k[1], k.size() > 4 ? k[4] : 0, 0}},
-                         k.empty() ? 0 : k[2], k.empty() ? 0 : k[3]) {}
+  explicit PlumbBob(const std::vector<double>& k) : RadialTangential({{1, k[0], k[1], k[4], 0}}, k[2], k[3]) {}
 };
 
 /// k1 k2 p1 p2 k3 k4 k5 k6.
@@ -240,29 +242,111 @@ std::unique_ptr<const LensModel> make(const std::vector<double>& coefficients) {
   return std::make_unique<Model>(coefficients);
 }
 
+/// The table, whose rows a row's documentation explains.
+std::vector<LensModelRow> make_table() {
+  constexpr double kLargest = std::numeric_limits<double>::max();
+  constexpr double kSmallest = std::numeric_limits<double>::min();
+  const std::array<std::string, 4> kBasalt{"intrinsics.fx", "intrinsics.fy", "intrinsics.cx", "intrinsics.cy"};
+  const auto in = [](const std::string& section, std::vector<std::string> keys) {
+    for (std::string& key : keys) key = section + "." + key;
+    return keys;
+  };
+  return {
+      {"plumb_bob",
+       "plumb_bob",
+       true,
+       5,
+       0,  // drivers of uncalibrated and simulated cameras send none
+       {},
+       {"pinhole", "radtan", 0, 4},
+       {"radial-tangential", 4},
+       {"PINHOLE",
+        {"projection_parameters.fx", "projection_parameters.fy", "projection_parameters.cx",
+         "projection_parameters.cy"},
+        in("distortion_parameters", {"k1", "k2", "p1", "p2"})},
+       {},
+       make<PlumbBob>},
+      {"rational_polynomial",
+       "rational_polynomial",
+       true,
+       8,
+       0,
+       {},
+       {},
+       {},
+       {},
+       {"pinhole-radtan8", kBasalt, in("intrinsics", {"k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"})},
+       make<RationalPolynomial>},
+      {"equidistant",
+       "equidistant",
+       true,
+       4,
+       1,  // without any it would still be no ideal lens
+       {},
+       {"pinhole", "equidistant", 0, 4},
+       {"equidistant", 4},
+       // Its k2 to k5 are OpenCV's k1 to k4 of the same polynomial.
+       {"KANNALA_BRANDT",
+        {"projection_parameters.mu", "projection_parameters.mv", "projection_parameters.u0",
+         "projection_parameters.v0"},
+        in("projection_parameters", {"k2", "k3", "k4", "k5"})},
+       {"kb4", kBasalt, in("intrinsics", {"k1", "k2", "k3", "k4"})},
+       make<Equidistant>},
+      {"ds",
+       "ds",
+       false,
+       2,
+       2,
+       {{"xi", -1, 1}, {"alpha", 0, 1}},
+       {"ds", "none", 2, 0},
+       {},
+       {},
+       {"ds", kBasalt, in("intrinsics", {"xi", "alpha"})},
+       make_double_sphere},
+      {"eucm",
+       "eucm",
+       false,
+       2,
+       2,
+       {{"alpha", 0, 1}, {"beta", kSmallest, kLargest}},
+       {"eucm", "none", 2, 0},
+       {},
+       {},
+       {"eucm", kBasalt, in("intrinsics", {"alpha", "beta"})},
+       make_extended_unified},
+      {"mei",
+       "mei",
+       false,
+       5,
+       1,
+       {{"xi", 0, kLargest}},
+       {"omni", "radtan", 1, 4},
+       {},
+       {"MEI",
+        {"projection_parameters.gamma1", "projection_parameters.gamma2", "projection_parameters.u0",
+         "projection_parameters.v0"},
+        {"mirror_parameters.xi", "distortion_parameters.k1", "distortion_parameters.k2", "distortion_parameters.p1",
+         "distortion_parameters.p2"}},
+       {},
+       make_mei},
+      {"none",
+       "plumb_bob",
+       true,
+       0,
+       0,
+       {},
+       {"pinhole", "none", 0, 0},
+       {},
+       {},
+       {"pinhole", kBasalt, {}},
+       make<RadialTangential>},
+  };
+}
+
 }  // namespace
 
 const std::vector<LensModelRow>& lens_models() {
-  // name, name in a CameraInfo, numbers of coefficients, Kalibr, EuRoC, camodocal, class
-  static const std::vector<LensModelRow> kModels{
-      {"plumb_bob",
-       "plumb_bob",
-       {0, 4, 5},
-       {"radtan", 4},
-       {"radial-tangential", 4},
-       {"PINHOLE", {"fx", "fy", "cx", "cy"}, "distortion_parameters", {"k1", "k2", "p1", "p2"}},
-       make<PlumbBob>},
-      {"rational_polynomial", "rational_polynomial", {8}, {}, {}, {}, make<RationalPolynomial>},
-      {"equidistant",
-       "equidistant",
-       {4},
-       {"equidistant", 4},
-       {"equidistant", 4},
-       // Its k2 to k5 are OpenCV's k1 to k4 of the same polynomial.
-       {"KANNALA_BRANDT", {"mu", "mv", "u0", "v0"}, "projection_parameters", {"k2", "k3", "k4", "k5"}},
-       make<Equidistant>},
-      {"none", "plumb_bob", {0}, {"none", 0}, {}, {}, make<RadialTangential>},
-  };
+  static const std::vector<LensModelRow> kModels = make_table();
   return kModels;
 }
 
@@ -275,10 +359,56 @@ const LensModelRow& lens_model(const std::string& name) {
   throw OptionError("distortion_model = \"" + name + "\" is not one of" + names);
 }
 
+const LensModelRow& camera_info_model(const std::string& name) {
+  const LensModelRow& row = lens_model(require_distortion_model(name));
+  if (row.is_in_camera_info) return row;
+  std::string names;
+  for (const LensModelRow& known : lens_models()) {
+    if (known.is_in_camera_info) names += " " + known.name;
+  }
+  throw OptionError("distortion_model = \"" + name +
+                    "\" has no coefficients in a camera_info, which can have those of" + names +
+                    ": set calibration_file to the file that the lens was calibrated with");
+}
+
 std::vector<std::string> lens_model_names() {
   std::vector<std::string> names;
   for (const LensModelRow& row : lens_models()) names.push_back(row.name);
   return names;
+}
+
+void require_coefficients(const LensModelRow& model, const std::vector<double>& coefficients) {
+  const auto refuse = [&](const std::string& what) {
+    throw OptionError("camera distortion has " + std::to_string(coefficients.size()) + " coefficients, but " +
+                      model.name + " has " + std::to_string(model.coefficient_count) + what);
+  };
+  if (coefficients.size() < model.fewest_given) {
+    std::vector<std::string> names;
+    for (const ShapeCoefficient& coefficient : model.shape) names.push_back(coefficient.name);
+    refuse(names.empty() ? ", of which the first has to be given"
+                         : ", of which " + listing(names, "and") + " have to be given");
+  }
+  constexpr double kLargest = std::numeric_limits<double>::max();
+  for (std::size_t i = 0; i < coefficients.size(); ++i) {
+    const std::string name = "camera distortion coefficient " + std::to_string(i + 1);
+    if (i < model.shape.size()) {
+      const ShapeCoefficient& shape = model.shape[i];
+      require_range((name + " (" + shape.name + " of " + model.name + ")").c_str(), coefficients[i], shape.min,
+                    shape.max);
+    } else {
+      require_range(name.c_str(), coefficients[i], -kLargest, kLargest);
+    }
+    if (i < model.coefficient_count || coefficients[i] == 0) continue;
+    std::ostringstream text;
+    text << ": number " << i + 1 << " is " << coefficients[i] << ", where only zeros are allowed";
+    refuse(text.str());
+  }
+}
+
+std::unique_ptr<const LensModel> make_lens(const LensModelRow& model, std::vector<double> coefficients) {
+  require_coefficients(model, coefficients);
+  coefficients.resize(model.coefficient_count, 0.0);
+  return model.make(coefficients);
 }
 
 }  // namespace gyro_deblur

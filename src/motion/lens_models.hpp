@@ -30,39 +30,68 @@ class LensModel {
   virtual double max_angle_rad() const = 0;
 };
 
-/// A model in a calibration file whose list of coefficients is in OpenCV's order.
-struct ListedLens {
-  std::string name;              ///< "": the format does not have the model
-  std::size_t coefficients = 0;  ///< how many the format lists
+/// A model in a file of Kalibr.
+struct KalibrLens {
+  std::string camera_model;       ///< "": the format does not have the model
+  std::string distortion_model;   ///< "none" in a file leaves out the listed coefficients
+  std::size_t in_intrinsics = 0;  ///< coefficients before fu, fv, pu, pv in `intrinsics`
+  std::size_t in_distortion = 0;  ///< how many `distortion_coeffs` lists
 };
 
-/// A model in a file of camodocal (VINS), where each number has a key.
+/// A model in EuRoC's file of a camera, whose list of coefficients is in OpenCV's order.
+struct EurocLens {
+  std::string name;               ///< "": the format does not have the model
+  std::size_t in_distortion = 0;  ///< how many the format lists
+};
+
+/// A model in a file where each number has a key.
 struct KeyedLens {
   std::string name;                       ///< "": the format does not have the model
-  std::array<std::string, 4> intrinsics;  ///< fx, fy, cx, cy: keys of projection_parameters
-  std::string section;                    ///< that has the coefficients
-  std::vector<std::string> coefficients;  ///< keys, in OpenCV's order
+  std::array<std::string, 4> intrinsics;  ///< keys of fx, fy, cx, cy, with those of the maps that they are in: "a.b"
+  std::vector<std::string> coefficients;  ///< keys of the model's first coefficients
+};
+
+/// A coefficient that shapes the lens, so that 0 is no substitute for it.
+struct ShapeCoefficient {
+  std::string name;
+  double min, max;
 };
 
 /// A row of the table of lens models.
 struct LensModelRow {
-  std::string name;                             ///< of sensor_msgs/CameraInfo; "none" is the ideal lens
-  std::string camera_info_name;                 ///< what to send in a CameraInfo, which has no name for the ideal lens
-  std::vector<std::size_t> coefficient_counts;  ///< allowed numbers of coefficients, rising
-  ListedLens kalibr;
-  ListedLens euroc;
-  KeyedLens camodocal;
-  /// @param coefficients  finite, in OpenCV's order, as many as coefficient_counts allows
+  std::string name;              ///< that of sensor_msgs/CameraInfo where it has the model; "none" is the ideal lens
+  std::string camera_info_name;  ///< what to send in a CameraInfo, which has no name for the ideal lens
+  bool is_in_camera_info;        ///< sensor_msgs/CameraInfo says what D means
+  std::size_t coefficient_count;
+  std::size_t fewest_given;             ///< coefficients that a source must have; missing ones after these are 0
+  std::vector<ShapeCoefficient> shape;  ///< the first coefficients, where they have a range
+  KalibrLens kalibr;
+  EurocLens euroc;
+  KeyedLens camodocal;  ///< VINS
+  KeyedLens basalt;     ///< relative to an element of value0.intrinsics
+  /// @param coefficients  coefficient_count finite numbers
   std::unique_ptr<const LensModel> (*make)(const std::vector<double>& coefficients);
 };
 
 /// All lens models.
 const std::vector<LensModelRow>& lens_models();
 
-/// The row of sensor_msgs' name. Throws OptionError that lists the known names.
+/// The row of a name. Throws OptionError that lists the known names.
 const LensModelRow& lens_model(const std::string& name);
+
+/// The row of a model whose coefficients a sensor_msgs/CameraInfo has; "" is the ideal lens. Throws OptionError that
+/// lists those names, for the other models with the remedy.
+const LensModelRow& camera_info_model(const std::string& name);
 
 /// Their names in the table's order.
 std::vector<std::string> lens_model_names();
+
+/// The one rule for coefficients from any source: zeros at the end may be missing, and there may be too many.
+/// Throws OptionError with the model, the count and what is allowed for coefficients that the model does not have, for
+/// too few, and for those that are not finite or out of range.
+void require_coefficients(const LensModelRow& model, const std::vector<double>& coefficients);
+
+/// A lens. Throws what require_coefficients() throws.
+std::unique_ptr<const LensModel> make_lens(const LensModelRow& model, std::vector<double> coefficients);
 
 }  // namespace gyro_deblur

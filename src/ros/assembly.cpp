@@ -57,26 +57,26 @@ void take_times(const Exposure& message, ShutterTiming* timing) {
 /// file.
 void set_calibration(const Config& config, PendingFrame* frame) {
   const int width_px = static_cast<int>(frame->image->width), height_px = static_cast<int>(frame->image->height);
-  if (!config.calibration || !config.calibration->camera || !frame->described_by_topic) {
+  if (!config.calibration || !config.calibration->camera) {
     frame->calibration = to_calibration(*frame->info, width_px, height_px, config.rectified_input);
     return;
   }
   // The file describes the whole sensor; camera_info says which part of it the image shows.
-  sensor_msgs::CameraInfo described = camera_info_message(*config.calibration->camera);
-  described.roi = frame->info->roi;
-  described.binning_x = frame->info->binning_x;
-  described.binning_y = frame->info->binning_y;
-  const bool file_holds =
-      config.on_calibration_conflict == OnCalibrationConflict::CONFIGURED || is_uncalibrated(*frame->info);
+  const auto by_file = [&] { return to_calibration(*config.calibration->camera, *frame->info, width_px, height_px); };
+  if (!frame->described_by_topic) {
+    frame->calibration = by_file();
+    return;
+  }
+  const bool file_holds = config.on_calibration_conflict == OnCalibrationConflict::CONFIGURED ||
+                          is_uncalibrated(*frame->info) || lacks_lens(*frame->info);
   if (file_holds && !config.rectified_input) {
-    frame->calibration = to_calibration(described, width_px, height_px, false);
+    frame->calibration = by_file();
     return;
   }
   frame->calibration = to_calibration(*frame->info, width_px, height_px, config.rectified_input);
   // P and R of a rectified image have no counterpart in the file.
   if (!config.rectified_input) {
-    require_agreement(*frame->calibration, "camera_info", to_calibration(described, width_px, height_px, false),
-                      config.calibration->origin);
+    require_agreement(*frame->calibration, "camera_info", by_file(), config.calibration->origin);
   }
 }
 

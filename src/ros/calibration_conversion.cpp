@@ -99,7 +99,11 @@ CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_
       throw OptionError("camera_info: distortion_model is empty, but D has " + std::to_string(info.D.size()) +
                         " coefficients");
     }
-    calibration.model = require_distortion_model(info.distortion_model);
+    try {
+      calibration.model = camera_info_model(info.distortion_model).name;
+    } catch (const OptionError& error) {
+      throw OptionError(std::string("camera_info: ") + error.what());
+    }
     calibration.coefficients = info.D;
     if (info.D.empty()) calibration.model = "none";  // a model without coefficients distorts nothing
   }
@@ -107,13 +111,38 @@ CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_
   return calibration;
 }
 
+CameraCalibration to_calibration(const CameraCalibration& sensor, const sensor_msgs::CameraInfo& shown,
+                                 int image_width_px, int image_height_px) {
+  CameraCalibration pinhole = sensor;
+  pinhole.model = "none";
+  pinhole.coefficients.clear();
+  sensor_msgs::CameraInfo info = camera_info_message(pinhole);
+  info.roi = shown.roi;
+  info.binning_x = shown.binning_x;
+  info.binning_y = shown.binning_y;
+  CameraCalibration calibration = to_calibration(info, image_width_px, image_height_px, false);
+  calibration.model = sensor.model;  // a region and binning leave distortion as it is
+  calibration.coefficients = sensor.coefficients;
+  calibration.validate();
+  return calibration;
+}
+
+bool lacks_lens(const sensor_msgs::CameraInfo& info) {
+  const std::vector<std::string> names = lens_model_names();
+  return std::find(names.begin(), names.end(), info.distortion_model) != names.end() &&
+         !lens_model(info.distortion_model).is_in_camera_info;
+}
+
 sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera) {
   sensor_msgs::CameraInfo info;
   info.width = static_cast<std::uint32_t>(camera.width_px);
   info.height = static_cast<std::uint32_t>(camera.height_px);
-  info.D = camera.coefficients;
-  info.distortion_model = lens_model(camera.model).camera_info_name;
-  info.D.resize(lens_model(info.distortion_model).coefficient_counts.back(), 0.0);  // image_geometry wants all of them
+  const LensModelRow& lens = lens_model(lens_model(camera.model).camera_info_name);
+  info.distortion_model = lens.name;
+  if (lens.is_in_camera_info) {
+    info.D = camera.coefficients;
+    info.D.resize(lens.coefficient_count, 0.0);  // image_geometry wants all of them
+  }
   info.K = {camera.fx_px, 0, camera.cx_px, 0, camera.fy_px, camera.cy_px, 0, 0, 1};
   info.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
   info.P = {camera.fx_px, 0, camera.cx_px, 0, 0, camera.fy_px, camera.cy_px, 0, 0, 0, 1, 0};

@@ -18,17 +18,26 @@ namespace gyro_deblur {
 CameraCalibration to_calibration(const sensor_msgs::CameraInfo& info, int image_width_px, int image_height_px,
                                  bool rectified_input);
 
+/// Calibration of an image that shows the part of a sensor that `shown` says: its region of interest and binning,
+/// nothing else of it. Throws OptionError with the values for another size than the image's.
+/// @param sensor  of the whole sensor, e.g. from a file; keeps its lens model
+CameraCalibration to_calibration(const CameraCalibration& sensor, const sensor_msgs::CameraInfo& shown,
+                                 int image_width_px, int image_height_px);
+
 /// True when width and height are 0, and there is no region of interest: the size is not filled in.
 bool lacks_size(const sensor_msgs::CameraInfo& info);
 
 /// True when camera_info says that the camera is not calibrated: K[0] = 0, by sensor_msgs/CameraInfo.msg.
 bool is_uncalibrated(const sensor_msgs::CameraInfo& info);
 
+/// True when camera_info names a lens model whose coefficients it cannot have, as camera_info_message() makes it.
+bool lacks_lens(const sensor_msgs::CameraInfo& info);
+
 /// True when camera_info is about images of this size, its region of interest and binning considered, or lacks_size().
 bool describes_size(const sensor_msgs::CameraInfo& info, double image_width_px, double image_height_px);
 
-/// The way back, for a raw image: P repeats K. Without distortion the model is plumb_bob with zeros. The header is left
-/// empty.
+/// The way back, for a raw image: P repeats K. Without distortion the model is plumb_bob with zeros. A model whose
+/// coefficients sensor_msgs does not define leaves its name, and D empty. The header is left empty.
 sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera);
 
 /// Readout time of the image's region of interest when the whole sensor takes `full_readout_ns`: rows outside the

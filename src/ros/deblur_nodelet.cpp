@@ -192,7 +192,10 @@ std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
     config = parse_config(to_yaml(given_parameters_), &unknown);
     NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (from Kalibr: see doc/guides/calibration.md)",
                  to_seconds(config->gyro.time_offset_ns));
-    if (config->calibration) NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
+    if (config->calibration) {
+      NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
+      for (const std::string& note : config->calibration->notes) NODELET_WARN_STREAM(note);
+    }
     if (config->shutter.exposure_ns == 0) {
       NODELET_WARN("no parameter exposure_time (0, 1] s: only frames with an exposure message can be deblurred");
     }

@@ -13,6 +13,7 @@
 #include "gyro_deblur/config.hpp"
 #include "ros/conversions.hpp"
 #include "tools/bag_file.hpp"
+#include "tools/config_file.hpp"
 #include "tools/output_file.hpp"
 #include "tools/timing_footage.hpp"
 #include "tools/timing_report.hpp"
@@ -90,7 +91,7 @@ void warn(const TimingEstimate& estimate, const Footage& footage) {
 void run(const Arguments& arguments) {
   const InputBag input(arguments.bag);
   Config config;
-  if (!arguments.config.empty()) config = load_config(arguments.config);
+  if (!arguments.config.empty()) config = read_config("calibrate_timing", arguments.config);
   FootageTopics topics;
   Footage footage;
   TimingResult result;

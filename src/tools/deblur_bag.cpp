@@ -25,6 +25,7 @@
 #include "ros/processor.hpp"
 #include "tools/bag_file.hpp"
 #include "tools/bag_reading.hpp"
+#include "tools/config_file.hpp"
 #include "tools/deblur_feed.hpp"
 #include "tools/deblur_output.hpp"
 #include "tools/deblur_topics.hpp"
@@ -53,16 +54,6 @@ struct Outcome {
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();
   double processing_ms = 0, bag_s = 0, wall_s = 0;
 };
-
-Config read_config(const std::string& path) {
-  std::vector<std::string> unknown;
-  Config config = load_config(path, &unknown);
-  for (const std::string& key : unknown) {
-    if (key == "image_transport") continue;  // of the nodelet; a bag's messages say by their type how to read them
-    std::cerr << "deblur_bag: " << path << ": key " << unknown_key_message(key) << '\n';
-  }
-  return config;
-}
 
 /// Bias [rad/s] from the first `seconds` of the IMU topic. Throws std::runtime_error when the sensor moved.
 Eigen::Vector3d bias_of_first(const rosbag::Bag& bag, const std::string& imu_topic, double seconds,
@@ -223,7 +214,7 @@ void run(const Arguments& arguments) {
   if (std::filesystem::exists(arguments.output) && std::filesystem::equivalent(arguments.input, arguments.output)) {
     throw std::runtime_error(arguments.output + ": output would overwrite the input");
   }
-  Config config = read_config(arguments.config);
+  Config config = read_config("deblur_bag", arguments.config);
   if (arguments.threads) config.pipeline.threads = *arguments.threads;
   if (!arguments.mask.empty()) config.mask_file = arguments.mask;
   if (!config.mask_file.empty()) load_mask(config.mask_file);  // refused before the bag is read

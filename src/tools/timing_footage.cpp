@@ -74,7 +74,8 @@ void read_camera(const rosbag::Bag& bag, const sensor_msgs::Image& image, const 
       info.binning_y = first->binning_y;
     }
   }
-  footage->camera = to_calibration(info, width, height, config.rectified_input);
+  footage->camera = from_file ? to_calibration(*config.calibration->camera, info, width, height)
+                              : to_calibration(info, width, height, config.rectified_input);
   constexpr TimeNs kWhole = 1'000'000'000;
   footage->readout_part = to_seconds(region_readout_ns(kWhole, info)) / to_seconds(kWhole);
 }

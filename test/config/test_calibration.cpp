@@ -6,6 +6,9 @@
 #include <fstream>
 #include <sstream>
 #include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
 
 #include <gtest/gtest.h>
 #include <yaml-cpp/yaml.h>
@@ -92,6 +95,42 @@ TEST(LoadCalibration, EquivalentFilesGiveTheSameInternalForm) {
   ASSERT_TRUE(info.camera);
   EXPECT_NO_THROW(require_agreement(*info.camera, "camera_info", camera0(), "truth"));
   EXPECT_FALSE(info.R_cam_imu);
+}
+
+/// A camera of the size and centre of camera0().
+CameraCalibration fisheye(const std::string& model, double fx_px, double fy_px, std::vector<double> coefficients) {
+  CameraCalibration camera = camera0();
+  camera.model = model;
+  camera.fx_px = fx_px;
+  camera.fy_px = fy_px;
+  camera.coefficients = std::move(coefficients);
+  return camera;
+}
+
+TEST(LoadCalibration, ReadsEveryLensModelFromTheFormatsThatHaveIt) {
+  const CameraCalibration ds = fisheye("ds", 300.5, 300.25, {-0.17, 0.59});
+  const CameraCalibration eucm = fisheye("eucm", 310.5, 310.25, {0.62, 1.1});
+  const CameraCalibration mei = fisheye("mei", 1160.5, 1159.25, {2.2, 0.14, 0.91, 0.0012, 0.002});
+  const CameraCalibration undistorted = fisheye("mei", 760.5, 759.25, {1.1});
+  const CameraCalibration kb4 = fisheye("equidistant", 462.5, 461.75, {-0.013, 0.021, -0.0105, 0.00225});
+  const CameraCalibration radtan8 =
+      fisheye("rational_polynomial", 458.25, 457.5, {0.6, -0.2, 0.0005, -0.0004, 0.01, 0.85, -0.12, -0.01});
+  const std::tuple<const char*, const char*, CameraCalibration> kFiles[] = {
+      {"kalibr_fisheye.yaml", "cam0", ds},  {"kalibr_fisheye.yaml", "cam1", eucm},
+      {"kalibr_fisheye.yaml", "cam2", mei}, {"kalibr_fisheye.yaml", "cam3", undistorted},
+      {"basalt.json", "cam0", ds},          {"basalt.json", "cam1", eucm},
+      {"basalt.json", "cam2", kb4},         {"basalt.json", "cam3", fisheye("none", 458.25, 457.5, {})},
+      {"basalt.json", "cam4", radtan8},
+  };
+  for (const auto& [file, name, camera] : kFiles) {
+    SCOPED_TRACE(name);
+    const SensorCalibration calibration = load_calibration(kFolder + file, name);
+    expect_same(calibration, camera, T_cam0_imu(), file);
+    EXPECT_EQ(calibration.time_offset_ns, kTimeOffset);
+    EXPECT_EQ(calibration.notes, std::vector<std::string>());
+  }
+  EXPECT_EQ(to_string(*load_calibration(kFolder + "vins_mei.yaml").camera), to_string(mei));
+  expect_same(load_calibration(kFolder + "openvins.yaml"), camera0(), T_cam0_imu(), "OpenVINS");
 }
 
 TEST(LoadCalibration, TakesTheCameraThatIsNamed) {
@@ -194,7 +233,9 @@ TEST(LoadCalibration, RefusesNumbersThatCannotBe) {
                  "cam0.timeshift_cam_imu = .nan is not a finite number of seconds");
   expect_refused("kalibr.yaml", "intrinsics: [458.25", "intrinsics: [.inf", "cam0.intrinsics = .inf is not");
   expect_refused("kalibr.yaml", "intrinsics: [458.25", "intrinsics: [0", "cam0.camera fx = 0 is outside");
-  expect_refused("kalibr.yaml", "[-0.28, 0.07,", "[-0.28,", "cam0.distortion_coeffs = [-0.28, 0.0002, -0.00015]");
+  expect_refused(
+      "kalibr.yaml", "[-0.28, 0.07,", "[-0.28, 0, 0, 0.07,",
+      "cam0.camera distortion has 6 coefficients, but plumb_bob has 5: number 6 is -0.00015, where only zeros");
   expect_refused("kalibr.yaml", "[752, 480]", "[752.5, 480]", "cam0.resolution = [752.5, 480] is not whole pixels");
   expect_refused("kalibr.yaml", "[752, 480]", "[0, 480]", "cam0.camera width = 0 is outside");
   expect_refused("mav0/cam0/sensor.yaml", "rate_hz: 20", "rate_hz: 0", "rate_hz = 0 is outside");
@@ -203,12 +244,99 @@ TEST(LoadCalibration, RefusesNumbersThatCannotBe) {
 
 TEST(LoadCalibration, RefusesModelsWithoutEquivalentByName) {
   expect_refused("kalibr.yaml", "radtan", "fov", "cam0.distortion_model = fov is not supported");
-  for (const char* model : {"omni", "eucm", "ds"}) {
-    expect_refused("kalibr.yaml", "pinhole", model, std::string("cam0.camera_model = ") + model + " is not supported");
-  }
+  expect_refused("kalibr.yaml", "pinhole", "ucm",
+                 "cam0.camera_model = ucm is not supported; supported are pinhole, ds, eucm and omni");
+  expect_refused("kalibr.yaml", "pinhole", "ds",
+                 "cam0.distortion_model = radtan is not supported; with camera_model ds supported are none");
+  expect_refused("kalibr.yaml", "pinhole", "omni",
+                 "cam0.intrinsics = [458.25, 457.5, 367.125, 248.75] is not a list of 5 numbers");
   expect_refused("mav0/cam0/sensor.yaml", "radial-tangential", "fov", "distortion_model = fov is not supported");
-  expect_refused("vins_mono.yaml", "PINHOLE", "MEI", "model_type = MEI is not supported");
+  expect_refused("vins_mono.yaml", "PINHOLE", "SCARAMUZZA",
+                 "model_type = SCARAMUZZA is not supported; supported are PINHOLE, KANNALA_BRANDT and MEI");
+  expect_refused(
+      "basalt.json", "\"ds\"", "\"ucm\"",
+      "value0.intrinsics[0].camera_type = ucm is not supported; supported are pinhole-radtan8, kb4, ds, eucm");
+  expect_refused("camera_info.yaml", "plumb_bob", "ds",
+                 "distortion_model = \"ds\" has no coefficients in a camera_info");
   expect_refused("camera_info.yaml", "plumb_bob", "fov", "distortion_model = \"fov\" is not one of plumb_bob");
+}
+
+TEST(LoadCalibration, RefusesShapesAndPosesThatAreNone) {
+  expect_refused("kalibr_fisheye.yaml", "[-0.17, 0.59,", "[-1.7, 0.59,",
+                 "cam0.camera distortion coefficient 1 (xi of ds) = -1.7 is outside [-1, 1]");
+  expect_refused("basalt.json", "\"alpha\": 0.59", "\"alpha\": 5.9",
+                 "value0.intrinsics[0].camera distortion coefficient 2 (alpha of ds) = 5.9 is outside [0, 1]");
+  expect_refused("basalt.json", "\"xi\"", "\"x\"", "value0.intrinsics[0].intrinsics.xi is missing");
+  expect_refused("basalt.json", "\"qw\": ", "\"qw\": 1", "value0.T_imu_cam[0].qx, qy, qz, qw have the norm");
+  EXPECT_NE(error_of(kFolder + "basalt.json", "cam5").find("value0.intrinsics[5] is missing; the list has 5 elements"),
+            std::string::npos);
+  expect_refused("vins_mei.yaml", "xi:", "x:", "mirror_parameters.xi is missing");
+  // Both keys of OpenVINS and Kalibr, that are no inverses of each other.
+  const Edited both("kalibr.yaml", "  cam_overlaps: [1]",
+                    "  T_imu_cam: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]");
+  EXPECT_NE(error_of(both.path()).find("cam0.T_imu_cam (they differ by"), std::string::npos) << error_of(both.path());
+}
+
+// Basalt calibrates the cameras first, and writes the identity for what it does not know yet.
+TEST(LoadCalibration, DoesNotTakeBasaltsIdentityForARotation) {
+  YAML::Node root = YAML::LoadFile(kFolder + "basalt.json");
+  YAML::Node pose = root["value0"]["T_imu_cam"][0];
+  for (const char* key : {"px", "py", "pz", "qx", "qy", "qz"}) pose[key] = 0;
+  pose["qw"] = 1;
+  const std::string path = testing::TempDir() + "gyro_deblur_identity.json";
+  std::ofstream(path) << root;
+  const SensorCalibration calibration = load_calibration(path);
+  EXPECT_FALSE(calibration.R_cam_imu);
+  ASSERT_EQ(calibration.notes.size(), 1u);
+  EXPECT_EQ(calibration.notes[0].rfind(path + ": value0.T_imu_cam[0] is the identity", 0), 0u) << calibration.notes[0];
+  std::remove(path.c_str());
+}
+
+TEST(LoadCalibration, NamesKeysThatAreNotKnownOnce) {
+  for (const char* file : {"kalibr.yaml", "kalibr_fisheye.yaml", "openvins.yaml", "mav0/cam0/sensor.yaml",
+                           "vins_mono.yaml", "vins_fusion.yaml", "vins_mei.yaml", "basalt.json", "camera_info.yaml"}) {
+    EXPECT_EQ(load_calibration(kFolder + file).notes, std::vector<std::string>()) << file;
+  }
+  const auto notes_of = [](const std::string& file, const std::string& from, const std::string& to) {
+    const Edited edited(file, from, to);
+    std::string text;
+    for (std::string note : load_calibration(edited.path()).notes) {
+      EXPECT_EQ(note.rfind(edited.path() + ": ", 0), 0u) << note;
+      text += note.substr(edited.path().size() + 2) + "|";
+    }
+    return text;
+  };
+  const std::string advice = "ignored: doc/guides/calibration.md lists the keys that are read|";
+  EXPECT_EQ(notes_of("kalibr.yaml", "  T_cam_imu", "  line_delay: 1\n  T_camera_imu"),
+            "cam0.line_delay and cam0.T_camera_imu are not known and " + advice);
+  EXPECT_EQ(notes_of("vins_mono.yaml", "\ntd:", "\ntime_delay:"), "time_delay is not known and " + advice);
+  EXPECT_EQ(notes_of("vins_mono.yaml", "   k1:", "   k3: 0.1\n   k1:"),
+            "distortion_parameters.k3 is not known and " + advice);
+  EXPECT_EQ(notes_of("basalt.json", "\"xi\"", "\"k1\": 0.1, \"xi\""),
+            "value0.intrinsics[0].intrinsics.k1 is not known and " + advice);
+  EXPECT_EQ(notes_of("camera_info.yaml", "camera_name", "name"), "name is not known and " + advice);
+  EXPECT_EQ(notes_of("kalibr.yaml", "[-0.28, 0.07,", "[-0.28,"),
+            "cam0.distortion_coeffs has 3 of 4 coefficients: the last ones are taken as 0|");
+  const Edited edited("kalibr.yaml", "cam_overlaps", "overlaps");
+  const Config config = parse_config("calibration_file: [" + edited.path() + ", " + kFolder + "camera_info.yaml]");
+  ASSERT_EQ(config.calibration->notes.size(), 1u) << "the sources' notes are kept";
+  EXPECT_NE(config.calibration->notes[0].find("cam0.overlaps is not known"), std::string::npos);
+}
+
+TEST(LoadCalibration, TakesZerosThatAreMissingOrTooMany) {
+  const auto camera_of = [](const std::string& file, const std::string& from, const std::string& to) {
+    const Edited edited(file, from, to);
+    return *load_calibration(edited.path()).camera;
+  };
+  const std::string data = "data: [-0.28, 0.07, 0.0002, -0.00015, 0]";
+  for (const char* same : {"data: [-0.28, 0.07, 0.0002, -0.00015]",
+                           "data: [-0.28, 0.07, 0.0002, -0.00015, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]"}) {
+    EXPECT_NO_THROW(require_agreement(camera_of("camera_info.yaml", data, same), same, camera0(), "truth"));
+  }
+  EXPECT_NO_THROW(require_agreement(camera_of("kalibr.yaml", "-0.00015]", "-0.00015, 0]"), "5", camera0(), "truth"));
+  expect_refused(
+      "camera_info.yaml", data, "data: [-0.28, 0.07, 0.0002, -0.00015, 0, 0.1]",
+      "camera distortion has 6 coefficients, but plumb_bob has 5: number 6 is 0.1, where only zeros are allowed");
 }
 
 TEST(LoadCalibration, NamesTheFileThatCannotBeUsed) {

@@ -20,6 +20,9 @@ namespace {
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr double kHalfPi = 1.57079632679489661923;
 constexpr double kFocalPx = 460;
+/// From the axis, in focal lengths: farther than any image reaches. Some lenses put rays at the end of their range
+/// millions of pixels away, where doubles have no digits left below 1e-6 px.
+constexpr double kFarthest = 100;
 
 /// What to try each model with, by its name. A model that is not here fails its tests.
 const std::map<std::string, std::vector<std::vector<double>>>& coefficients() {
@@ -33,8 +36,55 @@ const std::map<std::string, std::vector<std::vector<double>>>& coefficients() {
         {0.6, -0.2, 0, 0, 0.01, 0.85, -0.12, -0.01}}},
       // The second one, of a (1 + k1 a^2), folds back at 1.054 rad.
       {"equidistant", {{0, 0, 0, 0}, {-0.3, 0, 0, 0}, {0.0034823894, 0.0007150348, -0.0020532361, 0.00020293673}}},
+      // An ideal lens; fisheyes of 195 and 140 degrees; parabolas; ranges that end in front of the image plane.
+      {"ds", {{0, 0}, {-0.17, 0.59}, {-0.28, 0.55}, {1, 0.5}, {0, 1}, {0.6, 0.2}, {-0.5, 0.2}, {-0.6, 0}, {-0.9, 0.7}}},
+      {"eucm", {{0, 1}, {0.59, 1.13}, {0.5, 1}, {1, 0.8}, {0.3, 2}}},
+      // An ideal lens; a mirror; fisheyes; one whose plane folds back at a radius of 0.4564, 47.3 degrees from the
+      // axis.
+      {"mei",
+       {{0, 0, 0, 0, 0},
+        {1, 0, 0, 0, 0},
+        {2.2, 0.14, 0.91, 0.0012, 0.002},
+        {1.5, -0.1, 0.02, 0, 0},
+        {0.8, -1.6, 0, 0, 0}}},
   };
   return kCoefficients;
+}
+
+/// Where the published definition has the ray (x, y, z) of any length; NaN beyond the valid range that is published
+/// with it.
+using Definition = Eigen::Vector2d (*)(const std::vector<double>& k, const Eigen::Vector3d& point);
+
+/// Usenko, Demmel, Cremers 2018, equations 40 to 45.
+Eigen::Vector2d double_sphere(const std::vector<double>& k, const Eigen::Vector3d& point) {
+  const double xi = k[0], alpha = k[1], x = point.x(), y = point.y(), z = point.z();
+  const double d1 = std::sqrt(x * x + y * y + z * z);
+  const double d2 = std::sqrt(x * x + y * y + (xi * d1 + z) * (xi * d1 + z));
+  const double w1 = alpha <= 0.5 ? alpha / (1 - alpha) : (1 - alpha) / alpha;
+  const double w2 = (w1 + xi) / std::sqrt(2 * w1 * xi + xi * xi + 1);
+  if (!(z > -w2 * d1)) return {kNan, kNan};
+  const double denominator = alpha * d2 + (1 - alpha) * (xi * d1 + z);
+  return {x / denominator, y / denominator};
+}
+
+/// The same, equations 20 to 23.
+Eigen::Vector2d extended_unified(const std::vector<double>& k, const Eigen::Vector3d& point) {
+  const double alpha = k[0], beta = k[1], x = point.x(), y = point.y(), z = point.z();
+  const double d = std::sqrt(beta * (x * x + y * y) + z * z);
+  const double w = alpha <= 0.5 ? alpha / (1 - alpha) : (1 - alpha) / alpha;
+  if (!(z > -w * d)) return {kNan, kNan};
+  return {x / (alpha * d + (1 - alpha) * z), y / (alpha * d + (1 - alpha) * z)};
+}
+
+/// Mei, Rives 2007, section II: to the unit sphere, by xi along its axis, to the plane, radial and tangential
+/// distortion, of which that paper's k3 and k4 are p1 and p2 here.
+Eigen::Vector2d mei(const std::vector<double>& k, const Eigen::Vector3d& point) {
+  const Eigen::Vector3d on_sphere = point.normalized() + Eigen::Vector3d(0, 0, k[0]);
+  const double u = on_sphere.x() / on_sphere.z(), v = on_sphere.y() / on_sphere.z();
+  const double rho2 = u * u + v * v;
+  const double radial = 1 + k[1] * rho2 + k[2] * rho2 * rho2;
+  return {u * radial + 2 * k[3] * u * v + k[4] * (rho2 + 2 * u * u),
+          v * radial + k[3] * (rho2 + 2 * v * v) + 2 * k[4] * u * v};
 }
 
 class EveryLensModel : public testing::TestWithParam<LensModelRow> {
@@ -52,10 +102,17 @@ class EveryLensModel : public testing::TestWithParam<LensModelRow> {
     for (const std::vector<double>& k : coefficients().at(GetParam().name)) {
       std::string text = GetParam().name;
       for (const double coefficient : k) text += " " + std::to_string(coefficient);
-      const bool only_radial = GetParam().name == "equidistant" || k.empty() || (k[2] == 0 && k[3] == 0);
-      result.push_back({GetParam().make(k), text, only_radial});
+      result.push_back({make_lens(GetParam(), k), text, is_radial(k)});
     }
     return result;
+  }
+
+ private:
+  /// No tangential distortion.
+  static bool is_radial(const std::vector<double>& k) {
+    const std::map<std::string, std::size_t> first{{"plumb_bob", 2}, {"rational_polynomial", 2}, {"mei", 3}};
+    const auto p1 = first.find(GetParam().name);
+    return p1 == first.end() || k.empty() || (k[p1->second] == 0 && k[p1->second + 1] == 0);
   }
 };
 
@@ -63,11 +120,43 @@ Eigen::Vector2d at(double angle_rad, double azimuth_rad) {
   return std::tan(angle_rad) * Eigen::Vector2d(std::cos(azimuth_rad), std::sin(azimuth_rad));
 }
 
-TEST_P(EveryLensModel, TakesTheCoefficientsOfTheTest) {
-  const std::vector<std::size_t>& counts = GetParam().coefficient_counts;
-  std::set<std::size_t> tried;
-  for (const std::vector<double>& k : coefficients().at(GetParam().name)) tried.insert(k.size());
-  EXPECT_EQ(tried, std::set<std::size_t>(counts.begin(), counts.end()));
+std::string error_of(const LensModelRow& model, const std::vector<double>& coefficients) {
+  try {
+    make_lens(model, coefficients);
+  } catch (const OptionError& error) {
+    return error.what();
+  }
+  return "accepted";
+}
+
+TEST_P(EveryLensModel, TakesZerosThatAreMissingOrTooMany) {
+  const LensModelRow& model = GetParam();
+  for (std::vector<double> k : coefficients().at(model.name)) {
+    ASSERT_LE(k.size(), model.coefficient_count);
+    k.resize(model.coefficient_count, 0.0);
+    const auto lens = make_lens(model, k);
+    const std::vector<double> given = k;
+    // As far as what is left out is 0.
+    while (k.size() > model.fewest_given && k.back() == 0) {
+      k.pop_back();
+      const auto shorter = make_lens(model, k);
+      EXPECT_EQ(shorter->max_angle_rad(), lens->max_angle_rad());
+      for (double angle_rad = 0.1; angle_rad < 0.7; angle_rad += 0.1) {
+        EXPECT_EQ(shorter->project(at(angle_rad, 1)), lens->project(at(angle_rad, 1))) << k.size();
+      }
+    }
+    k = given;
+    for (const std::size_t count : {5u, 8u, 12u, 14u}) {
+      if (count <= model.coefficient_count) continue;
+      k.resize(count, 0.0);
+      EXPECT_EQ(make_lens(model, k)->project(at(0.3, 1)), lens->project(at(0.3, 1)));
+      k.back() = 0.25;
+      EXPECT_EQ(error_of(model, k), "camera distortion has " + std::to_string(count) + " coefficients, but " +
+                                        model.name + " has " + std::to_string(model.coefficient_count) + ": number " +
+                                        std::to_string(count) + " is 0.25, where only zeros are allowed");
+      k.back() = 0;
+    }
+  }
 }
 
 // Rays to the image and back, and points of the image to rays and back, in all directions from the axis and up to the
@@ -91,6 +180,7 @@ TEST_P(EveryLensModel, ComesBackOverItsValidRange) {
         const Eigen::Vector2d ray = at(angle_rad, azimuth_rad);
         const Eigen::Vector2d point = lens.model->project(ray);
         ASSERT_TRUE(point.allFinite());
+        if (point.norm() > kFarthest) continue;
         const Eigen::Vector2d back = lens.model->unproject(point, kFocalPx);
         ASSERT_TRUE(back.allFinite());
         // As angles: near the end of the range a step of the ray hardly moves the point.
@@ -123,7 +213,8 @@ TEST_P(EveryLensModel, IsNotANumberBeyondItsValidRange) {
       ASSERT_TRUE(farthest.allFinite());
       constexpr double kAnywhere = 1e6;
       if (farthest.norm() > kAnywhere) {
-        EXPECT_EQ(end_rad, kHalfPi) << "only a ray within the image plane goes so far";
+        // Only a ray within the image plane goes so far; of a double sphere, one that its second sphere sees there.
+        if (GetParam().name != "ds") EXPECT_EQ(end_rad, kHalfPi);
         continue;
       }
       EXPECT_FALSE(lens.model->unproject(1.05 * farthest, kFocalPx).allFinite());
@@ -135,36 +226,114 @@ TEST_P(EveryLensModel, IsNotANumberBeyondItsValidRange) {
 INSTANTIATE_TEST_SUITE_P(Table, EveryLensModel, testing::ValuesIn(lens_models()),
                          [](const testing::TestParamInfo<LensModelRow>& row) { return row.param.name; });
 
+double max_angle_rad(const std::string& name, const std::vector<double>& coefficients) {
+  return make_lens(lens_model(name), coefficients)->max_angle_rad();
+}
+
 TEST(LensModels, EndWhereTheirCurvesFoldBack) {
   // r (1 + k1 r^2) increases up to 1 / sqrt(-3 k1), and so does the angle.
-  EXPECT_NEAR(std::tan(lens_model("plumb_bob").make({-0.4, 0, 0, 0})->max_angle_rad()), 1 / std::sqrt(1.2), 1e-9);
-  EXPECT_NEAR(lens_model("equidistant").make({-0.3, 0, 0, 0})->max_angle_rad(), 1 / std::sqrt(0.9), 1e-9);
-  for (const char* name : {"none", "plumb_bob"}) EXPECT_EQ(lens_model(name).make({})->max_angle_rad(), kHalfPi);
-  EXPECT_EQ(lens_model("equidistant").make({0, 0, 0, 0})->max_angle_rad(), kHalfPi);
+  EXPECT_NEAR(std::tan(max_angle_rad("plumb_bob", {-0.4, 0, 0, 0})), 1 / std::sqrt(1.2), 1e-9);
+  EXPECT_NEAR(max_angle_rad("equidistant", {-0.3, 0, 0, 0}), 1 / std::sqrt(0.9), 1e-9);
+  for (const char* name : {"none", "plumb_bob"}) EXPECT_EQ(max_angle_rad(name, {}), kHalfPi);
+  EXPECT_EQ(max_angle_rad("equidistant", {0, 0, 0, 0}), kHalfPi);
+  // The plane of this one ends at a radius of 1 / sqrt(-3 k1), which the ray at the end has there.
+  const double end_rad = max_angle_rad("mei", {0.8, -1.6, 0, 0, 0});
+  EXPECT_NEAR(std::sin(end_rad) / (0.8 + std::cos(end_rad)), 1 / std::sqrt(4.8), 1e-9);
+  EXPECT_EQ(max_angle_rad("mei", {1, 0, 0, 0, 0}), kHalfPi);
+  EXPECT_EQ(max_angle_rad("eucm", {0.59, 1.13}), kHalfPi);
+  // Usenko et al.: z > -w2 d1, here with w1 = 0.25 and w2 = -0.25.
+  EXPECT_NEAR(max_angle_rad("ds", {-0.5, 0.2}), std::acos(0.25), 1e-9);
+  EXPECT_EQ(max_angle_rad("ds", {-0.17, 0.59}), kHalfPi);
+  // A pinhole 0.6 in front of the sphere's centre: the denominator xi d1 + z is 0 at a cosine of 0.6, which w2 misses.
+  EXPECT_NEAR(max_angle_rad("ds", {-0.6, 0}), std::acos(0.6), 1e-9);
+}
+
+// In pixels, over the valid range, for rays of any length and in all directions from the axis.
+TEST(LensModels, AgreeWithTheirPublishedDefinitions) {
+  constexpr double kTolerancePx = 1e-8;
+  const std::map<std::string, Definition> definitions{{"ds", double_sphere}, {"eucm", extended_unified}, {"mei", mei}};
+  for (const auto& [name, definition] : definitions) {
+    for (const std::vector<double>& k : coefficients().at(name)) {
+      CameraCalibration calibration;
+      calibration.width_px = 752;
+      calibration.height_px = 480;
+      calibration.fx_px = kFocalPx;
+      calibration.fy_px = 0.99 * kFocalPx;
+      calibration.cx_px = 367.2;
+      calibration.cy_px = 248.4;
+      calibration.model = name;
+      calibration.coefficients = k;
+      const Camera camera(calibration);
+      const double last_rad = std::min(1.55, 0.9999 * max_angle_rad(name, k));
+      for (int i = 0; i <= 200; ++i) {
+        for (int j = 0; j < 16; ++j) {
+          const double angle_rad = last_rad * i / 200, azimuth_rad = 4 * kHalfPi * j / 16, length = 0.1 + j;
+          SCOPED_TRACE(testing::Message() << name << " " << k[0] << ": " << angle_rad << ", " << azimuth_rad);
+          const Eigen::Vector3d point(length * std::sin(angle_rad) * std::cos(azimuth_rad),
+                                      length * std::sin(angle_rad) * std::sin(azimuth_rad),
+                                      length * std::cos(angle_rad));
+          const Eigen::Vector2d expected = definition(k, point);
+          ASSERT_TRUE(expected.allFinite());
+          if (expected.norm() > kFarthest) continue;
+          const Eigen::Vector2d expected_px(calibration.fx_px * expected.x() + calibration.cx_px,
+                                            calibration.fy_px * expected.y() + calibration.cy_px);
+          ASSERT_LT((camera.project(point) - expected_px).norm(), kTolerancePx);
+        }
+      }
+      // Nothing of the published range that is in front of the image plane is missing, but what the plane folds over
+      // (mei), and what the second sphere does not see, where w2 is not exact (ds).
+      if (name == "mei") continue;
+      for (double angle_rad = 0.01; angle_rad < 1.57; angle_rad += 0.01) {
+        const Eigen::Vector3d point(std::sin(angle_rad), 0, std::cos(angle_rad));
+        bool is_valid = definition(k, point).allFinite();
+        if (name == "ds") {
+          const double w1 = k[1] <= 0.5 ? k[1] / (1 - k[1]) : (1 - k[1]) / k[1], z2 = k[0] + point.z();
+          is_valid = is_valid && z2 > -w1 * std::hypot(point.x(), z2);
+        }
+        EXPECT_EQ(camera.project(point).allFinite(), is_valid) << name << " " << angle_rad;
+      }
+    }
+  }
+}
+
+TEST(LensModels, RefuseShapesThatAreNone) {
+  EXPECT_EQ(error_of(lens_model("ds"), {}),
+            "camera distortion has 0 coefficients, but ds has 2, of which xi and alpha have to be given");
+  EXPECT_EQ(error_of(lens_model("eucm"), {0.5}),
+            "camera distortion has 1 coefficients, but eucm has 2, of which alpha and beta have to be given");
+  EXPECT_EQ(error_of(lens_model("mei"), {}),
+            "camera distortion has 0 coefficients, but mei has 5, of which xi have to be given");
+  EXPECT_EQ(error_of(lens_model("equidistant"), {}),
+            "camera distortion has 0 coefficients, but equidistant has 4, of which the first has to be given");
+  EXPECT_NE(error_of(lens_model("ds"), {-1.1, 0.5}).find("(xi of ds) = -1.1 is outside"), std::string::npos);
+  EXPECT_NE(error_of(lens_model("ds"), {0, 1.1}).find("(alpha of ds) = 1.1 is outside"), std::string::npos);
+  EXPECT_NE(error_of(lens_model("eucm"), {0.5, 0}).find("(beta of eucm) = 0 is outside"), std::string::npos);
+  EXPECT_NE(error_of(lens_model("mei"), {-0.1, 0, 0, 0, 0}).find("(xi of mei) = -0.1 is outside"), std::string::npos);
+  EXPECT_NE(error_of(lens_model("mei"), {1, kNan}).find("coefficient 2 = nan is outside"), std::string::npos);
 }
 
 TEST(LensModels, HaveOneNameEach) {
-  std::set<std::string> names, kalibr, euroc, camodocal;
+  std::set<std::string> names, kalibr, euroc, camodocal, basalt;
   const auto add = [](std::set<std::string>& known, const std::string& name) {
     return name.empty() || known.insert(name).second;
   };
   for (const LensModelRow& row : lens_models()) {
     EXPECT_FALSE(row.name.empty());
-    EXPECT_TRUE(add(names, row.name) && add(kalibr, row.kalibr.name) && add(euroc, row.euroc.name) &&
-                add(camodocal, row.camodocal.name))
+    const std::string in_kalibr = row.kalibr.camera_model + " " + row.kalibr.distortion_model;
+    EXPECT_TRUE(add(names, row.name) && add(kalibr, in_kalibr == " " ? "" : in_kalibr) && add(euroc, row.euroc.name) &&
+                add(camodocal, row.camodocal.name) && add(basalt, row.basalt.name))
         << row.name;
     EXPECT_EQ(&lens_model(row.name), &row);
     EXPECT_EQ(require_distortion_model(row.name), row.name);
-    // Every format lists a number of coefficients that the model takes.
-    const auto takes = [&](std::size_t count) {
-      for (const std::size_t allowed : row.coefficient_counts) {
-        if (count == allowed) return true;
-      }
-      return false;
-    };
-    for (const ListedLens& lens : {row.kalibr, row.euroc}) EXPECT_TRUE(lens.name.empty() || takes(lens.coefficients));
-    EXPECT_TRUE(row.camodocal.name.empty() || takes(row.camodocal.coefficients.size())) << row.name;
-    EXPECT_TRUE(std::is_sorted(row.coefficient_counts.begin(), row.coefficient_counts.end())) << row.name;
+    // No format has a coefficient that the model lacks.
+    EXPECT_LE(row.kalibr.in_intrinsics + row.kalibr.in_distortion, row.coefficient_count) << row.name;
+    EXPECT_LE(row.euroc.in_distortion, row.coefficient_count) << row.name;
+    for (const KeyedLens& lens : {row.camodocal, row.basalt}) {
+      EXPECT_LE(lens.coefficients.size(), row.coefficient_count) << row.name;
+      for (const std::string& key : lens.intrinsics) EXPECT_EQ(key.empty(), lens.name.empty()) << row.name;
+    }
+    EXPECT_LE(row.fewest_given, row.coefficient_count) << row.name;
+    EXPECT_LE(row.shape.size(), row.fewest_given) << row.name;
     EXPECT_NO_THROW(lens_model(row.camera_info_name)) << row.name;
   }
 }
@@ -172,7 +341,7 @@ TEST(LensModels, HaveOneNameEach) {
 TEST(LensModels, AnUnknownNameListsWhatThereIs) {
   std::string known;
   for (const std::string& name : lens_model_names()) known += " " + name;
-  EXPECT_EQ(known, " plumb_bob rational_polynomial equidistant none");
+  EXPECT_EQ(known, " plumb_bob rational_polynomial equidistant ds eucm mei none");
   for (const char* name : {"fov", "Plumb_bob", "radtan"}) {
     try {
       lens_model(name);

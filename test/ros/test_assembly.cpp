@@ -449,6 +449,37 @@ TEST_F(FrameAssemblyTest, CalibrationFileServesWhereThereIsNoCameraInfo) {
   expect_deblurred(2);
 }
 
+// Its lens has no coefficients in a camera_info, neither in the one that is published nor in a driver's.
+TEST_F(FrameAssemblyTest, CalibrationFileServesWhereCameraInfoCannotHaveTheLens) {
+  config_.calibration = calibration_file();
+  config_.calibration->camera->model = "ds";
+  config_.calibration->camera->coefficients = {-0.2, 0.6};
+  configure();
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
+  processor_.add_image(image_message(kStart));
+  advance();
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].camera_info->distortion_model, "ds");
+  EXPECT_TRUE(outputs_[0].camera_info->D.empty());
+
+  auto info = boost::make_shared<sensor_msgs::CameraInfo>(*outputs_[0].camera_info);
+  info->header.stamp = ros::Time().fromNSec(static_cast<std::uint64_t>(kStart + 50 * kMs));
+  processor_.add_camera_info(info);
+  processor_.add_image(image_message(kStart + 50 * kMs));
+  advance();
+  expect_deblurred(1);
+  EXPECT_EQ(*outputs_[1].camera_info, *info);
+
+  config_.calibration.reset();
+  configure();
+  auto alone = boost::make_shared<sensor_msgs::CameraInfo>(*info);
+  alone->header.stamp = ros::Time().fromNSec(static_cast<std::uint64_t>(kStart + 100 * kMs));
+  processor_.add_camera_info(alone);
+  processor_.add_image(image_message(kStart + 100 * kMs));
+  advance();
+  expect_passed_through(2, PassThroughReason::NO_CALIBRATION, "set calibration_file");
+}
+
 TEST_F(FrameAssemblyTest, WithACalibrationFileNobodyMissesCameraInfo) {
   config_.calibration = calibration_file();
   configure();

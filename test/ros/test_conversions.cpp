@@ -123,6 +123,62 @@ TEST(Calibration, ErrorsNameTheValues) {
   EXPECT_TRUE(has(error_of([&] { to_calibration(*info, kWidth, kHeight, false); }), "skew"));
 }
 
+TEST(Calibration, OfTheSensorIsCutToTheRegionWithItsLens) {
+  CameraCalibration sensor = to_calibration(*camera_info(0, 640, 480), 640, 480, false);
+  sensor.model = "ds";
+  sensor.coefficients = {-0.2, 0.6};
+  sensor.cx_px = 320;
+  sensor_msgs::CameraInfo shown;
+  shown.roi.x_offset = 100;
+  shown.roi.width = 320;
+  shown.roi.height = 240;
+  shown.binning_x = shown.binning_y = 2;
+  const CameraCalibration calibration = to_calibration(sensor, shown, 160, 120);
+  EXPECT_DOUBLE_EQ(calibration.cx_px, 110);
+  EXPECT_DOUBLE_EQ(calibration.fx_px, sensor.fx_px / 2);
+  EXPECT_EQ(calibration.model, "ds");
+  EXPECT_EQ(calibration.coefficients, sensor.coefficients);
+  EXPECT_TRUE(has(error_of([&] { to_calibration(sensor, shown, 640, 480); }), "640x480"));
+}
+
+TEST(Calibration, CoefficientsOfDCountOnlyWhereTheyAreNotZero) {
+  auto info = camera_info(0);
+  const std::pair<const char*, std::vector<std::size_t>> kCases[] = {
+      {"plumb_bob", {1, 2, 4, 5, 8, 12}}, {"rational_polynomial", {4, 5, 8, 12, 14}}, {"equidistant", {1, 4, 5, 8}}};
+  for (const auto& [model, counts] : kCases) {
+    for (const std::size_t count : counts) {
+      info->distortion_model = model;
+      info->D.assign(count, 0);
+      info->D[0] = 0.1;
+      EXPECT_NO_THROW(to_calibration(*info, kWidth, kHeight, false)) << model << count;
+    }
+  }
+  info->D = {0.1, 0, 0, 0, 0.02};
+  EXPECT_TRUE(has(error_of([&] { to_calibration(*info, kWidth, kHeight, false); }),
+                  "5 coefficients, but equidistant has 4: number 5 is 0.02"));
+}
+
+// camera_info cannot carry the coefficients of these models.
+TEST(Calibration, CameraInfoOfOtherLensesHasTheNameAlone) {
+  CameraCalibration camera = to_calibration(*camera_info(0), kWidth, kHeight, false);
+  for (const auto& [model, coefficients] :
+       {std::make_pair("ds", std::vector<double>{-0.2, 0.6}), std::make_pair("eucm", std::vector<double>{0.6, 1.1}),
+        std::make_pair("mei", std::vector<double>{1.5, 0.1, 0, 0, 0})}) {
+    camera.model = model;
+    camera.coefficients = coefficients;
+    const sensor_msgs::CameraInfo info = camera_info_message(camera);
+    EXPECT_EQ(info.distortion_model, model);
+    EXPECT_TRUE(info.D.empty());
+    EXPECT_EQ(info.K[0], camera.fx_px);
+    EXPECT_TRUE(lacks_lens(info));
+    const std::string error = error_of([&] { to_calibration(info, kWidth, kHeight, false); });
+    EXPECT_TRUE(has(error, std::string("camera_info: distortion_model = \"") + model + "\"") &&
+                has(error, "set calibration_file"))
+        << error;
+  }
+  EXPECT_FALSE(lacks_lens(*camera_info(0)));
+}
+
 TEST(ImageView, SharesThePixels) {
   const auto message = image_message(0, "bgr8");
   const ImageView view = view_image(*message);
@@ -378,7 +434,9 @@ TEST(Parameters, KeepTheirTypes) {
   EXPECT_FALSE(config.pipeline.validation.enabled);
   EXPECT_EQ(config.pipeline.keypoints.detector, "ORB");
   EXPECT_EQ(config.gyro.bias_rad_s, Eigen::Vector3d(0.5, 0, -0.5));
-  values["gamma"] = std::string("0.05");
+  values["gamma"] = std::string("5e-2");
+  EXPECT_EQ(parse_config(to_yaml(values)).pipeline.kernel.gamma, 0.05);
+  values["gamma"] = std::string("0.05 px");
   EXPECT_TRUE(has(error_of([&] { parse_config(to_yaml(values)); }), "gamma"));
   values["gamma"] = std::numeric_limits<double>::quiet_NaN();
   EXPECT_TRUE(has(error_of([&] { parse_config(to_yaml(values)); }), "gamma"));
@@ -407,26 +465,35 @@ TEST(Parameters, AreReadByTheTypeThatDynamicReconfigureHas) {
   values["fraction"] = 64.5;
   values["huge"] = 1e10;
   values["count"] = 3;
-  values["text"] = std::string("5");
+  values["text"] = std::string("5e0");
+  values["word"] = std::string("y");
   values["yes"] = true;
   int integer = -1;
   EXPECT_TRUE(read_parameter(values, "whole", integer));
   EXPECT_EQ(integer, 64);
-  for (const char* other : {"fraction", "huge", "text", "yes", "absent"}) {
+  for (const char* other : {"fraction", "huge", "word", "yes", "absent"}) {
     EXPECT_FALSE(read_parameter(values, other, integer)) << other;
   }
   EXPECT_EQ(integer, 64);
   double number = -1;
   EXPECT_TRUE(read_parameter(values, "count", number));
   EXPECT_EQ(number, 3);
-  EXPECT_FALSE(read_parameter(values, "text", number));
+  EXPECT_FALSE(read_parameter(values, "word", number));
+  EXPECT_TRUE(read_parameter(values, "text", number));
+  EXPECT_EQ(number, 5);
+  EXPECT_TRUE(read_parameter(values, "text", integer));
+  EXPECT_EQ(integer, 5);
   std::uint8_t truth_value = 0;
   EXPECT_TRUE(read_parameter(values, "yes", truth_value));
   EXPECT_EQ(truth_value, 1);
   EXPECT_FALSE(read_parameter(values, "count", truth_value));
+  EXPECT_FALSE(read_parameter(values, "text", truth_value));
+  truth_value = 0;
+  EXPECT_TRUE(read_parameter(values, "word", truth_value));
+  EXPECT_EQ(truth_value, 1);
   std::string text;
   EXPECT_TRUE(read_parameter(values, "text", text));
-  EXPECT_EQ(text, "5");
+  EXPECT_EQ(text, "5e0");
   EXPECT_FALSE(read_parameter(values, "yes", text));
   EXPECT_FALSE(values.hasMember("absent")) << "reading adds nothing";
 }
