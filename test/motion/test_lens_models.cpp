@@ -214,7 +214,7 @@ TEST_P(EveryLensModel, IsNotANumberBeyondItsValidRange) {
       constexpr double kAnywhere = 1e6;
       if (farthest.norm() > kAnywhere) {
         // Only a ray within the image plane goes so far; of a double sphere, one that its second sphere sees there.
-        if (GetParam().name != "ds") EXPECT_EQ(end_rad, kHalfPi);
+        EXPECT_TRUE(end_rad == kHalfPi || GetParam().name == "ds");
         continue;
       }
       EXPECT_FALSE(lens.model->unproject(1.05 * farthest, kFocalPx).allFinite());

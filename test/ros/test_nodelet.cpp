@@ -797,6 +797,23 @@ TEST_F(NodeletTest, ParametersChangeWhileRunning) {
   EXPECT_EQ(fields_[2]->block_width, 64u);
 }
 
+// rosparam reads 2e-2 and 3e0 as strings.
+TEST_F(NodeletTest, NumbersThatCameAsStringsAreNumbers) {
+  set("exposure_time", std::string("2e-2"));
+  set("max_extent", std::string("3e0"));
+  start();
+  publish_imu(kStart - 50 * kMs, kStart + kSecond);
+  publish_frame(kStart);
+  expect_frames(1);
+  expect_reason(0, PassThroughReason::NONE);
+  EXPECT_EQ(fields_[0]->exposure_time.toNSec(), 20 * kMs);
+  EXPECT_EQ(fields_[0]->status[0], BlurField::TOO_LARGE);
+  // A change of another parameter leaves it as it is.
+  const auto values = reconfigure(name_, with_int("block_size", 64));
+  EXPECT_EQ(value_of(values.ints, "block_size"), 64);
+  EXPECT_EQ(value_of(values.doubles, "max_extent"), 3);
+}
+
 TEST_F(NodeletTest, BadImagesAreDroppedWhereTheUserSaysSo) {
   set("max_extent", 3.0);
   start();

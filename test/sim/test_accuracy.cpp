@@ -47,6 +47,9 @@ const Lens kLenses[] = {
      "distortion_model: rational_polynomial, "
      "distortion_coefficients: [0.6, -0.2, 0.0005, -0.0004, 0.01, 0.85, -0.12, -0.01]"},
     {"equidistant", "distortion_model: equidistant, distortion_coefficients: [-0.0127, 0.0085, -0.0104, 0.0038]"},
+    {"ds", "distortion_model: ds, distortion_coefficients: [-0.17, 0.59]"},
+    {"eucm", "distortion_model: eucm, distortion_coefficients: [0.62, 1.1]"},
+    {"mei", "distortion_model: mei, distortion_coefficients: [0.4, -0.1, 0.02, 0.0012, 0.002]"},
 };
 
 // Shake about all axes, up to about 2.5 rad/s.
