@@ -30,7 +30,7 @@ BlockBlur block_of(double extent_px, BlockStatus status) {
 
 TEST(ExpectedRepeatability, FallsWithBlurAndNoise) {
   for (const BlockStatus status : kBlockStatuses) {
-    if (status == BlockStatus::NO_GYRO) continue;
+    if (status == BlockStatus::NO_GYRO || status == BlockStatus::MASKED) continue;
     double before = 1;
     for (double extent_px = 0; extent_px <= 500; extent_px = 1.2 * extent_px + 0.5) {
       const auto expected = expected_repeatability(block_of(extent_px, status), kRelative);
@@ -42,6 +42,7 @@ TEST(ExpectedRepeatability, FallsWithBlurAndNoise) {
     }
   }
   EXPECT_FALSE(expected_repeatability(block_of(10, BlockStatus::NO_GYRO), kRelative));
+  EXPECT_FALSE(expected_repeatability(block_of(10, BlockStatus::MASKED), kRelative));
 }
 
 TEST(ExpectedRepeatability, IsHigherWhereBlurHasBeenUndone) {

@@ -99,7 +99,7 @@ TEST_F(MaskTest, OfAFileHolds) {
   configure();
   expect_masked(next_output(), Masked::RIGHT);
   expect_masked(next_output(), Masked::RIGHT);
-  EXPECT_GT(outputs_.back().tracks->points.size(), 3u);
+  EXPECT_GT(outputs_.back().tracks->points.size(), 0u);
   EXPECT_EQ(logged("mask"), 0u);
 }
 
