@@ -1,4 +1,4 @@
-// Any text as a calibration file (Kalibr, EuRoC, VINS, camera_calibration): read, or refused with OptionError.
+// Any text as a calibration file (Kalibr, EuRoC, VINS, Basalt, camera_calibration): read, or refused with OptionError.
 #include <sys/mman.h>
 #include <unistd.h>
 
