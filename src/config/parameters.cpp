@@ -76,17 +76,17 @@ using Gyro = GyroOptions;
 using Shutter = ShutterTiming;
 
 ParameterGroup calibration_files() {
-  return {
-      "calibration files",
-      "Kalibr's camchain-imucam.yaml (also OpenVINS'), EuRoC's sensor.yaml, VINS' configuration, Basalt's JSON or "
-      "camera_calibration's YAML, as they are; one path or a list. What a file says need not be set below; where both say something they have to agree.",
-      {
-          {"calibration_file", &Config::calibration_files,
-           "relative to the configuration file, for the nodelet absolute; '': none"},
-          {"calibration_camera", &Config::calibration_camera, "cam0, cam1, ...: which of a file's cameras"},
-          {"on_calibration_conflict", &Config::on_calibration_conflict,
-           "frames whose camera_info or tf contradict file or parameters pass through, or go by the latter"},
-      }};
+  return {"calibration files",
+          "Kalibr's camchain-imucam.yaml (also OpenVINS'), EuRoC's sensor.yaml, VINS' configuration, Basalt's JSON or "
+          "camera_calibration's YAML, as they are; one path or a list. What a file says need not be set below; where "
+          "both say something they have to agree.",
+          {
+              {"calibration_file", &Config::calibration_files,
+               "relative to the configuration file, for the nodelet absolute; '': none"},
+              {"calibration_camera", &Config::calibration_camera, "cam0, cam1, ...: which of a file's cameras"},
+              {"on_calibration_conflict", &Config::on_calibration_conflict,
+               "frames whose camera_info or tf contradict file or parameters pass through, or go by the latter"},
+          }};
 }
 
 ParameterGroup camera_timing() {
