@@ -206,7 +206,8 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (alone) require_residuals(&result.field);
   mark_blocks(&result.field);
   result.times.blur_field_ms = blur_field_watch.ms();
-  if (flow_ && !alone && !request.repeats_picture) result.seen_rotation = seen_rotation(luminance, motion, exposure, result);
+  if (flow_ && !alone && !request.repeats_picture)
+    result.seen_rotation = seen_rotation(luminance, motion, exposure, result);
 
   std::optional<double> found_noise;
   if (!options_.noise.is_known()) {

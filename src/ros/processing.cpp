@@ -34,9 +34,9 @@ struct MadePicture {
   /// Whether it is what would be made of this frame for this request.
   bool serves(const AssembledFrame& assembled, const PipelineRequest& wanted) const {
     return configuration == assembled.configuration && calibration == *assembled.frame.calibration &&
-           mask.is_same(assembled.mask) &&
-           (request.image || !wanted.image) && (request.keypoints || !wanted.keypoints) &&
-           (request.luminance || !wanted.luminance) && (request.global_shutter || !wanted.global_shutter);
+           mask.is_same(assembled.mask) && (request.image || !wanted.image) &&
+           (request.keypoints || !wanted.keypoints) && (request.luminance || !wanted.luminance) &&
+           (request.global_shutter || !wanted.global_shutter);
   }
 };
 

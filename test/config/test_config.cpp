@@ -45,9 +45,9 @@ std::string dump(const Config& c) {
     << "\nrectified_input " << c.rectified_input << "\nR ";
   if (c.R_cam_imu) s << *c.R_cam_imu;
   s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nstereo_patience "
-    << c.stereo_patience_ns << "\ndrop_bad " << c.drop_bad << "\nmask " << c.mask_file << "\nbias_window " << c.bias_window_ns
-    << "\nbias_max_stddev " << c.bias_max_stddev_rad_s << "\ntime_jump " << c.time_jump_ns << "\nrectify_to "
-    << static_cast<int>(c.pipeline.rectify_to) << "\nglobal_shutter_border "
+    << c.stereo_patience_ns << "\ndrop_bad " << c.drop_bad << "\nmask " << c.mask_file << "\nbias_window "
+    << c.bias_window_ns << "\nbias_max_stddev " << c.bias_max_stddev_rad_s << "\ntime_jump " << c.time_jump_ns
+    << "\nrectify_to " << static_cast<int>(c.pipeline.rectify_to) << "\nglobal_shutter_border "
     << static_cast<int>(c.pipeline.global_shutter_border) << "\nengine " << c.pipeline.engine << "\nthreads "
     << c.pipeline.threads << "\nsignificant_bits " << c.pipeline.significant_bits << "\nblock_size "
     << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px << "\nmax_extent "
