@@ -336,7 +336,8 @@ TEST_F(DeblurBagTest, EncodingStaysThatOfTheInput) {
       image->encoding = encoding;
       return true;
     });
-    const ProgramResult result = run({"--global-shutter"});
+    // By its name: 16UC1 is taken for depth otherwise.
+    const ProgramResult result = run({"--global-shutter", "--image-topic", "/cam/image_raw"});
     ASSERT_EQ(result.exit_code, 0) << result.output;
     const auto inputs = read<sensor_msgs::Image>("in.bag", "/cam/image_raw");
     const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
