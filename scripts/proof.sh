@@ -184,10 +184,10 @@ if wanted asan || wanted fuzz; then
 fi
 
 # What the package's tests are: a new one is among them, other than those of recorded data and of experiments. Those of
-# a nodelet want a master, and only one of them loads it into its own process; test_deblur_bag starts deblur_bag on
-# bags, whose messages the fuzz target bag_messages goes through.
+# a nodelet want a master, and only one of them loads it into its own process. Those of deblur_bag start it on bags, whose
+# messages the fuzz target bag_messages goes through.
 mapfile -t test_sources < <(printf '%s\n' test/*/test_*.cpp |
-  grep -v -E '^test/(data|experiments)/|/test_(nodelet|nodelet_faults|deblur_bag)\.cpp$')
+  grep -v -E '^test/(data|experiments)/|/test_(nodelet|nodelet_faults|deblur_bag|deblur_bag_pictures)\.cpp$')
 asan_tests=() tsan_tests=()
 while read -r name sanitizers; do
   [[ " ${sanitizers} " != *" asan "* ]] || asan_tests+=("${name}")
