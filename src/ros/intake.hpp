@@ -29,7 +29,7 @@ namespace gyro_deblur {
 /// What has come in since the start.
 struct IntakeStatistics {
   std::size_t frames_in = 0;
-  std::size_t repeated_pictures = 0;  ///< frames that show the picture of the one before
+  std::size_t repeated_pictures = 0;   ///< frames that show the picture of the one before
   std::size_t undecodable_images = 0;  ///< compressed ones that are left out; not among frames_in
   std::size_t time_jumps = 0;
 };

@@ -77,7 +77,7 @@ struct Row {
   std::optional<double> allowed_p99_periods{};  ///< of the latency
   std::set<PassThroughReason> not_allowed{};    ///< for no frame
   std::optional<std::size_t> allowed_mispredicted{};
-  std::string reported{};                       ///< kind of the input problem that has to be told; empty: none has to
+  std::string reported{};  ///< kind of the input problem that has to be told; empty: none has to
   bool good() const {
     if (!reported.empty() && result.statistics.input_problems.count(reported) == 0) return false;
     for (const PassThroughReason reason : not_allowed) {
