@@ -299,7 +299,9 @@ TEST_F(DeblurBagTest, CameraInfoOfEveryHabitServes) {
     EXPECT_EQ(report()["dropped_bad"], 0);
     const auto warnings = report()["input_problems"];
     EXPECT_EQ(warnings.size(), habit.warning ? 1u : 0u) << warnings;
-    if (habit.warning) EXPECT_NE(result.output.find(habit.warning), std::string::npos) << result.output;
+    if (habit.warning) {
+      EXPECT_NE(result.output.find(habit.warning), std::string::npos) << result.output;
+    }
   }
 }
 
@@ -405,7 +407,7 @@ TEST_F(DeblurBagTest, CalibrationFileStandsInForCameraInfo) {
     EXPECT_EQ(with_file[i]->reason, with_info[i]->reason) << with_file[i]->reason_text;
     EXPECT_EQ(with_file[i]->extent, with_info[i]->extent);
   }
-  EXPECT_EQ(read<sensor_msgs::CameraInfo>("out.bag", "/cam/deblurred/camera_info")[0]->K, info->K);
+  EXPECT_EQ(read<sensor_msgs::CameraInfo>("out.bag", "/cam/deblurred/camera_info")[0]->K, camera_info(kStart)->K);
 }
 
 // By the option, and by the configuration's key, relative to its folder.
