@@ -125,7 +125,9 @@ TEST(DecodeImage, SaysThatAJpegIsCut) {
       ASSERT_EQ(pixels.size(), expected.size());
       // Of a texture each row of blocks takes about as many bytes; the tables before them some hundred.
       const int rows = (eighth - 2) * kHeight / 8;
-      if (rows > 0) EXPECT_EQ(cv::norm(pixels.rowRange(0, rows), expected.rowRange(0, rows), cv::NORM_INF), 0);
+      if (rows > 0) {
+        EXPECT_EQ(cv::norm(pixels.rowRange(0, rows), expected.rowRange(0, rows), cv::NORM_INF), 0);
+      }
     }
   }
 }

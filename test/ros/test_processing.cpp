@@ -6,6 +6,7 @@
 #include <utility>
 
 #include <gtest/gtest.h>
+#include <sensor_msgs/image_encodings.h>
 
 #include "processor_test.hpp"
 
