@@ -717,7 +717,9 @@ TEST_F(NodeletTest, CameraInfoOfEveryHabitServes) {
       if (!habit.latched || i >= 2) expect_frames(i + 1);
     }
     for (std::size_t i = 0; i < kFrames; ++i) expect_deblurred(i, *inputs[i]);
-    if (habit.log) EXPECT_TRUE(wait_for_log(habit.log));
+    if (habit.log) {
+      EXPECT_TRUE(wait_for_log(habit.log));
+    }
     unload();
   }
   std::filesystem::remove(file);
