@@ -330,8 +330,10 @@ std::optional<ResidualRotation> Pipeline::seen_rotation(const cv::Mat& luminance
   if (++too_large_frames_ < kFramesOfFastMotion) return std::nullopt;
   if (!unaided_flow_) unaided_flow_ = std::make_unique<ResidualFlow>();
   const StandingCamera standing;
+  unaided_flow_->set_mask(mask_);
   const ResidualField whole = unaided_flow_->follow(luminance, *camera_, standing, exposure, grid, options_.threads);
-  std::optional<ResidualRotation> seen = fit_residual_rotation(whole, grid, *camera_, standing, exposure);
+  std::optional<ResidualRotation> seen =
+      fit_residual_rotation(of_used(whole, grid, mask_), grid, *camera_, standing, exposure);
   if (seen) seen->known_rad_s = rate_at(motion, exposure.middle(0.5 * (grid.height_px() - 1)));
   return seen;
 }

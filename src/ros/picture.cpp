@@ -3,8 +3,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <optional>
 
-#include <sensor_msgs/image_encodings.h>
+#include "ros/image_conversion.hpp"
 
 namespace gyro_deblur {
 
@@ -12,11 +13,10 @@ bool show_same_pixels(const sensor_msgs::Image& a, const sensor_msgs::Image& b) 
   if (a.width != b.width || a.height != b.height || a.encoding != b.encoding || a.is_bigendian != b.is_bigendian) {
     return false;
   }
-  namespace encodings = sensor_msgs::image_encodings;
-  constexpr int kBitsOfByte = 8;
-  const auto pixel_bytes =
-      static_cast<std::size_t>(encodings::numChannels(a.encoding) * encodings::bitDepth(a.encoding) / kBitsOfByte);
-  const std::size_t row_bytes = a.width * pixel_bytes;
+  // Not sensor_msgs::image_encodings, which does not know every encoding of newer releases and throws.
+  const std::optional<int> type = type_of_encoding(a.encoding);
+  if (!type) return false;
+  const std::size_t row_bytes = a.width * static_cast<std::size_t>(CV_ELEM_SIZE(*type));
   if (a.step == row_bytes && b.step == row_bytes) {
     return std::memcmp(a.data.data(), b.data.data(), row_bytes * a.height) == 0;
   }

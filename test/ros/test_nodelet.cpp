@@ -766,7 +766,7 @@ TEST_F(NodeletTest, BadParametersOfEveryKindAreNamed) {
   expect_reason(0, PassThroughReason::BAD_CONFIGURATION);
   EXPECT_NE(fields_[0]->reason_text.find("R_cam_imu"), std::string::npos) << fields_[0]->reason_text;
   const auto& key_and_value = std::vector<std::pair<std::string, double>>{
-      {"tau", -3}, {"min_extent", 1000}, {"time_offset", 1e5}, {"exposure_time", -0.01}};
+      {"tau", -3}, {"min_extent", 1000}, {"time_offset", 1e10}, {"exposure_time", -0.01}};
   for (const auto& [key, value] : key_and_value) {
     unload();
     set("R_cam_imu", std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, 1});
