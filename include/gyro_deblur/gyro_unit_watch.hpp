@@ -24,6 +24,9 @@ struct GyroUnitFault {
 /// Watches the rotations of one camera's images over the last seconds. Not thread-safe.
 class GyroUnitWatch {
  public:
+  /// Images are judged where the gyroscope tells at least this [rad/s].
+  static constexpr double kLeastToldRadS = 0.8;
+
   /// @param t_ns  increasing; begins anew where it is not
   /// @param seen  of an image: `rate_rad_s` by which it turns as a whole, `known_rad_s` by which the gyroscope says
   void add(TimeNs t_ns, const ResidualRotation& seen);
@@ -34,6 +37,10 @@ class GyroUnitWatch {
 
   /// Some images have turned about as fast as the gyroscope said.
   bool is_confirmed() const { return agreeing_ >= kConfirming; }
+
+  /// Not confirmed yet, nor have the images had the time to show a fault: 5 s from the first that is asked for.
+  /// @param t_ns  stamp of an image
+  bool is_doubted(TimeNs t_ns);
 
  private:
   static constexpr std::size_t kConfirming = 3;
@@ -46,6 +53,7 @@ class GyroUnitWatch {
 
   std::deque<Entry> entries_;  // of the last seconds
   std::size_t agreeing_ = 0;
+  std::optional<TimeNs> begin_ns_;  // of doubt
 };
 
 }  // namespace gyro_deblur

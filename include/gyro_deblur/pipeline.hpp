@@ -82,8 +82,8 @@ struct PipelineResult {
   /// About how much of the image does not move with the camera and is not masked, in [0, 1], see StaticContent; blocks
   /// at its edge are STATIC_EDGE.
   double static_share = 0;
-  /// How the image turns as a whole (`rate_rad_s`), and how by `motion`, for GyroUnitWatch. Where most blocks are
-  /// TOO_LARGE, the images are asked without the gyroscope's help.
+  /// How the image turns as a whole (`rate_rad_s`), and how by `motion`, for GyroUnitWatch. Where corners are not found
+  /// where the gyroscope says, or most blocks are TOO_LARGE, they are followed without its help.
   std::optional<ResidualRotation> seen_rotation;
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;
@@ -174,8 +174,8 @@ class Pipeline {
   std::optional<RowExposure> exposure_before_;
   std::unique_ptr<ResidualFlow> flow_;           // where asked for
   bool alone_ = false;                           // its newest image had no motion beside it
-  std::unique_ptr<ResidualFlow> unaided_flow_;   // while most blocks are TOO_LARGE
-  int too_large_frames_ = 0;                     // in a row
+  std::unique_ptr<ResidualFlow> unaided_flow_;   // see seen_rotation
+  int unaided_frames_ = 0;                       // in a row
   std::unique_ptr<FeatureExtractor> extractor_;  // made when keypoints are asked for
 };
 

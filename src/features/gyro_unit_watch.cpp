@@ -20,6 +20,12 @@ void GyroUnitWatch::add(TimeNs t_ns, const ResidualRotation& seen) {
 void GyroUnitWatch::clear() {
   entries_.clear();
   agreeing_ = 0;
+  begin_ns_.reset();
+}
+
+bool GyroUnitWatch::is_doubted(TimeNs t_ns) {
+  if (!begin_ns_ || t_ns < *begin_ns_) begin_ns_ = t_ns;
+  return !is_confirmed() && t_ns - *begin_ns_ < kWatchedNs;
 }
 
 std::optional<GyroUnitFault> GyroUnitWatch::find(bool rates_are_zero) const {
@@ -30,13 +36,13 @@ std::optional<GyroUnitFault> GyroUnitWatch::find_degrees() const {
   // Around 180 / pi, as rates change between images and blurred corners are followed to some per cent. Edges of the
   // image that stand still, on which corners may be found instead, give far more.
   constexpr double kLeastRatio = 40, kLargestRatio = 80;
-  constexpr double kLeastSeenRadS = 0.02;
+  constexpr double kLeastSeenRadS = kLeastToldRadS / kLeastRatio;
   constexpr std::size_t kFewest = 5;
   std::size_t judged = 0, agreeing = 0;
   GyroUnitFault fault;
   for (const Entry& entry : entries_) {
     const double told_rad_s = entry.seen.known_rad_s.norm(), seen_rad_s = entry.seen.rate_rad_s.norm();
-    if (told_rad_s < kLeastSeenRadS * kLeastRatio) continue;
+    if (told_rad_s < kLeastToldRadS) continue;
     ++judged;
     if (seen_rad_s < kLeastSeenRadS || told_rad_s < kLeastRatio * seen_rad_s ||
         told_rad_s > kLargestRatio * seen_rad_s) {

@@ -31,8 +31,8 @@ constexpr double kFloorPx = 0.05;
 /// that a velocity that is nothing but carried on is not certain (see is_certain).
 constexpr double kDoubtOfChange = 0.3;
 /// Part of the corners. Where fewer are found again the image shows another scene, or one that has jumped beyond the
-/// search: one in a hundred is found by chance, six in ten where the scene is the same.
-constexpr double kLeastFollowed = 0.1;
+/// search: one in a hundred is found by chance, eight in ten where the scene is the same.
+constexpr double kLeastFollowed = 0.2;
 /// Of the square of the farthest neighbour's distance: where a neighbour has half the weight.
 constexpr double kNearShare = 0.3;
 

@@ -9,6 +9,7 @@
 #include "features/corner_prediction.hpp"
 #include "features/residual_flow.hpp"
 #include "gyro_deblur/blur_validation.hpp"
+#include "gyro_deblur/gyro_unit_watch.hpp"
 #include "gyro_deblur/image_noise.hpp"
 #include "gyro_deblur/image_rectification.hpp"
 #include "gyro_deblur/point_covariance.hpp"
@@ -317,24 +318,26 @@ void Pipeline::mark_blocks(FrameBlur* field) const {
 
 std::optional<ResidualRotation> Pipeline::seen_rotation(const cv::Mat& luminance, const CameraMotion& motion,
                                                         const RowExposure& exposure, const PipelineResult& result) {
-  // Fast motion is soon over; a wrong unit lasts.
-  constexpr int kFramesOfFastMotion = 3;
+  // Fast motion, and images in which nothing can be followed, are soon over; a wrong unit lasts.
+  constexpr int kFewestFrames = 3;
   const BlockGrid& grid = estimator_->grid();
-  if (2 * result.field.count(BlockStatus::TOO_LARGE) <= result.field.blocks.size()) {
-    too_large_frames_ = 0;
+  const bool too_large = 2 * result.field.count(BlockStatus::TOO_LARGE) > result.field.blocks.size();
+  if (result.residual_rotation && !too_large) {
+    unaided_frames_ = 0;
     unaided_flow_.reset();
-    std::optional<ResidualRotation> seen = result.residual_rotation;
-    if (seen) seen->rate_rad_s += seen->known_rad_s;
+    ResidualRotation seen = *result.residual_rotation;
+    seen.rate_rad_s += seen.known_rad_s;
     return seen;
   }
-  if (++too_large_frames_ < kFramesOfFastMotion) return std::nullopt;
+  const Eigen::Vector3d told_rad_s = rate_at(motion, exposure.middle(0.5 * (grid.height_px() - 1)));
+  if (++unaided_frames_ < kFewestFrames || told_rad_s.norm() < GyroUnitWatch::kLeastToldRadS) return std::nullopt;
   if (!unaided_flow_) unaided_flow_ = std::make_unique<ResidualFlow>();
   const StandingCamera standing;
   unaided_flow_->set_mask(mask_);
   const ResidualField whole = unaided_flow_->follow(luminance, *camera_, standing, exposure, grid, options_.threads);
   std::optional<ResidualRotation> seen =
       fit_residual_rotation(of_used(whole, grid, mask_), grid, *camera_, standing, exposure);
-  if (seen) seen->known_rad_s = rate_at(motion, exposure.middle(0.5 * (grid.height_px() - 1)));
+  if (seen) seen->known_rad_s = told_rad_s;
   return seen;
 }
 

@@ -31,10 +31,9 @@ struct AssembledFrame : PictureMotion {
   TrackerOptions tracker_options;
   bool rectified_input = false;
   bool drop_bad = false;
-  bool doubts_large_blur = false;  ///< no image has confirmed the gyroscope's rates yet
-  bool in_a_hurry = false;         ///< see OverloadRule::is_in_a_hurry()
-  PixelMask mask;                  ///< empty, or of the image's size
-  int configuration = 0;           ///< number of the one that `options` are of
+  bool in_a_hurry = false;  ///< see OverloadRule::is_in_a_hurry()
+  PixelMask mask;           ///< empty, or of the image's size
+  int configuration = 0;    ///< number of the one that `options` are of
   /// The camera sends pictures again: what is made of this one is kept for them.
   bool pictures_repeat = false;
 };

@@ -25,6 +25,8 @@ class GyroCheck {
 
   /// The longest step between samples that may be the sensor's own: max_gap_ns, or more where samples come more seldom.
   TimeNs longest_step_ns(const GyroOptions& options) const;
+  /// Rates that no gyroscope measures have come in the last seconds.
+  bool unit_is_wrong() const { return is_beyond_; }
   /// All rates of the last second or more are exactly 0.
   bool rates_are_zero() const { return zero_since_ns_ && last_ns_ - *zero_since_ns_ >= 1'000'000'000; }
 

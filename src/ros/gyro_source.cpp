@@ -105,6 +105,11 @@ ImuStatistics GyroSource::statistics() const {
   return statistics_;
 }
 
+bool GyroSource::unit_is_wrong() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return check_.unit_is_wrong();
+}
+
 bool GyroSource::rates_are_zero() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   return check_.rates_are_zero();

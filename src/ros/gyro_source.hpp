@@ -57,6 +57,8 @@ class GyroSource {
   ImuStatistics statistics() const;
   /// What the samples have shown to be wrong, by kind.
   std::map<std::string, InputProblem> problems() const { return problems_.all(); }
+  /// Rates that no gyroscope measures have come in the last seconds.
+  bool unit_is_wrong() const;
   /// All rates of the last second or more are exactly 0, as no gyroscope's are.
   bool rates_are_zero() const;
   /// Frame of the newest message.

@@ -25,11 +25,6 @@ LogLevel level_of(PassThroughReason reason) {
   }
 }
 
-/// Images whose blur is too large by rates that no image has confirmed yet are not dropped: the unit may be wrong.
-bool is_doubted(const AssembledFrame& assembled, const FrameBlur& field) {
-  return assembled.doubts_large_blur && 2 * field.count(BlockStatus::TOO_LARGE) > field.blocks.size();
-}
-
 /// What a camera that drops bad images tells its partners.
 DropTerms drop_terms(const FrameBlur& field) {
   FrameBlur left = field;
@@ -202,8 +197,8 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
                                        timed_out};
       const Readiness readiness = assembly_.assemble(terms, &frame, &assembled);
       // By rates of a wrong unit every image looks BAD.
-      if (gyro_unit_is_wrong_) assembled.drop_bad = false;
-      assembled.doubts_large_blur = config_->pipeline.motion_from_images && !gyro_unit_.is_confirmed();
+      const bool doubts_unit = config_->pipeline.motion_from_images && gyro_unit_.is_doubted(frame.stamp_ns);
+      if (doubts_unit || gyro_unit_is_wrong_ || gyro_source_->unit_is_wrong()) assembled.drop_bad = false;
       if (readiness == Readiness::WAITS) return std::nullopt;
       if (readiness == Readiness::READY) {
         repetitions_.add(frame, intake_.gyro(), assembled.gyro, intake_.statistics());
@@ -240,9 +235,7 @@ FrameOutput Processor::process_with_partners(const AssembledFrame& assembled) {
   StereoCamera* const stereo = environment_.stereo.get();
   if (!stereo) {
     if (assembled.drop_bad) {
-      request.decide = [&assembled](const FrameBlur& field) {
-        return FrameDecision{"", is_doubted(assembled, field) ? "" : drop_text(field)};
-      };
+      request.decide = [](const FrameBlur& field) { return FrameDecision{"", drop_text(field)}; };
     }
     return process(assembled, request, &tracker_);
   }
@@ -250,9 +243,9 @@ FrameOutput Processor::process_with_partners(const AssembledFrame& assembled) {
   const bool drop_bad = assembled.drop_bad;
   const PassThroughReason verdict = assembled.frame.verdict;
   verdict == PassThroughReason::NONE ? stereo->begin(stamp_ns) : stereo->pass_through(stamp_ns, verdict);
-  request.decide = [&assembled, stereo, stamp_ns, drop_bad](const FrameBlur& field) {
-    return drop_bad && !is_doubted(assembled, field) ? stereo->decide(stamp_ns, field, drop_terms(field))
-                                                     : FrameDecision{stereo->decide(stamp_ns, field), ""};
+  request.decide = [stereo, stamp_ns, drop_bad](const FrameBlur& field) {
+    return drop_bad ? stereo->decide(stamp_ns, field, drop_terms(field))
+                    : FrameDecision{stereo->decide(stamp_ns, field), ""};
   };
   FrameOutput output = process(assembled, request, &tracker_);
   if (output.reason != PassThroughReason::NONE) stereo->pass_through(stamp_ns, output.reason);

@@ -77,6 +77,7 @@ void Ledger::out(const FrameOutput& output) {
   entries_[index].out = true;
   if (index != next_) ++balance_.reordered;
   next_ = index + 1;
+  if (output.dropped) return;  // nothing of it leaves
 
   const ros::Time stamp = output.input->header.stamp;
   if (output.image->header.stamp != stamp || output.camera_info->header.stamp != stamp ||

@@ -48,6 +48,13 @@ TEST(GyroUnitWatch, RatesThatAreRightAreConfirmed) {
   EXPECT_FALSE(watched(2, 1).is_confirmed());
 }
 
+TEST(GyroUnitWatch, DoubtEndsWithConfirmationOrAfterFiveSeconds) {
+  GyroUnitWatch dark;  // images that tell nothing
+  for (int i = 0; i < 200; ++i) EXPECT_EQ(dark.is_doubted(1'000'000'000 + i * kPeriod), i < 100) << i;
+  EXPECT_FALSE(watched(20, 1).is_doubted(2'000'000'000));
+  EXPECT_TRUE(watched(20, kDegrees).is_doubted(2'000'000'000));
+}
+
 // Corners on a rim that does not move with the scene, while the camera turns fast.
 TEST(GyroUnitWatch, ImagesThatSeemToStandStillAreNoUnit) {
   EXPECT_FALSE(watched(100, 1e4, 0.001).find(false));

@@ -36,34 +36,36 @@ TEST_F(IntakeTest, WaitingStartsWithTheFirstSimulatedTime) {
 }
 
 TEST_F(IntakeTest, FullQueuePassesTheOldestThroughAndLosesNothing) {
+  constexpr TimeNs kPeriod = 33 * kMs;
   config_.frame_queue_size = 3;
   configure();
-  for (int i = 0; i < 5; ++i) add_frame(kStart + i * kMs);
+  for (int i = 0; i < 5; ++i) add_frame(kStart + i * kPeriod);
   advance();
   ASSERT_EQ(outputs_.size(), 2u);
   expect_passed_through(0, PassThroughReason::OVERLOAD, "frame_queue_size = 3");
   expect_passed_through(1, PassThroughReason::OVERLOAD, "frame_queue_size = 3");
-  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
   advance();
   ASSERT_EQ(outputs_.size(), 5u);
   for (std::size_t i = 0; i < 5; ++i) {
-    EXPECT_EQ(to_time_ns(outputs_[i].input->header.stamp), kStart + static_cast<TimeNs>(i) * kMs);
+    EXPECT_EQ(to_time_ns(outputs_[i].input->header.stamp), kStart + static_cast<TimeNs>(i) * kPeriod);
   }
   expect_deblurred(4);
   EXPECT_EQ(processor_.statistics().passed_through.at(PassThroughReason::OVERLOAD), 2u);
 }
 
 TEST_F(IntakeTest, UnusableImagesPassAtOnceInTheirTurn) {
+  constexpr TimeNs kPeriod = 33 * kMs;
   add_imu(kStart - 50 * kMs, kStart + 10 * kMs);
   add_frame(kStart);
   auto empty = boost::make_shared<sensor_msgs::Image>();
-  empty->header.stamp = to_ros_time(kStart + kMs);
+  empty->header.stamp = to_ros_time(kStart + kPeriod);
   empty->encoding = "mono8";
   processor_.add_image(empty);
-  auto floats = image_message(kStart + 2 * kMs);
+  auto floats = image_message(kStart + 2 * kPeriod);
   floats->encoding = "32FC1";
   processor_.add_image(floats);
-  auto cut = image_message(kStart + 3 * kMs);
+  auto cut = image_message(kStart + 3 * kPeriod);
   cut->data.resize(10);
   processor_.add_image(cut);
   advance();
