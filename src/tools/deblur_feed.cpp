@@ -195,7 +195,12 @@ void DeblurFeed::pass_front(const Expect& expect, const Processor::Sink& sink) {
   while (processor_.waiting() > 0) {
     MessageStream* const stream = awaited_stream();
     const bool more = stream != nullptr && stream->deliver_ahead(image.stamp_ns(), until);
-    // Without more of what it waits for, the frame makes do with what is there.
+    if (!more) {
+      // Without more of what it waits for, the frame makes do with what is there: with all that the other streams have.
+      for (MessageStream* const other : {&imu_, &camera_info_, &exposure_, &transforms_}) {
+        while (other->deliver_ahead(image.stamp_ns(), until)) continue;
+      }
+    }
     more ? processor_.advance(sink) : processor_.finish(sink);
   }
 }

@@ -91,7 +91,7 @@ TEST(Options, GyroLimits) {
   using O = GyroOptions;
   const TimeNs ms = 1'000'000, s = 1000 * ms;
   const TimeNs any = 4'000'000'000 * s;  // between any two clocks of ros::Time
-  expect_limits(&O::time_offset_ns, "time_offset", {-any, any}, {-any - 1, any + 1});
+  expect_limits(&O::time_offset_ns, "time_offset", {-any, any}, {-any - s, any + s});
   expect_limits(&O::buffer_ns, "gyro_buffer_duration", {100 * ms + 1, 60 * s}, {100 * ms, 60 * s + 1, TimeNs{0}, -s});
   expect_limits(&O::max_gap_ns, "max_gyro_gap", {ms, s}, {ms - 1, s + 1, TimeNs{0}});
   expect_limits(&O::range_rad_s, "gyro_range", {0.0, 34.9, 400.0}, {-0.001, 400.001, 2000.0, kNan});

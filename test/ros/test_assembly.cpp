@@ -844,6 +844,8 @@ TEST_F(FrameAssemblyTest, ReadoutLongerThanTheFramePeriodIsNamed) {
 }
 
 TEST_F(FrameAssemblyTest, ReadoutOfAPeriodPassesWhenEveryPictureComesTwice) {
+  config_.shutter.exposure_ns = kReadout;  // no longer than the period, either
+  configure();
   add_imu(kStart - 50 * kMs, kStart + 2 * kSecond);
   for (int i = 0; i < 50; ++i) {
     add_repetition(*add_frame(kStart + i * kReadout), kStart + i * kReadout + kReadout / 2);

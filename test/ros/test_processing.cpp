@@ -268,7 +268,8 @@ TEST_F(ProcessingTest, FramesThatPassThroughHaveRawKeypoints) {
   expect_passed_through(0, PassThroughReason::NO_GYRO, "there are none");
   expect_raw_keypoints(0, true);
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
-  processor_.add_image(image_message(kStart + kMs));
+  // Of another size than the only camera_info describes.
+  processor_.add_image(image_message(kStart + kMs, "mono8", kWidth / 2));
   time_out();
   expect_passed_through(1, PassThroughReason::NO_CALIBRATION, "");
   expect_raw_keypoints(1, false);
