@@ -327,8 +327,8 @@ TEST_F(NodeletTest, MaskComesFromTheFileThenFromTheTopic) {
   std::size_t frames = 1;
   const std::vector<bool> swapped{true, true, true, false, false, false};
   ASSERT_TRUE(poll_until([&] {
-    stamp_ns += 5 * kMs;
-    publish_imu(stamp_ns + 450 * kMs, stamp_ns + 450 * kMs);
+    stamp_ns += 40 * kMs;  // longer than the exposure
+    publish_imu(stamp_ns + 465 * kMs, stamp_ns + 500 * kMs);
     publish_frame(stamp_ns);
     expect_frames(++frames);
     return masked_columns(frames - 1) == swapped;
@@ -340,8 +340,8 @@ TEST_F(NodeletTest, MaskComesFromTheFileThenFromTheTopic) {
   like.encoding = "mono8";
   publisher.publish(to_image(cv::Mat(kHeight, 2 * kWidth, CV_8UC1, cv::Scalar(1)), like));
   ASSERT_TRUE(poll_until([&] {
-    stamp_ns += 5 * kMs;
-    publish_imu(stamp_ns + 450 * kMs, stamp_ns + 450 * kMs);
+    stamp_ns += 40 * kMs;  // longer than the exposure
+    publish_imu(stamp_ns + 465 * kMs, stamp_ns + 500 * kMs);
     publish_frame(stamp_ns);
     expect_frames(++frames);
     return count_log("has 384x128, the images have 192x128") > 0;
