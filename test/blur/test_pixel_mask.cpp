@@ -53,7 +53,7 @@ TEST(PixelMask, CountsMaskedPixels) {
 }
 
 TEST(PixelMask, IsRefusedWhereItCannotBeOne) {
-  EXPECT_THROW(PixelMask(cv::Mat()), std::invalid_argument);
+  EXPECT_THROW(PixelMask{cv::Mat()}, std::invalid_argument);
   EXPECT_THROW(PixelMask(cv::Mat::zeros(4, 4, CV_8UC1)), std::invalid_argument);
   EXPECT_THROW(PixelMask(cv::Mat::ones(4, 4, CV_16UC1)), std::invalid_argument);
   EXPECT_THROW(PixelMask(cv::Mat(4, 4, CV_8UC3, cv::Scalar::all(1))), std::invalid_argument);
