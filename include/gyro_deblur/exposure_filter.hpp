@@ -9,8 +9,9 @@
 namespace gyro_deblur {
 
 /// Combines the exposure estimates of consecutive images into the exposure time now: a Kalman filter of the logarithm
-/// of the exposure. A camera's auto exposure leaves it at rest, lets it glide, or moves it by a jump: a jump is two
-/// consecutive estimates on the same side of the state that agree with each other. One alone is an outlier.
+/// of the exposure and, while it moves, of its speed. A camera's auto exposure leaves it at rest, lets it glide, or
+/// moves it by a jump. It moves when two consecutive estimates contradict the state on the same side and agree with
+/// each other. One alone is an outlier.
 class ExposureFilter {
  public:
   /// One call for each new image, in the order of stamps; an earlier stamp than the last one resets.
@@ -36,20 +37,23 @@ class ExposureFilter {
   void reset();
 
  private:
-  /// Logarithm of an exposure [ns].
+  /// Logarithm of an exposure [ns], and its speed [1/s], 0 of an exposure at rest.
   struct Value {
-    double log_ns, variance;
     TimeNs stamp_ns;
+    double log_ns, variance;
+    double per_s = 0, speed_variance = 0, covariance = 0;
+    bool moves = false;
+    int slow_updates = 0;  ///< in a row, of one that moves
   };
+  Value predicted() const;
+  double doubt() const;
   bool follows_candidate(const Value& measured) const;
-  double variance_now() const;
   void update(const Value& measured);
   void jump(const Value& measured);
 
-  std::optional<Value> value_;          // of the last update
+  std::optional<Value> value_;          // at the last update
   std::optional<Value> candidate_;      // an estimate that contradicts it, or the first one
   std::optional<TimeNs> stamp_ns_;      // of the last image
-  double speed_per_s_ = 0;              // at which log_ns may be moving
   double darkest_ = 0, brightest_ = 0;  // logarithms of the mean brightness since value_
   int images_since_ = 0;                // the last update
   int in_vain_ = 0;                     // images in a row that were looked at and told nothing

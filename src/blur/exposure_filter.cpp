@@ -14,6 +14,11 @@ constexpr double kLeastStddev = 0.007;
 constexpr double kGate = 3;
 // Of an exposure at rest: 1 % after a second, a quarter after ten minutes.
 constexpr double kRestVariancePerS = 1e-4;
+// Of the speed of one that moves: 0.3 / s within a tenth of a second. Auto exposure goes six times up or down within
+// two seconds, and ends at once.
+constexpr double kSpeedVariancePerS = 0.3 * 0.3 / 0.1;
+// Without estimates a movement is carried on for so long: then it may have ended.
+constexpr double kCarriedOnS = 0.3;
 // An estimate that contradicts the state is forgotten after this time.
 constexpr TimeNs kCandidateNs = 1'000'000'000;
 // The part of a change of brightness that may come from the exposure rather than the scene: one standard deviation.
@@ -23,11 +28,26 @@ constexpr double kUnknown = 0.25;
 
 }  // namespace
 
-double ExposureFilter::variance_now() const {
+/// At the last image, by what was known at the last update.
+ExposureFilter::Value ExposureFilter::predicted() const {
+  Value now = *value_;
   const double since_s = to_seconds(*stamp_ns_ - value_->stamp_ns);
+  now.stamp_ns = *stamp_ns_;
+  now.variance += kRestVariancePerS * since_s;
+  if (!now.moves) return now;
+  const double t_s = std::min(since_s, kCarriedOnS);
+  now.log_ns += now.per_s * t_s;
+  now.variance += 2 * now.covariance * t_s + now.speed_variance * squared(t_s) +
+                  kSpeedVariancePerS * squared(t_s) * t_s / 3 + squared(now.per_s * (since_s - t_s));
+  now.covariance += now.speed_variance * t_s + kSpeedVariancePerS * squared(t_s) / 2;
+  now.speed_variance += kSpeedVariancePerS * t_s;
+  return now;
+}
+
+/// What contradiction and brightness add to the variance.
+double ExposureFilter::doubt() const {
   const double contradicted = candidate_ ? 0.5 * (candidate_->log_ns - value_->log_ns) : 0;
-  return value_->variance + kRestVariancePerS * since_s + squared(speed_per_s_ * since_s) + squared(contradicted) +
-         squared(kExposureShare * (brightest_ - darkest_));
+  return squared(contradicted) + squared(kExposureShare * (brightest_ - darkest_));
 }
 
 bool ExposureFilter::follows_candidate(const Value& measured) const {
@@ -38,34 +58,46 @@ bool ExposureFilter::follows_candidate(const Value& measured) const {
   const double stddev = std::sqrt(candidate_->variance + measured.variance);
   const double apart = std::abs(measured.log_ns - candidate_->log_ns);
   if (!value_) return apart <= kGate * stddev;
-  const double from = candidate_->log_ns - value_->log_ns, to = measured.log_ns - value_->log_ns;
+  const double before = predicted().log_ns;
+  const double from = candidate_->log_ns - before, to = measured.log_ns - before;
   return from * to > 0 && apart <= kGate * stddev + kMovesOn * std::abs(to);
 }
 
 void ExposureFilter::update(const Value& measured) {
-  constexpr double kMoves = 2;          // standard deviations, of an exposure that is not at rest
-  constexpr double kSlowsDown = 0.7;    // from estimate to estimate that shows no movement
-  constexpr double kAtRestPerS = 0.02;  // is not seen above the noise of estimates
-  const double predicted = variance_now(), innovation = measured.log_ns - value_->log_ns;
-  const double gain = predicted / (predicted + measured.variance);
-  const double since_s = to_seconds(measured.stamp_ns - value_->stamp_ns);
-  speed_per_s_ *= kSlowsDown;
-  if (squared(innovation) > squared(kMoves) * (value_->variance + measured.variance) && since_s > 0) {
-    speed_per_s_ = std::max(speed_per_s_, std::abs(innovation) / since_s);
+  constexpr double kSlowPerS = 0.2;  // is not seen above the noise of estimates
+  constexpr int kSlowUpdates = 4;
+  Value now = predicted();
+  const double variance = now.variance + doubt(), sum = variance + measured.variance;
+  const double innovation = measured.log_ns - now.log_ns;
+  now.log_ns += variance / sum * innovation;
+  now.per_s += now.covariance / sum * innovation;
+  now.speed_variance -= squared(now.covariance) / sum;
+  now.covariance *= 1 - variance / sum;
+  now.variance = std::max((1 - variance / sum) * variance, squared(kLeastStddev));
+  now.slow_updates = std::abs(now.per_s) < kSlowPerS ? now.slow_updates + 1 : 0;
+  if (now.moves && now.slow_updates >= kSlowUpdates) {
+    now.moves = false;
+    now.per_s = now.speed_variance = now.covariance = 0;
   }
-  if (speed_per_s_ < kAtRestPerS) speed_per_s_ = 0;
-  value_ = Value{value_->log_ns + gain * innovation, std::max((1 - gain) * predicted, squared(kLeastStddev)),
-                 measured.stamp_ns};
+  value_ = now;
 }
 
+/// From the candidate to what follows it.
 void ExposureFilter::jump(const Value& measured) {
   const double moved = measured.log_ns - candidate_->log_ns;
   const double since_s = to_seconds(measured.stamp_ns - candidate_->stamp_ns);
-  const bool moving = squared(moved) > candidate_->variance + measured.variance && value_ && since_s > 0;
-  speed_per_s_ = moving ? std::abs(moved) / since_s : 0;
-  const double before = candidate_->variance + squared(moved), sum = before + measured.variance;
-  value_ = Value{measured.log_ns - measured.variance / sum * moved,
-                 std::max(before * measured.variance / sum, squared(kLeastStddev)), measured.stamp_ns};
+  const double sum = candidate_->variance + measured.variance;
+  const bool first = !value_;
+  value_ = measured;
+  if (since_s > 0 && (!first || squared(moved) > 2 * sum)) {
+    value_->moves = true;
+    value_->per_s = moved / since_s;
+    value_->covariance = measured.variance / since_s;
+    value_->speed_variance = sum / squared(since_s);
+    return;
+  }
+  value_->log_ns -= measured.variance / sum * moved;
+  value_->variance = std::max(candidate_->variance * measured.variance / sum, squared(kLeastStddev));
 }
 
 void ExposureFilter::add(TimeNs stamp_ns, TimeNs assumed_ns, const std::optional<ExposureEstimate>& estimate,
@@ -83,13 +115,13 @@ void ExposureFilter::add(TimeNs stamp_ns, TimeNs assumed_ns, const std::optional
     return;
   }
   in_vain_ = 0;
-  const Value measured{std::log(static_cast<double>(assumed_ns)) + std::log(estimate->ratio),
-                       squared(std::max(estimate->log_stddev, kLeastStddev)), stamp_ns};
-  const std::optional<Value> candidate = candidate_;
+  const Value measured{stamp_ns, std::log(static_cast<double>(assumed_ns)) + std::log(estimate->ratio),
+                       squared(std::max(estimate->log_stddev, kLeastStddev))};
   const bool jumps = follows_candidate(measured);
+  const std::optional<Value> candidate = candidate_;
   candidate_.reset();  // it does not widen the gate
-  const double apart = value_ ? measured.log_ns - value_->log_ns : 0;
-  if (value_ && squared(apart) <= squared(kGate) * (variance_now() + measured.variance)) {
+  const std::optional<Value> now = value_ ? std::optional<Value>(predicted()) : std::nullopt;
+  if (now && squared(measured.log_ns - now->log_ns) <= squared(kGate) * (now->variance + doubt() + measured.variance)) {
     update(measured);
   } else if (jumps) {
     candidate_ = candidate;
@@ -105,18 +137,19 @@ void ExposureFilter::add(TimeNs stamp_ns, TimeNs assumed_ns, const std::optional
 
 std::optional<ExposureFilter::State> ExposureFilter::state() const {
   if (!value_) return std::nullopt;
-  const double stddev = std::sqrt(variance_now());
+  const Value now = predicted();
+  const double stddev = std::sqrt(now.variance + doubt());
   if (stddev > kUnknown) return std::nullopt;
-  return State{static_cast<TimeNs>(std::llround(std::exp(value_->log_ns))), stddev};
+  return State{static_cast<TimeNs>(std::llround(std::exp(now.log_ns))), stddev};
 }
 
 bool ExposureFilter::wants_estimate() const {
   // Images that are looked at in vain cost as much as others: less often, the longer that lasts.
-  constexpr int kEvery = 8, kEveryUnknown = 3, kInVainPerWait = 4;
+  constexpr int kEvery = 4, kEveryUnknown = 3, kInVainPerWait = 4;
   constexpr double kWellKnown = 0.02;
   const std::optional<State> now = state();
   const int longest = now ? kEvery : kEveryUnknown;
-  const bool well_known = now && now->log_stddev <= kWellKnown && speed_per_s_ == 0;
+  const bool well_known = now && now->log_stddev <= kWellKnown && !value_->moves;
   const int every = well_known ? kEvery : std::min(1 + in_vain_ / kInVainPerWait, longest);
   return candidate_ || (images_since_ + 1) % every == 0;
 }

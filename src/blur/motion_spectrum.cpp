@@ -1,0 +1,332 @@
+#include "blur/motion_spectrum.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+
+#include <opencv2/imgproc.hpp>
+
+#include "base/median.hpp"
+#include "base/one_thread.hpp"
+#include "base/parallel.hpp"
+#include "gyro_deblur/image_noise.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr int kWindow = kMotionWindow;
+// Up to .4 cycles/px; beyond, cameras' own filters and halving leave little.
+constexpr int kWaves = 51;
+// Below, the window mixes frequencies with the mean.
+constexpr int kFirstWave = 2;
+
+using Path2 = std::array<Eigen::Vector2d, kPathInstants>;
+
+bool is_usable(const BlockBlur& block) {
+  return block.status != BlockStatus::NO_GYRO && block.status != BlockStatus::MASKED &&
+         block.status != BlockStatus::STATIC_EDGE;
+}
+
+Path2 path_of(const BlockBlur& block) {
+  Path2 path_px;
+  const Eigen::Vector2d line(std::cos(block.angle_rad), std::sin(block.angle_rad));
+  for (int k = 0; k < kPathInstants; ++k) {
+    if (block.bent_path_px) {
+      path_px[k] = (*block.bent_path_px)[k].cast<double>();
+    } else if (block.uneven_path_px) {
+      path_px[k] = (*block.uneven_path_px)[k] * line;
+    } else {
+      path_px[k] = (static_cast<double>(k) / (kPathInstants - 1) - 0.5) * block.extent_px * line;
+    }
+  }
+  return path_px;
+}
+
+/// Hann's window, which leaves white noise its variance.
+std::array<float, kWindow> make_window() {
+  std::array<float, kWindow> window;
+  for (int i = 0; i < kWindow; ++i) {
+    window[i] = static_cast<float>(std::sqrt(2.0 / 3) * (1 - std::cos(2 * CV_PI * (i + 0.5) / kWindow)));
+  }
+  return window;
+}
+
+const std::array<float, kWindow>& window_weights() {
+  static const std::array<float, kWindow> kWeights = make_window();
+  return kWeights;
+}
+
+/// Hann's window squared, of `length_px` from first_px on, summed over [begin_px, end_px).
+double weight_within(int begin_px, int end_px, int first_px, int length_px) {
+  double sum = 0;
+  for (int p = begin_px; p < end_px; ++p) {
+    const double w = 1 - std::cos(2 * CV_PI * (p - first_px + 0.5) / length_px);
+    sum += w * w;
+  }
+  return sum;
+}
+
+/// Blur of a window: the mean of what its blocks have, by their weight in the window. Nothing where too little of it is
+/// known.
+std::optional<Path2> path_in(const FrameBlur& field, const cv::Rect& window_px) {
+  constexpr double kLeastShare = 0.7;
+  const BlockGrid& grid = field.grid;
+  Path2 sum;
+  sum.fill(Eigen::Vector2d::Zero());
+  double all = 0, usable = 0;
+  const int size_px = grid.block_size_px();
+  const int end_row = std::min((window_px.br().y - 1) / size_px + 1, grid.rows());
+  const int end_col = std::min((window_px.br().x - 1) / size_px + 1, grid.cols());
+  for (int row = window_px.y / size_px; row < end_row; ++row) {
+    for (int col = window_px.x / size_px; col < end_col; ++col) {
+      const int i = row * grid.cols() + col;
+      const cv::Rect shared = grid.rect(i) & window_px;
+      const double weight = weight_within(shared.x, shared.br().x, window_px.x, window_px.width) *
+                            weight_within(shared.y, shared.br().y, window_px.y, window_px.height);
+      all += weight;
+      if (!is_usable(field.blocks[i])) continue;
+      const Path2 path_px = path_of(field.blocks[i]);
+      double alike = 0;  // a path and its opposite make the same blur
+      for (int k = 0; k < kPathInstants; ++k) alike += path_px[k].dot(sum[k]);
+      const double signed_weight = alike < 0 ? -weight : weight;
+      for (int k = 0; k < kPathInstants; ++k) sum[k] += signed_weight * path_px[k];
+      usable += weight;
+    }
+  }
+  if (usable < kLeastShare * all || usable == 0) return std::nullopt;
+  for (Eigen::Vector2d& place : sum) place /= usable;
+  return sum;
+}
+
+/// The line that lies nearest to the places.
+Eigen::Vector2d direction_of(const Path2& path_px) {
+  Eigen::Vector2d mean = Eigen::Vector2d::Zero();
+  for (const Eigen::Vector2d& place : path_px) mean += place / kPathInstants;
+  double xx = 0, xy = 0, yy = 0;
+  for (const Eigen::Vector2d& place : path_px) {
+    const Eigen::Vector2d from_mean = place - mean;
+    xx += from_mean.x() * from_mean.x();
+    xy += from_mean.x() * from_mean.y();
+    yy += from_mean.y() * from_mean.y();
+  }
+  const double angle_rad = 0.5 * std::atan2(2 * xy, xx - yy);
+  return {std::cos(angle_rad), std::sin(angle_rad)};
+}
+
+double extent_along(const Path2& path_px, const Eigen::Vector2d& direction) {
+  double lowest = direction.dot(path_px[0]), highest = lowest;
+  for (const Eigen::Vector2d& place : path_px) {
+    lowest = std::min(lowest, direction.dot(place));
+    highest = std::max(highest, direction.dot(place));
+  }
+  return highest - lowest;
+}
+
+struct Window {
+  cv::Rect rect;  // [px of the halved image]
+  Path2 path_px;  // of the full image
+};
+
+/// The image, halved as often as suits the blur.
+struct Halved {
+  cv::Mat image;
+  int shrink = 1;
+  double noise_variance = 0;  // [grey levels^2]
+};
+
+/// Extents from 11 to 22 px are left, of which a window holds 6 to 11: as many lobes are seen with a third of the blur
+/// as with three times as much.
+Halved halved(const cv::Mat& luminance, double extent_px, double noise) {
+  constexpr double kLargestPx = kWindow / 5.66;
+  constexpr double kRounding = 1.0 / 12;
+  Halved level{luminance, 1, noise * noise + kRounding};
+  while (extent_px / level.shrink > kLargestPx && std::min(level.image.cols, level.image.rows) >= 2 * kWindow) {
+    const cv::Size half(level.image.cols / 2, level.image.rows / 2);
+    cv::Mat image;
+    on_one_thread([&] {
+      cv::resize(level.image(cv::Rect(0, 0, 2 * half.width, 2 * half.height)), image, half, 0, 0, cv::INTER_AREA);
+    });
+    // A camera's own filters and JPEG leave noise that neighbouring pixels share, which a mean does not take away.
+    const double shared = image_noise(image, PixelLayout::GRAY).value_or(0);
+    level = {image, 2 * level.shrink, std::max(level.noise_variance / 4 + kRounding, shared * shared)};
+  }
+  return level;
+}
+
+/// Places of windows, evenly, each by `step_px` from the next or less.
+std::vector<int> places(int size_px, double step_px) {
+  const int steps = cvRound((size_px - kWindow) / step_px);
+  std::vector<int> begins;
+  for (int i = 0; i <= steps; ++i) begins.push_back((2 * i + 1) * (size_px - kWindow) / (2 * steps + 2));
+  return begins;
+}
+
+/// One over the power that texture usually has: |f|^2.5 [waves a window], by squared frequency.
+const std::vector<float>& whitening() {
+  static const std::vector<float> kWhitening = [] {
+    std::vector<float> table(kWaves * kWaves + 1);
+    for (std::size_t i = 0; i < table.size(); ++i) table[i] = static_cast<float>(std::pow(i, 1.25));
+    return table;
+  }();
+  return kWhitening;
+}
+
+/// Sums over the frequencies of one point of a spectrum.
+struct Sums {
+  double weight = 0, power = 0, noise = 0, frequency = 0;
+};
+
+/// One frequency of the plane.
+struct Sample {
+  float power, whitening, along;
+  int point;
+};
+
+/// Waves along the motion to the nearest whole number make a point.
+std::vector<SpectrumPoint> points_of(const std::vector<Sample>& samples, double noise_variance) {
+  // Powers of neighbouring frequencies are correlated, by Hann's window: 1.94 of them along each axis tell as much as
+  // one that is independent.
+  constexpr double kAlike = 1.94 * 1.94;
+  constexpr int kFewest = 4;
+  std::array<Sums, kWaves + 1> sums;
+  std::array<double, kWaves + 1> signal;
+  std::array<int, kWaves + 1> count{};
+  signal.fill(0);
+  for (int pass = 0; pass < 3; ++pass) {
+    sums.fill(Sums());
+    for (const Sample& s : samples) {
+      // The weight that gives the mean the least variance, with what is known of the signal.
+      const double noise = noise_variance * s.whitening, both = pass == 0 ? 1 + noise : signal[s.point] + noise;
+      const double weight = 1 / (both * both);
+      Sums& sum = sums[s.point];
+      sum.weight += weight;
+      sum.power += weight * s.power * s.whitening;
+      sum.noise += weight * noise;
+      sum.frequency += weight * s.along;
+      if (pass == 0) ++count[s.point];
+    }
+    for (int i = 0; i <= kWaves; ++i) {
+      if (sums[i].weight == 0) continue;
+      const double power = sums[i].power / sums[i].weight, noise = sums[i].noise / sums[i].weight;
+      signal[i] = std::max(power - noise, 0.1 * noise + 1e-9);
+    }
+  }
+  std::vector<SpectrumPoint> points;
+  for (int i = kFirstWave; i <= kWaves; ++i) {
+    const Sums& sum = sums[i];
+    if (count[i] < kFewest || !(sum.power > 0)) continue;
+    const double power = sum.power / sum.weight, noise = sum.noise / sum.weight;
+    // An exponential distribution's deviation is its mean: with the weights above that of their mean is this.
+    const double variance = kAlike / (sum.weight * power * power);
+    points.push_back({static_cast<float>(sum.frequency / sum.weight), static_cast<float>(power),
+                      static_cast<float>(noise), static_cast<float>(variance)});
+  }
+  return points;
+}
+
+/// Slices of frequencies by direction, of a path that leaves its line: in each the path is another one along the line.
+/// `across` over `along` is that of the slice's middle.
+struct Slices {
+  int count = 1;
+  double step = 0;  // of across / along
+};
+constexpr double kSteepest = 2.5;  // across / along, of frequencies that are used
+
+Slices slices_of(const Path2& path_px, const Eigen::Vector2d& direction) {
+  // At three times the blur's first zero, how far a phase may be off at a slice's border [cycles].
+  constexpr double kOffCycles = 0.1, kLobes = 3;
+  const Eigen::Vector2d normal(-direction.y(), direction.x());
+  const double along_px = extent_along(path_px, direction), across_px = extent_along(path_px, normal);
+  const double step = 2 * kOffCycles / (kLobes * across_px / (2 * std::max(along_px, 1e-6)));
+  Slices slices;
+  slices.count = std::min(15, static_cast<int>(std::ceil(2 * kSteepest / step)));
+  if (slices.count <= 1) return {};
+  slices.step = 2 * kSteepest / slices.count;
+  return slices;
+}
+
+void add_spectra(const Window& window, int index, const Halved& level, std::vector<MotionSpectrum>* spectra) {
+  const std::array<float, kWindow>& weights = window_weights();
+  cv::Mat pixels(kWindow, kWindow, CV_32F), spectrum;
+  const cv::Mat image = level.image(window.rect);
+  const auto mean = static_cast<float>(cv::mean(image)[0]);
+  for (int y = 0; y < kWindow; ++y) {
+    const std::uint8_t* from = image.ptr<std::uint8_t>(y);
+    float* to = pixels.ptr<float>(y);
+    for (int x = 0; x < kWindow; ++x) to[x] = (from[x] - mean) * weights[x] * weights[y];
+  }
+  cv::dft(pixels, spectrum);
+  const Eigen::Vector2d direction = direction_of(window.path_px), normal(-direction.y(), direction.x());
+  const Slices slices = slices_of(window.path_px, direction);
+  std::vector<std::vector<Sample>> samples(slices.count);
+  constexpr float kScale = 1.0F / (kWindow * kWindow);
+  for (int v = -kWaves; v <= kWaves; ++v) {
+    const int row = v < 0 ? kWindow + v : v;
+    const float* packed = spectrum.ptr<float>(row);
+    for (int u = 1; u <= kWaves; ++u) {
+      const int squared = u * u + v * v;
+      if (squared > kWaves * kWaves || squared < kFirstWave * kFirstWave) continue;
+      double along = u * direction.x() + v * direction.y(), across = u * normal.x() + v * normal.y();
+      if (along < 0) along = -along, across = -across;
+      const int point = static_cast<int>(along + 0.5);
+      if (point < kFirstWave) continue;
+      int slice = 0;
+      if (slices.count > 1) {
+        const double place = (across / along + kSteepest) / slices.step;
+        if (place < 0 || place >= slices.count) continue;
+        slice = static_cast<int>(place);
+      }
+      const float re = packed[2 * u - 1], im = packed[2 * u];
+      samples[slice].push_back({kScale * (re * re + im * im), whitening()[squared], static_cast<float>(along), point});
+    }
+  }
+  for (int slice = 0; slice < slices.count; ++slice) {
+    const double steepness = slices.count > 1 ? -kSteepest + (slice + 0.5) * slices.step : 0;
+    MotionSpectrum motion{index, {}, points_of(samples[slice], level.noise_variance)};
+    const double windows_per_px = 1.0 / (level.shrink * kWindow);
+    for (int k = 0; k < kPathInstants; ++k) {
+      motion.path[k] = static_cast<float>(windows_per_px * (direction + steepness * normal).dot(window.path_px[k]));
+    }
+    spectra->push_back(std::move(motion));
+  }
+}
+
+}  // namespace
+
+std::vector<MotionSpectrum> motion_spectra(const FrameBlur& field, const cv::Mat& luminance, double scale, double noise,
+                                           int threads) {
+  constexpr double kLeastPx = 2;
+  std::vector<double> extents_px;
+  for (const BlockBlur& block : field.blocks) {
+    if (is_usable(block) && scale * block.extent_px >= kLeastPx) extents_px.push_back(scale * block.extent_px);
+  }
+  if (extents_px.empty() || std::min(luminance.cols, luminance.rows) < kWindow) return {};
+  const Halved level = halved(luminance, median(extents_px), noise);
+  std::vector<Window> windows;
+  // Those that overlap by more than half tell much the same; more than some 20 tell more than is needed.
+  constexpr double kWindows = 20;
+  const double step_px = std::max(0.5 * kWindow, std::sqrt(static_cast<double>(level.image.total()) / kWindows));
+  for (const int y : places(level.image.rows, step_px)) {
+    for (const int x : places(level.image.cols, step_px)) {
+      const cv::Rect rect(x, y, kWindow, kWindow);
+      const cv::Rect rect_px(level.shrink * x, level.shrink * y, level.shrink * kWindow, level.shrink * kWindow);
+      std::optional<Path2> path_px = path_in(field, rect_px);
+      if (!path_px) continue;
+      for (Eigen::Vector2d& place : *path_px) place *= scale;
+      if (extent_along(*path_px, direction_of(*path_px)) >= kLeastPx) windows.push_back({rect, *path_px});
+    }
+  }
+  std::vector<std::vector<MotionSpectrum>> of_windows(windows.size());
+  constexpr int kWindowsAtATime = 2;
+  run_parallel(static_cast<int>(windows.size()), threads, kWindowsAtATime,
+               [&](int i) { add_spectra(windows[i], i, level, &of_windows[i]); });
+  std::vector<MotionSpectrum> spectra;
+  for (std::vector<MotionSpectrum>& of_window : of_windows) {
+    for (MotionSpectrum& spectrum : of_window) {
+      if (!spectrum.points.empty()) spectra.push_back(std::move(spectrum));
+    }
+  }
+  return spectra;
+}
+
+}  // namespace gyro_deblur
