@@ -1,6 +1,5 @@
 #include "calibrate/timing_start.hpp"
 
-#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <sstream>
@@ -8,7 +7,7 @@
 #include <Eigen/Geometry>
 #include <Eigen/SVD>
 
-#include "base/median.hpp"
+#include "calibrate/aligned_rotation.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -16,48 +15,15 @@ namespace {
 constexpr double kMinCorrelation = 0.5;
 constexpr TimeNs kSearchStepNs = 1'000'000;
 
-Eigen::Vector3d log_rotation(const Eigen::Matrix3d& R) {
-  const Eigen::AngleAxisd rotation(R);
-  return rotation.angle() * rotation.axis();
-}
-
-/// The rotation R that minimises sum of weight |b - R a|^2 (Wahba's problem; Markley's SVD solution).
-/// @param moment  sum of weight * b a^T
-Eigen::Matrix3d solve_wahba(const Eigen::Matrix3d& moment) {
-  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(moment, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  const double sign = svd.matrixU().determinant() * svd.matrixV().determinant();
-  return svd.matrixU() * Eigen::Vector3d(1, 1, sign).asDiagonal() * svd.matrixV().transpose();
-}
-
-/// Weights of Cauchy's loss, whose scale follows the errors.
-std::vector<double> cauchy_weights(const std::vector<double>& errors) {
-  const double scale = std::max(2 * median(errors), 1e-6);
-  std::vector<double> weights;
-  for (const double error : errors) weights.push_back(1 / (1 + error * error / (scale * scale)));
-  return weights;
-}
-
-/// Rotation that takes the rays of the first frame to those of the second, as if all rows were exposed at once; the
-/// weights keep what disagrees from counting.
+/// Rotation that takes the rays of the first frame to those of the second, as if all rows were exposed at once.
 Eigen::Matrix3d image_rotation(const Camera& camera, const WindowPoints& points) {
-  constexpr int kIterations = 5;
   std::vector<Eigen::Vector3d> from, to;
   for (const Sighting& sighting : points.sightings) {
     if (sighting.frame != 1) continue;
     from.push_back(points.anchors[sighting.anchor].ray.normalized());
     to.push_back(camera.ray(sighting.px).normalized());
   }
-  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
-  std::vector<double> weights(from.size(), 1.0);
-  for (int iteration = 0; iteration < kIterations; ++iteration) {
-    Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();
-    std::vector<double> errors;
-    for (std::size_t i = 0; i < from.size(); ++i) moment += weights[i] * to[i] * from[i].transpose();
-    R = solve_wahba(moment);
-    for (std::size_t i = 0; i < from.size(); ++i) errors.push_back((to[i] - R * from[i]).norm());
-    weights = cauchy_weights(errors);
-  }
-  return R;
+  return robust_rotation(from, to).R;
 }
 
 /// Pearson's, -1 where it is not defined.

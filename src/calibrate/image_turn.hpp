@@ -1,0 +1,57 @@
+// How fast the camera turns, by its images alone.
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/pixel_mask.hpp"
+#include "gyro_deblur/time.hpp"
+
+namespace gyro_deblur {
+
+/// Mean rate of the camera between two images, as if it did not translate.
+struct ImageTurn {
+  TimeNs begin_ns = 0, end_ns = 0;                       ///< mid-exposure of both middle rows, camera clock
+  Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();  ///< of the camera, in its axes
+  double stddev_rad_s = 0;  ///< > 0: by what the points' directions differ from a rotation; translation adds to it
+  double speed_rad_s = 0;   ///< median speed of the points' directions: 0 for a camera that stands still
+};
+
+/// Follows corners from image to image of one camera without the gyroscope. Takes about a millisecond an image, for
+/// images are halved until they are at most 400 px wide. Not thread-safe.
+class ImageTurnTracker {
+ public:
+  /// Pixels that are not followed. @param mask  empty, or of the size of the images to come
+  void set_mask(const PixelMask& mask);
+
+  /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
+  /// @param exposure   of the image, in the order of time
+  /// @return since the image before; nothing for the first image, after a break of more than 0.25 s, and where too few
+  ///         corners are found again
+  /// Throws std::invalid_argument when the image does not fit the camera.
+  std::optional<ImageTurn> add(const cv::Mat& luminance, const Camera& camera, const RowExposure& exposure);
+
+  /// Forgets the image before.
+  void reset();
+
+ private:
+  void shrink_mask(const cv::Size& size);
+  std::optional<ImageTurn> follow(const std::vector<cv::Mat>& pyramid, const Camera& camera,
+                                  const RowExposure& exposure);
+
+  PixelMask mask_;
+  cv::Mat usable_;  // smaller: 255 where a corner may be; empty: everywhere, or not worked out yet
+  double scale_ = 1;
+  CameraCalibration calibration_;
+  std::vector<cv::Mat> pyramid_;  // of the image before, smaller
+  std::vector<cv::Point2f> corners_;
+  std::optional<RowExposure> exposure_;
+  Eigen::Vector3d rate_rad_s_ = Eigen::Vector3d::Zero();  // where the next corners are looked for
+};
+
+}  // namespace gyro_deblur

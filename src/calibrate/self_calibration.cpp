@@ -1,0 +1,289 @@
+#include "calibrate/self_calibration.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdarg>
+#include <cstdio>
+#include <utility>
+
+#include <Eigen/Geometry>
+
+#include "calibrate/turn_alignment.hpp"
+#include "gyro_deblur/calibration.hpp"
+#include "gyro_deblur/option_error.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr double kDegrees = 180 / M_PI;
+constexpr TimeNs kSecondNs = 1'000'000'000;
+constexpr TimeNs kWindowNs = 30 * kSecondNs, kUpdateNs = kSecondNs;
+/// Of 30 images a second and more.
+constexpr std::size_t kMostTurns = 1000;
+
+/// Motion that counts: at 460 px of focal length and 20 ms a blur of 1 px.
+constexpr double kTurningRadS = 0.1;
+constexpr double kLeastTurningS = 2;
+/// Of images and gyroscope; unrelated motions of some seconds reach .6 at one offset of a hundred.
+constexpr double kLeastCorrelation = 0.7, kLeastAgreeing = 0.6;
+/// Beyond it the rates have another unit, or the focal length is wrong.
+constexpr double kLeastScale = 0.6, kLargestScale = 1.6;
+/// About a second axis, root mean square: a twentieth of a degree a frame.
+constexpr double kLeastSecondRadS = 0.03;
+/// Half of what costs one to three percent of the matches.
+constexpr double kOffsetStddevS = 0.005, kRotationStddevRad = 2.5 / kDegrees, kBiasStddevRadS = 0.01;
+/// Of what the parts of one window have in common: exposures that jitter, tracking that pulls to one side.
+constexpr double kOffsetFloorS = 0.0005, kRotationFloorRad = 0.1 / kDegrees, kBiasFloorRadS = 0.001;
+
+constexpr double kStillRadS = 0.02;
+constexpr TimeNs kStillNs = kSecondNs, kStillPieceNs = kSecondNs / 4;
+/// Of the mean rates of quarters of a second: what a sensor at rest is below.
+constexpr double kRestingRadS = 0.01;
+/// No gyroscope's is larger; it is a turn that the images do not show.
+constexpr double kLargestBiasRadS = 0.3;
+
+__attribute__((format(printf, 1, 2))) std::string format(const char* pattern, ...) {
+  std::array<char, 400> text;
+  va_list arguments;
+  va_start(arguments, pattern);
+  std::vsnprintf(text.data(), text.size(), pattern, arguments);
+  va_end(arguments);
+  return text.data();
+}
+
+/// An axis of the camera in words.
+const char* axis_name(const Eigen::Vector3d& axis) {
+  Eigen::Index largest = 0;
+  axis.cwiseAbs().maxCoeff(&largest);
+  constexpr std::array<const char*, 3> kNames{"up and down (about x)", "left and right (about y)",
+                                              "about the optical axis (z)"};
+  return kNames[static_cast<std::size_t>(largest)];
+}
+
+double angle_rad(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b) {
+  return Eigen::AngleAxisd(Eigen::Matrix3d(a.transpose() * b)).angle();
+}
+
+/// Takes a later value over where it is about as sure, or where both cannot be true.
+template <typename Value>
+void take(const Value& value, double stddev, double difference, Learned<Value>* learned) {
+  constexpr double kAboutAsSure = 1.5, kCannotAgree = 4;
+  const bool keep = learned->known && stddev > kAboutAsSure * learned->stddev &&
+                    difference < kCannotAgree * std::hypot(stddev, learned->stddev);
+  if (!keep) *learned = {value, stddev, true, ""};
+}
+
+template <typename Value>
+void tell_missing(const std::string& missing, Learned<Value>* learned) {
+  if (!learned->known) learned->missing = missing;
+}
+
+}  // namespace
+
+void SelfCalibrationOptions::validate() const {
+  constexpr double kLongestOffsetS = 4e9, kLongestSearchS = 5, kShortestSearchS = 0.02;
+  require_range("time_offset", to_seconds(expected_offset_ns), -kLongestOffsetS, kLongestOffsetS, "s");
+  require_range("search", to_seconds(search_ns), kShortestSearchS, kLongestSearchS, "s");
+}
+
+SelfCalibration::SelfCalibration(const SelfCalibrationOptions& options)
+    : options_(options), gyro_(kWindowNs + 4 * options.search_ns) {
+  options.validate();
+  clear();
+}
+
+void SelfCalibration::clear() {
+  gyro_.clear();
+  turns_.clear();
+  still_since_ns_.reset();
+  updated_ns_.reset();
+  learned_ = {};
+  bias_of_rest_ = false;
+  refuse("nothing has been seen yet");
+}
+
+void SelfCalibration::add_sample(const GyroSample& sample) { gyro_.add(sample); }
+
+void SelfCalibration::add_turn(const ImageTurn& turn) {
+  if (!turns_.empty() && turn.begin_ns < turns_.back().begin_ns) {
+    turns_.clear();
+    updated_ns_.reset();
+    still_since_ns_.reset();
+  }
+  if (!updated_ns_) updated_ns_ = turn.begin_ns;
+  if (turn.speed_rad_s > kStillRadS || (!turns_.empty() && turn.begin_ns > turns_.back().end_ns)) {
+    still_since_ns_.reset();
+  }
+  if (turn.speed_rad_s <= kStillRadS && !still_since_ns_) still_since_ns_ = turn.begin_ns;
+  turns_.push_back(turn);
+  while (turns_.size() > kMostTurns || turn.end_ns - turns_.front().begin_ns > kWindowNs) turns_.pop_front();
+}
+
+bool SelfCalibration::is_due() const { return updated_ns_ && turns_.back().end_ns - *updated_ns_ >= kUpdateNs; }
+
+void SelfCalibration::update() {
+  if (turns_.empty()) return;
+  updated_ns_ = turns_.back().end_ns;
+  learn_alignment();
+  learn_resting_bias();
+}
+
+void SelfCalibration::refuse(const std::string& missing) {
+  tell_missing(missing, &learned_.R_cam_imu);
+  tell_missing(missing, &learned_.time_offset_s);
+  tell_missing(missing, &learned_.bias_rad_s);
+}
+
+std::vector<ImageTurn> SelfCalibration::usable_turns() const {
+  std::vector<ImageTurn> usable;
+  for (const ImageTurn& turn : turns_) {
+    const TimeNs begin_ns = turn.begin_ns + options_.expected_offset_ns - options_.search_ns;
+    const TimeNs end_ns = turn.end_ns + options_.expected_offset_ns + options_.search_ns;
+    if (gyro_.covers({begin_ns, end_ns})) usable.push_back(turn);
+  }
+  return usable;
+}
+
+std::string SelfCalibration::missing_data() const {
+  const TimeRange gyro = gyro_.available();
+  if (gyro.empty()) return "there are no gyroscope samples";
+  const double ahead_s = to_seconds(turns_.back().end_ns + options_.expected_offset_ns - gyro.end_ns);
+  if (std::abs(ahead_s) > 2 * to_seconds(options_.search_ns) + 1) {
+    return format(
+        "stamps of images are %.3f s %s those of the gyroscope, and offsets within %.1f s of %.6g s are looked "
+        "for: set time_offset to about %.3f",
+        std::abs(ahead_s), ahead_s > 0 ? "ahead of" : "behind", to_seconds(options_.search_ns),
+        to_seconds(options_.expected_offset_ns), to_seconds(options_.expected_offset_ns) - ahead_s);
+  }
+  return "more images and gyroscope samples are waited for";
+}
+
+void SelfCalibration::learn_alignment() {
+  const std::vector<ImageTurn> turns = usable_turns();
+  if (turns.empty()) return refuse(missing_data());
+  double image_s = 0, gyro_s = 0;
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  const auto gyro_rate = [this](const ImageTurn& turn) {
+    return gyro_.mean_rate({turn.begin_ns + options_.expected_offset_ns, turn.end_ns + options_.expected_offset_ns});
+  };
+  for (const ImageTurn& turn : turns) mean += gyro_rate(turn) / static_cast<double>(turns.size());
+  for (const ImageTurn& turn : turns) {
+    const double step_s = to_seconds(turn.end_ns - turn.begin_ns);
+    if (turn.rate_rad_s.norm() > kTurningRadS) image_s += step_s;
+    if ((gyro_rate(turn) - mean).norm() > kTurningRadS) gyro_s += step_s;
+  }
+  const double turning_s = std::min(image_s, gyro_s);
+  if (turning_s < kLeastTurningS) {
+    return refuse(format("the camera has turned faster than %.1f rad/s for %.1f of the %.0f s that it takes: turn it",
+                         kTurningRadS, turning_s, kLeastTurningS));
+  }
+  const OffsetPeak peak = search_turn_offset(turns, gyro_, options_.expected_offset_ns, options_.search_ns);
+  const std::optional<TurnAlignment> found = align_turns(turns, gyro_, peak.offset_ns);
+  if (!found || found->correlation < kLeastCorrelation || found->agreeing < kLeastAgreeing || peak.at_edge) {
+    return refuse(
+        format("at no offset within %.1f s of %.6g s images turn as the gyroscope does: the best correlation "
+               "is %.2f, %.1f is needed, and %.0f %% of the images agree, %.0f %% have to; move the camera "
+               "before a scene that stands still",
+               to_seconds(options_.search_ns), to_seconds(options_.expected_offset_ns),
+               found ? found->correlation : peak.correlation, kLeastCorrelation, found ? 100 * found->agreeing : 0,
+               100 * kLeastAgreeing));
+  }
+  if (found->scale < kLeastScale || found->scale > kLargestScale) {
+    return refuse(
+        format("images turn %.3g times as fast as the gyroscope says: check that its rates are in rad/s, and "
+               "the focal length",
+               found->scale));
+  }
+  if (peak.is_ambiguous) {
+    return refuse(
+        format("the motion repeats itself, so that time offsets of %.3f s and %.3f s fit alike: turn the "
+               "camera irregularly",
+               to_seconds(peak.offset_ns), to_seconds(peak.second_ns)));
+  }
+  const double offset_s = to_seconds(found->offset_ns);
+  const double offset_stddev_s = std::hypot(found->offset_stddev_s, kOffsetFloorS);
+  if (offset_stddev_s > kOffsetStddevS) {
+    return refuse(format("the time offset is known to %.0f ms, and %.0f ms are needed: turn the camera faster",
+                         1e3 * offset_stddev_s, 1e3 * kOffsetStddevS));
+  }
+  learned_.seconds = turning_s;
+  take(offset_s, offset_stddev_s, std::abs(offset_s - learned_.time_offset_s.value), &learned_.time_offset_s);
+
+  const double rotation_stddev_rad = std::hypot(found->rotation_stddev_rad, kRotationFloorRad);
+  if (found->second_rad_s < std::max(kLeastSecondRadS, found->spread_rad_s / 2) ||
+      rotation_stddev_rad > kRotationStddevRad) {
+    const std::string missing = format("the camera has turned about one axis only, %s: turn it about another one, too",
+                                       axis_name(found->main_axis));
+    tell_missing(missing, &learned_.R_cam_imu);
+    tell_missing(missing + ", or let it stand still", &learned_.bias_rad_s);
+    return;
+  }
+  take(found->R_cam_imu, rotation_stddev_rad, angle_rad(found->R_cam_imu, learned_.R_cam_imu.value),
+       &learned_.R_cam_imu);
+  const double bias_stddev_rad_s = std::hypot(found->bias_stddev_rad_s, kBiasFloorRadS);
+  if (bias_stddev_rad_s > kBiasStddevRadS) {
+    tell_missing(format("the bias is known to %.3f rad/s, and %.3f are needed: let the camera stand still",
+                        bias_stddev_rad_s, kBiasStddevRadS),
+                 &learned_.bias_rad_s);
+  } else if (!bias_of_rest_) {
+    take(found->bias_rad_s, bias_stddev_rad_s, (found->bias_rad_s - learned_.bias_rad_s.value).norm(),
+         &learned_.bias_rad_s);
+  }
+}
+
+void SelfCalibration::learn_resting_bias() {
+  if (!still_since_ns_) return;
+  // Whatever the offset is, the gyroscope stood still then, too.
+  const TimeNs around_ns = learned_.time_offset_s.known ? kSecondNs / 10 : options_.search_ns;
+  const TimeNs offset_ns =
+      learned_.time_offset_s.known ? to_ns(learned_.time_offset_s.value) : options_.expected_offset_ns;
+  TimeNs begin_ns = *still_since_ns_ + offset_ns + around_ns;
+  const TimeNs end_ns = std::min(turns_.back().end_ns + offset_ns - around_ns, gyro_.available().end_ns);
+  begin_ns = std::max(begin_ns, end_ns - 4 * kSecondNs);
+  if (end_ns - begin_ns < kStillNs || !gyro_.covers({begin_ns, end_ns})) return;
+  std::vector<Eigen::Vector3d> pieces;
+  for (TimeNs t_ns = begin_ns; t_ns + kStillPieceNs <= end_ns; t_ns += kStillPieceNs) {
+    pieces.push_back(gyro_.mean_rate({t_ns, t_ns + kStillPieceNs}));
+  }
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero(), squares = Eigen::Vector3d::Zero();
+  const auto count = static_cast<double>(pieces.size());
+  for (const Eigen::Vector3d& piece : pieces) mean += piece / count;
+  for (const Eigen::Vector3d& piece : pieces) squares += (piece - mean).cwiseAbs2() / (count - 1);
+  const double scatter_rad_s = std::sqrt(squares.maxCoeff());
+  if (scatter_rad_s > kRestingRadS || mean.norm() > kLargestBiasRadS) return;
+  learned_.bias_rad_s = {mean, std::hypot(scatter_rad_s / std::sqrt(count), kBiasFloorRadS), true, ""};
+  bias_of_rest_ = true;
+}
+
+std::vector<std::string> contradictions(const UsedCalibration& used, const LearnedCalibration& learned,
+                                        const std::string& name) {
+  constexpr double kForgivenRad = 10 / kDegrees, kForgivenS = 0.02, kForgivenRadS = 0.05, kSignificance = 4;
+  std::vector<std::string> texts;
+  if (used.R_cam_imu && learned.R_cam_imu.known) {
+    const double off_rad = angle_rad(*used.R_cam_imu, learned.R_cam_imu.value);
+    if (off_rad > std::max(kForgivenRad, kSignificance * learned.R_cam_imu.stddev)) {
+      texts.push_back(format("%s R_cam_imu is off by %.0f degrees: it is %s, images say %s (+- %.1f degrees)",
+                             name.c_str(), kDegrees * off_rad, to_string(*used.R_cam_imu).c_str(),
+                             to_string(learned.R_cam_imu.value).c_str(), kDegrees * learned.R_cam_imu.stddev));
+    }
+  }
+  if (used.time_offset_ns && learned.time_offset_s.known) {
+    const double used_s = to_seconds(*used.time_offset_ns);
+    if (std::abs(used_s - learned.time_offset_s.value) >
+        std::max(kForgivenS, kSignificance * learned.time_offset_s.stddev)) {
+      texts.push_back(format("%s time_offset is %.3f s, images say %.3f s (+- %.3f s)", name.c_str(), used_s,
+                             learned.time_offset_s.value, learned.time_offset_s.stddev));
+    }
+  }
+  if (used.bias_rad_s && learned.bias_rad_s.known) {
+    const Eigen::Vector3d &a = *used.bias_rad_s, &b = learned.bias_rad_s.value;
+    if ((a - b).norm() > std::max(kForgivenRadS, kSignificance * learned.bias_rad_s.stddev)) {
+      texts.push_back(format("%s gyro_bias is [%.3f, %.3f, %.3f] rad/s, images say [%.3f, %.3f, %.3f] (+- %.3f)",
+                             name.c_str(), a.x(), a.y(), a.z(), b.x(), b.y(), b.z(), learned.bias_rad_s.stddev));
+    }
+  }
+  return texts;
+}
+
+}  // namespace gyro_deblur
