@@ -9,7 +9,6 @@
 
 #include <Eigen/Geometry>
 
-#include "calibrate/turn_alignment.hpp"
 #include "gyro_deblur/calibration.hpp"
 #include "gyro_deblur/option_error.hpp"
 
@@ -24,7 +23,7 @@ constexpr std::size_t kMostTurns = 1000;
 
 /// Motion that counts: at 460 px of focal length and 20 ms a blur of 1 px.
 constexpr double kTurningRadS = 0.1;
-constexpr double kLeastTurningS = 2;
+constexpr double kLeastTurningS = 2, kLeastReadoutS = 5;
 /// Of images and gyroscope; unrelated motions of some seconds reach .6 at one offset of a hundred.
 constexpr double kLeastCorrelation = 0.7, kLeastAgreeing = 0.6;
 /// Beyond it the rates have another unit, or the focal length is wrong.
@@ -32,9 +31,11 @@ constexpr double kLeastScale = 0.6, kLargestScale = 1.6;
 /// About a second axis, root mean square: a twentieth of a degree a frame.
 constexpr double kLeastSecondRadS = 0.03;
 /// Half of what costs one to three percent of the matches.
-constexpr double kOffsetStddevS = 0.005, kRotationStddevRad = 2.5 / kDegrees, kBiasStddevRadS = 0.01;
+constexpr double kOffsetStddevS = 0.005, kRotationStddevRad = 2.5 / kDegrees, kBiasStddevRadS = 0.01,
+                 kReadoutStddevS = 0.0035;
 /// Of what the parts of one window have in common: exposures that jitter, tracking that pulls to one side.
-constexpr double kOffsetFloorS = 0.0005, kRotationFloorRad = 0.1 / kDegrees, kBiasFloorRadS = 0.001;
+constexpr double kOffsetFloorS = 0.0005, kRotationFloorRad = 0.1 / kDegrees, kBiasFloorRadS = 0.001,
+                 kReadoutFloorS = 0.0005, kReadoutFloorShare = 0.08;
 
 constexpr double kStillRadS = 0.02;
 constexpr TimeNs kStillNs = kSecondNs, kStillPieceNs = kSecondNs / 4;
@@ -65,13 +66,13 @@ double angle_rad(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b) {
   return Eigen::AngleAxisd(Eigen::Matrix3d(a.transpose() * b)).angle();
 }
 
-/// Takes a later value over where it is about as sure, or where both cannot be true.
+/// Takes a later value over where it is surer, or rests on about as much motion, or where both cannot be true.
 template <typename Value>
-void take(const Value& value, double stddev, double difference, Learned<Value>* learned) {
-  constexpr double kAboutAsSure = 1.5, kCannotAgree = 4;
-  const bool keep = learned->known && stddev > kAboutAsSure * learned->stddev &&
+void take(const Value& value, double stddev, double seconds, double difference, Learned<Value>* learned) {
+  constexpr double kAboutAsMuch = 0.7, kCannotAgree = 4;
+  const bool keep = learned->known && stddev > learned->stddev && seconds < kAboutAsMuch * learned->seconds &&
                     difference < kCannotAgree * std::hypot(stddev, learned->stddev);
-  if (!keep) *learned = {value, stddev, true, ""};
+  if (!keep) *learned = {value, stddev, seconds, true, ""};
 }
 
 template <typename Value>
@@ -93,11 +94,15 @@ SelfCalibration::SelfCalibration(const SelfCalibrationOptions& options)
   clear();
 }
 
-void SelfCalibration::clear() {
+void SelfCalibration::restart() {
   gyro_.clear();
   turns_.clear();
   still_since_ns_.reset();
   updated_ns_.reset();
+}
+
+void SelfCalibration::clear() {
+  restart();
   learned_ = {};
   bias_of_rest_ = false;
   refuse("nothing has been seen yet");
@@ -105,7 +110,7 @@ void SelfCalibration::clear() {
 
 void SelfCalibration::add_sample(const GyroSample& sample) { gyro_.add(sample); }
 
-void SelfCalibration::add_turn(const ImageTurn& turn) {
+void SelfCalibration::add_rate(const ImageRate& turn) {
   if (!turns_.empty() && turn.begin_ns < turns_.back().begin_ns) {
     turns_.clear();
     updated_ns_.reset();
@@ -132,12 +137,13 @@ void SelfCalibration::update() {
 void SelfCalibration::refuse(const std::string& missing) {
   tell_missing(missing, &learned_.R_cam_imu);
   tell_missing(missing, &learned_.time_offset_s);
+  tell_missing(missing, &learned_.readout_s);
   tell_missing(missing, &learned_.bias_rad_s);
 }
 
-std::vector<ImageTurn> SelfCalibration::usable_turns() const {
-  std::vector<ImageTurn> usable;
-  for (const ImageTurn& turn : turns_) {
+std::vector<ImageRate> SelfCalibration::usable_rates() const {
+  std::vector<ImageRate> usable;
+  for (const ImageRate& turn : turns_) {
     const TimeNs begin_ns = turn.begin_ns + options_.expected_offset_ns - options_.search_ns;
     const TimeNs end_ns = turn.end_ns + options_.expected_offset_ns + options_.search_ns;
     if (gyro_.covers({begin_ns, end_ns})) usable.push_back(turn);
@@ -160,15 +166,15 @@ std::string SelfCalibration::missing_data() const {
 }
 
 void SelfCalibration::learn_alignment() {
-  const std::vector<ImageTurn> turns = usable_turns();
+  const std::vector<ImageRate> turns = usable_rates();
   if (turns.empty()) return refuse(missing_data());
   double image_s = 0, gyro_s = 0;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-  const auto gyro_rate = [this](const ImageTurn& turn) {
+  const auto gyro_rate = [this](const ImageRate& turn) {
     return gyro_.mean_rate({turn.begin_ns + options_.expected_offset_ns, turn.end_ns + options_.expected_offset_ns});
   };
-  for (const ImageTurn& turn : turns) mean += gyro_rate(turn) / static_cast<double>(turns.size());
-  for (const ImageTurn& turn : turns) {
+  for (const ImageRate& turn : turns) mean += gyro_rate(turn) / static_cast<double>(turns.size());
+  for (const ImageRate& turn : turns) {
     const double step_s = to_seconds(turn.end_ns - turn.begin_ns);
     if (turn.rate_rad_s.norm() > kTurningRadS) image_s += step_s;
     if ((gyro_rate(turn) - mean).norm() > kTurningRadS) gyro_s += step_s;
@@ -178,8 +184,8 @@ void SelfCalibration::learn_alignment() {
     return refuse(format("the camera has turned faster than %.1f rad/s for %.1f of the %.0f s that it takes: turn it",
                          kTurningRadS, turning_s, kLeastTurningS));
   }
-  const OffsetPeak peak = search_turn_offset(turns, gyro_, options_.expected_offset_ns, options_.search_ns);
-  const std::optional<TurnAlignment> found = align_turns(turns, gyro_, peak.offset_ns);
+  const OffsetPeak peak = search_rate_offset(turns, gyro_, options_.expected_offset_ns, options_.search_ns);
+  const std::optional<RateAlignment> found = align_rates(turns, gyro_, peak.offset_ns);
   if (!found || found->correlation < kLeastCorrelation || found->agreeing < kLeastAgreeing || peak.at_edge) {
     return refuse(
         format("at no offset within %.1f s of %.6g s images turn as the gyroscope does: the best correlation "
@@ -207,27 +213,54 @@ void SelfCalibration::learn_alignment() {
     return refuse(format("the time offset is known to %.0f ms, and %.0f ms are needed: turn the camera faster",
                          1e3 * offset_stddev_s, 1e3 * kOffsetStddevS));
   }
-  learned_.seconds = turning_s;
-  take(offset_s, offset_stddev_s, std::abs(offset_s - learned_.time_offset_s.value), &learned_.time_offset_s);
+  take(offset_s, offset_stddev_s, turning_s, std::abs(offset_s - learned_.time_offset_s.value),
+       &learned_.time_offset_s);
+  learn_readout(*found, turning_s);
+  learn_rotation_and_bias(*found, turning_s);
+}
 
-  const double rotation_stddev_rad = std::hypot(found->rotation_stddev_rad, kRotationFloorRad);
-  if (found->second_rad_s < std::max(kLeastSecondRadS, found->spread_rad_s / 2) ||
-      rotation_stddev_rad > kRotationStddevRad) {
-    const std::string missing = format("the camera has turned about one axis only, %s: turn it about another one, too",
-                                       axis_name(found->main_axis));
+void SelfCalibration::learn_readout(const RateAlignment& found, double turning_s) {
+  const double stddev_s =
+      std::hypot(found.readout_stddev_s, kReadoutFloorS + kReadoutFloorShare * std::abs(found.readout_s));
+  if (turning_s < kLeastReadoutS) {
+    return tell_missing(format("the camera has turned for %.1f of the %.0f s that the readout time takes: turn it",
+                               turning_s, kLeastReadoutS),
+                        &learned_.readout_s);
+  }
+  if (stddev_s > kReadoutStddevS) {
+    return tell_missing(format("the readout time is known to %.0f ms, and %.0f ms are needed: turn the camera faster",
+                               1e3 * stddev_s, 1e3 * kReadoutStddevS),
+                        &learned_.readout_s);
+  }
+  // A global shutter's is 0, and not nearly.
+  const double readout_s = std::abs(found.readout_s) < 2 * stddev_s ? 0 : found.readout_s;
+  take(readout_s, stddev_s, turning_s, std::abs(readout_s - learned_.readout_s.value), &learned_.readout_s);
+}
+
+void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double turning_s) {
+  const double rotation_stddev_rad = std::hypot(found.rotation_stddev_rad, kRotationFloorRad);
+  std::string missing;
+  if (found.second_rad_s < std::max(kLeastSecondRadS, found.spread_rad_s / 2)) {
+    missing = format("the camera has turned about one axis only, %s: turn it about another one, too",
+                     axis_name(found.main_axis));
+  } else if (rotation_stddev_rad > kRotationStddevRad) {
+    missing = format("the rotation is known to %.1f degrees, and %.1f are needed: turn the camera about all axes",
+                     kDegrees * rotation_stddev_rad, kDegrees * kRotationStddevRad);
+  }
+  if (!missing.empty()) {
     tell_missing(missing, &learned_.R_cam_imu);
     tell_missing(missing + ", or let it stand still", &learned_.bias_rad_s);
     return;
   }
-  take(found->R_cam_imu, rotation_stddev_rad, angle_rad(found->R_cam_imu, learned_.R_cam_imu.value),
+  take(found.R_cam_imu, rotation_stddev_rad, turning_s, angle_rad(found.R_cam_imu, learned_.R_cam_imu.value),
        &learned_.R_cam_imu);
-  const double bias_stddev_rad_s = std::hypot(found->bias_stddev_rad_s, kBiasFloorRadS);
+  const double bias_stddev_rad_s = std::hypot(found.bias_stddev_rad_s, kBiasFloorRadS);
   if (bias_stddev_rad_s > kBiasStddevRadS) {
     tell_missing(format("the bias is known to %.3f rad/s, and %.3f are needed: let the camera stand still",
                         bias_stddev_rad_s, kBiasStddevRadS),
                  &learned_.bias_rad_s);
   } else if (!bias_of_rest_) {
-    take(found->bias_rad_s, bias_stddev_rad_s, (found->bias_rad_s - learned_.bias_rad_s.value).norm(),
+    take(found.bias_rad_s, bias_stddev_rad_s, turning_s, (found.bias_rad_s - learned_.bias_rad_s.value).norm(),
          &learned_.bias_rad_s);
   }
 }
@@ -252,38 +285,50 @@ void SelfCalibration::learn_resting_bias() {
   for (const Eigen::Vector3d& piece : pieces) squares += (piece - mean).cwiseAbs2() / (count - 1);
   const double scatter_rad_s = std::sqrt(squares.maxCoeff());
   if (scatter_rad_s > kRestingRadS || mean.norm() > kLargestBiasRadS) return;
-  learned_.bias_rad_s = {mean, std::hypot(scatter_rad_s / std::sqrt(count), kBiasFloorRadS), true, ""};
+  learned_.bias_rad_s = {mean, std::hypot(scatter_rad_s / std::sqrt(count), kBiasFloorRadS),
+                         to_seconds(end_ns - begin_ns), true, ""};
   bias_of_rest_ = true;
 }
 
-std::vector<std::string> contradictions(const UsedCalibration& used, const LearnedCalibration& learned,
-                                        const std::string& name) {
-  constexpr double kForgivenRad = 10 / kDegrees, kForgivenS = 0.02, kForgivenRadS = 0.05, kSignificance = 4;
-  std::vector<std::string> texts;
+std::vector<Contradiction> contradictions(const UsedCalibration& used, const LearnedCalibration& learned) {
+  constexpr double kForgivenRad = 10 / kDegrees, kForgivenS = 0.02, kForgivenReadoutS = 0.008, kForgivenRadS = 0.05;
+  const auto contradicts = [](double difference, double forgiven, double stddev) {
+    constexpr double kSignificance = 4;
+    return difference > std::max(forgiven, kSignificance * stddev);
+  };
+  std::vector<Contradiction> found;
+  const auto add = [&found](const std::string& key, const std::string& source, const std::string& values) {
+    found.push_back({key, key + " (" + source + ") contradicts the images: it is " + values +
+                              "; correct it, or leave it out to have it estimated"});
+  };
   if (used.R_cam_imu && learned.R_cam_imu.known) {
-    const double off_rad = angle_rad(*used.R_cam_imu, learned.R_cam_imu.value);
-    if (off_rad > std::max(kForgivenRad, kSignificance * learned.R_cam_imu.stddev)) {
-      texts.push_back(format("%s R_cam_imu is off by %.0f degrees: it is %s, images say %s (+- %.1f degrees)",
-                             name.c_str(), kDegrees * off_rad, to_string(*used.R_cam_imu).c_str(),
-                             to_string(learned.R_cam_imu.value).c_str(), kDegrees * learned.R_cam_imu.stddev));
+    const Eigen::Matrix3d& value = learned.R_cam_imu.value;
+    const double stddev = learned.R_cam_imu.stddev;
+    const double off_rad = angle_rad(used.R_cam_imu->value, value);
+    if (contradicts(off_rad, kForgivenRad, stddev)) {
+      add("R_cam_imu", used.R_cam_imu->source,
+          to_string(used.R_cam_imu->value) + ", they say " + to_string(value) +
+              format(" (+- %.1f degrees), %.0f degrees from it", kDegrees * stddev, kDegrees * off_rad));
     }
   }
-  if (used.time_offset_ns && learned.time_offset_s.known) {
-    const double used_s = to_seconds(*used.time_offset_ns);
-    if (std::abs(used_s - learned.time_offset_s.value) >
-        std::max(kForgivenS, kSignificance * learned.time_offset_s.stddev)) {
-      texts.push_back(format("%s time_offset is %.3f s, images say %.3f s (+- %.3f s)", name.c_str(), used_s,
-                             learned.time_offset_s.value, learned.time_offset_s.stddev));
-    }
-  }
+  const auto check_time = [&](const char* key, const std::optional<Used<TimeNs>>& in_use, const Learned<double>& images,
+                              double forgiven_s) {
+    if (!in_use || !images.known) return;
+    const double used_s = to_seconds(in_use->value);
+    if (!contradicts(std::abs(used_s - images.value), forgiven_s, images.stddev)) return;
+    add(key, in_use->source, format("%.4f s, they say %.4f s (+- %.4f s)", used_s, images.value, images.stddev));
+  };
+  check_time("time_offset", used.time_offset_ns, learned.time_offset_s, kForgivenS);
+  check_time("readout_time", used.readout_ns, learned.readout_s, kForgivenReadoutS);
   if (used.bias_rad_s && learned.bias_rad_s.known) {
-    const Eigen::Vector3d &a = *used.bias_rad_s, &b = learned.bias_rad_s.value;
-    if ((a - b).norm() > std::max(kForgivenRadS, kSignificance * learned.bias_rad_s.stddev)) {
-      texts.push_back(format("%s gyro_bias is [%.3f, %.3f, %.3f] rad/s, images say [%.3f, %.3f, %.3f] (+- %.3f)",
-                             name.c_str(), a.x(), a.y(), a.z(), b.x(), b.y(), b.z(), learned.bias_rad_s.stddev));
+    const Eigen::Vector3d &a = used.bias_rad_s->value, &b = learned.bias_rad_s.value;
+    if (contradicts((a - b).norm(), kForgivenRadS, learned.bias_rad_s.stddev)) {
+      add("gyro_bias", used.bias_rad_s->source,
+          format("[%.3f, %.3f, %.3f] rad/s, they say [%.3f, %.3f, %.3f] rad/s (+- %.3f)", a.x(), a.y(), a.z(), b.x(),
+                 b.y(), b.z(), learned.bias_rad_s.stddev));
     }
   }
-  return texts;
+  return found;
 }
 
 }  // namespace gyro_deblur

@@ -1,4 +1,4 @@
-// Rotation, time offset and gyroscope bias, learned while the camera is in use.
+// Rotation, time offset, readout time and gyroscope bias, learned while the camera is in use.
 #pragma once
 
 #include <deque>
@@ -9,7 +9,8 @@
 #include <Eigen/Core>
 
 #include "calibrate/gyro_integral.hpp"
-#include "calibrate/image_turn.hpp"
+#include "calibrate/image_rate.hpp"
+#include "calibrate/rate_alignment.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
 #include "gyro_deblur/time.hpp"
 
@@ -26,8 +27,9 @@ struct SelfCalibrationOptions {
 template <typename Value>
 struct Learned {
   Value value{};
-  double stddev = 0;    ///< of the value; of a vector or rotation about the axis of which least is known
-  bool known = false;   ///< sure enough to be used
+  double stddev = 0;      ///< of the value; of a vector or rotation about the axis of which least is known
+  double seconds = 0;     ///< of motion, or rest, behind it
+  bool known = false;     ///< sure enough to be used
   std::string missing{};  ///< where it is not known: why not, and what would help
 };
 
@@ -37,15 +39,15 @@ struct LearnedCalibration {
   /// t_imu = t_cam + time_offset [s]. Contains what the images' exposures were given wrongly: half of an exposure time
   /// and of a readout time that were taken to be 0.
   Learned<double> time_offset_s;
+  Learned<double> readout_s;  ///< from the first row to the last, whatever the images' exposures say of it
   Learned<Eigen::Vector3d> bias_rad_s{Eigen::Vector3d::Zero()};  ///< IMU axes
-  double seconds = 0;                                            ///< of motion behind rotation and offset
 };
 
 /// Learns from the rates of images and gyroscope of the last half minute: the offset by correlation, the rotation in
-/// closed form (Wahba's problem), then both with the bias by robust least squares; the bias of a camera that stands
-/// still also from that alone. A value is known when two standard deviations are below 10 ms, 5 degrees, or 0.02 rad/s:
-/// what that costs is a few percent of the matches. A known value stays known until later motion tells it otherwise.
-/// Bounded memory, some milliseconds for an update() each second. Not thread-safe.
+/// closed form (Wahba's problem), then both with bias and readout by robust least squares; the bias of a camera that
+/// stands still also from that alone. A value is known when two standard deviations are below 10 ms (readout: 7 ms), 5
+/// degrees, or 0.02 rad/s: what that costs is a few percent of the matches. A known value stays known until later
+/// motion tells it otherwise. Bounded memory, some milliseconds for an update() each second. Not thread-safe.
 class SelfCalibration {
  public:
   /// Throws OptionError.
@@ -54,7 +56,7 @@ class SelfCalibration {
   /// @param sample  IMU axes and clock, in the order of time
   void add_sample(const GyroSample& sample);
   /// @param turn  in the order of time; begins anew where time goes back
-  void add_turn(const ImageTurn& turn);
+  void add_rate(const ImageRate& turn);
 
   /// A second of images has come since the last update.
   bool is_due() const;
@@ -62,36 +64,53 @@ class SelfCalibration {
   void update();
 
   const LearnedCalibration& learned() const { return learned_; }
+  /// Forgets images and samples, but not what they told: time has been reset.
+  void restart();
   /// Forgets everything.
   void clear();
 
  private:
-  std::vector<ImageTurn> usable_turns() const;
+  std::vector<ImageRate> usable_rates() const;
   /// Why no turn is usable.
   std::string missing_data() const;
   void learn_alignment();
+  void learn_readout(const RateAlignment& found, double turning_s);
+  void learn_rotation_and_bias(const RateAlignment& found, double turning_s);
   void learn_resting_bias();
   void refuse(const std::string& missing);
 
   SelfCalibrationOptions options_;
   GyroIntegral gyro_;
-  std::deque<ImageTurn> turns_;           // of the last half minute
+  std::deque<ImageRate> turns_;           // of the last half minute
   std::optional<TimeNs> still_since_ns_;  // camera clock
   std::optional<TimeNs> updated_ns_;      // camera clock
   LearnedCalibration learned_;
   bool bias_of_rest_ = false;  // and not of motion
 };
 
-/// What is used now, for a check against what has been learned. What is absent is not checked.
-struct UsedCalibration {
-  std::optional<Eigen::Matrix3d> R_cam_imu;
-  std::optional<TimeNs> time_offset_ns;
-  std::optional<Eigen::Vector3d> bias_rad_s;
+/// A value in use, and where it is from: "parameter", "tf", the name of a file.
+template <typename Value>
+struct Used {
+  Value value;
+  std::string source;
 };
 
-/// Sentences, each with both values, on what contradicts known values by far more than their uncertainty and more than
-/// optical flow forgives: 10 degrees, 20 ms, 0.05 rad/s. `name` begins them, e.g. "configured".
-std::vector<std::string> contradictions(const UsedCalibration& used, const LearnedCalibration& learned,
-                                        const std::string& name);
+/// What is used now, for a check against what has been learned. What is absent is not checked.
+struct UsedCalibration {
+  std::optional<Used<Eigen::Matrix3d>> R_cam_imu;
+  std::optional<Used<TimeNs>> time_offset_ns;  ///< for the exposures that the images were given
+  std::optional<Used<TimeNs>> readout_ns;
+  std::optional<Used<Eigen::Vector3d>> bias_rad_s;
+};
+
+/// A value in use that images contradict.
+struct Contradiction {
+  std::string key;   ///< R_cam_imu, time_offset, readout_time or gyro_bias
+  std::string text;  ///< both values, and what to do
+};
+
+/// What images contradict by far more than the uncertainty of known values and more than optical flow forgives: 10
+/// degrees, 20 ms (readout: 8 ms), 0.05 rad/s.
+std::vector<Contradiction> contradictions(const UsedCalibration& used, const LearnedCalibration& learned);
 
 }  // namespace gyro_deblur

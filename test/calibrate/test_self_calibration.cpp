@@ -59,8 +59,16 @@ struct Recording {
   double noise_rad_s = 0.03, gyro_noise_rad_s = 0.005;
   double outliers = 0;       ///< share of the images
   double speed_rad_s = 0.3;  ///< of the points
+  double readout_s = 0;
   unsigned seed = 1;
 };
+
+/// How the rows of a rolling shutter disturb the rate of an image, see ImageRate: another for each image.
+Eigen::Matrix3d by_rows(double t_s) {
+  Eigen::Matrix3d m;
+  m << 0.02, 0.1, 0.05, -0.15, 0, 0.1, 0.05, 0.4, 0.1;
+  return (1 + 0.5 * std::sin(7 * t_s)) * m;
+}
 
 constexpr double kFrameS = 0.05, kSampleS = 0.005;
 
@@ -82,13 +90,17 @@ void play(const Recording& recording, double from_s, double to_s, SelfCalibratio
           {to_ns(sample_s + offset_s),
            recording.gyro_factor * (rate_rad_s + recording.truth.bias_rad_s + noise(recording.gyro_noise_rad_s))});
     }
-    ImageTurn turn{to_ns(t_s), to_ns(t_s + kFrameS), {}, recording.noise_rad_s, recording.speed_rad_s};
+    ImageRate turn{to_ns(t_s), to_ns(t_s + kFrameS), {}, recording.noise_rad_s, recording.speed_rad_s};
     turn.rate_rad_s = recording.camera.mean_rate(t_s, t_s + kFrameS) + noise(recording.noise_rad_s) +
                       recording.apparent.mean_rate(t_s, t_s + kFrameS);
+    const double half_s = recording.readout_s / 2;
+    turn.by_rows = by_rows(t_s);
+    turn.rate_rad_s += turn.by_rows * (recording.camera.mean_rate(t_s + half_s, t_s + kFrameS + half_s) -
+                                       recording.camera.mean_rate(t_s - half_s, t_s + kFrameS - half_s));
     if (share(random) < recording.outliers) {
       turn.rate_rad_s = Eigen::Vector3d(uniform(random), uniform(random), uniform(random));
     }
-    calibration->add_turn(turn);
+    calibration->add_rate(turn);
     if (!calibration->is_due()) continue;
     calibration->update();
     if (on_update) on_update(t_s + kFrameS);
@@ -282,27 +294,61 @@ TEST(SelfCalibration, RefusesRatesOfAnotherUnit) {
   EXPECT_NE(calibration.learned().R_cam_imu.missing.find("rad/s"), std::string::npos);
 }
 
+TEST(SelfCalibration, LearnsTheReadoutTime) {
+  for (const double readout_s : {0.0, 0.011, 0.025, -0.02}) {
+    Recording recording;
+    recording.camera = hand_held();
+    recording.readout_s = readout_s;
+    recording.truth.time_offset_ns = 21'000'000;
+    SelfCalibration calibration;
+    play(recording, 0, 20, &calibration);
+    SCOPED_TRACE(readout_s);
+    const LearnedCalibration& learned = calibration.learned();
+    ASSERT_TRUE(learned.readout_s.known) << learned.readout_s.missing;
+    EXPECT_NEAR(learned.readout_s.value, readout_s, 0.004);
+    EXPECT_LT(std::abs(learned.readout_s.value - readout_s), 4 * learned.readout_s.stddev);
+    if (readout_s == 0) {
+      EXPECT_EQ(learned.readout_s.value, 0) << "not nearly a global shutter";
+    }
+    EXPECT_LT(offset_error_ms(learned, recording.truth), 2);
+    EXPECT_LT(rotation_error_deg(learned, recording.truth), 1);
+  }
+}
+
 TEST(SelfCalibration, ContradictsAWrongCalibrationWithinFiveSecondsOfMotion) {
   Recording recording;
   recording.camera = hand_held();
   recording.truth.time_offset_ns = 310'000'000;
-  UsedCalibration remembered;
-  remembered.R_cam_imu = recording.truth.R_cam_imu * rotation({0, M_PI / 2, 0});
-  remembered.time_offset_ns = 120'000'000;
-  remembered.bias_rad_s = recording.truth.bias_rad_s;
-  UsedCalibration right{recording.truth.R_cam_imu, recording.truth.time_offset_ns, recording.truth.bias_rad_s};
+  const UsedCalibration right{{{recording.truth.R_cam_imu, "tf"}},
+                              {{recording.truth.time_offset_ns, "parameter"}},
+                              {{0, "parameter"}},
+                              {{recording.truth.bias_rad_s, "parameter"}}};
+  UsedCalibration wrong = right;
+  wrong.R_cam_imu->value = recording.truth.R_cam_imu * rotation({0, M_PI / 2, 0});
+  wrong.time_offset_ns->value = 120'000'000;
   SelfCalibration calibration;
   double contradicted_s = 0;
   play(recording, 0, 15, &calibration, [&](double t_s) {
-    EXPECT_TRUE(contradictions(right, calibration.learned(), "configured").empty());
-    if (contradicted_s == 0 && contradictions(remembered, calibration.learned(), "").size() == 2) contradicted_s = t_s;
+    EXPECT_TRUE(contradictions(right, calibration.learned()).empty());
+    if (contradicted_s == 0 && contradictions(wrong, calibration.learned()).size() == 2) contradicted_s = t_s;
   });
   ASSERT_GT(contradicted_s, 0);
   EXPECT_LE(contradicted_s, 5);
-  const std::vector<std::string> texts = contradictions(remembered, calibration.learned(), "remembered");
-  ASSERT_EQ(texts.size(), 2U);
-  EXPECT_EQ(texts[0].rfind("remembered R_cam_imu is off by 90 degrees", 0), 0U) << texts[0];
-  EXPECT_EQ(texts[1].rfind("remembered time_offset is 0.120 s, images say 0.31", 0), 0U) << texts[1];
+  const std::vector<Contradiction> found = contradictions(wrong, calibration.learned());
+  ASSERT_EQ(found.size(), 2U);
+  EXPECT_EQ(found[0].key, "R_cam_imu");
+  EXPECT_EQ(found[0].text.rfind("R_cam_imu (tf) contradicts the images: it is [", 0), 0U) << found[0].text;
+  EXPECT_NE(found[0].text.find("90 degrees from it"), std::string::npos) << found[0].text;
+  EXPECT_EQ(found[1].key, "time_offset");
+  EXPECT_NE(found[1].text.find("it is 0.1200 s, they say 0.31"), std::string::npos) << found[1].text;
+  wrong = right;
+  wrong.readout_ns->value = 20'000'000;
+  wrong.bias_rad_s->value.x() += 0.1;
+  const std::vector<Contradiction> others = contradictions(wrong, calibration.learned());
+  ASSERT_EQ(others.size(), 2U);
+  EXPECT_EQ(others[0].key, "readout_time");
+  EXPECT_EQ(others[1].key, "gyro_bias");
+  EXPECT_TRUE(contradictions({}, calibration.learned()).empty()) << "what is absent is not checked";
 }
 
 TEST(SelfCalibration, FollowsAnImuThatHasBeenMoved) {
@@ -330,6 +376,8 @@ TEST(SelfCalibration, KeepsWhatItKnowsWhileTheCameraRests) {
   EXPECT_TRUE(calibration.learned().R_cam_imu.known);
   EXPECT_TRUE(calibration.learned().time_offset_s.known);
   EXPECT_LT(rotation_error_deg(calibration.learned(), recording.truth), 1);
+  calibration.restart();
+  EXPECT_TRUE(calibration.learned().R_cam_imu.known) << "a reset of time moves no sensor";
   calibration.clear();
   EXPECT_FALSE(calibration.learned().R_cam_imu.known);
 }

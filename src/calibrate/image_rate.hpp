@@ -14,17 +14,21 @@
 
 namespace gyro_deblur {
 
-/// Mean rate of the camera between two images, as if it did not translate.
-struct ImageTurn {
+/// Mean rate of the camera between two images, at their middle rows.
+struct ImageRate {
   TimeNs begin_ns = 0, end_ns = 0;                       ///< mid-exposure of both middle rows, camera clock
   Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();  ///< of the camera, in its axes
-  double stddev_rad_s = 0;  ///< > 0: by what the points' directions differ from a rotation; translation adds to it
+  double stddev_rad_s = 0;  ///< > 0; translation, which looks much like rotation in a small field of view, adds to it
   double speed_rad_s = 0;   ///< median speed of the points' directions: 0 for a camera that stands still
+  /// The rows of a rolling shutter turn at different rates while the camera's rate changes. `rate_rad_s` is off by this
+  /// matrix times the difference of rates between last and first row.
+  Eigen::Matrix3d by_rows = Eigen::Matrix3d::Zero();
 };
 
-/// Follows corners from image to image of one camera without the gyroscope. Takes about a millisecond an image, for
-/// images are halved until they are at most 400 px wide. Not thread-safe.
-class ImageTurnTracker {
+/// Follows corners from image to image of one camera without the gyroscope, and fits its rotation and translation, with
+/// depths that differ by about a half. Takes about two milliseconds an image, for images are halved until they are at
+/// most 400 px wide. Not thread-safe.
+class ImageRateTracker {
  public:
   /// Pixels that are not followed. @param mask  empty, or of the size of the images to come
   void set_mask(const PixelMask& mask);
@@ -34,14 +38,15 @@ class ImageTurnTracker {
   /// @return since the image before; nothing for the first image, after a break of more than 0.25 s, and where too few
   ///         corners are found again
   /// Throws std::invalid_argument when the image does not fit the camera.
-  std::optional<ImageTurn> add(const cv::Mat& luminance, const Camera& camera, const RowExposure& exposure);
+  std::optional<ImageRate> add(const cv::Mat& luminance, const Camera& camera, const RowExposure& exposure);
 
   /// Forgets the image before.
   void reset();
 
  private:
+  static constexpr double kFirstTranslationRadS = 0.2;  // a walk through a room
   void shrink_mask(const cv::Size& size);
-  std::optional<ImageTurn> follow(const std::vector<cv::Mat>& pyramid, const Camera& camera,
+  std::optional<ImageRate> follow(const std::vector<cv::Mat>& pyramid, const Camera& camera,
                                   const RowExposure& exposure);
 
   PixelMask mask_;
@@ -52,6 +57,7 @@ class ImageTurnTracker {
   std::vector<cv::Point2f> corners_;
   std::optional<RowExposure> exposure_;
   Eigen::Vector3d rate_rad_s_ = Eigen::Vector3d::Zero();  // where the next corners are looked for
+  double translation_rad_s_ = kFirstTranslationRadS;      // what it makes of directions, one axis, root mean square
 };
 
 }  // namespace gyro_deblur

@@ -7,7 +7,7 @@
 #include <Eigen/Core>
 
 #include "calibrate/gyro_integral.hpp"
-#include "calibrate/image_turn.hpp"
+#include "calibrate/image_rate.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
@@ -26,18 +26,19 @@ struct OffsetPeak {
 /// @param center  of the search, which goes `search_ns` (> 0) to either side
 /// The correlation of vectors, with the rotation that makes it largest (Wahba's problem): signs and directions count,
 /// so that a motion whose speed alone repeats itself is told apart.
-OffsetPeak search_turn_offset(const std::vector<ImageTurn>& turns, const GyroIntegral& gyro, TimeNs center_ns,
+OffsetPeak search_rate_offset(const std::vector<ImageRate>& turns, const GyroIntegral& gyro, TimeNs center_ns,
                               TimeNs search_ns);
 
 /// What makes gyroscope and images agree best: image rate = scale * R_cam_imu (gyroscope's rate - bias).
-struct TurnAlignment {
+struct RateAlignment {
   TimeNs offset_ns = 0;  ///< t_imu = t_cam + offset
   Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< IMU axes
+  double readout_s = 0;                                  ///< from the first row to the last
   double scale = 1;                                      ///< translation and a wrong focal length are in it
   /// Standard deviations, from how the values change without parts of the time; rotation and bias about the axis of
   /// which least is known.
-  double offset_stddev_s = 0, rotation_stddev_rad = 0, bias_stddev_rad_s = 0;
+  double offset_stddev_s = 0, rotation_stddev_rad = 0, bias_stddev_rad_s = 0, readout_stddev_s = 0;
   double correlation = 0;                                ///< [0, 1], without what disagrees
   double agreeing = 0;                                   ///< [0, 1] of the turns
   double spread_rad_s = 0;                               ///< of the differences, one axis
@@ -48,7 +49,7 @@ struct TurnAlignment {
 /// Robust least squares (Gauss-Newton with Cauchy's weights) from the offset on.
 /// @param begin_ns  where the correlation is largest
 /// Nothing where the gyroscope covers too few turns, or does not turn.
-std::optional<TurnAlignment> align_turns(const std::vector<ImageTurn>& turns, const GyroIntegral& gyro,
+std::optional<RateAlignment> align_rates(const std::vector<ImageRate>& turns, const GyroIntegral& gyro,
                                          TimeNs begin_ns);
 
 }  // namespace gyro_deblur

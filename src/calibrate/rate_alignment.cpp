@@ -1,4 +1,4 @@
-#include "calibrate/turn_alignment.hpp"
+#include "calibrate/rate_alignment.hpp"
 
 #include <algorithm>
 #include <array>
@@ -20,7 +20,9 @@ constexpr TimeNs kCoarseStepNs = 10'000'000, kFineStepNs = 2'000'000;
 /// The coarse search goes through no more turns than these.
 constexpr std::size_t kMostCoarse = 300;
 /// Of a rate from images, beside what each turn says of itself [rad/s].
-constexpr double kFloorRadS = 0.02;
+constexpr double kFloorRadS = 0.01;
+/// Slower turns say nothing of agreement.
+constexpr double kLeastMovingRadS = 0.04;
 
 /// Sums of one offset.
 struct Correlated {
@@ -33,25 +35,25 @@ struct Correlated {
   }
 };
 
-TimeRange shifted(const ImageTurn& turn, TimeNs offset_ns) {
+TimeRange shifted(const ImageRate& turn, TimeNs offset_ns) {
   return {turn.begin_ns + offset_ns, turn.end_ns + offset_ns};
 }
 
 /// Turns that are faster than the gyroscope ever turned are wrong; their weight falls with their square.
-std::vector<double> prior_weights(const std::vector<ImageTurn>& turns, const GyroIntegral& gyro, TimeNs offset_ns) {
+std::vector<double> prior_weights(const std::vector<ImageRate>& turns, const GyroIntegral& gyro, TimeNs offset_ns) {
   std::vector<double> weights, speeds;
-  for (const ImageTurn& turn : turns) speeds.push_back(gyro.mean_rate(shifted(turn, offset_ns)).norm());
+  for (const ImageRate& turn : turns) speeds.push_back(gyro.mean_rate(shifted(turn, offset_ns)).norm());
   const auto fast = speeds.begin() + static_cast<std::ptrdiff_t>(speeds.size() * 19 / 20);
   std::nth_element(speeds.begin(), fast, speeds.end());
-  const double limit_rad_s = *fast + 2 * kFloorRadS;
-  for (const ImageTurn& turn : turns) {
+  const double limit_rad_s = *fast + kLeastMovingRadS;
+  for (const ImageRate& turn : turns) {
     const double excess = std::max(1.0, turn.rate_rad_s.norm() / limit_rad_s);
     weights.push_back(1 / (excess * excess * (kFloorRadS * kFloorRadS + turn.stddev_rad_s * turn.stddev_rad_s)));
   }
   return weights;
 }
 
-Correlated correlate(const std::vector<ImageTurn>& turns, const std::vector<double>& weights, std::size_t stride,
+Correlated correlate(const std::vector<ImageRate>& turns, const std::vector<double>& weights, std::size_t stride,
                      const GyroIntegral& gyro, TimeNs offset_ns) {
   double sum = 0, image_squares = 0, gyro_squares = 0;
   Eigen::Vector3d image_sum = Eigen::Vector3d::Zero(), gyro_sum = Eigen::Vector3d::Zero();
@@ -86,9 +88,9 @@ std::size_t second_peak(const std::vector<double>& values, std::size_t peak) {
   return second;
 }
 
-/// Rows of the normal equations: rotation, offset, bias, logarithm of the scale.
-constexpr int kUnknowns = 8;
-constexpr int kOffset = 3, kBias = 4, kScale = 7;
+/// Rows of the normal equations: rotation, offset, bias, logarithm of the scale, readout.
+constexpr int kUnknowns = 9;
+constexpr int kOffset = 3, kBias = 4, kScale = 7, kReadout = 8;
 using Normal = Eigen::Matrix<double, kUnknowns, kUnknowns>;
 using Unknowns = Eigen::Matrix<double, kUnknowns, 1>;
 
@@ -96,10 +98,10 @@ using Unknowns = Eigen::Matrix<double, kUnknowns, 1>;
 constexpr std::size_t kParts = 8;
 constexpr std::size_t kFewestTurns = 3 * kParts;
 
-/// What is not known at all is known to this: 1 rad, 0.5 s, 0.5 rad/s, a factor of 1.6.
+/// What is not known at all is known to this: 1 rad, 1 s, 0.5 rad/s, a factor of 1.6, 30 ms.
 Normal prior() {
   Unknowns stddev;
-  stddev << 1, 1, 1, 0.5, 0.5, 0.5, 0.5, 0.5;
+  stddev << 1, 1, 1, 1, 0.5, 0.5, 0.5, 0.5, 0.03;
   return stddev.cwiseAbs2().cwiseInverse().asDiagonal();
 }
 
@@ -112,7 +114,7 @@ Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
 /// One step of Gauss-Newton, and what it leaves.
 class Step {
  public:
-  Step(const std::vector<ImageTurn>& turns, const GyroIntegral& gyro, const TurnAlignment& at)
+  Step(const std::vector<ImageRate>& turns, const GyroIntegral& gyro, const RateAlignment& at)
       : turns_(turns), predicted_(turns.size()), differences_(turns.size()) {
     constexpr TimeNs kHalfNs = 3'000'000;
     std::vector<double> lengths;
@@ -121,10 +123,12 @@ class Step {
     for (std::size_t i = 0; i < turns.size(); ++i) {
       const Eigen::Vector3d before = gyro.mean_rate(shifted(turns[i], at.offset_ns - kHalfNs));
       const Eigen::Vector3d after = gyro.mean_rate(shifted(turns[i], at.offset_ns + kHalfNs));
-      predicted_[i] = scaled * (gyro.mean_rate(shifted(turns[i], at.offset_ns)) - at.bias_rad_s);
+      const Eigen::Vector3d change = scaled * (after - before) / to_seconds(2 * kHalfNs);
+      const Eigen::Vector3d by_rows = turns[i].by_rows * change;
+      const Eigen::Vector3d rate_rad_s = scaled * (gyro.mean_rate(shifted(turns[i], at.offset_ns)) - at.bias_rad_s);
+      predicted_[i] = rate_rad_s + at.readout_s * by_rows;
       differences_[i] = turns[i].rate_rad_s - predicted_[i];
-      derivatives[i] << -cross_matrix(predicted_[i]), scaled * (after - before) / to_seconds(2 * kHalfNs), -scaled,
-          predicted_[i];
+      derivatives[i] << -cross_matrix(rate_rad_s), change, -scaled, rate_rad_s, by_rows;
       lengths.push_back(differences_[i].norm());
     }
     robust_ = cauchy_weights(lengths, kFloorRadS);
@@ -145,6 +149,7 @@ class Step {
     spread_rad_s_ = std::sqrt(squares / (kAxes * sum));
   }
 
+  /// From `at` to where the squares are least.
   Unknowns solution() const { return solve(normal_sum(), right_sum()); }
   double weight_of(std::size_t i) const {
     return robust_[i] / (kFloorRadS * kFloorRadS + turns_[i].stddev_rad_s * turns_[i].stddev_rad_s);
@@ -186,7 +191,7 @@ class Step {
     return (normal / variance_ + prior()).ldlt().solve(right / variance_);
   }
 
-  const std::vector<ImageTurn>& turns_;
+  const std::vector<ImageRate>& turns_;
   std::vector<Eigen::Vector3d> predicted_, differences_;
   std::vector<double> robust_;
   std::array<Normal, kParts> normal_;
@@ -199,10 +204,11 @@ double worst_stddev(const Eigen::Matrix3d& covariance) {
 }
 
 /// How well it fits, and about which axes the camera has turned.
-void describe(const std::vector<ImageTurn>& turns, const Step& step, TurnAlignment* alignment) {
+void describe(const std::vector<ImageRate>& turns, const Step& step, RateAlignment* alignment) {
   const Normal covariance = step.covariance();
   alignment->rotation_stddev_rad = worst_stddev(covariance.topLeftCorner<3, 3>());
   alignment->offset_stddev_s = std::sqrt(covariance(kOffset, kOffset));
+  alignment->readout_stddev_s = std::sqrt(covariance(kReadout, kReadout));
   alignment->bias_stddev_rad_s = worst_stddev(covariance.block<3, 3>(kBias, kBias));
   alignment->spread_rad_s = step.spread_rad_s();
   double sum = 0, differing = 0, squares = 0;
@@ -226,9 +232,9 @@ void describe(const std::vector<ImageTurn>& turns, const Step& step, TurnAlignme
     // A third of the rate is what translation makes of it in a room.
     constexpr double kAgreeing = 0.4;
     const double speed_rad_s = std::max(turns[i].rate_rad_s.norm(), step.predicted()[i].norm());
-    if (speed_rad_s < 2 * kFloorRadS) continue;
+    if (speed_rad_s < kLeastMovingRadS) continue;
     ++moving;
-    if (off_rad_s < std::max(kAgreeing * speed_rad_s, 2 * kFloorRadS)) ++agreeing;
+    if (off_rad_s < std::max(kAgreeing * speed_rad_s, kLeastMovingRadS)) ++agreeing;
   }
   alignment->agreeing = moving > 0 ? agreeing / moving : 0;
   alignment->correlation = squares > 0 ? std::sqrt(std::max(0.0, 1 - differing / squares)) : 0;
@@ -240,7 +246,7 @@ void describe(const std::vector<ImageTurn>& turns, const Step& step, TurnAlignme
 
 }  // namespace
 
-OffsetPeak search_turn_offset(const std::vector<ImageTurn>& turns, const GyroIntegral& gyro, TimeNs center_ns,
+OffsetPeak search_rate_offset(const std::vector<ImageRate>& turns, const GyroIntegral& gyro, TimeNs center_ns,
                               TimeNs search_ns) {
   const std::vector<double> weights = prior_weights(turns, gyro, center_ns);
   const std::size_t stride = (turns.size() + kMostCoarse - 1) / kMostCoarse;
@@ -275,22 +281,22 @@ OffsetPeak search_turn_offset(const std::vector<ImageTurn>& turns, const GyroInt
   return peak;
 }
 
-std::optional<TurnAlignment> align_turns(const std::vector<ImageTurn>& all, const GyroIntegral& gyro, TimeNs begin_ns) {
+std::optional<RateAlignment> align_rates(const std::vector<ImageRate>& all, const GyroIntegral& gyro, TimeNs begin_ns) {
   constexpr TimeNs kRoomNs = 40'000'000;  // for the offset to move in
-  std::vector<ImageTurn> turns;
-  for (const ImageTurn& turn : all) {
+  std::vector<ImageRate> turns;
+  for (const ImageRate& turn : all) {
     const TimeRange range = shifted(turn, begin_ns);
     if (gyro.covers({range.begin_ns - kRoomNs, range.end_ns + kRoomNs})) turns.push_back(turn);
   }
   if (turns.size() < kFewestTurns) return std::nullopt;
   const Correlated start = correlate(turns, prior_weights(turns, gyro, begin_ns), 1, gyro, begin_ns);
   if (!(start.gyro_energy > 0) || !(wahba_trace(start.moment) > 0)) return std::nullopt;
-  TurnAlignment alignment;
+  RateAlignment alignment;
   alignment.offset_ns = begin_ns;
   alignment.R_cam_imu = solve_wahba(start.moment);
   alignment.scale = wahba_trace(start.moment) / start.gyro_energy;
   std::vector<double> biases[3];
-  for (const ImageTurn& turn : turns) {
+  for (const ImageRate& turn : turns) {
     const Eigen::Vector3d bias_rad_s =
         gyro.mean_rate(shifted(turn, begin_ns)) - alignment.R_cam_imu.transpose() * turn.rate_rad_s / alignment.scale;
     for (int axis = 0; axis < 3; ++axis) biases[axis].push_back(bias_rad_s[axis]);
@@ -306,6 +312,7 @@ std::optional<TurnAlignment> align_turns(const std::vector<ImageTurn>& all, cons
         std::clamp(alignment.offset_ns + to_ns(step[kOffset]), begin_ns - kInsideNs, begin_ns + kInsideNs);
     alignment.bias_rad_s += step.segment<3>(kBias);
     alignment.scale *= std::exp(step[kScale]);
+    alignment.readout_s += step[kReadout];
   }
   describe(turns, Step(turns, gyro, alignment), &alignment);
   return alignment;

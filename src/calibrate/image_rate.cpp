@@ -1,0 +1,259 @@
+#include "calibrate/image_rate.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+#include <opencv2/imgproc.hpp>
+
+#include "base/median.hpp"
+#include "base/one_thread.hpp"
+#include "calibrate/aligned_rotation.hpp"
+#include "features/corner_following.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// Corners are followed in an image no wider than this: a rotation of many points needs no more.
+constexpr int kLargestWidthPx = 400;
+constexpr int kMostCorners = 80;
+constexpr double kCornerQuality = 0.01;
+constexpr int kWindowPx = 13, kLevels = 3;
+constexpr int kIterations = 10;
+constexpr double kLeastStepPx = 0.03, kMaxRoundTripPx = 0.5;
+/// As those of flow: over a longer time a mean rate says little.
+constexpr TimeNs kLongestStepNs = 250'000'000;
+constexpr std::size_t kFewestPoints = 12;
+/// Part of the corners that has to be found again, see ResidualFlow.
+constexpr double kLeastFollowed = 0.3;
+/// What Lucas-Kanade leaves in a rotation of all points, in the smaller image [px].
+constexpr double kFloorPx = 0.02;
+
+/// A direction before and after, and where its rows are between the first (-0.5) and the last (0.5) of the image.
+struct MovedRay {
+  Eigen::Vector3d from, to;
+  double row;
+};
+
+/// How directions moved.
+struct RayMotion {
+  Eigen::Matrix3d R;
+  Eigen::Matrix3d by_rows;        ///< see ImageRate
+  double stddev_rad = 0;          ///< of the rotation, about the axis of which least is known
+  double translation_square = 0;  ///< expected square of a component, over the scene's depth
+};
+
+/// Least squares with Cauchy's weights. A direction moves by the rotation, by the translation over the mean depth, and
+/// along the latter by as much as its own depth differs: there it counts less.
+class RayMotionFit {
+ public:
+  /// @param translation_stddev  of a component, over the scene's depth, > 0: how far the camera goes, as far as is
+  /// known
+  /// @param floor_rad           > 0: of a direction
+  RayMotionFit(const std::vector<MovedRay>& rays, double translation_stddev, double floor_rad)
+      : columns_(rays.size()),
+        moved_(rays.size()),
+        translation_stddev_(translation_stddev),
+        floor_rad_(floor_rad),
+        stddev_rad_(translation_stddev) {
+    std::vector<Eigen::Vector3d> from, to;
+    for (const MovedRay& ray : rays) {
+      from.push_back(ray.from);
+      to.push_back(ray.to);
+      rows_.push_back(ray.row);
+    }
+    R_ = robust_rotation(from, to).R;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+      const Eigen::Vector3d ray = R_ * from[i];
+      Eigen::Matrix<double, 2, 3> across;
+      across.row(0) = ray.unitOrthogonal();
+      across.row(1) = ray.cross(across.row(0).transpose());
+      for (int axis = 0; axis < 3; ++axis) {
+        columns_[i].col(axis) = across * Eigen::Vector3d::Unit(axis).cross(ray);
+        columns_[i].col(3 + axis) = across.col(axis);
+      }
+      moved_[i] = across * (to[i] - ray);
+    }
+  }
+
+  RayMotion solve() {
+    constexpr int kSteps = 5;
+    for (int step = 0; step < kSteps; ++step) iterate();
+    const Normal covariance = normal_.inverse();
+    const Eigen::Matrix3d of_rotation = covariance.topLeftCorner<3, 3>();
+    RayMotion result;
+    result.R = so3_exp(motion_.head<3>()).toRotationMatrix() * R_;
+    result.by_rows = (covariance * by_rows_).topRows<3>();
+    result.stddev_rad = std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(of_rotation).eigenvalues()[2]);
+    result.translation_square = (motion_.tail<3>().squaredNorm() + covariance.bottomRightCorner<3, 3>().trace()) / 3;
+    return result;
+  }
+
+ private:
+  using Columns = Eigen::Matrix<double, 2, 6>;
+  using Unknowns = Eigen::Matrix<double, 6, 1>;
+  using Normal = Eigen::Matrix<double, 6, 6>;
+
+  /// Where the translation takes a direction.
+  Eigen::Vector2d translated(std::size_t i) const { return columns_[i].rightCols<3>() * motion_.tail<3>(); }
+
+  void iterate() {
+    constexpr double kDepthsDiffer = 0.5, kScale = 2;
+    /// Of a normal variable's absolute value: its median.
+    constexpr double kMedianNormal = 0.6745;
+    normal_ = Normal::Zero();
+    normal_.bottomRightCorner<3, 3>().diagonal().setConstant(1 / (translation_stddev_ * translation_stddev_));
+    by_rows_.setZero();
+    Unknowns right = Unknowns::Zero();
+    for (std::size_t i = 0; i < columns_.size(); ++i) {
+      const Eigen::Vector2d along = kDepthsDiffer * translated(i);
+      const Eigen::Matrix2d covariance =
+          stddev_rad_ * stddev_rad_ * Eigen::Matrix2d::Identity() + along * along.transpose();
+      const Eigen::Matrix2d inverse = covariance.inverse();
+      const Eigen::Vector2d off = moved_[i] - columns_[i] * motion_;
+      const double robust = 1 / (1 + off.dot(inverse * off) / (kScale * kScale));
+      const Eigen::Matrix<double, 6, 2> weighted = robust * columns_[i].transpose() * inverse;
+      normal_ += weighted * columns_[i];
+      right += weighted * moved_[i];
+      by_rows_ += rows_[i] * weighted * columns_[i].leftCols<3>();
+    }
+    motion_ = normal_.ldlt().solve(right);
+    std::vector<double> across_rad;
+    for (std::size_t i = 0; i < columns_.size(); ++i) {
+      const Eigen::Vector2d off = moved_[i] - columns_[i] * motion_;
+      Eigen::Vector2d along = translated(i);
+      along = along.norm() > 0 ? Eigen::Vector2d(along.normalized()) : Eigen::Vector2d::UnitX();
+      across_rad.push_back(std::abs(along.x() * off.y() - along.y() * off.x()));
+    }
+    stddev_rad_ = std::max(median(across_rad) / kMedianNormal, floor_rad_);
+  }
+
+  std::vector<Columns> columns_;
+  std::vector<Eigen::Vector2d> moved_;
+  std::vector<double> rows_;
+  double translation_stddev_, floor_rad_, stddev_rad_;
+  Eigen::Matrix3d R_;
+  Unknowns motion_ = Unknowns::Zero();
+  Normal normal_;
+  Eigen::Matrix<double, 6, 3> by_rows_;
+};
+
+double middle_row(const Camera& camera) { return 0.5 * (camera.calibration().height_px - 1); }
+
+}  // namespace
+
+void ImageRateTracker::set_mask(const PixelMask& mask) {
+  if (mask_.is_same(mask)) return;
+  mask_ = mask;
+  usable_.release();
+}
+
+void ImageRateTracker::reset() {
+  pyramid_.clear();
+  corners_.clear();
+  exposure_.reset();
+  rate_rad_s_.setZero();
+  translation_rad_s_ = kFirstTranslationRadS;
+}
+
+void ImageRateTracker::shrink_mask(const cv::Size& size) {
+  if (mask_.empty() || usable_.size() == size) return;
+  constexpr int kWholly = 255;
+  cv::Mat share;
+  cv::resize(mask_.pixels(), share, size, 0, 0, cv::INTER_AREA);
+  cv::erode(share == kWholly, usable_, cv::getStructuringElement(cv::MORPH_RECT, {kWindowPx, kWindowPx}));
+}
+
+std::optional<ImageRate> ImageRateTracker::add(const cv::Mat& luminance, const Camera& camera,
+                                               const RowExposure& exposure) {
+  const CameraCalibration& calibration = camera.calibration();
+  if (luminance.type() != CV_8UC1 || luminance.cols != calibration.width_px ||
+      luminance.rows != calibration.height_px) {
+    throw std::invalid_argument("ImageRateTracker needs 8-bit luminance of the camera's size");
+  }
+  if (!mask_.empty() && mask_.size() != luminance.size()) throw std::invalid_argument("the mask has not its size");
+  if (exposure_) {
+    const TimeNs step_ns = exposure.middle(middle_row(camera)) - exposure_->middle(middle_row(camera));
+    if (step_ns <= 0 || step_ns > kLongestStepNs || calibration != calibration_) reset();
+  }
+  std::optional<ImageRate> rate;
+  on_one_thread([&] {
+    cv::Mat small = luminance;
+    for (scale_ = 1; small.cols > kLargestWidthPx; scale_ *= 2) {
+      cv::Mat half;
+      cv::pyrDown(small, half);  // its pixel (x, y) is at (2 x, 2 y)
+      small = half;
+    }
+    shrink_mask(small.size());
+    std::vector<cv::Mat> pyramid = corner_pyramid(small, kWindowPx, kLevels);
+    if (exposure_) rate = follow(pyramid, camera, exposure);
+    const double min_distance_px = 0.6 * std::sqrt(static_cast<double>(small.total()) / kMostCorners);
+    corners_.clear();
+    cv::goodFeaturesToTrack(small, corners_, kMostCorners, kCornerQuality, min_distance_px, usable_);
+    pyramid_ = std::move(pyramid);
+  });
+  exposure_ = exposure;
+  calibration_ = calibration;
+  rate_rad_s_ = rate ? rate->rate_rad_s : Eigen::Vector3d::Zero();
+  return rate;
+}
+
+std::optional<ImageRate> ImageRateTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& camera,
+                                                  const RowExposure& exposure) {
+  ImageRate rate;
+  rate.begin_ns = exposure_->middle(middle_row(camera));
+  rate.end_ns = exposure.middle(middle_row(camera));
+  const double step_s = to_seconds(rate.end_ns - rate.begin_ns);
+  const auto pixel_of = [this](const cv::Point2f& p) { return Eigen::Vector2d(scale_ * p.x, scale_ * p.y); };
+  const Eigen::Matrix3d turned = so3_exp(-step_s * rate_rad_s_).toRotationMatrix();
+  std::vector<cv::Point2f> before, start;
+  std::vector<Eigen::Vector3d> rays;
+  for (const cv::Point2f& corner : corners_) {
+    const Eigen::Vector3d ray = camera.ray(pixel_of(corner));
+    const Eigen::Vector2d at_px = camera.project(turned * ray) / scale_;
+    if (!ray.allFinite() || !at_px.allFinite()) continue;
+    before.push_back(corner);
+    start.emplace_back(static_cast<float>(at_px.x()), static_cast<float>(at_px.y()));
+    rays.push_back(ray.normalized());
+  }
+  const CornerSearch search{
+      kWindowPx, kLevels, cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, kIterations, kLeastStepPx),
+      kMaxRoundTripPx};
+  const FollowedCorners followed = follow_there_and_back(pyramid_, pyramid, before, start, search);
+  const cv::Rect2f image({0, 0}, cv::Size2f(pyramid.front().size()));
+  std::vector<MovedRay> moved;
+  std::vector<double> speeds_rad_s;
+  for (std::size_t i = 0; i < followed.places.size(); ++i) {
+    if (!followed.found[i] || !image.contains(followed.places[i])) continue;
+    const Eigen::Vector2d from_px = pixel_of(before[i]), to_px = pixel_of(followed.places[i]);
+    const Eigen::Vector3d ray = camera.ray(to_px).normalized();
+    if (!ray.allFinite()) continue;
+    // A rolling shutter sees a point that changes its row after another time than that between the middle rows.
+    const double seen_after_s = to_seconds(exposure.middle(to_px.y()) - exposure_->middle(from_px.y()));
+    if (2 * seen_after_s < step_s) continue;
+    const double row = 0.5 * (from_px.y() + to_px.y()) / camera.calibration().height_px - 0.5;
+    moved.push_back({rays[i], (rays[i] + step_s / seen_after_s * (ray - rays[i])).normalized(), row});
+    speeds_rad_s.push_back((ray - rays[i]).norm() / seen_after_s);
+  }
+  if (moved.size() < kFewestPoints || static_cast<double>(moved.size()) < kLeastFollowed * before.size()) return {};
+  const double floor_rad = scale_ * kFloorPx / camera.calibration().fx_px;
+  const RayMotion motion = RayMotionFit(moved, step_s * translation_rad_s_, floor_rad).solve();
+  // Scene points move against the camera.
+  rate.rate_rad_s = -log_rotation(motion.R) / step_s;
+  rate.by_rows = motion.by_rows;
+  rate.stddev_rad_s = std::hypot(motion.stddev_rad, floor_rad) / step_s;
+  rate.speed_rad_s = median(speeds_rad_s);
+  // About a second is remembered. What is not known of a translation counts as one.
+  constexpr double kRemembered = 0.95;
+  translation_rad_s_ = std::sqrt(kRemembered * translation_rad_s_ * translation_rad_s_ +
+                                 (1 - kRemembered) * motion.translation_square / (step_s * step_s));
+  return rate;
+}
+
+}  // namespace gyro_deblur
