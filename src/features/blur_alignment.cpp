@@ -1,0 +1,312 @@
+#include "features/blur_alignment.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include <Eigen/Dense>
+
+namespace gyro_deblur {
+namespace {
+
+/// Five-point derivatives read two pixels on either side, interpolation two before and three after.
+constexpr int kDerivativeMargin = 2;
+constexpr int kTaps = 6, kBefore = 2, kAfter = 3;
+using Weights = Eigen::Array<float, kTaps, 1>;
+
+/// The second image is blurred so far beyond the window at once; predictions are rarely farther off.
+constexpr int kSearchMargin = 3;
+
+/// Share of the window below which a cut one is not compared.
+constexpr double kMinWindowShare = 0.4;
+
+/// Lanczos' window of three pixels about sinc, with unit sum. Cubic convolution with four pixels is wrong by 0.015 px
+/// on average where images are sharp down to 0.3 cycles/px.
+Weights interpolation_weights(double fraction) {
+  Weights weights;
+  for (int k = 0; k < kTaps; ++k) {
+    const double x = CV_PI * (k - kBefore - fraction);
+    weights[k] = static_cast<float>(std::abs(x) < 1e-6 ? 1 : std::sin(x) * std::sin(x / 3) * 3 / (x * x));
+  }
+  return weights / weights.sum();
+}
+
+PlanePath mapped(const PlanePath& path_px, const Eigen::Matrix2d& map) {
+  PlanePath result_px;
+  for (std::size_t k = 0; k < path_px.size(); ++k) result_px[k] = map.cast<float>() * path_px[k];
+  return result_px;
+}
+
+int floor_int(double value) { return static_cast<int>(std::floor(value)); }
+
+/// Share of the noise's variance that interpolation leaves. Noise that is blurred along an axis changes little
+/// from pixel to pixel, so that interpolation along it leaves all.
+double interpolated_share(const Eigen::Vector2d& place_px, const PlanePath& blurred_by_px) {
+  const Eigen::Vector2f extent_px = extent_of(blurred_by_px);
+  double share = 1;
+  for (int axis = 0; axis < 2; ++axis) {
+    const double squares = interpolation_weights(place_px[axis] - std::floor(place_px[axis])).square().sum();
+    share *= 1 - (1 - squares) / (1 + extent_px[axis]);
+  }
+  return share;
+}
+
+}  // namespace
+
+bool agrees(const Alignment& alignment) {
+  // Noise alone passes nearly always; the second is for what the local map leaves, in proportion to the contrast.
+  constexpr double kNoiseFactor = 1.7, kContrastShare = 0.4, kMinGain = 0.5, kMaxGain = 2;
+  return alignment.gain > kMinGain && alignment.gain < kMaxGain &&
+         alignment.residual <
+             std::hypot(kNoiseFactor * alignment.expected_residual, kContrastShare * alignment.contrast);
+}
+
+void BlurAligner::rasterize(const PlanePath& path_px, Psf* psf) {
+  // Bilinear shares keep the path's mean; samples half a pixel apart spread evenly over its pixels.
+  constexpr float kStepPx = 0.5f;
+  Eigen::Array2f least = path_px[0], most = path_px[0];
+  for (const Eigen::Vector2f& place_px : path_px) {
+    least = least.min(place_px.array());
+    most = most.max(place_px.array());
+  }
+  // A pixel collects light from where the path comes from: the path, mirrored.
+  const Eigen::Array2f first = (-most).floor(), last = (-least).floor() + 1;
+  psf->reach = {static_cast<int>(first.x()), static_cast<int>(last.x()), static_cast<int>(first.y()),
+                static_cast<int>(last.y())};
+  psf->shares.setZero(psf->reach.height(), psf->reach.width());
+  for (std::size_t k = 0; k + 1 < path_px.size(); ++k) {
+    const Eigen::Array2f begin = -path_px[k].array() - first, step = (path_px[k] - path_px[k + 1]).array();
+    const int samples = std::max(1, static_cast<int>(std::ceil(step.matrix().norm() / kStepPx)));
+    const float share = 1.0f / static_cast<float>(samples * (kPathInstants - 1));
+    for (int i = 0; i < samples; ++i) {
+      const Eigen::Array2f at = begin + (static_cast<float>(i) + 0.5f) / static_cast<float>(samples) * step;
+      const int x = std::clamp(static_cast<int>(at.x()), 0, psf->reach.width() - 2),
+                y = std::clamp(static_cast<int>(at.y()), 0, psf->reach.height() - 2);
+      const float fx = at.x() - static_cast<float>(x), fy = at.y() - static_cast<float>(y);
+      psf->shares(y, x) += share * (1 - fx) * (1 - fy);
+      psf->shares(y, x + 1) += share * fx * (1 - fy);
+      psf->shares(y + 1, x) += share * (1 - fx) * fy;
+      psf->shares(y + 1, x + 1) += share * fx * fy;
+    }
+  }
+  psf->energy = psf->shares.square().sum();
+}
+
+void BlurAligner::blur(const cv::Mat& image, const Psf& psf, const Box& box, Region* blurred) {
+  constexpr float kLeastShare = 1e-6f;  // rounding left it
+  const Box read = box.grown(psf.reach);
+  source_.resize(read.height(), read.width());
+  for (int y = 0; y < read.height(); ++y) {
+    const uchar* row = image.ptr(read.first_y + y) + read.first_x;
+    for (int x = 0; x < read.width(); ++x) source_(y, x) = row[x];
+  }
+  blurred->box = box;
+  blurred->pixels.setZero(box.height(), box.width());
+  for (int y = 0; y < psf.reach.height(); ++y) {
+    for (int x = 0; x < psf.reach.width(); ++x) {
+      const float share = psf.shares(y, x);
+      if (share > kLeastShare) blurred->pixels += share * source_.block(y, x, box.height(), box.width());
+    }
+  }
+}
+
+BlurAligner::Box BlurAligner::template_box(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) const {
+  Eigen::AlignedBox2d covered_px;
+  for (const int x : {window_.first_x - kDerivativeMargin, window_.last_x + kDerivativeMargin}) {
+    for (const int y : {window_.first_y - kDerivativeMargin, window_.last_y + kDerivativeMargin}) {
+      covered_px.extend(place_px + inverse_map * Eigen::Vector2d(x, y));
+    }
+  }
+  // One more for rounding: places are added up along a row.
+  return {floor_int(covered_px.min().x()) - kBefore - 1, floor_int(covered_px.max().x()) + kAfter + 1,
+          floor_int(covered_px.min().y()) - kBefore - 1, floor_int(covered_px.max().y()) + kAfter + 1};
+}
+
+BlurAligner::Box BlurAligner::search_box(const Eigen::Vector2d& place_px, int margin_px) const {
+  const int x = floor_int(place_px.x()), y = floor_int(place_px.y());
+  return {x + window_.first_x - margin_px - kBefore, x + window_.last_x + margin_px + kAfter,
+          y + window_.first_y - margin_px - kBefore, y + window_.last_y + margin_px + kAfter};
+}
+
+bool BlurAligner::crop_window(const cv::Size& from, const Eigen::Vector2d& from_px, const cv::Size& to,
+                              const Eigen::Vector2d& to_px, const Eigen::Matrix2d& inverse_map, int window_px) {
+  const int half_px = window_px / 2;
+  window_ = {-half_px, half_px, -half_px, half_px};
+  // A map that turns or stretches moves the first image's edge by more than what is cut off: again then.
+  constexpr int kAttempts = 3;
+  for (int attempt = 0; attempt < kAttempts; ++attempt) {
+    const Box first = template_box(from_px, inverse_map).grown(psf_of_first_.reach),
+              second = search_box(to_px, kSearchMargin).grown(psf_of_second_.reach);
+    const int left = std::max({0, -first.first_x, -second.first_x}),
+              right = std::max({0, first.last_x - from.width + 1, second.last_x - to.width + 1}),
+              top = std::max({0, -first.first_y, -second.first_y}),
+              bottom = std::max({0, first.last_y - from.height + 1, second.last_y - to.height + 1});
+    if (left + right + top + bottom == 0) return true;
+    window_ = {window_.first_x + left, window_.last_x - right, window_.first_y + top, window_.last_y - bottom};
+    if (window_.width() <= 0 || window_.height() <= 0) return false;
+    if (window_.width() * window_.height() < kMinWindowShare * window_px * window_px) return false;
+  }
+  return false;
+}
+
+void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) {
+  constexpr int kMargin = kDerivativeMargin;
+  const int width = window_.width(), height = window_.height();
+  sampled_.resize(height + 2 * kMargin, width + 2 * kMargin);
+  for (int y = 0; y < sampled_.rows(); ++y) {
+    const Eigen::Vector2d offset_px(window_.first_x - kMargin, window_.first_y - kMargin + y);
+    Eigen::Vector2d at_px =
+        place_px + inverse_map * offset_px - Eigen::Vector2d(first_.box.first_x, first_.box.first_y);
+    for (int x = 0; x < sampled_.cols(); ++x, at_px += inverse_map.col(0)) {
+      const int left = floor_int(at_px.x()), top = floor_int(at_px.y());
+      const Weights across = interpolation_weights(at_px.x() - left), down = interpolation_weights(at_px.y() - top);
+      float sum = 0;
+      for (int j = 0; j < kTaps; ++j) {
+        const float* row = &first_.pixels(top - kBefore + j, left - kBefore);
+        float of_row = 0;
+        for (int i = 0; i < kTaps; ++i) of_row += across[i] * row[i];
+        sum += down[j] * of_row;
+      }
+      sampled_(y, x) = sum;
+    }
+  }
+  const auto shifted = [&](int x, int y) { return sampled_.block(kMargin + y, kMargin + x, height, width); };
+  template_ = shifted(0, 0) - shifted(0, 0).mean();
+  gradient_x_ = (shifted(-2, 0) - shifted(2, 0) + 8 * (shifted(1, 0) - shifted(-1, 0))) / 12;
+  gradient_y_ = (shifted(0, -2) - shifted(0, 2) + 8 * (shifted(0, 1) - shifted(0, -1))) / 12;
+}
+
+void BlurAligner::sample_patch(const Eigen::Vector2d& place_px) {
+  const int x = floor_int(place_px.x()), y = floor_int(place_px.y());
+  const Weights across = interpolation_weights(place_px.x() - x), down = interpolation_weights(place_px.y() - y);
+  const int left = x + window_.first_x - kBefore - second_.box.first_x,
+            top = y + window_.first_y - kBefore - second_.box.first_y, width = window_.width(),
+            height = window_.height();
+  rows_.setZero(height + kTaps - 1, width);
+  for (int k = 0; k < kTaps; ++k) rows_ += across[k] * second_.pixels.block(top, left + k, rows_.rows(), width);
+  patch_.setZero(height, width);
+  for (int k = 0; k < kTaps; ++k) patch_ += down[k] * rows_.middleRows(k, height);
+  patch_ -= patch_.mean();
+}
+
+bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, double pattern,
+                         const AlignmentOptions& options, Eigen::Vector2d* place_px, double* gain) {
+  constexpr double kMinGain = 0.1, kLongestStepPx = 2;
+  const Box image{0, to.cols - 1, 0, to.rows - 1};
+  const Eigen::Matrix2d inverse = gradients.inverse();
+  const Eigen::Vector2d start_px = *place_px;
+  second_.box = {};
+  for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
+    if (!second_.box.contains(search_box(*place_px, 0))) {
+      const Box box = search_box(*place_px, kSearchMargin);
+      if (!image.contains(box.grown(psf_of_second_.reach))) return false;
+      blur(to, psf_of_second_, box, &second_);
+    }
+    sample_patch(*place_px);
+    *gain = (patch_ * template_).sum() / pattern;
+    if (!(*gain > kMinGain)) return false;
+    const Eigen::Vector2d products((patch_ * gradient_x_).sum(), (patch_ * gradient_y_).sum());
+    Eigen::Vector2d step_px = -inverse * products / *gain;
+    const double length_px = step_px.norm();
+    if (length_px > kLongestStepPx) step_px *= kLongestStepPx / length_px;
+    // The last step is taken without reading the patch again: it is shorter than what a patch shows.
+    *place_px += step_px;
+    if (!((*place_px - start_px).norm() <= options.max_offset_px)) return false;
+    if (length_px < options.min_step_px) return true;
+  }
+  return false;
+}
+
+BlurAligner::NoiseShare BlurAligner::noise_share(const PlanePath& path_px) const {
+  // Two pixels of the blurred image share noise where one is as far from the other as one instant's place from
+  // another's.
+  constexpr int kInstants = 2 * (kPathInstants - 1);
+  std::array<Eigen::Vector2f, kInstants> places_px;
+  for (int k = 0; k < kInstants; ++k) {
+    const float part = k % 2 == 0 ? 0.25f : 0.75f;
+    places_px[k] = (1 - part) * path_px[k / 2] + part * path_px[k / 2 + 1];
+  }
+  const int width = window_.width(), height = window_.height(), columns = 2 * width - 1;
+  std::vector<int> pairs(static_cast<std::size_t>(columns * height), 0);  // by lag, y >= 0: the opposite is the same
+  for (const Eigen::Vector2f& a : places_px) {
+    for (const Eigen::Vector2f& b : places_px) {
+      const int x = static_cast<int>(std::lround(a.x() - b.x())), y = static_cast<int>(std::lround(a.y() - b.y()));
+      if (y < 0 || y >= height || std::abs(x) >= width) continue;
+      pairs[static_cast<std::size_t>(y * columns + x + width - 1)] += y == 0 ? 1 : 2;
+    }
+  }
+  NoiseShare share;
+  for (int y = 0; y < height; ++y) {
+    for (int x = 1 - width; x < width; ++x) {
+      const int count = pairs[static_cast<std::size_t>(y * columns + x + width - 1)];
+      if (count == 0) continue;
+      const int rows = height - y, cols = width - std::abs(x), left = std::max(0, -x), right = std::max(0, x);
+      const auto x_a = gradient_x_.block(0, left, rows, cols), y_a = gradient_y_.block(0, left, rows, cols),
+                 x_b = gradient_x_.block(y, right, rows, cols), y_b = gradient_y_.block(y, right, rows, cols);
+      const double xy = 0.5 * ((x_a * y_b).sum() + (y_a * x_b).sum());
+      share.products(0, 0) += count * (x_a * x_b).sum();
+      share.products(0, 1) += count * xy;
+      share.products(1, 0) += count * xy;
+      share.products(1, 1) += count * (y_a * y_b).sum();
+      share.mean += count * rows * cols;
+    }
+  }
+  constexpr double kPairs = kInstants * kInstants;
+  share.products /= kPairs;
+  share.mean /= kPairs * std::pow(width * height, 2);
+  return share;
+}
+
+std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPoint& in_from, const cv::Mat& to,
+                                            const BlurredPoint& in_to, const Eigen::Matrix2d& map,
+                                            const AlignmentOptions& options) {
+  constexpr double kLeastDeterminant = 0.1;  // a tenth of the area: nothing that is followed shrinks so
+  if (!in_from.place_px.allFinite() || !in_to.place_px.allFinite()) return std::nullopt;
+  if (!(map.determinant() > kLeastDeterminant)) return std::nullopt;
+  const Eigen::Matrix2d inverse_map = map.inverse();
+  const PlanePath blur_of_second_px = mapped(in_from.path_px, map);
+  rasterize(mapped(in_to.path_px, inverse_map), &psf_of_first_);
+  rasterize(blur_of_second_px, &psf_of_second_);
+  if (!crop_window(from.size(), in_from.place_px, to.size(), in_to.place_px, inverse_map, options.window_px)) {
+    return std::nullopt;
+  }
+  blur(from, psf_of_first_, template_box(in_from.place_px, inverse_map), &first_);
+  sample_template(in_from.place_px, inverse_map);
+  const double pixels = static_cast<double>(template_.size()), pattern = template_.square().sum();
+  // Gradients without what gain and offset can explain: these are fitted with the place, not after it.
+  for (Patch* gradient : {&gradient_x_, &gradient_y_}) {
+    *gradient -= gradient->mean();
+    if (pattern > 0) *gradient -= static_cast<float>((*gradient * template_).sum() / pattern) * template_;
+  }
+  Eigen::Matrix2d gradients;
+  gradients << gradient_x_.square().sum(), (gradient_x_ * gradient_y_).sum(), (gradient_x_ * gradient_y_).sum(),
+      gradient_y_.square().sum();
+  // Less than rounding to grey levels makes, in some direction, is no texture.
+  constexpr double kLeastInformation = 1e-3;
+  const double information =
+      Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d>(gradients, Eigen::EigenvaluesOnly).eigenvalues()[0] / pixels;
+  if (!(information > kLeastInformation)) return std::nullopt;
+
+  Alignment result{};
+  result.place_px = in_to.place_px;
+  if (!search(to, gradients, pattern, options, &result.place_px, &result.gain)) return std::nullopt;
+  result.min_information = information;
+  result.contrast = result.gain * std::sqrt(pattern / pixels);
+  const float gain = static_cast<float>(result.gain);
+  result.residual = std::sqrt(static_cast<double>((patch_ - gain * template_).square().mean()));
+  const double first_variance = std::pow(result.gain * in_from.noise, 2), second_variance = std::pow(in_to.noise, 2);
+  const NoiseShare of_first = noise_share(in_to.path_px), of_second = noise_share(blur_of_second_px);
+  // The patches are compared without their means, of which long blur makes much of the noise.
+  const double first_left = psf_of_first_.energy * interpolated_share(in_from.place_px, in_to.path_px) - of_first.mean,
+               second_left =
+                   psf_of_second_.energy * interpolated_share(result.place_px, blur_of_second_px) - of_second.mean;
+  result.expected_residual =
+      std::sqrt(first_variance * std::max(0.0, first_left) + second_variance * std::max(0.0, second_left));
+  const Eigen::Matrix2d inverse = gradients.inverse();
+  const Eigen::Matrix2d products = first_variance * of_first.products + second_variance * of_second.products;
+  const double excess = result.expected_residual > 0 ? result.residual / result.expected_residual : 1;
+  result.covariance_px2 = inverse * products * inverse * std::max(1.0, excess * excess) / (result.gain * result.gain);
+  return result;
+}
+
+}  // namespace gyro_deblur

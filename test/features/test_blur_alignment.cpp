@@ -1,0 +1,226 @@
+#include "features/blur_alignment.hpp"
+
+#include <cstdint>
+#include <cstdio>
+#include <vector>
+
+#include <gtest/gtest.h>
+#include <Eigen/Dense>
+
+#include "blurred_texture.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+using test::SinusoidTexture;
+using View = SinusoidTexture::View;
+
+const cv::Size kSize(760, 760);
+
+/// Straight, at a speed that goes from nearly none to twice the mean.
+PlanePath accelerated_path(double extent_px, double angle_rad) {
+  PlanePath path_px;
+  for (int k = 0; k < kPathInstants; ++k) {
+    const double s = static_cast<double>(k) / (kPathInstants - 1), along = extent_px * (s * s - 0.25);
+    path_px[k] = Eigen::Vector2d(along * std::cos(angle_rad), along * std::sin(angle_rad)).cast<float>();
+  }
+  return path_px;
+}
+
+PlanePath straight_path(double extent_px, double angle_rad) { return test::arc_path(extent_px, 0, angle_rad); }
+
+/// Turned by 3 degrees, 3 % nearer, a little sheared.
+Eigen::Matrix2d some_map() {
+  Eigen::Matrix2d map;
+  map << 1.03, -0.04, 0.065, 1.02;
+  return map;
+}
+
+double contrast_of(const cv::Mat& image) {
+  cv::Scalar mean, deviation;
+  cv::meanStdDev(image, mean, deviation);
+  return deviation[0];
+}
+
+cv::Mat exposed(const cv::Mat& image, double noise, std::uint64_t seed) {
+  cv::Mat with_noise = image.clone(), result;
+  if (noise > 0) {
+    cv::Mat of_noise(image.size(), CV_64FC1);
+    cv::RNG rng(seed);
+    rng.fill(of_noise, cv::RNG::NORMAL, 0, noise);
+    with_noise += of_noise;
+  }
+  with_noise.convertTo(result, CV_8U);
+  return result;
+}
+
+/// Points of two images of one texture.
+struct Comparison {
+  int found = 0;
+  Eigen::Vector2d mean_px = Eigen::Vector2d::Zero(), mean_size_px = Eigen::Vector2d::Zero();  // of the errors
+  double mahalanobis = 0, residual_ratio = 0, gain = 0;                                       // means
+};
+
+class BlurAlignmentTest : public testing::Test {
+ protected:
+  static constexpr double kRounding = 0.29;  // standard deviation of rounding to whole numbers
+
+  Comparison compare(const cv::Mat& from, const cv::Mat& to, double noise, bool knows_paths = true) {
+    Comparison result;
+    cv::RNG rng(3);
+    const Eigen::Matrix2d map = second_.map * first_.map.inverse();
+    for (int i = 0; i < points_; ++i) {
+      const Eigen::Vector2d at_px(rng.uniform(150.0, 610.0), rng.uniform(150.0, 610.0)),
+          truth_px = second_.at(first_.map.inverse() * (at_px - first_.shift_px)),
+          start_px = truth_px + Eigen::Vector2d(rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0));
+      const double sigma = std::hypot(noise, kRounding);
+      const PlanePath none = still_path();
+      const auto found = aligner_.align(from, {at_px, knows_paths ? first_.path_px : none, sigma}, to,
+                                        {start_px, knows_paths ? second_.path_px : none, sigma}, map, options_);
+      if (!found) continue;
+      ++result.found;
+      const Eigen::Vector2d error_px = found->place_px - truth_px;
+      result.mean_px += error_px;
+      result.mean_size_px += error_px.cwiseAbs();
+      result.mahalanobis += error_px.dot(found->covariance_px2.inverse() * error_px);
+      result.residual_ratio += found->residual / found->expected_residual;
+      result.gain += found->gain;
+    }
+    const double count = std::max(1, result.found);
+    result.mean_px /= count;
+    result.mean_size_px /= count;
+    result.mahalanobis /= count;
+    result.residual_ratio /= count;
+    result.gain /= count;
+    return result;
+  }
+  Comparison compare(double noise = 0, bool knows_paths = true) {
+    return compare(exposed(texture_.seen_by(first_, kSize, kContrast), noise, 11),
+                   exposed(texture_.seen_by(second_, kSize, kContrast), noise, 12), noise, knows_paths);
+  }
+
+  static constexpr double kContrast = 40;
+  SinusoidTexture texture_{300, 5};
+  View first_, second_{some_map(), {-12.3, 20.6}};
+  BlurAligner aligner_;
+  AlignmentOptions options_;
+  int points_ = 100;
+};
+
+struct PairOfPaths {
+  const char* name;
+  PlanePath first_px, second_px;
+};
+
+TEST_F(BlurAlignmentTest, WithoutNoiseTheMeanErrorIsBelowAHundredthOfAPixel) {
+  points_ = 200;
+  const std::vector<PairOfPaths> pairs{
+      {"sharp", still_path(), still_path()},
+      {"straight, one sharp", straight_path(30, 0.4), still_path()},
+      {"straight, alike", straight_path(60, 1.2), straight_path(55, 1.25)},
+      {"straight, crossing", straight_path(20, 0.3), straight_path(30, 1.9)},
+      {"straight, long and crossing", straight_path(60, 0.1), straight_path(60, 1.6)},
+      {"non-uniform and straight", accelerated_path(40, 0.7), straight_path(25, 1.1)},
+      {"non-uniform, there and back", accelerated_path(60, 2.5), accelerated_path(60, 2.5 + CV_PI)},
+      {"curved and straight", test::arc_path(45, 12, 0.9), straight_path(35, 0.2)},
+      {"curved, one sharp", still_path(), test::arc_path(60, 15, 2.1)},
+      {"curved", test::arc_path(60, 15, 0.2), test::arc_path(50, -14, 1.0)}};
+  for (const PairOfPaths& pair : pairs) {
+    first_.path_px = pair.first_px;
+    second_.path_px = pair.second_px;
+    // Rounding to grey levels is noise as well: the blurred images use their range, and are nowhere saturated.
+    constexpr double kBlurredContrast = 27;
+    const cv::Mat from = texture_.seen_by(first_, kSize, kContrast), to = texture_.seen_by(second_, kSize, kContrast);
+    const double scale = kBlurredContrast / std::max(contrast_of(from), contrast_of(to));
+    const Comparison result =
+        compare(exposed(128 + scale * (from - 128), 0, 0), exposed(128 + scale * (to - 128), 0, 0), 0);
+    std::printf("%-28s %3d found, mean error (%.4f, %.4f) px, e^T C^-1 e %.2f\n", pair.name, result.found,
+                result.mean_px.x(), result.mean_px.y(), result.mahalanobis);
+    EXPECT_GE(result.found, 0.98 * points_) << pair.name;
+    EXPECT_LT(result.mean_px.cwiseAbs().maxCoeff(), 0.01) << pair.name;
+    // Single errors: of rounding, where long paths leave little contrast, and of PSFs in whole pixels.
+    EXPECT_LT(result.mean_size_px.maxCoeff(), 0.05) << pair.name;
+  }
+}
+
+TEST_F(BlurAlignmentTest, PathsAreWhatMakesItSo) {
+  first_.path_px = test::arc_path(30, 6, 0.2);
+  second_.path_px = accelerated_path(25, 1.5);
+  const Comparison known = compare(), unknown = compare(0, false);
+  EXPECT_GT(unknown.mean_size_px.minCoeff(), 20 * known.mean_size_px.maxCoeff());
+}
+
+TEST_F(BlurAlignmentTest, CovarianceAndExpectedResidualAreThoseOfTheErrors) {
+  for (const double noise : {2.0, 4.0}) {
+    for (const double extent_px : {0.0, 6.0, 15.0, 40.0}) {
+      first_.path_px = straight_path(extent_px, 0.5);
+      second_.path_px = straight_path(1.2 * extent_px, 1.0);
+      const Comparison result = compare(noise);
+      std::printf("noise %.0f, %2.0f px: %3d found, size of error (%.3f, %.3f) px, e^T C^-1 e %.2f, residual %.2f\n",
+                  noise, extent_px, result.found, result.mean_size_px.x(), result.mean_size_px.y(), result.mahalanobis,
+                  result.residual_ratio);
+      EXPECT_GE(result.found, 95);
+      // Two degrees of freedom; the mean of 100 scatters by 0.2.
+      EXPECT_GT(result.mahalanobis, 1.4);
+      EXPECT_LT(result.mahalanobis, 2.8);
+      EXPECT_NEAR(result.residual_ratio, 1, 0.1);
+    }
+  }
+}
+
+TEST_F(BlurAlignmentTest, GainAndOffsetAreFitted) {
+  first_.path_px = straight_path(12, 0.5);
+  second_.path_px = straight_path(18, 0.9);
+  const cv::Mat from = texture_.seen_by(first_, kSize, kContrast), to = texture_.seen_by(second_, kSize, kContrast);
+  const Comparison result = compare(exposed(from, 0, 1), exposed(0.6 * to + 70, 0, 2), 0);
+  EXPECT_GE(result.found, 98);
+  EXPECT_NEAR(result.gain, 0.6, 0.01);
+  EXPECT_LT(result.mean_px.cwiseAbs().maxCoeff(), 0.01);
+  EXPECT_LT(result.mean_size_px.maxCoeff(), 0.02);
+}
+
+TEST_F(BlurAlignmentTest, AWindowThatTheEdgeCutsIsComparedWhereItIsComplete) {
+  first_.path_px = second_.path_px = straight_path(20, 0);
+  second_.map.setIdentity();
+  second_.shift_px = {3.3, -2.6};
+  const cv::Mat from = exposed(texture_.seen_by(first_, kSize, kContrast), 0, 1),
+                to = exposed(texture_.seen_by(second_, kSize, kContrast), 0, 2);
+  const Eigen::Matrix2d map = Eigen::Matrix2d::Identity();
+  // The window reaches 10 px, its blur as many, the search and cubic interpolation five.
+  const auto find = [&](double x_px) {
+    return aligner_.align(from, {{x_px, 300}, first_.path_px, kRounding}, to,
+                          {{x_px + 3, 298}, second_.path_px, kRounding}, map, options_);
+  };
+  const auto cut = find(17);
+  ASSERT_TRUE(cut);
+  const Eigen::Vector2d error_px = cut->place_px - Eigen::Vector2d(20.3, 297.4);
+  EXPECT_LT(error_px.norm(), 0.1);
+  EXPECT_FALSE(find(9));
+  EXPECT_FALSE(find(-50));
+}
+
+TEST_F(BlurAlignmentTest, FindsNothingWhereThereIsNothingToFind) {
+  const cv::Mat texture = exposed(texture_.seen_by(first_, kSize, kContrast), 0, 1);
+  const Eigen::Matrix2d map = Eigen::Matrix2d::Identity();
+  const BlurredPoint point{{300, 300}, straight_path(10, 0.3), kRounding};
+  const auto align = [&](const cv::Mat& from, const cv::Mat& to, const Eigen::Vector2d& start_px,
+                         const Eigen::Matrix2d& by) {
+    return aligner_.align(from, point, to, {start_px, point.path_px, kRounding}, by, options_);
+  };
+  ASSERT_TRUE(align(texture, texture, {300.5, 299.5}, map));
+  const cv::Mat flat(kSize, CV_8UC1, cv::Scalar(90));
+  EXPECT_FALSE(align(flat, flat, {300, 300}, map));
+  EXPECT_FALSE(align(texture, flat, {300, 300}, map));
+  cv::Mat stripes(kSize, CV_8UC1);
+  for (int y = 0; y < kSize.height; ++y) stripes.row(y) = 128 + 100 * std::sin(0.3 * y);
+  EXPECT_FALSE(align(stripes, stripes, {300, 300}, map)) << "texture in one direction alone";
+  options_.max_offset_px = 0.5;
+  EXPECT_FALSE(align(texture, texture, {302, 300}, map)) << "farther than it may search";
+  options_.max_offset_px = 6;
+  EXPECT_FALSE(align(texture, texture, {300, 300}, Eigen::Matrix2d::Zero()));
+  EXPECT_FALSE(align(texture, texture, {std::nan(""), 300}, map));
+  EXPECT_FALSE(align(texture, texture, {1e9, 300}, map));
+}
+
+}  // namespace
+}  // namespace gyro_deblur
