@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "base/median.hpp"
@@ -16,22 +18,41 @@ namespace gyro_deblur {
 namespace {
 
 // A third of a lobe of the highest frequencies that are seen.
-constexpr double kStepLog = 0.04;
-constexpr double kFineStepLog = 0.01;
+constexpr double kStepLog = 0.05;
+constexpr double kFineStepLog = 0.012;
+// What a ratio is compared with: a bit more than an octave on either side.
+constexpr double kReachLog = 0.9;
+// Of Newton's method, where the fit before was at a ratio far away.
+constexpr int kBeginning = 4;
+// Logarithm of the ratio of an image without blur.
+constexpr double kNone = -std::numeric_limits<double>::infinity();
 
-/// What each window says of each ratio.
+/// What each window says of each ratio: negative log likelihoods.
 struct Costs {
   std::vector<double> log_ratios;
   std::vector<std::vector<double>> of_windows;  ///< by ratio, and window
+
+  void add(RatioFit* fit, double log_ratio, int steps = 1) {
+    log_ratios.push_back(log_ratio);
+    of_windows.push_back(fit->costs(std::exp(log_ratio), steps));
+  }
 };
+
+/// The least of each window.
+std::vector<double> least_of(const Costs& costs, std::vector<double> least) {
+  for (const std::vector<double>& of_windows : costs.of_windows) {
+    for (std::size_t w = 0; w < least.size(); ++w) least[w] = std::min(least[w], of_windows[w]);
+  }
+  return least;
+}
 
 /// What a window says, limited: some show what moves by itself.
 double limited(double more) {
   constexpr double kByThemselves = 0.02;
-  return -std::log((1 - kByThemselves) * std::exp(-more) + kByThemselves);
+  return -std::log((1 - kByThemselves) * std::exp(-std::max(more, 0.0)) + kByThemselves);
 }
 
-/// A negative log likelihood by ratio, of all windows together.
+/// Of all windows together, by ratio.
 std::vector<double> sum_of(const Costs& costs, const std::vector<double>& least) {
   std::vector<double> sum;
   for (const std::vector<double>& of_windows : costs.of_windows) {
@@ -41,20 +62,6 @@ std::vector<double> sum_of(const Costs& costs, const std::vector<double>& least)
   return sum;
 }
 
-Costs costs_of(RatioFit* fit, double first_log, double step_log, int count) {
-  Costs costs;
-  for (int i = 0; i < count; ++i) {
-    costs.log_ratios.push_back(first_log + i * step_log);
-    costs.of_windows.push_back(fit->costs(std::exp(costs.log_ratios.back())));
-  }
-  return costs;
-}
-
-struct Peak {
-  double log_ratio, log_stddev;
-  double more_elsewhere;  ///< that no blur at all costs, or the best of other ratios
-};
-
 /// Median of the spectra's blur [px of the halved image].
 double extent_px_of(const std::vector<MotionSpectrum>& spectra) {
   std::vector<double> extents_px;
@@ -62,39 +69,57 @@ double extent_px_of(const std::vector<MotionSpectrum>& spectra) {
   return median(extents_px);
 }
 
-/// The least cost, if it is not at an end.
-std::optional<std::size_t> least_inside(const std::vector<double>& sum) {
-  const auto least = std::min_element(sum.begin(), sum.end());
-  if (least == sum.begin() || least + 1 == sum.end()) return std::nullopt;
-  return static_cast<std::size_t>(least - sum.begin());
+std::size_t index_of_least(const std::vector<double>& sum) {
+  return static_cast<std::size_t>(std::min_element(sum.begin(), sum.end()) - sum.begin());
 }
+
+/// All ratios of the range, after none at all; and where the best of them is near an end, as many beyond as it takes to
+/// see whether it is but the flank of what lies there.
+Costs coarse_costs(RatioFit* fit, double first_log, double last_log) {
+  Costs costs;
+  costs.add(fit, kNone, kBeginning);
+  fit->costs(std::exp(first_log), kBeginning);
+  double highest = first_log;
+  for (; highest <= last_log; highest += kStepLog) costs.add(fit, highest);
+  const double best = costs.log_ratios[index_of_least(sum_of(costs, least_of(costs, costs.of_windows.front())))];
+  if (best == kNone) return costs;
+  for (; highest <= best + kReachLog; highest += kStepLog) costs.add(fit, highest);
+  fit->costs(std::exp(first_log), kBeginning);
+  for (double lowest = first_log - kStepLog; lowest >= best - kReachLog; lowest -= kStepLog) costs.add(fit, lowest);
+  return costs;
+}
+
+struct Peak {
+  double log_ratio, log_stddev;
+  double more_elsewhere;  ///< that no blur at all costs, or the best of other ratios
+  double depth;           ///< of the zeros, 1 as the path has them
+};
 
 std::optional<Peak> peak_of(const std::vector<MotionSpectrum>& spectra, double first_log, double last_log) {
   if (spectra.empty()) return std::nullopt;
-  constexpr int kBeyond = 2;
-  const int count = static_cast<int>((last_log - first_log) / kStepLog) + 2 * kBeyond + 1;
-  RatioFit fit(spectra, std::exp(last_log + 1));
-  const std::vector<double> none = fit.costs(0);
-  const Costs coarse = costs_of(&fit, first_log - kBeyond * kStepLog, kStepLog, count);
-  std::vector<double> least = none;
-  for (const std::vector<double>& of_windows : coarse.of_windows) {
-    for (std::size_t w = 0; w < least.size(); ++w) least[w] = std::min(least[w], of_windows[w]);
-  }
-  const std::vector<double> sum = sum_of(coarse, least);
-  const std::optional<std::size_t> best = least_inside(sum);
+  RatioFit fit(spectra, std::exp(last_log + kReachLog));
+  const Costs coarse = coarse_costs(&fit, first_log, last_log);
+  std::vector<double> least = least_of(coarse, coarse.of_windows.front());
+  const double best = coarse.log_ratios[index_of_least(sum_of(coarse, least))];
   // Of shorter blur the first zero is where photographs end, and their end is taken for it.
   constexpr double kLeastPx = 4.5;
-  if (!best || std::exp(coarse.log_ratios[*best]) * extent_px_of(spectra) < kLeastPx) return std::nullopt;
-  constexpr int kFine = 4;
-  const Costs fine = costs_of(&fit, coarse.log_ratios[*best] - kFine * kFineStepLog, kFineStepLog, 2 * kFine + 1);
-  const std::vector<double> fine_sum = sum_of(fine, least);
-  const std::optional<std::size_t> at = least_inside(fine_sum);
-  if (!at) return std::nullopt;
-  const std::vector<double>&before = fine.of_windows[*at - 1], &after = fine.of_windows[*at + 1];
-  const double curvature = fine_sum[*at - 1] - 2 * fine_sum[*at] + fine_sum[*at + 1];
+  if (best == kNone || std::exp(best) * extent_px_of(spectra) < kLeastPx) return std::nullopt;
+
+  constexpr int kFine = 6, kExact = 2;
+  Costs fine;
+  fit.costs(std::exp(best - kFine * kFineStepLog), kBeginning);
+  for (int i = -kFine; i <= kFine; ++i) fine.add(&fit, best + i * kFineStepLog, kExact);
+  least = least_of(fine, std::move(least));
+  const std::vector<double> sum = sum_of(coarse, least), fine_sum = sum_of(fine, least);
+  const std::size_t at = index_of_least(fine_sum);
+  if (at == 0 || at + 1 == fine_sum.size()) return std::nullopt;
+  const std::vector<double>&before = fine.of_windows[at - 1], &after = fine.of_windows[at + 1];
+  const double curvature = fine_sum[at - 1] - 2 * fine_sum[at] + fine_sum[at + 1];
   if (!(curvature > 0)) return std::nullopt;
   Peak peak;
-  peak.log_ratio = fine.log_ratios[*at] + kFineStepLog * 0.5 * (fine_sum[*at - 1] - fine_sum[*at + 1]) / curvature;
+  peak.log_ratio = fine.log_ratios[at] + kFineStepLog * 0.5 * (fine_sum[at - 1] - fine_sum[at + 1]) / curvature;
+  fit.costs(std::exp(peak.log_ratio), kExact);
+  peak.depth = fit.depth();
   // With a likelihood that is not quite the truth: P. J. Huber, Proc. 5th Berkeley Symp. Math. Stat. Prob. 1, 1967.
   double squares = 0;
   for (std::size_t w = 0; w < least.size(); ++w) {
@@ -103,23 +128,11 @@ std::optional<Peak> peak_of(const std::vector<MotionSpectrum>& spectra, double f
   }
   peak.log_stddev = kFineStepLog * std::sqrt(std::max(squares, curvature)) / curvature;
   constexpr double kSame = 0.1;
-  peak.more_elsewhere = sum_of({{0}, {none}}, least).front() - fine_sum[*at];
-  const auto compare = [&](const Costs& costs) {
-    const std::vector<double> with = sum_of(costs, least);
-    for (std::size_t i = 0; i < with.size(); ++i) {
-      if (std::abs(costs.log_ratios[i] - peak.log_ratio) <= kSame) continue;
-      peak.more_elsewhere = std::min(peak.more_elsewhere, with[i] - fine_sum[*at]);
-    }
-  };
-  compare(coarse);
-  // What is the least of the range may be the flank of what lies beyond it.
-  constexpr double kReachLog = 0.9;
-  const auto steps_beyond = [&](double from_log, double to_log) {
-    return std::max(0, static_cast<int>(std::ceil((to_log - from_log) / kStepLog)));
-  };
-  const double lowest = coarse.log_ratios.front(), highest = coarse.log_ratios.back();
-  compare(costs_of(&fit, highest + kStepLog, kStepLog, steps_beyond(highest, peak.log_ratio + kReachLog)));
-  compare(costs_of(&fit, lowest - kStepLog, -kStepLog, steps_beyond(peak.log_ratio - kReachLog, lowest)));
+  peak.more_elsewhere = sum.front() - fine_sum[at];
+  for (std::size_t i = 1; i < sum.size(); ++i) {
+    if (std::abs(coarse.log_ratios[i] - peak.log_ratio) <= kSame) continue;
+    peak.more_elsewhere = std::min(peak.more_elsewhere, sum[i] - fine_sum[at]);
+  }
   return peak;
 }
 
@@ -135,7 +148,7 @@ std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const 
   if (!noise_grey_levels) noise_grey_levels = image_noise(luminance, PixelLayout::GRAY);
   // Windows are chosen for the blur that is assumed; where it is another, they are chosen again.
   constexpr int kTries = 3;
-  constexpr double kSameWindows = 0.4;
+  constexpr double kSameWindows = 0.55;
   double log_scale = 0;
   for (int i = 0; i < kTries; ++i) {
     const std::vector<MotionSpectrum> spectra =
@@ -147,7 +160,9 @@ std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const 
     if (std::abs(peak->log_ratio) > kSameWindows) continue;
     // Of a log likelihood: what neither noise nor the texture of some windows makes.
     constexpr double kLeastMore = 8;
-    if (peak->more_elsewhere < kLeastMore) return std::nullopt;
+    // Zeros, rather than texture that departs from a cubic.
+    constexpr double kLeastDepth = 0.35;
+    if (peak->more_elsewhere < kLeastMore || peak->depth < kLeastDepth) return std::nullopt;
     // Errors that all windows have in common, of the velocity first of all; those of windows that overlap are alike.
     constexpr double kCommon = 0.01, kOverlap = 1.4;
     const double ratio = std::exp(log_scale);

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
+#include <utility>
 
 #include <opencv2/imgproc.hpp>
 
@@ -15,8 +17,8 @@ namespace gyro_deblur {
 namespace {
 
 constexpr int kWindow = kMotionWindow;
-// Up to .4 cycles/px; beyond, cameras' own filters and halving leave little.
-constexpr int kWaves = 51;
+// Up to .34 cycles/px; beyond, cameras' own filters and halving leave little.
+constexpr int kWaves = 44;
 // Below, the window mixes frequencies with the mean.
 constexpr int kFirstWave = 2;
 
@@ -56,19 +58,23 @@ const std::array<float, kWindow>& window_weights() {
   return kWeights;
 }
 
-/// Hann's window squared, of `length_px` from first_px on, summed over [begin_px, end_px).
-double weight_within(int begin_px, int end_px, int first_px, int length_px) {
-  double sum = 0;
-  for (int p = begin_px; p < end_px; ++p) {
-    const double w = 1 - std::cos(2 * CV_PI * (p - first_px + 0.5) / length_px);
-    sum += w * w;
-  }
-  return sum;
+/// Hann's window squared, summed from its begin, as shares.
+std::array<double, kWindow + 1> make_shares() {
+  std::array<double, kWindow + 1> shares{};
+  for (int i = 0; i < kWindow; ++i) shares[i + 1] = shares[i] + std::pow(window_weights()[i], 2) / kWindow;
+  return shares;
+}
+
+/// Share of a window that is `shrink` times as long and begins at first_px, by its weights squared, that lies in
+/// [begin_px, end_px).
+double share_within(int begin_px, int end_px, int first_px, int shrink) {
+  static const std::array<double, kWindow + 1> kShares = make_shares();
+  return kShares[(end_px - first_px) / shrink] - kShares[(begin_px - first_px) / shrink];
 }
 
 /// Blur of a window: the mean of what its blocks have, by their weight in the window. Nothing where too little of it is
 /// known.
-std::optional<Path2> path_in(const FrameBlur& field, const cv::Rect& window_px) {
+std::optional<Path2> path_in(const FrameBlur& field, const cv::Rect& window_px, int shrink) {
   constexpr double kLeastShare = 0.7;
   const BlockGrid& grid = field.grid;
   Path2 sum;
@@ -81,8 +87,8 @@ std::optional<Path2> path_in(const FrameBlur& field, const cv::Rect& window_px) 
     for (int col = window_px.x / size_px; col < end_col; ++col) {
       const int i = row * grid.cols() + col;
       const cv::Rect shared = grid.rect(i) & window_px;
-      const double weight = weight_within(shared.x, shared.br().x, window_px.x, window_px.width) *
-                            weight_within(shared.y, shared.br().y, window_px.y, window_px.height);
+      const double weight = share_within(shared.x, shared.br().x, window_px.x, shrink) *
+                            share_within(shared.y, shared.br().y, window_px.y, shrink);
       all += weight;
       if (!is_usable(field.blocks[i])) continue;
       const Path2 path_px = path_of(field.blocks[i]);
@@ -139,8 +145,9 @@ struct Halved {
 Halved halved(const cv::Mat& luminance, double extent_px, double noise) {
   constexpr double kLargestPx = kWindow / 5.66;
   constexpr double kRounding = 1.0 / 12;
+  constexpr int kFewest = 3;  // windows side by side, of an image that is halved
   Halved level{luminance, 1, noise * noise + kRounding};
-  while (extent_px / level.shrink > kLargestPx && std::min(level.image.cols, level.image.rows) >= 2 * kWindow) {
+  while (extent_px / level.shrink > kLargestPx && std::min(level.image.cols, level.image.rows) >= kFewest * kWindow) {
     const cv::Size half(level.image.cols / 2, level.image.rows / 2);
     cv::Mat image;
     on_one_thread([&] {
@@ -161,11 +168,14 @@ std::vector<int> places(int size_px, double step_px) {
   return begins;
 }
 
+// Power of usual texture falls with this power of the frequency.
+constexpr double kTexture = 2.5;
+
 /// One over the power that texture usually has: |f|^2.5 [waves a window], by squared frequency.
 const std::vector<float>& whitening() {
   static const std::vector<float> kWhitening = [] {
     std::vector<float> table(kWaves * kWaves + 1);
-    for (std::size_t i = 0; i < table.size(); ++i) table[i] = static_cast<float>(std::pow(i, 1.25));
+    for (std::size_t i = 0; i < table.size(); ++i) table[i] = static_cast<float>(std::pow(i, kTexture / 2));
     return table;
   }();
   return kWhitening;
@@ -173,53 +183,58 @@ const std::vector<float>& whitening() {
 
 /// Sums over the frequencies of one point of a spectrum.
 struct Sums {
-  double weight = 0, power = 0, noise = 0, frequency = 0;
+  float weight = 0, power = 0, noise = 0, frequency = 0, tilt = 0;
 };
 
 /// One frequency of the plane.
 struct Sample {
-  float power, whitening, along;
+  float power, noise;  // whitened
+  float along, tilt;
   int point;
 };
 
 /// Waves along the motion to the nearest whole number make a point.
-std::vector<SpectrumPoint> points_of(const std::vector<Sample>& samples, double noise_variance) {
+std::vector<SpectrumPoint> points_of(const std::vector<Sample>& samples) {
   // Powers of neighbouring frequencies are correlated, by Hann's window: 1.94 of them along each axis tell as much as
   // one that is independent.
-  constexpr double kAlike = 1.94 * 1.94;
+  constexpr float kAlike = 1.94F * 1.94F;
   constexpr int kFewest = 4;
   std::array<Sums, kWaves + 1> sums;
-  std::array<double, kWaves + 1> signal;
+  std::array<float, kWaves + 1> signal;
   std::array<int, kWaves + 1> count{};
-  signal.fill(0);
-  for (int pass = 0; pass < 3; ++pass) {
+  signal.fill(1);
+  constexpr int kPasses = 3;
+  for (int pass = 0; pass < kPasses; ++pass) {
     sums.fill(Sums());
     for (const Sample& s : samples) {
       // The weight that gives the mean the least variance, with what is known of the signal.
-      const double noise = noise_variance * s.whitening, both = pass == 0 ? 1 + noise : signal[s.point] + noise;
-      const double weight = 1 / (both * both);
+      const float both = signal[s.point] + s.noise, weight = 1 / (both * both);
       Sums& sum = sums[s.point];
       sum.weight += weight;
-      sum.power += weight * s.power * s.whitening;
-      sum.noise += weight * noise;
-      sum.frequency += weight * s.along;
+      sum.power += weight * s.power;
+      sum.noise += weight * s.noise;
       if (pass == 0) ++count[s.point];
+      if (pass + 1 < kPasses) continue;
+      sum.frequency += weight * s.along;
+      sum.tilt += weight * s.tilt;
     }
     for (int i = 0; i <= kWaves; ++i) {
       if (sums[i].weight == 0) continue;
-      const double power = sums[i].power / sums[i].weight, noise = sums[i].noise / sums[i].weight;
-      signal[i] = std::max(power - noise, 0.1 * noise + 1e-9);
+      const float power = sums[i].power / sums[i].weight, noise = sums[i].noise / sums[i].weight;
+      signal[i] = std::max(power - noise, 0.1F * noise + 1e-9F);
     }
   }
   std::vector<SpectrumPoint> points;
   for (int i = kFirstWave; i <= kWaves; ++i) {
     const Sums& sum = sums[i];
     if (count[i] < kFewest || !(sum.power > 0)) continue;
-    const double power = sum.power / sum.weight, noise = sum.noise / sum.weight;
+    SpectrumPoint& point = points.emplace_back();
+    point.frequency = sum.frequency / sum.weight;
+    point.power = sum.power / sum.weight;
+    point.noise = sum.noise / sum.weight;
     // An exponential distribution's deviation is its mean: with the weights above that of their mean is this.
-    const double variance = kAlike / (sum.weight * power * power);
-    points.push_back({static_cast<float>(sum.frequency / sum.weight), static_cast<float>(power),
-                      static_cast<float>(noise), static_cast<float>(variance)});
+    point.log_variance = kAlike / (sum.weight * point.power * point.power);
+    point.tilt = sum.tilt / sum.weight;
   }
   return points;
 }
@@ -230,45 +245,54 @@ struct Slices {
   int count = 1;
   double step = 0;  // of across / along
 };
-constexpr double kSteepest = 2.5;  // across / along, of frequencies that are used
+constexpr double kSteepest = 1.6;  // across / along, of frequencies that are used
 
 Slices slices_of(const Path2& path_px, const Eigen::Vector2d& direction) {
   // At three times the blur's first zero, how far a phase may be off at a slice's border [cycles].
-  constexpr double kOffCycles = 0.1, kLobes = 3;
+  constexpr double kOffCycles = 0.12, kLobes = 3;
+  constexpr int kMost = 5;
   const Eigen::Vector2d normal(-direction.y(), direction.x());
   const double along_px = extent_along(path_px, direction), across_px = extent_along(path_px, normal);
   const double step = 2 * kOffCycles / (kLobes * across_px / (2 * std::max(along_px, 1e-6)));
   Slices slices;
-  slices.count = std::min(15, static_cast<int>(std::ceil(2 * kSteepest / step)));
+  slices.count = std::min(kMost, static_cast<int>(std::ceil(2 * kSteepest / step)));
   if (slices.count <= 1) return {};
   slices.step = 2 * kSteepest / slices.count;
   return slices;
 }
 
-void add_spectra(const Window& window, int index, const Halved& level, std::vector<MotionSpectrum>* spectra) {
+/// What a thread works with.
+struct Scratch {
+  cv::Mat pixels = cv::Mat(kWindow, kWindow, CV_32F), spectrum;
+  std::vector<std::vector<Sample>> samples;  // by slice
+};
+
+void take_spectrum(const cv::Mat& window, Scratch* scratch) {
   const std::array<float, kWindow>& weights = window_weights();
-  cv::Mat pixels(kWindow, kWindow, CV_32F), spectrum;
-  const cv::Mat image = level.image(window.rect);
-  const auto mean = static_cast<float>(cv::mean(image)[0]);
+  const auto mean = static_cast<float>(cv::mean(window)[0]);
   for (int y = 0; y < kWindow; ++y) {
-    const std::uint8_t* from = image.ptr<std::uint8_t>(y);
-    float* to = pixels.ptr<float>(y);
-    for (int x = 0; x < kWindow; ++x) to[x] = (from[x] - mean) * weights[x] * weights[y];
+    const std::uint8_t* from = window.ptr<std::uint8_t>(y);
+    float* to = scratch->pixels.ptr<float>(y);
+    for (int x = 0; x < kWindow; ++x) to[x] = (from[x] - mean) * (weights[x] * weights[y]);
   }
-  cv::dft(pixels, spectrum);
-  const Eigen::Vector2d direction = direction_of(window.path_px), normal(-direction.y(), direction.x());
-  const Slices slices = slices_of(window.path_px, direction);
-  std::vector<std::vector<Sample>> samples(slices.count);
+  cv::dft(scratch->pixels, scratch->spectrum);
+}
+
+void take_samples(const Slices& slices, const Eigen::Vector2d& direction, float noise_variance, Scratch* scratch) {
+  scratch->samples.resize(std::max<std::size_t>(scratch->samples.size(), slices.count));
+  for (std::vector<Sample>& samples : scratch->samples) samples.clear();
   constexpr float kScale = 1.0F / (kWindow * kWindow);
+  const auto dx = static_cast<float>(direction.x()), dy = static_cast<float>(direction.y());
+  const std::vector<float>& white = whitening();
   for (int v = -kWaves; v <= kWaves; ++v) {
-    const int row = v < 0 ? kWindow + v : v;
-    const float* packed = spectrum.ptr<float>(row);
+    const float* packed = scratch->spectrum.ptr<float>(v < 0 ? kWindow + v : v);
     for (int u = 1; u <= kWaves; ++u) {
       const int squared = u * u + v * v;
       if (squared > kWaves * kWaves || squared < kFirstWave * kFirstWave) continue;
-      double along = u * direction.x() + v * direction.y(), across = u * normal.x() + v * normal.y();
+      float along = static_cast<float>(u) * dx + static_cast<float>(v) * dy;
+      float across = static_cast<float>(v) * dx - static_cast<float>(u) * dy;
       if (along < 0) along = -along, across = -across;
-      const int point = static_cast<int>(along + 0.5);
+      const int point = static_cast<int>(along + 0.5F);
       if (point < kFirstWave) continue;
       int slice = 0;
       if (slices.count > 1) {
@@ -277,17 +301,27 @@ void add_spectra(const Window& window, int index, const Halved& level, std::vect
         slice = static_cast<int>(place);
       }
       const float re = packed[2 * u - 1], im = packed[2 * u];
-      samples[slice].push_back({kScale * (re * re + im * im), whitening()[squared], static_cast<float>(along), point});
+      scratch->samples[slice].push_back({kScale * white[squared] * (re * re + im * im), noise_variance * white[squared],
+                                         along, static_cast<float>(kTexture) * along / static_cast<float>(squared),
+                                         point});
     }
   }
+}
+
+void add_spectra(const Window& window, int index, const Halved& level, Scratch* scratch,
+                 std::vector<MotionSpectrum>* spectra) {
+  take_spectrum(level.image(window.rect), scratch);
+  const Eigen::Vector2d direction = direction_of(window.path_px), normal(-direction.y(), direction.x());
+  const Slices slices = slices_of(window.path_px, direction);
+  take_samples(slices, direction, static_cast<float>(level.noise_variance), scratch);
   for (int slice = 0; slice < slices.count; ++slice) {
     const double steepness = slices.count > 1 ? -kSteepest + (slice + 0.5) * slices.step : 0;
-    MotionSpectrum motion{index, {}, points_of(samples[slice], level.noise_variance)};
+    MotionSpectrum motion{index, {}, points_of(scratch->samples[slice])};
     const double windows_per_px = 1.0 / (level.shrink * kWindow);
     for (int k = 0; k < kPathInstants; ++k) {
       motion.path[k] = static_cast<float>(windows_per_px * (direction + steepness * normal).dot(window.path_px[k]));
     }
-    spectra->push_back(std::move(motion));
+    if (!motion.points.empty()) spectra->push_back(std::move(motion));
   }
 }
 
@@ -310,21 +344,20 @@ std::vector<MotionSpectrum> motion_spectra(const FrameBlur& field, const cv::Mat
     for (const int x : places(level.image.cols, step_px)) {
       const cv::Rect rect(x, y, kWindow, kWindow);
       const cv::Rect rect_px(level.shrink * x, level.shrink * y, level.shrink * kWindow, level.shrink * kWindow);
-      std::optional<Path2> path_px = path_in(field, rect_px);
+      std::optional<Path2> path_px = path_in(field, rect_px, level.shrink);
       if (!path_px) continue;
       for (Eigen::Vector2d& place : *path_px) place *= scale;
       if (extent_along(*path_px, direction_of(*path_px)) >= kLeastPx) windows.push_back({rect, *path_px});
     }
   }
   std::vector<std::vector<MotionSpectrum>> of_windows(windows.size());
+  std::vector<Scratch> scratch(threads_or_all(threads));
   constexpr int kWindowsAtATime = 2;
   run_parallel(static_cast<int>(windows.size()), threads, kWindowsAtATime,
-               [&](int i) { add_spectra(windows[i], i, level, &of_windows[i]); });
+               [&](int i, int thread) { add_spectra(windows[i], i, level, &scratch[thread], &of_windows[i]); });
   std::vector<MotionSpectrum> spectra;
   for (std::vector<MotionSpectrum>& of_window : of_windows) {
-    for (MotionSpectrum& spectrum : of_window) {
-      if (!spectrum.points.empty()) spectra.push_back(std::move(spectrum));
-    }
+    std::move(of_window.begin(), of_window.end(), std::back_inserter(spectra));
   }
   return spectra;
 }

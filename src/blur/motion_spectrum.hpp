@@ -18,6 +18,7 @@ struct SpectrumPoint {
   float power;         ///< > 0, noise included
   float noise;         ///< the part of it that noise has in the mean, >= 0
   float log_variance;  ///< of the natural logarithm of `power`, were the texture as usual
+  float tilt;          ///< by which the logarithm of usual texture falls along the motion [1/wave]
 };
 
 /// Spectrum of one window in which the blur is that of `path`: of the frequencies whose direction is near one.

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <memory>
 #include <vector>
 
 #include <Eigen/Core>
@@ -23,7 +24,12 @@ class RatioFit {
 
   /// Half of the sum of squared residuals over their variance, by window, at a ratio (0: no blur at all): a negative
   /// log likelihood.
-  std::vector<double> costs(double ratio);
+  /// @param steps  of Newton's method from the fit before, the last one's residuals by their slopes; one is enough from
+  ///               ratio to ratio
+  std::vector<double> costs(double ratio, int steps = 1);
+
+  /// Of the zeros, at the newest ratio: 1 where they are as deep as the path makes them, 0 where there are none.
+  double depth() const { return common_[kCommon - 1]; }
 
  private:
   static constexpr int kCommon = 4;  // slope, curve, cube, depth
@@ -36,26 +42,32 @@ class RatioFit {
     float at(float frequency) const;
 
    private:
-    std::vector<float> squared_;
+    std::shared_ptr<const std::vector<float>> squared_;
     float per_wave_;
-  };
-  struct Point {
-    float x, frequency, log_power, noise, weight;
-    float log_gain;  ///< at the newest ratio
   };
   struct Spectrum {
     int window;
+    int begin, end;  ///< of its points
     Transfer transfer;
-    std::vector<Point> points;
     float offset;
+    float shift = 0;  ///< of the offset, by the newest step
+  };
+  /// One element for each point of all spectra, by which loops vectorise.
+  struct Points {
+    std::vector<float> x, x2, x3, gain;  ///< that slope, curve, cube and depth are multiplied with
+    std::vector<float> frequency;
+    std::vector<float> before, behind;  ///< shares of the frequencies one wave beside in what the window makes of it
+    std::vector<float> log_power, noise, weight, root_weight;
+    std::vector<float> share, error, robust;  ///< of the signal in the power; of log_power; weight times share
   };
   void apply(float ratio);
-  void step();
+  void evaluate();
+  Vector step();
 
   std::vector<Spectrum> spectra_;
+  Points points_;
   Vector common_;
   int windows_ = 0;
-  bool began_ = false;
 };
 
 }  // namespace gyro_deblur
