@@ -8,8 +8,10 @@ namespace {
 
 double squared(double x) { return x * x; }
 
-// Estimates of consecutive images share their texture, and with it part of their error: more of them do not tell more.
-constexpr double kLeastStddev = 0.007;
+// However many estimates there are, some ten of them make the value: then changes of 1 % are not forgotten.
+constexpr double kLeastStddev = 0.004;
+// Estimates of consecutive images share their velocities, and with them part of their error.
+constexpr double kSharedStddev = 0.008;
 // Farther from the state than this many standard deviations, an estimate contradicts it.
 constexpr double kGate = 3;
 // Of an exposure at rest: 1 % after a second, a quarter after ten minutes.
@@ -138,14 +140,14 @@ void ExposureFilter::add(TimeNs stamp_ns, TimeNs assumed_ns, const std::optional
 std::optional<ExposureFilter::State> ExposureFilter::state() const {
   if (!value_) return std::nullopt;
   const Value now = predicted();
-  const double stddev = std::sqrt(now.variance + doubt());
+  const double stddev = std::sqrt(now.variance + doubt() + squared(kSharedStddev));
   if (stddev > kUnknown) return std::nullopt;
   return State{static_cast<TimeNs>(std::llround(std::exp(now.log_ns))), stddev};
 }
 
 bool ExposureFilter::wants_estimate() const {
   // Images that are looked at in vain cost as much as others: less often, the longer that lasts.
-  constexpr int kEvery = 4, kEveryUnknown = 3, kInVainPerWait = 4;
+  constexpr int kEvery = 6, kEveryUnknown = 3, kInVainPerWait = 4;
   constexpr double kWellKnown = 0.02;
   const std::optional<State> now = state();
   const int longest = now ? kEvery : kEveryUnknown;

@@ -337,8 +337,8 @@ std::vector<MotionSpectrum> motion_spectra(const FrameBlur& field, const cv::Mat
   if (extents_px.empty() || std::min(luminance.cols, luminance.rows) < kWindow) return {};
   const Halved level = halved(luminance, median(extents_px), noise);
   std::vector<Window> windows;
-  // Those that overlap by more than half tell much the same; more than some 20 tell more than is needed.
-  constexpr double kWindows = 20;
+  // Those that overlap by more than half tell much the same; more than some 16 tell more than is needed.
+  constexpr double kWindows = 16;
   const double step_px = std::max(0.5 * kWindow, std::sqrt(static_cast<double>(level.image.total()) / kWindows));
   for (const int y : places(level.image.rows, step_px)) {
     for (const int x : places(level.image.cols, step_px)) {

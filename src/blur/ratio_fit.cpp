@@ -172,6 +172,7 @@ void RatioFit::apply(float ratio) {
 
 /// Residuals, and the weights of their squares.
 void RatioFit::evaluate() {
+  constexpr float kTiny = 1e-6F;
   const float slope = common_[0], curve = common_[1], cube = common_[2], depth = common_[3];
   const Points& p = points_;
   const float *x = p.x.data(), *x2 = p.x2.data(), *x3 = p.x3.data(), *gain = p.gain.data(), *noise = p.noise.data(),
@@ -185,8 +186,8 @@ void RatioFit::evaluate() {
       const float both = signal + noise[i];
       share[i] = signal / both;
       error[i] = log_power[i] - fast_log(both);
-      const float stddevs = std::abs(error[i]) * root_weight[i];
-      robust[i] = weight[i] * share[i] * (stddevs > kOutlier ? kOutlier / stddevs : 1);
+      const float limit = kOutlier / (std::abs(error[i]) * root_weight[i] + kTiny);
+      robust[i] = weight[i] * share[i] * (limit < 1 ? limit : 1);
     }
   }
 }
@@ -238,15 +239,19 @@ std::vector<double> RatioFit::costs(double ratio, int steps) {
   }
   std::vector<double> costs(windows_);
   const Points& p = points_;
+  const float slope = change[0], curve = change[1], cube = change[2], depth = change[3];
+  const float *x = p.x.data(), *x2 = p.x2.data(), *x3 = p.x3.data(), *gain = p.gain.data(), *share = p.share.data(),
+              *error = p.error.data(), *root_weight = p.root_weight.data();
   for (const Spectrum& s : spectra_) {
-    float of_spectrum = 0;
+    const float shift = s.shift;
+    float sum = 0;
+#pragma omp simd reduction(+ : sum)
     for (int i = s.begin; i < s.end; ++i) {
-      const float changed =
-          s.shift + change[0] * p.x[i] + change[1] * p.x2[i] + change[2] * p.x3[i] + change[3] * p.gain[i];
-      const float stddevs = std::abs(p.error[i] - p.share[i] * changed) * p.root_weight[i];
-      of_spectrum += stddevs > kOutlier ? kOutlier * (stddevs - 0.5F * kOutlier) : 0.5F * stddevs * stddevs;
+      const float changed = shift + slope * x[i] + curve * x2[i] + cube * x3[i] + depth * gain[i];
+      const float stddevs = std::abs(error[i] - share[i] * changed) * root_weight[i];
+      sum += stddevs > kOutlier ? kOutlier * (stddevs - 0.5F * kOutlier) : 0.5F * stddevs * stddevs;
     }
-    costs[s.window] += of_spectrum;
+    costs[s.window] += sum;
   }
   return costs;
 }
