@@ -159,7 +159,7 @@ std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const 
     log_scale += peak->log_ratio;
     if (std::abs(peak->log_ratio) > kSameWindows) continue;
     // Of a log likelihood: what neither noise nor the texture of some windows makes.
-    constexpr double kLeastMore = 6;
+    constexpr double kLeastMore = 5;
     // Zeros, rather than texture that departs from a cubic.
     constexpr double kLeastDepth = 0.35;
     if (peak->more_elsewhere < kLeastMore || peak->depth < kLeastDepth) return std::nullopt;
