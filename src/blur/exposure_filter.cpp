@@ -54,8 +54,8 @@ double ExposureFilter::doubt() const {
 
 bool ExposureFilter::follows_candidate(const Value& measured) const {
   if (!candidate_) return false;
-  // Auto exposure that converges moves on by a share of what is left: libcamera's by a
-  // fifth at a time (filterExposure in src/ipa/ipu3/algorithms/agc.cpp).
+  // Auto exposure that converges moves on by a share of what is left: libcamera's on a Raspberry Pi by a fifth at a
+  // time (Agc::filterExposure in src/ipa/raspberrypi/controller/rpi/agc.cpp).
   constexpr double kMovesOn = 0.3;
   const double stddev = std::sqrt(candidate_->variance + measured.variance);
   const double apart = std::abs(measured.log_ns - candidate_->log_ns);
@@ -111,6 +111,7 @@ void ExposureFilter::add(TimeNs stamp_ns, TimeNs assumed_ns, const std::optional
   darkest_ = first ? brightness : std::min(darkest_, brightness);
   brightest_ = first ? brightness : std::max(brightest_, brightness);
   ++images_since_;
+  images_since_look_ = looked_at ? 0 : images_since_look_ + 1;
   if (candidate_ && stamp_ns - candidate_->stamp_ns > kCandidateNs) candidate_.reset();
   if (!estimate) {
     in_vain_ += looked_at ? 1 : 0;
@@ -149,11 +150,11 @@ bool ExposureFilter::wants_estimate() const {
   // Images that are looked at in vain cost as much as others: less often, the longer that lasts.
   constexpr int kEvery = 6, kEveryUnknown = 3, kInVainPerWait = 4;
   constexpr double kWellKnown = 0.02;
+  if (candidate_) return true;
   const std::optional<State> now = state();
-  const int longest = now ? kEvery : kEveryUnknown;
   const bool well_known = now && now->log_stddev <= kWellKnown && !value_->moves;
-  const int every = well_known ? kEvery : std::min(1 + in_vain_ / kInVainPerWait, longest);
-  return candidate_ || (images_since_ + 1) % every == 0;
+  if (well_known && images_since_ + 1 < kEvery) return false;
+  return images_since_look_ + 1 >= std::min(1 + in_vain_ / kInVainPerWait, now ? kEvery : kEveryUnknown);
 }
 
 void ExposureFilter::reset() { *this = ExposureFilter(); }

@@ -135,6 +135,15 @@ TEST(ExposureFilter, FollowsJumpsThatNothingShowsWithinAFewLooks) {
   }
 }
 
+TEST(ExposureFilter, FindsAJumpBetweenImagesWithoutBlurAsSoonAsThereIsSome) {
+  ExposureFilter filter;
+  Camera camera(0.02);
+  for (int i = 0; i < 30; ++i) camera.expose(&filter, 30 * kMs);
+  for (int i = 0; i < 9; ++i) camera.expose(&filter, 15 * kMs, 0, kBright, false);
+  for (int i = 0; i < 4; ++i) camera.expose(&filter, 15 * kMs);
+  EXPECT_LT(error(filter, 15 * kMs), 0.05);
+}
+
 TEST(ExposureFilter, OutliersAloneChangeNothing) {
   ExposureFilter filter;
   Camera camera(0.02);
