@@ -19,6 +19,20 @@ enum class OnCalibrationConflict {
   CONFIGURED,  ///< the parameters and the file hold
 };
 
+/// What to do about rotation, time offset, readout time and bias that nobody has given.
+enum class SelfCalibrationMode {
+  AUTO,   ///< they are estimated from the images, and used once they are sure; what is given is checked
+  NEVER,  ///< R_cam_imu is missing, the others are 0
+};
+
+/// Whether numbers were given, 0 included. One that was not is 0 until the images have told it. A configuration made in
+/// code gives them all.
+struct GivenNumbers {
+  bool time_offset = true;
+  bool readout_time = true;
+  bool gyro_bias = true;
+};
+
 enum class ExposureUnit {
   SECONDS,
   MILLISECONDS,
@@ -41,7 +55,7 @@ struct ExposureSource {
 };
 
 /// Every parameter; doc/guides/parameters.md has the keys and their ranges. Each member has one row in
-/// src/config/parameters.cpp, except for what is read from calibration files.
+/// src/config/parameters.cpp, except for `given` and for what is read from calibration files.
 struct Config {
   PipelineOptions pipeline;
   GyroOptions gyro;
@@ -50,7 +64,9 @@ struct Config {
   /// An image without an exposure of its own takes the last one before it that is no older; 0: none.
   TimeNs exposure_max_age_ns = 0;
   bool rectified_input = false;              ///< the image is undistorted: use camera_info's P and R
-  std::optional<Eigen::Matrix3d> R_cam_imu;  ///< absent: from tf
+  std::optional<Eigen::Matrix3d> R_cam_imu;  ///< absent: from tf, else from the images
+  GivenNumbers given;                        ///< of gyro and shutter, see parse_config()
+  SelfCalibrationMode self_calibration = SelfCalibrationMode::AUTO;
   TrackerOptions tracker;
   std::vector<std::string> calibration_files;
   std::string calibration_camera = "cam0";       ///< which of a file's cameras
@@ -72,7 +88,8 @@ struct Config {
 /// Reads a map of keys in YAML (nothing: all defaults) and validates the result. Keys that are not known are appended
 /// to `unknown` (when given) and otherwise ignored.
 /// Throws OptionError that names the key, its value and what is allowed, and for a calibration file that contradicts
-/// another or a key both values. A key that has its default says nothing, and leaves it to the file.
+/// another or a key both values. A key that is 0 or empty leaves it to the file. `given` are the numbers that a key or
+/// a file has: a key that is absent or empty gives none.
 /// @param folder  calibration files and the mask are relative to it; empty: to the working folder
 Config parse_config(const std::string& yaml, std::vector<std::string>* unknown = nullptr,
                     const std::string& folder = "");

@@ -66,12 +66,13 @@ void read(const Parameter& p, const YAML::Node& node, Eigen::Vector3d& value) {
 
 /// Nine numbers by row, three rows of three, or an empty list for nothing.
 void read(const Parameter& p, const YAML::Node& node, std::optional<Eigen::Matrix3d>& value) {
-  const std::string allowed = "a rotation as 9 numbers row by row or 3 rows of 3, or [] to take it from tf";
-  if (!node.IsSequence()) refuse(p.key, node, allowed);
-  if (node.size() == 0) {
+  const std::string allowed =
+      "a rotation as 9 numbers row by row or 3 rows of 3, or [] to take it from tf or the images";
+  if (is_empty(node)) {
     value.reset();
     return;
   }
+  if (!node.IsSequence()) refuse(p.key, node, allowed);
   const bool nested = node.size() == 3;
   if (!nested && node.size() != 9) refuse(p.key, node, allowed);
   Eigen::Matrix3d matrix;
@@ -97,13 +98,15 @@ void apply_calibration(const SensorCalibration& calibration, Config& config) {
     }
     config.R_cam_imu = calibration.R_cam_imu;
   }
-  const auto apply_time = [&](const char* name, const std::optional<TimeNs>& value_ns, TimeNs& target_ns) {
+  const auto apply_time = [&](const char* name, const std::optional<TimeNs>& value_ns, TimeNs& target_ns,
+                              bool& is_given) {
     if (!value_ns || (key_holds && target_ns != 0)) return;
+    is_given = true;
     if (target_ns != 0) require_agreement(name, target_ns, key, *value_ns, calibration.origin);
     target_ns = *value_ns;
   };
-  apply_time("time_offset", calibration.time_offset_ns, config.gyro.time_offset_ns);
-  apply_time("readout_time", calibration.readout_ns, config.shutter.readout_ns);
+  apply_time("time_offset", calibration.time_offset_ns, config.gyro.time_offset_ns, config.given.time_offset);
+  apply_time("readout_time", calibration.readout_ns, config.shutter.readout_ns, config.given.readout_time);
   if (calibration.frame_period_ns) {
     require_plausible_readout("readout_time", config.shutter.readout_ns, *calibration.frame_period_ns);
   }
@@ -125,6 +128,7 @@ YAML::Node unquoted_list(const YAML::Node& node) {
 /// Sets what the keys say. Calibration files are not opened yet.
 Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
   Config config;
+  config.given = {false, false, false};
   if (node.IsNull()) return config;
   if (!node.IsMap()) throw OptionError("the configuration is not a map of keys: " + describe(node));
   std::set<std::string> seen;
@@ -133,6 +137,8 @@ Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
     const std::string& key = entry.first.Scalar();
     if (!seen.insert(key).second) throw OptionError(key + " = " + describe(entry.second) + " is given a second time");
     if (const Parameter* parameter = find_parameter(key)) {
+      if (parameter->may_be_empty() && is_empty(entry.second)) continue;
+      parameter->set_given(config, true);
       Value value = parameter->standard();
       std::visit([&](auto& v) { read(*parameter, unquoted_list<std::decay_t<decltype(v)>>(entry.second), v); }, value);
       parameter->set(config, value);

@@ -102,8 +102,10 @@ ParameterGroup camera_timing() {
           {"exposure_field", &ExposureSource::field, "e.g. exposure_time, exposures[0].shutterms"},
           {"exposure_max_age", &Config::exposure_max_age_ns, within(0, 60, "s"),
            "how long the last exposure serves images without their own; 0: not at all"},
-          {"readout_time", &Shutter::readout_ns, within(-1, 1, "s"),
-           "first to last row; 0: global shutter, negative: bottom row first"},
+          Parameter("readout_time", &Shutter::readout_ns, within(-1, 1, "s"),
+                    "first to last row; 0: global shutter, negative: bottom row first; '': not known, see "
+                    "self_calibration")
+              .may_be_empty(&GivenNumbers::readout_time),
           {"stamp_row", &Shutter::stamp_row, "the image row that the stamp refers to"},
           {"stamp_phase", &Shutter::stamp_phase, "the instant of that row's exposure"},
           {"rectified_input", &Config::rectified_input, "true: the image is undistorted, camera_info's P and R hold"},
@@ -134,11 +136,20 @@ ParameterGroup gyroscope() {
           {
               // One clock may count from 1970 and the other from when it was switched on. ros::Time ends after 4.3e9 s,
               // a sum of both fits into 64 bits of nanoseconds.
-              {"time_offset", &Gyro::time_offset_ns, within(-4e9, 4e9, "s"),
-               "t_imu = t_cam + time_offset; Kalibr's: see doc/guides/calibration.md"},
+              Parameter("time_offset", &Gyro::time_offset_ns, within(-4e9, 4e9, "s"),
+                        "t_imu = t_cam + time_offset; Kalibr's: see doc/guides/calibration.md; '': not known, see "
+                        "self_calibration")
+                  .may_be_empty(&GivenNumbers::time_offset),
               {"R_cam_imu", &Config::R_cam_imu,
-               "rotation from IMU to camera coordinates (Kalibr's T_cam_imu), by rows; []: from tf"},
-              {"gyro_bias", &Gyro::bias_rad_s, within(-1, 1, "rad/s"), "subtracted from the rates"},
+               "rotation from IMU to camera coordinates (Kalibr's T_cam_imu), by rows; []: from tf, else see "
+               "self_calibration"},
+              Parameter("gyro_bias", &Gyro::bias_rad_s, within(-1, 1, "rad/s"),
+                        "subtracted from the rates; '': not known, see self_calibration")
+                  .may_be_empty(&GivenNumbers::gyro_bias),
+              {"self_calibration", &Config::self_calibration,
+               "readout_time, time_offset, R_cam_imu and gyro_bias that are empty are estimated from the images, and "
+               "used once they are sure; those that are given, 0 included, are kept, and reported where the images "
+               "contradict them; or neither"},
               {"gyro_buffer_duration", &Gyro::buffer_ns, above(0.1, 60, "s"), "samples kept"},
               {"max_gyro_gap", &Gyro::max_gap_ns, within(0.001, 1, "s"),
                "longer holes between samples are not integrated across"},

@@ -9,6 +9,7 @@
 #include <string>
 #include <type_traits>
 #include <typeindex>
+#include <utility>
 #include <vector>
 
 #include "config/values.hpp"
@@ -58,6 +59,18 @@ class Parameter {
 
   Value standard() const { return get(Config()); }
 
+  /// Configurations may leave it empty: then it is not known.
+  bool may_be_empty() const { return given_ != nullptr; }
+  /// Whether a parameter that may be empty was given. No effect on others.
+  void set_given(Config& config, bool given) const {
+    if (given_ != nullptr) config.given.*given_ = given;
+  }
+  /// For the table: the parameter may be empty.
+  Parameter may_be_empty(bool GivenNumbers::*given) && {
+    given_ = given;
+    return std::move(*this);
+  }
+
   template <typename Options>
   bool is_member_of() const {
     return owner_ == typeid(Options);
@@ -79,6 +92,7 @@ class Parameter {
   void* (*mutable_part_)(Config&);
   std::function<Value(const void*)> get_;
   std::function<void(void*, const Value&)> set_;
+  bool GivenNumbers::*given_ = nullptr;
 };
 
 /// What is documented together.

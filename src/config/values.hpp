@@ -73,6 +73,12 @@ inline const Names<OnCalibrationConflict>& names_of(OnCalibrationConflict) {
   return kNames;
 }
 
+inline const Names<SelfCalibrationMode>& names_of(SelfCalibrationMode) {
+  static const Names<SelfCalibrationMode> kNames{{"auto", SelfCalibrationMode::AUTO},
+                                                 {"never", SelfCalibrationMode::NEVER}};
+  return kNames;
+}
+
 /// Kind and unit together; the unit is part of the name, so that nobody has to guess it.
 using ExposureMessage = std::pair<ExposureSource::Kind, ExposureUnit>;
 

@@ -24,6 +24,10 @@ YAML::Node load_yaml_file(const std::string& path) {
 
 bool is_quoted(const YAML::Node& node) { return node.IsScalar() && node.Tag() == "!"; }
 
+bool is_empty(const YAML::Node& node) {
+  return node.IsNull() || (node.IsScalar() && node.Scalar().empty()) || (node.IsSequence() && node.size() == 0);
+}
+
 std::string describe(const YAML::Node& node) {
   if (is_quoted(node)) return '"' + node.Scalar() + '"';
   YAML::Emitter emitter;

@@ -21,6 +21,9 @@ std::string describe(const YAML::Node& node);
 /// A quoted scalar has the tag "!".
 bool is_quoted(const YAML::Node& node);
 
+/// Nothing, an empty string or an empty list.
+bool is_empty(const YAML::Node& node);
+
 /// Throws OptionError "KEY = VALUE is not ALLOWED".
 [[noreturn]] void refuse(const std::string& key, const YAML::Node& node, const std::string& allowed);
 

@@ -274,6 +274,7 @@ Readiness FrameAssembly::find_exposure(const Terms& terms, PendingFrame* frame, 
   std::string source;
   const Readiness readiness = find_timing(terms, frame, &timing, &source);
   if (readiness != Readiness::READY) return readiness;
+  assembled->readout_by_message = timing.readout_ns != region_readout_ns(terms.config.shutter.readout_ns, *frame->info);
   const FramePeriod& period = intake_.frame_period();
   const bool from_parameter = source == kParameterExposure;
   if (const std::optional<std::string> fault = exposure_fault(source, timing.exposure_ns, period)) {
@@ -296,7 +297,7 @@ Readiness FrameAssembly::find_exposure(const Terms& terms, PendingFrame* frame, 
   return Readiness::READY;
 }
 
-Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame, Eigen::Matrix3d* R_cam_imu) const {
+Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame, PictureMotion* motion) const {
   const Config& config = terms.config;
   const std::string& camera_frame = frame->image->header.frame_id;
   const std::string imu_frame = intake_.imu_frame();
@@ -304,7 +305,7 @@ Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame,
   std::optional<Eigen::Matrix3d> from_tf;
   if (ask_tf && extrinsic_) from_tf = extrinsic_(camera_frame, imu_frame);
   if (config.R_cam_imu) {
-    *R_cam_imu = *config.R_cam_imu;
+    motion->R_cam_imu = *config.R_cam_imu;
     try {
       if (from_tf) {
         const bool from_file = config.calibration && config.calibration->R_cam_imu;
@@ -316,14 +317,17 @@ Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame,
     }
     return Readiness::READY;
   }
-  if (from_tf) {
+  if (from_tf || terms.R_cam_imu) {
     frame->missing_extrinsic.clear();
     problems_.resolve(kNoExtrinsic);
-    *R_cam_imu = *from_tf;
+    motion->R_cam_imu = from_tf ? *from_tf : *terms.R_cam_imu;
+    motion->R_by_tf = from_tf.has_value();
     return Readiness::READY;
   }
-  const std::string missing = "no transform from IMU frame \"" + imu_frame + "\" to camera frame \"" + camera_frame +
-                              "\", and no parameter R_cam_imu: set it, or publish a static transform";
+  const std::string missing =
+      "no transform from IMU frame \"" + imu_frame + "\" to camera frame \"" + camera_frame +
+      "\", and no parameter R_cam_imu: set it, or publish a static transform; images do not tell it yet: " +
+      terms.missing_rotation;
   if (terms.timed_out) {
     problems_.report(kNoExtrinsic, missing);
     return settle(frame, PassThroughReason::NO_EXTRINSIC, missing);
@@ -347,7 +351,7 @@ Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, As
   if (empty) {  // nor is the IMU's frame known then
     return settle(frame, PassThroughReason::NO_GYRO, coverage_text(own, std::nullopt, assembled->gyro));
   }
-  return find_extrinsic(terms, frame, &assembled->R_cam_imu);
+  return find_extrinsic(terms, frame, assembled);
 }
 
 void FrameAssembly::collect(const Terms& terms, AssembledFrame* assembled) const {

@@ -31,6 +31,8 @@ struct AssembledFrame : PictureMotion {
   TrackerOptions tracker_options;
   bool rectified_input = false;
   bool drop_bad = false;
+  /// The exposure's readout time is of a message, and not the configuration's.
+  bool readout_by_message = false;
   bool in_a_hurry = false;  ///< see OverloadRule::is_in_a_hurry()
   PixelMask mask;           ///< empty, or of the image's size
   int configuration = 0;    ///< number of the one that `options` are of
@@ -59,6 +61,9 @@ class FrameAssembly {
     /// differ where nobody listens to tracks.
     std::array<std::optional<TimeRange>, 2> followed_cam;
     bool timed_out = false;  ///< nothing is waited for any longer
+    /// By the images, used where neither the configuration nor tf has it; nothing with the reason.
+    std::optional<Eigen::Matrix3d> R_cam_imu = {};
+    std::string missing_rotation = {};
   };
 
   /// @param extrinsic  may be absent; intake, log and problems have to outlive this
@@ -89,8 +94,8 @@ class FrameAssembly {
   /// Exposure and readout time from a message, a setting or the parameters.
   /// @param source  what the exposure time is of, for messages
   Readiness find_timing(const Terms& terms, PendingFrame* frame, ShutterTiming* timing, std::string* source) const;
-  /// The rotation from the parameters, the calibration file or tf.
-  Readiness find_extrinsic(const Terms& terms, PendingFrame* frame, Eigen::Matrix3d* R_cam_imu) const;
+  /// The rotation from the parameters, the calibration file, tf or the images.
+  Readiness find_extrinsic(const Terms& terms, PendingFrame* frame, PictureMotion* motion) const;
   /// Gyroscope samples up to the frame's end, and how the sensors are mounted. Precondition: the exposure is known.
   Readiness find_motion(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const;
   /// Precondition: the frame is ready.

@@ -64,6 +64,7 @@ DeblurNodelet::~DeblurNodelet() {
   diagnostics_timer_.stop();
   reset_service_.shutdown();
   bias_service_.shutdown();
+  reset_calibration_service_.shutdown();
   tf_subscriber_.shutdown();
   tf_static_subscriber_.shutdown();
   mask_subscriber_.shutdown();
@@ -134,6 +135,7 @@ void DeblurNodelet::onInit() {
   };
   environment.exposure_expected = [this] { return exposure_expected_.load(); };
   environment.request = [this] { return request(); };
+  environment.self_calibration = SelfCalibrator::Work::IN_BACKGROUND;
 
   ros::NodeHandle& nh = getNodeHandle();
   ros::NodeHandle& private_nh = getPrivateNodeHandle();
@@ -168,6 +170,8 @@ void DeblurNodelet::onInit() {
   advertise(output_queue(config.value_or(Config())));
   worker_ = std::thread(&DeblurNodelet::work, this);
   reset_service_ = private_nh.advertiseService("reset", &DeblurNodelet::on_reset, this);
+  reset_calibration_service_ =
+      private_nh.advertiseService("reset_calibration", &DeblurNodelet::on_reset_calibration, this);
   bias_service_ = private_nh.advertiseService("estimate_gyro_bias", &DeblurNodelet::on_estimate_bias, this);
 
   diagnostics_ = std::make_unique<diagnostic_updater::Updater>(nh, private_nh, getName());
@@ -190,8 +194,10 @@ std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
   std::optional<Config> config;
   try {
     config = parse_config(to_yaml(given_parameters_), &unknown);
-    NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (from Kalibr: see doc/guides/calibration.md)",
-                 to_seconds(config->gyro.time_offset_ns));
+    if (config->given.time_offset) {
+      NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (from Kalibr: see doc/guides/calibration.md)",
+                   to_seconds(config->gyro.time_offset_ns));
+    }
     if (config->calibration) {
       NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
       for (const std::string& note : config->calibration->notes) NODELET_WARN_STREAM(note);
@@ -437,6 +443,14 @@ bool DeblurNodelet::on_reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Res
   response.success = true;
   response.message = "gyroscope samples and an estimated bias are forgotten, waiting frames pass through";
   NODELET_INFO_STREAM("reset: " << response.message);
+  return true;
+}
+
+bool DeblurNodelet::on_reset_calibration(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+  processor_->reset_calibration();
+  response.success = true;
+  response.message = "what the images have told of the calibration is forgotten";
+  NODELET_INFO_STREAM("reset_calibration: " << response.message);
   return true;
 }
 

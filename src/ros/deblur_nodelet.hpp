@@ -73,6 +73,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   void on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event);
   void on_transforms(const tf2_msgs::TFMessageConstPtr& message);
   bool on_reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
+  bool on_reset_calibration(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   bool on_estimate_bias(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   void on_diagnostics_timer(const ros::WallTimerEvent& event);
   void fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status);
@@ -128,6 +129,7 @@ class DeblurNodelet : public nodelet::Nodelet {
 
   ros::ServiceServer reset_service_;
   ros::ServiceServer bias_service_;
+  ros::ServiceServer reset_calibration_service_;
   ros::WallTimer diagnostics_timer_;
   std::unique_ptr<diagnostic_updater::Updater> diagnostics_;
 

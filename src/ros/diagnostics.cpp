@@ -28,9 +28,9 @@ const char* remedy(PassThroughReason reason) {
       return "publish camera_info with each image's stamp, calibrated for the image's size; where it contradicts "
              "calibration_file, correct one of them or set on_calibration_conflict: configured";
     case PassThroughReason::NO_EXTRINSIC:
-      return "set R_cam_imu, or publish a static transform between the frames of images and IMU; where these "
-             "contradict "
-             "each other, correct one of them or set on_calibration_conflict: configured";
+      return "turn the camera about all axes, before a scene that stands still, until the images tell R_cam_imu; or "
+             "set it, or publish a static transform between the frames of images and IMU; where these contradict each "
+             "other, correct one of them or set on_calibration_conflict: configured";
     case PassThroughReason::UNSUPPORTED_ENCODING:
       return "have the driver publish mono8, bgr8, rgb8 or a Bayer encoding";
     case PassThroughReason::BAD_IMAGE:
@@ -167,6 +167,7 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
   add_exposure_advice(now, status);
   add_motion_from_images(now, status);
   add_imu(now, status);
+  for (const CalibrationRow& row : now.statistics.calibration) status->add("calibration, " + row.key, row.text);
   status->add("time jumps", now.statistics.time_jumps);
   add_gyro_buffer(now, status);
   add_latencies(status);

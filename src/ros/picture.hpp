@@ -22,6 +22,7 @@ struct PictureMotion {
   std::optional<RowExposure> exposure;
   GyroOptions gyro;  ///< with the bias in use
   Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
+  bool R_by_tf = false;
   /// Over the exposure, and the way from the picture before it that is tracked.
   std::vector<GyroSample> samples;
   std::size_t own_begin = 0, own_end = 0;  ///< indices of those that the picture itself needs

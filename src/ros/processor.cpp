@@ -1,9 +1,12 @@
 #include "ros/processor.hpp"
 
+#include <algorithm>
 #include <cstdio>
 #include <utility>
+#include <vector>
 
 #include "gyro_deblur/frame_quality.hpp"
+#include "ros/calibration_conversion.hpp"
 #include "ros/compressed_image.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/value_conversion.hpp"
@@ -42,6 +45,8 @@ Processor::Processor(Environment environment)
                        ? environment_.gyro
                        : std::make_shared<GyroSource>(GyroSource::options_of(Config()), environment_.log)),
       tracker_(TrackerOptions{}),
+      self_calibrator_(environment_.self_calibration, &log_),
+      calibration_(&problems_, environment_.log),
       mask_(&problems_),
       intake_({environment_.clock, environment_.steady_clock}, gyro_source_, environment_.exposure_expected,
               environment_.log, &log_, &problems_),
@@ -67,6 +72,8 @@ void Processor::set_config(const Config& config) {
 
   const std::lock_guard<std::mutex> lock(mutex_);
   config_ = config;
+  calibration_.set_config(config);
+  self_calibrator_.set_expected_offset(config.given.time_offset ? config.gyro.time_offset_ns : 0);
   ++configurations_;
   config_error_.clear();
   pipeline_ = std::move(pipeline);
@@ -157,7 +164,7 @@ void Processor::note_unreadable(const std::string& kind, const std::string& text
 void Processor::note_ready() {
   if (!config_) return;
   // Not the tracker's time: another thread's, and of no matter for being ready.
-  const FrameAssembly::Terms terms{*config_, estimated_bias_rad_s_, {}, false};
+  const FrameAssembly::Terms terms = this->terms();
   try {
     for (PendingFrame& frame : intake_.queue().frames()) {
       if (frame.verdict != PassThroughReason::NONE || frame.ready_steady_ns) continue;
@@ -179,8 +186,55 @@ void Processor::tell_partners() {
   }
 }
 
+FrameAssembly::Terms Processor::terms() const {
+  FrameAssembly::Terms terms{calibration_.config(), estimated_bias_rad_s_, {}, false, calibration_.R_cam_imu(), ""};
+  if (!terms.R_cam_imu) terms.missing_rotation = calibration_.missing_rotation();
+  return terms;
+}
+
+void Processor::learn_from(const AssembledFrame& assembled) {
+  const PendingFrame& frame = assembled.frame;
+  std::vector<GyroSample> samples;
+  std::optional<SelfCalibrator::Image> image;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!config_ || config_->self_calibration == SelfCalibrationMode::NEVER) return;
+    if (!frame.calibration || frame.repeats || frame.verdict == PassThroughReason::TIME_JUMP) return;
+    if (frame.verdict == PassThroughReason::NONE || frame.verdict == PassThroughReason::NO_EXTRINSIC) {
+      calibration_.set_tf(assembled.R_by_tf ? std::optional(assembled.R_cam_imu) : std::nullopt);
+    }
+    constexpr TimeNs kSecond = 1'000'000'000;
+    readout_share_ = to_seconds(region_readout_ns(kSecond, *frame.info));
+    ShutterTiming timing = config_->shutter;
+    timing.exposure_ns = std::max<TimeNs>(assembled.exposure ? assembled.exposure->timing().exposure_ns : 0, 1);
+    if (assembled.exposure && (config_->given.readout_time || assembled.readout_by_message)) {
+      timing.readout_ns = assembled.exposure->timing().readout_ns;
+    } else {
+      timing.readout_ns = region_readout_ns(timing.readout_ns, *frame.info);
+    }
+    image.emplace(SelfCalibrator::Image{frame.image, *frame.calibration,
+                                        RowExposure(frame.picture_ns(), static_cast<int>(frame.image->height), timing),
+                                        assembled.mask});
+    const TimeRange available = intake_.gyro().available();
+    if (!available.empty()) {
+      if (newest_learned_ns_ > available.end_ns) newest_learned_ns_.reset();
+      const TimeNs from_ns = newest_learned_ns_ ? *newest_learned_ns_ + 1 : available.begin_ns;
+      for (const GyroSample& sample : intake_.gyro().window({from_ns, available.end_ns})) {
+        if (sample.t_ns >= from_ns) samples.push_back(sample);
+      }
+      newest_learned_ns_ = available.end_ns;
+    }
+  }
+  self_calibrator_.add(std::move(samples), std::move(*image));
+}
+
 std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
   const std::lock_guard<std::mutex> lock(mutex_);
+  const std::size_t updates = self_calibrator_.updates();
+  if (std::exchange(calibration_updates_, updates) != updates &&
+      calibration_.learn(self_calibrator_.learned(), readout_share_)) {
+    gyro_errors_.clear();
+  }
   const TimeNs now_ns = intake_.now(), steady_ns = intake_.steady_now();
   overload_.end(steady_ns);
   if (finishing) intake_.forget_picture();
@@ -191,10 +245,9 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
   try {
     if (config_) {
       const bool timed_out = finishing || intake_.has_timed_out(frame, now_ns, config_->gyro_timeout_ns);
-      const FrameAssembly::Terms terms{*config_,
-                                       estimated_bias_rad_s_,
-                                       {tracker_.newest_frame(), pipeline_ ? pipeline_->newest_frame() : std::nullopt},
-                                       timed_out};
+      FrameAssembly::Terms terms = this->terms();
+      terms.followed_cam = {tracker_.newest_frame(), pipeline_ ? pipeline_->newest_frame() : std::nullopt};
+      terms.timed_out = timed_out;
       const Readiness readiness = assembly_.assemble(terms, &frame, &assembled);
       // By rates of a wrong unit every image looks BAD.
       const bool doubts_unit = config_->pipeline.motion_from_images && gyro_unit_.is_doubted(frame.stamp_ns);
@@ -336,6 +389,11 @@ void Processor::advance(const Sink& sink, bool finishing) {
       output = process_with_partners(*assembled);
       output.waiting_ms = static_cast<double>(waited_ns) * 1e-6;
       if (!output.engine_warning.empty()) environment_.log(LogLevel::WARNING, output.engine_warning);
+      try {
+        learn_from(*assembled);
+      } catch (const std::exception& error) {  // costs no frame
+        log_(LogLevel::ERROR, "self-calibration", std::string("self-calibration failed: ") + error.what());
+      }
     } catch (...) {
       // Even passing it through failed, for lack of memory for example: it stays the first to leave.
       const std::lock_guard<std::mutex> lock(mutex_);
@@ -376,6 +434,8 @@ void Processor::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
   intake_.reset();
   estimated_bias_rad_s_.reset();
+  calibration_.set_measured_bias({});
+  self_calibrator_.restart();
   gyro_errors_.clear();
   repetitions_.clear();
   gyro_unit_.clear();
@@ -383,6 +443,8 @@ void Processor::reset() {
   log_.clear();
   problems_.clear();
 }
+
+void Processor::reset_calibration() { self_calibrator_.clear(); }
 
 bool Processor::estimate_bias(std::string* text) {
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -393,6 +455,7 @@ bool Processor::estimate_bias(std::string* text) {
   const std::optional<Eigen::Vector3d> bias_rad_s = gyro_deblur::estimate_bias(intake_.gyro(), *config_, text);
   if (bias_rad_s) {
     estimated_bias_rad_s_ = bias_rad_s;
+    calibration_.set_measured_bias(bias_rad_s);
     gyro_errors_.clear();
   }
   return bias_rad_s.has_value();
@@ -405,7 +468,7 @@ Eigen::Vector3d Processor::bias_rad_s() const {
 
 Eigen::Vector3d Processor::bias_in_use() const {
   if (estimated_bias_rad_s_) return *estimated_bias_rad_s_;
-  return config_ ? config_->gyro.bias_rad_s : Config().gyro.bias_rad_s;
+  return config_ ? calibration_.config().gyro.bias_rad_s : Config().gyro.bias_rad_s;
 }
 
 ProcessorStatistics Processor::statistics() const {
@@ -421,6 +484,7 @@ ProcessorStatistics Processor::statistics() const {
   if (pipeline_) statistics.engine = pipeline_->engine();
   statistics.configuration_error = config_error_;
   statistics.bias_rad_s = bias_in_use();
+  if (config_) statistics.calibration = calibration_.table();
   statistics.gyro_error = gyro_errors_.find();
   statistics.input_problems = problems_.all();
   for (const auto& [kind, problem] : gyro_source_->problems()) statistics.input_problems.emplace(kind, problem);

@@ -18,6 +18,7 @@
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/residual_rotation.hpp"
 #include "ros/assembly.hpp"
+#include "ros/calibration_in_use.hpp"
 #include "ros/gyro_bias.hpp"
 #include "ros/gyro_source.hpp"
 #include "ros/input_mask.hpp"
@@ -27,6 +28,7 @@
 #include "ros/overload.hpp"
 #include "ros/processing.hpp"
 #include "ros/repetition_watch.hpp"
+#include "ros/self_calibrator.hpp"
 #include "ros/statistics.hpp"
 #include "ros/stereo_rig.hpp"
 #include "ros/throttled_log.hpp"
@@ -56,6 +58,8 @@ class Processor {
     std::function<FrameRequest()> request;
     /// Absent: make_engine.
     EngineFactory make_engine;
+    /// Where the calibration is learned that nobody has given.
+    SelfCalibrator::Work self_calibration = SelfCalibrator::Work::AT_ONCE;
   };
   /// Takes a frame; false: enough for now, the rest stays.
   using Sink = std::function<bool(FrameOutput&&)>;
@@ -102,6 +106,9 @@ class Processor {
   /// @return true, and the bias in `text`; false with the cause in `text` when the sensor moved or samples are missing
   bool estimate_bias(std::string* text);
 
+  /// Forgets what the images have told of the calibration.
+  void reset_calibration();
+
   /// Bias in use [rad/s].
   Eigen::Vector3d bias_rad_s() const;
 
@@ -119,6 +126,10 @@ class Processor {
   /// Partners need not wait until frames that are settled leave. Needs mutex_.
   void tell_partners();
   FrameOutput process_with_partners(const AssembledFrame& assembled);
+  /// The frame tells something of the calibration. Takes mutex_.
+  void learn_from(const AssembledFrame& assembled);
+  /// What is used beside messages. Needs mutex_ and a configuration.
+  FrameAssembly::Terms terms() const;
   /// Stamps of global-shutter images are not those that came in, and grow all the same. Needs both mutexes.
   void keep_global_shutter_in_order(FrameOutput* output);
   /// Reports what does not move with the camera.
@@ -137,13 +148,18 @@ class Processor {
   struct MovedStamp {
     TimeNs input_ns, output_ns;
   };
-  std::optional<MovedStamp> last_moved_;  // of the newest global-shutter image; of that thread, too
+  std::optional<TimeNs> newest_learned_ns_;  // newest sample that self-calibration has; of that thread, too
+  std::optional<MovedStamp> last_moved_;     // of the newest global-shutter image; of that thread, too
 
   mutable std::mutex mutex_;  // everything below
   std::optional<Config> config_;
   std::string config_error_ = "not configured yet";
   std::shared_ptr<Pipeline> pipeline_;
   std::optional<Eigen::Vector3d> estimated_bias_rad_s_;
+  SelfCalibrator self_calibrator_;  // locks itself
+  CalibrationInUse calibration_;
+  std::size_t calibration_updates_ = 0;  // of the former, that the latter has
+  double readout_share_ = 1;             // see CalibrationInUse::learn
   InputMask mask_;
   Intake intake_;
   FrameAssembly assembly_;

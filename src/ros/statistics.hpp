@@ -5,6 +5,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -12,6 +13,7 @@
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/residual_rotation.hpp"
 #include "gyro_deblur/time.hpp"
+#include "ros/calibration_in_use.hpp"
 #include "ros/gyro_source.hpp"
 #include "ros/input_problems.hpp"
 #include "ros/intake.hpp"
@@ -42,6 +44,7 @@ struct ProcessorStatistics : ImuStatistics, IntakeStatistics, OutputStatistics {
   TimeRange gyro_available;                              ///< IMU clock
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< in use
   std::map<std::string, InputProblem> input_problems;    ///< by kind
+  std::vector<CalibrationRow> calibration;               ///< empty while the configuration cannot be used
   std::optional<GyroError> gyro_error;                   ///< that the images have shown since it is; axes of the IMU
   std::string engine;                                    ///< empty while the configuration cannot be used
   std::string configuration_error;                       ///< empty when it can

@@ -180,6 +180,8 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
   for (const auto& [kind, problem] : statistics.input_problems) {
     report["input_problems"].push_back({{"kind", kind}, {"text", problem.text}, {"count", problem.count}});
   }
+  report["calibration"] = nlohmann::json::object();
+  for (const CalibrationRow& row : statistics.calibration) report["calibration"][row.key] = row.text;
   report["time_jumps"] = statistics.time_jumps;
   report["gyro_bias_rad_s"] = {outcome.bias_rad_s.x(), outcome.bias_rad_s.y(), outcome.bias_rad_s.z()};
   report["engine"] = statistics.engine;
@@ -202,6 +204,9 @@ void print_summary(const Arguments& arguments, const DeblurTopics& topics, const
     std::cout << ", " << outcome.statistics.undecodable_images << " more left out: they could not be decoded";
   }
   std::cout << "; " << outcome.bag_s << " s of recording in " << outcome.wall_s << " s\n";
+  for (const CalibrationRow& row : outcome.statistics.calibration) {
+    if (row.by_images) std::cout << row.key << ": " << row.text << '\n';
+  }
   for (const auto& [kind, problem] : outcome.statistics.input_problems) {
     std::cout << (problem.level == LogLevel::ERROR ? "error: " : "warning: ") << problem.text;
     if (problem.count > 1) std::cout << " (" << problem.count << " times)";

@@ -43,6 +43,7 @@ std::string yaml(const Eigen::Vector3d& value) {
 std::string yaml(const std::optional<Eigen::Matrix3d>& value) { return value ? "?" : "[]"; }
 
 std::string default_of(const Parameter& parameter) {
+  if (parameter.may_be_empty()) return "''";
   return std::visit([](const auto& value) { return yaml(value); }, parameter.standard());
 }
 

@@ -443,6 +443,8 @@ TEST(CalibrationFileInTheConfiguration, FillsWhatNoKeySays) {
   EXPECT_LT((*config.R_cam_imu - T_cam0_imu().linear()).norm(), kDigits);
   EXPECT_EQ(config.gyro.time_offset_ns, kTimeOffset);
   EXPECT_EQ(config.shutter.readout_ns, 21'000'000);
+  EXPECT_TRUE(config.given.time_offset && config.given.readout_time);
+  EXPECT_FALSE(config.given.gyro_bias) << "no file has it";
   EXPECT_EQ(error(file + "time_offset: -0.00731"), "accepted");
   EXPECT_EQ(error(file + "time_offset: 0.0\nreadout_time: 0.0\nR_cam_imu: []"), "accepted") << "defaults say nothing";
   EXPECT_EQ(error(file + "time_offset: -0.0075"), "time_offset is -0.007500 s in the parameter, but -0.007310 s in " +

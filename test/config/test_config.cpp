@@ -42,7 +42,8 @@ std::string dump(const Config& c) {
     << "\ntime_offset " << c.gyro.time_offset_ns << "\nbias " << c.gyro.bias_rad_s.transpose() << "\nbuffer "
     << c.gyro.buffer_ns << "\ngap " << c.gyro.max_gap_ns << "\ngyro_range " << c.gyro.range_rad_s << "\non_conflict "
     << static_cast<int>(c.on_calibration_conflict) << ' ' << c.calibration_files.size() << ' ' << c.calibration_camera
-    << "\nrectified_input " << c.rectified_input << "\nR ";
+    << "\nself_calibration " << static_cast<int>(c.self_calibration) << "\nrectified_input " << c.rectified_input
+    << "\nR ";
   if (c.R_cam_imu) s << *c.R_cam_imu;
   s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nstereo_patience "
     << c.stereo_patience_ns << "\ndrop_bad " << c.drop_bad << "\nmask " << c.mask_file << "\nbias_window "
@@ -83,6 +84,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"rectified_input", "true"},
       {"R_cam_imu", "[0, -1, 0, -1, 0, 0, 0, 0, -1]"},
       {"gyro_bias", "[-0.002, 0.021, 0.078]"},
+      {"self_calibration", "never"},
       {"gyro_buffer_duration", "10"},
       {"max_gyro_gap", "0.02"},
       {"gyro_range", "34.9066"},
@@ -204,6 +206,28 @@ TEST(ParseConfig, TheExtrinsicMayBeNestedOrAbsent) {
   EXPECT_EQ(*nested.R_cam_imu, *parse("R_cam_imu: [0, -1, 0, -1, 0, 0, 0, 0, -1]").R_cam_imu);
   EXPECT_EQ((*parse("R_cam_imu: [0, 0, 1, 1, 0, 0, 0, 1, 0]").R_cam_imu)(0, 2), 1);  // row by row
   EXPECT_FALSE(parse("R_cam_imu: []").R_cam_imu);
+  EXPECT_FALSE(parse("R_cam_imu: ''").R_cam_imu);
+}
+
+std::string given(const std::string& yaml) {
+  const GivenNumbers numbers = parse(yaml).given;
+  return std::string(numbers.time_offset ? "o" : "-") + (numbers.readout_time ? "r" : "-") +
+         (numbers.gyro_bias ? "b" : "-");
+}
+
+TEST(ParseConfig, TellsZeroFromNothing) {
+  EXPECT_EQ(given(""), "---");
+  EXPECT_EQ(given("{gamma: 0.1}"), "---");
+  EXPECT_EQ(given("{time_offset: 0, readout_time: 0.0, gyro_bias: [0, 0, 0]}"), "orb");
+  EXPECT_EQ(given("{time_offset: '', readout_time: , gyro_bias: []}"), "---");
+  EXPECT_EQ(given("{time_offset: '', readout_time: 0.02, gyro_bias: ''}"), "-r-");
+  EXPECT_EQ(given("time_offset: -0.01"), "o--");
+  const Config empty = parse("{time_offset: '', readout_time: '', gyro_bias: ''}");
+  EXPECT_EQ(dump(empty), dump(Config{})) << "what is not known is 0";
+  EXPECT_NE(error_of("time_offset: x"), "");
+  EXPECT_NE(error_of("exposure_max_age: ''"), "") << "others cannot be empty";
+  const GivenNumbers in_code = Config().given;
+  EXPECT_TRUE(in_code.time_offset && in_code.readout_time && in_code.gyro_bias);
 }
 
 TEST(ParseConfig, EnumerationsTakeEveryName) {

@@ -144,9 +144,10 @@ TEST(Parameters, EveryMemberHasARow) {
     EXPECT_EQ(count(blur_field, validation, kernel, noise, keypoints), 5u);
   }
   {
-    const auto& [pipeline, gyro, shutter, a, b, c, d, tracker, e, f, calibration, g, h, i, j, k, l, m, n, o] = Config();
-    EXPECT_EQ(parameters_of<Config>().size(), count(a, b, c, d, e, f, g, h, i, j, k, l, m, n, o));
-    EXPECT_EQ(count(pipeline, gyro, shutter, tracker, calibration), 5u);
+    const auto& [pipeline, gyro, shutter, a, b, c, d, given, e, tracker, f, g, calibration, h, i, j, k, l, m, n, o, p] =
+        Config();
+    EXPECT_EQ(parameters_of<Config>().size(), count(a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p));
+    EXPECT_EQ(count(pipeline, gyro, shutter, given, tracker, calibration), 6u);
   }
 }
 

@@ -51,6 +51,7 @@
 #include "ros/messages.hpp"
 #include "ros/pass_through.hpp"
 #include "run_program.hpp"
+#include "turning_camera.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -1343,6 +1344,59 @@ TEST_F(NodeletTest, Services) {
   ASSERT_TRUE(ros::service::call(name_ + "/reset", reset));
   EXPECT_TRUE(reset.response.success);
   EXPECT_TRUE(diagnostics.wait_for("gyroscope buffer [s]", "empty"));
+}
+
+/// A camera of which nothing is known but its intrinsics and exposure time.
+class UnknownCalibrationTest : public NodeletTest {
+ protected:
+  UnknownCalibrationTest() {
+    for (const char* key : {"R_cam_imu", "readout_time"}) nh_.deleteParam(name_ + "/" + key);
+    set("exposure_time", to_seconds(TurningCamera::kShownFor));
+    // Images that wait for a transform leave one after the other.
+    set("gyro_timeout", 0.02);
+  }
+
+  /// Plays images until the condition holds.
+  bool play_until(const std::function<bool()>& condition) {
+    for (int i = 0; i < TurningCamera::kFrames; ++i) {
+      for (const sensor_msgs::Imu& imu : camera_.samples_before(i)) imu_publisher_.publish(imu);
+      info_publisher_.publish(camera_.info(i));
+      image_publisher_.publish(camera_.image(i));
+      expect_frames(static_cast<std::size_t>(i) + 1);
+      if (mailbox_.look(condition)) return true;
+    }
+    return mailbox_.wait(condition);
+  }
+
+  TurningCamera camera_;
+};
+
+TEST_F(UnknownCalibrationTest, RotationIsFoundAndUsed) {
+  start();
+  Diagnostics diagnostics(name_, &mailbox_);
+  ASSERT_TRUE(play_until([this] { return !fields_.empty() && fields_.back()->reason == 0; }));
+  mailbox_.look([this] {
+    expect_reason(0, PassThroughReason::NO_EXTRINSIC);
+    EXPECT_NE(fields_[0]->reason_text.find("images do not tell it yet"), std::string::npos) << fields_[0]->reason_text;
+    EXPECT_GT(fields_.size(), 2 * TurningCamera::kFramesPerS) << "it takes two seconds of motion";
+  });
+  EXPECT_TRUE(mailbox_.wait([&] {
+    return diagnostics.values["calibration, R_cam_imu"].find("by the images") != std::string::npos;
+  })) << diagnostics.values["calibration, R_cam_imu"];
+  EXPECT_TRUE(mailbox_.wait([this] { return count_log("R_cam_imu is used as the images tell it") == 1; }));
+
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros::service::call(name_ + "/reset_calibration", reset));
+  EXPECT_TRUE(reset.response.success);
+}
+
+TEST_F(UnknownCalibrationTest, WrongRotationIsNamedAndKept) {
+  set("R_cam_imu", std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, 1});
+  start();
+  ASSERT_TRUE(play_until([this] { return count_log("R_cam_imu (parameter) contradicts the images") > 0; }));
+  mailbox_.look([this] {
+    for (const BlurFieldConstPtr& field : fields_) EXPECT_EQ(field->reason, 0) << field->reason_text;
+  });
 }
 
 TEST_F(NodeletTest, UnloadsAndReloadsWhileFramesFlow) {

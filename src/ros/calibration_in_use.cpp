@@ -1,0 +1,224 @@
+#include "ros/calibration_in_use.hpp"
+
+#include <cmath>
+#include <cstdio>
+#include <utility>
+
+#include <Eigen/Geometry>
+
+#include "gyro_deblur/calibration.hpp"
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr double kDegrees = 180 / M_PI;
+
+std::string kind_of(const std::string& key) { return key + " by images"; }
+
+std::string number(const char* pattern, double value) {
+  char text[60];
+  std::snprintf(text, sizeof(text), pattern, value);
+  return text;
+}
+
+double difference(double a, double b) { return std::abs(a - b); }
+double difference(const Eigen::Vector3d& a, const Eigen::Vector3d& b) { return (a - b).norm(); }
+double difference(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b) {
+  return Eigen::AngleAxisd(Eigen::Matrix3d(a.transpose() * b)).angle();
+}
+
+/// Takes an estimate that is the first, surer, or another one: values that change with every estimate would shake the
+/// motion from frame to frame.
+template <typename Value>
+bool take(const Learned<Value>& newest, Learned<Value>* taken) {
+  constexpr double kSurer = 0.6, kAnother = 2;
+  if (!newest.known) {
+    const bool lost = taken->known;
+    *taken = newest;
+    return lost;
+  }
+  if (taken->known && newest.stddev > kSurer * taken->stddev &&
+      difference(newest.value, taken->value) < kAnother * newest.stddev) {
+    return false;
+  }
+  *taken = newest;
+  return true;
+}
+
+std::string text_of(double seconds) { return number("%.4f s", seconds); }
+std::string text_of(const Eigen::Vector3d& bias_rad_s) { return vector_text(bias_rad_s) + " rad/s"; }
+std::string text_of(const Eigen::Matrix3d& R) { return to_string(R); }
+
+/// A standard deviation, or a difference, in the unit of such a value.
+std::string distance_text(const Learned<double>&, double distance) { return number("%.1f ms", 1e3 * distance); }
+std::string distance_text(const Learned<Eigen::Vector3d>&, double distance) { return number("%.4f rad/s", distance); }
+std::string distance_text(const Learned<Eigen::Matrix3d>&, double distance) {
+  return number("%.1f degrees", kDegrees * distance);
+}
+
+/// A row, of a value that is given.
+template <typename Value>
+CalibrationRow given_row(const std::string& key, const Value& value, const std::string& source, bool learns,
+                         const Learned<Value>& learned) {
+  std::string text = text_of(value) + " (" + source + ")";
+  if (learned.known) {
+    text += ", images differ from it by " + distance_text(learned, difference(value, learned.value)) + " (+- " +
+            distance_text(learned, learned.stddev) + ")";
+  } else if (learns) {
+    text += ", not checked yet: " + learned.missing;
+  }
+  return {key, text, false};
+}
+
+/// A row, of a value that nobody has given.
+/// @param without  what is done meanwhile
+template <typename Value>
+CalibrationRow learned_row(const std::string& key, bool learns, const Learned<Value>& taken, const std::string& missing,
+                           const std::string& without) {
+  if (taken.known && learns) {
+    return {key,
+            text_of(taken.value) + " (+- " + distance_text(taken, taken.stddev) + "), by the images of " +
+                number("%.0f s", taken.seconds),
+            true};
+  }
+  return {key, "not known, " + without + ": " + (learns ? missing : "self_calibration is never"), false};
+}
+
+}  // namespace
+
+CalibrationInUse::CalibrationInUse(InputProblems* problems, Log log)
+    : problems_(*problems), log_(std::move(log)), learned_(SelfCalibration().learned()), taken_(learned_) {}
+
+void CalibrationInUse::set_config(const Config& config) {
+  given_ = config;
+  use();
+}
+
+void CalibrationInUse::use() {
+  config_ = given_;
+  R_cam_imu_.reset();
+  if (!learns()) return;
+  if (!given_.given.readout_time && taken_.readout_s.known) {
+    config_.shutter.readout_ns = to_ns(taken_.readout_s.value / readout_share_);
+  }
+  if (!given_.given.time_offset && taken_.time_offset_s.known) config_.gyro.time_offset_ns = to_ns(time_offset().value);
+  if (!given_.given.gyro_bias && taken_.bias_rad_s.known) config_.gyro.bias_rad_s = taken_.bias_rad_s.value;
+  if (!given_.R_cam_imu && taken_.R_cam_imu.known) R_cam_imu_ = taken_.R_cam_imu.value;
+}
+
+Learned<double> CalibrationInUse::time_offset() const {
+  Learned<double> offset = taken_.time_offset_s;
+  if (given_.given.readout_time || !taken_.readout_s.known) return offset;
+  // Learned for rows that are exposed at once, when the stamp says.
+  switch (given_.shutter.stamp_row) {
+    case StampRow::FIRST:
+      offset.value -= taken_.readout_s.value / 2;
+      break;
+    case StampRow::MIDDLE:
+      break;
+    case StampRow::LAST:
+      offset.value += taken_.readout_s.value / 2;
+      break;
+  }
+  return offset;
+}
+
+std::string CalibrationInUse::missing_rotation() const {
+  return learns() ? learned_.R_cam_imu.missing : "self_calibration is never";
+}
+
+bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_share) {
+  learned_ = learned;
+  readout_share_ = readout_share;
+  const LearnedCalibration before = taken_;
+  bool changed = take(learned.R_cam_imu, &taken_.R_cam_imu);
+  // Together: one is taken for the other's value.
+  if (take(learned.readout_s, &taken_.readout_s) || take(learned.time_offset_s, &taken_.time_offset_s)) {
+    taken_.readout_s = learned.readout_s;
+    taken_.time_offset_s = learned.time_offset_s;
+    changed = true;
+  }
+  changed = take(learned.bias_rad_s, &taken_.bias_rad_s) || changed;
+  use();
+  check();
+  if (!learns()) return false;
+  for (const CalibrationRow& row : table()) {
+    const bool known_before = row.key == "R_cam_imu"      ? before.R_cam_imu.known
+                              : row.key == "time_offset"  ? before.time_offset_s.known
+                              : row.key == "readout_time" ? before.readout_s.known
+                                                          : before.bias_rad_s.known;
+    if (row.by_images && !known_before) log_(LogLevel::INFO, row.key + " is used as the images tell it: " + row.text);
+  }
+  return changed;
+}
+
+std::string CalibrationInUse::source(bool file_has_it) const {
+  return file_has_it ? given_.calibration->origin : "parameter";
+}
+
+UsedCalibration CalibrationInUse::used() const {
+  const SensorCalibration file = given_.calibration.value_or(SensorCalibration());
+  UsedCalibration used;
+  if (given_.R_cam_imu) {
+    used.R_cam_imu = {{*given_.R_cam_imu, source(file.R_cam_imu.has_value())}};
+  } else if (from_tf_) {
+    used.R_cam_imu = {{*from_tf_, "tf"}};
+  }
+  // Half of a readout time that nobody knows would pass for an offset.
+  if (given_.given.time_offset && (given_.given.readout_time || taken_.readout_s.known)) {
+    used.time_offset_ns = {{given_.gyro.time_offset_ns, source(file.time_offset_ns.has_value())}};
+  }
+  if (given_.given.readout_time) {
+    used.readout_ns = {
+        {to_ns(to_seconds(given_.shutter.readout_ns) * readout_share_), source(file.readout_ns.has_value())}};
+  }
+  if (given_.given.gyro_bias && !measured_bias_rad_s_) used.bias_rad_s = {{given_.gyro.bias_rad_s, "parameter"}};
+  return used;
+}
+
+void CalibrationInUse::check() {
+  std::set<std::string> found;
+  if (learns()) {
+    LearnedCalibration learned = learned_;
+    learned.time_offset_s = time_offset();
+    for (const Contradiction& each : contradictions(used(), learned)) {
+      found.insert(each.key);
+      if (contradicted_.count(each.key) == 0) problems_.report(kind_of(each.key), each.text);
+    }
+  }
+  for (const std::string& key : contradicted_) {
+    if (found.count(key) == 0) problems_.resolve(kind_of(key));
+  }
+  contradicted_ = found;
+}
+
+std::vector<CalibrationRow> CalibrationInUse::table() const {
+  const UsedCalibration in_use = used();
+  const SensorCalibration file = given_.calibration.value_or(SensorCalibration());
+  std::vector<CalibrationRow> rows;
+  rows.push_back(in_use.R_cam_imu ? given_row("R_cam_imu", in_use.R_cam_imu->value, in_use.R_cam_imu->source, learns(),
+                                              learned_.R_cam_imu)
+                                  : learned_row("R_cam_imu", learns(), taken_.R_cam_imu, learned_.R_cam_imu.missing,
+                                                "images pass through unless tf has it"));
+  const Learned<double> offset = time_offset();
+  rows.push_back(given_.given.time_offset
+                     ? given_row("time_offset", to_seconds(given_.gyro.time_offset_ns),
+                                 source(file.time_offset_ns.has_value()), learns(), offset)
+                     : learned_row("time_offset", learns(), offset, learned_.time_offset_s.missing, "0 s is used"));
+  rows.push_back(in_use.readout_ns ? given_row("readout_time", to_seconds(in_use.readout_ns->value),
+                                               in_use.readout_ns->source, learns(), learned_.readout_s)
+                                   : learned_row("readout_time", learns(), taken_.readout_s, learned_.readout_s.missing,
+                                                 "0 s is used"));
+  if (measured_bias_rad_s_) {
+    rows.push_back(given_row("gyro_bias", *measured_bias_rad_s_, "estimate_gyro_bias", learns(), learned_.bias_rad_s));
+  } else if (given_.given.gyro_bias) {
+    rows.push_back(given_row("gyro_bias", given_.gyro.bias_rad_s, "parameter", learns(), learned_.bias_rad_s));
+  } else {
+    rows.push_back(
+        learned_row("gyro_bias", learns(), taken_.bias_rad_s, learned_.bias_rad_s.missing, "0 rad/s is used"));
+  }
+  return rows;
+}
+
+}  // namespace gyro_deblur

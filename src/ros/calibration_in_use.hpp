@@ -1,0 +1,72 @@
+// Which calibration frames go by: what was given, else what the images have told.
+#pragma once
+
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "calibrate/self_calibration.hpp"
+#include "gyro_deblur/config.hpp"
+#include "ros/input_problems.hpp"
+#include "ros/throttled_log.hpp"
+
+namespace gyro_deblur {
+
+/// What is known of one value, in words.
+struct CalibrationRow {
+  std::string key;         ///< as the parameter's
+  std::string text;        ///< the value, where it is from, how well it is known, or what is missing to know it
+  bool by_images = false;  ///< it is used as the images told it
+};
+
+/// Takes estimates for what nobody has given, and reports what is given and contradicted. An estimate that is used is
+/// replaced when a later one is surer or another one. Its owner serialises access.
+class CalibrationInUse {
+ public:
+  /// Both have to outlive this.
+  CalibrationInUse(InputProblems* problems, Log log);
+
+  void set_config(const Config& config);
+  /// The configuration, with what has been learned in place of what is not given.
+  const Config& config() const { return config_; }
+  /// True when nobody has given a rotation, and the images have told it. tf goes before it.
+  const std::optional<Eigen::Matrix3d>& R_cam_imu() const { return R_cam_imu_; }
+  /// Why there is no rotation by the images.
+  std::string missing_rotation() const;
+
+  /// The exposures that images are learned by have the readout time that is given, or none.
+  /// @param readout_share  of the sensor's readout time that the images take, see region_readout_ns()
+  /// @return true when other values are used from now on
+  bool learn(const LearnedCalibration& learned, double readout_share);
+  /// The rotation that tf has; nothing: none is used.
+  void set_tf(const std::optional<Eigen::Matrix3d>& R_cam_imu) { from_tf_ = R_cam_imu; }
+  /// A bias that was measured at rest is used in place of the given one.
+  void set_measured_bias(const std::optional<Eigen::Vector3d>& bias_rad_s) { measured_bias_rad_s_ = bias_rad_s; }
+
+  std::vector<CalibrationRow> table() const;
+
+ private:
+  bool learns() const { return given_.self_calibration == SelfCalibrationMode::AUTO; }
+  void use();
+  void check();
+  /// Of a value that is given: "parameter", or the calibration file that has it.
+  std::string source(bool file_has_it) const;
+  /// For exposures with the readout time that is used.
+  Learned<double> time_offset() const;
+  UsedCalibration used() const;
+
+  InputProblems& problems_;
+  const Log log_;
+  Config given_, config_;
+  std::optional<Eigen::Matrix3d> R_cam_imu_, from_tf_;
+  std::optional<Eigen::Vector3d> measured_bias_rad_s_;
+  LearnedCalibration learned_;  // newest
+  LearnedCalibration taken_;    // in use where nothing is given
+  double readout_share_ = 1;
+  std::set<std::string> contradicted_;  // keys
+};
+
+}  // namespace gyro_deblur
