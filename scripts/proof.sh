@@ -81,7 +81,7 @@ configure() {
     launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
   fi
   mkdir -p "${folder}"
-  cmake -S . -B "${folder}" "${launcher[@]}" -DGYRO_DEBLUR_FAST_BUILD=ON -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" \
+  cmake -S . -B "${folder}" "${launcher[@]}" -DGYRO_DEBLUR_FAST_BUILD=ON -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O2 -g1" \
     -DCMAKE_CXX_COMPILER=clang++ -DPYTHON_EXECUTABLE=/usr/bin/python3 -DPython3_EXECUTABLE=/usr/bin/python3 "$@" \
     > "${folder}/configure.log" 2>&1 || { cat "${folder}/configure.log" >&2; fail "cmake failed"; }
 }

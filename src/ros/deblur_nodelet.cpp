@@ -12,6 +12,7 @@
 #include "base/time_slice.hpp"
 #include "gyro_deblur/config.hpp"
 #include "ros/param_conversion.hpp"
+#include "ros/steady_clock.hpp"
 #include "ros/tf_conversion.hpp"
 #include "ros/value_conversion.hpp"
 
@@ -39,11 +40,6 @@ constexpr double kImageSilenceS = 5;
 
 /// Private parameters that are not keys of the configuration.
 const char* const kOtherParameters[] = {"image_transport"};
-
-TimeNs steady_now_ns() {
-  return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
-      .count();
-}
 
 /// Names and values of the parameters that may change while running.
 dynamic_reconfigure::Config entries_of(const DeblurConfig& config) {

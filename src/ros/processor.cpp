@@ -39,7 +39,7 @@ DropTerms drop_terms(const FrameBlur& field) {
 
 Processor::Processor(Environment environment)
     : environment_(std::move(environment)),
-      log_(environment_.log),
+      log_(environment_.log, environment_.steady_clock),
       problems_(&log_),
       gyro_source_(environment_.gyro
                        ? environment_.gyro

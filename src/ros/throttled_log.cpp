@@ -3,7 +3,7 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr std::chrono::seconds kLogPeriod{5};
+constexpr TimeNs kLogPeriodNs = 5'000'000'000;
 
 }  // namespace
 
@@ -11,15 +11,15 @@ void ThrottledLog::operator()(LogLevel level, const std::string& kind, const std
   std::string more;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    const auto now = std::chrono::steady_clock::now();
+    const TimeNs now_ns = steady_clock_();
     const auto found = throttles_.find(kind);
-    if (found != throttles_.end() && now - found->second.last < kLogPeriod) {
+    if (found != throttles_.end() && now_ns - found->second.last_ns < kLogPeriodNs) {
       ++found->second.suppressed;
       return;
     }
     Throttle& throttle = throttles_[kind];
     if (throttle.suppressed > 0) more = " (and " + std::to_string(throttle.suppressed) + " more of the kind)";
-    throttle = {now, 0};
+    throttle = {now_ns, 0};
   }
   log_(level, text + more);
 }

@@ -1,12 +1,13 @@
 // Log lines, each kind at most once in a while.
 #pragma once
 
-#include <chrono>
 #include <functional>
 #include <map>
 #include <mutex>
 #include <string>
 #include <utility>
+
+#include "ros/steady_clock.hpp"
 
 namespace gyro_deblur {
 
@@ -17,7 +18,9 @@ using Log = std::function<void(LogLevel, const std::string&)>;
 /// Passes lines on to a log; the next line of a kind within 5 s of the one before is only counted. Thread-safe.
 class ThrottledLog {
  public:
-  explicit ThrottledLog(Log log) : log_(std::move(log)) {}
+  /// @param steady_clock  absent: steady_now_ns
+  explicit ThrottledLog(Log log, std::function<TimeNs()> steady_clock = nullptr)
+      : log_(std::move(log)), steady_clock_(steady_clock ? std::move(steady_clock) : steady_now_ns) {}
 
   void operator()(LogLevel level, const std::string& kind, const std::string& text);
 
@@ -26,10 +29,11 @@ class ThrottledLog {
 
  private:
   struct Throttle {
-    std::chrono::steady_clock::time_point last;
+    TimeNs last_ns = 0;
     std::size_t suppressed = 0;
   };
   const Log log_;
+  const std::function<TimeNs()> steady_clock_;
   std::mutex mutex_;
   std::map<std::string, Throttle> throttles_;
 };

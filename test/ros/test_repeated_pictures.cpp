@@ -46,6 +46,7 @@ class Player {
       : config(config_of(camera.simulator().scene())), camera_(camera), request_(std::move(request)) {
     Processor::Environment environment;
     environment.clock = [this] { return now_ns_; };
+    environment.steady_clock = environment.clock;
     environment.log = [this](LogLevel level, const std::string& text) {
       if (level != LogLevel::INFO) warnings.push_back(text);
     };
