@@ -19,7 +19,6 @@
 #include <utility>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <opencv2/features2d.hpp>
 
@@ -351,19 +350,15 @@ void run(Arguments arguments) {
 
 int main(int argc, char** argv) {
   gyro_deblur::benchmark::Arguments arguments;
-  CLI::App app{
+  CommandLine app{
       "Times all engines in turn on roll fields and prints their ratios; the processor's peaks, memory, and the "
       "stages of the pipeline.",
       "compare_engines"};
   app.add_option("--engines", arguments.engines, "default: all that can run here");
-  app.add_option("--sizes", arguments.sizes)->capture_default_str();
-  app.add_option("--extents", arguments.extents_px, "mean extents [px]")
-      ->check(CLI::Range(1.0, 250.0))
-      ->capture_default_str();
-  app.add_option("--threads", arguments.threads)->check(CLI::Range(1, 256))->capture_default_str();
-  app.add_option("--rounds", arguments.rounds, "turns of every engine")
-      ->check(CLI::Range(1, 10000))
-      ->capture_default_str();
+  app.add_option("--sizes", arguments.sizes).show_default();
+  app.add_option("--extents", arguments.extents_px, "mean extents [px]").range(1.0, 250.0).show_default();
+  app.add_option("--threads", arguments.threads).range(1, 256).show_default();
+  app.add_option("--rounds", arguments.rounds, "turns of every engine").range(1, 10000).show_default();
   app.add_flag("--processor-time", arguments.processor_time,
                "compare processor time instead of wall time: for a busy machine, with --threads 1");
   app.add_flag("--no-peaks", arguments.no_peaks);

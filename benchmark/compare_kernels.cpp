@@ -13,7 +13,6 @@
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <opencv2/core.hpp>
 
@@ -261,22 +260,20 @@ void run(const Arguments& arguments) {
 
 int main(int argc, char** argv) {
   gyro_deblur::benchmark::Arguments arguments;
-  CLI::App app{
+  CommandLine app{
       "Times the first frame at new extents against later ones, and blur at uneven speed against even blur; and what "
       "of uneven blur is restored.",
       "compare_kernels"};
-  app.add_option("--engine", arguments.engine)->capture_default_str();
+  app.add_option("--engine", arguments.engine).show_default();
   app.add_option("--max-extents", arguments.max_extents_px, "of the first frames [px]")
-      ->check(CLI::Range(20.0, 500.0))
-      ->capture_default_str();
-  app.add_option("--extents", arguments.extents_px, "of uneven blur [px]")
-      ->check(CLI::Range(4.0, 500.0))
-      ->capture_default_str();
-  app.add_option("--threads", arguments.threads)->check(CLI::Range(1, 256))->capture_default_str();
-  app.add_option("--rounds", arguments.rounds)->check(CLI::Range(1, 10000))->capture_default_str();
+      .range(20.0, 500.0)
+      .show_default();
+  app.add_option("--extents", arguments.extents_px, "of uneven blur [px]").range(4.0, 500.0).show_default();
+  app.add_option("--threads", arguments.threads).range(1, 256).show_default();
+  app.add_option("--rounds", arguments.rounds).range(1, 10000).show_default();
   app.add_option("--angle-step", arguments.angle_step_deg, "of the restored photographs [deg]")
-      ->check(CLI::Range(1, 90))
-      ->capture_default_str();
+      .range(1, 90)
+      .show_default();
   app.add_flag("--wall", arguments.wall, "time of the wall instead of the processors'");
   app.add_flag("--in-time", arguments.in_time, "make nothing ahead of the first frame");
   app.add_flag("--skip-first", arguments.skip_first);

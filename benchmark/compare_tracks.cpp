@@ -18,7 +18,6 @@
 #include <vector>
 
 #include <yaml-cpp/yaml.h>
-#include <CLI/CLI.hpp>
 #include <opencv2/features2d.hpp>
 
 #include "base/median.hpp"
@@ -402,21 +401,17 @@ void run_change(const Arguments& arguments, std::ostream& csv) {
 int main_of(int argc, char** argv) {
   Arguments arguments;
   std::string part = "all";
-  CLI::App app{"Tracks and matches in sharp, blurred and deblurred images of a simulated camera, against its truth.",
-               "compare_tracks"};
-  app.add_option("--frames", arguments.frames, "images of each sequence of constant shake [40]")
-      ->check(CLI::Range(5, 1000));
-  app.add_option("--scenes", arguments.scenes, "scenes: each has its own texture, noise and shake [4]")
-      ->check(CLI::Range(1, 100));
-  app.add_option("--extents", arguments.extents_px, "median blur of the sequences, px [5 10 20 40]")
-      ->check(CLI::Range(1.0, 100.0));
-  app.add_option("--gamma", arguments.gamma, "of the Wiener filter [0.01]")->check(CLI::Range(1e-5, 1.0));
-  app.add_option("--noise", arguments.noise, "standard deviation of each pixel, grey levels [1.5]")
-      ->check(CLI::Range(0.0, 64.0));
+  CommandLine app{"Tracks and matches in sharp, blurred and deblurred images of a simulated camera, against its truth.",
+                  "compare_tracks"};
+  app.add_option("--frames", arguments.frames, "images of each sequence of constant shake [40]").range(5, 1000);
+  app.add_option("--scenes", arguments.scenes, "scenes: each has its own texture, noise and shake [4]").range(1, 100);
+  app.add_option("--extents", arguments.extents_px, "median blur of the sequences, px [5 10 20 40]").range(1.0, 100.0);
+  app.add_option("--gamma", arguments.gamma, "of the Wiener filter [0.01]").range(1e-5, 1.0);
+  app.add_option("--noise", arguments.noise, "standard deviation of each pixel, grey levels [1.5]").range(0.0, 64.0);
   app.add_option("--borders", arguments.borders_px,
                  "px from the image's edge at which corners start; a table each [32]")
-      ->check(CLI::Range(0, 500));
-  app.add_option("--part", part, "constant, change or all")->check(CLI::IsMember({"constant", "change", "all"}));
+      .range(0, 500);
+  app.add_option("--part", part, "constant, change or all").one_of({"constant", "change", "all"});
   app.add_option("--csv", arguments.csv, "also write every number to this file");
   return run_tool(app, argc, argv, [&] {
     std::ostringstream csv;

@@ -10,7 +10,6 @@
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 
@@ -217,17 +216,16 @@ void run(const Arguments& arguments) {
 
 int main(int argc, char** argv) {
   gyro_deblur::benchmark::Arguments arguments;
-  CLI::App app{"Compares engines with the float engine: parity and restored PSNR over angles and extents, and seams.",
-               "measure_fidelity"};
-  app.add_option("--engines", arguments.engines, "engines to compare with the float engine")->capture_default_str();
-  app.add_option("--extents", arguments.extents_px, "of the uniform fields [px]")->capture_default_str();
-  app.add_option("--angle-step", arguments.angle_step_deg, "of the uniform fields [deg]")
-      ->check(CLI::Range(1, 90))
-      ->capture_default_str();
+  CommandLine app{
+      "Compares engines with the float engine: parity and restored PSNR over angles and extents, and seams.",
+      "measure_fidelity"};
+  app.add_option("--engines", arguments.engines, "engines to compare with the float engine").show_default();
+  app.add_option("--extents", arguments.extents_px, "of the uniform fields [px]").show_default();
+  app.add_option("--angle-step", arguments.angle_step_deg, "of the uniform fields [deg]").range(1, 90).show_default();
   app.add_option("--uniform-images", arguments.uniform_images, "photographs used for the uniform fields")
-      ->check(CLI::Range(1, 8))
-      ->capture_default_str();
-  app.add_option("--threads", arguments.threads)->check(CLI::Range(1, 256))->capture_default_str();
+      .range(1, 8)
+      .show_default();
+  app.add_option("--threads", arguments.threads).range(1, 256).show_default();
   app.add_flag("--skip-uniform", arguments.skip_uniform);
   app.add_flag("--skip-roll", arguments.skip_roll);
   app.add_flag("--skip-seams", arguments.skip_seams);

@@ -11,7 +11,6 @@
 #include <utility>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 
@@ -205,16 +204,16 @@ void run(const Arguments& arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app("Wiener deconvolution in space against the frequency domain: writes deconvolution*.csv, .json, .png",
-               "deconvolution_figure");
-  app.add_option("--out", arguments.out, "folder for the results")->capture_default_str();
+  CommandLine app("Wiener deconvolution in space against the frequency domain: writes deconvolution*.csv, .json, .png",
+                  "deconvolution_figure");
+  app.add_option("--out", arguments.out, "folder for the results").show_default();
   app.add_option("--data", arguments.data, "folder with oxford_affine; without it, photographs of opencv-doc")
-      ->capture_default_str();
+      .show_default();
   app.add_option("--picture", arguments.picture, "name of the image that is written; default: the second");
   app.add_option("--noise", arguments.noise_grey_levels, "standard deviation [grey levels]")
-      ->check(CLI::Range(0, 100))
-      ->capture_default_str();
-  app.add_option("--seed", arguments.seed, "of the noise")->capture_default_str();
+      .range(0, 100)
+      .show_default();
+  app.add_option("--seed", arguments.seed, "of the noise").show_default();
   app.add_flag("--quick", arguments.quick, "three images");
   app.add_flag("--quiet", arguments.quiet, "no progress");
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });

@@ -5,7 +5,6 @@
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 
@@ -101,28 +100,26 @@ void run(const Arguments& arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app("Repeatability, localisation error and matches of two images with a known homography",
-               "evaluate_features");
-  app.add_option("IMAGE1", arguments.image1)->required();
-  app.add_option("IMAGE2", arguments.image2)->required();
+  CommandLine app("Repeatability, localisation error and matches of two images with a known homography",
+                  "evaluate_features");
+  app.add_option("IMAGE1", arguments.image1).required();
+  app.add_option("IMAGE2", arguments.image2).required();
   app.add_option("HOMOGRAPHY", arguments.homography, "text file, three rows of three numbers: image 1 to image 2")
-      ->required();
+      .required();
   app.add_option("--detector", arguments.detector,
                  "DoG (SIFT's, no contrast threshold), SIFT, ORB, AKAZE, BRISK, GFTT, FAST")
-      ->capture_default_str();
+      .show_default();
   app.add_option("--detections", arguments.detections, "how many of the strongest are compared")
-      ->check(CLI::Range(1, 100000))
-      ->capture_default_str();
+      .range(1, 100000)
+      .show_default();
   app.add_option("--min-overlap", arguments.overlap.min_overlap, "intersection over union; the paper: 0.6")
-      ->capture_default_str();
+      .show_default();
   app.add_option("--radius-factor", arguments.overlap.radius_factor, "radius of a disc over the keypoint's size")
-      ->capture_default_str();
-  app.add_option("--normalized-radius-px", arguments.normalized_radius_px, "of the normalised discs")
-      ->capture_default_str();
-  app.add_option("--matching-features", arguments.matching.max_features, "strongest, of each image")
-      ->capture_default_str();
-  app.add_option("--max-ratio", arguments.matching.max_ratio, "of the ratio test")->capture_default_str();
-  app.add_option("--max-error-px", arguments.matching.max_error_px, "of a correct match")->capture_default_str();
+      .show_default();
+  app.add_option("--normalized-radius-px", arguments.normalized_radius_px, "of the normalised discs").show_default();
+  app.add_option("--matching-features", arguments.matching.max_features, "strongest, of each image").show_default();
+  app.add_option("--max-ratio", arguments.matching.max_ratio, "of the ratio test").show_default();
+  app.add_option("--max-error-px", arguments.matching.max_error_px, "of a correct match").show_default();
   app.add_option("--json", arguments.json, "also write the results as JSON");
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }

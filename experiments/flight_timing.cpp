@@ -8,8 +8,6 @@
 #include <stdexcept>
 #include <string>
 
-#include <CLI/CLI.hpp>
-
 #include "flight_timing.hpp"
 #include "tools/tool_main.hpp"
 
@@ -72,15 +70,14 @@ void run(const Arguments& arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app{
+  CommandLine app{
       "Flies recorded trajectories through a textured room and calibrates timing on what the camera sees. Prints what "
       "the estimates are wrong by.",
       "flight_timing"};
   app.add_option("--data", arguments.data, "recorded data, with trajectories/");
-  app.add_option("--seconds", arguments.seconds, "of each flight, where it is that long [40]")
-      ->check(CLI::Range(2.0, 80.0));
-  app.add_option("--speed", arguments.speed, "of the flight, 1: as recorded")->check(CLI::Range(0.2, 3.0));
-  app.add_option("--width", arguments.width_px, "of the image [376 px]")->check(CLI::Range(100, 2000));
+  app.add_option("--seconds", arguments.seconds, "of each flight, where it is that long [40]").range(2.0, 80.0);
+  app.add_option("--speed", arguments.speed, "of the flight, 1: as recorded").range(0.2, 3.0);
+  app.add_option("--width", arguments.width_px, "of the image [376 px]").range(100, 2000);
   app.add_option("--seed", arguments.seed, "of all noise [1]");
   app.add_option("--out", arguments.output, "file for the table");
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });

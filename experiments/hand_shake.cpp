@@ -14,7 +14,6 @@
 #include <utility>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <Eigen/Geometry>
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
@@ -313,11 +312,11 @@ void run(const Arguments& arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app{"Matches between frames that a recorded hand shake has blurred, before and after deblurring.",
-               "hand_shake"};
+  CommandLine app{"Matches between frames that a recorded hand shake has blurred, before and after deblurring.",
+                  "hand_shake"};
   app.add_option("--out", arguments.output, "folder for the table and pictures");
   app.add_option("--data", arguments.data, "recorded data, with handshake_gyro/");
-  app.add_option("--max-bend", arguments.max_bend_px, "of the package [px]")->check(CLI::Range(0.0, 100.0));
+  app.add_option("--max-bend", arguments.max_bend_px, "of the package [px]").range(0.0, 100.0);
   app.add_option("--seed", arguments.seed, "of the times and views [1]");
   app.add_flag("--quick", arguments.quick, "four frames of one cell");
   app.add_flag("--quiet", arguments.quiet, "no progress");

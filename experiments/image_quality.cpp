@@ -14,7 +14,6 @@
 #include <tuple>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
@@ -309,7 +308,8 @@ void run(const Arguments& arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app{"Whether the score of an image says how many of its corners are those of a sharp one.", "image_quality"};
+  CommandLine app{"Whether the score of an image says how many of its corners are those of a sharp one.",
+                  "image_quality"};
   app.add_option("--out", arguments.output, "folder for the tables");
   app.add_option("--data", arguments.data, "recorded data, with handshake_gyro/");
   app.add_option("--seed", arguments.seed, "of the times and views [1]");

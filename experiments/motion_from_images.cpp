@@ -11,7 +11,6 @@
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
 
@@ -417,16 +416,15 @@ void Study::write() const {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app{
+  CommandLine app{
       "Flies recorded trajectories through a room of photographs and compares the motion that images add to the "
       "gyroscope's with what is true.",
       "motion_from_images"};
   app.add_option("--out", arguments.output, "folder for tables and samples");
   app.add_option("--data", arguments.data, "recorded data, with trajectories/");
-  app.add_option("--seconds", arguments.seconds, "of each flight [4]")->check(CLI::Range(0.5, 15.0));
+  app.add_option("--seconds", arguments.seconds, "of each flight [4]").range(0.5, 15.0);
   app.add_option("--part", arguments.parts, "of the measurements, again for more [all]")
-      ->check(CLI::IsMember(
-          {"displacement", "held", "bias", "hardship", "features", "shutter", "objects", "burst", "shown"}));
+      .one_of({"displacement", "held", "bias", "hardship", "features", "shutter", "objects", "burst", "shown"});
   app.add_flag("--quick", arguments.quick, "half a second of one flight");
   app.add_flag("--quiet", arguments.quiet, "no progress");
   return run_tool(app, argc, argv, [&arguments] { Study(arguments).run(); });

@@ -13,7 +13,6 @@
 #include <tuple>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <Eigen/Dense>
 #include <opencv2/core.hpp>
 
@@ -344,10 +343,10 @@ void run(const Arguments& arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app{"Whether the covariances of keypoints and tracks are those of their errors.", "point_covariance"};
+  CommandLine app{"Whether the covariances of keypoints and tracks are those of their errors.", "point_covariance"};
   app.add_option("--out", arguments.output, "folder for the tables, and for all points");
   app.add_option("--data", arguments.data, "recorded data, with handshake_gyro/ and trajectories/");
-  app.add_option("--seed", arguments.seed, "of the times and views [1]")->check(CLI::Range(1, 1000));
+  app.add_option("--seed", arguments.seed, "of the times and views [1]").range(1, 1000);
   app.add_flag("--no-keypoints", arguments.no_keypoints, "leave keypoints out");
   app.add_flag("--no-tracks", arguments.no_tracks, "leave tracks out");
   app.add_flag("--quick", arguments.quick, "eight views, at one strength, and one flight");

@@ -11,7 +11,6 @@
 #include <utility>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <opencv2/calib3d.hpp>
 #include <opencv2/imgcodecs.hpp>
@@ -386,38 +385,38 @@ void evaluate(const EvaluateArguments& arguments) {
   write_json(arguments.json, report);
 }
 
+int simulate_main(int argc, char** argv) {
+  SimulateArguments arguments;
+  arguments.sharp_noise = 8;
+  CommandLine app{"Renders a pair of bursts with known truth.", "real_world simulate"};
+  app.add_option("SCENE1", arguments.scene1, "YAML scene of the first burst").required();
+  app.add_option("SCENE2", arguments.scene2, "YAML scene of the second burst").required();
+  app.add_option("OUT", arguments.output, "folder to write: first/, second/ and truth.csv").required();
+  app.add_option("--sharp-noise", arguments.sharp_noise, "of the sharp frames [grey levels] [8]").range(0.0, 64.0);
+  return run_tool(app, argc, argv, [&arguments] { simulate(arguments); });
+}
+
+int evaluate_main(int argc, char** argv) {
+  EvaluateArguments arguments;
+  arguments.detections = 500;
+  CommandLine app{"Repeatability on a pair of bursts, as JSON.", "real_world evaluate"};
+  app.add_option("FOLDER", arguments.folder, "with first/ and second/, see burst.hpp").required();
+  app.add_option("--json", arguments.json, "write here instead of to standard output");
+  app.add_option("--detections", arguments.detections, "keypoints of each image [500]").range(10, 100000);
+  app.add_flag("--only-dog", arguments.only_dog, "the baseline DoG alone, without the protocol's homography");
+  app.add_option("--given", arguments.given,
+                 "two images to compare with the rest, made from the blurred frames in another way")
+      .values(2);
+  return run_tool(app, argc, argv, [&arguments] { evaluate(arguments); });
+}
+
+/// The paper's real-world protocol on pairs of bursts sharp - blurred - sharp of a plane.
 int main_of(int argc, char** argv) {
-  CLI::App app{"The paper's real-world protocol on pairs of bursts sharp - blurred - sharp of a plane.", "real_world"};
-  app.require_subcommand(1);
-
-  SimulateArguments simulate_arguments;
-  simulate_arguments.sharp_noise = 8;
-  CLI::App* simulate_command = app.add_subcommand("simulate", "renders a pair of bursts with known truth");
-  simulate_command->add_option("SCENE1", simulate_arguments.scene1, "YAML scene of the first burst")->required();
-  simulate_command->add_option("SCENE2", simulate_arguments.scene2, "YAML scene of the second burst")->required();
-  simulate_command->add_option("OUT", simulate_arguments.output, "folder to write: first/, second/ and truth.csv")
-      ->required();
-  simulate_command->add_option("--sharp-noise", simulate_arguments.sharp_noise, "of the sharp frames [grey levels] [8]")
-      ->check(CLI::Range(0.0, 64.0));
-
-  EvaluateArguments evaluate_arguments;
-  evaluate_arguments.detections = 500;
-  CLI::App* evaluate_command = app.add_subcommand("evaluate", "repeatability on a pair of bursts, as JSON");
-  evaluate_command->add_option("FOLDER", evaluate_arguments.folder, "with first/ and second/, see burst.hpp")
-      ->required();
-  evaluate_command->add_option("--json", evaluate_arguments.json, "write here instead of to standard output");
-  evaluate_command->add_option("--detections", evaluate_arguments.detections, "keypoints of each image [500]")
-      ->check(CLI::Range(10, 100000));
-  evaluate_command->add_flag("--only-dog", evaluate_arguments.only_dog,
-                             "the baseline DoG alone, without the protocol's homography");
-  evaluate_command
-      ->add_option("--given", evaluate_arguments.given,
-                   "two images to compare with the rest, made from the blurred frames in another way")
-      ->expected(2);
-  return run_tool(app, argc, argv, [&] {
-    if (*simulate_command) simulate(simulate_arguments);
-    if (*evaluate_command) evaluate(evaluate_arguments);
-  });
+  const std::string command = argc > 1 ? argv[1] : "";
+  if (command == "simulate") return simulate_main(argc - 1, argv + 1);
+  if (command == "evaluate") return evaluate_main(argc - 1, argv + 1);
+  std::cerr << "usage: real_world simulate ..., or real_world evaluate ...; each has --help\n";
+  return command == "-h" || command == "--help" ? SUCCESS : BAD_USAGE;
 }
 
 }  // namespace

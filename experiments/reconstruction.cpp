@@ -9,7 +9,6 @@
 #include <utility>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <opencv2/imgcodecs.hpp>
 
 #include "base/median.hpp"
@@ -132,19 +131,19 @@ void run(const Arguments& arguments) {
 }
 
 int main_of(int argc, char** argv) {
-  CLI::App app{"SIFT features of a simulated sequence, blurred and deblurred, raw and rectified, and the true poses.",
-               "reconstruction"};
+  CommandLine app{
+      "SIFT features of a simulated sequence, blurred and deblurred, raw and rectified, and the true poses.",
+      "reconstruction"};
   Arguments arguments;
   arguments.max_features = 8192;  // SiftGPU's limit
-  app.add_option("SCENE", arguments.scene, "YAML scene; config/scenes/handheld.yaml documents the keys")->required();
+  app.add_option("SCENE", arguments.scene, "YAML scene; config/scenes/handheld.yaml documents the keys").required();
   app.add_option("OUT", arguments.output, "folder to write: blurred/, deblurred/, images/, truth.csv, camera.csv")
-      ->required();
-  app.add_option("--frames", arguments.frames, "how many [all]")->check(CLI::Range(1, 1000000));
-  app.add_option("--first-frame", arguments.first_frame, "of the scene [0]")->check(CLI::Range(0, 1000000));
-  app.add_option("--step", arguments.step, "from frame to frame [1]")->check(CLI::Range(1, 1000000));
-  app.add_option("--max-features", arguments.max_features, "of each frame [8192]")->check(CLI::Range(10, 100000));
-  app.add_option("--image-period", arguments.image_period, "write every n-th image [none]")
-      ->check(CLI::Range(1, 1000000));
+      .required();
+  app.add_option("--frames", arguments.frames, "how many [all]").range(1, 1000000);
+  app.add_option("--first-frame", arguments.first_frame, "of the scene [0]").range(0, 1000000);
+  app.add_option("--step", arguments.step, "from frame to frame [1]").range(1, 1000000);
+  app.add_option("--max-features", arguments.max_features, "of each frame [8192]").range(10, 100000);
+  app.add_option("--image-period", arguments.image_period, "write every n-th image [none]").range(1, 1000000);
   app.add_flag("--quiet", arguments.quiet, "no progress on stderr");
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }

@@ -14,7 +14,6 @@
 #include <thread>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <opencv2/core.hpp>
 
@@ -347,18 +346,16 @@ void run(const Arguments& arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app("The experiment with synthetic blur: writes synthetic.csv, synthetic_matching.csv, synthetic.json",
-               "synthetic");
-  app.add_option("--out", arguments.out, "folder for the results")->capture_default_str();
+  CommandLine app("The experiment with synthetic blur: writes synthetic.csv, synthetic_matching.csv, synthetic.json",
+                  "synthetic");
+  app.add_option("--out", arguments.out, "folder for the results").show_default();
   app.add_option("--data", arguments.data, "folder with oxford_affine; without it, photographs of opencv-doc")
-      ->capture_default_str();
+      .show_default();
   app.add_option("--snr-db", arguments.snr_db, "mean square of the image over the variance of the noise")
-      ->check(CLI::Range(0, 100))
-      ->capture_default_str();
-  app.add_option("--seed", arguments.seed, "of the noise")->capture_default_str();
-  app.add_option("--threads", arguments.threads, "0: as many as there are cores")
-      ->check(CLI::Range(0, 256))
-      ->capture_default_str();
+      .range(0, 100)
+      .show_default();
+  app.add_option("--seed", arguments.seed, "of the noise").show_default();
+  app.add_option("--threads", arguments.threads, "0: as many as there are cores").range(0, 256).show_default();
   app.add_option("--methods", arguments.methods, "names of the methods to run; default: all");
   app.add_flag("--quick", arguments.quick, "two pairs and three numbers of detections");
   app.add_flag("--quiet", arguments.quiet, "no progress");

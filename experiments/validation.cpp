@@ -13,7 +13,6 @@
 #include <tuple>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <opencv2/imgcodecs.hpp>
 
 #include "blur/blur_likelihood.hpp"
@@ -152,17 +151,17 @@ void run(Arguments arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app("Tells how well validation tells predicted blur from none and from a third of it.");
+  CommandLine app("Tells how well validation tells predicted blur from none and from a third of it.");
   app.add_option("--photographs", arguments.photographs, "image files (default: the first images of the Oxford sets)");
-  app.add_option("--extents-px", arguments.extents_px, "predicted blur")->capture_default_str();
-  app.add_option("--noises", arguments.noises, "grey levels")->capture_default_str();
-  app.add_option("--contrasts", arguments.contrasts, "about the middle grey")->capture_default_str();
-  app.add_option("--angles", arguments.angles, "for each extent")->capture_default_str();
-  app.add_option("--hot-ppm", arguments.hot_ppm, "white pixels per million")->capture_default_str();
+  app.add_option("--extents-px", arguments.extents_px, "predicted blur").show_default();
+  app.add_option("--noises", arguments.noises, "grey levels").show_default();
+  app.add_option("--contrasts", arguments.contrasts, "about the middle grey").show_default();
+  app.add_option("--angles", arguments.angles, "for each extent").show_default();
+  app.add_option("--hot-ppm", arguments.hot_ppm, "white pixels per million").show_default();
   app.add_option("--angle-error-deg", arguments.angle_error_deg, "standard deviation of the prediction's error");
   app.add_option("--extent-error", arguments.extent_error, "the prediction's largest error, as a share of the extent");
-  app.add_option("--seed", arguments.seed, "of angles and noise")->capture_default_str();
-  app.add_option("--out", arguments.out, "folder for the tables")->capture_default_str();
+  app.add_option("--seed", arguments.seed, "of angles and noise").show_default();
+  app.add_option("--out", arguments.out, "folder for the tables").show_default();
   app.add_flag("--quiet", arguments.quiet, "no progress");
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }

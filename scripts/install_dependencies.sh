@@ -10,7 +10,7 @@ source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
 # Also what configuring needs for the tests' targets: one configuration serves the demo and the tests.
 build_packages=(
   ca-certificates cmake g++ git make
-  libcli11-dev libeigen3-dev libgtest-dev libopencv-dev libyaml-cpp-dev nlohmann-json3-dev
+  libboost-program-options-dev libeigen3-dev libgtest-dev libopencv-dev libyaml-cpp-dev nlohmann-json3-dev
   ocl-icd-opencl-dev opencl-clhpp-headers zlib1g-dev
   catkin rosbash ros-core-dev ros-core-python-dev
   libdiagnostic-updater-dev libdynamic-reconfigure-config-init-mutex-dev libimage-transport-dev libnodelet-dev

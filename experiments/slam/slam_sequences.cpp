@@ -10,7 +10,6 @@
 
 #include <rosbag/bag.h>
 #include <sensor_msgs/CameraInfo.h>
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
 #include "footage.hpp"
@@ -187,20 +186,20 @@ void run(const Arguments& arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app{
+  CommandLine app{
       "Writes bags for a SLAM stack: a recorded flight through a room of photographs, seen by a camera of 752x480 at "
       "20 Hz, in daylight and in low light, blurred (LIGHT_SEED_blurred.bag) and sharp at one instant "
       "(LIGHT_SEED_sharp.bag), both with the IMU, and truth.csv and sequence.json beside them.",
       "slam_sequences"};
-  app.add_option("--out", arguments.output, "folder")->required();
+  app.add_option("--out", arguments.output, "folder").required();
   app.add_option("--data", arguments.data, "recorded data, with trajectories/");
   app.add_option("--flight", arguments.flight, "file of trajectories/ without its ending [V1_02_medium]");
-  app.add_option("--seconds", arguments.seconds, "[30]")->check(CLI::Range(1.0, 85.0));
-  app.add_option("--speed", arguments.speed, "of the flight, 1: as recorded [1]")->check(CLI::Range(0.2, 3.0));
-  app.add_option("--exposure-ms", arguments.exposure_ms, "[30]")->check(CLI::Range(0.1, 49.0));
-  app.add_option("--readout-ms", arguments.readout_ms, "[0]")->check(CLI::Range(0.0, 40.0));
+  app.add_option("--seconds", arguments.seconds, "[30]").range(1.0, 85.0);
+  app.add_option("--speed", arguments.speed, "of the flight, 1: as recorded [1]").range(0.2, 3.0);
+  app.add_option("--exposure-ms", arguments.exposure_ms, "[30]").range(0.1, 49.0);
+  app.add_option("--readout-ms", arguments.readout_ms, "[0]").range(0.0, 40.0);
   app.add_option("--seeds", arguments.seeds, "draws of noise [1 2 3]");
-  app.add_option("--lights", arguments.lights, "day, low [both]")->check(CLI::IsMember({"day", "low"}));
+  app.add_option("--lights", arguments.lights, "day, low [both]").one_of({"day", "low"});
   app.add_option("--first-photograph", arguments.first_photograph, "another number: another room [0]");
   app.add_flag("--quiet", arguments.quiet, "no progress");
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });

@@ -119,30 +119,28 @@ void run(const Arguments& arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app{
+  CommandLine app{
       "Estimates the time offset between camera and IMU, the readout time, the gyroscope's bias and, where neither the "
       "configuration nor tf has it, the rotation between the two, from a bag in which the camera turns about all axes. "
       "Topics that are not named are taken when the bag has exactly one of the type.",
       "calibrate_timing"};
-  app.add_option("BAG", arguments.bag, "bag with images, camera_info and imu")->required();
+  app.add_option("BAG", arguments.bag, "bag with images, camera_info and imu").required();
   app.add_option("--output", arguments.output, "configuration to write, for launch files and deblur_bag");
   app.add_option(
       "--config", arguments.config,
       "YAML file with the keys of config/default.yaml: what stamps mean, calibration_file, exposure_time and "
       "where the search begins");
   app.add_option("--search", arguments.search_s, "the time offset is at most this far from the configured one [0.5 s]")
-      ->check(CLI::Range(0.0, 5.0));
+      .range(0.0, 5.0);
   app.add_flag("--fixed-readout", arguments.fixed_readout, "readout_time is known: do not estimate it");
   app.add_flag("--fixed-bias", arguments.fixed_bias, "gyro_bias is known: do not estimate it");
   app.add_flag("--estimate-rotation", arguments.estimate_rotation,
                "estimate R_cam_imu from nothing although it is known");
   app.add_flag("--force", arguments.force, "write the values although the recording does not determine them");
   app.add_option("--points", arguments.footage.points, "of each image that are tracked in those after it [100]")
-      ->check(CLI::Range(10, 10000));
-  app.add_option("--start", arguments.footage.start_s, "[s] since the bag's first message [0]")
-      ->check(CLI::NonNegativeNumber);
-  app.add_option("--end", arguments.footage.end_s, "[s] since the bag's first message [its end]")
-      ->check(CLI::PositiveNumber);
+      .range(10, 10000);
+  app.add_option("--start", arguments.footage.start_s, "[s] since the bag's first message [0]").not_negative();
+  app.add_option("--end", arguments.footage.end_s, "[s] since the bag's first message [its end]").positive();
   add_image_options(app, &arguments.topics.images);
   app.add_option("--camera-info-topic", arguments.topics.camera_info,
                  "sensor_msgs/CameraInfo [camera_info beside the images]");

@@ -246,13 +246,13 @@ void run(const Arguments& arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app{
+  CommandLine app{
       "Deblurs the images of a ROS bag with its gyroscope: everything the nodelet does, from bag to bag. Topics that "
       "are not named are taken when the bag has exactly one of the type.",
       "deblur_bag"};
-  app.add_option("input", arguments.input, "bag with images, camera_info and imu")->required();
-  app.add_option("output", arguments.output, "bag to write")->required();
-  app.add_option("--config", arguments.config, "YAML file with the keys of config/default.yaml")->required();
+  app.add_option("input", arguments.input, "bag with images, camera_info and imu").required();
+  app.add_option("output", arguments.output, "bag to write").required();
+  app.add_option("--config", arguments.config, "YAML file with the keys of config/default.yaml").required();
   app.add_option("--mask", arguments.mask,
                  "PNG or PGM file of the image's size, 0 where a pixel does not show the scene [the configuration's]");
   add_image_options(app, &arguments.topics.images);
@@ -266,13 +266,13 @@ int main_of(int argc, char** argv) {
   app.add_flag("--keep-all-topics", arguments.keep_all_topics, "copy every message of the input as well");
   app.add_option("--estimate-bias-first", arguments.bias_seconds,
                  "the sensor is at rest in the first SECONDS: use its mean rate as bias")
-      ->check(CLI::PositiveNumber);
+      .positive();
   app.add_option("--start", arguments.start_s, "only images recorded from SECONDS after the bag's first message on [0]")
-      ->check(CLI::NonNegativeNumber);
+      .not_negative();
   app.add_option("--end", arguments.end_s, "only images recorded before SECONDS after the bag's first message")
-      ->check(CLI::PositiveNumber);
-  app.add_option("--threads", arguments.threads, "at most [those of the configuration]")->check(CLI::Range(0, 256));
-  app.add_flag_callback(
+      .positive();
+  app.add_option("--threads", arguments.threads, "at most [those of the configuration]").range(0, 256);
+  app.add_flag(
       "--no-keypoints", [&arguments] { arguments.request.keypoints = false; }, "leave out keypoints");
   app.add_flag("--overlay", arguments.request.overlay, "also write blur_overlay");
   app.add_flag("--trust-mask", arguments.request.trust_mask, "also write trust_mask");

@@ -10,7 +10,6 @@
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <opencv2/core.hpp>
 #include <opencv2/core/utils/logger.hpp>
@@ -224,49 +223,51 @@ int main_of(int argc, char** argv) {
   cv::utils::logging::setLogLevel(cv::utils::logging::LOG_LEVEL_SILENT);
 
   Arguments arguments;
-  CLI::App app{
+  CommandLine app{
       "Deblurs an image whose motion blur is known. Give one blur for the whole image (--angle-deg, --extent-px) or a "
       "field of displacements (--field). 8 and 16 bit, grey, colour and alpha; pixels are taken as stored (EXIF "
       "orientation is not applied).",
       "deblur_image"};
-  app.add_option("input", arguments.input, "image to deblur")->required();
-  app.add_option("output", arguments.output, "where to write the deblurred image")->required();
-  auto* angle = app.add_option("--angle-deg", arguments.angle_deg, "direction of the motion [deg], x right, y down");
-  auto* extent = app.add_option("--extent-px", arguments.extent_px, "length of the motion [px]");
-  auto* field = app.add_option("--field", arguments.field,
-                               "matrices of the displacement from start to end of exposure [px], x right, y down: "
-                               "DX.csv DY.csv, or one-channel images; any number of rows and columns that cover the "
-                               "image evenly; nan: unknown")
-                    ->expected(2);
-  app.add_option("--field-offset", arguments.field_offset, "value that stands for no displacement in --field")
-      ->needs(field)
-      ->capture_default_str();
-  angle->needs(extent)->excludes(field);
-  extent->needs(angle)->excludes(field);
+  app.add_option("input", arguments.input, "image to deblur").required();
+  app.add_option("output", arguments.output, "where to write the deblurred image").required();
+  const auto& angle =
+      app.add_option("--angle-deg", arguments.angle_deg, "direction of the motion [deg], x right, y down");
+  const auto& extent = app.add_option("--extent-px", arguments.extent_px, "length of the motion [px]");
+  const auto& field =
+      app.add_option("--field", arguments.field,
+                     "matrices of the displacement from start to end of exposure [px], x right, y down: "
+                     "DX.csv DY.csv, or one-channel images; any number of rows and columns that cover the "
+                     "image evenly; nan: unknown")
+          .values(2);
+  const auto& field_offset =
+      app.add_option("--field-offset", arguments.field_offset, "value that stands for no displacement in --field")
+          .show_default();
   app.add_option("--gamma", arguments.kernel.gamma, "noise-to-signal ratio of the Wiener filter, at least")
-      ->capture_default_str();
-  app.add_flag_callback(
+      .show_default();
+  app.add_flag(
       "--fixed-gamma", [&] { arguments.kernel.gamma_rule = GammaRule::FIXED; },
       "gamma as it is, whatever the noise, and no block left alone for it");
   app.add_option("--engine", arguments.engine, "engine: auto, cpu, plane, float, opencl, opencl:INDEX, opencl:NAME")
-      ->capture_default_str();
-  app.add_option("--threads", arguments.threads, "of the engine; 0: as many as there are cores")->capture_default_str();
-  app.add_option("--block-size", arguments.blur_field.block_size_px, "side of a block [px], even")
-      ->capture_default_str();
+      .show_default();
+  app.add_option("--threads", arguments.threads, "of the engine; 0: as many as there are cores").show_default();
+  app.add_option("--block-size", arguments.blur_field.block_size_px, "side of a block [px], even").show_default();
   app.add_option("--max-extent-px", arguments.blur_field.max_extent_px, "blocks with more blur are left alone")
-      ->capture_default_str();
+      .show_default();
   app.add_option("--significant-bits", arguments.significant_bits,
                  "of a 16-bit image, 8 to 16; 0: the fewest of 10, 12, 14, 16 that hold all its pixels")
-      ->capture_default_str();
-  app.add_flag_callback(
+      .show_default();
+  app.add_flag(
       "--no-validation", [&] { arguments.validation.enabled = false; },
       "deblur blocks even where the image contradicts the blur");
   app.add_option("--mask", arguments.mask,
                  "PNG or PGM of the image's size, 0 where a pixel does not show the scene: it stays as it is");
   app.add_option("--overlay", arguments.overlay, "also write a picture of the blur field");
   add_common_options(app, &arguments.common);
-  app.callback([&] {
-    if (field->count() + extent->count() == 0) throw CLI::RequiredError("--angle-deg and --extent-px, or --field");
+  app.check([&] {
+    if (angle.given() != extent.given()) throw UsageError("--angle-deg and --extent-px need each other");
+    if (angle.given() == field.given())
+      throw UsageError("either --angle-deg and --extent-px or --field has to be given");
+    if (field_offset.given() && !field.given()) throw UsageError("--field-offset needs --field");
   });
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }

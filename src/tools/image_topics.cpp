@@ -98,7 +98,7 @@ std::string named_topic(const BagTopics& topics, const NamedImages& named) {
 
 }  // namespace
 
-void add_image_options(CLI::App& app, NamedImages* named) {
+void add_image_options(CommandLine& app, NamedImages* named) {
   app.add_option("--camera-ns", named->camera_namespace, "namespace of the camera");
   app.add_option(
       "--image-topic", named->topic,

@@ -5,7 +5,7 @@
 
 #include <rosbag/message_instance.h>
 #include <sensor_msgs/Image.h>
-#include <CLI/CLI.hpp>
+#include "tools/command_line.hpp"
 
 #include "tools/bag_file.hpp"
 
@@ -21,7 +21,7 @@ struct NamedImages {
 };
 
 /// Adds --camera-ns and --image-topic.
-void add_image_options(CLI::App& app, NamedImages* named);
+void add_image_options(CommandLine& app, NamedImages* named);
 
 struct ImageTopic {
   std::string name;

@@ -197,22 +197,22 @@ void run(const Arguments& arguments) {
 }
 
 int main_of(int argc, char** argv) {
-  CLI::App app{"Makes a ROS bag from a recorded folder of images and IMU samples.", "make_bag"};
+  CommandLine app{"Makes a ROS bag from a recorded folder of images and IMU samples.", "make_bag"};
   Arguments arguments;
-  app.add_option("OUT", arguments.output, "bag to write")->required();
-  app.add_option("INPUT_DIR", arguments.input, "recorded folder")->required();
+  app.add_option("OUT", arguments.output, "bag to write").required();
+  app.add_option("INPUT_DIR", arguments.input, "recorded folder").required();
   app.add_option("--format", arguments.format,
                  "euroc: EuRoC's ASL layout; shield: images/images.txt and imu/imu.txt; "
                  "frames: numbered images, a file of stamps and a file of gyroscope rates")
-      ->required()
-      ->check(CLI::IsMember({"euroc", "shield", "frames"}));
+      .required()
+      .one_of({"euroc", "shield", "frames"});
   app.add_option("--description", arguments.description,
                  "YAML with the calibration and, for frames, the files' formats: see config/recordings/");
   app.add_option("--camera", arguments.euroc_camera, "euroc: the camera's folder [cam0]");
   app.add_option("--exposure-time", arguments.exposure_s, "euroc: exposure time of every image [s]; none is recorded")
-      ->check(CLI::Range(0.0, 1.0));
+      .range(0.0, 1.0);
   app.add_option("--encoding", arguments.encoding, "pixels in the bag: as_recorded, mono8 or bgr8 [as_recorded]")
-      ->check(CLI::IsMember({"as_recorded", "mono8", "bgr8"}));
+      .one_of({"as_recorded", "mono8", "bgr8"});
   app.add_option("--camera-ns,--camera-namespace", arguments.camera_namespace,
                  "images, camera_info and exposure go here [/camera]");
   app.add_option("--image-topic", arguments.image, "of the images, in --camera-ns [image_raw]");

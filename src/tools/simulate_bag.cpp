@@ -13,7 +13,6 @@
 #include <rosbag/bag.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <std_msgs/Header.h>
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
 #include "base/median.hpp"
@@ -194,16 +193,17 @@ void run(const Arguments& arguments) {
 }
 
 int main_of(int argc, char** argv) {
-  CLI::App app{"Simulates a moving rolling-shutter camera and an IMU with known truth into a ROS bag.", "simulate_bag"};
+  CommandLine app{"Simulates a moving rolling-shutter camera and an IMU with known truth into a ROS bag.",
+                  "simulate_bag"};
   app.footer(
       "Topics: /camera/image_raw, /camera/camera_info, /camera/exposure, /imu, /tf_static (imu -> camera), /truth/pose "
       "(world, at the middle of the middle row's exposure), /truth/sharp (every row at its mid-exposure) and "
       "/truth/global_shutter (all rows at the stamp, the middle of the middle row's exposure).");
   Arguments arguments;
-  app.add_option("OUT", arguments.output, "bag to write")->required();
-  app.add_option("--scene", arguments.scene, "YAML scene; config/scenes/handheld.yaml documents the keys")->required();
-  app.add_option("--frames", arguments.frames, "number of images [as in the scene]")->check(CLI::Range(1, 1000000));
-  app.add_option("--seed", arguments.seed, "seed of all noise [as in the scene]")->check(CLI::Range(0, 1000000000));
+  app.add_option("OUT", arguments.output, "bag to write").required();
+  app.add_option("--scene", arguments.scene, "YAML scene; config/scenes/handheld.yaml documents the keys").required();
+  app.add_option("--frames", arguments.frames, "number of images [as in the scene]").range(1, 1000000);
+  app.add_option("--seed", arguments.seed, "seed of all noise [as in the scene]").range(0, 1000000000);
   app.add_flag("--no-truth", arguments.no_truth, "leave the truth images out (faster)");
   add_common_options(app, &arguments.common);
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });

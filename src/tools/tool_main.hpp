@@ -2,9 +2,10 @@
 #pragma once
 
 #include <functional>
+#include <optional>
 #include <string>
 
-#include <CLI/CLI.hpp>
+#include "tools/command_line.hpp"
 
 namespace gyro_deblur {
 
@@ -17,13 +18,16 @@ struct CommonArguments {
   bool quiet = false;  ///< no progress on stderr
 };
 /// Adds --json and --quiet.
-void add_common_options(CLI::App& app, CommonArguments* arguments);
+void add_common_options(CommandLine& app, CommonArguments* arguments);
 
-/// Parses the arguments, then runs the tool.
-/// @param app  with the tool's name and options
+/// @return for main, where the tool ends here: SUCCESS with the help on stdout, BAD_USAGE with what is wrong on stderr
+std::optional<int> read_arguments(CommandLine& arguments, int argc, char** argv);
+
+/// Reads the arguments, then runs the tool.
+/// @param arguments  with the tool's name and options
 /// @param run  throws std::exception when it cannot do what it is asked for; called at most once
-/// @return for main: SUCCESS, also of --help; BAD_USAGE with what is wrong on stderr; BAD_INPUT with one line
+/// @return for main: SUCCESS, also of --help; BAD_USAGE; BAD_INPUT with one line
 ///     "TOOL: what()" on stderr
-int run_tool(CLI::App& app, int argc, char** argv, const std::function<void()>& run);
+int run_tool(CommandLine& arguments, int argc, char** argv, const std::function<void()>& run);
 
 }  // namespace gyro_deblur

@@ -122,7 +122,6 @@ TEST(OxfordPsnr, GainsThreeDecibels) {
   EXPECT_GT(total.border / count, 0.0) << "borders must not get worse";
 }
 
-#ifdef DEBLUR_IMAGE
 TEST(OxfordPsnr, DeblurImageGivesTheSame) {
   if (!std::filesystem::exists(image_path("graf"))) GTEST_SKIP() << "no data at " << image_path("graf");
   const std::string folder = testing::TempDir();
@@ -158,7 +157,6 @@ TEST(OxfordPsnr, DeblurImageGivesTheSame) {
     }
   }
 }
-#endif
 
 }  // namespace
 }  // namespace gyro_deblur

@@ -17,7 +17,6 @@
 #include "gyro_deblur/image_format.hpp"
 #include "run_program.hpp"
 
-#ifdef DEBLUR_IMAGE
 namespace gyro_deblur {
 namespace {
 
@@ -172,6 +171,3 @@ INSTANTIATE_TEST_SUITE_P(Images, ShieldBlurFields, testing::ValuesIn(kImages),
 
 }  // namespace
 }  // namespace gyro_deblur
-#else
-TEST(ShieldBlurFields, NeedDeblurImage) { GTEST_SKIP() << "deblur_image was not built (CLI11 missing)"; }
-#endif

@@ -17,8 +17,6 @@
 #include <utility>
 #include <vector>
 
-#include <CLI/CLI.hpp>
-
 #include "engine/fallback_engine.hpp"
 #include "faults.hpp"
 #include "gyro_deblur/config.hpp"
@@ -27,6 +25,7 @@
 #include "replay.hpp"
 #include "ros/pass_through.hpp"
 #include "tools/progress.hpp"
+#include "tools/tool_main.hpp"
 
 namespace gyro_deblur::test {
 namespace {
@@ -347,14 +346,15 @@ int main_of(int argc, char** argv) {
   double seconds = 10;
   std::size_t reloads = 200;
   bool quiet = false;
-  CLI::App app{"Plays a simulated recording through every fault and prints what became of the frames.", "fault_table"};
-  app.add_option("--seconds", seconds, "length of the recording [10]")->check(CLI::Range(0.5, 10.0));
-  app.add_option("--reloads", reloads, "how often to unload and load [200]")->check(CLI::Range(1, 10000));
+  CommandLine app{"Plays a simulated recording through every fault and prints what became of the frames.",
+                  "fault_table"};
+  app.add_option("--seconds", seconds, "length of the recording [10]").range(0.5, 10.0);
+  app.add_option("--reloads", reloads, "how often to unload and load [200]").range(1, 10000);
   app.add_option("--scene", scene, "of the simulator");
   app.add_option("--config", config_path, "keys of config/default.yaml");
   app.add_option("--markdown", markdown_path, "also write the table into a file");
   app.add_flag("--quiet", quiet, "no progress");
-  CLI11_PARSE(app, argc, argv);
+  if (const std::optional<int> ended = read_arguments(app, argc, argv)) return *ended;
 
   try {
     const Config config = load_known_config(config_path);

@@ -11,19 +11,20 @@
 #include <iostream>
 #include <mutex>
 #include <numeric>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <thread>
 #include <utility>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
 #include "faults.hpp"
 #include "gyro_deblur/config.hpp"
 #include "live.hpp"
 #include "neighbour_processes.hpp"
+#include "tools/tool_main.hpp"
 
 namespace gyro_deblur::test {
 namespace {
@@ -461,15 +462,15 @@ int main_of(int argc, char** argv) {
   std::string config_path = folder + "neighbours.yaml", json_path, only;
   double seconds = 20;
   bool even_if_busy = false, keypoints = false;
-  CLI::App app{"Measures streams of frames beside other processes, in real time.", "neighbours"};
-  app.add_option("--seconds", seconds, "of each of them, in all its turns [20]")->check(CLI::Range(1.0, 600.0));
+  CommandLine app{"Measures streams of frames beside other processes, in real time.", "neighbours"};
+  app.add_option("--seconds", seconds, "of each of them, in all its turns [20]").range(1.0, 600.0);
   app.add_option("--config", config_path, "keys of config/default.yaml");
   app.add_option("--json", json_path, "where to write the numbers");
-  app.add_option("--only", only, "one stream: 752x480 or 1920x1080")->check(CLI::IsMember({"752x480", "1920x1080"}));
+  app.add_option("--only", only, "one stream: 752x480 or 1920x1080").one_of({"752x480", "1920x1080"});
   app.add_flag("--keypoints", keypoints, "keypoints as well as images");
   app.add_flag("--even-if-busy", even_if_busy,
                "measures also on a machine that does something else, without a verdict");
-  CLI11_PARSE(app, argc, argv);
+  if (const std::optional<int> ended = read_arguments(app, argc, argv)) return *ended;
   try {
     const Config config = load_known_config(config_path);
     FrameRequest request;

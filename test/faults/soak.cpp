@@ -7,12 +7,12 @@
 #include <deque>
 #include <fstream>
 #include <iostream>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <opencv2/imgproc.hpp>
 
@@ -22,6 +22,7 @@
 #include "replay.hpp"
 #include "ros/conversions.hpp"
 #include "tools/progress.hpp"
+#include "tools/tool_main.hpp"
 
 namespace gyro_deblur::test {
 namespace {
@@ -176,14 +177,14 @@ int main_of(int argc, char** argv) {
   std::string scene = folder + "scene.yaml", config_path = folder + "config.yaml", json_path;
   double seconds = 600, window_s = 10;
   bool quiet = false;
-  CLI::App app{"Plays a recording again and again through the processor and follows memory and latency.", "soak"};
-  app.add_option("--seconds", seconds, "of simulated time [600]")->check(CLI::Range(40.0, 1e6));
-  app.add_option("--window", window_s, "seconds of simulated time for each point [10]")->check(CLI::Range(0.1, 600.0));
+  CommandLine app{"Plays a recording again and again through the processor and follows memory and latency.", "soak"};
+  app.add_option("--seconds", seconds, "of simulated time [600]").range(40.0, 1e6);
+  app.add_option("--window", window_s, "seconds of simulated time for each point [10]").range(0.1, 600.0);
   app.add_option("--scene", scene, "of the simulator");
   app.add_option("--config", config_path, "keys of config/default.yaml");
   app.add_option("--json", json_path, "where to write the points");
   app.add_flag("--quiet", quiet, "no progress");
-  CLI11_PARSE(app, argc, argv);
+  if (const std::optional<int> ended = read_arguments(app, argc, argv)) return *ended;
   try {
     cv::setNumThreads(1);  // all of a frame's processor time is the thread's that is measured
     const Recording recording(scene, 10);

@@ -32,9 +32,9 @@ struct Ended {
 
 /// A tool with one required argument NUMBER.
 Ended run(std::vector<std::string> arguments, const std::string& error = "") {
-  CLI::App app{"Does nothing.", "idle"};
+  CommandLine app{"Does nothing.", "idle"};
   int number = 0;
-  app.add_option("NUMBER", number)->required();
+  app.add_option("NUMBER", number).required();
   arguments.insert(arguments.begin(), "idle");
   std::vector<char*> argv;
   for (std::string& argument : arguments) argv.push_back(argument.data());

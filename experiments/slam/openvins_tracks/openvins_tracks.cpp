@@ -10,6 +10,7 @@
 #include <iostream>
 #include <map>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -21,12 +22,12 @@
 #include <rosbag/view.h>
 #include <sensor_msgs/Imu.h>
 #include <sensor_msgs/PointCloud.h>
-#include <CLI/CLI.hpp>
 #include <Eigen/Dense>
 
 #include "core/VioManager.h"
 #include "core/VioManagerOptions.h"
 #include "state/State.h"
+#include "tools/tool_main.hpp"
 #include "update/UpdaterHelper.h"
 #include "utils/dataset_reader.h"
 
@@ -186,17 +187,17 @@ void run(const Arguments& arguments) {
 
 int main(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app{"Runs OpenVINS on the tracks of a bag.", "openvins_tracks"};
+  gyro_deblur::CommandLine app{"Runs OpenVINS on the tracks of a bag.", "openvins_tracks"};
   app.add_option("SETTINGS", arguments.settings, "estimator's YAML file; up_msckf_sigma_px and up_slam_sigma_px: 1")
-      ->required();
-  app.add_option("BAG", arguments.bag, "with feature_tracks and the IMU")->required();
+      .required();
+  app.add_option("BAG", arguments.bag, "with feature_tracks and the IMU").required();
   app.add_option("--start", arguments.start, "state at most 0.1 s from the first tracks, in EuRoC's columns")
-      ->required();
-  app.add_option("--states", arguments.states, "file for the poses")->required();
+      .required();
+  app.add_option("--states", arguments.states, "file for the poses").required();
   app.add_option("--imu-topic", arguments.imu_topic, "[/imu]");
   app.add_option("--tracks-topic", arguments.tracks_topic, "[/camera/feature_tracks]");
   app.add_flag("--weigh", arguments.weigh, "corners by their covariances, in place of the settings' 1 px for all");
-  CLI11_PARSE(app, argc, argv);
+  if (const std::optional<int> ended = gyro_deblur::read_arguments(app, argc, argv)) return *ended;
   try {
     run(arguments);
   } catch (const std::exception& error) {
