@@ -350,7 +350,7 @@ void run(Arguments arguments) {
 
 int main(int argc, char** argv) {
   gyro_deblur::benchmark::Arguments arguments;
-  CommandLine app{
+  gyro_deblur::CommandLine app{
       "Times all engines in turn on roll fields and prints their ratios; the processor's peaks, memory, and the "
       "stages of the pipeline.",
       "compare_engines"};

@@ -260,7 +260,7 @@ void run(const Arguments& arguments) {
 
 int main(int argc, char** argv) {
   gyro_deblur::benchmark::Arguments arguments;
-  CommandLine app{
+  gyro_deblur::CommandLine app{
       "Times the first frame at new extents against later ones, and blur at uneven speed against even blur; and what "
       "of uneven blur is restored.",
       "compare_kernels"};

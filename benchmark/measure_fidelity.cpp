@@ -216,7 +216,7 @@ void run(const Arguments& arguments) {
 
 int main(int argc, char** argv) {
   gyro_deblur::benchmark::Arguments arguments;
-  CommandLine app{
+  gyro_deblur::CommandLine app{
       "Compares engines with the float engine: parity and restored PSNR over angles and extents, and seams.",
       "measure_fidelity"};
   app.add_option("--engines", arguments.engines, "engines to compare with the float engine").show_default();

@@ -151,7 +151,7 @@ void run(Arguments arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CommandLine app("Tells how well validation tells predicted blur from none and from a third of it.");
+  CommandLine app("Tells how well validation tells predicted blur from none and from a third of it.", "validation");
   app.add_option("--photographs", arguments.photographs, "image files (default: the first images of the Oxford sets)");
   app.add_option("--extents-px", arguments.extents_px, "predicted blur").show_default();
   app.add_option("--noises", arguments.noises, "grey levels").show_default();
