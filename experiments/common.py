@@ -1,4 +1,4 @@
-"""What the experiments share: where things are, programs on one thread, and scripts/report_tables.py."""
+"""What the experiments share: where things are, programs on one thread, report_tables.py and missing_packages.py."""
 
 import os
 import pathlib
@@ -7,6 +7,7 @@ import sys
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 # The scripts are no package, and the experiments are not installed.
 sys.path.insert(0, str(ROOT / "scripts"))
+import missing_packages  # noqa: E402,F401
 from report_tables import fail, number, one_line_about, read_json, table, titled_table  # noqa: E402
 
 __all__ = ["ONE_THREAD", "OPENCV_DOC", "ROOT", "fail", "number", "one_line_about", "read_json", "table", "titled_table",

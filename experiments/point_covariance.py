@@ -5,6 +5,7 @@ import argparse
 import csv
 import pathlib
 
+import common  # noqa: F401  (first: names the package of a module that is missing)
 import matplotlib
 import numpy as np
 

@@ -19,6 +19,7 @@ import shutil
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
 
+import common  # noqa: F401  (first: names the package of a module that is missing)
 import cv2
 import matplotlib
 import numpy

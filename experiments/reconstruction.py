@@ -20,6 +20,7 @@ import sys
 import threading
 import time
 
+import common  # noqa: F401  (first: names the package of a module that is missing)
 import numpy
 from tqdm import tqdm
 

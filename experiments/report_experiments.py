@@ -6,6 +6,7 @@ import csv
 import io
 import os
 
+import common  # noqa: F401  (first: names the package of a module that is missing)
 import cv2
 import matplotlib
 import numpy as np

@@ -5,6 +5,7 @@ Ends well for a bag that cannot be read, too: play_through.py says what is wrong
 """
 import sys
 
+import missing_packages  # noqa: F401  (first: names the package of a module that is missing)
 from bag_input import image_topic, transport_of
 
 bag_path, camera, image = sys.argv[1:]

@@ -3,6 +3,7 @@
 
 import argparse
 
+import missing_packages  # noqa: F401  (first: names the package of a module that is missing)
 import matplotlib
 
 from report_tables import add_table_arguments, one_line_about, read_json, titled_table, write_tables

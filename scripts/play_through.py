@@ -14,6 +14,7 @@ import subprocess
 import threading
 import time
 
+import missing_packages  # noqa: F401  (first: names the package of a module that is missing)
 import rosbag
 import rosgraph
 import rospy
@@ -163,7 +164,10 @@ def grab(path):
     """A picture of the whole display, also as an array."""
     import cv2  # only screenshots need it
 
-    subprocess.run(["import", "-silent", "-window", "root", path], check=True)
+    try:
+        subprocess.run(["import", "-silent", "-window", "root", path], check=True)
+    except FileNotFoundError:
+        fail("there is no program import: apt-get install imagemagick")
     return cv2.imread(path, cv2.IMREAD_COLOR)
 
 

@@ -8,6 +8,7 @@ middle.
 """
 import argparse
 
+import missing_packages  # noqa: F401  (first: names the package of a module that is missing)
 import matplotlib
 import numpy as np
 

@@ -10,6 +10,7 @@ import json
 import os
 import sys
 
+import missing_packages  # noqa: F401  (first: names the package of a module that is missing)
 import numpy as np
 from tqdm import tqdm
 

@@ -17,6 +17,7 @@ import tempfile
 import threading
 import time
 
+import missing_packages  # noqa: F401  (first: names the package of a module that is missing)
 import numpy as np
 
 from bag_input import open_bag
