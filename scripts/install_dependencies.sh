@@ -1,32 +1,47 @@
 #!/usr/bin/env bash
-# Installs the Debian packages that the given groups of work need, or all groups. Does nothing when they are there.
-# Debian 12: from the lists below. Where ROS noetic is in /opt/ros: all groups through rosdep, from package.xml.
+# Installs the packages that the given groups of work need, or all groups. Does nothing when they are there.
+# Debian 12 and 13: from the lists below. Ubuntu 20.04 with ROS noetic in /opt/ros: what package.xml names through
+# rosdep, the rest from the lists below.
 #
 #   scripts/install_dependencies.sh [build] [demo] [test] [proof] [benchmark] [experiments]
 set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
 
-# Also what configuring needs for the tests' targets: one configuration serves the demo and the tests.
-build_packages=(
-  ca-certificates cmake g++ git make
-  libboost-program-options-dev libeigen3-dev libgtest-dev libopencv-dev libyaml-cpp-dev nlohmann-json3-dev
-  ocl-icd-opencl-dev opencl-clhpp-headers zlib1g-dev
-  catkin rosbash ros-core-dev ros-core-python-dev
-  libdiagnostic-updater-dev libdynamic-reconfigure-config-init-mutex-dev libimage-transport-dev libnodelet-dev
-  libnodeletlib-dev libnodeletlib-tools librosbag-dev librostest-dev libtf2-msgs-dev libtf2-dev libtopic-tools-dev
-  pluginlib-dev python3-dynamic-reconfigure
-)
+# Named differently, or on Ubuntu by package.xml.
+if [[ -d /opt/ros/noetic ]]; then
+  rosdep=true
+  ros_build_packages=()
+  ros_demo_packages=()
+  ros_test_packages=(python3-catkin-lint)
+  sanitizer_packages=(clang)  # with its run-time libraries
+else
+  rosdep=false
+  # Also what configuring needs for the tests' targets: one configuration serves the demo and the tests.
+  ros_build_packages=(
+    libboost-program-options-dev libeigen3-dev libgtest-dev libopencv-dev libyaml-cpp-dev nlohmann-json3-dev
+    ocl-icd-opencl-dev opencl-headers zlib1g-dev
+    catkin rosbash ros-core-dev ros-core-python-dev
+    libdiagnostic-updater-dev libdynamic-reconfigure-config-init-mutex-dev libimage-transport-dev libnodelet-dev
+    libnodeletlib-dev libnodeletlib-tools librosbag-dev librostest-dev libtf2-msgs-dev libtf2-dev libtopic-tools-dev
+    pluginlib-dev python3-dynamic-reconfigure
+  )
+  ros_demo_packages=(python3-rosbag rviz)
+  ros_test_packages=(catkin-lint python3-rostest)
+  sanitizer_packages=(clang libclang-rt-dev)
+fi
+
+build_packages=(ca-certificates cmake g++ git make "${ros_build_packages[@]}")
+# Of the report scripts. The nodelet, the launch files and the tools do without.
+report_packages=(imagemagick python3-matplotlib python3-numpy python3-opencv python3-tqdm)
 # rviz is drawn by Mesa in software on a virtual display.
-demo_packages=(
-  imagemagick libgl1-mesa-dri python3-matplotlib python3-numpy python3-opencv python3-rosbag python3-tqdm rviz xvfb
-)
+demo_packages=(libgl1-mesa-dri xvfb "${report_packages[@]}" "${ros_demo_packages[@]}")
 # The tests run the demo's tools and reports too, and the experiments on photographs of opencv-doc.
 test_packages=(
-  "${demo_packages[@]}"
-  catkin-lint clang-format colmap opencv-doc pocl-opencl-icd python3-pil python3-rostest python3-yaml snakemake
+  "${demo_packages[@]}" "${ros_test_packages[@]}"
+  clang-format colmap opencv-doc pocl-opencl-icd python3-pil python3-yaml snakemake
 )
-proof_packages=("${test_packages[@]}" clang libclang-rt-14-dev)
+proof_packages=("${test_packages[@]}" "${sanitizer_packages[@]}")
 benchmark_packages=(libbenchmark-dev opencv-doc pocl-opencl-icd python3-matplotlib)
 # OpenBLAS matches features for the reconstruction.
 experiments_packages=(
@@ -61,16 +76,19 @@ as_root() {
 # Another apt may be at work (unattended upgrades): wait for it.
 apt_get() { as_root env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=600 -q "$@"; }
 
-if [[ -d /opt/ros/noetic ]]; then
-  command -v rosdep > /dev/null || apt_get install -y python3-rosdep
-  [[ -d /etc/ros/rosdep/sources.list.d ]] || as_root rosdep init
-  say "rosdep install --from-paths ${GYRO_DEBLUR_ROOT}"
-  rosdep update
-  rosdep install --from-paths "${GYRO_DEBLUR_ROOT}" --ignore-src --default-yes --rosdistro noetic
-  exit 0
-fi
-
 command -v apt-get > /dev/null || fail "this is no Debian: install the packages listed in $0 by other means"
+
+if "${rosdep}"; then
+  command -v rosdep > /dev/null || { apt_get update && apt_get install -y python3-rosdep; }
+  [[ -d /etc/ros/rosdep/sources.list.d ]] || as_root rosdep init
+  types=(--dependency-types=buildtool --dependency-types=build --dependency-types=build_export
+    --dependency-types=buildtool_export --dependency-types=exec)
+  [[ " $* " != *" test "* && " $* " != *" proof "* ]] || types+=(--dependency-types=test)
+  say "rosdep install --from-paths ${GYRO_DEBLUR_ROOT} ${types[*]}"
+  # Noetic has reached its end of life: rosdep leaves it out unless it is asked for, before 0.19 by the first option.
+  rosdep update --include-eol-distros --rosdistro noetic
+  rosdep install --from-paths "${GYRO_DEBLUR_ROOT}" --ignore-src --default-yes --rosdistro noetic "${types[@]}"
+fi
 
 mapfile -t packages < <(printf '%s\n' "${packages[@]}" | sort -u)
 missing=()
