@@ -23,7 +23,7 @@ set(gyro_deblur_ros_headers
   <tf2_msgs/TFMessage.h> <topic_tools/shape_shifter.h>)
 set(gyro_deblur_tool_headers
   ${gyro_deblur_core_headers} <array> <cstdio> <filesystem> <fstream> <iostream>
-  <CLI/CLI.hpp> <nlohmann/json.hpp> <opencv2/features2d.hpp> <opencv2/imgcodecs.hpp>)
+  <nlohmann/json.hpp> <opencv2/features2d.hpp> <opencv2/imgcodecs.hpp>)
 set(gyro_deblur_test_headers <gtest/gtest.h> <filesystem> <fstream> <random>)
 
 # gyro_deblur_precompile(OWNER HEADERS...): OWNER's headers, which other targets with the same options may use.
