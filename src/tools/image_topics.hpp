@@ -5,9 +5,9 @@
 
 #include <rosbag/message_instance.h>
 #include <sensor_msgs/Image.h>
-#include "tools/command_line.hpp"
 
 #include "tools/bag_file.hpp"
+#include "tools/command_line.hpp"
 
 namespace gyro_deblur {
 
