@@ -17,8 +17,9 @@ using gyro_deblur::fuzz::InputBytes;
 template <typename Message>
 boost::shared_ptr<Message> take(InputBytes* bytes) {
   const auto size = std::min<std::size_t>(bytes->take<std::uint16_t>(), bytes->size());
-  std::vector<std::uint8_t> own(bytes->data(), bytes->data() + size);
-  own.reserve(1);  // the stream wants a pointer, also to nothing
+  std::vector<std::uint8_t> own;
+  own.reserve(size + 1);  // the stream wants a pointer, also to nothing
+  own.assign(bytes->data(), bytes->data() + size);
   bytes->skip(size);
   auto message = boost::make_shared<Message>();
   try {

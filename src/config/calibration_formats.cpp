@@ -28,8 +28,8 @@ namespace fs = std::filesystem;
 /// @param name      what the file has there, as the table spells it
 /// @param spelling  of a row of the table: its name in the file's format, "" where the format does not have it
 template <typename Spelling>
-const LensModelRow& find_lens_model(const Section& section, const std::string& key, const std::string& name,
-                                    const Spelling& spelling) {
+LensModelRow find_lens_model(const Section& section, const std::string& key, const std::string& name,
+                             const Spelling& spelling) {
   std::vector<std::string> supported;
   for (const LensModelRow& row : lens_models()) {
     const std::string known = spelling(row);
@@ -200,8 +200,8 @@ SensorCalibration read_euroc(const Section& root) {
   CameraCalibration camera;
   set_resolution(root, camera);
   set_intrinsics(root.numbers("intrinsics", 4), camera);
-  const LensModelRow& lens = find_lens_model(root, "distortion_model", root.text("distortion_model"),
-                                             [](const LensModelRow& row) { return row.euroc.name; });
+  const LensModelRow lens = find_lens_model(root, "distortion_model", root.text("distortion_model"),
+                                            [](const LensModelRow& row) { return row.euroc.name; });
   camera.model = lens.name;
   camera.coefficients = read_coefficients(root, "distortion_coefficients", lens.euroc.in_distortion, calibration);
   calibration.camera = validated(root, camera);
@@ -237,8 +237,8 @@ CameraCalibration read_vins_camera(const Section& root) {
   camera.width_px = root.integer("image_width");
   camera.height_px = root.integer("image_height");
   root.ignore("camera_name");
-  const LensModelRow& lens = find_lens_model(root, "model_type", upper_if_lower(model),
-                                             [](const LensModelRow& row) { return row.camodocal.name; });
+  const LensModelRow lens = find_lens_model(root, "model_type", upper_if_lower(model),
+                                            [](const LensModelRow& row) { return row.camodocal.name; });
   set_keyed(root, lens, lens.camodocal, camera);
   return validated(root, camera);
 }
@@ -351,8 +351,8 @@ SensorCalibration read_basalt(const Section& root, const std::string& camera_nam
   SensorCalibration calibration;
   CameraCalibration camera;
   const Section section = all.element("intrinsics", index);
-  const LensModelRow& lens = find_lens_model(section, "camera_type", section.text("camera_type"),
-                                             [](const LensModelRow& row) { return row.basalt.name; });
+  const LensModelRow lens = find_lens_model(section, "camera_type", section.text("camera_type"),
+                                            [](const LensModelRow& row) { return row.basalt.name; });
   set_keyed(section, lens, lens.basalt, camera);
   section.child("intrinsics").ignore("rpmax");  // the end of its range, which follows from the coefficients
   const YAML::Node sizes = all.get("resolution");
