@@ -5,8 +5,9 @@ find_path(GYRO_DEBLUR_OPENCL_CXX_DIR NAMES CL/opencl.hpp CL/cl2.hpp HINTS ${Open
 mark_as_advanced(GYRO_DEBLUR_OPENCL_CXX_DIR)
 if(OpenCL_FOUND AND GYRO_DEBLUR_OPENCL_CXX_DIR)
   option(GYRO_DEBLUR_OPENCL "Build the OpenCL engine" ON)
-else()
-  option(GYRO_DEBLUR_OPENCL "Build the OpenCL engine" OFF)
+elseif(NOT DEFINED GYRO_DEBLUR_OPENCL)
+  message(WARNING "OpenCL is not found: the engine opencl is left out. Install ocl-icd-opencl-dev and opencl-headers, or "
+                  "set -DGYRO_DEBLUR_OPENCL=OFF")
 endif()
 set(opencl_folder ${PROJECT_SOURCE_DIR}/src/engine/opencl)
 if(GYRO_DEBLUR_OPENCL)

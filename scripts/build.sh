@@ -47,6 +47,8 @@ say "cmake -S ${GYRO_DEBLUR_ROOT} -B ${GYRO_DEBLUR_BUILD} ${arguments[*]}"
 cmake -S "${GYRO_DEBLUR_ROOT}" -B "${GYRO_DEBLUR_BUILD}" "${arguments[@]}" > "${GYRO_DEBLUR_BUILD}/configure.log" 2>&1 ||
   { cat "${GYRO_DEBLUR_BUILD}/configure.log" >&2; fail "cmake failed; the output is above"; }
 
+show_cmake_warnings "${GYRO_DEBLUR_BUILD}/configure.log"
+
 # Templates of Eigen and OpenCV take about 1 GiB a compiler.
 jobs="$(nproc)"
 memory_jobs="$(awk '/MemAvailable/ {print int($2 / 1048576)}' /proc/meminfo)"

@@ -21,6 +21,9 @@ fail() {
   exit 1
 }
 
+# show_cmake_warnings LOG: what the package's own CMake files warn of.
+show_cmake_warnings() { sed -n '/^CMake Warning at .*(message):$/,/^ *$/p' "$1" >&2; }
+
 # Debian has ROS in /usr, where it needs no set-up; ROS's own packages live in /opt/ros.
 source_system_ros() {
   local setup=/opt/ros/noetic/setup.bash
