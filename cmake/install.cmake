@@ -51,6 +51,10 @@ if(NOT GYRO_DEBLUR_ROS)
   return()
 endif()
 
+# genpy compiles the modules, which then name the build's folders. Python compiles what it imports.
+foreach(folder "" /cfg /msg)
+  install(CODE "file(REMOVE_RECURSE \"\$ENV{DESTDIR}\${CMAKE_INSTALL_PREFIX}/${CATKIN_PACKAGE_PYTHON_DESTINATION}${folder}/__pycache__\")")
+endforeach()
 install(DIRECTORY config launch rviz workflow
   DESTINATION ${CATKIN_PACKAGE_SHARE_DESTINATION}
   USE_SOURCE_PERMISSIONS

@@ -3,7 +3,7 @@
 # Debian 12 and 13: from the lists below. Ubuntu 20.04 with ROS noetic in /opt/ros: what package.xml names through
 # rosdep, the rest from the lists below.
 #
-#   scripts/install_dependencies.sh [build] [demo] [test] [proof] [benchmark] [experiments]
+#   scripts/install_dependencies.sh [build] [demo] [test] [proof] [package] [benchmark] [experiments]
 set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
@@ -42,6 +42,7 @@ test_packages=(
   clang-format colmap opencv-doc pocl-opencl-icd python3-pil python3-yaml snakemake
 )
 proof_packages=("${test_packages[@]}" "${sanitizer_packages[@]}")
+package_packages=(dpkg-dev file)
 benchmark_packages=(libbenchmark-dev opencv-doc pocl-opencl-icd python3-matplotlib)
 # OpenBLAS matches features for the reconstruction.
 experiments_packages=(
@@ -49,7 +50,7 @@ experiments_packages=(
   python3-tqdm python3-yaml
 )
 
-(($# > 0)) || set -- build demo test proof benchmark experiments
+(($# > 0)) || set -- build demo test proof package benchmark experiments
 packages=()
 for group in "$@"; do
   case "${group}" in
@@ -57,6 +58,7 @@ for group in "$@"; do
     demo) packages+=("${demo_packages[@]}") ;;
     test) packages+=("${test_packages[@]}") ;;
     proof) packages+=("${proof_packages[@]}") ;;
+    package) packages+=("${package_packages[@]}") ;;
     benchmark) packages+=("${benchmark_packages[@]}") ;;
     experiments) packages+=("${experiments_packages[@]}") ;;
     *) fail "unknown group ${group}; see --help" ;;
