@@ -10,9 +10,10 @@ if(CMAKE_INSTALL_PREFIX MATCHES "^/opt/ros/([a-z]+)$")
   list(TRANSFORM ros_packages PREPEND ros-${CMAKE_MATCH_1}-)
 else()
   set(CPACK_DEBIAN_PACKAGE_NAME gyro-deblur)
-  set(ros_packages libnodeletlib-tools python3-dynamic-reconfigure python3-genpy python3-rosbag python3-rosgraph
-    python3-roslaunch python3-rosmsg python3-rosnode python3-rospy python3-rosservice python3-sensor-msgs python3-std-msgs
-    ros-message-runtime ros-std-msgs rosbash rviz)
+  # libstd-msgs-dev has the package.xml by which rosmsg finds std_msgs.
+  set(ros_packages libnodeletlib-tools libstd-msgs-dev python3-dynamic-reconfigure python3-genpy python3-rosbag
+    python3-rosgraph python3-roslaunch python3-rosmsg python3-rosnode python3-rospy python3-rosservice
+    python3-sensor-msgs python3-std-msgs ros-message-runtime ros-std-msgs rosbash rviz)
 endif()
 list(JOIN ros_packages ", " CPACK_DEBIAN_PACKAGE_DEPENDS)
 set(CPACK_GENERATOR DEB)
@@ -32,4 +33,5 @@ set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS_PRIVATE_DIRS ${CATKIN_DEVEL_PREFIX}/${CATKIN_
 # For the report scripts, for who links the library, and for OpenCL's engine.
 set(CPACK_DEBIAN_PACKAGE_SUGGESTS "imagemagick, libeigen3-dev, libopencv-dev, opencl-icd, python3-matplotlib, \
 python3-numpy, python3-opencv, python3-tqdm")
+install(FILES LICENSE DESTINATION share/doc/${CPACK_DEBIAN_PACKAGE_NAME} RENAME copyright)
 include(CPack)

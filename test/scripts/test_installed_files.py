@@ -85,7 +85,7 @@ class InstalledFiles(unittest.TestCase):
         if not shutil.which("apt-cache") or not pathlib.Path("/usr/share/catkin").exists():
             self.skipTest("the ROS packages here are not Debian's")
         text = (ROOT / "cmake" / "package.cmake").read_text()
-        names = re.search(r"else\(\)\s*set\(ros_packages([^)]*)\)", text).group(1).split()
+        names = re.search(r"else\(\).*?set\(ros_packages([^)]*)\)", text, re.DOTALL).group(1).split()
         self.assertLessEqual({"rviz", "rosbash", "libnodeletlib-tools", "python3-roslaunch"}, set(names))
         for name in names:
             status = subprocess.run(["dpkg-query", "-W", "-f", "${db:Status-Status}", name], stdout=subprocess.PIPE,
