@@ -75,7 +75,9 @@ cp -r /etc/apt/apt.conf.d "${system}/etc/apt/"
 cp /etc/resolv.conf /etc/hosts "${system}/etc/"
 mount -t proc proc "${system}/proc"
 cp "${deb}" "${system}/gyro_deblur.deb"
-inside() { chroot "${system}" /usr/bin/env -i HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin DEBIAN_FRONTEND=noninteractive "$@"; }
+inside() {
+  chroot "${system}" /usr/bin/env -i HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin DEBIAN_FRONTEND=noninteractive "$@"
+}
 {
   inside apt-get update && inside apt-get install -y --no-install-recommends /gyro_deblur.deb
 } > "${FOLDER}/install.log" 2>&1 ||
