@@ -81,7 +81,7 @@ sim::Scene scene_of(const FootageCase& c, const std::string& data, double second
   calibration.fx_px = calibration.fy_px = 460;
   calibration.cx_px = 375.5;
   calibration.cy_px = 239.5;
-  scene.camera.exposures_ns = {c.exposure_ns};
+  scene.camera.exposures_ns = c.exposures_ns.empty() ? std::vector<TimeNs>{c.exposure_ns} : c.exposures_ns;
   scene.camera.readout_ns = c.readout_ns;
   scene.camera.encoding = "mono16";
   scene.imu.gyro_noise_rad_s = 0.003;

@@ -43,7 +43,8 @@ struct FootageCase {
   double speed = 1;
   CameraPath path = CameraPath::FLIGHT;
   Walls walls = Walls::PAPERED;
-  std::size_t first_photograph = 0;  ///< on the walls: other ones make another room
+  std::size_t first_photograph = 0;       ///< on the walls: other ones make another room
+  std::vector<TimeNs> exposures_ns = {};  ///< one for each frame, in place of exposure_ns; empty: that for all
 
   /// For tables: "30 ms, readout 20 ms, x1.7".
   std::string conditions() const;

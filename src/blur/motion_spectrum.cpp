@@ -160,7 +160,7 @@ Halved halved(const cv::Mat& luminance, double extent_px, double noise) {
   return level;
 }
 
-/// Places of windows, evenly, each by `step_px` from the next or less.
+/// Places of windows, evenly, about `step_px` apart.
 std::vector<int> places(int size_px, double step_px) {
   const int steps = cvRound((size_px - kWindow) / step_px);
   std::vector<int> begins;
