@@ -12,7 +12,6 @@
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <opencv2/imgcodecs.hpp>
 
 #include "features/residual_flow.hpp"
@@ -311,8 +310,8 @@ void Study::run() {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app{"How well the exposure is estimated from the blur.", "exposure_estimate"};
-  app.add_option("--out", arguments.output, "folder for the data")->required();
+  CommandLine app{"How well the exposure is estimated from the blur.", "exposure_estimate"};
+  app.add_option("--out", arguments.output, "folder for the data").required();
   app.add_option("--data", arguments.data, "recorded data, with trajectories/ and shield_burst/");
   app.add_option("--parts", arguments.parts, "frames, changes, recorded [all]");
   app.add_option("--assumptions", arguments.assumptions, "assumed over true exposures [0.35 0.6 1 1.6 3]");
