@@ -1,5 +1,5 @@
-// compare_tracks: corners followed through sharp, blurred and deblurred images of a simulated camera, against its
-// truth.
+// compare_tracks: corners followed by Lucas-Kanade through sharp, blurred and deblurred images of a simulated camera,
+// against its truth.
 //
 // Part 1: constant shake with a median blur of 5, 10, 20 and 40 px. Part 2: a sequence that goes from sharp to blurred
 // and back; SIFT and ORB matches between the sharp image before the shake and those within, and tracks across it.
@@ -21,10 +21,10 @@
 #include <opencv2/features2d.hpp>
 
 #include "base/median.hpp"
-#include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/rotation_track.hpp"
+#include "lk_tracker.hpp"
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
 #include "tools/output_file.hpp"
@@ -178,7 +178,7 @@ struct Tracked {
 
 Tracked follow(const Simulator& simulator, const RotationTrack& rotation, const std::vector<cv::Mat>& images,
                const TrackerOptions& options = {}) {
-  FeatureTracker tracker(options);
+  experiments::LkTracker tracker(options);
   std::map<std::int32_t, Birth> births;
   Tracked result;
   TrackScore& score = result.score;

@@ -11,9 +11,9 @@
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/blur_validation.hpp"
 #include "gyro_deblur/deconvolution.hpp"
-#include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/image_noise.hpp"
 #include "gyro_deblur/pipeline.hpp"
+#include "lk_tracker.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {
@@ -98,7 +98,7 @@ class TrackCount {
 
  private:
   const Footage& footage_;
-  FeatureTracker tracker_;
+  LkTracker tracker_;
   std::map<std::int32_t, Eigen::Vector2d> before_;
 };
 

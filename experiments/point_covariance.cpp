@@ -1,4 +1,4 @@
-// Whether the covariances of keypoints and tracks are those of their errors, by status, extent and noise of their
+// Whether the covariances of keypoints are those of their errors, by status, extent and noise of their
 // block. Writes the tables and data of doc/reports/point_covariance.md.
 #include <algorithm>
 #include <array>
@@ -18,7 +18,6 @@
 
 #include "baselines.hpp"
 #include "footage.hpp"
-#include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/point_covariance.hpp"
 #include "image_pairs.hpp"
@@ -33,7 +32,7 @@ namespace {
 struct Arguments {
   std::string data = GYRO_DEBLUR_DATA_DIR, output;
   std::uint64_t seed = 1;
-  bool no_keypoints = false, no_tracks = false, quick = false, quiet = false;
+  bool quick = false, quiet = false;
 };
 
 const std::vector<double> kExtentBordersPx{0, 1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 60, 100, 500};
@@ -242,114 +241,19 @@ void study_keypoints(const Arguments& arguments, Study* study) {
   }
 }
 
-/// Follows corners through footage as it is, or deblurred.
-void add_tracks(const Footage& footage, const Light& light, std::size_t light_index, bool deblur, Study* study) {
-  // As many as sliding windows have: then a corner begins anew.
-  constexpr int kLongest = 10;
-  struct Seen {
-    int first = 0;
-    Eigen::Vector2d first_px, before_px;
-    Eigen::Matrix2d first_px2[3], before_px2[3];  // whole, by noise, by motion
-  };
-  const RotationTrack rotation = footage.rotation();
-  Pipeline pipeline{PipelineOptions{}};
-  pipeline.set_calibration(footage.camera().calibration());
-  FeatureTracker tracker{TrackerOptions{}};
-  const int window_px = TrackerOptions{}.window_px;
-  std::map<std::int32_t, Seen> before;
-  for (int i = 0; i < footage.frames(); ++i) {
-    PipelineRequest request;
-    request.keypoints = request.image = false;
-    request.luminance = true;
-    const cv::Mat raw = footage.image(i, light);
-    PipelineResult result = pipeline.process(raw, PixelLayout::GRAY, rotation, footage.exposure(i), request);
-    const cv::Mat& image = deblur ? result.luminance : raw;
-    const FrameBlur field = deblur ? result.field : as_blurred(result.field);
-    const PointCovariance covariance(image, field);
-    std::map<std::int32_t, Seen> now;
-    for (const Track& track : tracker.track(image, footage.camera(), rotation, footage.exposure(i))) {
-      Sample sample = sample_at("", covariance, field, track.pixel_px, 0.5 * window_px, kTrackErrors);
-      sample.light = light_index;
-      const Eigen::Matrix2d own_px2[3] = {sample.covariance_px2, sample.by_noise_px2, sample.by_motion_px2};
-      // Successive errors of a corner are much alike: one of so many.
-      constexpr int kOneOf = 8;
-      const bool counts = (track.id + i) % kOneOf == 0;
-      const auto add = [&](const char* points, int frame, const Eigen::Vector2d& from_px,
-                           const Eigen::Matrix2d(&from_px2)[3]) {
-        if (!counts) return;
-        const auto point_m = footage.truth().scene_point(frame, from_px);
-        if (!point_m) return;
-        sample.points = points;
-        sample.error_px = track.pixel_px - footage.truth().pixel_of(i, *point_m);
-        sample.covariance_px2 = own_px2[0] + from_px2[0];
-        sample.by_noise_px2 = own_px2[1] + from_px2[1];
-        sample.by_motion_px2 = own_px2[2] + from_px2[2];
-        // Not this point any more: tracks that left it are outliers to any estimator.
-        constexpr double kLostPx = 5;
-        if (sample.error_px.norm() < kLostPx && sample.covariance_px2.allFinite()) study->add(sample);
-      };
-      Seen seen;
-      const auto last = before.find(track.id);
-      if (last != before.end()) {
-        seen = last->second;
-        add("tracks since the image before", i - 1, seen.before_px, seen.before_px2);
-        if (i - seen.first > 1) add("tracks since first seen", seen.first, seen.first_px, seen.first_px2);
-      }
-      if (last == before.end() || i - seen.first >= kLongest) {
-        seen.first = i;
-        seen.first_px = track.pixel_px;
-        std::copy(std::begin(own_px2), std::end(own_px2), seen.first_px2);
-      }
-      seen.before_px = track.pixel_px;
-      std::copy(std::begin(own_px2), std::end(own_px2), seen.before_px2);
-      now[track.id] = seen;
-    }
-    before = std::move(now);
-  }
-}
-
-void study_tracks(const Arguments& arguments, Study* study) {
-  std::vector<test::RecordedFlight> flights = test::recorded_flights();
-  std::vector<std::pair<TimeNs, double>> ways{{10'000'000, 1}, {20'000'000, 1}, {30'000'000, 1}, {30'000'000, 1.7}};
-  double seconds = 6;
-  if (arguments.quick) flights.resize(1), ways.resize(2), seconds = 3;
-  Progress progress(flights.size() * ways.size(), "flights", arguments.quiet);
-  std::size_t done = 0;
-  for (test::RecordedFlight flight : flights) {
-    // One of two parts of the flight, each in a room with other walls.
-    constexpr double kApartS = 14;
-    flight.start_s += arguments.seed % 2 == 0 ? kApartS : 0;
-    for (const auto& [exposure_ns, speed] : ways) {
-      FootageCase footage_case;
-      footage_case.flight = flight;
-      footage_case.exposure_ns = exposure_ns;
-      footage_case.speed = speed;
-      footage_case.first_photograph = arguments.seed;
-      const Footage footage(footage_case, arguments.data, seconds);
-      for (std::size_t light = 0; light < kLights.size(); ++light) {
-        for (const bool deblur : {false, true}) add_tracks(footage, kLights[light], light, deblur, study);
-      }
-      progress.done(++done);
-    }
-  }
-}
-
 void run(const Arguments& arguments) {
   Study study(arguments);
-  if (!arguments.no_keypoints) study_keypoints(arguments, &study);
-  if (!arguments.no_tracks) study_tracks(arguments, &study);
+  study_keypoints(arguments, &study);
   study.report();
 }
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CommandLine app{"Whether the covariances of keypoints and tracks are those of their errors.", "point_covariance"};
+  CommandLine app{"Whether the covariances of keypoints are those of their errors.", "point_covariance"};
   app.add_option("--out", arguments.output, "folder for the tables, and for all points");
-  app.add_option("--data", arguments.data, "recorded data, with handshake_gyro/ and trajectories/");
+  app.add_option("--data", arguments.data, "recorded data, with handshake_gyro/");
   app.add_option("--seed", arguments.seed, "of the times and views [1]").range(1, 1000);
-  app.add_flag("--no-keypoints", arguments.no_keypoints, "leave keypoints out");
-  app.add_flag("--no-tracks", arguments.no_tracks, "leave tracks out");
-  app.add_flag("--quick", arguments.quick, "eight views, at one strength, and one flight");
+  app.add_flag("--quick", arguments.quick, "eight views, at one strength");
   app.add_flag("--quiet", arguments.quiet, "no progress");
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });
 }

@@ -1,7 +1,9 @@
-// Corners followed from image to image: predicted by the gyroscope, found by pyramidal Lucas-Kanade.
+// Corners followed from image to image, through blur: predicted by the gyroscope, found by aligning patches that have
+// each been blurred by the path of the other.
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -10,6 +12,7 @@
 
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
 #include "gyro_deblur/rotation_track.hpp"
@@ -24,20 +27,27 @@ struct Track {
   Eigen::Vector2d pixel_px = Eigen::Vector2d::Zero();      ///< where it was at the middle of its row's exposure
   Eigen::Vector2d normalized = Eigen::Vector2d::Zero();    ///< undistorted (x / z, y / z) in the image's frame
   Eigen::Vector2d velocity_1_s = Eigen::Vector2d::Zero();  ///< of `normalized` since the image before; new ones: 0
+  /// Of pixel_px, against the scene point that the track began on; 0 in the image in which it began.
+  Eigen::Matrix2d covariance_px2 = Eigen::Matrix2d::Zero();
 };
 
 /// After a longer break nothing is where it was: all tracks are forgotten.
 constexpr TimeNs kLongestTrackBreakNs = 1'000'000'000;
 
-/// Follows corners through the images of one camera. Not thread-safe.
+class BlurredView;
+
+/// Follows corners through the raw images of one camera. Not thread-safe.
 ///
-/// A corner is looked for where the gyroscope says it has gone, so that a turn between two images costs no pyramid
-/// levels; it is kept when tracking it back returns to where it came from, and when it agrees with the epipolar
-/// geometry of the others, from which rotation (row by row) has been taken out first.
+/// A corner is looked for where rotation and residual velocity take it. Its patch in the image before and its patch in
+/// the new image are each blurred by the path of the other, and aligned (features/blur_alignment.hpp); the patch of an
+/// older image, up to ten images back, holds down the drift. A corner is kept when the patches differ by no more than
+/// noise explains, and when it agrees with the epipolar geometry of the others, from which rotation (row by row) has
+/// been taken out first. Where no residual velocity is known, Lucas-Kanade over a pyramid starts the search.
 class FeatureTracker {
  public:
   /// Throws OptionError.
   explicit FeatureTracker(const TrackerOptions& options);
+  ~FeatureTracker();
 
   /// Throws OptionError and keeps the former options when the new ones are not valid.
   void set_options(const TrackerOptions& options);
@@ -53,33 +63,43 @@ class FeatureTracker {
   std::optional<TimeRange> newest_frame() const;
 
   /// Follows the corners into the next image and fills up with new ones.
-  /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
+  /// @param luminance  CV_8UC1 of the camera's size, raw: not deblurred; its pixels are copied
   /// @param motion     from the image before to this one; where it is not known, corners are looked for where they were
   /// @param exposure   of this image; all tracks are forgotten first when it is not after the one before, or more than
   /// kLongestTrackBreakNs later
+  /// @param field      of this image: its residual velocities and noise; null: not known
   /// @return all corners in this image, longest tracks first
   /// Throws std::invalid_argument when the image, or the mask, does not fit.
   const std::vector<Track>& track(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
-                                  const RowExposure& exposure);
+                                  const RowExposure& exposure, const FrameBlur* field = nullptr);
 
   /// The same for the picture of the newest image, which another image repeats: its corners are where they were, and
   /// as fast. Tracks it where it was not the newest one.
   const std::vector<Track>& track_again(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
-                                        const RowExposure& exposure);
+                                        const RowExposure& exposure, const FrameBlur* field = nullptr);
 
  private:
-  void follow(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
-              const RowExposure& exposure);
-  void add_corners(const cv::Mat& luminance, const Camera& camera);
+  struct State;      // of a track
+  struct Candidate;  // for it in a new image
+  struct Searcher;   // finds candidates
+
+  void follow(const std::shared_ptr<const BlurredView>& view, const Camera& camera, const CameraMotion& motion);
+  std::vector<Candidate> search(const BlurredView& view, const Camera& camera, const CameraMotion& motion);
+  /// Again, with what the corners that were found say of the motion around each.
+  void refine(const BlurredView& view, const Camera& camera, const CameraMotion& motion,
+              std::vector<Candidate>* candidates);
+  /// Drops those that do not agree with the epipolar geometry of the others.
+  void check_geometry(const Camera& camera, const std::vector<Eigen::Vector3d>& turned_rays);
+  void add_corners(const std::shared_ptr<const BlurredView>& view, const Camera& camera, const CameraMotion& motion);
 
   TrackerOptions options_;
   PixelMask mask_;
   cv::Mat with_used_window_;  // where corners may start; empty: everywhere, or not worked out yet
   std::int32_t next_id_ = 0;
   std::vector<Track> tracks_;
-  std::vector<cv::Mat> pyramid_;  // of the newest image
-  cv::Size size_;
-  std::optional<RowExposure> exposure_;  // of the newest image
+  std::vector<State> states_;                // of tracks_
+  std::unique_ptr<Searcher> searcher_;       // with its buffers
+  std::shared_ptr<const BlurredView> view_;  // the newest image
   CameraCalibration calibration_;
 };
 

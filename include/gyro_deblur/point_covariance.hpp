@@ -25,8 +25,8 @@ struct PointErrors {
 };
 
 /// Fits to simulated frames, see doc/reports/point_covariance.md: blobs (SIFT, AKAZE), corners that are placed on whole
-/// pixels of their scale (the other detectors), tracks.
-extern const PointErrors kBlobErrors, kCornerErrors, kTrackErrors;
+/// pixels of their scale (the other detectors).
+extern const PointErrors kBlobErrors, kCornerErrors;
 
 /// Covariance of the places of features in one image as it leaves, deblurred or not: 2x2 [px^2], x right, y down,
 /// symmetric and positive definite. It is the sum of
@@ -53,11 +53,6 @@ class PointCovariance {
   /// Of a detected keypoint, against where the same detector puts it in a sharp image without noise.
   /// @param keypoint  in pixels of the image
   Eigen::Matrix2d of_keypoint(const cv::KeyPoint& keypoint, const std::string& detector) const;
-
-  /// Of a corner that was followed from image to image, against where the scene point is that it was found on, as many
-  /// as ten images ago. From one image to the next it errs far less.
-  /// @param window_px  side of the patch that is compared
-  Eigen::Matrix2d of_track(const Eigen::Vector2d& pixel_px, int window_px) const;
 
   /// @param radius_px  > 0: of the window
   Eigen::Matrix2d at(const Eigen::Vector2d& pixel_px, double radius_px, const PointErrors& errors) const;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
 
 #include <Eigen/Dense>
 
@@ -22,13 +23,25 @@ constexpr double kMinWindowShare = 0.4;
 
 /// Lanczos' window of three pixels about sinc, with unit sum. Cubic convolution with four pixels is wrong by 0.015 px
 /// on average where images are sharp down to 0.3 cycles/px.
-Weights interpolation_weights(double fraction) {
+Weights lanczos_weights(double fraction) {
   Weights weights;
   for (int k = 0; k < kTaps; ++k) {
     const double x = CV_PI * (k - kBefore - fraction);
     weights[k] = static_cast<float>(std::abs(x) < 1e-6 ? 1 : std::sin(x) * std::sin(x / 3) * 3 / (x * x));
   }
   return weights / weights.sum();
+}
+
+/// From a table: sines would take most of the time.
+/// @param fraction  [0, 1]
+const Weights& interpolation_weights(double fraction) {
+  constexpr int kSteps = 1024;  // half a step is 0.0005 px, and not always to the same side
+  static const std::vector<Weights> table = [] {
+    std::vector<Weights> weights;
+    for (int i = 0; i <= kSteps; ++i) weights.push_back(lanczos_weights(static_cast<double>(i) / kSteps));
+    return weights;
+  }();
+  return table[static_cast<std::size_t>(fraction * kSteps + 0.5)];
 }
 
 PlanePath mapped(const PlanePath& path_px, const Eigen::Matrix2d& map) {
@@ -159,7 +172,7 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
         place_px + inverse_map * offset_px - Eigen::Vector2d(first_.box.first_x, first_.box.first_y);
     for (int x = 0; x < sampled_.cols(); ++x, at_px += inverse_map.col(0)) {
       const int left = floor_int(at_px.x()), top = floor_int(at_px.y());
-      const Weights across = interpolation_weights(at_px.x() - left), down = interpolation_weights(at_px.y() - top);
+      const Weights &across = interpolation_weights(at_px.x() - left), &down = interpolation_weights(at_px.y() - top);
       float sum = 0;
       for (int j = 0; j < kTaps; ++j) {
         const float* row = &first_.pixels(top - kBefore + j, left - kBefore);
@@ -178,7 +191,7 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
 
 void BlurAligner::sample_patch(const Eigen::Vector2d& place_px) {
   const int x = floor_int(place_px.x()), y = floor_int(place_px.y());
-  const Weights across = interpolation_weights(place_px.x() - x), down = interpolation_weights(place_px.y() - y);
+  const Weights &across = interpolation_weights(place_px.x() - x), &down = interpolation_weights(place_px.y() - y);
   const int left = x + window_.first_x - kBefore - second_.box.first_x,
             top = y + window_.first_y - kBefore - second_.box.first_y, width = window_.width(),
             height = window_.height();

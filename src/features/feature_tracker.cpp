@@ -2,16 +2,21 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <numeric>
 #include <stdexcept>
 #include <string>
 #include <utility>
 
-#include <Eigen/Geometry>
+#include <Eigen/Dense>
 #include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "features/blur_alignment.hpp"
+#include "features/blurred_view.hpp"
 #include "features/corner_following.hpp"
 #include "features/corner_prediction.hpp"
+#include "features/local_motion.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -21,6 +26,8 @@ constexpr std::int32_t kIds = 1 << 24;
 
 /// Of the strongest corner's smaller eigenvalue; VINS-Mono has 0.01 as well.
 constexpr double kCornerQuality = 0.01;
+/// Side of the squares over which gradients are summed.
+constexpr int kCornerBlockPx = 3;
 
 /// The fundamental matrix has seven degrees of freedom; OpenCV's RANSAC wants eight points.
 constexpr std::size_t kMinForGeometry = 8;
@@ -34,16 +41,116 @@ bool inside(const cv::Point2f& p, const cv::Size& size) {
 cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
 Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
 
+/// Successive errors of a track are alike, and its patch sees other depths than its point's: more than their sum. Fits
+/// to simulated flights, see doc/reports/tracks.md.
+Eigen::Matrix2d told_covariance(const Eigen::Matrix2d& sum_px2) {
+  constexpr double kFactor = 5, kFloorPx = 0.06;
+  return kFactor * sum_px2 + kFloorPx * kFloorPx * Eigen::Matrix2d::Identity();
+}
+
+/// A template older than this many images is replaced: its view of the patch has changed by then.
+constexpr int kTemplateImages = 10;
+
 }  // namespace
 
-FeatureTracker::FeatureTracker(const TrackerOptions& options) { set_options(options); }
+struct FeatureTracker::State {
+  BlurredPoint point;  // in the newest image
+  /// The older template: where the point was in an image up to kTemplateImages back.
+  std::shared_ptr<const BlurredView> anchor_view;
+  BlurredPoint anchor;
+  int anchor_age = 0;                                               // [images]
+  Eigen::Matrix2d anchor_map = Eigen::Matrix2d::Identity();         // from there to the newest image
+  Eigen::Matrix2d anchor_covariance_px2 = Eigen::Matrix2d::Zero();  // there, against where the track began
+  Eigen::Matrix2d since_anchor_px2 = Eigen::Matrix2d::Zero();       // in the newest image, against the anchor
+
+  /// In the newest image, against where the track began.
+  Eigen::Matrix2d covariance_px2() const {
+    return anchor_map * anchor_covariance_px2 * anchor_map.transpose() + since_anchor_px2;
+  }
+  /// The newest image becomes that of the older template.
+  void anchor_at(const std::shared_ptr<const BlurredView>& newest) {
+    anchor_covariance_px2 = covariance_px2();
+    since_anchor_px2.setZero();
+    anchor_map.setIdentity();
+    anchor_view = newest;
+    anchor = point;
+    anchor_age = 0;
+  }
+};
+
+struct FeatureTracker::Candidate {
+  PredictedPoint predicted;
+  std::optional<Alignment> found;
+};
+
+struct FeatureTracker::Searcher {
+  BlurAligner aligner;
+  AlignmentOptions options;
+
+  std::optional<Alignment> find(const BlurredView& from, const BlurredPoint& in_from, const BlurredView& to,
+                                const Eigen::Vector2d& start_px, const Eigen::Matrix2d& map, const Camera& camera,
+                                const CameraMotion& motion) {
+    std::optional<Alignment> found =
+        aligner.align(from.luminance(), in_from, to.luminance(), to.point_at(start_px, camera, motion), map, options);
+    if (!found || !is_usable(*found)) return std::nullopt;
+    found->covariance_px2 += model_variance_px2(in_from.path_px, to.point_at(found->place_px, camera, motion).path_px) *
+                             Eigen::Matrix2d::Identity();
+    return found;
+  }
+
+  /// Of what noise does not make: patches that no affine map takes to each other, and paths that are not exact.
+  static double model_variance_px2(const PlanePath& first_px, const PlanePath& second_px) {
+    constexpr double kFloorPx = 0.02, kShareOfExtent = 0.003;  // fits, see doc/reports/tracks.md
+    const double extent_px = std::hypot(extent_of(first_px).norm(), extent_of(second_px).norm());
+    return std::pow(kFloorPx, 2) + std::pow(kShareOfExtent * extent_px, 2);
+  }
+
+  static bool is_usable(const Alignment& found) {
+    // What is less certain helps no estimator, and may have been found by chance.
+    constexpr double kMaxStddevPx = 0.7;
+    const Eigen::Matrix2d& c = found.covariance_px2;
+    const double largest = 0.5 * (c.trace() + std::hypot(c(0, 0) - c(1, 1), 2 * c(0, 1)));
+    return agrees(found) && largest < kMaxStddevPx * kMaxStddevPx;
+  }
+
+  /// Takes a track to where it was found in a new image.
+  void advance(State* state, const Candidate& candidate, const BlurredView& view, const Camera& camera,
+               const CameraMotion& motion) {
+    const Eigen::Matrix2d& map = candidate.predicted.map;
+    state->anchor_map = map * state->anchor_map;
+    state->since_anchor_px2 = map * state->since_anchor_px2 * map.transpose() + candidate.found->covariance_px2;
+    state->point.place_px = candidate.found->place_px;
+    ++state->anchor_age;
+    if (state->anchor_age > 1) hold_down_drift(state, view, camera, motion);
+    state->point = view.point_at(state->point.place_px, camera, motion);
+  }
+
+  /// Improves what was found from the image before by the older template, where the two agree.
+  void hold_down_drift(State* state, const BlurredView& view, const Camera& camera, const CameraMotion& motion) {
+    const std::optional<Alignment> found =
+        find(*state->anchor_view, state->anchor, view, state->point.place_px, state->anchor_map, camera, motion);
+    if (!found) return;
+    constexpr double kMaxMahalanobis = 13.8;  // of two degrees of freedom: 99.9 %
+    const Eigen::Vector2d difference_px = found->place_px - state->point.place_px;
+    const Eigen::Matrix2d sum_px2 = found->covariance_px2 + state->since_anchor_px2;
+    if (difference_px.dot(sum_px2.inverse() * difference_px) > kMaxMahalanobis) return;
+    const Eigen::Matrix2d share = state->since_anchor_px2 * sum_px2.inverse();
+    state->point.place_px += share * difference_px;
+    state->since_anchor_px2 = (Eigen::Matrix2d::Identity() - share) * state->since_anchor_px2;
+  }
+};
+
+FeatureTracker::FeatureTracker(const TrackerOptions& options) : searcher_(std::make_unique<Searcher>()) {
+  set_options(options);
+}
+
+FeatureTracker::~FeatureTracker() = default;
 
 void FeatureTracker::set_options(const TrackerOptions& options) {
   options.validate();
-  // The pyramid of the newest image has the former levels and borders.
-  if (options.window_px != options_.window_px || options.levels != options_.levels) reset();
   if (options.window_px != options_.window_px) with_used_window_.release();
   options_ = options;
+  searcher_->options.window_px = options.window_px;
 }
 
 void FeatureTracker::set_mask(const PixelMask& mask) {
@@ -54,17 +161,18 @@ void FeatureTracker::set_mask(const PixelMask& mask) {
 
 void FeatureTracker::reset() {
   tracks_.clear();
-  pyramid_.clear();
-  exposure_.reset();
+  states_.clear();
+  view_.reset();
 }
 
 std::optional<TimeRange> FeatureTracker::newest_frame() const {
-  if (!exposure_) return std::nullopt;
-  return exposure_->frame();
+  if (!view_) return std::nullopt;
+  return view_->exposure().frame();
 }
 
 const std::vector<Track>& FeatureTracker::track(const cv::Mat& luminance, const Camera& camera,
-                                                const CameraMotion& motion, const RowExposure& exposure) {
+                                                const CameraMotion& motion, const RowExposure& exposure,
+                                                const FrameBlur* field) {
   const CameraCalibration& calibration = camera.calibration();
   if (luminance.type() != CV_8UC1 || luminance.cols != calibration.width_px ||
       luminance.rows != calibration.height_px) {
@@ -72,97 +180,167 @@ const std::vector<Track>& FeatureTracker::track(const cv::Mat& luminance, const 
                                 std::to_string(calibration.width_px) + "x" + std::to_string(calibration.height_px));
   }
   if (!mask_.empty() && mask_.size() != luminance.size()) throw std::invalid_argument("the mask has not its size");
-  if (exposure_) {
-    const TimeNs step_ns = exposure.start(0) - exposure_->start(0);
+  if (view_) {
+    const TimeNs step_ns = exposure.start(0) - view_->exposure().start(0);
     if (step_ns <= 0 || step_ns > kLongestTrackBreakNs || calibration != calibration_) reset();
   }
-  std::vector<cv::Mat> pyramid = corner_pyramid(luminance, options_.window_px, options_.levels);
-  if (exposure_) follow(pyramid, camera, motion, exposure);
-  add_corners(luminance, camera);
-  pyramid_ = std::move(pyramid);
-  exposure_ = exposure;
+  const auto view = std::make_shared<const BlurredView>(luminance, exposure, field);
+  if (view_) follow(view, camera, motion);
+  add_corners(view, camera, motion);
+  view_ = view;
   calibration_ = calibration;
   return tracks_;
 }
 
 const std::vector<Track>& FeatureTracker::track_again(const cv::Mat& luminance, const Camera& camera,
-                                                      const CameraMotion& motion, const RowExposure& exposure) {
-  const bool is_newest = exposure_ && exposure_->start(0) == exposure.start(0);
-  return is_newest ? tracks_ : track(luminance, camera, motion, exposure);
+                                                      const CameraMotion& motion, const RowExposure& exposure,
+                                                      const FrameBlur* field) {
+  const bool is_newest = view_ && view_->exposure().start(0) == exposure.start(0);
+  return is_newest ? tracks_ : track(luminance, camera, motion, exposure, field);
 }
 
-void FeatureTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
-                            const RowExposure& exposure) {
-  if (tracks_.empty()) return;
-  const cv::Size size(camera.calibration().width_px, camera.calibration().height_px);
+std::vector<FeatureTracker::Candidate> FeatureTracker::search(const BlurredView& view, const Camera& camera,
+                                                              const CameraMotion& motion) {
+  std::vector<Candidate> candidates(tracks_.size());
+  std::vector<std::size_t> open;  // what the prediction alone does not find
+  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    Candidate& candidate = candidates[i];
+    candidate.predicted = predict_point(states_[i].point.place_px, *view_, view, camera, motion);
+    if (candidate.predicted.by_residual) {
+      candidate.found = searcher_->find(*view_, states_[i].point, view, candidate.predicted.place_px,
+                                        candidate.predicted.map, camera, motion);
+    }
+    if (!candidate.found) open.push_back(i);
+  }
+  if (open.empty()) return candidates;
   std::vector<cv::Point2f> before, start;
-  for (const Track& track : tracks_) {
-    before.push_back(to_cv(track.pixel_px));
-    start.push_back(
-        to_cv(predicted_pixel(track.pixel_px, camera, motion, *exposure_, exposure).value_or(track.pixel_px)));
+  for (const std::size_t i : open) {
+    before.push_back(to_cv(states_[i].point.place_px));
+    start.push_back(to_cv(candidates[i].predicted.place_px));
   }
   const FollowedCorners corners = follow_there_and_back(
-      pyramid_, pyramid, before, start,
+      corner_pyramid(view_->luminance(), options_.window_px, options_.levels),
+      corner_pyramid(view.luminance(), options_.window_px, options_.levels), before, start,
       {options_.window_px, options_.levels,
        cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.01),  // OpenCV's defaults
        options_.max_round_trip_px});
-  const std::vector<cv::Point2f>& after = corners.places;
+  for (std::size_t k = 0; k < open.size(); ++k) {
+    Candidate& candidate = candidates[open[k]];
+    const bool was_tried = candidate.predicted.by_residual;
+    if (was_tried && !corners.found[k]) continue;
+    const Eigen::Vector2d start_px = corners.found[k] ? to_eigen(corners.places[k]) : candidate.predicted.place_px;
+    candidate.found =
+        searcher_->find(*view_, states_[open[k]].point, view, start_px, candidate.predicted.map, camera, motion);
+  }
+  return candidates;
+}
 
-  const double dt_s = to_seconds(exposure.start(0) - exposure_->start(0));
-  std::vector<Track> followed;
-  // For the epipolar geometry: undistorted pixels of an ideal camera, with the rotation taken out of the first.
-  std::vector<cv::Point2f> ideal_before, ideal_after;
-  const double focal_px = camera.calibration().fx_px;
+void FeatureTracker::refine(const BlurredView& view, const Camera& camera, const CameraMotion& motion,
+                            std::vector<Candidate>* candidates) {
+  std::vector<DisplacedPoint> displaced;
+  for (std::size_t i = 0; i < candidates->size(); ++i) {
+    const Candidate& candidate = (*candidates)[i];
+    if (!candidate.found) continue;
+    displaced.push_back({states_[i].point.place_px, candidate.found->place_px - candidate.predicted.place_px});
+  }
+  for (std::size_t i = 0; i < candidates->size(); ++i) {
+    Candidate& candidate = (*candidates)[i];
+    const LocalMotion local = local_motion(displaced, states_[i].point.place_px);
+    candidate.predicted.map += local.slope;
+    const Eigen::Vector2d start_px =
+        candidate.found ? candidate.found->place_px : candidate.predicted.place_px + local.displacement_px;
+    candidate.found =
+        searcher_->find(*view_, states_[i].point, view, start_px, candidate.predicted.map, camera, motion);
+  }
+}
+
+void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, const Camera& camera,
+                            const CameraMotion& motion) {
+  if (tracks_.empty()) return;
+  std::vector<Candidate> candidates = search(*view, camera, motion);
+  refine(*view, camera, motion, &candidates);
+  const cv::Size size = view->luminance().size();
+  const double dt_s = to_seconds(view->exposure().start(0) - view_->exposure().start(0));
+  std::vector<Track> tracks;
+  std::vector<State> states;
+  std::vector<Eigen::Vector3d> turned_rays;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
-    if (!corners.found[i] || !inside(after[i], size)) continue;
-    if (!mask_.uses({cvRound(after[i].x), cvRound(after[i].y)})) continue;
+    if (!candidates[i].found) continue;
     Track track = tracks_[i];
-    const Eigen::Vector3d ray = camera.ray(to_eigen(after[i]));
+    State state = states_[i];
+    searcher_->advance(&state, candidates[i], *view, camera, motion);
+    const Eigen::Vector2d& at_px = state.point.place_px;
+    if (!inside(to_cv(at_px), size) || !mask_.uses({cvRound(at_px.x()), cvRound(at_px.y())})) continue;
+    const Eigen::Vector3d ray = camera.ray(at_px);
     if (!ray.allFinite()) continue;
-    const auto direction =
-        turned_ray(track.pixel_px, camera, motion, exposure_->middle(track.pixel_px.y()), exposure.middle(after[i].y));
-    ideal_before.push_back(to_cv(focal_px * direction.value_or(camera.ray(track.pixel_px)).hnormalized()));
-    ideal_after.push_back(to_cv(focal_px * ray.hnormalized()));
-    track.pixel_px = to_eigen(after[i]);
+    const auto direction = turned_ray(track.pixel_px, camera, motion, view_->exposure().middle(track.pixel_px.y()),
+                                      view->exposure().middle(at_px.y()));
+    turned_rays.push_back(direction.value_or(camera.ray(track.pixel_px)));
+    track.pixel_px = at_px;
+    track.covariance_px2 = told_covariance(state.covariance_px2());
     const Eigen::Vector2d normalized = camera.normalized(ray);
     track.velocity_1_s = (normalized - track.normalized) / dt_s;
     track.normalized = normalized;
     ++track.length;
-    followed.push_back(track);
+    if (state.anchor_age >= kTemplateImages) state.anchor_at(view);
+    tracks.push_back(track);
+    states.push_back(state);
   }
-  tracks_ = std::move(followed);
-  if (tracks_.size() < kMinForGeometry) return;
+  tracks_ = std::move(tracks);
+  states_ = std::move(states);
+  check_geometry(camera, turned_rays);
+}
 
-  std::vector<uchar> agrees;
+void FeatureTracker::check_geometry(const Camera& camera, const std::vector<Eigen::Vector3d>& turned_rays) {
+  if (tracks_.size() < kMinForGeometry) return;
+  // Undistorted pixels of an ideal camera, with the rotation taken out of the first.
+  std::vector<cv::Point2f> before, after;
+  const double focal_px = camera.calibration().fx_px;
+  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    before.push_back(to_cv(focal_px * turned_rays[i].hnormalized()));
+    after.push_back(to_cv(focal_px * camera.ray(tracks_[i].pixel_px).hnormalized()));
+  }
+  std::vector<uchar> agrees_with_others;
   cv::setRNGSeed(1);  // the same result for the same images
-  cv::findFundamentalMat(ideal_before, ideal_after, cv::FM_RANSAC, options_.max_epipolar_px, kRansacConfidence, agrees);
-  if (agrees.size() != tracks_.size()) return;  // no matrix found: nothing to disagree with
+  cv::findFundamentalMat(before, after, cv::FM_RANSAC, options_.max_epipolar_px, kRansacConfidence, agrees_with_others);
+  if (agrees_with_others.size() != tracks_.size()) return;  // no matrix found: nothing to disagree with
   std::size_t kept = 0;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
     // What stays where the rotation takes it is right whatever the direction of translation.
-    if (!agrees[i] && cv::norm(ideal_after[i] - ideal_before[i]) > options_.max_epipolar_px) continue;
-    tracks_[kept++] = tracks_[i];
+    if (!agrees_with_others[i] && cv::norm(after[i] - before[i]) > options_.max_epipolar_px) continue;
+    tracks_[kept] = tracks_[i];
+    states_[kept++] = states_[i];
   }
   tracks_.resize(kept);
+  states_.resize(kept);
 }
 
-void FeatureTracker::add_corners(const cv::Mat& luminance, const Camera& camera) {
-  std::stable_sort(tracks_.begin(), tracks_.end(), [](const Track& a, const Track& b) { return a.length > b.length; });
+void FeatureTracker::add_corners(const std::shared_ptr<const BlurredView>& view, const Camera& camera,
+                                 const CameraMotion& motion) {
+  const cv::Mat& luminance = view->luminance();
+  std::vector<std::size_t> order(tracks_.size());
+  std::iota(order.begin(), order.end(), 0u);
+  std::stable_sort(order.begin(), order.end(),
+                   [this](std::size_t a, std::size_t b) { return tracks_[a].length > tracks_[b].length; });
   if (with_used_window_.empty()) with_used_window_ = mask_.with_used_window(options_.window_px / 2);
   cv::Mat allowed(luminance.size(), CV_8UC1, cv::Scalar(255));
   if (!with_used_window_.empty()) with_used_window_.copyTo(allowed);
   const int radius_px = cvRound(options_.min_distance_px);
   cv::Mat met(luminance.size(), CV_8UC1, cv::Scalar(0));
-  std::size_t kept = 0;
-  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+  std::vector<Track> tracks;
+  std::vector<State> states;
+  for (const std::size_t i : order) {
     const cv::Point at(cvRound(tracks_[i].pixel_px.x()), cvRound(tracks_[i].pixel_px.y()));
     if (met.at<uchar>(at) != 0) continue;  // two tracks have met: the longer one stays
     // Not at the distance of new ones already, of which many would fall below it by the slightest change of view.
     cv::circle(met, at, radius_px / 2, cv::Scalar(255), cv::FILLED);
     cv::circle(allowed, at, radius_px, cv::Scalar(0), cv::FILLED);
-    tracks_[kept++] = tracks_[i];
+    if (tracks.size() == static_cast<std::size_t>(options_.max_tracks)) continue;
+    tracks.push_back(tracks_[i]);
+    states.push_back(states_[i]);
   }
-  tracks_.resize(std::min(kept, static_cast<std::size_t>(options_.max_tracks)));
+  tracks_ = std::move(tracks);
+  states_ = std::move(states);
   const int missing = options_.max_tracks - static_cast<int>(tracks_.size());
   if (missing <= 0) return;
   // A corner whose window is cut is about to leave, or has just come.
@@ -170,7 +348,8 @@ void FeatureTracker::add_corners(const cv::Mat& luminance, const Camera& camera)
       std::max(options_.window_px / 2, std::min(options_.border_px, std::min(allowed.cols, allowed.rows) / 4));
   cv::rectangle(allowed, {0, 0}, {allowed.cols - 1, allowed.rows - 1}, cv::Scalar(0), 2 * margin_px);
   std::vector<cv::Point2f> corners;
-  cv::goodFeaturesToTrack(luminance, corners, missing, kCornerQuality, options_.min_distance_px, allowed);
+  cv::goodFeaturesToTrack(luminance, corners, missing, kCornerQuality, options_.min_distance_px, allowed,
+                          kCornerBlockPx);
   for (const cv::Point2f& corner : corners) {
     const Eigen::Vector3d ray = camera.ray(to_eigen(corner));
     if (!ray.allFinite()) continue;
@@ -180,6 +359,10 @@ void FeatureTracker::add_corners(const cv::Mat& luminance, const Camera& camera)
     track.pixel_px = to_eigen(corner);
     track.normalized = camera.normalized(ray);
     tracks_.push_back(track);
+    State state;
+    state.point = view->point_at(track.pixel_px, camera, motion);
+    state.anchor_at(view);
+    states_.push_back(state);
   }
 }
 

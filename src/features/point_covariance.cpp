@@ -74,7 +74,6 @@ Eigen::Matrix2d texture_of(const cv::Mat& image, const Eigen::Vector2d& pixel_px
 
 const PointErrors kBlobErrors{3.0, 1, 0.038, 0.032, 0.144, 0.092, 3.2, 0.024, 0};
 const PointErrors kCornerErrors{5.6, 2, 0.048, 0.045, 0.158, 0.118, 1.1, 0, 0.036};
-const PointErrors kTrackErrors{2.45, 0.78, 0.0265, 0.0128, 0.0414, 0.0231, 0.1, 0.262, 0};
 
 PointCovariance::PointCovariance(const cv::Mat& luminance, const FrameBlur& field)
     : luminance_(luminance), field_(field) {
@@ -87,10 +86,6 @@ PointCovariance::PointCovariance(const cv::Mat& luminance, const FrameBlur& fiel
 Eigen::Matrix2d PointCovariance::of_keypoint(const cv::KeyPoint& keypoint, const std::string& detector) const {
   return at({keypoint.pt.x, keypoint.pt.y}, corner_radius_px(keypoint, detector),
             detector == "SIFT" || detector == "AKAZE" ? kBlobErrors : kCornerErrors);
-}
-
-Eigen::Matrix2d PointCovariance::of_track(const Eigen::Vector2d& pixel_px, int window_px) const {
-  return at(pixel_px, 0.5 * window_px, kTrackErrors);
 }
 
 Eigen::Matrix2d PointCovariance::at(const Eigen::Vector2d& pixel_px, double radius_px,

@@ -138,8 +138,7 @@ KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions&
   return message;
 }
 
-sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const PointCovariance& covariance,
-                                      int window_px, const std_msgs::Header& header) {
+sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const std_msgs::Header& header) {
   auto message = boost::make_shared<sensor_msgs::PointCloud>();
   message->header = header;
   enum Channel : std::size_t { ID, U, V, VELOCITY_X, VELOCITY_Y, COVARIANCE_UU, COVARIANCE_UV, COVARIANCE_VV, COUNT };
@@ -167,10 +166,9 @@ sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const Po
     add(V, track.pixel_px.y());
     add(VELOCITY_X, track.velocity_1_s.x());
     add(VELOCITY_Y, track.velocity_1_s.y());
-    const Eigen::Matrix2d covariance_px2 = covariance.of_track(track.pixel_px, window_px);
-    add(COVARIANCE_UU, covariance_px2(0, 0));
-    add(COVARIANCE_UV, covariance_px2(0, 1));
-    add(COVARIANCE_VV, covariance_px2(1, 1));
+    add(COVARIANCE_UU, track.covariance_px2(0, 0));
+    add(COVARIANCE_UV, track.covariance_px2(0, 1));
+    add(COVARIANCE_VV, track.covariance_px2(1, 1));
   }
   return message;
 }

@@ -15,7 +15,6 @@
 #include "gyro_deblur/frame_quality.hpp"
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/pipeline.hpp"
-#include "gyro_deblur/point_covariance.hpp"
 #include "ros/messages.hpp"
 #include "ros/pass_through.hpp"
 
@@ -37,12 +36,9 @@ KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions&
 /// Corners as VINS-Mono's estimator takes them: one point (x, y, 1) each on the undistorted plane z = 1 of the camera,
 /// and the channels id_of_point, u_of_point, v_of_point [px, raw], velocity_x_of_point, velocity_y_of_point [1/s], in
 /// this order, which it reads, and behind them, which it does not, covariance_uu_of_point, covariance_uv_of_point and
-/// covariance_vv_of_point [px^2] of the raw pixel. Corners that were seen for the first time, which have no velocity
-/// yet, are left out, as its own tracker does.
-/// @param covariance  of the image that the tracks were found in
-/// @param window_px   that they were followed with
-sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const PointCovariance& covariance,
-                                      int window_px, const std_msgs::Header& header);
+/// covariance_vv_of_point [px^2] of the raw pixel, against the scene point on which the track began. Corners that were
+/// seen for the first time, which have no velocity yet, are left out, as its own tracker does.
+sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const std_msgs::Header& header);
 
 /// The blur paths as lines at a depth of 1 m in the camera's frame, in the colours of the overlay; short ones for
 /// blocks whose path would cover another's. In a colour of its own, what the images add to a block's motion; a tick

@@ -35,8 +35,7 @@ struct MadePicture {
   bool serves(const AssembledFrame& assembled, const PipelineRequest& wanted) const {
     return configuration == assembled.configuration && calibration == *assembled.frame.calibration &&
            mask.is_same(assembled.mask) && (request.image || !wanted.image) &&
-           (request.keypoints || !wanted.keypoints) && (request.luminance || !wanted.luminance) &&
-           (request.global_shutter || !wanted.global_shutter);
+           (request.keypoints || !wanted.keypoints) && (request.global_shutter || !wanted.global_shutter);
   }
 };
 
@@ -109,7 +108,10 @@ Permit permit_of(const FrameDecision& decision) {
 PipelineResult make(const AssembledFrame& assembled, const FrameRequest& request, const ImageView& view,
                     const RotationTrack& rotation, FrameDecision* decision) {
   const PendingFrame& frame = assembled.frame;
-  PipelineRequest wanted{request.image, request.keypoints, request.tracks, request.global_shutter};
+  PipelineRequest wanted;
+  wanted.image = request.image;
+  wanted.keypoints = request.keypoints;
+  wanted.global_shutter = request.global_shutter;
   wanted.in_a_hurry = assembled.in_a_hurry;
   wanted.repeats_picture = frame.repeats;
   const std::shared_ptr<const MadePicture> made = frame.picture ? frame.picture->made : nullptr;
@@ -181,8 +183,9 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
     tracker->set_mask(assembled.mask);
     const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
     output->tracks =
-        to_message((tracker->*track)(result.luminance, Camera(*frame.calibration), rotation, *assembled.exposure),
-                   PointCovariance(result.luminance, result.field), assembled.tracker_options.window_px, header);
+        to_message((tracker->*track)(luminance8(view.image, view.layout, result.significant_bits),
+                                     Camera(*frame.calibration), rotation, *assembled.exposure, &result.field),
+                   header);
     output->tracks_ms = elapsed_ms(start);
   }
 

@@ -34,11 +34,19 @@ motion: {type: spline, rotation: {sines: [{amplitude: [6, 14, 5], frequency: 2.3
 
 class FeatureTrackerTest : public ::testing::Test {
  protected:
-  FeatureTrackerTest() : simulator_(sim::parse_scene(YAML::Load(kScene), "", "tracker")), motion_(rotation(1)) {
+  FeatureTrackerTest() : FeatureTrackerTest(0.001) {}
+  explicit FeatureTrackerTest(double exposure_s)
+      : simulator_(sim::parse_scene(scene(exposure_s), "", "tracker")), motion_(rotation(1)) {
     for (int i = 0; i < simulator_.frames(); ++i) images_.push_back(simulator_.frame(i).image);
     options_.min_distance_px = 15;
     options_.max_tracks = 60;
     options_.border_px = 0;
+  }
+
+  static YAML::Node scene(double exposure_s) {
+    YAML::Node node = YAML::Load(kScene);
+    node["camera"]["exposure_time"] = exposure_s;
+    return node;
   }
 
   /// @param sign  -1: a gyroscope that is wired the wrong way round
@@ -95,6 +103,48 @@ TEST_F(FeatureTrackerTest, FollowsCornersWhereTheTruthHasThem) {
   EXPECT_GT(run_.followed, 200u);
   EXPECT_LT(run_.wrong, run_.followed / 50);
   EXPECT_GE(run_.longest, 6);
+}
+
+/// The same camera with blur of up to 20 px.
+class BlurredTrackerTest : public FeatureTrackerTest {
+ protected:
+  BlurredTrackerTest() : FeatureTrackerTest(0.020) {}
+};
+
+TEST_F(BlurredTrackerTest, FollowsCornersThroughBlurToATenthOfAPixel) {
+  FeatureTracker tracker(options_);
+  std::map<std::int32_t, Eigen::Vector2d> before_px;
+  std::map<std::int32_t, std::pair<int, Eigen::Vector2d>> births;
+  std::vector<double> errors_px;
+  double squared = 0;
+  std::size_t lost = 0;
+  for (int i = 0; i < simulator_.frames(); ++i) {
+    std::map<std::int32_t, Eigen::Vector2d> now_px;
+    for (const Track& track :
+         tracker.track(images_[static_cast<std::size_t>(i)], simulator_.camera(), motion_, simulator_.exposure(i))) {
+      now_px[track.id] = track.pixel_px;
+      const auto& [birth, born_px] = births.insert({track.id, {i, track.pixel_px}}).first->second;
+      if (track.length == 1) {
+        EXPECT_TRUE(track.covariance_px2.isZero());
+        continue;
+      }
+      errors_px.push_back((track.pixel_px - truth(i - 1, before_px.at(track.id), i)).norm());
+      const Eigen::Vector2d error_px = track.pixel_px - truth(birth, born_px, i);
+      ASSERT_GT(track.covariance_px2.determinant(), 0);
+      squared += error_px.dot(track.covariance_px2.inverse() * error_px);
+      lost += error_px.norm() > 2 ? 1 : 0;
+    }
+    before_px = now_px;
+  }
+  ASSERT_GT(errors_px.size(), 200u);
+  EXPECT_LT(lost, errors_px.size() / 50);
+  const auto count = static_cast<double>(errors_px.size());
+  std::sort(errors_px.begin(), errors_px.end());
+  EXPECT_LT(errors_px[errors_px.size() / 2], 0.1);
+  EXPECT_LT(errors_px[errors_px.size() * 9 / 10], 0.3);
+  // 2 where covariances are those of the errors, which depths that change add to: a single wall has none.
+  EXPECT_GT(squared / count, 0.1);
+  EXPECT_LT(squared / count, 4);
 }
 
 TEST_F(FeatureTrackerTest, TheGyroscopesPredictionIsWhatMakesItSo) {

@@ -507,34 +507,27 @@ TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
   tracks[0].pixel_px = {100.25, 50.5};
   tracks[0].normalized = {-0.25, 0.125};
   tracks[0].velocity_1_s = {0.5, -1.5};
+  tracks[0].covariance_px2 << 0.25, -0.125, -0.125, 1;
   tracks[1].id = 4;  // new: without a velocity yet
   tracks[2].id = 7;
   tracks[2].length = 2;
   tracks[2].normalized = {0.5, 0.75};
+  tracks[2].covariance_px2 << 0.5, 0.0625, 0.0625, 2;
   std_msgs::Header header;
   header.stamp = to_ros_time(12 * kSecond + 345);
   header.frame_id = kCameraFrame;
-  cv::Mat luminance(70, 100, CV_8UC1);
-  cv::RNG(1).fill(luminance, cv::RNG::UNIFORM, 0, 256);
-  FrameBlur field = example_field();
-  field.noise = 2;
-  const PointCovariance covariance(luminance, field);
-  constexpr int kWindowPx = 21;
-  const sensor_msgs::PointCloudPtr message = to_message(tracks, covariance, kWindowPx, header);
+  const sensor_msgs::PointCloudPtr message = to_message(tracks, header);
   EXPECT_EQ(message->header.stamp, header.stamp);
   EXPECT_EQ(message->header.frame_id, kCameraFrame);
   ASSERT_EQ(message->points.size(), 2u);
-  const Eigen::Matrix2f first = covariance.of_track(tracks[0].pixel_px, kWindowPx).cast<float>(),
-                        last = covariance.of_track(tracks[2].pixel_px, kWindowPx).cast<float>();
-  const std::vector<std::pair<std::string, std::vector<float>>> expected{
-      {"id_of_point", {16'777'215.f, 7}},
-      {"u_of_point", {100.25f, 0}},
-      {"v_of_point", {50.5f, 0}},
-      {"velocity_x_of_point", {0.5f, 0}},
-      {"velocity_y_of_point", {-1.5f, 0}},
-      {"covariance_uu_of_point", {first(0, 0), last(0, 0)}},
-      {"covariance_uv_of_point", {first(0, 1), last(0, 1)}},
-      {"covariance_vv_of_point", {first(1, 1), last(1, 1)}}};
+  const std::vector<std::pair<std::string, std::vector<float>>> expected{{"id_of_point", {16'777'215.f, 7}},
+                                                                         {"u_of_point", {100.25f, 0}},
+                                                                         {"v_of_point", {50.5f, 0}},
+                                                                         {"velocity_x_of_point", {0.5f, 0}},
+                                                                         {"velocity_y_of_point", {-1.5f, 0}},
+                                                                         {"covariance_uu_of_point", {0.25f, 0.5f}},
+                                                                         {"covariance_uv_of_point", {-0.125f, 0.0625f}},
+                                                                         {"covariance_vv_of_point", {1, 2}}};
   ASSERT_EQ(message->channels.size(), expected.size());
   for (std::size_t i = 0; i < expected.size(); ++i) {
     EXPECT_EQ(message->channels[i].name, expected[i].first);

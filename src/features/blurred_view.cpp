@@ -1,0 +1,106 @@
+#include "features/blurred_view.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "features/corner_prediction.hpp"
+#include "gyro_deblur/image_noise.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// Of 8-bit images whose noise cannot be estimated, such as saturated ones: that of rounding.
+constexpr double kRoundingNoise = 0.29;
+
+double noise_of(const cv::Mat& luminance, const FrameBlur* field) {
+  if (field != nullptr && field->noise) return std::max(kRoundingNoise, *field->noise);
+  return std::max(kRoundingNoise, image_noise(luminance, PixelLayout::GRAY).value_or(kRoundingNoise));
+}
+
+/// Means over 3 x 3 blocks: the scatter of single ones is larger than what the scene changes from block to block.
+std::vector<BlurredView::Residual> smoothed_residuals(const FrameBlur& field) {
+  std::vector<BlurredView::Residual> residuals;
+  const int cols = field.grid.cols(), rows = field.grid.rows();
+  for (int row = 0; row < rows; ++row) {
+    for (int col = 0; col < cols; ++col) {
+      Eigen::Vector2d sum_px_s = Eigen::Vector2d::Zero();
+      int count = 0;
+      for (int y = std::max(0, row - 1); y <= std::min(rows - 1, row + 1); ++y) {
+        for (int x = std::max(0, col - 1); x <= std::min(cols - 1, col + 1); ++x) {
+          const BlockBlur& block = field.blocks[static_cast<std::size_t>(y * cols + x)];
+          if (!block.residual) continue;
+          sum_px_s += block.residual->velocity_px_s;
+          ++count;
+        }
+      }
+      residuals.push_back({sum_px_s / std::max(1, count), count > 0});
+    }
+  }
+  return residuals;
+}
+
+}  // namespace
+
+BlurredView::BlurredView(const cv::Mat& luminance, const RowExposure& exposure, const FrameBlur* field)
+    : luminance_(luminance.clone()), exposure_(exposure), noise_(noise_of(luminance, field)) {
+  if (field == nullptr) return;
+  grid_ = field->grid;
+  residuals_ = smoothed_residuals(*field);
+}
+
+BlurredView::Residual BlurredView::residual_at(const Eigen::Vector2d& pixel_px) const {
+  Residual mean{Eigen::Vector2d::Zero(), false};
+  if (residuals_.empty()) return mean;
+  double known = 0;
+  for (const BlockGrid::Neighbour& neighbour : grid_.around(pixel_px)) {
+    const Residual& block = residuals_[static_cast<std::size_t>(neighbour.index)];
+    mean.velocity_px_s += neighbour.share * block.velocity_px_s;
+    known += block.is_known ? neighbour.share : 0;
+  }
+  mean.is_known = known > 0;
+  if (mean.is_known) mean.velocity_px_s /= known;
+  return mean;
+}
+
+BlurredPoint BlurredView::point_at(const Eigen::Vector2d& place_px, const Camera& camera,
+                                   const CameraMotion& motion) const {
+  BlurredPoint point{place_px, still_path(), noise_};
+  const TimeNs start_ns = exposure_.start(place_px.y()), middle_ns = exposure_.middle(place_px.y()),
+               end_ns = exposure_.end(place_px.y());
+  const Residual residual = residual_at(place_px);
+  const bool knows_rotation = motion.covers({start_ns, end_ns});
+  const Eigen::Vector3d ray = knows_rotation ? camera.ray(place_px) : Eigen::Vector3d::UnitZ();
+  for (int k = 0; k < kPathInstants; ++k) {
+    const TimeNs instant_ns = start_ns + (end_ns - start_ns) * k / (kPathInstants - 1);
+    Eigen::Vector2d at_px = to_seconds(instant_ns - middle_ns) * residual.velocity_px_s;
+    if (knows_rotation) at_px += camera.project(motion.rotation(middle_ns, instant_ns) * ray) - place_px;
+    if (!at_px.allFinite()) return {place_px, still_path(), noise_};  // beyond the range of the lens model
+    point.path_px[static_cast<std::size_t>(k)] = at_px.cast<float>();
+  }
+  return point;
+}
+
+PredictedPoint predict_point(const Eigen::Vector2d& place_px, const BlurredView& from, const BlurredView& to,
+                             const Camera& camera, const CameraMotion& motion) {
+  bool by_residual = true;
+  const auto predict = [&](const Eigen::Vector2d& at_px) -> Eigen::Vector2d {
+    const Eigen::Vector2d turned_px =
+        predicted_pixel(at_px, camera, motion, from.exposure(), to.exposure()).value_or(at_px);
+    const BlurredView::Residual before = from.residual_at(at_px), now = to.residual_at(turned_px);
+    by_residual = by_residual && (before.is_known || now.is_known);
+    const double both = (before.is_known ? 1 : 0) + (now.is_known ? 1 : 0);
+    const double seconds = to_seconds(to.exposure().middle(turned_px.y()) - from.exposure().middle(at_px.y()));
+    return turned_px + seconds / std::max(1.0, both) * (before.velocity_px_s + now.velocity_px_s);
+  };
+  constexpr double kHalfStepPx = 7;  // as far as the compared patch reaches in most directions
+  PredictedPoint predicted{predict(place_px), Eigen::Matrix2d::Identity(), false};
+  for (int axis = 0; axis < 2; ++axis) {
+    const Eigen::Vector2d step_px = kHalfStepPx * Eigen::Vector2d::Unit(axis);
+    predicted.map.col(axis) = (predict(place_px + step_px) - predict(place_px - step_px)) / (2 * kHalfStepPx);
+  }
+  if (!predicted.map.allFinite()) predicted.map.setIdentity();
+  predicted.by_residual = by_residual;
+  return predicted;
+}
+
+}  // namespace gyro_deblur

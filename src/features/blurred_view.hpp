@@ -1,0 +1,58 @@
+// An image, and how its points move within its exposure.
+#pragma once
+
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "features/blur_alignment.hpp"
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+
+namespace gyro_deblur {
+
+/// What tracking knows of one image.
+class BlurredView {
+ public:
+  /// @param luminance  CV_8UC1, raw; its pixels are copied
+  /// @param field      of this image, or null: no residual velocity is known
+  BlurredView(const cv::Mat& luminance, const RowExposure& exposure, const FrameBlur* field);
+
+  const cv::Mat& luminance() const { return luminance_; }
+  const RowExposure& exposure() const { return exposure_; }
+
+  /// Residual velocity at a pixel, the mean of those known around it.
+  struct Residual {
+    Eigen::Vector2d velocity_px_s;
+    bool is_known;  ///< false: the velocity is 0
+  };
+  Residual residual_at(const Eigen::Vector2d& pixel_px) const;
+
+  /// A point that is at `place_px` at the middle of its row's exposure, with its path by rotation and residual
+  /// velocity. What is not known of the motion counts as none.
+  BlurredPoint point_at(const Eigen::Vector2d& place_px, const Camera& camera, const CameraMotion& motion) const;
+
+ private:
+  cv::Mat luminance_;
+  RowExposure exposure_;
+  double noise_;
+  BlockGrid grid_;
+  std::vector<Residual> residuals_;  // of the blocks; empty: known nowhere
+};
+
+/// Where a point of one image is in the next, and the Jacobian of that.
+struct PredictedPoint {
+  Eigen::Vector2d place_px;
+  Eigen::Matrix2d map;
+  bool by_residual;  ///< a residual velocity is known beside the rotation
+};
+
+/// By the rotation between the instants at which the two images show the point, and the mean of both images' residual
+/// velocities times the time between. What is not known counts as none.
+PredictedPoint predict_point(const Eigen::Vector2d& place_px, const BlurredView& from, const BlurredView& to,
+                             const Camera& camera, const CameraMotion& motion);
+
+}  // namespace gyro_deblur

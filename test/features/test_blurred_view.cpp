@@ -1,0 +1,110 @@
+#include "features/blurred_view.hpp"
+
+#include <gtest/gtest.h>
+#include <opencv2/core.hpp>
+
+#include "gyro_deblur/gyro_buffer.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr TimeNs kExposureNs = 20'000'000, kPeriodNs = 50'000'000;
+const cv::Size kSize(320, 240);
+const Eigen::Vector2d kPixel(100, 150), kVelocityPxS(60, -20);
+constexpr double kFocalPx = 250, kRollRadS = 0.8;
+
+Camera camera() {
+  CameraCalibration calibration;
+  calibration.width_px = kSize.width;
+  calibration.height_px = kSize.height;
+  calibration.fx_px = calibration.fy_px = kFocalPx;
+  calibration.cx_px = 160;
+  calibration.cy_px = 120;
+  return Camera(calibration);
+}
+
+/// The camera rolls: what it sees turns about the optical axis, the other way.
+RotationTrack rolling(TimeNs end_ns = 200'000'000) {
+  std::vector<GyroSample> samples;
+  for (TimeNs t_ns = 0; t_ns <= end_ns; t_ns += 5'000'000) samples.push_back({t_ns, {0, 0, kRollRadS}});
+  return RotationTrack(samples, GyroOptions{}, Eigen::Matrix3d::Identity());
+}
+
+RowExposure exposure(int frame) {
+  ShutterTiming timing;
+  timing.exposure_ns = kExposureNs;
+  return RowExposure(20'000'000 + frame * kPeriodNs, kSize.height, timing);
+}
+
+FrameBlur moving_field() {
+  FrameBlur field;
+  field.grid = BlockGrid(kSize.width, kSize.height, 32);
+  field.noise = 2;
+  BlockBlur block;
+  block.residual = ResidualVelocity{kVelocityPxS, 1};
+  field.blocks.assign(static_cast<std::size_t>(field.grid.size()), block);
+  return field;
+}
+
+Eigen::Vector2d rolled(const Eigen::Vector2d& pixel_px, double seconds) {
+  const Eigen::Vector2d center_px(160, 120);
+  return center_px + Eigen::Rotation2Dd(-kRollRadS * seconds) * (pixel_px - center_px);
+}
+
+class BlurredViewTest : public testing::Test {
+ protected:
+  const cv::Mat image_ = cv::Mat(kSize, CV_8UC1, cv::Scalar(90));
+  const FrameBlur field_ = moving_field();
+};
+
+TEST_F(BlurredViewTest, PathIsThatOfRotationAndResidualVelocity) {
+  const BlurredView view(image_, exposure(0), &field_);
+  const BlurredPoint point = view.point_at(kPixel, camera(), rolling());
+  EXPECT_EQ(point.place_px, kPixel);
+  EXPECT_EQ(point.noise, 2);
+  for (int k = 0; k < kPathInstants; ++k) {
+    const double since_middle_s = to_seconds(kExposureNs) * (static_cast<double>(k) / (kPathInstants - 1) - 0.5);
+    const Eigen::Vector2d expected_px = rolled(kPixel, since_middle_s) + since_middle_s * kVelocityPxS - kPixel;
+    EXPECT_LT((point.path_px[static_cast<std::size_t>(k)].cast<double>() - expected_px).norm(), 1e-3) << k;
+  }
+}
+
+TEST_F(BlurredViewTest, WhatIsNotKnownOfTheMotionCountsAsNone) {
+  const BlurredView unknown(image_, exposure(0), nullptr), moving(image_, exposure(0), &field_);
+  const RotationTrack nothing({}, GyroOptions{}, Eigen::Matrix3d::Identity());
+  for (const Eigen::Vector2f& place_px : unknown.point_at(kPixel, camera(), nothing).path_px) {
+    EXPECT_TRUE(place_px.isZero());
+  }
+  EXPECT_FALSE(unknown.residual_at(kPixel).is_known);
+  const BlurredPoint by_images = moving.point_at(kPixel, camera(), nothing);
+  EXPECT_LT((by_images.path_px.back().cast<double>() - 0.5 * to_seconds(kExposureNs) * kVelocityPxS).norm(), 1e-4);
+}
+
+TEST_F(BlurredViewTest, ResidualVelocitiesFillGapsFromTheirNeighbours) {
+  FrameBlur field = field_;
+  const auto middle = static_cast<std::size_t>(field.grid.index_at(kPixel.x(), kPixel.y()));
+  field.blocks[middle].residual.reset();
+  EXPECT_LT((BlurredView(image_, exposure(0), &field).residual_at(kPixel).velocity_px_s - kVelocityPxS).norm(), 1e-9);
+  for (BlockBlur& block : field.blocks) block.residual.reset();
+  EXPECT_FALSE(BlurredView(image_, exposure(0), &field).residual_at(kPixel).is_known);
+}
+
+TEST_F(BlurredViewTest, PredictsPlaceAndMap) {
+  const BlurredView before(image_, exposure(0), &field_), now(image_, exposure(1), &field_);
+  const double seconds = to_seconds(kPeriodNs);
+  const PredictedPoint predicted = predict_point(kPixel, before, now, camera(), rolling());
+  EXPECT_TRUE(predicted.by_residual);
+  EXPECT_LT((predicted.place_px - rolled(kPixel, seconds) - seconds * kVelocityPxS).norm(), 1e-3);
+  EXPECT_LT((predicted.map - Eigen::Rotation2Dd(-kRollRadS * seconds).toRotationMatrix()).norm(), 1e-4);
+
+  const BlurredView unknown(image_, exposure(1), nullptr);
+  EXPECT_FALSE(
+      predict_point(kPixel, BlurredView(image_, exposure(0), nullptr), unknown, camera(), rolling()).by_residual);
+  const PredictedPoint still = predict_point(kPixel, BlurredView(image_, exposure(0), nullptr), unknown, camera(),
+                                             RotationTrack({}, GyroOptions{}, Eigen::Matrix3d::Identity()));
+  EXPECT_EQ(still.place_px, kPixel);
+  EXPECT_LT((still.map - Eigen::Matrix2d::Identity()).norm(), 1e-9);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
