@@ -28,24 +28,6 @@ double difference(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b) {
   return Eigen::AngleAxisd(Eigen::Matrix3d(a.transpose() * b)).angle();
 }
 
-/// Takes an estimate that is the first, surer, or another one: values that change with every estimate would shake the
-/// motion from frame to frame.
-template <typename Value>
-bool take(const Learned<Value>& newest, Learned<Value>* taken) {
-  constexpr double kSurer = 0.6, kAnother = 2;
-  if (!newest.known) {
-    const bool lost = taken->known;
-    *taken = newest;
-    return lost;
-  }
-  if (taken->known && newest.stddev > kSurer * taken->stddev &&
-      difference(newest.value, taken->value) < kAnother * newest.stddev) {
-    return false;
-  }
-  *taken = newest;
-  return true;
-}
-
 std::string text_of(double seconds) { return number("%.4f s", seconds); }
 std::string text_of(const Eigen::Vector3d& bias_rad_s) { return vector_text(bias_rad_s) + " rad/s"; }
 std::string text_of(const Eigen::Matrix3d& R) { return to_string(R); }
@@ -75,11 +57,11 @@ CalibrationRow given_row(const std::string& key, const Value& value, const std::
 /// @param without  what is done meanwhile
 template <typename Value>
 CalibrationRow learned_row(const std::string& key, bool learns, const Learned<Value>& taken, const std::string& missing,
-                           const std::string& without) {
+                           const std::string& without, bool is_remembered) {
   if (taken.known && learns) {
     return {key,
             text_of(taken.value) + " (+- " + distance_text(taken, taken.stddev) + "), by the images of " +
-                number("%.0f s", taken.seconds),
+                number("%.0f s", taken.seconds) + (is_remembered ? " before this start" : ""),
             true};
   }
   return {key, "not known, " + without + ": " + (learns ? missing : "self_calibration is never"), false};
@@ -93,6 +75,53 @@ CalibrationInUse::CalibrationInUse(InputProblems* problems, Log log)
 void CalibrationInUse::set_config(const Config& config) {
   given_ = config;
   use();
+}
+
+// Values that change with every estimate would shake the motion from frame to frame.
+template <typename Value>
+bool CalibrationInUse::take(const std::string& key, const Learned<Value>& newest, Learned<Value>* taken) {
+  constexpr double kSurer = 0.6, kAnother = 2, kContradicting = 4;
+  if (!newest.known) {
+    if (!taken->known) *taken = newest;
+    return false;
+  }
+  const double change = difference(newest.value, taken->value);
+  if (taken->known && newest.stddev > kSurer * taken->stddev && change < kAnother * newest.stddev) return false;
+  if (remembered_.erase(key) > 0 && change > kContradicting * std::hypot(newest.stddev, taken->stddev)) {
+    log_(LogLevel::WARNING, key + " of before this start is dropped: it was " + text_of(taken->value) +
+                                ", the images say " + text_of(newest.value));
+  }
+  *taken = newest;
+  return true;
+}
+
+void CalibrationInUse::remember(const LearnedCalibration& before) {
+  const auto take_over = [this](const char* key, bool is_given, const auto& value, auto* taken) {
+    if (is_given || !value.known || taken->known) return;
+    *taken = value;
+    remembered_.insert(key);
+  };
+  take_over("R_cam_imu", given_.R_cam_imu.has_value(), before.R_cam_imu, &taken_.R_cam_imu);
+  take_over("time_offset", given_.given.time_offset, before.time_offset_s, &taken_.time_offset_s);
+  take_over("readout_time", given_.given.readout_time, before.readout_s, &taken_.readout_s);
+  take_over("gyro_bias", given_.given.gyro_bias, before.bias_rad_s, &taken_.bias_rad_s);
+  use();
+}
+
+void CalibrationInUse::forget() {
+  learned_ = taken_ = SelfCalibration().learned();
+  remembered_.clear();
+  use();
+  check();
+}
+
+LearnedCalibration CalibrationInUse::by_images() const {
+  LearnedCalibration used = taken_;
+  used.R_cam_imu.known = used.R_cam_imu.known && learns() && !given_.R_cam_imu;
+  used.time_offset_s.known = used.time_offset_s.known && learns() && !given_.given.time_offset;
+  used.readout_s.known = used.readout_s.known && learns() && !given_.given.readout_time;
+  used.bias_rad_s.known = used.bias_rad_s.known && learns() && !given_.given.gyro_bias;
+  return used;
 }
 
 void CalibrationInUse::use() {
@@ -132,14 +161,10 @@ bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_s
   learned_ = learned;
   readout_share_ = readout_share;
   const LearnedCalibration before = taken_;
-  bool changed = take(learned.R_cam_imu, &taken_.R_cam_imu);
-  // Together: one is taken for the other's value.
-  if (take(learned.readout_s, &taken_.readout_s) || take(learned.time_offset_s, &taken_.time_offset_s)) {
-    taken_.readout_s = learned.readout_s;
-    taken_.time_offset_s = learned.time_offset_s;
-    changed = true;
-  }
-  changed = take(learned.bias_rad_s, &taken_.bias_rad_s) || changed;
+  bool changed = take("R_cam_imu", learned.R_cam_imu, &taken_.R_cam_imu);
+  changed = take("readout_time", learned.readout_s, &taken_.readout_s) || changed;
+  changed = take("time_offset", learned.time_offset_s, &taken_.time_offset_s) || changed;
+  changed = take("gyro_bias", learned.bias_rad_s, &taken_.bias_rad_s) || changed;
   use();
   check();
   if (!learns()) return false;
@@ -196,27 +221,29 @@ void CalibrationInUse::check() {
 std::vector<CalibrationRow> CalibrationInUse::table() const {
   const UsedCalibration in_use = used();
   const SensorCalibration file = given_.calibration.value_or(SensorCalibration());
+  const auto unknown = [this](const std::string& key, const auto& taken, const std::string& missing,
+                              const std::string& without) {
+    return learned_row(key, learns(), taken, missing, without, remembered_.count(key) > 0);
+  };
   std::vector<CalibrationRow> rows;
-  rows.push_back(in_use.R_cam_imu ? given_row("R_cam_imu", in_use.R_cam_imu->value, in_use.R_cam_imu->source, learns(),
-                                              learned_.R_cam_imu)
-                                  : learned_row("R_cam_imu", learns(), taken_.R_cam_imu, learned_.R_cam_imu.missing,
-                                                "images pass through unless tf has it"));
+  rows.push_back(
+      in_use.R_cam_imu
+          ? given_row("R_cam_imu", in_use.R_cam_imu->value, in_use.R_cam_imu->source, learns(), learned_.R_cam_imu)
+          : unknown("R_cam_imu", taken_.R_cam_imu, learned_.R_cam_imu.missing, "images pass through unless tf has it"));
   const Learned<double> offset = time_offset();
   rows.push_back(given_.given.time_offset
                      ? given_row("time_offset", to_seconds(given_.gyro.time_offset_ns),
                                  source(file.time_offset_ns.has_value()), learns(), offset)
-                     : learned_row("time_offset", learns(), offset, learned_.time_offset_s.missing, "0 s is used"));
-  rows.push_back(in_use.readout_ns ? given_row("readout_time", to_seconds(in_use.readout_ns->value),
-                                               in_use.readout_ns->source, learns(), learned_.readout_s)
-                                   : learned_row("readout_time", learns(), taken_.readout_s, learned_.readout_s.missing,
-                                                 "0 s is used"));
-  if (measured_bias_rad_s_) {
-    rows.push_back(given_row("gyro_bias", *measured_bias_rad_s_, "estimate_gyro_bias", learns(), learned_.bias_rad_s));
-  } else if (given_.given.gyro_bias) {
-    rows.push_back(given_row("gyro_bias", given_.gyro.bias_rad_s, "parameter", learns(), learned_.bias_rad_s));
+                     : unknown("time_offset", offset, learned_.time_offset_s.missing, "0 s is used"));
+  rows.push_back(in_use.readout_ns
+                     ? given_row("readout_time", to_seconds(in_use.readout_ns->value), in_use.readout_ns->source,
+                                 learns(), learned_.readout_s)
+                     : unknown("readout_time", taken_.readout_s, learned_.readout_s.missing, "0 s is used"));
+  if (measured_bias_rad_s_ || given_.given.gyro_bias) {
+    rows.push_back(given_row("gyro_bias", measured_bias_rad_s_.value_or(given_.gyro.bias_rad_s),
+                             measured_bias_rad_s_ ? "estimate_gyro_bias" : "parameter", learns(), learned_.bias_rad_s));
   } else {
-    rows.push_back(
-        learned_row("gyro_bias", learns(), taken_.bias_rad_s, learned_.bias_rad_s.missing, "0 rad/s is used"));
+    rows.push_back(unknown("gyro_bias", taken_.bias_rad_s, learned_.bias_rad_s.missing, "0 rad/s is used"));
   }
   return rows;
 }

@@ -30,6 +30,12 @@ class CalibrationInUse {
   CalibrationInUse(InputProblems* problems, Log log);
 
   void set_config(const Config& config);
+  /// What was learned before, e.g. at the last start: used until the images tell something surer, or something else.
+  void remember(const LearnedCalibration& before);
+  /// As after the start, with nothing remembered.
+  void forget();
+  /// What is used as the images told it, and nothing else.
+  LearnedCalibration by_images() const;
   /// The configuration, with what has been learned in place of what is not given.
   const Config& config() const { return config_; }
   /// True when nobody has given a rotation, and the images have told it. tf goes before it.
@@ -51,6 +57,9 @@ class CalibrationInUse {
  private:
   bool learns() const { return given_.self_calibration == SelfCalibrationMode::AUTO; }
   void use();
+  /// Takes an estimate that is the first, surer, or another one. @return true when it is used from now on
+  template <typename Value>
+  bool take(const std::string& key, const Learned<Value>& newest, Learned<Value>* taken);
   void check();
   /// Of a value that is given: "parameter", or the calibration file that has it.
   std::string source(bool file_has_it) const;
@@ -63,8 +72,9 @@ class CalibrationInUse {
   Config given_, config_;
   std::optional<Eigen::Matrix3d> R_cam_imu_, from_tf_;
   std::optional<Eigen::Vector3d> measured_bias_rad_s_;
-  LearnedCalibration learned_;  // newest
-  LearnedCalibration taken_;    // in use where nothing is given
+  LearnedCalibration learned_;        // newest
+  LearnedCalibration taken_;          // in use where nothing is given
+  std::set<std::string> remembered_;  // keys of values in taken_
   double readout_share_ = 1;
   std::set<std::string> contradicted_;  // keys
 };

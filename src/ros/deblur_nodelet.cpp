@@ -13,6 +13,7 @@
 #include "gyro_deblur/config.hpp"
 #include "ros/param_conversion.hpp"
 #include "ros/steady_clock.hpp"
+#include "ros/stored_calibration.hpp"
 #include "ros/tf_conversion.hpp"
 #include "ros/value_conversion.hpp"
 
@@ -61,6 +62,7 @@ DeblurNodelet::~DeblurNodelet() {
   reset_service_.shutdown();
   bias_service_.shutdown();
   reset_calibration_service_.shutdown();
+  save_calibration_service_.shutdown();
   tf_subscriber_.shutdown();
   tf_static_subscriber_.shutdown();
   mask_subscriber_.shutdown();
@@ -94,6 +96,7 @@ DeblurNodelet::~DeblurNodelet() {
       });
     }
   }
+  if (processor_) guarded("storing the calibration", [this] { save_calibration(); });
   image_publisher_.shutdown();
   info_publisher_.shutdown();
   overlay_publisher_.shutdown();
@@ -132,6 +135,16 @@ void DeblurNodelet::onInit() {
   environment.exposure_expected = [this] { return exposure_expected_.load(); };
   environment.request = [this] { return request(); };
   environment.self_calibration = SelfCalibrator::Work::IN_BACKGROUND;
+  environment.stored_calibration = [this](int width_px, int height_px) {
+    std::optional<LearnedCalibration> stored;
+    guarded("reading the stored calibration", [&] {
+      if (ros::Time::isSimTime()) return;
+      const std::string path = stored_calibration_path(getName(), width_px, height_px);
+      stored = load_stored_calibration(path);
+      if (stored) NODELET_INFO_STREAM("calibration of the last start from " << path << ", until the images tell more");
+    });
+    return stored;
+  };
 
   ros::NodeHandle& nh = getNodeHandle();
   ros::NodeHandle& private_nh = getPrivateNodeHandle();
@@ -168,6 +181,8 @@ void DeblurNodelet::onInit() {
   reset_service_ = private_nh.advertiseService("reset", &DeblurNodelet::on_reset, this);
   reset_calibration_service_ =
       private_nh.advertiseService("reset_calibration", &DeblurNodelet::on_reset_calibration, this);
+  save_calibration_service_ =
+      private_nh.advertiseService("save_calibration", &DeblurNodelet::on_save_calibration, this);
   bias_service_ = private_nh.advertiseService("estimate_gyro_bias", &DeblurNodelet::on_estimate_bias, this);
 
   diagnostics_ = std::make_unique<diagnostic_updater::Updater>(nh, private_nh, getName());
@@ -446,7 +461,42 @@ bool DeblurNodelet::on_reset_calibration(std_srvs::Trigger::Request&, std_srvs::
   processor_->reset_calibration();
   response.success = true;
   response.message = "what the images have told of the calibration is forgotten";
-  NODELET_INFO_STREAM("reset_calibration: " << response.message);
+  try {
+    const auto seen = processor_->calibration_by_images();
+    if (seen && !ros::Time::isSimTime()) {
+      remove_stored_calibration(stored_calibration_path(getName(), seen->width_px, seen->height_px));
+    }
+  } catch (const std::exception& error) {
+    response.success = false;
+    response.message += std::string(", but ") + error.what();
+  }
+  log(response.success ? LogLevel::INFO : LogLevel::WARNING, "reset_calibration: " + response.message);
+  return true;
+}
+
+std::string DeblurNodelet::save_calibration() const {
+  const auto seen = processor_->calibration_by_images();
+  if (!seen || ros::Time::isSimTime()) return {};
+  const LearnedCalibration& c = seen->calibration;
+  if (!c.R_cam_imu.known && !c.time_offset_s.known && !c.readout_s.known && !c.bias_rad_s.known) return {};
+  const std::string path = stored_calibration_path(getName(), seen->width_px, seen->height_px);
+  if (!path.empty()) save_stored_calibration(path, c);
+  return path;
+}
+
+bool DeblurNodelet::on_save_calibration(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+  try {
+    const std::string path = save_calibration();
+    response.success = !path.empty();
+    response.message = response.success ? "stored in " + path
+                       : ros::Time::isSimTime()
+                           ? "nothing is stored with use_sim_time"
+                           : "nothing is stored: the images have told nothing that is used, see the diagnostics";
+  } catch (const std::exception& error) {
+    response.success = false;
+    response.message = error.what();
+  }
+  log(response.success ? LogLevel::INFO : LogLevel::WARNING, "save_calibration: " + response.message);
   return true;
 }
 
@@ -522,6 +572,8 @@ void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {
       const std::lock_guard<std::mutex> lock(connection_mutex_);
       subscribed = image_subscriber_ || compressed_subscriber_;
     }
+    constexpr int kStoredEvery = 60;
+    if (++diagnostics_reports_ % kStoredEvery == 0) save_calibration();
     const double silence_s = to_seconds(steady_now_ns() - last_image_ns_);
     if (subscribed && silence_s > kImageSilenceS) {
       NODELET_WARN_STREAM_THROTTLE(

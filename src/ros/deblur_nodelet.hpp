@@ -74,6 +74,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   void on_transforms(const tf2_msgs::TFMessageConstPtr& message);
   bool on_reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   bool on_reset_calibration(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
+  bool on_save_calibration(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   bool on_estimate_bias(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   void on_diagnostics_timer(const ros::WallTimerEvent& event);
   void fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status);
@@ -85,6 +86,10 @@ class DeblurNodelet : public nodelet::Nodelet {
   void work();
   void publish(const FrameOutput& output);
   void log(LogLevel level, const std::string& text) const;
+  /// Stores what the images have told of the calibration, if it is stored at all, and they have. Throws
+  /// std::runtime_error.
+  /// @return the path of the file; empty: nothing was stored
+  std::string save_calibration() const;
 
   std::unique_ptr<Processor> processor_;
 
@@ -130,7 +135,9 @@ class DeblurNodelet : public nodelet::Nodelet {
   ros::ServiceServer reset_service_;
   ros::ServiceServer bias_service_;
   ros::ServiceServer reset_calibration_service_;
+  ros::ServiceServer save_calibration_service_;
   ros::WallTimer diagnostics_timer_;
+  int diagnostics_reports_ = 0;  // one each second; of the timer alone
   std::unique_ptr<diagnostic_updater::Updater> diagnostics_;
 
   DiagnosticReport report_;

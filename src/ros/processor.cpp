@@ -145,6 +145,7 @@ void Processor::add_image(const sensor_msgs::ImageConstPtr& image, const std::st
     frame.settle(error.reason(), error.what());
   }
   const std::lock_guard<std::mutex> lock(mutex_);
+  if (frame.verdict == PassThroughReason::NONE) remember_calibration(*image);
   // One without a stamp is no image of the instant 0.
   if (environment_.stereo && !is_unset(frame.stamp_ns)) environment_.stereo->announce(frame.stamp_ns);
   intake_.add_frame(std::move(frame));
@@ -444,7 +445,25 @@ void Processor::reset() {
   problems_.clear();
 }
 
-void Processor::reset_calibration() { self_calibrator_.clear(); }
+void Processor::reset_calibration() {
+  self_calibrator_.clear();
+  const std::lock_guard<std::mutex> lock(mutex_);
+  calibration_.forget();
+}
+
+void Processor::remember_calibration(const sensor_msgs::Image& image) {
+  if (image_size_) return;
+  image_size_.emplace(static_cast<int>(image.width), static_cast<int>(image.height));
+  if (!environment_.stored_calibration) return;
+  const auto before = environment_.stored_calibration(image_size_->width, image_size_->height);
+  if (before) calibration_.remember(*before);
+}
+
+std::optional<Processor::CalibrationByImages> Processor::calibration_by_images() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!image_size_) return std::nullopt;
+  return CalibrationByImages{calibration_.by_images(), image_size_->width, image_size_->height};
+}
 
 bool Processor::estimate_bias(std::string* text) {
   const std::lock_guard<std::mutex> lock(mutex_);

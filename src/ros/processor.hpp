@@ -60,6 +60,8 @@ class Processor {
     EngineFactory make_engine;
     /// Where the calibration is learned that nobody has given.
     SelfCalibrator::Work self_calibration = SelfCalibrator::Work::AT_ONCE;
+    /// What was learned before of images of this width and height; asked once. Absent: nothing.
+    std::function<std::optional<LearnedCalibration>(int, int)> stored_calibration;
   };
   /// Takes a frame; false: enough for now, the rest stays.
   using Sink = std::function<bool(FrameOutput&&)>;
@@ -109,6 +111,14 @@ class Processor {
   /// Forgets what the images have told of the calibration.
   void reset_calibration();
 
+  /// What is used as the images told it, of images of this size.
+  struct CalibrationByImages {
+    LearnedCalibration calibration;
+    int width_px = 0, height_px = 0;
+  };
+  /// Nothing before the first image.
+  std::optional<CalibrationByImages> calibration_by_images() const;
+
   /// Bias in use [rad/s].
   Eigen::Vector3d bias_rad_s() const;
 
@@ -126,6 +136,8 @@ class Processor {
   /// Partners need not wait until frames that are settled leave. Needs mutex_.
   void tell_partners();
   FrameOutput process_with_partners(const AssembledFrame& assembled);
+  /// Uses what is stored for images of this size. Needs mutex_.
+  void remember_calibration(const sensor_msgs::Image& image);
   /// The frame tells something of the calibration. Takes mutex_.
   void learn_from(const AssembledFrame& assembled);
   /// What is used beside messages. Needs mutex_ and a configuration.
@@ -160,6 +172,7 @@ class Processor {
   CalibrationInUse calibration_;
   std::size_t calibration_updates_ = 0;  // of the former, that the latter has
   double readout_share_ = 1;             // see CalibrationInUse::learn
+  std::optional<cv::Size> image_size_;   // of the first image
   InputMask mask_;
   Intake intake_;
   FrameAssembly assembly_;

@@ -1384,10 +1384,37 @@ TEST_F(UnknownCalibrationTest, RotationIsFoundAndUsed) {
     return diagnostics.values["calibration, R_cam_imu"].find("by the images") != std::string::npos;
   })) << diagnostics.values["calibration, R_cam_imu"];
   EXPECT_TRUE(mailbox_.wait([this] { return count_log("R_cam_imu is used as the images tell it") == 1; }));
+}
 
-  std_srvs::Trigger reset;
+TEST_F(UnknownCalibrationTest, IsStoredUntilTheNextStart) {
+  start();
+  std_srvs::Trigger save, reset;
+  ASSERT_TRUE(ros::service::call(name_ + "/save_calibration", save));
+  EXPECT_FALSE(save.response.success) << save.response.message;
+  ASSERT_TRUE(play_until([this] { return !fields_.empty() && fields_.back()->reason == 0; }));
+  ASSERT_TRUE(ros::service::call(name_ + "/save_calibration", save));
+  EXPECT_TRUE(save.response.success) << save.response.message;
+  EXPECT_NE(save.response.message.find("256x192.json"), std::string::npos) << save.response.message;
+  const auto load_again = [this] {
+    unload();
+    mailbox_.look([this] {
+      images_.clear();
+      infos_.clear();
+      fields_.clear();
+      keypoints_.clear();
+    });
+    camera_.rewind();
+    start();
+  };
+  load_again();
+  play_until([this] { return fields_.size() >= 3; });
+  mailbox_.look([this] { expect_reason(0, PassThroughReason::NONE); });
+
   ASSERT_TRUE(ros::service::call(name_ + "/reset_calibration", reset));
-  EXPECT_TRUE(reset.response.success);
+  EXPECT_TRUE(reset.response.success) << reset.response.message;
+  load_again();
+  play_until([this] { return fields_.size() >= 3; });
+  mailbox_.look([this] { expect_reason(0, PassThroughReason::NO_EXTRINSIC); });
 }
 
 TEST_F(UnknownCalibrationTest, WrongRotationIsNamedAndKept) {

@@ -1,6 +1,10 @@
 // Frames of a camera whose rotation, time offset, readout time and bias nobody has given, or given wrongly.
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
 #include <memory>
 #include <optional>
+#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -10,6 +14,7 @@
 #include "ros/calibration_in_use.hpp"
 #include "ros/processor.hpp"
 #include "ros/self_calibrator.hpp"
+#include "ros/stored_calibration.hpp"
 #include "turning_camera.hpp"
 
 namespace gyro_deblur {
@@ -38,6 +43,7 @@ class UnknownCalibration : public testing::Test {
     environment.clock = [this] { return now_ns_; };
     environment.log = [this](LogLevel, const std::string& text) { log_.push_back(text); };
     environment.extrinsic = [this](const std::string&, const std::string&) { return tf_; };
+    if (stored_) environment.stored_calibration = [this](int, int) { return stored_; };
     environment.request = [] {
       FrameRequest request;
       request.keypoints = false;
@@ -84,6 +90,7 @@ class UnknownCalibration : public testing::Test {
 
   Config config_;
   std::optional<Eigen::Matrix3d> tf_;
+  std::optional<LearnedCalibration> stored_;
   TimeNs now_ns_ = 0;
   std::vector<std::string> log_;
   std::vector<FrameOutput> outputs_;
@@ -200,6 +207,106 @@ TEST_F(UnknownCalibration, ThatIsGivenWronglyIsNamedWithBothValuesAndKept) {
   processor_->set_config(config_);
   camera().rewind();
   for (const FrameOutput& output : outputs_) EXPECT_EQ(output.reason, PassThroughReason::NONE) << output.reason_text;
+}
+
+TEST_F(UnknownCalibration, IsUsedFromTheFirstImageOnAsItWasAtTheLastStart) {
+  start();
+  play();
+  const auto seen = processor_->calibration_by_images();
+  ASSERT_TRUE(seen);
+  EXPECT_EQ(seen->width_px, 256);
+  EXPECT_EQ(seen->height_px, 192);
+  ASSERT_TRUE(seen->calibration.R_cam_imu.known && seen->calibration.time_offset_s.known);
+  stored_ = seen->calibration;
+  config_.given.time_offset = true;  // and 0: a number that is given goes before what is stored
+  outputs_.clear();
+  camera().rewind();
+  start();
+  play(0, 30);
+  for (const FrameOutput& output : outputs_) EXPECT_EQ(output.reason, PassThroughReason::NONE) << output.reason_text;
+  EXPECT_NE(row("R_cam_imu").text.find("s before this start"), std::string::npos) << row("R_cam_imu").text;
+  EXPECT_EQ(row("time_offset").text.find("before this start"), std::string::npos) << row("time_offset").text;
+  EXPECT_FALSE(processor_->calibration_by_images()->calibration.time_offset_s.known) << "it is not used";
+  processor_->reset_calibration();
+  EXPECT_FALSE(row("R_cam_imu").by_images) << "forgotten at once";
+}
+
+TEST_F(UnknownCalibration, OfAnotherCameraIsDroppedWithinFiveSecondsOfMotion) {
+  LearnedCalibration other;
+  other.R_cam_imu = {Eigen::Matrix3d(TurningCamera::R_cam_imu() * so3_exp({0, 1.5, 0}).toRotationMatrix()), 0.002, 20,
+                     true, ""};
+  other.time_offset_s = {-0.2, 0.0005, 20, true, ""};
+  stored_ = other;
+  start();
+  play(0, 100);
+  EXPECT_EQ(logged("R_cam_imu of before this start is dropped"), 1U);
+  EXPECT_EQ(logged("time_offset of before this start is dropped: it was -0.2000 s, the images say 0.03"), 1U);
+  EXPECT_EQ(row("R_cam_imu").text.find("before this start"), std::string::npos) << row("R_cam_imu").text;
+  EXPECT_NE(row("time_offset").text.find("0.03"), std::string::npos) << row("time_offset").text;
+}
+
+class StoredCalibration : public testing::Test {
+ protected:
+  StoredCalibration() {
+    std::string pattern = testing::TempDir() + "gyro_deblur_XXXXXX";
+    folder_ = mkdtemp(pattern.data());
+    known_.R_cam_imu = {TurningCamera::R_cam_imu(), 0.003, 12.5, true, ""};
+    known_.bias_rad_s = {{0.1, -0.2, 0.3}, 0.004, 7, true, ""};
+  }
+  ~StoredCalibration() override { std::filesystem::remove_all(folder_); }
+
+  std::string problem(const std::string& path) const {
+    try {
+      load_stored_calibration(path);
+    } catch (const std::runtime_error& error) {
+      return error.what();
+    }
+    return "";
+  }
+
+  std::string folder_;
+  LearnedCalibration known_;
+};
+
+TEST_F(StoredCalibration, ComesBackAsItWas) {
+  const std::string path = folder_ + "/below/camera.json";
+  EXPECT_FALSE(load_stored_calibration(path)) << "there is none yet";
+  save_stored_calibration(path, known_);
+  const auto loaded = load_stored_calibration(path);
+  ASSERT_TRUE(loaded);
+  EXPECT_TRUE(loaded->R_cam_imu.known);
+  EXPECT_LT((loaded->R_cam_imu.value - known_.R_cam_imu.value).norm(), 1e-12);
+  EXPECT_EQ(loaded->R_cam_imu.stddev, 0.003);
+  EXPECT_EQ(loaded->R_cam_imu.seconds, 12.5);
+  EXPECT_EQ(loaded->bias_rad_s.value, known_.bias_rad_s.value);
+  EXPECT_FALSE(loaded->time_offset_s.known);
+  EXPECT_FALSE(loaded->readout_s.known);
+  remove_stored_calibration(path);
+  EXPECT_FALSE(load_stored_calibration(path));
+  EXPECT_NO_THROW(remove_stored_calibration(path));
+}
+
+TEST_F(StoredCalibration, ThatCannotBeUsedIsRefusedWithItsPath) {
+  const std::string path = folder_ + "/camera.json";
+  for (const char* text :
+       {"", "{", "[1]", R"({"R_cam_imu": 3})", R"({"time_offset": {"value": [1, 2], "stddev": 1, "seconds": 1}})",
+        R"({"gyro_bias": {"value": [1, 2, 300], "stddev": 1, "seconds": 1}})",
+        R"({"time_offset": {"value": [0.1], "stddev": 0, "seconds": 1}})",
+        R"({"R_cam_imu": {"value": [1, 0, 0, 0, 1, 0, 0, 0, -1], "stddev": 1, "seconds": 1}})"}) {
+    std::ofstream(path) << text;
+    EXPECT_NE(problem(path).find("stored calibration " + path + " cannot be used: "), std::string::npos) << text;
+  }
+  EXPECT_THROW(save_stored_calibration(path + "/below.json", known_), std::runtime_error) << "a file is no folder";
+}
+
+TEST_F(StoredCalibration, HasAFileForEachNodeAndImageSize) {
+  setenv("ROS_HOME", folder_.c_str(), 1);
+  EXPECT_EQ(stored_calibration_path("/camera/gyro_deblur", 752, 480),
+            folder_ + "/gyro_deblur/camera.gyro_deblur.752x480.json");
+  EXPECT_NE(stored_calibration_path("/a/b", 752, 480), stored_calibration_path("/a_b", 752, 480));
+  unsetenv("ROS_HOME");
+  setenv("HOME", "/home/somebody", 1);
+  EXPECT_EQ(stored_calibration_path("/a", 1, 2), "/home/somebody/.ros/gyro_deblur/a.1x2.json");
 }
 
 TEST(SelfCalibrator, LearnsInTheBackgroundAndLeavesOutWhatItCannotKeepUpWith) {
