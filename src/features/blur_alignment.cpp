@@ -12,8 +12,8 @@ namespace {
 
 /// Five-point derivatives read two pixels on either side, interpolation two before and three after.
 constexpr int kDerivativeMargin = 2;
-constexpr int kTaps = 6, kBefore = 2, kAfter = 3;
-using Weights = Eigen::Array<float, kTaps, 1>;
+constexpr int kTaps = kInterpolationTaps, kBefore = 2, kAfter = 3;
+using Weights = Eigen::Array<float, kInterpolationStride, 1>;
 
 /// The second image is blurred so far beyond the window at once; predictions are rarely farther off.
 constexpr int kSearchMargin = 3;
@@ -24,7 +24,7 @@ constexpr double kMinWindowShare = 0.4;
 /// Lanczos' window of three pixels about sinc, with unit sum. Cubic convolution with four pixels is wrong by 0.015 px
 /// on average where images are sharp down to 0.3 cycles/px.
 Weights lanczos_weights(double fraction) {
-  Weights weights;
+  Weights weights = Weights::Zero();
   for (int k = 0; k < kTaps; ++k) {
     const double x = CV_PI * (k - kBefore - fraction);
     weights[k] = static_cast<float>(std::abs(x) < 1e-6 ? 1 : std::sin(x) * std::sin(x / 3) * 3 / (x * x));
@@ -32,16 +32,23 @@ Weights lanczos_weights(double fraction) {
   return weights / weights.sum();
 }
 
-/// From a table: sines would take most of the time.
-/// @param fraction  [0, 1]
-const Weights& interpolation_weights(double fraction) {
-  constexpr int kSteps = 1024;  // half a step is 0.0005 px, and not always to the same side
-  static const std::vector<Weights> table = [] {
-    std::vector<Weights> weights;
-    for (int i = 0; i <= kSteps; ++i) weights.push_back(lanczos_weights(static_cast<double>(i) / kSteps));
+/// Sines would take most of the time. Half a step is 0.0005 px, and not always to the same side.
+const float* interpolation_table() {
+  static const std::vector<float> table = [] {
+    std::vector<float> weights;
+    for (int i = 0; i <= kInterpolationSteps; ++i) {
+      const Weights of_step = lanczos_weights(static_cast<double>(i) / kInterpolationSteps);
+      weights.insert(weights.end(), of_step.data(), of_step.data() + of_step.size());
+    }
     return weights;
   }();
-  return table[static_cast<std::size_t>(fraction * kSteps + 0.5)];
+  return table.data();
+}
+
+/// @param fraction  [0, 1]
+Eigen::Map<const Weights> interpolation_weights(double fraction) {
+  return Eigen::Map<const Weights>(interpolation_table() +
+                                   kInterpolationStride * static_cast<int>(fraction * kInterpolationSteps + 0.5));
 }
 
 PlanePath mapped(const PlanePath& path_px, const Eigen::Matrix2d& map) {
@@ -72,6 +79,19 @@ bool agrees(const Alignment& alignment) {
   return alignment.gain > kMinGain && alignment.gain < kMaxGain &&
          alignment.residual <
              std::hypot(kNoiseFactor * alignment.expected_residual, kContrastShare * alignment.contrast);
+}
+
+void BlurAligner::Patch::resize(int width, int height) {
+  width_ = width;
+  height_ = height;
+  stride_ = width + kPatchRoom;
+  const auto size = static_cast<std::size_t>(stride_ * height_ + kPatchRoom);
+  if (pixels_.size() < size) pixels_.resize(size, 0.0f);
+}
+
+void BlurAligner::Patch::resize_and_clear(int width, int height) {
+  resize(width, height);
+  std::fill(pixels_.begin(), pixels_.end(), 0.0f);
 }
 
 void BlurAligner::rasterize(const PlanePath& path_px, Psf* psf) {
@@ -108,19 +128,25 @@ void BlurAligner::rasterize(const PlanePath& path_px, Psf* psf) {
 void BlurAligner::blur(const cv::Mat& image, const Psf& psf, const Box& box, Region* blurred) {
   constexpr float kLeastShare = 1e-6f;  // rounding left it
   const Box read = box.grown(psf.reach);
-  source_.resize(read.height(), read.width());
+  source_.resize(read.width(), read.height());
   for (int y = 0; y < read.height(); ++y) {
-    const uchar* row = image.ptr(read.first_y + y) + read.first_x;
-    for (int x = 0; x < read.width(); ++x) source_(y, x) = row[x];
+    const uchar* from = image.ptr(read.first_y + y) + read.first_x;
+    float* to = source_.row(y);
+    for (int x = 0; x < read.width(); ++x) to[x] = from[x];
   }
-  blurred->box = box;
-  blurred->pixels.setZero(box.height(), box.width());
+  offsets_.clear();
+  shares_.clear();
   for (int y = 0; y < psf.reach.height(); ++y) {
     for (int x = 0; x < psf.reach.width(); ++x) {
-      const float share = psf.shares(y, x);
-      if (share > kLeastShare) blurred->pixels += share * source_.block(y, x, box.height(), box.width());
+      if (!(psf.shares(y, x) > kLeastShare)) continue;
+      offsets_.push_back(y * source_.stride() + x);
+      shares_.push_back(psf.shares(y, x));
     }
   }
+  blurred->box = box;
+  blurred->patch.resize(box.width(), box.height());
+  loops_.convolve(source_.row(0), source_.stride(), offsets_.data(), shares_.data(), static_cast<int>(shares_.size()),
+                  blurred->patch.row(0), blurred->patch.stride(), box.width(), box.height());
 }
 
 BlurAligner::Box BlurAligner::template_box(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) const {
@@ -165,41 +191,41 @@ bool BlurAligner::crop_window(const cv::Size& from, const Eigen::Vector2d& from_
 void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) {
   constexpr int kMargin = kDerivativeMargin;
   const int width = window_.width(), height = window_.height();
-  sampled_.resize(height + 2 * kMargin, width + 2 * kMargin);
-  for (int y = 0; y < sampled_.rows(); ++y) {
+  sampled_.resize(width + 2 * kMargin, height + 2 * kMargin);
+  const Eigen::Vector2f step_px = inverse_map.col(0).cast<float>();
+  for (int y = 0; y < sampled_.height(); ++y) {
     const Eigen::Vector2d offset_px(window_.first_x - kMargin, window_.first_y - kMargin + y);
-    Eigen::Vector2d at_px =
-        place_px + inverse_map * offset_px - Eigen::Vector2d(first_.box.first_x, first_.box.first_y);
-    for (int x = 0; x < sampled_.cols(); ++x, at_px += inverse_map.col(0)) {
-      const int left = floor_int(at_px.x()), top = floor_int(at_px.y());
-      const Weights &across = interpolation_weights(at_px.x() - left), &down = interpolation_weights(at_px.y() - top);
-      float sum = 0;
-      for (int j = 0; j < kTaps; ++j) {
-        const float* row = &first_.pixels(top - kBefore + j, left - kBefore);
-        float of_row = 0;
-        for (int i = 0; i < kTaps; ++i) of_row += across[i] * row[i];
-        sum += down[j] * of_row;
-      }
-      sampled_(y, x) = sum;
-    }
+    const Eigen::Vector2f at_px = (place_px + inverse_map * offset_px -
+                                   Eigen::Vector2d(first_.box.first_x + kBefore, first_.box.first_y + kBefore))
+                                      .cast<float>();
+    loops_.sample_row(first_.patch.row(0), first_.patch.stride(), interpolation_table(), at_px.x(), at_px.y(),
+                      step_px.x(), step_px.y(), sampled_.width(), sampled_.row(y));
   }
-  const auto shifted = [&](int x, int y) { return sampled_.block(kMargin + y, kMargin + x, height, width); };
-  template_ = shifted(0, 0) - shifted(0, 0).mean();
-  gradient_x_ = (shifted(-2, 0) - shifted(2, 0) + 8 * (shifted(1, 0) - shifted(-1, 0))) / 12;
-  gradient_y_ = (shifted(0, -2) - shifted(0, 2) + 8 * (shifted(0, 1) - shifted(0, -1))) / 12;
+  const auto sampled = sampled_.pixels();
+  const auto shifted = [&](int x, int y) { return sampled.block(kMargin + y, kMargin + x, height, width); };
+  for (Patch* patch : {&template_, &gradient_x_, &gradient_y_}) patch->resize_and_clear(width, height);
+  template_.pixels() = shifted(0, 0) - shifted(0, 0).mean();
+  gradient_x_.pixels() = (shifted(-2, 0) - shifted(2, 0) + 8 * (shifted(1, 0) - shifted(-1, 0))) / 12;
+  gradient_y_.pixels() = (shifted(0, -2) - shifted(0, 2) + 8 * (shifted(0, 1) - shifted(0, -1))) / 12;
 }
 
 void BlurAligner::sample_patch(const Eigen::Vector2d& place_px) {
   const int x = floor_int(place_px.x()), y = floor_int(place_px.y());
-  const Weights &across = interpolation_weights(place_px.x() - x), &down = interpolation_weights(place_px.y() - y);
+  const auto across = interpolation_weights(place_px.x() - x), down = interpolation_weights(place_px.y() - y);
   const int left = x + window_.first_x - kBefore - second_.box.first_x,
             top = y + window_.first_y - kBefore - second_.box.first_y, width = window_.width(),
             height = window_.height();
-  rows_.setZero(height + kTaps - 1, width);
-  for (int k = 0; k < kTaps; ++k) rows_ += across[k] * second_.pixels.block(top, left + k, rows_.rows(), width);
-  patch_.setZero(height, width);
-  for (int k = 0; k < kTaps; ++k) patch_ += down[k] * rows_.middleRows(k, height);
-  patch_ -= patch_.mean();
+  rows_.resize(width, height + kTaps - 1);
+  patch_.resize(width, height);
+  std::array<int, kTaps> right_of, below;
+  for (int k = 0; k < kTaps; ++k) {
+    right_of[k] = k;
+    below[k] = k * rows_.stride();
+  }
+  loops_.convolve(second_.patch.row(top) + left, second_.patch.stride(), right_of.data(), across.data(), kTaps,
+                  rows_.row(0), rows_.stride(), width, height + kTaps - 1);
+  loops_.convolve(rows_.row(0), rows_.stride(), below.data(), down.data(), kTaps, patch_.row(0), patch_.stride(), width,
+                  height);
 }
 
 bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, double pattern,
@@ -208,6 +234,7 @@ bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, do
   const Box image{0, to.cols - 1, 0, to.rows - 1};
   const Eigen::Matrix2d inverse = gradients.inverse();
   const Eigen::Vector2d start_px = *place_px;
+  const std::array<const float*, 3> factors{template_.row(0), gradient_x_.row(0), gradient_y_.row(0)};
   second_.box = {};
   for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
     if (!second_.box.contains(search_box(*place_px, 0))) {
@@ -216,9 +243,12 @@ bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, do
       blur(to, psf_of_second_, box, &second_);
     }
     sample_patch(*place_px);
-    *gain = (patch_ * template_).sum() / pattern;
+    // The factors have no mean: that of the patch does not matter.
+    std::array<float, 3> sums;
+    loops_.project(patch_.row(0), factors.data(), patch_.stride(), window_.width(), window_.height(), sums.data());
+    *gain = sums[0] / pattern;
     if (!(*gain > kMinGain)) return false;
-    const Eigen::Vector2d products((patch_ * gradient_x_).sum(), (patch_ * gradient_y_).sum());
+    const Eigen::Vector2d products(sums[1], sums[2]);
     Eigen::Vector2d step_px = -inverse * products / *gain;
     const double length_px = step_px.norm();
     if (length_px > kLongestStepPx) step_px *= kLongestStepPx / length_px;
@@ -230,40 +260,42 @@ bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, do
   return false;
 }
 
-BlurAligner::NoiseShare BlurAligner::noise_share(const PlanePath& path_px) const {
+BlurAligner::NoiseShare BlurAligner::noise_share(const PlanePath& path_px) {
   // Two pixels of the blurred image share noise where one is as far from the other as one instant's place from
   // another's.
   constexpr int kInstants = 2 * (kPathInstants - 1);
+  // std::lround is slow where its rounding of halves is not an instruction.
+  const auto rounded = [](float value) { return static_cast<int>(std::floor(value + 0.5f)); };
   std::array<Eigen::Vector2f, kInstants> places_px;
   for (int k = 0; k < kInstants; ++k) {
     const float part = k % 2 == 0 ? 0.25f : 0.75f;
     places_px[k] = (1 - part) * path_px[k / 2] + part * path_px[k / 2 + 1];
   }
   const int width = window_.width(), height = window_.height(), columns = 2 * width - 1;
-  std::vector<int> pairs(static_cast<std::size_t>(columns * height), 0);  // by lag, y >= 0: the opposite is the same
+  pairs_.assign(static_cast<std::size_t>(columns * height), 0);  // by lag, y >= 0: the opposite is the same
   for (const Eigen::Vector2f& a : places_px) {
     for (const Eigen::Vector2f& b : places_px) {
-      const int x = static_cast<int>(std::lround(a.x() - b.x())), y = static_cast<int>(std::lround(a.y() - b.y()));
+      const int x = rounded(a.x() - b.x()), y = rounded(a.y() - b.y());
       if (y < 0 || y >= height || std::abs(x) >= width) continue;
-      pairs[static_cast<std::size_t>(y * columns + x + width - 1)] += y == 0 ? 1 : 2;
+      pairs_[static_cast<std::size_t>(y * columns + x + width - 1)] += y == 0 ? 1 : 2;
     }
   }
   NoiseShare share;
   for (int y = 0; y < height; ++y) {
     for (int x = 1 - width; x < width; ++x) {
-      const int count = pairs[static_cast<std::size_t>(y * columns + x + width - 1)];
+      const int count = pairs_[static_cast<std::size_t>(y * columns + x + width - 1)];
       if (count == 0) continue;
       const int rows = height - y, cols = width - std::abs(x), left = std::max(0, -x), right = std::max(0, x);
-      const auto x_a = gradient_x_.block(0, left, rows, cols), y_a = gradient_y_.block(0, left, rows, cols),
-                 x_b = gradient_x_.block(y, right, rows, cols), y_b = gradient_y_.block(y, right, rows, cols);
-      const double xy = 0.5 * ((x_a * y_b).sum() + (y_a * x_b).sum());
-      share.products(0, 0) += count * (x_a * x_b).sum();
-      share.products(0, 1) += count * xy;
-      share.products(1, 0) += count * xy;
-      share.products(1, 1) += count * (y_a * y_b).sum();
+      std::array<float, 3> sums;
+      loops_.multiply_gradients(gradient_x_.row(0) + left, gradient_y_.row(0) + left, gradient_x_.row(y) + right,
+                                gradient_y_.row(y) + right, gradient_x_.stride(), cols, rows, sums.data());
+      share.products(0, 0) += count * sums[0];
+      share.products(0, 1) += count * 0.5 * sums[1];
+      share.products(1, 1) += count * sums[2];
       share.mean += count * rows * cols;
     }
   }
+  share.products(1, 0) = share.products(0, 1);
   constexpr double kPairs = kInstants * kInstants;
   share.products /= kPairs;
   share.mean /= kPairs * std::pow(width * height, 2);
@@ -285,15 +317,17 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
   }
   blur(from, psf_of_first_, template_box(in_from.place_px, inverse_map), &first_);
   sample_template(in_from.place_px, inverse_map);
-  const double pixels = static_cast<double>(template_.size()), pattern = template_.square().sum();
+  const auto pattern_px = template_.pixels(), gradient_x = gradient_x_.pixels(), gradient_y = gradient_y_.pixels();
+  const double pixels = static_cast<double>(pattern_px.size()), pattern = pattern_px.square().sum();
   // Gradients without what gain and offset can explain: these are fitted with the place, not after it.
-  for (Patch* gradient : {&gradient_x_, &gradient_y_}) {
-    *gradient -= gradient->mean();
-    if (pattern > 0) *gradient -= static_cast<float>((*gradient * template_).sum() / pattern) * template_;
+  for (Patch* of_axis : {&gradient_x_, &gradient_y_}) {
+    auto gradient = of_axis->pixels();
+    gradient -= gradient.mean();
+    if (pattern > 0) gradient -= static_cast<float>((gradient * pattern_px).sum() / pattern) * pattern_px;
   }
   Eigen::Matrix2d gradients;
-  gradients << gradient_x_.square().sum(), (gradient_x_ * gradient_y_).sum(), (gradient_x_ * gradient_y_).sum(),
-      gradient_y_.square().sum();
+  gradients << gradient_x.square().sum(), (gradient_x * gradient_y).sum(), (gradient_x * gradient_y).sum(),
+      gradient_y.square().sum();
   // Less than rounding to grey levels makes, in some direction, is no texture.
   constexpr double kLeastInformation = 1e-3;
   const double information =
@@ -306,7 +340,8 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
   result.min_information = information;
   result.contrast = result.gain * std::sqrt(pattern / pixels);
   const float gain = static_cast<float>(result.gain);
-  result.residual = std::sqrt(static_cast<double>((patch_ - gain * template_).square().mean()));
+  const auto patch = patch_.pixels();
+  result.residual = std::sqrt(static_cast<double>((patch - patch.mean() - gain * pattern_px).square().mean()));
   const double first_variance = std::pow(result.gain * in_from.noise, 2), second_variance = std::pow(in_to.noise, 2);
   const NoiseShare of_first = noise_share(in_to.path_px), of_second = noise_share(blur_of_second_px);
   // The patches are compared without their means, of which long blur makes much of the noise.

@@ -7,6 +7,7 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
+#include "features/alignment_loops.hpp"
 #include "gyro_deblur/plane_path.hpp"
 
 namespace gyro_deblur {
@@ -65,7 +66,28 @@ class BlurAligner {
                                  const AlignmentOptions& options);
 
  private:
-  using Patch = Eigen::Array<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  using Pixels = Eigen::Array<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+  /// Pixels with room behind each row (alignment_loops.hpp), which is 0 at first.
+  class Patch {
+   public:
+    /// Keeps no pixels.
+    void resize(int width, int height);
+    /// The same, all 0, the room as well.
+    void resize_and_clear(int width, int height);
+    int width() const { return width_; }
+    int height() const { return height_; }
+    int stride() const { return stride_; }
+    float* row(int y) { return pixels_.data() + y * stride_; }
+    const float* row(int y) const { return pixels_.data() + y * stride_; }
+    Eigen::Map<Pixels, 0, Eigen::OuterStride<>> pixels() {
+      return {pixels_.data(), height_, width_, Eigen::OuterStride<>(stride_)};
+    }
+
+   private:
+    int width_ = 0, height_ = 0, stride_ = 0;
+    std::vector<float> pixels_;
+  };
 
   /// Pixels, both ends included.
   struct Box {
@@ -81,13 +103,13 @@ class BlurAligner {
   };
   /// PSF of a path: the pixels that are read for one that is written.
   struct Psf {
-    Patch shares;      // sums to 1
+    Pixels shares;     // sums to 1
     Box reach;         // of `shares`, relative to the written pixel
     float energy = 0;  // sum of the squared shares
   };
   /// Part of an image, blurred.
   struct Region {
-    Patch pixels;
+    Patch patch;
     Box box;
   };
 
@@ -100,7 +122,7 @@ class BlurAligner {
   Box search_box(const Eigen::Vector2d& place_px, int margin_px) const;
   /// Makes template_, gradient_x_ and gradient_y_.
   void sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map);
-  /// Searches from *place_px; on success patch_ is what the second image shows there, without its mean.
+  /// Searches from *place_px; on success patch_ is what the second image shows there.
   bool search(const cv::Mat& to, const Eigen::Matrix2d& gradients, double pattern, const AlignmentOptions& options,
               Eigen::Vector2d* place_px, double* gain);
   void sample_patch(const Eigen::Vector2d& place_px);
@@ -109,12 +131,16 @@ class BlurAligner {
     Eigen::Matrix2d products = Eigen::Matrix2d::Zero();  // covariance of its products with the gradients
     double mean = 0;                                     // variance of the patch's mean
   };
-  NoiseShare noise_share(const PlanePath& path_px) const;
+  NoiseShare noise_share(const PlanePath& path_px);
 
   Psf psf_of_first_, psf_of_second_;  // what first and second image are blurred by: the other's path
   Region first_, second_;
   Box window_;  // about the point, in the second image
   Patch source_, sampled_, rows_, template_, gradient_x_, gradient_y_, patch_;
+  std::vector<int> offsets_;  // of what is not 0 in a PSF
+  std::vector<float> shares_;
+  std::vector<int> pairs_;
+  const AlignmentLoops& loops_ = best_alignment_loops();
 };
 
 }  // namespace gyro_deblur

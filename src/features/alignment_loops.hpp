@@ -1,0 +1,54 @@
+// The loops that the alignment of blurred patches spends its time in: one interface, compiled once per instruction set.
+#pragma once
+
+#include <cstddef>
+
+namespace gyro_deblur {
+
+/// Floats that may be read, and written, beyond the end of a row of a patch.
+constexpr int kPatchRoom = 16;
+
+/// Pixels that interpolation takes along each axis; rows of its table have room for a whole vector.
+constexpr int kInterpolationTaps = 6, kInterpolationStride = 8, kInterpolationSteps = 1024;
+
+/// The functions of one instruction set. Strides are in floats.
+struct AlignmentLoops {
+  const char* name;
+  /// written(x, y) = sum of shares[k] * read[offsets[k] + x + y * read_stride] over k < taps, for x < width.
+  void (*convolve)(const float* read, std::ptrdiff_t read_stride, const int* offsets, const float* shares, int taps,
+                   float* written, std::ptrdiff_t stride, int width, int height);
+  /// sampled[i] for i < count, at the pixel (x + i dx, y + i dy), both >= 0, with weights for the pixels from (0, 0)
+  /// on.
+  /// @param table  kInterpolationSteps + 1 rows of kInterpolationStride weights, by the fraction of a pixel; the last
+  ///               two of each row are 0
+  void (*sample_row)(const float* pixels, std::ptrdiff_t stride, const float* table, float x, float y, float dx,
+                     float dy, int count, float* sampled);
+  /// sums[i] = sum of patch * factors[i] for i < 3. `factors` are 0 on kPatchRoom pixels after each of their rows,
+  /// where `patch` is finite.
+  void (*project)(const float* patch, const float* const* factors, std::ptrdiff_t stride, int width, int height,
+                  float* sums);
+  /// Sums of ax bx, ax by + ay bx, and ay by. After each row kPatchRoom pixels of `a` or of `b` are 0, the others
+  /// finite.
+  void (*multiply_gradients)(const float* ax, const float* ay, const float* bx, const float* by, std::ptrdiff_t stride,
+                             int width, int height, float* sums);
+};
+
+namespace baseline {
+extern const AlignmentLoops kAlignmentLoops;
+}
+#if defined(__x86_64__)
+namespace avx2 {
+extern const AlignmentLoops kAlignmentLoops;
+}
+namespace avx512 {
+extern const AlignmentLoops kAlignmentLoops;
+}
+#endif
+
+/// The widest set this processor runs.
+const AlignmentLoops& best_alignment_loops();
+
+/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
+const AlignmentLoops* find_alignment_loops(const char* name);
+
+}  // namespace gyro_deblur

@@ -1,0 +1,120 @@
+// Bodies of the loops that align blurred patches, once per instruction set (see base/vectors_impl.hpp).
+#include "base/vectors_impl.hpp"
+#include "features/alignment_loops.hpp"
+
+namespace gyro_deblur {
+namespace GYRO_DEBLUR_ISA {
+namespace {
+
+typedef float FourFloats __attribute__((vector_size(16)));
+static_assert(kLanes <= kPatchRoom, "whole vectors are read and written");
+
+inline float sum_of(Vector v) {
+  float sum = 0;
+  for (int i = 0; i < kLanes; ++i) sum += v[i];
+  return sum;
+}
+
+/// Two rows at a time: independent sums hide the latency of each.
+template <int kVectors>
+inline void convolve_strip(const float* read, std::ptrdiff_t read_stride, const int* offsets, const float* shares,
+                           int taps, float* written, std::ptrdiff_t stride, int height) {
+  for (int y = 0; y < height; y += 2) {
+    const int second = y + 1 < height ? y + 1 : y;
+    const float *upper = read + y * read_stride, *lower = read + second * read_stride;
+    Vector above[kVectors] = {}, below[kVectors] = {};
+    for (int k = 0; k < taps; ++k) {
+      const float share = shares[k];
+      const int offset = offsets[k];
+      for (int i = 0; i < kVectors; ++i) {
+        above[i] += share * load(upper + offset + i * kLanes);
+        below[i] += share * load(lower + offset + i * kLanes);
+      }
+    }
+    for (int i = 0; i < kVectors; ++i) {
+      store(written + y * stride + i * kLanes, above[i]);
+      store(written + second * stride + i * kLanes, below[i]);
+    }
+  }
+}
+
+void convolve(const float* read, std::ptrdiff_t read_stride, const int* offsets, const float* shares, int taps,
+              float* written, std::ptrdiff_t stride, int width, int height) {
+  int x = 0;
+  for (int left = (width + kLanes - 1) / kLanes; left > 0;) {
+    const int vectors = left > 4 ? 3 : left;
+    const auto strip = vectors == 1   ? convolve_strip<1>
+                       : vectors == 2 ? convolve_strip<2>
+                       : vectors == 3 ? convolve_strip<3>
+                                      : convolve_strip<4>;
+    strip(read + x, read_stride, offsets, shares, taps, written + x, stride, height);
+    x += vectors * kLanes;
+    left -= vectors;
+  }
+}
+
+void sample_row(const float* pixels, std::ptrdiff_t stride, const float* table, float x, float y, float dx, float dy,
+                int count, float* sampled) {
+  for (int i = 0; i < count; ++i) {
+    const float at_x = x + static_cast<float>(i) * dx, at_y = y + static_cast<float>(i) * dy;
+    const int left = static_cast<int>(at_x), top = static_cast<int>(at_y);
+    const int step_x = static_cast<int>((at_x - static_cast<float>(left)) * kInterpolationSteps + 0.5f),
+              step_y = static_cast<int>((at_y - static_cast<float>(top)) * kInterpolationSteps + 0.5f);
+    const float *across = table + step_x * kInterpolationStride, *down = table + step_y * kInterpolationStride,
+                *row = pixels + top * stride + left;
+    FourFloats first = {}, last = {}, values, weights;
+    for (int j = 0; j < kInterpolationTaps; ++j, row += stride) {
+      std::memcpy(&values, row, sizeof values);
+      first += down[j] * values;
+      std::memcpy(&values, row + 4, sizeof values);
+      last += down[j] * values;
+    }
+    std::memcpy(&weights, across, sizeof weights);
+    first *= weights;
+    std::memcpy(&weights, across + 4, sizeof weights);
+    first += last * weights;
+    sampled[i] = (first[0] + first[1]) + (first[2] + first[3]);
+  }
+}
+
+void project(const float* patch, const float* const* factors, std::ptrdiff_t stride, int width, int height,
+             float* sums) {
+  Vector first = {}, second = {}, third = {};
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; x += kLanes) {
+      const std::ptrdiff_t at = y * stride + x;
+      const Vector value = load(patch + at);
+      first += value * load(factors[0] + at);
+      second += value * load(factors[1] + at);
+      third += value * load(factors[2] + at);
+    }
+  }
+  sums[0] = sum_of(first);
+  sums[1] = sum_of(second);
+  sums[2] = sum_of(third);
+}
+
+void multiply_gradients(const float* ax, const float* ay, const float* bx, const float* by, std::ptrdiff_t stride,
+                        int width, int height, float* sums) {
+  Vector xx = {}, xy = {}, yy = {};
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; x += kLanes) {
+      const std::ptrdiff_t at = y * stride + x;
+      const Vector first_x = load(ax + at), first_y = load(ay + at), second_x = load(bx + at), second_y = load(by + at);
+      xx += first_x * second_x;
+      xy += first_x * second_y + first_y * second_x;
+      yy += first_y * second_y;
+    }
+  }
+  sums[0] = sum_of(xx);
+  sums[1] = sum_of(xy);
+  sums[2] = sum_of(yy);
+}
+
+}  // namespace
+
+extern const AlignmentLoops kAlignmentLoops;
+const AlignmentLoops kAlignmentLoops = {GYRO_DEBLUR_ISA_NAME, convolve, sample_row, project, multiply_gradients};
+
+}  // namespace GYRO_DEBLUR_ISA
+}  // namespace gyro_deblur

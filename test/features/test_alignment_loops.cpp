@@ -1,0 +1,121 @@
+// The loops that align blurred patches, for every instruction set that this processor runs.
+#include "features/alignment_loops.hpp"
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <random>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace gyro_deblur {
+namespace {
+
+class AlignmentLoopsTest : public testing::TestWithParam<const char*> {
+ protected:
+  void SetUp() override {
+    loops_ = find_alignment_loops(GetParam());
+    if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
+    EXPECT_STREQ(loops_->name, GetParam());
+  }
+  /// Of exactly the room that is promised, so that AddressSanitizer sees what is read or written beyond it.
+  std::vector<float> random_patch(int width, int height, bool clear_room) {
+    std::vector<float> patch(static_cast<std::size_t>((width + kPatchRoom) * height));
+    std::uniform_real_distribution<float> value(-1, 1);
+    for (std::size_t i = 0; i < patch.size(); ++i) {
+      const bool in_room = static_cast<int>(i) % (width + kPatchRoom) >= width;
+      patch[i] = clear_room && in_room ? 0 : value(random_);
+    }
+    return patch;
+  }
+
+  const AlignmentLoops* loops_ = nullptr;
+  std::mt19937 random_{5};
+};
+
+TEST_P(AlignmentLoopsTest, ConvolveAnyWidth) {
+  const std::array<int, 3> columns{0, 2, 3}, rows{0, 1, 2};
+  const std::array<float, 3> shares{0.5f, -0.25f, 0.75f};
+  for (int width = 1; width <= 110; ++width) {
+    const int height = 1 + width % 4, read_stride = width + 3 + kPatchRoom, stride = width + kPatchRoom;
+    const std::vector<float> read = random_patch(width + 3, height + 2, false);
+    std::vector<float> written(static_cast<std::size_t>(stride * height));
+    std::array<int, 3> offsets;
+    for (std::size_t k = 0; k < 3; ++k) offsets[k] = columns[k] + rows[k] * read_stride;
+    loops_->convolve(read.data(), read_stride, offsets.data(), shares.data(), 3, written.data(), stride, width, height);
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x) {
+        float sum = 0;
+        for (std::size_t k = 0; k < 3; ++k) {
+          sum += shares[k] * read[static_cast<std::size_t>(offsets[k] + y * read_stride + x)];
+        }
+        ASSERT_NEAR(written[static_cast<std::size_t>(y * stride + x)], sum, 1e-6f) << width << ": " << x << ", " << y;
+      }
+    }
+  }
+}
+
+TEST_P(AlignmentLoopsTest, SampleWithTheWeightsOfBothFractions) {
+  // Weights that tell their step: pixel 0 has 1 - fraction, pixel 5 has the fraction.
+  std::vector<float> table(static_cast<std::size_t>((kInterpolationSteps + 1) * kInterpolationStride), 0.0f);
+  for (int i = 0; i <= kInterpolationSteps; ++i) {
+    const float fraction = static_cast<float>(i) / kInterpolationSteps;
+    table[static_cast<std::size_t>(i * kInterpolationStride)] = 1 - fraction;
+    table[static_cast<std::size_t>(i * kInterpolationStride + kInterpolationTaps - 1)] = fraction;
+  }
+  constexpr int kWidth = 40, kHeight = 30, kStride = kWidth + kPatchRoom, kCount = 21;
+  const std::vector<float> pixels = random_patch(kWidth, kHeight, false);
+  std::vector<float> sampled(kCount);
+  const float x = 1.25f, y = 2.5f, dx = 1.125f, dy = 0.25f;  // whole steps of the table
+  loops_->sample_row(pixels.data(), kStride, table.data(), x, y, dx, dy, kCount, sampled.data());
+  for (int i = 0; i < kCount; ++i) {
+    const float at_x = x + static_cast<float>(i) * dx, at_y = y + static_cast<float>(i) * dy;
+    const int left = static_cast<int>(at_x), top = static_cast<int>(at_y);
+    const float fx = at_x - static_cast<float>(left), fy = at_y - static_cast<float>(top);
+    const auto at = [&](int column, int row) {
+      return pixels[static_cast<std::size_t>((top + row) * kStride + left + column)];
+    };
+    const float expected =
+        (1 - fy) * ((1 - fx) * at(0, 0) + fx * at(5, 0)) + fy * ((1 - fx) * at(0, 5) + fx * at(5, 5));
+    ASSERT_NEAR(sampled[static_cast<std::size_t>(i)], expected, 1e-6f) << i;
+  }
+}
+
+TEST_P(AlignmentLoopsTest, SumProductsOfAnyWidth) {
+  for (int width = 1; width <= 70; ++width) {
+    const int height = 1 + width % 5, stride = width + kPatchRoom;
+    const std::vector<float> a = random_patch(width, height, false), b = random_patch(width, height, false),
+                             c = random_patch(width, height, true), d = random_patch(width, height, true),
+                             e = random_patch(width, height, true);
+    const std::array<const float*, 3> factors{c.data(), d.data(), e.data()};
+    std::array<float, 3> projected, multiplied;
+    loops_->project(a.data(), factors.data(), stride, width, height, projected.data());
+    loops_->multiply_gradients(a.data(), b.data(), c.data(), d.data(), stride, width, height, multiplied.data());
+    std::array<double, 3> of_projection{}, of_gradients{};
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x) {
+        const auto i = static_cast<std::size_t>(y * stride + x);
+        for (std::size_t k = 0; k < 3; ++k) of_projection[k] += a[i] * factors[k][i];
+        of_gradients[0] += a[i] * c[i];
+        of_gradients[1] += a[i] * d[i] + b[i] * c[i];
+        of_gradients[2] += b[i] * d[i];
+      }
+    }
+    for (std::size_t k = 0; k < 3; ++k) {
+      ASSERT_NEAR(projected[k], of_projection[k], 1e-4) << width;
+      ASSERT_NEAR(multiplied[k], of_gradients[k], 1e-4) << width;
+    }
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(InstructionSets, AlignmentLoopsTest, testing::Values("baseline", "avx2", "avx512"));
+
+TEST(AlignmentLoops, OfTheWidestSetAreTheBest) {
+  const char* widest = "baseline";
+  for (const char* name : {"avx2", "avx512"}) widest = find_alignment_loops(name) != nullptr ? name : widest;
+  EXPECT_STREQ(best_alignment_loops().name, widest);
+}
+
+}  // namespace
+}  // namespace gyro_deblur
