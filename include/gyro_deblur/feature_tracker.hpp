@@ -52,6 +52,9 @@ class FeatureTracker {
   /// Throws OptionError and keeps the former options when the new ones are not valid.
   void set_options(const TrackerOptions& options);
 
+  /// @param threads  >= 0: that corners are looked for on, at most; 0: one for each core. 1 at first.
+  void set_threads(int threads);
+
   /// From the next image on no corner is on a masked pixel, and none is started whose window has one.
   /// @param mask  empty, or of the camera's size
   void set_mask(const PixelMask& mask);
@@ -83,9 +86,12 @@ class FeatureTracker {
   struct Candidate;  // for it in a new image
   struct Searcher;   // finds candidates
 
-  void follow(const std::shared_ptr<const BlurredView>& view, const Camera& camera, const CameraMotion& motion);
-  std::vector<Candidate> search(const BlurredView& view, const Camera& camera, const CameraMotion& motion);
-  /// Again, with what the corners that were found say of the motion around each.
+  /// @param pyramid  set to that of `view` where it was needed
+  void follow(const std::shared_ptr<const BlurredView>& view, const Camera& camera, const CameraMotion& motion,
+              std::vector<cv::Mat>* pyramid);
+  std::vector<Candidate> search(const BlurredView& view, const Camera& camera, const CameraMotion& motion,
+                                std::vector<cv::Mat>* pyramid);
+  /// Again, with what the corners that were found say of the motion around each, and takes the tracks there.
   void refine(const BlurredView& view, const Camera& camera, const CameraMotion& motion,
               std::vector<Candidate>* candidates);
   /// Drops those that do not agree with the epipolar geometry of the others.
@@ -100,6 +106,7 @@ class FeatureTracker {
   std::vector<State> states_;                // of tracks_
   std::unique_ptr<Searcher> searcher_;       // with its buffers
   std::shared_ptr<const BlurredView> view_;  // the newest image
+  std::vector<cv::Mat> pyramid_;             // of it; empty: not made yet
   CameraCalibration calibration_;
 };
 

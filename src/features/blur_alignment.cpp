@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <utility>
 
 #include <Eigen/Dense>
 
@@ -262,43 +263,45 @@ bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, do
 
 BlurAligner::NoiseShare BlurAligner::noise_share(const PlanePath& path_px) {
   // Two pixels of the blurred image share noise where one is as far from the other as one instant's place from
-  // another's.
-  constexpr int kInstants = 2 * (kPathInstants - 1);
-  // std::lround is slow where its rounding of halves is not an instruction.
-  const auto rounded = [](float value) { return static_cast<int>(std::floor(value + 0.5f)); };
-  std::array<Eigen::Vector2f, kInstants> places_px;
-  for (int k = 0; k < kInstants; ++k) {
-    const float part = k % 2 == 0 ? 0.25f : 0.75f;
-    places_px[k] = (1 - part) * path_px[k / 2] + part * path_px[k / 2 + 1];
+  // another's. Instants of a short path are nearer to each other than pixels.
+  constexpr float kShortPx = kPathInstants - 1;
+  const int per_piece = extent_of(path_px).maxCoeff() > kShortPx ? 2 : 1, instants = per_piece * (kPathInstants - 1);
+  std::array<Eigen::Vector2f, 2 * (kPathInstants - 1)> places_px;
+  for (int k = 0; k < instants; ++k) {
+    const float part = (static_cast<float>(k % per_piece) + 0.5f) / static_cast<float>(per_piece);
+    places_px[k] = (1 - part) * path_px[k / per_piece] + part * path_px[k / per_piece + 1];
   }
   const int width = window_.width(), height = window_.height(), columns = 2 * width - 1;
-  pairs_.assign(static_cast<std::size_t>(columns * height), 0);  // by lag, y >= 0: the opposite is the same
-  for (const Eigen::Vector2f& a : places_px) {
-    for (const Eigen::Vector2f& b : places_px) {
-      const int x = rounded(a.x() - b.x()), y = rounded(a.y() - b.y());
+  pairs_.resize(static_cast<std::size_t>(columns * height), 0);  // by lag, y >= 0: the opposite is the same
+  lags_.clear();
+  // std::lround is slow where its rounding of halves is not an instruction.
+  const auto rounded = [](float value) { return static_cast<int>(std::floor(value + 0.5f)); };
+  for (int i = 0; i < instants; ++i) {
+    for (int j = 0; j < instants; ++j) {
+      const Eigen::Vector2f away_px = places_px[i] - places_px[j];
+      const int x = rounded(away_px.x()), y = rounded(away_px.y());
       if (y < 0 || y >= height || std::abs(x) >= width) continue;
-      pairs_[static_cast<std::size_t>(y * columns + x + width - 1)] += y == 0 ? 1 : 2;
+      int& pairs = pairs_[static_cast<std::size_t>(y * columns + x + width - 1)];
+      if (pairs == 0) lags_.emplace_back(x, y);
+      pairs += y == 0 ? 1 : 2;
     }
   }
   NoiseShare share;
-  for (int y = 0; y < height; ++y) {
-    for (int x = 1 - width; x < width; ++x) {
-      const int count = pairs_[static_cast<std::size_t>(y * columns + x + width - 1)];
-      if (count == 0) continue;
-      const int rows = height - y, cols = width - std::abs(x), left = std::max(0, -x), right = std::max(0, x);
-      std::array<float, 3> sums;
-      loops_.multiply_gradients(gradient_x_.row(0) + left, gradient_y_.row(0) + left, gradient_x_.row(y) + right,
-                                gradient_y_.row(y) + right, gradient_x_.stride(), cols, rows, sums.data());
-      share.products(0, 0) += count * sums[0];
-      share.products(0, 1) += count * 0.5 * sums[1];
-      share.products(1, 1) += count * sums[2];
-      share.mean += count * rows * cols;
-    }
+  for (const auto& [x, y] : lags_) {
+    const int count = std::exchange(pairs_[static_cast<std::size_t>(y * columns + x + width - 1)], 0);
+    const int rows = height - y, cols = width - std::abs(x), left = std::max(0, -x), right = std::max(0, x);
+    std::array<float, 3> sums;
+    loops_.multiply_gradients(gradient_x_.row(0) + left, gradient_y_.row(0) + left, gradient_x_.row(y) + right,
+                              gradient_y_.row(y) + right, gradient_x_.stride(), cols, rows, sums.data());
+    share.products(0, 0) += count * sums[0];
+    share.products(0, 1) += count * 0.5 * sums[1];
+    share.products(1, 1) += count * sums[2];
+    share.mean += count * rows * cols;
   }
   share.products(1, 0) = share.products(0, 1);
-  constexpr double kPairs = kInstants * kInstants;
-  share.products /= kPairs;
-  share.mean /= kPairs * std::pow(width * height, 2);
+  const double pairs = instants * instants;
+  share.products /= pairs;
+  share.mean /= pairs * std::pow(width * height, 2);
   return share;
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include <Eigen/Core>
@@ -30,7 +31,7 @@ struct AlignmentOptions {
   int window_px = 21;          ///< odd, [5, 101]: side of the patch that is compared, in the second image
   int max_iterations = 30;     ///< >= 1
   double max_offset_px = 6;    ///< > 0: the search ends farther from its start
-  double min_step_px = 0.003;  ///< > 0: a shorter step ends the search
+  double min_step_px = 0.01;  ///< > 0: a shorter step ends the search
 };
 
 /// A point that was found in the second image.
@@ -139,7 +140,8 @@ class BlurAligner {
   Patch source_, sampled_, rows_, template_, gradient_x_, gradient_y_, patch_;
   std::vector<int> offsets_;  // of what is not 0 in a PSF
   std::vector<float> shares_;
-  std::vector<int> pairs_;
+  std::vector<int> pairs_;                 // of a path's instants, by lag; 0 between calls
+  std::vector<std::pair<int, int>> lags_;  // that have pairs
   const AlignmentLoops& loops_ = best_alignment_loops();
 };
 

@@ -12,6 +12,7 @@
 #include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "base/parallel.hpp"
 #include "features/blur_alignment.hpp"
 #include "features/blurred_view.hpp"
 #include "features/corner_following.hpp"
@@ -58,7 +59,9 @@ struct FeatureTracker::State {
   /// The older template: where the point was in an image up to kTemplateImages back.
   std::shared_ptr<const BlurredView> anchor_view;
   BlurredPoint anchor;
-  int anchor_age = 0;                                               // [images]
+  int anchor_age = 0;  // [images]
+  /// What it moved by beside its prediction; nothing where a residual velocity predicted it, and at first.
+  std::optional<Eigen::Vector2d> unpredicted_px_s;
   Eigen::Matrix2d anchor_map = Eigen::Matrix2d::Identity();         // from there to the newest image
   Eigen::Matrix2d anchor_covariance_px2 = Eigen::Matrix2d::Zero();  // there, against where the track began
   Eigen::Matrix2d since_anchor_px2 = Eigen::Matrix2d::Zero();       // in the newest image, against the anchor
@@ -84,17 +87,29 @@ struct FeatureTracker::Candidate {
 };
 
 struct FeatureTracker::Searcher {
-  BlurAligner aligner;
-  AlignmentOptions options;
+  int threads = 1;
+  int window_px = 0;
+  std::vector<BlurAligner> aligners;  // of the threads
+
+  /// Calls body(i, thread) for i < count.
+  template <typename Body>
+  void for_each(std::size_t count, Body&& body) {
+    constexpr int kPointsAtATime = 4;
+    aligners.resize(static_cast<std::size_t>(threads_or_all(threads)));
+    run_parallel(static_cast<int>(count), threads, kPointsAtATime,
+                 [&body](int i, int thread) { body(static_cast<std::size_t>(i), static_cast<std::size_t>(thread)); });
+  }
 
   std::optional<Alignment> find(const BlurredView& from, const BlurredPoint& in_from, const BlurredView& to,
                                 const Eigen::Vector2d& start_px, const Eigen::Matrix2d& map, const Camera& camera,
-                                const CameraMotion& motion) {
+                                const CameraMotion& motion, std::size_t thread) {
+    AlignmentOptions options;
+    options.window_px = window_px;
+    const BlurredPoint in_to = to.point_at(start_px, camera, motion);
     std::optional<Alignment> found =
-        aligner.align(from.luminance(), in_from, to.luminance(), to.point_at(start_px, camera, motion), map, options);
+        aligners[thread].align(from.luminance(), in_from, to.luminance(), in_to, map, options);
     if (!found || !is_usable(*found)) return std::nullopt;
-    found->covariance_px2 += model_variance_px2(in_from.path_px, to.point_at(found->place_px, camera, motion).path_px) *
-                             Eigen::Matrix2d::Identity();
+    found->covariance_px2 += model_variance_px2(in_from.path_px, in_to.path_px) * Eigen::Matrix2d::Identity();
     return found;
   }
 
@@ -115,20 +130,21 @@ struct FeatureTracker::Searcher {
 
   /// Takes a track to where it was found in a new image.
   void advance(State* state, const Candidate& candidate, const BlurredView& view, const Camera& camera,
-               const CameraMotion& motion) {
+               const CameraMotion& motion, std::size_t thread) {
     const Eigen::Matrix2d& map = candidate.predicted.map;
     state->anchor_map = map * state->anchor_map;
     state->since_anchor_px2 = map * state->since_anchor_px2 * map.transpose() + candidate.found->covariance_px2;
     state->point.place_px = candidate.found->place_px;
     ++state->anchor_age;
-    if (state->anchor_age > 1) hold_down_drift(state, view, camera, motion);
+    if (state->anchor_age > 1) hold_down_drift(state, view, camera, motion, thread);
     state->point = view.point_at(state->point.place_px, camera, motion);
   }
 
   /// Improves what was found from the image before by the older template, where the two agree.
-  void hold_down_drift(State* state, const BlurredView& view, const Camera& camera, const CameraMotion& motion) {
-    const std::optional<Alignment> found =
-        find(*state->anchor_view, state->anchor, view, state->point.place_px, state->anchor_map, camera, motion);
+  void hold_down_drift(State* state, const BlurredView& view, const Camera& camera, const CameraMotion& motion,
+                       std::size_t thread) {
+    const std::optional<Alignment> found = find(*state->anchor_view, state->anchor, view, state->point.place_px,
+                                                state->anchor_map, camera, motion, thread);
     if (!found) return;
     constexpr double kMaxMahalanobis = 13.8;  // of two degrees of freedom: 99.9 %
     const Eigen::Vector2d difference_px = found->place_px - state->point.place_px;
@@ -149,9 +165,12 @@ FeatureTracker::~FeatureTracker() = default;
 void FeatureTracker::set_options(const TrackerOptions& options) {
   options.validate();
   if (options.window_px != options_.window_px) with_used_window_.release();
+  if (options.window_px != options_.window_px || options.levels != options_.levels) pyramid_.clear();
   options_ = options;
-  searcher_->options.window_px = options.window_px;
+  searcher_->window_px = options.window_px;
 }
+
+void FeatureTracker::set_threads(int threads) { searcher_->threads = threads; }
 
 void FeatureTracker::set_mask(const PixelMask& mask) {
   if (mask.is_same(mask_)) return;
@@ -163,6 +182,7 @@ void FeatureTracker::reset() {
   tracks_.clear();
   states_.clear();
   view_.reset();
+  pyramid_.clear();
 }
 
 std::optional<TimeRange> FeatureTracker::newest_frame() const {
@@ -185,7 +205,9 @@ const std::vector<Track>& FeatureTracker::track(const cv::Mat& luminance, const 
     if (step_ns <= 0 || step_ns > kLongestTrackBreakNs || calibration != calibration_) reset();
   }
   const auto view = std::make_shared<const BlurredView>(luminance, exposure, field);
-  if (view_) follow(view, camera, motion);
+  std::vector<cv::Mat> pyramid;
+  if (view_) follow(view, camera, motion, &pyramid);
+  pyramid_ = std::move(pyramid);
   add_corners(view, camera, motion);
   view_ = view;
   calibration_ = calibration;
@@ -200,17 +222,37 @@ const std::vector<Track>& FeatureTracker::track_again(const cv::Mat& luminance, 
 }
 
 std::vector<FeatureTracker::Candidate> FeatureTracker::search(const BlurredView& view, const Camera& camera,
-                                                              const CameraMotion& motion) {
+                                                              const CameraMotion& motion,
+                                                              std::vector<cv::Mat>* pyramid) {
   std::vector<Candidate> candidates(tracks_.size());
+  const double dt_s = to_seconds(view.exposure().start(0) - view_->exposure().start(0));
+  std::vector<DisplacedPoint> of_last;  // what points moved by beside their predictions is much the same now
+  for (const State& state : states_) {
+    if (state.unpredicted_px_s) of_last.push_back({state.point.place_px, dt_s * *state.unpredicted_px_s});
+  }
+  searcher_->for_each(tracks_.size(), [&](std::size_t i, std::size_t thread) {
+    Candidate& candidate = candidates[i];
+    const State& state = states_[i];
+    candidate.predicted = predict_point(state.point.place_px, *view_, view, camera, motion);
+    Eigen::Vector2d start_px = candidate.predicted.place_px;
+    if (!candidate.predicted.by_residual) {
+      if (of_last.empty()) return;
+      start_px += state.unpredicted_px_s ? dt_s * *state.unpredicted_px_s
+                                         : local_motion(of_last, state.point.place_px).displacement_px;
+    }
+    candidate.found =
+        searcher_->find(*view_, state.point, view, start_px, candidate.predicted.map, camera, motion, thread);
+    // Otherwise it may have been found by chance: a search there and back tells.
+    constexpr double kSurePx = 0.15, kMaxSurprisePx = 1;
+    if (!candidate.predicted.by_residual && candidate.found &&
+        (candidate.found->covariance_px2.trace() > kSurePx * kSurePx ||
+         (candidate.found->place_px - start_px).norm() > kMaxSurprisePx)) {
+      candidate.found.reset();
+    }
+  });
   std::vector<std::size_t> open;  // what the prediction alone does not find
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
-    Candidate& candidate = candidates[i];
-    candidate.predicted = predict_point(states_[i].point.place_px, *view_, view, camera, motion);
-    if (candidate.predicted.by_residual) {
-      candidate.found = searcher_->find(*view_, states_[i].point, view, candidate.predicted.place_px,
-                                        candidate.predicted.map, camera, motion);
-    }
-    if (!candidate.found) open.push_back(i);
+    if (!candidates[i].found) open.push_back(i);
   }
   if (open.empty()) return candidates;
   std::vector<cv::Point2f> before, start;
@@ -218,20 +260,20 @@ std::vector<FeatureTracker::Candidate> FeatureTracker::search(const BlurredView&
     before.push_back(to_cv(states_[i].point.place_px));
     start.push_back(to_cv(candidates[i].predicted.place_px));
   }
+  if (pyramid_.empty()) pyramid_ = corner_pyramid(view_->luminance(), options_.window_px, options_.levels);
+  *pyramid = corner_pyramid(view.luminance(), options_.window_px, options_.levels);
   const FollowedCorners corners = follow_there_and_back(
-      corner_pyramid(view_->luminance(), options_.window_px, options_.levels),
-      corner_pyramid(view.luminance(), options_.window_px, options_.levels), before, start,
+      pyramid_, *pyramid, before, start,
       {options_.window_px, options_.levels,
-       cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.01),  // OpenCV's defaults
+       cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.05),  // a start: the alignment follows
        options_.max_round_trip_px});
-  for (std::size_t k = 0; k < open.size(); ++k) {
+  searcher_->for_each(open.size(), [&](std::size_t k, std::size_t thread) {
     Candidate& candidate = candidates[open[k]];
-    const bool was_tried = candidate.predicted.by_residual;
-    if (was_tried && !corners.found[k]) continue;
+    if (candidate.predicted.by_residual && !corners.found[k]) return;
     const Eigen::Vector2d start_px = corners.found[k] ? to_eigen(corners.places[k]) : candidate.predicted.place_px;
-    candidate.found =
-        searcher_->find(*view_, states_[open[k]].point, view, start_px, candidate.predicted.map, camera, motion);
-  }
+    candidate.found = searcher_->find(*view_, states_[open[k]].point, view, start_px, candidate.predicted.map, camera,
+                                      motion, thread);
+  });
   return candidates;
 }
 
@@ -243,21 +285,27 @@ void FeatureTracker::refine(const BlurredView& view, const Camera& camera, const
     if (!candidate.found) continue;
     displaced.push_back({states_[i].point.place_px, candidate.found->place_px - candidate.predicted.place_px});
   }
-  for (std::size_t i = 0; i < candidates->size(); ++i) {
+  searcher_->for_each(candidates->size(), [&](std::size_t i, std::size_t thread) {
     Candidate& candidate = (*candidates)[i];
     const LocalMotion local = local_motion(displaced, states_[i].point.place_px);
+    // Where the map stays what it was, the patches do too.
+    constexpr double kLeastSlope = 0.005;
+    const bool stays = candidate.found && local.slope.norm() < kLeastSlope;
     candidate.predicted.map += local.slope;
     const Eigen::Vector2d start_px =
         candidate.found ? candidate.found->place_px : candidate.predicted.place_px + local.displacement_px;
-    candidate.found =
-        searcher_->find(*view_, states_[i].point, view, start_px, candidate.predicted.map, camera, motion);
-  }
+    if (!stays) {
+      candidate.found =
+          searcher_->find(*view_, states_[i].point, view, start_px, candidate.predicted.map, camera, motion, thread);
+    }
+    if (candidate.found) searcher_->advance(&states_[i], candidate, view, camera, motion, thread);
+  });
 }
 
 void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, const Camera& camera,
-                            const CameraMotion& motion) {
+                            const CameraMotion& motion, std::vector<cv::Mat>* pyramid) {
   if (tracks_.empty()) return;
-  std::vector<Candidate> candidates = search(*view, camera, motion);
+  std::vector<Candidate> candidates = search(*view, camera, motion, pyramid);
   refine(*view, camera, motion, &candidates);
   const cv::Size size = view->luminance().size();
   const double dt_s = to_seconds(view->exposure().start(0) - view_->exposure().start(0));
@@ -268,7 +316,6 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
     if (!candidates[i].found) continue;
     Track track = tracks_[i];
     State state = states_[i];
-    searcher_->advance(&state, candidates[i], *view, camera, motion);
     const Eigen::Vector2d& at_px = state.point.place_px;
     if (!inside(to_cv(at_px), size) || !mask_.uses({cvRound(at_px.x()), cvRound(at_px.y())})) continue;
     const Eigen::Vector3d ray = camera.ray(at_px);
@@ -276,6 +323,10 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
     const auto direction = turned_ray(track.pixel_px, camera, motion, view_->exposure().middle(track.pixel_px.y()),
                                       view->exposure().middle(at_px.y()));
     turned_rays.push_back(direction.value_or(camera.ray(track.pixel_px)));
+    state.unpredicted_px_s.reset();
+    if (!candidates[i].predicted.by_residual) {
+      state.unpredicted_px_s = (candidates[i].found->place_px - candidates[i].predicted.place_px) / dt_s;
+    }
     track.pixel_px = at_px;
     track.covariance_px2 = told_covariance(state.covariance_px2());
     const Eigen::Vector2d normalized = camera.normalized(ray);

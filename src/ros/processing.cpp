@@ -180,6 +180,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   if (request.tracks && !output->dropped) {
     start = std::chrono::steady_clock::now();
     tracker->set_options(assembled.tracker_options);
+    tracker->set_threads(assembled.options.threads);
     tracker->set_mask(assembled.mask);
     const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
     output->tracks =
