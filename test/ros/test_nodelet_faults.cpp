@@ -2,6 +2,8 @@
 // it. Waits for messages and conditions with a deadline; time never decides.
 #include <algorithm>
 #include <atomic>
+#include <cstdlib>
+#include <filesystem>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -569,8 +571,13 @@ TEST_F(StereoTest, OtherLimitsOfStampsAreNotShared) {
 
 int main(int argc, char** argv) {
   testing::InitGoogleTest(&argc, argv);
+  // What the nodelets store is not of the user's cameras.
+  std::string home = (std::filesystem::temp_directory_path() / "gyro_deblur_home_XXXXXX").string();
+  if (mkdtemp(home.data()) == nullptr || setenv("ROS_HOME", home.c_str(), 1) != 0) return 1;
   ros::init(argc, argv, "test_nodelet_faults");
   ros::AsyncSpinner spinner(2);
   spinner.start();
-  return RUN_ALL_TESTS();
+  const int status = RUN_ALL_TESTS();
+  std::filesystem::remove_all(home);
+  return status;
 }
