@@ -31,6 +31,7 @@ struct GivenNumbers {
   bool time_offset = true;
   bool readout_time = true;
   bool gyro_bias = true;
+  bool exposure_time = true;  ///< 0 means "not known" here, too
 };
 
 enum class ExposureUnit {
@@ -44,14 +45,15 @@ enum class ExposureUnit {
 /// The messages that exposure times are read from.
 struct ExposureSource {
   enum class Kind {
+    AUTO,                 ///< gyro_deblur/Exposure or realsense2_camera/Metadata, by the type of the message
     MESSAGE,              ///< gyro_deblur/Exposure
     FIELD,                ///< a field of any message
     REALSENSE_METADATA,   ///< JSON of realsense2_camera/Metadata
     DYNAMIC_RECONFIGURE,  ///< a parameter of dynamic_reconfigure/Config
   };
-  Kind kind = Kind::MESSAGE;
-  ExposureUnit unit = ExposureUnit::SECONDS;  ///< of numbers; times and durations bring their own
-  std::string field;                          ///< path of the field, key or parameter; empty for MESSAGE
+  Kind kind = Kind::AUTO;
+  ExposureUnit unit = ExposureUnit::SECONDS;  ///< of numbers; times and durations bring their own; none of AUTO
+  std::string field;                          ///< path of the field, key or parameter; empty for AUTO and MESSAGE
 };
 
 /// Every parameter; doc/guides/parameters.md has the keys and their ranges. Each member has one row in
@@ -59,8 +61,9 @@ struct ExposureSource {
 struct Config {
   PipelineOptions pipeline;
   GyroOptions gyro;
-  ShutterTiming shutter;  ///< exposure_ns 0: per-frame message only; readout_ns is the default readout
+  ShutterTiming shutter;  ///< of images without a message of their own; exposure_ns 0: not known
   ExposureSource exposure_source;
+  OnExposureConflict on_exposure_conflict = OnExposureConflict::IMAGES;
   /// An image without an exposure of its own takes the last one before it that is no older; 0: none.
   TimeNs exposure_max_age_ns = 0;
   bool rectified_input = false;              ///< the image is undistorted: use camera_info's P and R

@@ -84,6 +84,10 @@ class RowExposure {
 
   const ShutterTiming& timing() const { return timing_; }
 
+  /// The same image had it been exposed for `exposure_ns`: what its stamp refers to stays where it is. Throws
+  /// OptionError for a bad exposure.
+  RowExposure with_exposure(TimeNs exposure_ns) const;
+
  private:
   TimeNs stamp_ns_;
   int rows_;

@@ -142,6 +142,12 @@ enum class ImageBorder {
   REPLICATE  ///< the nearest pixel
 };
 
+/// What to do when the blur says for seconds that an exposure time is another one than was given.
+enum class OnExposureConflict {
+  IMAGES,      ///< exposure_time is replaced by what the images say; a message's value is reported and kept
+  CONFIGURED,  ///< what is given is reported and kept
+};
+
 /// Gyroscope intake.
 struct GyroOptions {
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< subtracted once, in RotationTrack
@@ -163,7 +169,9 @@ struct PipelineOptions {
   NoiseModel noise;
   KeypointOptions keypoints;
   bool motion_from_images = true;  ///< what the gyroscope does not know of a motion, see ResidualFlow
-  bool bridge_gyro_gaps = false;   ///< frames that the gyroscope does not cover go by the images alone
+  /// Which frames that the gyroscope does not cover go by the images alone: "absent", where there is no gyroscope or
+  /// it is silent; "always", also at its gaps and where it is saturated; "never".
+  std::string flow_without_gyro = "absent";
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
   ImageBorder global_shutter_border = ImageBorder::BLACK;
   std::string engine = "auto";  ///< see make_engine

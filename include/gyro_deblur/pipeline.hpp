@@ -14,6 +14,7 @@
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/deconvolution.hpp"
 #include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/exposure_estimate.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/kernel_bank.hpp"
 #include "gyro_deblur/keypoints.hpp"
@@ -35,6 +36,24 @@ enum class Permit {
   STOP,   ///< the field is all that there is of the frame
 };
 
+/// What an image's blur, and that of the images before, say of its exposure.
+struct ExposureAnswer {
+  TimeNs exposure_ns = 0;  ///< (0, 1] s, the likeliest
+  bool is_known = true;    ///< the image may be deblurred by it
+};
+
+/// How an exposure time is found that is not certain.
+struct ExposureQuestion {
+  bool estimate = true;   ///< the blur is looked at, see estimate_exposure()
+  TimeNs longest_ns = 0;  ///< that the exposure may turn out to be; 0: not known
+  /// Called once, with what the blur says (nothing: it says nothing, or was not looked at) and the mean grey level of
+  /// the image, 0 to 255.
+  std::function<ExposureAnswer(const std::optional<ExposureEstimate>&, double)> answer;
+};
+
+/// What images still lack to tell the exposure time.
+enum class ExposureNeed { NOTHING, MOTION, TEXTURE, LIGHT };
+
 /// What a caller wants of a frame; nothing else is computed.
 struct PipelineRequest {
   bool image = true;            ///< the deblurred image
@@ -46,6 +65,10 @@ struct PipelineRequest {
   /// not known of its motion was found then, for between a picture and itself nothing moves. `motion` and `exposure`
   /// have to be those of the call before, too.
   bool repeats_picture = false;
+  /// The exposure time is `exposure`'s only as long as nothing is known that is better; nothing: it is certain.
+  std::optional<ExposureQuestion> exposure = {};
+  /// No gyroscope is there, or it is silent: see flow_without_gyro.
+  bool without_gyro = false;
   /// Asked with the validated field before anything is deblurred. Absent: DEBLUR.
   std::function<Permit(const FrameBlur&)> permit = {};
 };
@@ -59,6 +82,7 @@ struct StageTimes {
   double deconvolution_ms = 0;
   double keypoints_ms = 0;
   double global_shutter_ms = 0;
+  double exposure_ms = 0;  ///< of its estimate
 };
 
 struct PipelineResult {
@@ -88,6 +112,14 @@ struct PipelineResult {
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;
   SlowBlocks slow_blocks;  ///< blocks that left the engine's fast path, and why
+  /// The exposure that was used, or assumed.
+  TimeNs exposure_ns = 0;
+  /// False: the exposure is not known. Then no block is DEBLURRED and there are no image, keypoints and global-shutter
+  /// image, unless the image is sharp whatever the exposure is.
+  bool exposure_is_known = true;
+  bool sharp_at_any_exposure = false;  ///< of an exposure that is not known
+  std::optional<ExposureEstimate> exposure_estimate;
+  ExposureNeed exposure_need = ExposureNeed::NOTHING;  ///< where the exposure is not known
 };
 
 /// Makes the engine of a name and a number of threads, as make_engine does.
@@ -130,8 +162,9 @@ class Pipeline {
 
   /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
   /// @param motion  of the camera over the frame; blocks it does not cover are NO_GYRO. What it does not know of the
-  ///                motion is found in the images, where it reaches back to the one before. With bridge_gyro_gaps, of
-  ///                a frame that it does not cover wholly, the images tell all of it, or the block is NO_GYRO
+  ///                motion is found in the images, where it reaches back to the one before. Of a frame
+  ///                that it does not cover wholly, and that flow_without_gyro allows for, the images tell all of it, or
+  ///                the block is NO_GYRO
   /// Throws std::invalid_argument when the image or the mask does not fit, std::logic_error before set_calibration.
   PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                          const RowExposure& exposure, const PipelineRequest& request);
@@ -151,6 +184,15 @@ class Pipeline {
   /// Looks for static content. @param luminance  may be empty: it is made where it is needed, and left there
   void watch_static_content(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                             const RowExposure& exposure, cv::Mat* luminance, PipelineResult* result);
+  /// The blur field by the gyroscope and the residual velocities.
+  /// @param alone  they are the whole motion
+  FrameBlur blur_field(const CameraMotion& known, const RowExposure& exposure, const ResidualField& residuals,
+                       bool alone, bool in_a_hurry) const;
+  /// Finds the exposure out, and the field again where it is another one.
+  /// @param exposure  the assumed one; becomes the one found
+  void settle_exposure(const ExposureQuestion& question, const cv::Mat& luminance, const std::optional<double>& noise,
+                       const std::function<FrameBlur(const RowExposure&)>& field_by, RowExposure* exposure,
+                       PipelineResult* result);
   /// Blocks that the mask or static content keeps from being deblurred.
   void mark_blocks(FrameBlur* field) const;
   /// @param image  deblurred

@@ -128,7 +128,7 @@ YAML::Node unquoted_list(const YAML::Node& node) {
 /// Sets what the keys say. Calibration files are not opened yet.
 Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
   Config config;
-  config.given = {false, false, false};
+  config.given = {false, false, false, false};
   if (node.IsNull()) return config;
   if (!node.IsMap()) throw OptionError("the configuration is not a map of keys: " + describe(node));
   std::set<std::string> seen;
@@ -194,11 +194,17 @@ Config load_config(const std::string& path, std::vector<std::string>* unknown) {
 std::string unknown_key_message(const std::string& key) {
   static const std::string kSeenByImages = "motion_from_images sees translation without it";
   static const std::map<std::string, std::string> kFormer{
-      {"backend", "it is now called engine"},  {"scene_depth", kSeenByImages},
-      {"scene_depth_max_age", kSeenByImages},  {"odometry_max_age", kSeenByImages},
-      {"odometry_max_speed", kSeenByImages},   {"odometry_max_acceleration", kSeenByImages},
-      {"odometry_max_stddev", kSeenByImages},  {"odometry_clock", kSeenByImages},
-      {"odometry_twist_frame", kSeenByImages}, {"p_cam_imu", kSeenByImages}};
+      {"backend", "it is now called engine"},
+      {"bridge_gyro_gaps", "it is now called flow_without_gyro, and true is now always"},
+      {"scene_depth", kSeenByImages},
+      {"scene_depth_max_age", kSeenByImages},
+      {"odometry_max_age", kSeenByImages},
+      {"odometry_max_speed", kSeenByImages},
+      {"odometry_max_acceleration", kSeenByImages},
+      {"odometry_max_stddev", kSeenByImages},
+      {"odometry_clock", kSeenByImages},
+      {"odometry_twist_frame", kSeenByImages},
+      {"p_cam_imu", kSeenByImages}};
   const auto former = kFormer.find(key);
   return key + " is not known, ignored" + (former == kFormer.end() ? "" : ": " + former->second);
 }

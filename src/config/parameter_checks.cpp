@@ -142,8 +142,8 @@ void PipelineOptions::validate() const {
   noise.validate();
   keypoints.validate();
   check_parameters(*this);
-  if (bridge_gyro_gaps && !motion_from_images) {
-    throw OptionError("bridge_gyro_gaps = true needs motion_from_images = true, which is false");
+  if (flow_without_gyro == "always" && !motion_from_images) {
+    throw OptionError("flow_without_gyro = \"always\" needs motion_from_images = true, which is false");
   }
   static_cast<void>(BitDepth(significant_bits));
 }
@@ -157,7 +157,7 @@ void Config::validate() const {
   pipeline.validate();
   gyro.validate();
   ShutterTiming timing = shutter;
-  if (timing.exposure_ns == 0) timing.exposure_ns = 1;  // each frame brings its own; check the rest
+  if (timing.exposure_ns == 0) timing.exposure_ns = 1;  // not known; check the rest
   timing.validate();
   tracker.validate();
   check_parameters(exposure_source);

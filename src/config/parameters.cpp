@@ -94,11 +94,17 @@ ParameterGroup camera_timing() {
       "camera timing",
       "",
       {
-          {"exposure_time", &Shutter::exposure_ns, above(0, 1, "s"), "of each row; 0: only from the exposure topic"},
+          Parameter("exposure_time", &Shutter::exposure_ns, above(0, 1, "s"),
+                    "of each row, of images without an exposure message; '': not known, the images' blur tells it")
+              .may_be_empty(&GivenNumbers::exposure_time),
           {"exposure_source", &Config::exposure_source,
-           "the exposure topic has gyro_deblur/Exposure; any message with exposure_field, in that unit; a RealSense's "
-           "metadata (exposure_field: actual_exposure unless given; infrared in us, colour in 100us); or a driver's "
+           "what the exposure topic has: gyro_deblur/Exposure or a RealSense's metadata, as recognised by their type; "
+           "gyro_deblur/Exposure; any message with exposure_field, in that unit; a RealSense's metadata "
+           "(exposure_field: actual_exposure unless given; infrared in us, colour in 100us); or a driver's "
            "parameter_updates with the parameter exposure_field"},
+          {"on_exposure_conflict", &Config::on_exposure_conflict,
+           "when the blur contradicts an exposure time for 2 s: the images' estimate replaces exposure_time, messages "
+           "are kept; or both are kept. The contradiction is reported in either case"},
           {"exposure_field", &ExposureSource::field, "e.g. exposure_time, exposures[0].shutterms"},
           {"exposure_max_age", &Config::exposure_max_age_ns, within(0, 60, "s"),
            "how long the last exposure serves images without their own; 0: not at all"},
@@ -201,8 +207,10 @@ ParameterGroup blur_field() {
                RUNNING},
               {"motion_from_images", &PipelineOptions::motion_from_images,
                "what the gyroscope does not know of the motion is taken from corners followed between images", RUNNING},
-              {"bridge_gyro_gaps", &PipelineOptions::bridge_gyro_gaps,
-               "needs motion_from_images: frames that the gyroscope does not cover go by those corners alone", RUNNING},
+              {"flow_without_gyro", &PipelineOptions::flow_without_gyro, one_of({"absent", "always", "never"}),
+               "which frames that the gyroscope does not cover go by those corners alone: those of a camera whose IMU "
+               "is absent or silent; also those at gaps and of saturated samples; or none",
+               RUNNING},
           }};
 }
 

@@ -79,12 +79,19 @@ inline const Names<SelfCalibrationMode>& names_of(SelfCalibrationMode) {
   return kNames;
 }
 
+inline const Names<OnExposureConflict>& names_of(OnExposureConflict) {
+  static const Names<OnExposureConflict> kNames{{"images", OnExposureConflict::IMAGES},
+                                                {"configured", OnExposureConflict::CONFIGURED}};
+  return kNames;
+}
+
 /// Kind and unit together; the unit is part of the name, so that nobody has to guess it.
 using ExposureMessage = std::pair<ExposureSource::Kind, ExposureUnit>;
 
 inline const Names<ExposureMessage>& names_of(const ExposureSource&) {
   using Kind = ExposureSource::Kind;
   static const Names<ExposureMessage> kNames{
+      {"auto", {Kind::AUTO, ExposureUnit::SECONDS}},
       {"message", {Kind::MESSAGE, ExposureUnit::SECONDS}},
       {"field_us", {Kind::FIELD, ExposureUnit::MICROSECONDS}},
       {"field_10us", {Kind::FIELD, ExposureUnit::TEN_MICROSECONDS}},

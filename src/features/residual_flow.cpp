@@ -223,6 +223,13 @@ void ResidualFlow::shrink_mask(const cv::Size& size) {
   cv::erode(share == kWholly, usable_, cv::getStructuringElement(cv::MORPH_RECT, {side_px, side_px}));
 }
 
+void ResidualFlow::correct_exposure(const Camera& camera, const RowExposure& exposure) {
+  if (!exposure_) return;
+  // The mean of the velocities is halfway from the image before, which stays where it is.
+  mean_ns_ += (middle_of(exposure, camera) - middle_of(*exposure_, camera)) / 2;
+  exposure_ = exposure;
+}
+
 void ResidualFlow::reset() {
   exposure_.reset();
   samples_.clear();

@@ -73,6 +73,9 @@ class ResidualFlow {
   /// Exposure of the newest image: how far back the next call's `motion` should reach. Nothing before the first one.
   std::optional<TimeRange> newest_frame() const;
 
+  /// The newest image was exposed at another time than it was followed by: the next one is followed from there.
+  void correct_exposure(const Camera& camera, const RowExposure& exposure);
+
   /// Forgets the images.
   void reset();
 

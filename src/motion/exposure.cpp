@@ -143,6 +143,12 @@ TimeNs RowExposure::middle(double y) const { return start(y) + phase_offset_ns(t
 
 TimeNs RowExposure::end(double y) const { return start(y) + timing_.exposure_ns; }
 
+RowExposure RowExposure::with_exposure(TimeNs exposure_ns) const {
+  ShutterTiming timing = timing_;
+  timing.exposure_ns = exposure_ns;
+  return {stamp_ns_, rows_, timing};
+}
+
 TimeRange RowExposure::frame() const {
   const double last = rows_ - 1;
   return {std::min(start(0), start(last)), std::max(end(0), end(last))};

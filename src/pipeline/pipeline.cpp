@@ -1,6 +1,9 @@
 #include "gyro_deblur/pipeline.hpp"
 
+#include <algorithm>
 #include <chrono>
+#include <cstddef>
+#include <cstdlib>
 #include <limits>
 #include <stdexcept>
 #include <utility>
@@ -97,6 +100,34 @@ Eigen::Vector3d rate_at(const CameraMotion& motion, TimeNs t_ns) {
   return -turn.angle() / to_seconds(range.end_ns - range.begin_ns) * turn.axis();
 }
 
+/// Whether corners have to be followed again by the exposure that was found. Its middle is another one, by more than
+/// 1 % of the time since the image before: so much of the rotation was taken for residual velocities.
+bool moves_corners(const TimeRange& before, const RowExposure& assumed, const RowExposure& found) {
+  constexpr TimeNs kParts = 100;
+  return kParts * std::abs(found.middle(0) - assumed.middle(0)) > assumed.start(0) - before.begin_ns;
+}
+
+/// Of the blocks whose motion is known [px].
+double longest_extent_px(const FrameBlur& field) {
+  double longest_px = 0;
+  for (const BlockBlur& block : field.blocks) {
+    if (block.status != BlockStatus::MASKED) longest_px = std::max<double>(longest_px, block.extent_px);
+  }
+  return longest_px;
+}
+
+/// Why a field and the image's spectra do not tell the exposure.
+ExposureNeed exposure_need(double contrast, const std::optional<double>& noise, const FrameBlur& field) {
+  // One image with a median of so much tells it by day, see doc/reports/exposure.md.
+  constexpr float kEnoughPx = 6;
+  // By day the noise of a camera is a tenth of the contrast or less.
+  constexpr double kTooNoisy = 0.2;
+  const auto is_long = [](const BlockBlur& block) { return block.extent_px >= kEnoughPx; };
+  const auto moving = std::count_if(field.blocks.begin(), field.blocks.end(), is_long);
+  if (2 * static_cast<std::size_t>(moving) < field.blocks.size()) return ExposureNeed::MOTION;
+  return noise && *noise > kTooNoisy * contrast ? ExposureNeed::LIGHT : ExposureNeed::TEXTURE;
+}
+
 /// Blocks of a field beside no motion: that none was found does not say that there is none.
 void require_residuals(FrameBlur* field) {
   field->images_alone = true;
@@ -176,39 +207,56 @@ std::string Pipeline::take_warning() {
 }
 
 PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
-                                 const RowExposure& exposure, const PipelineRequest& request) {
+                                 const RowExposure& assumed_exposure, const PipelineRequest& request) {
   if (!camera_) throw std::logic_error("Pipeline::process before set_calibration");
   require_fit(image, layout, camera_->calibration(), mask_);
 
   PipelineResult result;
+  RowExposure exposure = assumed_exposure;
+  result.exposure_ns = exposure.timing().exposure_ns;
   result.reference_ns = exposure.reference_time(options_.rectify_to);
   result.significant_bits = bit_depth_.of(image, layout);
-  const bool alone = flow_ && options_.bridge_gyro_gaps && !motion.covers(exposure.frame());
+  const bool by_flow =
+      options_.flow_without_gyro == "always" || (options_.flow_without_gyro == "absent" && request.without_gyro);
+  const bool alone = flow_ && by_flow && !motion.covers(assumed_exposure.frame());
   const StandingCamera standing;
   const CameraMotion& known = alone ? standing : motion;
   cv::Mat luminance;
   ResidualField residuals;
+  const auto follow = [&](const RowExposure& by) {
+    residuals = residual_velocities(luminance, known, by, request.repeats_picture);
+    if (alone || request.repeats_picture) return;
+    result.residual_rotation =
+        fit_residual_rotation(of_used(residuals, estimator_->grid(), mask_), estimator_->grid(), *camera_, motion, by);
+  };
+  std::optional<ResidualFlow> flow_before;  // this image
   if (flow_) {
     const Stopwatch watch;
     luminance = luminance8(image, layout, result.significant_bits);
     if (alone != alone_) flow_->change_motion(*camera_, estimator_->grid(), alone ? &motion : nullptr);
     alone_ = alone;
     flow_->set_mask(mask_);
-    residuals = residual_velocities(luminance, known, exposure, request.repeats_picture);
-    if (!alone && !request.repeats_picture) {
-      result.residual_rotation = fit_residual_rotation(of_used(residuals, estimator_->grid(), mask_),
-                                                       estimator_->grid(), *camera_, motion, exposure);
-    }
+    if (request.exposure) flow_before = *flow_;
+    follow(exposure);
     result.times.flow_ms = watch.ms();
   }
   const Stopwatch blur_field_watch;
   watch_static_content(image, layout, motion, exposure, &luminance, &result);
-  result.field = estimator_->estimate(known, exposure, residuals, request.in_a_hurry);
-  if (alone) require_residuals(&result.field);
-  mark_blocks(&result.field);
+  const auto field_by = [&](const RowExposure& by) {
+    return blur_field(known, by, residuals, alone, request.in_a_hurry);
+  };
+  const auto field_by_found = [&](const RowExposure& found) {
+    const std::optional<TimeRange> before = flow_before ? flow_before->newest_frame() : std::nullopt;
+    if (before && moves_corners(*before, exposure, found)) {
+      *flow_ = *std::move(flow_before);
+      follow(found);
+    } else if (flow_) {
+      flow_->correct_exposure(*camera_, found);
+    }
+    return field_by(found);
+  };
+  result.field = field_by(exposure);
   result.times.blur_field_ms = blur_field_watch.ms();
-  if (flow_ && !alone && !request.repeats_picture)
-    result.seen_rotation = seen_rotation(luminance, motion, exposure, result);
 
   std::optional<double> found_noise;
   if (!options_.noise.is_known()) {
@@ -217,6 +265,22 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     result.times.noise_ms = watch.ms();
   }
   const bool image_has_luminance = is_yuv422(layout) || (layout == PixelLayout::GRAY && image.depth() == CV_8U);
+  if (request.exposure) {
+    const Stopwatch watch;
+    if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
+    settle_exposure(*request.exposure, luminance, image_has_luminance ? found_noise : std::nullopt, field_by_found,
+                    &exposure, &result);
+    result.times.exposure_ms = watch.ms();
+  }
+  if (flow_ && !alone && !request.repeats_picture)
+    result.seen_rotation = seen_rotation(luminance, motion, exposure, result);
+  if (!result.exposure_is_known && !result.sharp_at_any_exposure) {
+    result.exposure_need =
+        exposure_need(image_contrast(image, layout, result.significant_bits, mask_), found_noise, result.field);
+    result.field.reject_all();
+    if (request.luminance) result.luminance = luminance;
+    return result;
+  }
   if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {
     const Stopwatch watch;
     if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
@@ -285,6 +349,35 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   result.covariances_px2 = covariances(luminance, options_.keypoints.detector, exposure, result);
   result.times.keypoints_ms = watch.ms();
   return result;
+}
+
+FrameBlur Pipeline::blur_field(const CameraMotion& known, const RowExposure& exposure, const ResidualField& residuals,
+                               bool alone, bool in_a_hurry) const {
+  FrameBlur field = estimator_->estimate(known, exposure, residuals, in_a_hurry);
+  if (alone) require_residuals(&field);
+  mark_blocks(&field);
+  return field;
+}
+
+void Pipeline::settle_exposure(const ExposureQuestion& question, const cv::Mat& luminance,
+                               const std::optional<double>& noise,
+                               const std::function<FrameBlur(const RowExposure&)>& field_by, RowExposure* exposure,
+                               PipelineResult* result) {
+  const double longest = static_cast<double>(question.longest_ns) / static_cast<double>(result->exposure_ns);
+  result->sharp_at_any_exposure =
+      longest > 0 && longest_extent_px(result->field) * longest < options_.blur_field.min_extent_px;
+  if (question.estimate && !result->sharp_at_any_exposure) {
+    result->exposure_estimate = estimate_exposure(result->field, luminance, noise, options_.threads);
+  }
+  const ExposureAnswer answer = question.answer(result->exposure_estimate, cv::mean(luminance)[0]);
+  result->exposure_is_known = answer.is_known;
+  if (answer.exposure_ns == result->exposure_ns) return;
+  // Where it is not known, too: the next image is followed from the middle of this one's exposure.
+  const RowExposure found = exposure->with_exposure(answer.exposure_ns);
+  result->exposure_ns = answer.exposure_ns;
+  result->reference_ns = found.reference_time(options_.rectify_to);
+  result->field = field_by(found);
+  exposure_before_ = *exposure = found;
 }
 
 ResidualField Pipeline::residual_velocities(const cv::Mat& luminance, const CameraMotion& known,

@@ -37,17 +37,6 @@ Readiness settle(PendingFrame* frame, PassThroughReason reason, const std::strin
   return Readiness::SETTLED;
 }
 
-/// Why there is no exposure time, and where one was looked for.
-/// @param told_none  the driver has told that it does not know it
-std::string no_exposure_text(const Config& config, bool told_none, TimeNs stamp_ns) {
-  const std::string stamp_text = seconds_text(stamp_ns) + " s";
-  return (told_none ? "the driver tells an exposure time of 0 s, which is not known, for the image with the stamp " +
-                          stamp_text + ", its neighbours tell none, "
-                    : "no exposure message with the image's stamp " + stamp_text + ", ") +
-         "none within exposure_max_age = " + seconds_text(config.exposure_max_age_ns) +
-         " s before it, and parameter exposure_time is not set: set it to (0, 1] s, or publish exposures";
-}
-
 void take_times(const Exposure& message, ShutterTiming* timing) {
   timing->exposure_ns = message.exposure_time.toNSec();
   if (!message.readout_time.isZero()) timing->readout_ns = message.readout_time.toNSec();
@@ -80,12 +69,20 @@ void set_calibration(const Config& config, PendingFrame* frame) {
   }
 }
 
-/// The time that the frame itself needs samples for, IMU clock. Precondition: its exposure is known.
-TimeRange own_range(const Config& config, const AssembledFrame& assembled) {
-  const TimeNs reference_ns = assembled.exposure->reference_time(config.pipeline.rectify_to);
-  const TimeRange frame_cam = assembled.exposure->frame();
+/// The time that the frame itself needs samples for, IMU clock, where it was exposed so long.
+TimeRange own_range(const Config& config, const AssembledFrame& assembled, TimeNs exposure_ns) {
+  const RowExposure exposure = assembled.exposure->with_exposure(exposure_ns);
+  const TimeNs reference_ns = exposure.reference_time(config.pipeline.rectify_to);
+  const TimeRange frame_cam = exposure.frame();
   const TimeNs offset_ns = assembled.gyro.time_offset_ns;
   return {std::min(frame_cam.begin_ns, reference_ns) + offset_ns, std::max(frame_cam.end_ns, reference_ns) + offset_ns};
+}
+
+/// The same, however long it may turn out to have been exposed.
+TimeRange longest_range(const Config& config, const AssembledFrame& assembled) {
+  const TimeRange planned = own_range(config, assembled, assembled.plan.exposure_ns),
+                  longest = own_range(config, assembled, assembled.plan.longest_ns);
+  return {std::min(planned.begin_ns, longest.begin_ns), std::max(planned.end_ns, longest.end_ns)};
 }
 
 /// Marks the samples that GyroBuffer::window would give for `own` alone.
@@ -257,11 +254,7 @@ Readiness FrameAssembly::find_timing(const Terms& terms, PendingFrame* frame, Sh
   const Exposure* before = exposures.find_before(stamp_ns, oldest_ns);
   if (is_known(before)) return take(*before);
   *source = kParameterExposure;
-  if (timing->exposure_ns == 0) {
-    return settle(frame, PassThroughReason::NO_EXPOSURE_TIME,
-                  no_exposure_text(config, own != nullptr || setting_ns.has_value(), stamp_ns));
-  }
-  if (!own && expected && exposures.awaited() && !setting_ns) {
+  if (timing->exposure_ns > 0 && !own && expected && exposures.awaited() && !setting_ns) {
     log_(LogLevel::WARNING, "exposure message missing",
          "no exposure message with the image's stamp " + seconds_text(stamp_ns) +
              " s: using parameter exposure_time = " + seconds_text(timing->exposure_ns) + " s");
@@ -275,15 +268,12 @@ Readiness FrameAssembly::find_exposure(const Terms& terms, PendingFrame* frame, 
   const Readiness readiness = find_timing(terms, frame, &timing, &source);
   if (readiness != Readiness::READY) return readiness;
   assembled->readout_by_message = timing.readout_ns != region_readout_ns(terms.config.shutter.readout_ns, *frame->info);
-  const FramePeriod& period = intake_.frame_period();
-  const bool from_parameter = source == kParameterExposure;
-  if (const std::optional<std::string> fault = exposure_fault(source, timing.exposure_ns, period)) {
-    // Reported when it came.
-    return settle(frame, from_parameter ? PassThroughReason::BAD_CONFIGURATION : PassThroughReason::NO_EXPOSURE_TIME,
-                  *fault);
+  if (plan_exposure(terms, timing.exposure_ns, source, frame, &assembled->plan) == Readiness::SETTLED) {
+    return Readiness::SETTLED;
   }
+  timing.exposure_ns = assembled->plan.exposure_ns;
   try {
-    period.require_plausible_readout("readout_time", timing.readout_ns);
+    intake_.frame_period().require_plausible_readout("readout_time", timing.readout_ns);
   } catch (const OptionError& error) {
     problems_.report("readout_time", error.what());
     return settle(frame, PassThroughReason::BAD_CONFIGURATION, error.what());
@@ -294,6 +284,29 @@ Readiness FrameAssembly::find_exposure(const Terms& terms, PendingFrame* frame, 
   } catch (const OptionError& error) {
     return settle(frame, PassThroughReason::NO_EXPOSURE_TIME, error.what());
   }
+  return Readiness::READY;
+}
+
+Readiness FrameAssembly::plan_exposure(const Terms& terms, TimeNs given_ns, const std::string& source,
+                                       PendingFrame* frame, ExposurePlan* plan) const {
+  const FramePeriod& period = intake_.frame_period();
+  const bool from_parameter = source == kParameterExposure;
+  std::optional<GivenExposure> given;
+  if (given_ns != 0) {
+    given = GivenExposure{from_parameter               ? ExposureOrigin::PARAMETER
+                          : source == kSettingExposure ? ExposureOrigin::SETTING
+                                                       : ExposureOrigin::MESSAGE,
+                          given_ns};
+    if (const std::optional<std::string> fault = exposure_fault(source, given_ns, period)) {
+      // Reported when it came.
+      if (!from_parameter) return settle(frame, PassThroughReason::NO_EXPOSURE_TIME, *fault);
+      if (terms.config.on_exposure_conflict == OnExposureConflict::CONFIGURED) {
+        return settle(frame, PassThroughReason::BAD_CONFIGURATION, *fault);
+      }
+      given.reset();
+    }
+  }
+  *plan = terms.exposures.plan(given, period.get());
   return Readiness::READY;
 }
 
@@ -339,15 +352,19 @@ Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame,
 Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, AssembledFrame* assembled) const {
   assembled->gyro = terms.config.gyro;
   if (terms.bias_rad_s) assembled->gyro.bias_rad_s = *terms.bias_rad_s;
-  const TimeRange own = own_range(terms.config, *assembled);
+  const TimeRange own = longest_range(terms.config, *assembled);
   const TimeRange available = intake_.gyro().available();
   const bool empty = available.empty();
-  if (!terms.timed_out) {
+  const PipelineOptions& options = terms.config.pipeline;
+  const bool by_flow = options.motion_from_images && options.flow_without_gyro != "never";
+  const bool silent = intake_.imu_is_silent(own.begin_ns);
+  if (!terms.timed_out && !(by_flow && silent)) {
     if (empty || available.end_ns < own.end_ns) return wait_for(Awaited::IMU, frame);
     // After a jump late samples of the old epoch say nothing about frames of the new one.
     if (intake_.imu_is_stale() && own.end_ns < available.begin_ns) return wait_for(Awaited::IMU, frame);
   }
-  if (empty && terms.config.pipeline.bridge_gyro_gaps) return Readiness::READY;
+  assembled->without_gyro = empty || silent;
+  if (empty && by_flow) return Readiness::READY;
   if (empty) {  // nor is the IMU's frame known then
     return settle(frame, PassThroughReason::NO_GYRO, coverage_text(own, std::nullopt, assembled->gyro));
   }
@@ -357,11 +374,11 @@ Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, As
 void FrameAssembly::collect(const Terms& terms, AssembledFrame* assembled) const {
   const Config& config = terms.config;
   const GyroReader& reader = intake_.gyro();
-  const TimeRange own = own_range(config, *assembled), available = reader.available();
+  const TimeRange own = own_range(config, *assembled, assembled->plan.exposure_ns), available = reader.available();
   assembled->coverage_text =
       coverage_text(own, available.empty() ? std::nullopt : std::optional(available), assembled->gyro);
   const TimeRange frame_cam = assembled->exposure->frame();
-  TimeRange all = own;
+  TimeRange all = longest_range(config, *assembled);
   const auto reach = [&all, assembled](TimeNs camera_ns) {
     const TimeNs imu_ns = camera_ns + assembled->gyro.time_offset_ns;
     all = {std::min(all.begin_ns, imu_ns), std::max(all.end_ns, imu_ns)};

@@ -15,6 +15,7 @@
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
+#include "pipeline/exposure_choice.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/input_problems.hpp"
 #include "ros/intake.hpp"
@@ -56,6 +57,7 @@ class FrameAssembly {
   /// What holds for a frame beside messages.
   struct Terms {
     const Config& config;
+    const ExposureChoice& exposures;
     std::optional<Eigen::Vector3d> bias_rad_s;  ///< in place of the configured one
     /// Exposures of the images that corners are followed from: by the tracker, and for the motion of blocks. They
     /// differ where nobody listens to tracks.
@@ -94,6 +96,11 @@ class FrameAssembly {
   /// Exposure and readout time from a message, a setting or the parameters.
   /// @param source  what the exposure time is of, for messages
   Readiness find_timing(const Terms& terms, PendingFrame* frame, ShutterTiming* timing, std::string* source) const;
+  /// How long the image is taken to be exposed, until its blur has been looked at.
+  /// @param given  the exposure time of a message, a setting or the parameter; 0: not known
+  /// @param source  of find_timing()
+  Readiness plan_exposure(const Terms& terms, TimeNs given_ns, const std::string& source, PendingFrame* frame,
+                          ExposurePlan* plan) const;
   /// The rotation from the parameters, the calibration file, tf or the images.
   Readiness find_extrinsic(const Terms& terms, PendingFrame* frame, PictureMotion* motion) const;
   /// Gyroscope samples up to the frame's end, and how the sensors are mounted. Precondition: the exposure is known.

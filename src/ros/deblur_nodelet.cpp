@@ -213,9 +213,6 @@ std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
       NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
       for (const std::string& note : config->calibration->notes) NODELET_WARN_STREAM(note);
     }
-    if (config->shutter.exposure_ns == 0) {
-      NODELET_WARN("no parameter exposure_time (0, 1] s: only frames with an exposure message can be deblurred");
-    }
   } catch (const std::exception& refused) {
     *error = refused.what();
     config.reset();

@@ -6,6 +6,7 @@
 
 #include "base/median.hpp"
 #include "gyro_deblur/frame_quality.hpp"
+#include "ros/exposure_check.hpp"
 #include "ros/pass_through.hpp"
 #include "ros/value_conversion.hpp"
 
@@ -23,7 +24,8 @@ const char* remedy(PassThroughReason reason) {
     case PassThroughReason::NO_GYRO:
       return "check that the IMU publishes, its rate, and time_offset; compare the stamps of image and IMU";
     case PassThroughReason::NO_EXPOSURE_TIME:
-      return "set exposure_time, or publish an Exposure message with each image's stamp";
+      return "images are deblurred once their blur has told the exposure time, which takes motion; set exposure_time, or "
+             "publish an Exposure message with each image's stamp, to have them deblurred at once";
     case PassThroughReason::NO_CALIBRATION:
       return "publish camera_info with each image's stamp, calibrated for the image's size; where it contradicts "
              "calibration_file, correct one of them or set on_calibration_conflict: configured";
@@ -126,10 +128,12 @@ void DiagnosticReport::add(const FrameOutput& output) {
     ++quality_.verdicts[output.quality->verdict];
     if (output.quality->score >= 0) quality_.score_sum += output.quality->score, ++quality_.scores;
   }
+  if (output.exposure) exposure_ = output.exposure;
   if (output.exposure_terms) quality_.exposures.push_back(*output.exposure_terms);
   if (!output.field) return;
   latencies_["motion from images"].add(output.stages.flow_ms);
   latencies_["blur field"].add(output.stages.blur_field_ms);
+  latencies_["exposure estimate"].add(output.stages.exposure_ms);
   latencies_["validation"].add(output.stages.validation_ms);
   latencies_["noise"].add(output.stages.noise_ms);
   latencies_["deconvolution"].add(output.stages.deconvolution_ms);
@@ -164,6 +168,7 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
   add_unsent(now, status);
   add_blocks(now, status);
   add_quality(now, status);
+  add_exposure(status);
   add_exposure_advice(now, status);
   add_motion_from_images(now, status);
   add_imu(now, status);
@@ -256,6 +261,19 @@ void DiagnosticReport::add_quality(const Moment& now, DiagnosticStatusWrapper* s
     status->mergeSummaryf(DiagnosticStatus::WARN,
                           "%zu images dropped by drop_bad: they, or their partners, are BAD; see image_quality", fresh);
   }
+}
+
+void DiagnosticReport::add_exposure(DiagnosticStatusWrapper* status) const {
+  if (!exposure_) return;
+  const ChosenExposure& chosen = exposure_->chosen;
+  status->add("exposure time, from", to_string(chosen.origin));
+  if (chosen.origin == ExposureOrigin::ASSUMED) {
+    const std::string need = to_string(exposure_->need);
+    status->add("exposure time, waits for", need.empty() ? "motion" : need);
+    return;
+  }
+  status->addf("exposure time [ms]", "%.2f", to_seconds(chosen.exposure_ns) * 1e3);
+  if (chosen.log_stddev > 0) status->addf("exposure time, standard deviation [%]", "%.1f", 100 * chosen.log_stddev);
 }
 
 void DiagnosticReport::add_exposure_advice(const Moment& now, DiagnosticStatusWrapper* status) const {

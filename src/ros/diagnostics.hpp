@@ -65,6 +65,7 @@ class DiagnosticReport {
   void add_unsent(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_blocks(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_quality(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
+  void add_exposure(diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_exposure_advice(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_motion_from_images(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_latencies(diagnostic_updater::DiagnosticStatusWrapper* status) const;
@@ -73,6 +74,7 @@ class DiagnosticReport {
   std::map<std::string, Latency> latencies_;
   FromImages from_images_;
   Quality quality_;
+  std::optional<FrameExposure> exposure_;  // of the newest frame that the pipeline has seen
   ProcessorStatistics last_;
   std::size_t last_unsent_ = 0;
   Time last_time_ = std::chrono::steady_clock::now();

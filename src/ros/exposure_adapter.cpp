@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "ros/deserialization.hpp"
+#include "ros/messages.hpp"
 #include "ros/processor.hpp"
 #include "ros/value_conversion.hpp"
 
@@ -27,6 +28,14 @@ std::optional<TimeNs> stamp_of(const MessageLayout& layout, const std::string& f
     }
   }
   return std::nullopt;
+}
+
+ExposureReading reading_of(const std::string& field, double value_s, const std::optional<TimeNs>& stamp_ns) {
+  constexpr double kLongestS = 1e6;  // what to_ns can hold; the exposure's own range is checked where it is used
+  if (!(std::abs(value_s) < kLongestS)) {
+    throw std::runtime_error("exposure: " + field + " = " + std::to_string(value_s) + " s is not an exposure time");
+  }
+  return {to_ns(value_s), stamp_ns};
 }
 
 std::string list_of(const std::vector<std::string>& names) {
@@ -61,10 +70,24 @@ double ExposureAdapter::seconds(double value) const {
 
 std::optional<ExposureReading> ExposureAdapter::read(const std::string& type, const std::string& definition,
                                                      const std::uint8_t* bytes, std::size_t size) {
+  if (source_.kind == ExposureSource::Kind::AUTO && type == ros::message_traits::datatype<Exposure>()) {
+    Exposure exposure;
+    deserialize_checked(bytes, size, &exposure);
+    const TimeNs own_stamp_ns = to_time_ns(exposure.header.stamp);
+    return ExposureReading{exposure.exposure_time.toNSec(),
+                           is_unset(own_stamp_ns) ? std::nullopt : std::optional<TimeNs>(own_stamp_ns)};
+  }
+  if (source_.kind == ExposureSource::Kind::AUTO && type != kRealsenseMetadata) {
+    throw std::runtime_error("exposure: exposure_source = auto recognises " +
+                             std::string(ros::message_traits::datatype<Exposure>()) + " and " + kRealsenseMetadata +
+                             ", the topic is of type " + type + ": say by exposure_source what its messages have");
+  }
+  if (source_.kind == ExposureSource::Kind::AUTO || source_.kind == ExposureSource::Kind::REALSENSE_METADATA) {
+    return read_metadata(type, definition, bytes, size);
+  }
   double value_s = 0;
   std::optional<TimeNs> stamp_ns;
-  const bool metadata = source_.kind == ExposureSource::Kind::REALSENSE_METADATA;
-  const std::string field = metadata && source_.field.empty() ? "actual_exposure" : source_.field;
+  const std::string& field = source_.field;
   if (source_.kind == ExposureSource::Kind::DYNAMIC_RECONFIGURE) {
     using Setting = dynamic_reconfigure::Config;
     if (type != ros::message_traits::datatype<Setting>()) {
@@ -87,19 +110,6 @@ std::optional<ExposureReading> ExposureAdapter::read(const std::string& type, co
                                "\"; there are " + list_of(names));
     }
     value_s = seconds(*value);
-  } else if (metadata) {
-    const MessageLayout& layout = layout_of(type, definition);
-    const std::optional<FieldValue> text = layout.find("json_data", bytes, size);
-    if (!text || !std::holds_alternative<std::string>(*text)) {
-      throw std::runtime_error("exposure: " + type + " has no string json_data; it has " + list_of(layout.paths()));
-    }
-    const nlohmann::json json = nlohmann::json::parse(std::get<std::string>(*text), nullptr, false);
-    if (!json.is_object() || !json.contains(field) || !json[field].is_number()) {
-      throw std::runtime_error("exposure: the metadata have no number \"" + field +
-                               "\": " + std::get<std::string>(*text).substr(0, 200));
-    }
-    value_s = seconds(json[field].get<double>());
-    stamp_ns = stamp_of(layout, "json_data", bytes, size);
   } else {
     const MessageLayout& layout = layout_of(type, definition);
     const std::optional<FieldValue> value = layout.find(field, bytes, size);
@@ -111,11 +121,30 @@ std::optional<ExposureReading> ExposureAdapter::read(const std::string& type, co
                                                         : seconds(std::get<double>(*value));
     stamp_ns = stamp_of(layout, field, bytes, size);
   }
-  constexpr double kLongestS = 1e6;  // what to_ns can hold; the exposure's own range is checked where it is used
-  if (!(std::abs(value_s) < kLongestS)) {
-    throw std::runtime_error("exposure: " + field + " = " + std::to_string(value_s) + " s is not an exposure time");
+  return reading_of(field, value_s, stamp_ns);
+}
+
+std::optional<ExposureReading> ExposureAdapter::read_metadata(const std::string& type, const std::string& definition,
+                                                              const std::uint8_t* bytes, std::size_t size) {
+  const std::string field = source_.field.empty() ? "actual_exposure" : source_.field;
+  const MessageLayout& layout = layout_of(type, definition);
+  const std::optional<FieldValue> text = layout.find("json_data", bytes, size);
+  if (!text || !std::holds_alternative<std::string>(*text)) {
+    throw std::runtime_error("exposure: " + type + " has no string json_data; it has " + list_of(layout.paths()));
   }
-  return ExposureReading{to_ns(value_s), stamp_ns};
+  const nlohmann::json json = nlohmann::json::parse(std::get<std::string>(*text), nullptr, false);
+  if (!json.is_object() || !json.contains(field) || !json[field].is_number()) {
+    throw std::runtime_error("exposure: the metadata have no number \"" + field +
+                             "\": " + std::get<std::string>(*text).substr(0, 200));
+  }
+  const double value = json[field].get<double>();
+  const std::optional<TimeNs> stamp_ns = stamp_of(layout, "json_data", bytes, size);
+  if (source_.kind != ExposureSource::Kind::AUTO) return reading_of(field, seconds(value), stamp_ns);
+  // Colour streams alone have a saturation (librealsense, ds-color-common.cpp).
+  if (!json.contains("saturation")) return reading_of(field, value * 1e-6, stamp_ns);
+  const auto by_itself = json.find("auto_exposure");
+  if (by_itself != json.end() && by_itself->is_number() && by_itself->get<double>() != 0) return std::nullopt;
+  return reading_of(field, value * 1e-4, stamp_ns);
 }
 
 void ExposureAdapter::pass_on(const std::string& type, const std::string& definition,
@@ -123,6 +152,13 @@ void ExposureAdapter::pass_on(const std::string& type, const std::string& defini
   constexpr char kKind[] = "exposure source";
   std::optional<ExposureReading> reading;
   try {
+    if (source_.kind == ExposureSource::Kind::AUTO && type == ros::message_traits::datatype<Exposure>()) {
+      Exposure exposure;  // it may also bring a readout time
+      deserialize_checked(bytes.data(), bytes.size(), &exposure);
+      processor->note_unreadable(kKind, "");
+      processor->add_exposure(exposure);
+      return;
+    }
     reading = read(type, definition, bytes.data(), bytes.size());
   } catch (const std::runtime_error& error) {
     processor->note_unreadable(kKind, error.what());

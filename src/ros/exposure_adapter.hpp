@@ -15,13 +15,17 @@ namespace gyro_deblur {
 
 class Processor;
 
+constexpr char kRealsenseMetadata[] = "realsense2_camera/Metadata";
+
 struct ExposureReading {
   TimeNs exposure_ns = 0;
   std::optional<TimeNs> stamp_ns;  ///< of the image it belongs to; absent: it is a setting, and holds until the next
 };
 
 /// Reads exposure times by the rule of a configuration (`exposure_source`, `exposure_field`).
-/// The end of the rule's name is the unit: us, 10us, 100us, ms or s.
+/// auto reads gyro_deblur/Exposure, and realsense2_camera/Metadata in the unit of its stream. It leaves out what a
+/// colour stream says under auto exposure, see doc/guides/calibration.md. The end of the other rules' names is the
+/// unit: us, 10us, 100us, ms or s.
 /// - field_UNIT: a number, time or duration anywhere in a message. Its image's stamp is the message's `header.stamp`,
 ///   else the `stamp` beside the field.
 /// - realsense_metadata_UNIT: a number in the JSON of realsense2_camera/Metadata, by default "actual_exposure": in us
@@ -35,7 +39,7 @@ class ExposureAdapter {
 
   /// @param type, definition  of the connection the message came by
   /// @param bytes, size       the serialised message
-  /// @return nothing when a dynamic_reconfigure message does not have the parameter
+  /// @return nothing when the message does not tell the exposure time of its image
   /// Throws std::runtime_error that names the type, the field, and what there is instead.
   std::optional<ExposureReading> read(const std::string& type, const std::string& definition, const std::uint8_t* bytes,
                                       std::size_t size);
@@ -47,6 +51,8 @@ class ExposureAdapter {
  private:
   const MessageLayout& layout_of(const std::string& type, const std::string& definition);
   double seconds(double value) const;
+  std::optional<ExposureReading> read_metadata(const std::string& type, const std::string& definition,
+                                               const std::uint8_t* bytes, std::size_t size);
 
   ExposureSource source_;
   std::map<std::string, MessageLayout> layouts_;  // by type

@@ -1,6 +1,9 @@
 #include "ros/exposure_check.hpp"
 
+#include <cstdio>
+
 #include "gyro_deblur/options.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 
@@ -20,6 +23,52 @@ std::optional<std::string> exposure_fault(const std::string& name, TimeNs exposu
     return std::string(error.what());
   }
   return std::nullopt;
+}
+
+std::string conflict_text(const ExposureConflict& conflict) {
+  const GivenExposure& given = conflict.given;
+  const bool parameter = given.origin == ExposureOrigin::PARAMETER;
+  const std::string name = parameter                                 ? "exposure_time"
+                           : given.origin == ExposureOrigin::SETTING ? "the driver's exposure setting"
+                                                                     : "the exposure message";
+  char text[160];
+  std::snprintf(text, sizeof(text), "blur is %.2f times what %s says: %.3g s by %s, %.3g s by the images. ",
+                conflict.ratio(), name.c_str(), to_seconds(given.exposure_ns), name.c_str(),
+                to_seconds(conflict.images_ns));
+  if (!parameter) return text + std::string("The driver's value is used: check exposure_source and its unit");
+  return text + std::string(conflict.replaced ? "The images' value is used: correct exposure_time, or leave it empty"
+                                              : "exposure_time is used (on_exposure_conflict: configured): correct it, "
+                                                "or leave it empty");
+}
+
+const char* to_string(ExposureNeed need) {
+  switch (need) {
+    case ExposureNeed::MOTION:
+      return "motion";
+    case ExposureNeed::TEXTURE:
+      return "texture";
+    case ExposureNeed::LIGHT:
+      return "light";
+    case ExposureNeed::NOTHING:
+      break;
+  }
+  return "";
+}
+
+std::string unknown_exposure_text(ExposureNeed need) {
+  std::string text =
+      "the exposure time is not known yet: no exposure message tells it, exposure_time is not set, and the blur ";
+  switch (need) {
+    case ExposureNeed::MOTION:
+      return text + "is too short to tell it: turn the camera faster, or set exposure_time";
+    case ExposureNeed::TEXTURE:
+      return text + "does not tell it yet: show a scene with more texture, or set exposure_time";
+    case ExposureNeed::LIGHT:
+      return text + "is hidden by noise: give the scene more light, or set exposure_time";
+    case ExposureNeed::NOTHING:
+      break;
+  }
+  return text + "does not tell it: set exposure_time";
 }
 
 }  // namespace gyro_deblur

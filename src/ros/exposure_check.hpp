@@ -5,7 +5,9 @@
 #include <string>
 
 #include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/time.hpp"
+#include "pipeline/exposure_choice.hpp"
 
 namespace gyro_deblur {
 
@@ -19,5 +21,14 @@ constexpr char kParameterExposure[] = "exposure_time";
 /// @param name    one of the above
 /// @param period  of the camera's frames
 std::optional<std::string> exposure_fault(const std::string& name, TimeNs exposure_ns, const FramePeriod& period);
+
+/// That the blur contradicts an exposure time: both values, what is done, what to do.
+std::string conflict_text(const ExposureConflict& conflict);
+
+/// What the images lack to tell the exposure time, e.g. "motion". Never null; empty: nothing.
+const char* to_string(ExposureNeed need);
+
+/// Why an exposure time is not known that nothing but the images could tell.
+std::string unknown_exposure_text(ExposureNeed need);
 
 }  // namespace gyro_deblur

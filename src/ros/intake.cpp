@@ -7,6 +7,11 @@
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
+namespace {
+
+constexpr char kImuSilent[] = "imu silent";
+
+}  // namespace
 
 bool SameCameraInfo::operator()(const sensor_msgs::CameraInfoConstPtr& a,
                                 const sensor_msgs::CameraInfoConstPtr& b) const {
@@ -100,12 +105,31 @@ void Intake::note_imu() {
     handle(jumps_.went_back(Stream::IMU, news.to_ns), Stream::IMU, news.from_ns, news.to_ns);
   }
   if (news.samples == 0 || !news.newest_ns) return;
+  note_lack(kImuSilent, false, "");
+  without_imu_ = 0;
   jumps_.update(Stream::IMU, *news.newest_ns, news.samples);
   clocks_apart_.add_samples(*news.newest_ns, news.samples);
 }
 
-bool Intake::exposure_expected() const {
-  return exposures_.seen() || config_.shutter.exposure_ns == 0 || (exposure_sender_ && exposure_sender_());
+bool Intake::exposure_expected() const { return exposures_.seen() || (exposure_sender_ && exposure_sender_()); }
+
+bool Intake::imu_is_silent(TimeNs begin_ns) const {
+  constexpr TimeNs kSilenceNs = 1'000'000'000;  // less is a gap
+  if (without_imu_ < Attendance::kMissesEndWaiting) return false;
+  const TimeRange available = gyro_.available();
+  return available.empty() || begin_ns - available.end_ns > kSilenceNs;
+}
+
+void Intake::count_without_imu(TimeNs begin_ns) {
+  ++without_imu_;
+  // One that has never come is reported among the missing inputs.
+  if (gyro_.empty() || !imu_is_silent(begin_ns)) return;
+  const PipelineOptions& options = config_.pipeline;
+  const bool by_flow = options.motion_from_images && options.flow_without_gyro != "never";
+  note_lack(kImuSilent, true,
+            "the IMU has been silent since " + seconds_text(gyro_.available().end_ns) + " s of its clock: images " +
+                (by_flow ? "are deblurred by optical flow alone, which is less accurate," : "pass through unchanged") +
+                " until it comes again. Check its driver and its cable");
 }
 
 void Intake::note_attendance(TimeNs now_ns) {
@@ -148,17 +172,18 @@ MissingInputs::Seen Intake::seen() const {
   MissingInputs::Seen seen;
   seen.camera_info = infos_.seen();
   seen.imu = !gyro_.empty();
-  seen.exposure = exposure_known_;
+  seen.exposure = exposure_known_ || exposure_of_images_;
   if (!queue_.empty()) seen.extrinsic = queue_.front().missing_extrinsic;
   return seen;
 }
 
 void Intake::check_exposure(const std::string& name, TimeNs exposure_ns) {
   if (exposure_ns == 0) {
-    const std::string otherwise =
-        config_.shutter.exposure_ns > 0 ? seconds_text(config_.shutter.exposure_ns) + " s" : "0, which is not set";
+    const std::string otherwise = config_.shutter.exposure_ns > 0
+                                      ? "exposure_time = " + seconds_text(config_.shutter.exposure_ns) + " s"
+                                      : "what their blur tells";
     problems_.report("exposure 0", name + " is 0 s, taken as not known: images without one go by their neighbours, " +
-                                       "else by exposure_time = " + otherwise);
+                                       "else by " + otherwise);
     return;
   }
   problems_.resolve("exposure 0");
@@ -174,7 +199,11 @@ void Intake::check_parameters() {
   // Where exposures come, the parameter only stands in for lost ones.
   if (exposure_known_ || config_.shutter.exposure_ns == 0) return;
   if (const auto fault = exposure_fault(kParameterExposure, config_.shutter.exposure_ns, frame_period_)) {
-    problems_.report("exposure_time", *fault);
+    const bool replaced = config_.on_exposure_conflict == OnExposureConflict::IMAGES;
+    problems_.report("exposure_time",
+                     *fault + (replaced ? ". It is not used: images pass through until their blur tells the exposure "
+                                          "time. Correct exposure_time, or leave it empty"
+                                        : ""));
   } else {
     problems_.resolve("exposure_time");
   }
@@ -278,6 +307,8 @@ void Intake::reset() {
   pictures_.forget();
   lacks_.clear();
   frame_period_.clear();
+  exposure_of_images_ = false;
+  without_imu_ = 0;
   missing_.clear();
   clocks_apart_.clear();
   jumps_.clear();

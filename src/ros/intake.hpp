@@ -90,16 +90,25 @@ class Intake {
   using Exposures = CompanionStore<Exposure, SameExposure>;
   const CameraInfos& infos() const { return infos_; }
   const Exposures& exposures() const { return exposures_; }
-  /// True when images have exposure messages, or cannot do without.
+  /// True when images have exposure messages, or somebody will send some.
   bool exposure_expected() const;
   /// Of the newest setting; 0: the driver does not know.
   std::optional<TimeNs> exposure_setting_ns() const { return exposure_setting_ns_; }
+  /// The images have told their exposure time.
+  void note_exposure_of_images() { exposure_of_images_ = true; }
+  bool has_exposure_of_images() const { return exposure_of_images_; }
   /// Of new pictures: repeated ones leave it as it is.
   const FramePeriod& frame_period() const { return frame_period_; }
   const GyroReader& gyro() const { return gyro_; }
   std::string imu_frame() const { return gyro_source_->frame_id(); }
   /// True while the IMU is expected to follow a reset of time: what it brings is still old.
   bool imu_is_stale() const { return jumps_.is_stale(Stream::IMU); }
+  /// An image leaves whose exposure began after the newest sample.
+  /// @param begin_ns  IMU clock
+  void count_without_imu(TimeNs begin_ns);
+  /// There have been a few of these images in a row and no sample since, and the newest one is a second older than this
+  /// exposure, or there is none: images no longer wait for samples.
+  bool imu_is_silent(TimeNs begin_ns) const;
   const IntakeStatistics& statistics() const { return statistics_; }
 
  private:
@@ -138,6 +147,8 @@ class Intake {
   std::optional<TimeNs> exposure_setting_ns_;
   PictureTracker pictures_;
   bool exposure_known_ = false;       // a message or a setting has told one
+  bool exposure_of_images_ = false;   // their blur has
+  std::size_t without_imu_ = 0;       // images in a row, and no sample since
   bool setting_lacks_stamp_ = false;  // the setting is a message of a single image that lacks its stamp
   MissingInputs missing_;
   ClockCheck clocks_apart_;

@@ -24,20 +24,26 @@ void MissingInputs::clear() {
 
 void MissingInputs::report(const Config& config, const Seen& seen, const std::string& when) {
   const bool file_has_camera = config.calibration && config.calibration->camera && !config.rectified_input;
-  set("no exposure time", seen.exposure || config.shutter.exposure_ns > 0
-                              ? ""
-                              : "exposure_time is not set, and no exposure message has come " + when +
-                                    ": set exposure_time [s], or connect the exposure topic and say by "
-                                    "exposure_source what it has");
+  set("no exposure time",
+      seen.exposure || config.shutter.exposure_ns > 0
+          ? ""
+          : "exposure_time is not set, and no exposure message has come " + when +
+                ": images pass through until their blur tells it, which takes motion. To have them deblurred at once "
+                "set exposure_time [s], or connect the exposure topic (exposure_source says what it has)");
   set("no camera_info", seen.camera_info || file_has_camera
                             ? ""
                             : "no camera_info has come " + when + ", and no calibration file has the camera" +
                                   (config.rectified_input ? " (rectified_input needs camera_info)" : "") +
                                   ": publish camera_info beside the images" +
                                   (config.rectified_input ? "" : ", or set calibration_file"));
-  set("no imu", seen.imu || config.pipeline.bridge_gyro_gaps
-                    ? ""
-                    : "no IMU message with angular rates has come " + when + ": connect imu to the gyroscope's topic");
+  const std::string& flow = config.pipeline.flow_without_gyro;
+  const bool by_flow = config.pipeline.motion_from_images && flow != "never";
+  set("no imu",
+      seen.imu || (by_flow && flow == "always")
+          ? ""
+          : "no IMU message with angular rates has come " + when + ": " +
+                (by_flow ? "images are deblurred by optical flow alone, which is less accurate. Connect" : "connect") +
+                " imu to the gyroscope's topic");
   // Whoever finds it resolves the report.
   if (!seen.extrinsic.empty()) set(kNoExtrinsic, seen.extrinsic);
 }

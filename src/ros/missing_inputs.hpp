@@ -22,7 +22,7 @@ class MissingInputs {
   struct Seen {
     bool camera_info = false;
     bool imu = false;       ///< a sample that can be used
-    bool exposure = false;  ///< a message, or a setting, that tells a time
+    bool exposure = false;  ///< a time, from a message, a setting or the images
     /// Why the foremost frame waits for the rotation between IMU and camera; empty: it does not.
     std::string extrinsic;
   };

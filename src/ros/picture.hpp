@@ -14,18 +14,21 @@
 #include "gyro_deblur/gyro_buffer.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/time.hpp"
+#include "pipeline/exposure_choice.hpp"
 
 namespace gyro_deblur {
 
 /// When a picture was exposed, and how the camera moved meanwhile; copies, so that it needs no lock.
 struct PictureMotion {
-  std::optional<RowExposure> exposure;
+  std::optional<RowExposure> exposure;  ///< by the plan, until the images have told more
+  ExposurePlan plan;
   GyroOptions gyro;  ///< with the bias in use
   Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
   bool R_by_tf = false;
   /// Over the exposure, and the way from the picture before it that is tracked.
   std::vector<GyroSample> samples;
   std::size_t own_begin = 0, own_end = 0;  ///< indices of those that the picture itself needs
+  bool without_gyro = false;               ///< it is absent or silent, see PipelineOptions::flow_without_gyro
   std::string coverage_text;               ///< which of its own are missing, should some be
 };
 

@@ -16,6 +16,7 @@
 #include "gyro_deblur/overlay.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "ros/calibration_conversion.hpp"
+#include "ros/exposure_check.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/output_conversion.hpp"
 #include "ros/value_conversion.hpp"
@@ -61,12 +62,12 @@ std::string saturation_text(const AssembledFrame& assembled) {
 }
 
 /// The blur field's message, and why blocks or the whole frame are as they were.
-void add_field(const AssembledFrame& assembled, const RotationTrack& rotation, const FrameBlur& field,
-               FrameOutput* output) {
+void add_field(const AssembledFrame& assembled, const RowExposure& exposure, const RotationTrack& rotation,
+               const FrameBlur& field, FrameOutput* output) {
   const sensor_msgs::Image& image = *assembled.frame.image;
   output->blur_field = to_message(field, image.header);
   const std::size_t uncovered = field.count(BlockStatus::NO_GYRO);
-  const bool gyro_covers = rotation.covers(assembled.exposure->frame());
+  const bool gyro_covers = rotation.covers(exposure.frame());
   const std::string saturation = gyro_covers ? "" : saturation_text(assembled);
   if (uncovered > 0) {
     output->reason_text = gyro_covers          ? "blocks lie beyond the range of the lens model"
@@ -105,8 +106,9 @@ Permit permit_of(const FrameDecision& decision) {
 
 /// The pipeline's work, which is not done again for a picture that comes again.
 /// @param decision  set to what `decide` says of the field
+/// @param chosen    set to what `settle_exposure` says, where it is asked
 PipelineResult make(const AssembledFrame& assembled, const FrameRequest& request, const ImageView& view,
-                    const RotationTrack& rotation, FrameDecision* decision) {
+                    const RotationTrack& rotation, FrameDecision* decision, ChosenExposure* chosen) {
   const PendingFrame& frame = assembled.frame;
   PipelineRequest wanted;
   wanted.image = request.image;
@@ -114,6 +116,7 @@ PipelineResult make(const AssembledFrame& assembled, const FrameRequest& request
   wanted.global_shutter = request.global_shutter;
   wanted.in_a_hurry = assembled.in_a_hurry;
   wanted.repeats_picture = frame.repeats;
+  wanted.without_gyro = assembled.without_gyro;
   const std::shared_ptr<const MadePicture> made = frame.picture ? frame.picture->made : nullptr;
   if (made && frame.repeats && made->serves(assembled, wanted)) {
     if (request.decide) *decision = request.decide(made->result.field);
@@ -131,9 +134,18 @@ PipelineResult make(const AssembledFrame& assembled, const FrameRequest& request
       return permit_of(*decision);
     };
   }
+  if (request.settle_exposure) {
+    const auto answer = [&request, chosen](const std::optional<ExposureEstimate>& estimate, double mean_brightness) {
+      *chosen = request.settle_exposure(estimate, mean_brightness);
+      return ExposureAnswer{chosen->exposure_ns, chosen->origin != ExposureOrigin::ASSUMED};
+    };
+    const ExposurePlan& plan = assembled.plan;
+    wanted.exposure = ExposureQuestion{plan.estimate && !plan.settled, plan.longest_ns, answer};
+  }
   PipelineResult result = assembled.pipeline->process(view.image, view.layout, rotation, *assembled.exposure, wanted);
   if (assembled.pictures_repeat && frame.picture && permit_of(*decision) == Permit::DEBLUR) {
     wanted.permit = nullptr;
+    wanted.exposure.reset();
     frame.picture->made = std::make_shared<MadePicture>(
         MadePicture{frame.image, assembled.configuration, *frame.calibration, assembled.mask, wanted, result});
   }
@@ -156,7 +168,10 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   const RotationTrack rotation(assembled.samples, assembled.gyro, assembled.R_cam_imu, assembled.own_begin);
   const double preparation_ms = elapsed_ms(start);
   FrameDecision decision;
-  PipelineResult result = make(assembled, request, view, rotation, &decision);
+  ChosenExposure chosen{assembled.plan.origin, assembled.plan.exposure_ns, assembled.plan.log_stddev};
+  PipelineResult result = make(assembled, request, view, rotation, &decision, &chosen);
+  output->exposure = FrameExposure{chosen, result.exposure_need};
+  const RowExposure exposure = assembled.exposure->with_exposure(result.exposure_ns);
   // What is said of a picture holds for the image that shows it, as though it had been exposed by that one's stamp.
   result.reference_ns += frame.stamp_ns - frame.picture_ns();
   output->stages = result.times;
@@ -183,13 +198,17 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
     tracker->set_threads(assembled.options.threads);
     tracker->set_mask(assembled.mask);
     const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
-    output->tracks =
-        to_message((tracker->*track)(luminance8(view.image, view.layout, result.significant_bits),
-                                     Camera(*frame.calibration), rotation, *assembled.exposure, &result.field),
-                   header);
+    output->tracks = to_message((tracker->*track)(luminance8(view.image, view.layout, result.significant_bits),
+                                                  Camera(*frame.calibration), rotation, exposure, &result.field),
+                                header);
     output->tracks_ms = elapsed_ms(start);
   }
 
+  if (!result.exposure_is_known && !result.sharp_at_any_exposure) {
+    output->reason = PassThroughReason::NO_EXPOSURE_TIME;
+    output->reason_text = unknown_exposure_text(result.exposure_need);
+    return;
+  }
   start = std::chrono::steady_clock::now();
   if (request.image && !result.image.empty()) output->image = to_image(result.image, *frame.image);
   if (!result.global_shutter.empty()) add_global_shutter(result, frame, output);
@@ -207,7 +226,7 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   if (decision.refusal.empty() || output->dropped) {
     output->exposure_terms =
         exposure_terms(result.field, quality, assembled.options.blur_field, assembled.options.noise);
-    add_field(assembled, rotation, result.field, output);
+    add_field(assembled, exposure, rotation, result.field, output);
     output->field = std::move(result.field);
   } else {
     output->reason = PassThroughReason::PARTNER;
@@ -262,6 +281,7 @@ void pass_through_failed(const std::string& text, FrameOutput* output) {
   output->dropped = false;
   output->image = output->input;
   output->field.reset();
+  output->exposure.reset();
   output->exposure_terms.reset();
   output->slow_blocks.clear();
   output->blur_field.reset();

@@ -32,6 +32,15 @@ struct FrameRequest {
   bool trust_mask = false;
   /// Asked with the validated field before anything is deblurred. Absent: everything is permitted.
   std::function<FrameDecision(const FrameBlur&)> decide = {};
+  /// Told what the blur says of the exposure time and the mean grey level; returns the exposure to deblur by. Absent:
+  /// the plan's is certain.
+  std::function<ChosenExposure(const std::optional<ExposureEstimate>&, double)> settle_exposure = {};
+};
+
+/// The exposure time that a frame was deblurred by.
+struct FrameExposure {
+  ChosenExposure chosen;
+  ExposureNeed need = ExposureNeed::NOTHING;  ///< what the images lack to tell it, where it is not known
 };
 
 /// A frame on its way out: one for every frame that came in, in the same order.
@@ -58,6 +67,7 @@ struct FrameOutput {
   PassThroughReason reason = PassThroughReason::NONE;
   std::string reason_text;
   std::optional<FrameBlur> field;                     ///< of the core; absent when the pipeline did not run
+  std::optional<FrameExposure> exposure;              ///< absent when the pipeline did not run
   std::optional<ExposureTerms> exposure_terms;        ///< of the field, where they are known
   SlowBlocks slow_blocks;                             ///< that left the engine's fast path, by reason
   std::string engine_warning;                         ///< what the engine has to tell; mostly empty

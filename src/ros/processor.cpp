@@ -8,6 +8,7 @@
 #include "gyro_deblur/frame_quality.hpp"
 #include "ros/calibration_conversion.hpp"
 #include "ros/compressed_image.hpp"
+#include "ros/exposure_check.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/value_conversion.hpp"
 
@@ -18,6 +19,7 @@ LogLevel level_of(PassThroughReason reason) {
   // The rest comes and goes by itself; these need somebody to act.
   switch (reason) {
     case PassThroughReason::NO_GYRO:
+    case PassThroughReason::NO_EXPOSURE_TIME:
     case PassThroughReason::GYRO_SATURATED:
     case PassThroughReason::OVERLOAD:
     case PassThroughReason::PARTNER:
@@ -79,6 +81,7 @@ void Processor::set_config(const Config& config) {
   pipeline_ = std::move(pipeline);
   mask_.set_file(config.mask_file);
   intake_.set_config(config);
+  exposures_.set_policy(config.on_exposure_conflict);
   gyro_errors_.clear();
   if (environment_.stereo) environment_.stereo->set_patience(config.stereo_patience_ns);
 }
@@ -188,12 +191,13 @@ void Processor::tell_partners() {
 }
 
 FrameAssembly::Terms Processor::terms() const {
-  FrameAssembly::Terms terms{calibration_.config(), estimated_bias_rad_s_, {}, false, calibration_.R_cam_imu(), ""};
+  FrameAssembly::Terms terms{calibration_.config(),    exposures_, estimated_bias_rad_s_, {}, false,
+                             calibration_.R_cam_imu(), ""};
   if (!terms.R_cam_imu) terms.missing_rotation = calibration_.missing_rotation();
   return terms;
 }
 
-void Processor::learn_from(const AssembledFrame& assembled) {
+void Processor::learn_from(const AssembledFrame& assembled, const std::optional<FrameExposure>& found) {
   const PendingFrame& frame = assembled.frame;
   std::vector<GyroSample> samples;
   std::optional<SelfCalibrator::Image> image;
@@ -207,7 +211,8 @@ void Processor::learn_from(const AssembledFrame& assembled) {
     constexpr TimeNs kSecond = 1'000'000'000;
     readout_share_ = to_seconds(region_readout_ns(kSecond, *frame.info));
     ShutterTiming timing = config_->shutter;
-    timing.exposure_ns = std::max<TimeNs>(assembled.exposure ? assembled.exposure->timing().exposure_ns : 0, 1);
+    const TimeNs assumed_ns = assembled.exposure ? assembled.exposure->timing().exposure_ns : 0;
+    timing.exposure_ns = std::max<TimeNs>(found ? found->chosen.exposure_ns : assumed_ns, 1);
     if (assembled.exposure && (config_->given.readout_time || assembled.readout_by_message)) {
       timing.readout_ns = assembled.exposure->timing().readout_ns;
     } else {
@@ -254,6 +259,11 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
       const bool doubts_unit = config_->pipeline.motion_from_images && gyro_unit_.is_doubted(frame.stamp_ns);
       if (doubts_unit || gyro_unit_is_wrong_ || gyro_source_->unit_is_wrong()) assembled.drop_bad = false;
       if (readiness == Readiness::WAITS) return std::nullopt;
+      if (assembled.exposure) {
+        const TimeNs begin_ns = assembled.exposure->frame().begin_ns + assembled.gyro.time_offset_ns;
+        const TimeRange samples = intake_.gyro().available();
+        if (samples.empty() || samples.end_ns < begin_ns) intake_.count_without_imu(begin_ns);
+      }
       if (readiness == Readiness::READY) {
         repetitions_.add(frame, intake_.gyro(), assembled.gyro, intake_.statistics());
         assembled.configuration = configurations_;
@@ -286,6 +296,9 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
 
 FrameOutput Processor::process_with_partners(const AssembledFrame& assembled) {
   FrameRequest request = environment_.request ? environment_.request() : FrameRequest();
+  request.settle_exposure = [this, &assembled](const std::optional<ExposureEstimate>& estimate, double brightness) {
+    return settle_exposure(assembled, estimate, brightness);
+  };
   StereoCamera* const stereo = environment_.stereo.get();
   if (!stereo) {
     if (assembled.drop_bad) {
@@ -304,6 +317,38 @@ FrameOutput Processor::process_with_partners(const AssembledFrame& assembled) {
   FrameOutput output = process(assembled, request, &tracker_);
   if (output.reason != PassThroughReason::NONE) stereo->pass_through(stamp_ns, output.reason);
   return output;
+}
+
+ChosenExposure Processor::settle_exposure(const AssembledFrame& assembled,
+                                          const std::optional<ExposureEstimate>& estimate, double mean_brightness) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const PendingFrame& frame = assembled.frame;
+  const ChosenExposure chosen = exposures_.decide(frame.picture_ns(), assembled.plan, estimate, mean_brightness);
+  if (frame.picture && frame.picture->motion) {
+    PictureMotion& motion = *frame.picture->motion;
+    motion.exposure = assembled.exposure->with_exposure(chosen.exposure_ns);
+    motion.plan.origin = chosen.origin;
+    motion.plan.exposure_ns = chosen.exposure_ns;
+    motion.plan.log_stddev = chosen.log_stddev;
+    motion.plan.settled = true;
+  }
+  return chosen;
+}
+
+void Processor::note_exposure(const FrameOutput& output) {
+  constexpr char kKind[] = "exposure contradicted";
+  if (!output.exposure) return;
+  const ChosenExposure& chosen = output.exposure->chosen;
+  if (chosen.origin == ExposureOrigin::IMAGES && !intake_.has_exposure_of_images()) {
+    intake_.note_exposure_of_images();
+    log_(LogLevel::INFO, "exposure found",
+         "the exposure time is " + seconds_text(chosen.exposure_ns) + " s, as the blur of the images tells");
+  }
+  if (const std::optional<ExposureConflict>& conflict = exposures_.conflict()) {
+    problems_.report(kKind, conflict_text(*conflict));
+  } else {
+    problems_.resolve(kKind);
+  }
 }
 
 void Processor::keep_global_shutter_in_order(FrameOutput* output) {
@@ -344,6 +389,7 @@ void Processor::note(const FrameOutput& output) {
   const TimeNs stamp_ns = to_time_ns(output.input->header.stamp);
   const std::string name = "frame " + seconds_text(stamp_ns);
   note_static_content(output);
+  note_exposure(output);
   if (output.residual_rotation) gyro_errors_.add(stamp_ns, *output.residual_rotation);
   check_gyro_unit(output);
   if (!output.keypoints_text.empty()) {
@@ -391,7 +437,7 @@ void Processor::advance(const Sink& sink, bool finishing) {
       output.waiting_ms = static_cast<double>(waited_ns) * 1e-6;
       if (!output.engine_warning.empty()) environment_.log(LogLevel::WARNING, output.engine_warning);
       try {
-        learn_from(*assembled);
+        learn_from(*assembled, output.exposure);
       } catch (const std::exception& error) {  // costs no frame
         log_(LogLevel::ERROR, "self-calibration", std::string("self-calibration failed: ") + error.what());
       }
@@ -439,6 +485,7 @@ void Processor::reset() {
   self_calibrator_.restart();
   gyro_errors_.clear();
   repetitions_.clear();
+  exposures_.reset();
   gyro_unit_.clear();
   gyro_unit_is_wrong_ = false;
   log_.clear();

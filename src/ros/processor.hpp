@@ -139,9 +139,15 @@ class Processor {
   /// Uses what is stored for images of this size. Needs mutex_.
   void remember_calibration(const sensor_msgs::Image& image);
   /// The frame tells something of the calibration. Takes mutex_.
-  void learn_from(const AssembledFrame& assembled);
+  /// @param found  what the frame was deblurred by, where its blur was looked at
+  void learn_from(const AssembledFrame& assembled, const std::optional<FrameExposure>& found);
   /// What is used beside messages. Needs mutex_ and a configuration.
   FrameAssembly::Terms terms() const;
+  /// What the frame is deblurred by; its picture goes by that from now on.
+  ChosenExposure settle_exposure(const AssembledFrame& assembled, const std::optional<ExposureEstimate>& estimate,
+                                 double mean_brightness);
+  /// Tells when the images have told the exposure time, and when they contradict the given one. Needs mutex_.
+  void note_exposure(const FrameOutput& output);
   /// Stamps of global-shutter images are not those that came in, and grow all the same. Needs both mutexes.
   void keep_global_shutter_in_order(FrameOutput* output);
   /// Reports what does not move with the camera.
@@ -176,6 +182,7 @@ class Processor {
   InputMask mask_;
   Intake intake_;
   FrameAssembly assembly_;
+  ExposureChoice exposures_;
   OverloadRule overload_;
   RepetitionWatch repetitions_;
   int configurations_ = 0;  // so far

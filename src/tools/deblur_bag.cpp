@@ -95,15 +95,15 @@ void require_free_topics(const InputBag& input, const OutputTopics& written) {
   }
 }
 
+const char* prefix_of(LogLevel level) {
+  return level == LogLevel::INFO ? "" : level == LogLevel::WARNING ? "warning: " : "error: ";
+}
+
 /// Lines for people; a bar makes room for them.
 Log log_beside(Progress& progress) {
   return [&progress](LogLevel level, const std::string& text) {
     progress.clear();
-    std::cerr << "deblur_bag: "
-              << (level == LogLevel::INFO      ? ""
-                  : level == LogLevel::WARNING ? "warning: "
-                                               : "error: ")
-              << text << "\n";
+    std::cerr << "deblur_bag: " << prefix_of(level) << text << "\n";
   };
 }
 
@@ -208,7 +208,7 @@ void print_summary(const Arguments& arguments, const DeblurTopics& topics, const
     if (row.by_images) std::cout << row.key << ": " << row.text << '\n';
   }
   for (const auto& [kind, problem] : outcome.statistics.input_problems) {
-    std::cout << (problem.level == LogLevel::ERROR ? "error: " : "warning: ") << problem.text;
+    std::cout << prefix_of(problem.level) << problem.text;
     if (problem.count > 1) std::cout << " (" << problem.count << " times)";
     std::cout << '\n';
   }

@@ -34,7 +34,7 @@ DeblurFeed::DeblurFeed(const rosbag::Bag& bag, const DeblurTopics& topics, const
       topics_(topics),
       from_(from),
       time_offset_ns_(config.gyro.time_offset_ns),
-      driver_messages_(reads_driver_messages(config)),
+      driver_messages_(topics.reads_driver_messages),
       log_(std::move(log)),
       adapter_(config.exposure_source),
       processor_(environment(request)),

@@ -5,10 +5,37 @@
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Imu.h>
 
+#include "ros/exposure_adapter.hpp"
 #include "ros/messages.hpp"
 
 namespace gyro_deblur {
 namespace {
+
+void choose_exposure(const InputBag& input, const NamedTopics& named, const Config& config, const std::string& home,
+                     DeblurTopics* chosen) {
+  const auto type_of = [&input](const std::string& topic) {
+    const auto found = input.topics().find(topic);
+    return found == input.topics().end() ? std::string() : found->second;
+  };
+  const ExposureSource::Kind kind = config.exposure_source.kind;
+  const std::string own_type = ros::message_traits::datatype<Exposure>(), named_type = type_of(named.exposure);
+  const bool takes_own = kind == ExposureSource::Kind::MESSAGE ||
+                         (kind == ExposureSource::Kind::AUTO && (named_type.empty() || named_type == own_type));
+  if (!takes_own) {
+    if (named_type.empty()) {
+      throw std::runtime_error("exposure_source of the configuration needs --exposure-topic with a topic of the bag");
+    }
+    chosen->exposure = named.exposure;
+    chosen->reads_driver_messages = true;
+    return;
+  }
+  chosen->exposure = input.choose_topic<Exposure>("exposure", named.exposure, home + "/exposure", false);
+  const std::string metadata = home + "/metadata";
+  if (kind != ExposureSource::Kind::AUTO || !chosen->exposure.empty() || type_of(metadata) != kRealsenseMetadata)
+    return;
+  chosen->exposure = metadata;
+  chosen->reads_driver_messages = true;
+}
 
 DeblurTopics choose(const InputBag& input, const NamedTopics& named, const Config& config) {
   DeblurTopics chosen;
@@ -18,14 +45,9 @@ DeblurTopics choose(const InputBag& input, const NamedTopics& named, const Confi
   const bool info_required = !config.calibration || !config.calibration->camera;
   chosen.camera_info = input.choose_topic<sensor_msgs::CameraInfo>("camera_info", named.camera_info,
                                                                    beside + "/camera_info", info_required);
-  chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", true);
-  if (!reads_driver_messages(config)) {
-    chosen.exposure = input.choose_topic<Exposure>("exposure", named.exposure, home + "/exposure", false);
-  } else if (input.topics().count(named.exposure) > 0) {
-    chosen.exposure = named.exposure;
-  } else {
-    throw std::runtime_error("exposure_source of the configuration needs --exposure-topic with a topic of the bag");
-  }
+  const bool imu_required = !config.pipeline.motion_from_images || config.pipeline.flow_without_gyro == "never";
+  chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", imu_required);
+  choose_exposure(input, named, config, home, &chosen);
   chosen.output_namespace = named.output_namespace.empty() ? home : named.output_namespace;
   return chosen;
 }
@@ -48,10 +70,6 @@ OutputTopics::OutputTopics(const std::string& name_space)
 std::set<std::string> OutputTopics::all() const {
   return {image,   camera_info, keypoints,      blur_field,         quality, trust_mask, overlay,
           markers, tracks,      global_shutter, global_shutter_info};
-}
-
-bool reads_driver_messages(const Config& config) {
-  return config.exposure_source.kind != ExposureSource::Kind::MESSAGE;
 }
 
 DeblurTopics choose_topics(const InputBag& input, const NamedTopics& named, const Config& config) {

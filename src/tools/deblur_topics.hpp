@@ -28,13 +28,10 @@ struct OutputTopics {
 
 struct DeblurTopics {
   ImageTopic image;
-  std::string imu;
-  std::string camera_info, exposure;  ///< empty: none
+  std::string imu, camera_info, exposure;  ///< empty: none
+  bool reads_driver_messages = false;      ///< exposure has messages of another type than the package's
   std::string output_namespace;
 };
-
-/// Exposure times are read from messages of another type than the package's.
-bool reads_driver_messages(const Config& config);
 
 /// Throws std::runtime_error that names the bag, and lists its topics.
 DeblurTopics choose_topics(const InputBag& input, const NamedTopics& named, const Config& config);

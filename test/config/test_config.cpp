@@ -37,13 +37,13 @@ std::string dump(const Config& c) {
   s.precision(17);
   s << "exposure " << c.shutter.exposure_ns << ' ' << c.exposure_max_age_ns << ' '
     << static_cast<int>(c.exposure_source.kind) << ' ' << static_cast<int>(c.exposure_source.unit) << ' '
-    << c.exposure_source.field << "\nreadout " << c.shutter.readout_ns << "\nstamp_row "
-    << static_cast<int>(c.shutter.stamp_row) << "\nstamp_phase " << static_cast<int>(c.shutter.stamp_phase)
-    << "\ntime_offset " << c.gyro.time_offset_ns << "\nbias " << c.gyro.bias_rad_s.transpose() << "\nbuffer "
-    << c.gyro.buffer_ns << "\ngap " << c.gyro.max_gap_ns << "\ngyro_range " << c.gyro.range_rad_s << "\non_conflict "
-    << static_cast<int>(c.on_calibration_conflict) << ' ' << c.calibration_files.size() << ' ' << c.calibration_camera
-    << "\nself_calibration " << static_cast<int>(c.self_calibration) << "\nrectified_input " << c.rectified_input
-    << "\nR ";
+    << c.exposure_source.field << ' ' << static_cast<int>(c.on_exposure_conflict) << "\nreadout "
+    << c.shutter.readout_ns << "\nstamp_row " << static_cast<int>(c.shutter.stamp_row) << "\nstamp_phase "
+    << static_cast<int>(c.shutter.stamp_phase) << "\ntime_offset " << c.gyro.time_offset_ns << "\nbias "
+    << c.gyro.bias_rad_s.transpose() << "\nbuffer " << c.gyro.buffer_ns << "\ngap " << c.gyro.max_gap_ns
+    << "\ngyro_range " << c.gyro.range_rad_s << "\non_conflict " << static_cast<int>(c.on_calibration_conflict) << ' '
+    << c.calibration_files.size() << ' ' << c.calibration_camera << "\nself_calibration "
+    << static_cast<int>(c.self_calibration) << "\nrectified_input " << c.rectified_input << "\nR ";
   if (c.R_cam_imu) s << *c.R_cam_imu;
   s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nstereo_patience "
     << c.stereo_patience_ns << "\ndrop_bad " << c.drop_bad << "\nmask " << c.mask_file << "\nbias_window "
@@ -53,17 +53,18 @@ std::string dump(const Config& c) {
     << c.pipeline.threads << "\nsignificant_bits " << c.pipeline.significant_bits << "\nblock_size "
     << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px << "\nmax_extent "
     << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
-    << "\nmotion_from_images " << c.pipeline.motion_from_images << "\nbridge_gyro_gaps " << c.pipeline.bridge_gyro_gaps
-    << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing "
-    << c.pipeline.kernel.smoothing_px << "\ngamma_rule " << static_cast<int>(c.pipeline.kernel.gamma_rule) << "\nnoise "
-    << c.pipeline.noise.read_noise << ' ' << c.pipeline.noise.noise_gain << "\nvalidate "
-    << c.pipeline.validation.enabled << "\nvalidation " << static_cast<int>(c.pipeline.validation.rule) << ' '
-    << c.pipeline.validation.false_acceptance << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
-    << c.pipeline.validation.tau_contrast << "\ndetector " << c.pipeline.keypoints.detector << "\ndescriptor "
-    << c.pipeline.keypoints.descriptor << "\nmax_features " << c.pipeline.keypoints.max_features << "\ngrid "
-    << c.pipeline.keypoints.grid_cols << ' ' << c.pipeline.keypoints.grid_rows << "\ntracker " << c.tracker.max_tracks
-    << ' ' << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' '
-    << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' ' << c.tracker.levels;
+    << "\nmotion_from_images " << c.pipeline.motion_from_images << "\nflow_without_gyro "
+    << c.pipeline.flow_without_gyro << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor "
+    << c.pipeline.kernel.length_factor << "\nsmoothing " << c.pipeline.kernel.smoothing_px << "\ngamma_rule "
+    << static_cast<int>(c.pipeline.kernel.gamma_rule) << "\nnoise " << c.pipeline.noise.read_noise << ' '
+    << c.pipeline.noise.noise_gain << "\nvalidate " << c.pipeline.validation.enabled << "\nvalidation "
+    << static_cast<int>(c.pipeline.validation.rule) << ' ' << c.pipeline.validation.false_acceptance << "\ntau "
+    << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\ndetector "
+    << c.pipeline.keypoints.detector << "\ndescriptor " << c.pipeline.keypoints.descriptor << "\nmax_features "
+    << c.pipeline.keypoints.max_features << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
+    << c.pipeline.keypoints.grid_rows << "\ntracker " << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' '
+    << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' '
+    << c.tracker.window_px << ' ' << c.tracker.levels;
   return s.str();
 }
 
@@ -75,6 +76,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"on_calibration_conflict", "configured"},
       {"exposure_time", "0.02"},
       {"exposure_source", "realsense_metadata_us"},
+      {"on_exposure_conflict", "configured"},
       {"exposure_field", "shutter"},
       {"exposure_max_age", "0.5"},
       {"readout_time", "-0.0244944"},
@@ -112,7 +114,7 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"max_extent", "100.5"},
       {"max_bend", "2.5"},
       {"motion_from_images", "false"},
-      {"bridge_gyro_gaps", "true"},
+      {"flow_without_gyro", "always"},
       {"gamma", "1e-3"},
       {"kernel_length_factor", "6"},
       {"kernel_smoothing", "1.5"},
@@ -150,7 +152,7 @@ TEST(ParseConfig, EveryKeyReachesItsOwnField) {
 TEST(ParseConfig, ReadsValuesInTheirUnits) {
   std::string yaml;
   for (const auto& [key, value] : other_values()) {
-    if (key != "bridge_gyro_gaps") yaml += key + ": " + value + "\n";  // needs what another key takes away here
+    if (key != "flow_without_gyro") yaml += key + ": " + value + "\n";  // needs what another key takes away here
   }
   const Config c = parse(yaml);
   EXPECT_EQ(c.shutter.exposure_ns, 20 * kMs);
@@ -180,9 +182,10 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.blur_field.max_extent_px, 100.5);
   EXPECT_EQ(c.pipeline.blur_field.max_bend_px, 2.5);
   EXPECT_FALSE(c.pipeline.motion_from_images);
-  EXPECT_TRUE(parse("bridge_gyro_gaps: true").pipeline.bridge_gyro_gaps);
-  EXPECT_EQ(error_of("{bridge_gyro_gaps: true, motion_from_images: false}"),
-            "bridge_gyro_gaps = true needs motion_from_images = true, which is false");
+  EXPECT_EQ(parse("flow_without_gyro: always").pipeline.flow_without_gyro, "always");
+  EXPECT_EQ(error_of("{flow_without_gyro: always, motion_from_images: false}"),
+            "flow_without_gyro = \"always\" needs motion_from_images = true, which is false");
+  EXPECT_EQ(error_of("motion_from_images: false"), "") << "nothing is asked for that needs it";
   EXPECT_EQ(c.pipeline.kernel.gamma, 1e-3);
   EXPECT_EQ(c.pipeline.kernel.length_factor, 6);
   EXPECT_EQ(c.pipeline.kernel.smoothing_px, 1.5);
@@ -249,6 +252,8 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
   EXPECT_NO_THROW(parse("gama: 0.1"));
   EXPECT_EQ(unknown_key_message("gama"), "gama is not known, ignored");
   EXPECT_EQ(unknown_key_message("backend"), "backend is not known, ignored: it is now called engine");
+  EXPECT_EQ(unknown_key_message("bridge_gyro_gaps"),
+            "bridge_gyro_gaps is not known, ignored: it is now called flow_without_gyro, and true is now always");
   EXPECT_NE(unknown_key_message("odometry_clock").find("motion_from_images"), std::string::npos);
 }
 
@@ -269,6 +274,14 @@ TEST(ParseConfig, TakesStringsThatAreEntirelyValues) {
   EXPECT_EQ(parse("gyro_bias: \"[-2e-3, 0.021, 0.078]\"").gyro.bias_rad_s, bias);
   EXPECT_EQ((*parse("R_cam_imu: \"[0, -1, 0, -1, 0, 0, 0, 0, -1]\"").R_cam_imu)(0, 1), -1);
   EXPECT_FALSE(parse("R_cam_imu: \"[]\"").R_cam_imu);
+}
+
+// 0 is what configurations had before.
+TEST(ParseConfig, AnEmptyExposureTimeIsNotKnown) {
+  for (const char* empty : {"", "''", "\"\"", "~", "[]", "0", "0.0"}) {
+    EXPECT_EQ(parse(std::string("exposure_time: ") + empty).shutter.exposure_ns, 0) << empty;
+  }
+  EXPECT_EQ(error_of("gyro_timeout: ''").rfind("gyro_timeout = \"\" is not a finite number of seconds", 0), 0u);
 }
 
 TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
@@ -301,7 +314,7 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("exposure_time: 20000", "exposure_time = 20000 is outside [1e-09, 1] s: is it in microseconds?");
   expect("readout_time: 25", "readout_time = 25 is outside [-1, 1] s: is it in milliseconds?");
   expect("exposure_source: field",
-         "exposure_source = field is not one of message field_us field_10us field_100us field_ms field_s");
+         "exposure_source = field is not one of auto message field_us field_10us field_100us field_ms field_s");
   expect("exposure_source: field_us", "exposure_field = \"\" is not the name of a field");
   expect("exposure_max_age: 61", "exposure_max_age = 61 is outside [0, 60] s");
   expect("stamp_phase: 0", "stamp_phase = 0 is not one of start middle end");

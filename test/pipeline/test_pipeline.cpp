@@ -495,6 +495,81 @@ TEST_F(PipelineByImages, RepeatedPictureIsWhatItWasAndDisturbsNothing) {
   EXPECT_GT(by_images, 100u);
 }
 
+// From an exposure that is half the true one.
+TEST_F(PipelineByImages, ExposureThatIsFoundIsUsedThroughout) {
+  Pipeline certain(options());
+  certain.set_calibration(camera_.simulator().camera().calibration());
+  for (int i = 0; i < 6; ++i) {
+    const RowExposure exposure = camera_.simulator().exposure(i);
+    const TimeNs true_ns = exposure.timing().exposure_ns;
+    int asked = 0;
+    PipelineRequest request;
+    request.exposure = ExposureQuestion{true, true_ns, [&](const std::optional<ExposureEstimate>&, double) {
+                                          ++asked;
+                                          return ExposureAnswer{true_ns};
+                                        }};
+    const PipelineResult found = pipeline_.process(camera_.picture(i), PixelLayout::GRAY, rotation_,
+                                                   exposure.with_exposure(true_ns / 2), request);
+    const PipelineResult told =
+        certain.process(camera_.picture(i), PixelLayout::GRAY, rotation_, exposure, PipelineRequest());
+    EXPECT_EQ(asked, 1);
+    EXPECT_TRUE(found.exposure_is_known);
+    EXPECT_EQ(found.exposure_ns, true_ns);
+    EXPECT_EQ(found.field.exposure_ns, true_ns);
+    EXPECT_EQ(found.reference_ns, told.reference_ns);
+    ASSERT_EQ(found.field.blocks.size(), told.field.blocks.size());
+    for (std::size_t b = 0; b < told.field.blocks.size(); ++b) {
+      EXPECT_NEAR(found.field.blocks[b].extent_px, told.field.blocks[b].extent_px, 0.3) << i << " " << b;
+    }
+    if (i == 0) {
+      EXPECT_TRUE(equal(found.image, told.image)) << "nothing is followed yet";
+    }
+  }
+}
+
+// What one image says is assumed for the next. The first image is told by the rotation alone: no corner is followed
+// yet.
+TEST_F(PipelineByImages, ExposureIsFoundFromHalfOfItWithinTwoImages) {
+  const TimeNs true_ns = camera_.simulator().exposure(0).timing().exposure_ns;
+  TimeNs assumed_ns = true_ns / 2;
+  int estimates = 0;
+  for (int i = 0; i < 6; ++i) {
+    const RowExposure assumed = camera_.simulator().exposure(i).with_exposure(assumed_ns);
+    PipelineRequest request;
+    request.exposure =
+        ExposureQuestion{true, 2 * true_ns, [&](const std::optional<ExposureEstimate>& estimate, double) {
+                           if (estimate) {
+                             ++estimates;
+                             assumed_ns = std::llround(estimate->ratio * static_cast<double>(assumed_ns));
+                           }
+                           return ExposureAnswer{assumed_ns, i > 0};
+                         }};
+    const PipelineResult result = pipeline_.process(camera_.picture(i), PixelLayout::GRAY, rotation_, assumed, request);
+    EXPECT_EQ(result.exposure_ns, assumed_ns);
+    EXPECT_EQ(result.field.exposure_ns, assumed_ns) << "the likeliest one, whether or not it is known";
+    if (i > 0) {
+      EXPECT_NEAR(static_cast<double>(assumed_ns) / static_cast<double>(true_ns), 1, 0.1) << i;
+    }
+  }
+  EXPECT_GE(estimates, 5);
+}
+
+TEST_F(PipelineByImages, ExposureThatIsNotKnownLeavesTheImageAsItIs) {
+  constexpr TimeNs kAssumedNs = 15'000'000;
+  PipelineRequest request;
+  request.exposure = ExposureQuestion{false, 20'000'000, [](const std::optional<ExposureEstimate>& told, double) {
+                                        EXPECT_FALSE(told) << "it is not to be looked at";
+                                        return ExposureAnswer{kAssumedNs, false};
+                                      }};
+  const PipelineResult result =
+      pipeline_.process(camera_.picture(0), PixelLayout::GRAY, rotation_, camera_.simulator().exposure(0), request);
+  EXPECT_FALSE(result.exposure_is_known);
+  EXPECT_FALSE(result.sharp_at_any_exposure);
+  EXPECT_TRUE(result.image.empty());
+  EXPECT_EQ(result.field.count(BlockStatus::DEBLURRED), 0u);
+  EXPECT_NE(result.exposure_need, ExposureNeed::NOTHING);
+}
+
 // It passed through the first time.
 TEST_F(PipelineByImages, RepetitionOfAPictureThatWasNotSeenIsFollowed) {
   Pipeline expected(options());

@@ -146,6 +146,36 @@ TEST(ExposureAdapter, ReadsRealSenseMetadata) {
             std::string::npos);
 }
 
+TEST(ExposureAdapter, AutoRecognisesMessagesByTheirType) {
+  const ExposureSource source;
+  ASSERT_EQ(source.kind, Kind::AUTO);
+  const std::string type = "realsense2_camera/Metadata";
+  const auto of = [&](const std::string& json) { return read(source, type, kMetadata, metadata(kStamp, json)); };
+  const auto infrared = of(R"({"actual_exposure":8333,"auto_exposure":1})");
+  EXPECT_EQ(infrared->exposure_ns, 8'333'000);
+  EXPECT_EQ(infrared->stamp_ns, kStamp);
+  EXPECT_EQ(of(R"({"actual_exposure":166,"auto_exposure":0,"saturation":64})")->exposure_ns, 16'600'000);
+  EXPECT_FALSE(of(R"({"actual_exposure":166,"auto_exposure":1,"saturation":64})")) << "it is the manual value";
+
+  Exposure message;
+  message.header.stamp = to_ros_time(kStamp);
+  message.exposure_time.fromNSec(17 * kMs);
+  Bytes bytes;
+  bytes.data.resize(ros::serialization::serializationLength(message));
+  ros::serialization::OStream stream(bytes.data.data(), static_cast<std::uint32_t>(bytes.data.size()));
+  ros::serialization::serialize(stream, message);
+  const std::string own = ros::message_traits::datatype<Exposure>();
+  const auto told = read(source, own, ros::message_traits::definition<Exposure>(), bytes);
+  EXPECT_EQ(told->exposure_ns, 17 * kMs);
+  EXPECT_EQ(told->stamp_ns, kStamp);
+
+  const std::string error = error_of(source, "a/B", kSequence, bytes);
+  for (const std::string part :
+       {"auto recognises gyro_deblur/Exposure and realsense2_camera/Metadata", "a/B", "exposure_source"}) {
+    EXPECT_NE(error.find(part), std::string::npos) << error;
+  }
+}
+
 TEST(ExposureAdapter, ReadsAParameterOfDynamicReconfigure) {
   dynamic_reconfigure::Config config;
   config.doubles.resize(2);

@@ -77,9 +77,11 @@ TEST_F(InputChecksTest, ExposureAboveTheFramePeriodIsRefusedByValue) {
 
 TEST_F(InputChecksTest, ParameterAboveTheFramePeriodIsNamedWithinASecond) {
   config_.shutter.exposure_ns = 200 * kMs;
+  config_.on_exposure_conflict = OnExposureConflict::CONFIGURED;
   configure();
   play(0, 20);
   expect_problem("exposure_time", {"exposure_time = 0.2 s is longer than the frame period 0.05 s: is its unit right?"});
+  EXPECT_EQ(problem("exposure_time").find("not used"), std::string::npos);
   EXPECT_EQ(count(PassThroughReason::NONE), 0u);
   expect_passed_through(outputs_.size() - 1, PassThroughReason::BAD_CONFIGURATION, "exposure_time = 0.2 s");
   config_.shutter.exposure_ns = 20 * kMs;
@@ -87,6 +89,14 @@ TEST_F(InputChecksTest, ParameterAboveTheFramePeriodIsNamedWithinASecond) {
   play(20, 30);
   EXPECT_EQ(problem("exposure_time"), "");
   expect_deblurred(outputs_.size() - 1);
+}
+
+TEST_F(InputChecksTest, ParameterAboveTheFramePeriodIsLeftToTheImages) {
+  config_.shutter.exposure_ns = 200 * kMs;
+  configure();
+  play(0, 20);
+  expect_problem("exposure_time", {"exposure_time = 0.2 s is longer than the frame period 0.05 s", "It is not used"});
+  expect_passed_through(outputs_.size() - 1, PassThroughReason::NO_EXPOSURE_TIME, "is not known yet");
 }
 
 TEST_F(InputChecksTest, ExposureOfTheWholeFramePeriodIsAccepted) {
@@ -146,10 +156,8 @@ TEST_F(InputChecksTest, ExposureOfZeroWithoutParameterSaysSo) {
   configure();
   play(0, 5, [this](int, TimeNs stamp_ns) { processor_.add_exposure(exposure_message(stamp_ns, 0)); });
   ASSERT_GE(outputs_.size(), 3u);
-  expect_passed_through(0, PassThroughReason::NO_EXPOSURE_TIME,
-                        "the driver tells an exposure time of 0 s, which is not known");
-  EXPECT_EQ(outputs_[0].reason_text.find("exposure_time = 0"), std::string::npos);
-  expect_problem("exposure 0", {"exposure_time = 0, which is not set"});
+  expect_passed_through(0, PassThroughReason::NO_EXPOSURE_TIME, "the exposure time is not known yet");
+  expect_problem("exposure 0", {"0 s, taken as not known", "by what their blur tells"});
 }
 
 TEST_F(InputChecksTest, SettingOfZeroIsNotKnown) {
@@ -176,6 +184,7 @@ class StandingClockTest : public InputChecksTest {
 };
 
 TEST_F(StandingClockTest, NoExposureTimeIsToldWithinASecond) {
+  exposure_expected_ = true;
   config_.shutter.exposure_ns = 0;
   configure();
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);

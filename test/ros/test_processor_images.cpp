@@ -116,7 +116,7 @@ TEST_F(ProcessorImagesTest, AGapOfTheGyroscopePassesUnlessTheImagesBridgeIt) {
   EXPECT_EQ(processor_.statistics().frames_by_images_alone, 0u);
 
   processor_.reset();
-  config_.pipeline.bridge_gyro_gaps = true;
+  config_.pipeline.flow_without_gyro = "always";
   configure();
   play(0, kFrames, gap);
   std::vector<double> errors, truths;
@@ -151,14 +151,49 @@ TEST_F(ProcessorImagesTest, AGapOfTheGyroscopePassesUnlessTheImagesBridgeIt) {
 }
 
 TEST_F(ProcessorImagesTest, ImagesCarryACameraWhoseGyroscopeNeverSpeaks) {
-  config_.pipeline.bridge_gyro_gaps = true;
-  configure();
   play(0, 6, {imu_.front().t_ns, imu_.back().t_ns});
   EXPECT_EQ(outputs_[0].reason, PassThroughReason::NO_GYRO) << "nothing to follow corners from";
   for (int i = 1; i < 6; ++i) {
     EXPECT_EQ(outputs_[i].reason, PassThroughReason::NONE) << i;
     EXPECT_NE(outputs_[i].image, outputs_[i].input) << i;
   }
+  const auto problems = processor_.statistics().input_problems;
+  ASSERT_EQ(problems.count("no imu"), 1u);
+  EXPECT_NE(problems.at("no imu").text.find("deblurred by optical flow alone"), std::string::npos);
+  EXPECT_EQ(logged("optical flow alone"), 1u) << "said once";
+}
+
+TEST_F(ProcessorImagesTest, NeverMeansThatImagesWithoutAGyroscopePass) {
+  config_.pipeline.flow_without_gyro = "never";
+  configure();
+  play(0, 6, {imu_.front().t_ns, imu_.back().t_ns});
+  for (const FrameOutput& output : outputs_) EXPECT_EQ(output.reason, PassThroughReason::NO_GYRO);
+  EXPECT_EQ(processor_.statistics().input_problems.at("no imu").text.find("optical flow"), std::string::npos);
+}
+
+// From image 8 on it is silent for 2.5 s, and comes again.
+TEST_F(ProcessorImagesTest, ImagesCarryACameraWhileItsGyroscopeIsSilent) {
+  constexpr int kSilentFrom = 8, kSilentTo = 58, kEnd = 64;
+  constexpr int kWaiting = 22;  // images of the second in which it may be a gap
+  play(0, kEnd, {simulator_.stamp(kSilentFrom) - kMs, simulator_.stamp(kSilentTo) - kMs});
+  int passed = 0, alone = 0;
+  for (int i = 0; i < kEnd; ++i) {
+    const bool by_flow = outputs_[i].field && outputs_[i].field->images_alone;
+    alone += by_flow;
+    if (outputs_[i].reason != PassThroughReason::NONE) {
+      ++passed;
+      EXPECT_EQ(outputs_[i].reason, PassThroughReason::NO_GYRO) << i;
+    }
+    if (i < kSilentFrom || i > kSilentTo + 1) {
+      EXPECT_FALSE(by_flow) << i;
+    }
+  }
+  EXPECT_LE(passed, kWaiting + 2);
+  EXPECT_GE(alone, kSilentTo - kSilentFrom - kWaiting - 2);
+  EXPECT_EQ(logged("the IMU has been silent since"), 1u) << "said once";
+  const auto problems = processor_.statistics().input_problems;
+  ASSERT_EQ(problems.count("imu silent"), 1u);
+  EXPECT_FALSE(problems.at("imu silent").active) << "it has come again";
 }
 
 TEST_F(ProcessorImagesTest, SeesMotionAfterSomebodyHasCeasedToListenToTracks) {
@@ -170,7 +205,7 @@ TEST_F(ProcessorImagesTest, SeesMotionAfterSomebodyHasCeasedToListenToTracks) {
 }
 
 TEST_F(ProcessorTest, AnImageThatMayBeAtRestIsNotTouchedByImagesAlone) {
-  config_.pipeline.motion_from_images = config_.pipeline.bridge_gyro_gaps = true;
+  config_.pipeline.motion_from_images = true;
   configure();
   for (int i = 0; i < 3; ++i) add_frame(kStart + i * 50 * kMs);
   now_ns_ += 200 * kMs;
