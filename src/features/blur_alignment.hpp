@@ -28,9 +28,9 @@ struct BlurredPoint {
 };
 
 struct AlignmentOptions {
-  int window_px = 21;          ///< odd, [5, 101]: side of the patch that is compared, in the second image
-  int max_iterations = 30;     ///< >= 1
-  double max_offset_px = 6;    ///< > 0: the search ends farther from its start
+  int window_px = 21;         ///< odd, [5, 101]: side of the patch that is compared, in the second image
+  int max_iterations = 30;    ///< >= 1
+  double max_offset_px = 6;   ///< > 0: the search ends farther from its start
   double min_step_px = 0.01;  ///< > 0: a shorter step ends the search
 };
 

@@ -24,7 +24,8 @@ const char* remedy(PassThroughReason reason) {
     case PassThroughReason::NO_GYRO:
       return "check that the IMU publishes, its rate, and time_offset; compare the stamps of image and IMU";
     case PassThroughReason::NO_EXPOSURE_TIME:
-      return "images are deblurred once their blur has told the exposure time, which takes motion; set exposure_time, or "
+      return "images are deblurred once their blur has told the exposure time, which takes motion; set exposure_time, "
+             "or "
              "publish an Exposure message with each image's stamp, to have them deblurred at once";
     case PassThroughReason::NO_CALIBRATION:
       return "publish camera_info with each image's stamp, calibrated for the image's size; where it contradicts "
