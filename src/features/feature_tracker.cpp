@@ -45,7 +45,7 @@ Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
 /// Successive errors of a track are alike, and its patch sees other depths than its point's: more than their sum. Fits
 /// to simulated flights, see doc/reports/tracks.md.
 Eigen::Matrix2d told_covariance(const Eigen::Matrix2d& sum_px2) {
-  constexpr double kFactor = 5, kFloorPx = 0.06;
+  constexpr double kFactor = 6, kFloorPx = 0.06;
   return kFactor * sum_px2 + kFloorPx * kFloorPx * Eigen::Matrix2d::Identity();
 }
 

@@ -134,11 +134,23 @@ TEST_F(InputFaultsTest, ExposureAboveTheFramePeriod) {
   EXPECT_EQ(passed_through(PassThroughReason::NO_EXPOSURE_TIME) + passed_through(PassThroughReason::NO_GYRO),
             fast().frames());
   options_.config.shutter.exposure_ns = kSecond / 5;
-  play(silence(fast().deliveries(), Stream::EXPOSURE, 0, fast().end_ns() + 1));
-  EXPECT_NE(problem("exposure_time").find("exposure_time = 0.2 s is longer"), std::string::npos)
-      << problem("exposure_time");
-  EXPECT_EQ(passed_through(PassThroughReason::BAD_CONFIGURATION) + passed_through(PassThroughReason::NO_GYRO),
-            fast().frames());
+  for (const OnExposureConflict policy : {OnExposureConflict::CONFIGURED, OnExposureConflict::IMAGES}) {
+    options_.config.on_exposure_conflict = policy;
+    play(silence(fast().deliveries(), Stream::EXPOSURE, 0, fast().end_ns() + 1));
+    EXPECT_NE(problem("exposure_time").find("exposure_time = 0.2 s is longer"), std::string::npos)
+        << problem("exposure_time");
+    const std::size_t refused = passed_through(PassThroughReason::BAD_CONFIGURATION);
+    const std::size_t waiting =
+        passed_through(PassThroughReason::NO_EXPOSURE_TIME) + passed_through(PassThroughReason::NO_GYRO);
+    if (policy == OnExposureConflict::CONFIGURED) {
+      EXPECT_EQ(refused + waiting, fast().frames());
+      EXPECT_GT(refused, fast().frames() / 2);
+    } else {
+      EXPECT_EQ(refused, 0u);
+      EXPECT_LT(waiting, fast().frames() / 4) << "the images have it";
+      EXPECT_LE(result_.mispredicted, fast().frames() / 20);
+    }
+  }
 }
 
 TEST_F(InputFaultsTest, ExposureOfZeroAtFirst) {
