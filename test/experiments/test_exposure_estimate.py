@@ -1,40 +1,18 @@
 #!/usr/bin/env python3
 """exposure_estimate --quick: exposures are right, one by one, filtered, and after a jump; tables and plots."""
 
-import argparse
-import csv
 import math
-import pathlib
 import statistics
-import subprocess
-import sys
-import tempfile
-import unittest
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
-SKIPPED = 77  # as ctest is told
+from quick_test import QuickTest, main
+
 BLURRED_PX = 8
-arguments = None
 
 
-class Quick(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.temporary = tempfile.TemporaryDirectory()
-        cls.out = pathlib.Path(cls.temporary.name)
-        subprocess.run([arguments.program, "--quick", "--quiet", "--parts", "frames", "--parts", "changes",
-                        "--assumptions", "1", "0.6", "--data", arguments.data, "--out", cls.out],
-                       check=True, stdout=subprocess.DEVNULL)
+class Quick(QuickTest):
+    ARGUMENTS = ("--parts", "frames", "--parts", "changes", "--assumptions", "1", "0.6")
 
-    @classmethod
-    def tearDownClass(cls):
-        cls.temporary.cleanup()
-
-    def rows(self, name):
-        with open(self.out / name, newline="", encoding="utf-8") as file:
-            return list(csv.DictReader(file))
-
-    def test_one_frame_tells_its_exposure(self):
+    def test_the_exposure_of_one_frame(self):
         for assumed in "1", "0.6":
             ratios = [float(row["ratio"]) for row in self.rows("exposure_frames.csv")
                       if row["light"] == "day" and row["assumed"] == assumed
@@ -58,18 +36,8 @@ class Quick(unittest.TestCase):
         self.assertEqual({row["true_ms"] for row in rows}, {"15.000", "30.000"})
 
     def test_tables_and_plots_are_made(self):
-        subprocess.run(["/usr/bin/python3", ROOT / "experiments" / "exposure_estimate.py", self.out], check=True,
-                       stdout=subprocess.DEVNULL)
-        for name in "exposure_filtered.png", "exposure_changes.png", "exposure_estimate.md":
-            self.assertGreater((self.out / name).stat().st_size, 1000, msg=name)
+        self.check_drawn("exposure_filtered.png", "exposure_changes.png", "exposure_estimate.md")
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("program")
-    parser.add_argument("data", type=pathlib.Path)
-    arguments = parser.parse_args()
-    if not (arguments.data / "trajectories").exists():
-        print(f"skipped: there is no {arguments.data}/trajectories")
-        sys.exit(SKIPPED)
-    unittest.main(argv=sys.argv[:1])
+    main("trajectories")

@@ -23,7 +23,7 @@ from trajectory import (Trajectory, absolute_error_m, aligned, angle_deg, common
                         rotations)
 
 SLAM = ["/usr/bin/python3", ROOT / "experiments" / "slam" / "slam.py"]
-SKIPPED = 77  # as ctest is told
+SKIPPED = 77  # ctest's SKIP_RETURN_CODE
 arguments = None
 
 

@@ -1,34 +1,15 @@
 #!/usr/bin/env python3
 """tracks --quick: FeatureTracker errs less than Lucas-Kanade, on blurred and on sharp images; the plot."""
 
-import argparse
-import csv
-import pathlib
-import subprocess
-import sys
-import tempfile
-import unittest
-
-ROOT = pathlib.Path(__file__).resolve().parents[2]
-SKIPPED = 77  # as ctest is told
-arguments = None
+from quick_test import QuickTest, main
 
 
-class Quick(unittest.TestCase):
+class Quick(QuickTest):
     @classmethod
     def setUpClass(cls):
-        cls.temporary = tempfile.TemporaryDirectory()
-        cls.out = pathlib.Path(cls.temporary.name)
-        subprocess.run([arguments.program, "--quick", "--quiet", "--data", arguments.data, "--out", cls.out], check=True,
-                       stdout=subprocess.DEVNULL)
-        with open(cls.out / "tracks.csv", newline="", encoding="utf-8") as file:
-            cls.errors = {row["tracker"]: row for row in csv.DictReader(file) if row["extent [px]"] == "all"}
-        with open(cls.out / "track_lengths.csv", newline="", encoding="utf-8") as file:
-            cls.lengths = {row["tracker"]: row for row in csv.DictReader(file)}
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.temporary.cleanup()
+        super().setUpClass()
+        cls.errors = {row["tracker"]: row for row in cls.rows("tracks.csv") if row["extent [px]"] == "all"}
+        cls.lengths = {row["tracker"]: row for row in cls.rows("track_lengths.csv")}
 
     def value(self, tracker, column):
         return float(self.errors[tracker][column])
@@ -55,17 +36,8 @@ class Quick(unittest.TestCase):
         self.assertLess(self.value("FeatureTracker, blurred", "e^T C^-1 e"), 4)
 
     def test_plot_is_drawn(self):
-        subprocess.run(["/usr/bin/python3", ROOT / "experiments" / "tracks.py", self.out], check=True,
-                       stdout=subprocess.DEVNULL)
-        self.assertGreater((self.out / "tracks.png").stat().st_size, 1000)
+        self.check_drawn("tracks.png")
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("program")
-    parser.add_argument("data", type=pathlib.Path)
-    arguments = parser.parse_args()
-    if not (arguments.data / "trajectories").exists():
-        print(f"skipped: there is no {arguments.data}/trajectories")
-        sys.exit(SKIPPED)
-    unittest.main(argv=sys.argv[:1])
+    main("trajectories")

@@ -2,8 +2,6 @@
 // it. Waits for messages and conditions with a deadline; time never decides.
 #include <algorithm>
 #include <atomic>
-#include <cstdlib>
-#include <filesystem>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -24,6 +22,7 @@
 
 #include "camera_topics.hpp"
 #include "message_builders.hpp"
+#include "own_ros_home.hpp"
 #include "process_memory.hpp"
 #include "ros/messages.hpp"
 #include "ros/shared_imu.hpp"
@@ -571,13 +570,9 @@ TEST_F(StereoTest, OtherLimitsOfStampsAreNotShared) {
 
 int main(int argc, char** argv) {
   testing::InitGoogleTest(&argc, argv);
-  // What the nodelets store is not of the user's cameras.
-  std::string home = (std::filesystem::temp_directory_path() / "gyro_deblur_home_XXXXXX").string();
-  if (mkdtemp(home.data()) == nullptr || setenv("ROS_HOME", home.c_str(), 1) != 0) return 1;
+  const gyro_deblur::test::OwnRosHome home;
   ros::init(argc, argv, "test_nodelet_faults");
   ros::AsyncSpinner spinner(2);
   spinner.start();
-  const int status = RUN_ALL_TESTS();
-  std::filesystem::remove_all(home);
-  return status;
+  return RUN_ALL_TESTS();
 }
