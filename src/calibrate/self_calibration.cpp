@@ -88,9 +88,17 @@ void SelfCalibrationOptions::validate() const {
   require_range("search", to_seconds(search_ns), kShortestSearchS, kLongestSearchS, "s");
 }
 
-SelfCalibration::SelfCalibration(const SelfCalibrationOptions& options)
-    : options_(options), gyro_(kWindowNs + 4 * options.search_ns) {
+namespace {
+
+SelfCalibrationOptions validated(const SelfCalibrationOptions& options) {
   options.validate();
+  return options;
+}
+
+}  // namespace
+
+SelfCalibration::SelfCalibration(const SelfCalibrationOptions& options)
+    : options_(validated(options)), gyro_(kWindowNs + 4 * options_.search_ns) {
   clear();
 }
 
@@ -203,7 +211,7 @@ void SelfCalibration::learn_alignment() {
   }
   if (peak.is_ambiguous) {
     return refuse(
-        format("the motion repeats itself, so that time offsets of %.3f s and %.3f s fit alike: turn the "
+        format("the motion repeats itself, so that time offsets of %.3f s and %.3f s fit equally well: turn the "
                "camera irregularly",
                to_seconds(peak.offset_ns), to_seconds(peak.second_ns)));
   }
@@ -259,10 +267,13 @@ void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double
     tell_missing(format("the bias is known to %.3f rad/s, and %.3f are needed: let the camera stand still",
                         bias_stddev_rad_s, kBiasStddevRadS),
                  &learned_.bias_rad_s);
-  } else if (!bias_of_rest_) {
-    take(found.bias_rad_s, bias_stddev_rad_s, turning_s, (found.bias_rad_s - learned_.bias_rad_s.value).norm(),
-         &learned_.bias_rad_s);
+    return;
   }
+  // At rest it is known better, but it drifts, and a slow pan passes for rest.
+  const double change_rad_s = (found.bias_rad_s - learned_.bias_rad_s.value).norm();
+  if (bias_of_rest_ && change_rad_s < std::max(2 * kBiasStddevRadS, 4 * bias_stddev_rad_s)) return;
+  bias_of_rest_ = false;
+  take(found.bias_rad_s, bias_stddev_rad_s, turning_s, change_rad_s, &learned_.bias_rad_s);
 }
 
 void SelfCalibration::learn_resting_bias() {

@@ -305,15 +305,32 @@ BlurAligner::NoiseShare BlurAligner::noise_share(const PlanePath& path_px) {
   return share;
 }
 
+namespace {
+
+/// Pixels and paths that a gyroscope in a wrong unit, say, throws far away are nowhere.
+bool can_be_aligned(const Eigen::Vector2d& place_px, const PlanePath& path_px, const cv::Size& size) {
+  const bool is_inside =
+      (place_px.array() >= 0).all() && place_px.x() < size.width && place_px.y() < size.height;  // not NaN either
+  const bool is_finite =
+      std::all_of(path_px.begin(), path_px.end(), [](const Eigen::Vector2f& at_px) { return at_px.allFinite(); });
+  return is_inside && is_finite && extent_of(path_px).maxCoeff() <= kMaxPlaneExtentPx;
+}
+
+}  // namespace
+
 std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPoint& in_from, const cv::Mat& to,
                                             const BlurredPoint& in_to, const Eigen::Matrix2d& map,
                                             const AlignmentOptions& options) {
   constexpr double kLeastDeterminant = 0.1;  // a tenth of the area: nothing that is followed shrinks so
-  if (!in_from.place_px.allFinite() || !in_to.place_px.allFinite()) return std::nullopt;
   if (!(map.determinant() > kLeastDeterminant)) return std::nullopt;
   const Eigen::Matrix2d inverse_map = map.inverse();
-  const PlanePath blur_of_second_px = mapped(in_from.path_px, map);
-  rasterize(mapped(in_to.path_px, inverse_map), &psf_of_first_);
+  const PlanePath blur_of_second_px = mapped(in_from.path_px, map),
+                  blur_of_first_px = mapped(in_to.path_px, inverse_map);
+  if (!can_be_aligned(in_from.place_px, blur_of_first_px, from.size()) ||
+      !can_be_aligned(in_to.place_px, blur_of_second_px, to.size())) {
+    return std::nullopt;
+  }
+  rasterize(blur_of_first_px, &psf_of_first_);
   rasterize(blur_of_second_px, &psf_of_second_);
   if (!crop_window(from.size(), in_from.place_px, to.size(), in_to.place_px, inverse_map, options.window_px)) {
     return std::nullopt;

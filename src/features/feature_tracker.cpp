@@ -42,9 +42,9 @@ bool inside(const cv::Point2f& p, const cv::Size& size) {
 cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
 Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
 
-/// Successive errors of a track are alike, and its patch sees other depths than its point's: more than their sum. Fits
-/// to simulated flights, see doc/reports/tracks.md.
-Eigen::Matrix2d told_covariance(const Eigen::Matrix2d& sum_px2) {
+/// Successive errors of a track are correlated, and its patch sees other depths than its point's: more than their sum.
+/// Fits to simulated flights, see doc/reports/tracks.md.
+Eigen::Matrix2d published_covariance(const Eigen::Matrix2d& sum_px2) {
   constexpr double kFactor = 6, kFloorPx = 0.06;
   return kFactor * sum_px2 + kFloorPx * kFloorPx * Eigen::Matrix2d::Identity();
 }
@@ -95,8 +95,9 @@ struct FeatureTracker::Searcher {
   template <typename Body>
   void for_each(std::size_t count, Body&& body) {
     constexpr int kPointsAtATime = 4;
-    aligners.resize(static_cast<std::size_t>(threads_or_all(threads)));
-    run_parallel(static_cast<int>(count), threads, kPointsAtATime,
+    const int used = threads_or_all(threads);
+    aligners.resize(static_cast<std::size_t>(used));
+    run_parallel(static_cast<int>(count), used, kPointsAtATime,
                  [&body](int i, int thread) { body(static_cast<std::size_t>(i), static_cast<std::size_t>(thread)); });
   }
 
@@ -242,7 +243,7 @@ std::vector<FeatureTracker::Candidate> FeatureTracker::search(const BlurredView&
     }
     candidate.found =
         searcher_->find(*view_, state.point, view, start_px, candidate.predicted.map, camera, motion, thread);
-    // Otherwise it may have been found by chance: a search there and back tells.
+    // Otherwise it may have been found by chance: a search there and back decides.
     constexpr double kSurePx = 0.15, kMaxSurprisePx = 1;
     if (!candidate.predicted.by_residual && candidate.found &&
         (candidate.found->covariance_px2.trace() > kSurePx * kSurePx ||
@@ -328,7 +329,7 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
       state.unpredicted_px_s = (candidates[i].found->place_px - candidates[i].predicted.place_px) / dt_s;
     }
     track.pixel_px = at_px;
-    track.covariance_px2 = told_covariance(state.covariance_px2());
+    track.covariance_px2 = published_covariance(state.covariance_px2());
     const Eigen::Vector2d normalized = camera.normalized(ray);
     track.velocity_1_s = (normalized - track.normalized) / dt_s;
     track.normalized = normalized;

@@ -73,7 +73,7 @@ const ExposureFilter& ExposureChoice::filter_of(const std::optional<GivenExposur
   return given && is_per_image(*given) ? ratios_ : exposures_;
 }
 
-std::optional<TimeNs> ExposureChoice::told_by_images(const GivenExposure& given) const {
+std::optional<TimeNs> ExposureChoice::estimate_instead(const GivenExposure& given) const {
   const std::optional<ExposureFilter::State> state = filter_of(given).state();
   if (!state) return std::nullopt;
   return is_per_image(given) ? scaled(given.exposure_ns, static_cast<double>(state->exposure_ns) / kRatioNs)
@@ -95,7 +95,7 @@ ExposurePlan ExposureChoice::plan(const std::optional<GivenExposure>& given,
     plan.exposure_ns = plan.longest_ns = given->exposure_ns;
     // A value that is wrong by a factor of 3 or more, of a wrong unit for example, shows from another assumption only.
     const std::size_t other = assumption_ % (kAssumedNs.size() + 1);
-    const std::optional<TimeNs> images_ns = told_by_images(*given);
+    const std::optional<TimeNs> images_ns = estimate_instead(*given);
     if (!plan.estimate || (images_ns ? is_within_reach(*images_ns, given->exposure_ns) : other == 0)) return plan;
     plan.exposure_ns = images_ns ? *images_ns : kAssumedNs[other - 1];
     plan.longest_ns = std::max(plan.longest_ns, plan.exposure_ns);
@@ -130,6 +130,11 @@ ChosenExposure ExposureChoice::decide(TimeNs stamp_ns, const ExposurePlan& plan,
                                       const std::optional<ExposureEstimate>& estimate, double mean_brightness) {
   if (plan.settled) return {plan.origin, plan.exposure_ns, plan.log_stddev};
   const std::optional<GivenExposure>& given = plan.given;
+  // An image that comes late changes nothing: a filter would begin anew. After a time jump there is a reset().
+  if (newest_ns_ && stamp_ns < *newest_ns_) {
+    return !given || replaces(*given) ? by_images(plan) : ChosenExposure{given->origin, given->exposure_ns, 0};
+  }
+  newest_ns_ = stamp_ns;
   if (given && is_per_image(*given)) {
     const double assumed = static_cast<double>(plan.exposure_ns) / static_cast<double>(given->exposure_ns);
     ratios_.add(stamp_ns, std::max<TimeNs>(scaled(kRatioNs, assumed), 1), estimate, mean_brightness);
@@ -159,7 +164,7 @@ void ExposureChoice::compare(TimeNs stamp_ns, const GivenExposure& given, bool h
   compared_ = given;
   const std::optional<ExposureFilter::State> state = filter_of(given).state();
   if (!state) return;
-  const TimeNs images_ns = *told_by_images(given);
+  const TimeNs images_ns = *estimate_instead(given);
   if (conflict_) {
     conflict_->given = given;
     conflict_->images_ns = images_ns;

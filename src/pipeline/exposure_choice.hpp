@@ -17,7 +17,7 @@ enum class ExposureOrigin {
   SETTING,    ///< of the driver; holds for all images
   PARAMETER,  ///< exposure_time
   IMAGES,     ///< their blur
-  ASSUMED,    ///< nothing tells it: a guess, which blur is compared with
+  ASSUMED,    ///< not known: a guess, which blur is compared with
 };
 
 /// "exposure message", "driver's setting", "exposure_time", "images" or "not known". Never null.
@@ -57,7 +57,8 @@ struct ExposureConflict {
   double ratio() const { return static_cast<double>(images_ns) / static_cast<double>(given.exposure_ns); }
 };
 
-/// Decides image by image, in the order of their stamps. Free of messages and clocks. Not thread-safe.
+/// Decides image by image, in the order of their stamps; one that is late gets what is known. Free of messages and
+/// clocks. Not thread-safe.
 class ExposureChoice {
  public:
   void set_policy(OnExposureConflict policy);
@@ -66,21 +67,21 @@ class ExposureChoice {
   /// @param period_ns  of the camera's frames, > 0: no exposure is longer; nothing: not known
   ExposurePlan plan(const std::optional<GivenExposure>& given, const std::optional<TimeNs>& period_ns) const;
 
-  /// @param estimate         of this image, where the plan asks for one; nothing: it tells none
+  /// @param estimate         of this image, where the plan asks for one; nothing: not known
   /// @param mean_brightness  of this image, 0 to 255
   ChosenExposure decide(TimeNs stamp_ns, const ExposurePlan& plan, const std::optional<ExposureEstimate>& estimate,
                         double mean_brightness);
 
-  /// Of the newest image; nothing where the images agree with what is given, or do not tell.
+  /// Of the newest image; nothing where the images agree with what is given, or have no estimate.
   const std::optional<ExposureConflict>& conflict() const { return conflict_; }
 
-  /// Forgets what images have told: after a time jump.
+  /// Forgets all estimates: after a time jump.
   void reset();
 
  private:
   const ExposureFilter& filter_of(const std::optional<GivenExposure>& given) const;
-  /// What the images say instead; nothing: they do not tell.
-  std::optional<TimeNs> told_by_images(const GivenExposure& given) const;
+  /// The estimate instead; nothing: there is none.
+  std::optional<TimeNs> estimate_instead(const GivenExposure& given) const;
   /// Whether the images have replaced it.
   bool replaces(const GivenExposure& given) const;
   /// @param has_estimate  of this image
@@ -89,13 +90,14 @@ class ExposureChoice {
   ChosenExposure by_images(const ExposurePlan& plan) const;
 
   OnExposureConflict policy_ = OnExposureConflict::IMAGES;
-  ExposureFilter exposures_;  // of images without a message
-  ExposureFilter ratios_;     // of images with one: true over given exposure, times kRatioNs
+  std::optional<TimeNs> newest_ns_;  // of the images that were looked at
+  ExposureFilter exposures_;         // of images without a message
+  ExposureFilter ratios_;            // of images with one: true over given exposure, times kRatioNs
   std::optional<ExposureConflict> conflict_;
   std::optional<GivenExposure> compared_;  // what conflict_ and since_ns_ are about
   std::optional<TimeNs> since_ns_;         // the images have said otherwise than conflict_
   int estimates_ = 0;                      // that have said so
-  int in_vain_ = 0;                        // images in a row that were looked at and told nothing
+  int in_vain_ = 0;                        // images in a row that were looked at without an estimate
   std::size_t assumption_ = 0;             // the one to try, counted on
 };
 

@@ -102,8 +102,10 @@ void CalibrationInUse::remember(const LearnedCalibration& before) {
     remembered_.insert(key);
   };
   take_over("R_cam_imu", given_.R_cam_imu.has_value(), before.R_cam_imu, &taken_.R_cam_imu);
-  take_over("time_offset", given_.given.time_offset, before.time_offset_s, &taken_.time_offset_s);
   take_over("readout_time", given_.given.readout_time, before.readout_s, &taken_.readout_s);
+  const bool had_offset = taken_.time_offset_s.known;
+  take_over("time_offset", given_.given.time_offset, before.time_offset_s, &taken_.time_offset_s);
+  if (!had_offset && taken_.time_offset_s.known) taken_.time_offset_s.value += readout_in_offset_s();
   take_over("gyro_bias", given_.given.gyro_bias, before.bias_rad_s, &taken_.bias_rad_s);
   use();
 }
@@ -118,7 +120,10 @@ void CalibrationInUse::forget() {
 LearnedCalibration CalibrationInUse::by_images() const {
   LearnedCalibration used = taken_;
   used.R_cam_imu.known = used.R_cam_imu.known && learns() && !given_.R_cam_imu;
-  used.time_offset_s.known = used.time_offset_s.known && learns() && !given_.given.time_offset;
+  // Without half of a readout time that nobody knows: the next start may know it.
+  used.time_offset_s = time_offset();
+  used.time_offset_s.known =
+      used.time_offset_s.known && learns() && !given_.given.time_offset && (has_readout() || taken_.readout_s.known);
   used.readout_s.known = used.readout_s.known && learns() && !given_.given.readout_time;
   used.bias_rad_s.known = used.bias_rad_s.known && learns() && !given_.given.gyro_bias;
   return used;
@@ -136,20 +141,23 @@ void CalibrationInUse::use() {
   if (!given_.R_cam_imu && taken_.R_cam_imu.known) R_cam_imu_ = taken_.R_cam_imu.value;
 }
 
-Learned<double> CalibrationInUse::time_offset() const {
-  Learned<double> offset = taken_.time_offset_s;
-  if (given_.given.readout_time || !taken_.readout_s.known) return offset;
+double CalibrationInUse::readout_in_offset_s() const {
+  if (has_readout() || !taken_.readout_s.known) return 0;
   // Learned for rows that are exposed at once, when the stamp says.
   switch (given_.shutter.stamp_row) {
     case StampRow::FIRST:
-      offset.value -= taken_.readout_s.value / 2;
-      break;
+      return taken_.readout_s.value / 2;
     case StampRow::MIDDLE:
-      break;
+      return 0;
     case StampRow::LAST:
-      offset.value += taken_.readout_s.value / 2;
-      break;
+      return -taken_.readout_s.value / 2;
   }
+  return 0;
+}
+
+Learned<double> CalibrationInUse::time_offset() const {
+  Learned<double> offset = taken_.time_offset_s;
+  offset.value -= readout_in_offset_s();
   return offset;
 }
 
@@ -157,9 +165,12 @@ std::string CalibrationInUse::missing_rotation() const {
   return learns() ? learned_.R_cam_imu.missing : "self_calibration is never";
 }
 
-bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_share) {
+bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_share, bool readout_by_messages) {
   learned_ = learned;
   readout_share_ = readout_share;
+  const double before_s = readout_in_offset_s();
+  readout_by_messages_ = readout_by_messages;
+  taken_.time_offset_s.value += readout_in_offset_s() - before_s;
   const LearnedCalibration before = taken_;
   bool changed = take("R_cam_imu", learned.R_cam_imu, &taken_.R_cam_imu);
   changed = take("readout_time", learned.readout_s, &taken_.readout_s) || changed;
@@ -173,7 +184,8 @@ bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_s
                               : row.key == "time_offset"  ? before.time_offset_s.known
                               : row.key == "readout_time" ? before.readout_s.known
                                                           : before.bias_rad_s.known;
-    if (row.by_images && !known_before) log_(LogLevel::INFO, row.key + " is used as the images tell it: " + row.text);
+    if (row.by_images && !known_before)
+      log_(LogLevel::INFO, row.key + " is estimated from the images and used: " + row.text);
   }
   return changed;
 }
@@ -191,7 +203,7 @@ UsedCalibration CalibrationInUse::used() const {
     used.R_cam_imu = {{*from_tf_, "tf"}};
   }
   // Half of a readout time that nobody knows would pass for an offset.
-  if (given_.given.time_offset && (given_.given.readout_time || taken_.readout_s.known)) {
+  if (given_.given.time_offset && (has_readout() || taken_.readout_s.known)) {
     used.time_offset_ns = {{given_.gyro.time_offset_ns, source(file.time_offset_ns.has_value())}};
   }
   if (given_.given.readout_time) {

@@ -43,10 +43,13 @@ class CalibrationInUse {
   /// Why there is no rotation by the images.
   std::string missing_rotation() const;
 
-  /// The exposures that images are learned by have the readout time that is given, or none.
-  /// @param readout_share  of the sensor's readout time that the images take, see region_readout_ns()
+  /// @param readout_share        of the sensor's readout time that the images take, see region_readout_ns()
+  /// @param readout_by_messages  the exposures that images are learned by have a message's readout time; otherwise the
+  ///                             one that is given, or none
   /// @return true when other values are used from now on
-  bool learn(const LearnedCalibration& learned, double readout_share);
+  bool learn(const LearnedCalibration& learned, double readout_share, bool readout_by_messages);
+  /// Reports what is still contradicted once more.
+  void forget_contradictions() { contradicted_.clear(); }
   /// The rotation that tf has; nothing: none is used.
   void set_tf(const std::optional<Eigen::Matrix3d>& R_cam_imu) { from_tf_ = R_cam_imu; }
   /// A bias that was measured at rest is used in place of the given one.
@@ -63,6 +66,10 @@ class CalibrationInUse {
   void check();
   /// Of a value that is given: "parameter", or the calibration file that has it.
   std::string source(bool file_has_it) const;
+  /// Whether images are learned by exposures with a readout time.
+  bool has_readout() const { return given_.given.readout_time || readout_by_messages_; }
+  /// What a learned offset contains of a readout time that the exposures were without.
+  double readout_in_offset_s() const;
   /// For exposures with the readout time that is used.
   Learned<double> time_offset() const;
   UsedCalibration used() const;
@@ -76,6 +83,7 @@ class CalibrationInUse {
   LearnedCalibration taken_;          // in use where nothing is given
   std::set<std::string> remembered_;  // keys of values in taken_
   double readout_share_ = 1;
+  bool readout_by_messages_ = false;
   std::set<std::string> contradicted_;  // keys
 };
 

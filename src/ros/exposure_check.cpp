@@ -57,18 +57,18 @@ const char* to_string(ExposureNeed need) {
 
 std::string unknown_exposure_text(ExposureNeed need) {
   std::string text =
-      "the exposure time is not known yet: no exposure message tells it, exposure_time is not set, and the blur ";
+      "the exposure time is not known yet: there is no exposure message, no exposure_time that fits, and the blur ";
   switch (need) {
     case ExposureNeed::MOTION:
-      return text + "is too short to tell it: turn the camera faster, or set exposure_time";
+      return text + "is too short to estimate it: turn the camera faster, or set exposure_time";
     case ExposureNeed::TEXTURE:
-      return text + "does not tell it yet: show a scene with more texture, or set exposure_time";
+      return text + "shows too little of it: show a scene with more texture, or set exposure_time";
     case ExposureNeed::LIGHT:
       return text + "is hidden by noise: give the scene more light, or set exposure_time";
     case ExposureNeed::NOTHING:
       break;
   }
-  return text + "does not tell it: set exposure_time";
+  return text + "does not show it: set exposure_time";
 }
 
 }  // namespace gyro_deblur

@@ -213,6 +213,7 @@ void Processor::learn_from(const AssembledFrame& assembled, const std::optional<
     ShutterTiming timing = config_->shutter;
     const TimeNs assumed_ns = assembled.exposure ? assembled.exposure->timing().exposure_ns : 0;
     timing.exposure_ns = std::max<TimeNs>(found ? found->chosen.exposure_ns : assumed_ns, 1);
+    if (assembled.exposure) readout_by_messages_ = assembled.readout_by_message;
     if (assembled.exposure && (config_->given.readout_time || assembled.readout_by_message)) {
       timing.readout_ns = assembled.exposure->timing().readout_ns;
     } else {
@@ -238,9 +239,11 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
   const std::lock_guard<std::mutex> lock(mutex_);
   const std::size_t updates = self_calibrator_.updates();
   if (std::exchange(calibration_updates_, updates) != updates &&
-      calibration_.learn(self_calibrator_.learned(), readout_share_)) {
+      calibration_.learn(self_calibrator_.learned(), readout_share_, readout_by_messages_)) {
     gyro_errors_.clear();
   }
+  if (std::exchange(time_jumps_, intake_.statistics().time_jumps) != intake_.statistics().time_jumps)
+    exposures_.reset();
   const TimeNs now_ns = intake_.now(), steady_ns = intake_.steady_now();
   overload_.end(steady_ns);
   if (finishing) intake_.forget_picture();
@@ -342,7 +345,7 @@ void Processor::note_exposure(const FrameOutput& output) {
   if (chosen.origin == ExposureOrigin::IMAGES && !intake_.has_exposure_of_images()) {
     intake_.note_exposure_of_images();
     log_(LogLevel::INFO, "exposure found",
-         "the exposure time is " + seconds_text(chosen.exposure_ns) + " s, as the blur of the images tells");
+         "the exposure time is " + seconds_text(chosen.exposure_ns) + " s, estimated from the blur of the images");
   }
   if (const std::optional<ExposureConflict>& conflict = exposures_.conflict()) {
     problems_.report(kKind, conflict_text(*conflict));
@@ -482,6 +485,7 @@ void Processor::reset() {
   intake_.reset();
   estimated_bias_rad_s_.reset();
   calibration_.set_measured_bias({});
+  calibration_.forget_contradictions();
   self_calibrator_.restart();
   gyro_errors_.clear();
   repetitions_.clear();
@@ -499,7 +503,7 @@ void Processor::reset_calibration() {
 }
 
 void Processor::remember_calibration(const sensor_msgs::Image& image) {
-  if (image_size_) return;
+  if (image_size_ || !config_) return;
   image_size_.emplace(static_cast<int>(image.width), static_cast<int>(image.height));
   if (!environment_.stored_calibration) return;
   const auto before = environment_.stored_calibration(image_size_->width, image_size_->height);

@@ -176,8 +176,10 @@ class Processor {
   std::optional<Eigen::Vector3d> estimated_bias_rad_s_;
   SelfCalibrator self_calibrator_;  // locks itself
   CalibrationInUse calibration_;
+  std::size_t time_jumps_ = 0;           // that exposures_ has been reset for
   std::size_t calibration_updates_ = 0;  // of the former, that the latter has
   double readout_share_ = 1;             // see CalibrationInUse::learn
+  bool readout_by_messages_ = false;     // see there
   std::optional<cv::Size> image_size_;   // of the first image
   InputMask mask_;
   Intake intake_;

@@ -234,6 +234,20 @@ TEST(SelfCalibration, LearnsTheBiasOfACameraThatStandsStill) {
   EXPECT_FALSE(learned.time_offset_s.known);
 }
 
+TEST(SelfCalibration, MotionCorrectsABiasThatHasDriftedSinceItWasAtRest) {
+  Recording recording;
+  recording.noise_rad_s = recording.speed_rad_s = 0.005;
+  SelfCalibration calibration;
+  play(recording, 0, 5, &calibration);
+  ASSERT_TRUE(calibration.learned().bias_rad_s.known);
+  recording.camera = hand_held();
+  recording.noise_rad_s = 0.03;
+  recording.speed_rad_s = 0.3;
+  recording.truth.bias_rad_s += Eigen::Vector3d(0.05, 0, -0.04);
+  play(recording, 5, 90, &calibration);
+  EXPECT_LT((calibration.learned().bias_rad_s.value - recording.truth.bias_rad_s).norm(), 0.02);
+}
+
 TEST(SelfCalibration, TakesNoTurnThatImagesDoNotShowForABias) {
   Recording recording;  // images of the camera's own mount, while it turns
   recording.camera = hand_held();

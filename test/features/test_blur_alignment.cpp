@@ -117,7 +117,7 @@ TEST_F(BlurAlignmentTest, WithoutNoiseTheMeanErrorIsBelowAHundredthOfAPixel) {
   const std::vector<PairOfPaths> pairs{
       {"sharp", still_path(), still_path()},
       {"straight, one sharp", straight_path(30, 0.4), still_path()},
-      {"straight, alike", straight_path(60, 1.2), straight_path(55, 1.25)},
+      {"straight, nearly the same", straight_path(60, 1.2), straight_path(55, 1.25)},
       {"straight, crossing", straight_path(20, 0.3), straight_path(30, 1.9)},
       {"straight, long and crossing", straight_path(60, 0.1), straight_path(60, 1.6)},
       {"non-uniform and straight", accelerated_path(40, 0.7), straight_path(25, 1.1)},
@@ -220,6 +220,12 @@ TEST_F(BlurAlignmentTest, FindsNothingWhereThereIsNothingToFind) {
   EXPECT_FALSE(align(texture, texture, {300, 300}, Eigen::Matrix2d::Zero()));
   EXPECT_FALSE(align(texture, texture, {std::nan(""), 300}, map));
   EXPECT_FALSE(align(texture, texture, {1e9, 300}, map));
+  // A gyroscope in degrees/s has such paths.
+  for (const double length_px : {1e5, 1e12, HUGE_VAL}) {
+    const BlurredPoint far{{300, 300}, straight_path(length_px, 0.3), kRounding};
+    EXPECT_FALSE(aligner_.align(texture, far, texture, point, map, options_)) << length_px;
+    EXPECT_FALSE(aligner_.align(texture, point, texture, far, map, options_)) << length_px;
+  }
 }
 
 }  // namespace

@@ -13,7 +13,7 @@ constexpr TimeNs kMs = 1'000'000, kPeriod = 50 * kMs;
 constexpr double kBrightness = 120;
 constexpr double kStddev = 0.01;
 
-/// A camera whose images tell their exposure without error, where they are looked at and it is within reach.
+/// A camera whose exposure is estimated without error, where they are looked at and it is within reach.
 class Choice : public testing::Test {
  protected:
   /// One image.
@@ -152,6 +152,20 @@ TEST_F(Choice, WhatIsSettledStaysAndCountsOnce) {
   EXPECT_EQ(chosen.origin, ExposureOrigin::ASSUMED);
   EXPECT_EQ(chosen.exposure_ns, 7 * kMs);
   expect_near(image(20 * kMs, {}), ExposureOrigin::IMAGES, 20 * kMs);
+}
+
+TEST_F(Choice, AnImageThatComesLateChangesNothing) {
+  for (const std::optional<GivenExposure>& given :
+       {std::optional<GivenExposure>(), std::optional(parameter(12 * kMs))}) {
+    choice_.reset();
+    expect_near(images(5, 20 * kMs, given), ExposureOrigin::IMAGES, 20 * kMs);
+    stamp_ns_ -= 3 * kPeriod;
+    expect_near(image(20 * kMs, given), ExposureOrigin::IMAGES, 20 * kMs);
+    stamp_ns_ += 2 * kPeriod;
+    tells_ = false;
+    expect_near(image(20 * kMs, given), ExposureOrigin::IMAGES, 20 * kMs);
+    tells_ = true;
+  }
 }
 
 TEST_F(Choice, ResetForgetsButKeepsThePolicy) {

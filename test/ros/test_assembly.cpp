@@ -118,7 +118,7 @@ TEST_F(FrameAssemblyTest, NoExposureTimeAtAll) {
   advance();
   EXPECT_EQ(outputs_.size(), 1u) << "a message may still come";
   time_out();
-  expect_passed_through(1, PassThroughReason::NO_EXPOSURE_TIME, "exposure_time is not set");
+  expect_passed_through(1, PassThroughReason::NO_EXPOSURE_TIME, "no exposure_time that fits");
 }
 
 TEST_F(FrameAssemblyTest, ExposureMessageOutOfRangeIsNamed) {

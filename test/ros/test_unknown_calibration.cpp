@@ -105,7 +105,7 @@ TEST_F(UnknownCalibration, IsLearnedAndUsed) {
       << row("R_cam_imu").text;
   play();
   EXPECT_EQ(outputs_.front().reason, PassThroughReason::NO_EXTRINSIC);
-  EXPECT_NE(outputs_.front().reason_text.find("images do not tell it yet: nothing has been seen yet"),
+  EXPECT_NE(outputs_.front().reason_text.find("not estimated from images yet: nothing has been seen yet"),
             std::string::npos)
       << outputs_.front().reason_text;
   std::size_t first = 0;
@@ -117,7 +117,7 @@ TEST_F(UnknownCalibration, IsLearnedAndUsed) {
   for (const char* key : {"R_cam_imu", "time_offset", "readout_time", "gyro_bias"}) {
     EXPECT_TRUE(row(key).by_images) << row(key).text;
     EXPECT_NE(row(key).text.find("+-"), std::string::npos) << row(key).text;
-    EXPECT_EQ(logged(std::string(key) + " is used as the images tell it"), 1U);
+    EXPECT_EQ(logged(std::string(key) + " is estimated from the images and used"), 1U);
   }
   EXPECT_NE(row("time_offset").text.find("0.03"), std::string::npos) << row("time_offset").text;
   EXPECT_LT((processor_->bias_rad_s() - TurningCamera::bias_rad_s()).norm(), 0.02);
@@ -202,7 +202,7 @@ TEST_F(UnknownCalibration, ThatIsGivenWronglyIsNamedWithBothValuesAndKept) {
     EXPECT_EQ(logged(std::string(key) + " (parameter) contradicts"), 1U);
   }
   EXPECT_EQ(processor_->bias_rad_s(), config_.gyro.bias_rad_s);
-  // Mended while running, as a user does.
+  // Corrected while running, as a user does.
   config_.R_cam_imu = TurningCamera::R_cam_imu();
   processor_->set_config(config_);
   camera().rewind();
@@ -243,6 +243,64 @@ TEST_F(UnknownCalibration, OfAnotherCameraIsDroppedWithinFiveSecondsOfMotion) {
   EXPECT_EQ(logged("time_offset of before this start is dropped: it was -0.2000 s, the images say 0.03"), 1U);
   EXPECT_EQ(row("R_cam_imu").text.find("before this start"), std::string::npos) << row("R_cam_imu").text;
   EXPECT_NE(row("time_offset").text.find("0.03"), std::string::npos) << row("time_offset").text;
+}
+
+/// Without frames: what becomes of estimates.
+class InUse : public testing::Test {
+ protected:
+  InUse() {
+    config_.given = {false, false, false};
+    config_.shutter.stamp_row = StampRow::FIRST;
+    // Half of the readout time is in an offset that was learned without one.
+    learned_.time_offset_s = {0.05, 0.0005, 20, true, ""};
+    learned_.readout_s = {0.02, 0.0005, 20, true, ""};
+    in_use_.set_config(config_);
+  }
+  double offset_s() const { return to_seconds(in_use_.config().gyro.time_offset_ns); }
+
+  Config config_;
+  LearnedCalibration learned_;
+  ThrottledLog log_{[](LogLevel, const std::string&) {}};
+  InputProblems problems_{&log_};
+  CalibrationInUse in_use_{&problems_, [](LogLevel, const std::string&) {}};
+};
+
+TEST_F(InUse, ALearnedOffsetHasHalfOfAReadoutTimeThatExposuresWereWithout) {
+  in_use_.learn(learned_, 1, false);
+  EXPECT_NEAR(offset_s(), 0.04, 1e-9);
+  learned_.time_offset_s.value = 0.04;
+  in_use_.learn(learned_, 1, true);  // now messages have it
+  EXPECT_NEAR(offset_s(), 0.04, 1e-9);
+}
+
+TEST_F(InUse, AStoredOffsetMeansTheSameWhoeverKnowsTheReadoutTimeNextTime) {
+  in_use_.learn(learned_, 1, false);
+  const LearnedCalibration stored = in_use_.by_images();
+  for (const bool given : {false, true}) {
+    config_.given.readout_time = given;
+    CalibrationInUse next(&problems_, [](LogLevel, const std::string&) {});
+    next.set_config(config_);
+    next.remember(stored);
+    EXPECT_NEAR(to_seconds(next.config().gyro.time_offset_ns), 0.04, 1e-9) << given;
+  }
+  LearnedCalibration without = learned_;
+  without.readout_s.known = false;
+  config_.given.readout_time = false;
+  CalibrationInUse other(&problems_, [](LogLevel, const std::string&) {});
+  other.set_config(config_);
+  other.learn(without, 1, false);
+  EXPECT_FALSE(other.by_images().time_offset_s.known) << "half of an unknown readout time may be in it";
+}
+
+TEST_F(InUse, AContradictionIsReportedAgainAfterAReset) {
+  config_.given.time_offset = config_.given.readout_time = true;
+  in_use_.set_config(config_);
+  in_use_.learn(learned_, 1, false);
+  ASSERT_EQ(problems_.all().count("time_offset by images"), 1U);
+  problems_.clear();
+  in_use_.forget_contradictions();
+  in_use_.learn(learned_, 1, false);
+  EXPECT_EQ(problems_.all().count("time_offset by images"), 1U);
 }
 
 class StoredCalibration : public testing::Test {
