@@ -268,7 +268,7 @@ int main(int argc, char** argv) {
   app.add_option("--max-extents", arguments.max_extents_px, "of the first frames [px]")
       .range(20.0, 500.0)
       .show_default();
-  app.add_option("--extents", arguments.extents_px, "of uneven blur [px]").range(4.0, 500.0).show_default();
+  app.add_option("--extents", arguments.extents_px, "of non-uniform blur [px]").range(4.0, 500.0).show_default();
   app.add_option("--threads", arguments.threads).range(1, 256).show_default();
   app.add_option("--rounds", arguments.rounds).range(1, 10000).show_default();
   app.add_option("--angle-step", arguments.angle_step_deg, "of the restored photographs [deg]")

@@ -151,7 +151,8 @@ void run(Arguments arguments) {
 
 int main_of(int argc, char** argv) {
   Arguments arguments;
-  CommandLine app("Tells how well validation tells predicted blur from none and from a third of it.", "validation");
+  CommandLine app("Measures how well validation separates predicted blur from none and from a third of it.",
+                  "validation");
   app.add_option("--photographs", arguments.photographs, "image files (default: the first images of the Oxford sets)");
   app.add_option("--extents-px", arguments.extents_px, "predicted blur").show_default();
   app.add_option("--noises", arguments.noises, "grey levels").show_default();

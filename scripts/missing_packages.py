@@ -5,7 +5,7 @@ Imported before those modules; installed beside the scripts that import it.
 import os
 import sys
 
-# apt's package of each module, alike on Debian and Ubuntu; scripts/install_dependencies.sh installs them.
+# apt's package of each module, the same on Debian and Ubuntu; scripts/install_dependencies.sh installs them.
 PACKAGES = {"PIL": "python3-pil", "cv2": "python3-opencv", "matplotlib": "python3-matplotlib",
             "numpy": "python3-numpy", "tqdm": "python3-tqdm", "yaml": "python3-yaml"}
 ROS_MODULES = ("rosbag", "rosgraph", "rospy")

@@ -25,7 +25,7 @@ enum class SelfCalibrationMode {
   NEVER,  ///< R_cam_imu is missing, the others are 0
 };
 
-/// Whether numbers were given, 0 included. One that was not is 0 until the images have told it. A configuration made in
+/// Whether numbers were given, 0 included. One that was not is 0 until it is estimated. A configuration made in
 /// code gives them all.
 struct GivenNumbers {
   bool time_offset = true;

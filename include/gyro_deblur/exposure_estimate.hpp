@@ -22,7 +22,7 @@ struct ExposureEstimate {
 /// the block's power spectrum, whose zeros are where whole numbers of waves fit into a straight path. Texture is a
 /// smooth function of the frequency, common to all blocks, times a factor for each. Not known (nothing) where there is
 /// too little blur (below 5 px) or texture, too much noise, where blocks contradict each other, and where several
-/// ratios fit nearly alike.
+/// ratios fit nearly as well.
 /// @param field              of the image, for field.exposure_ns; blocks of every status but NO_GYRO, MASKED and
 ///                           STATIC_EDGE are used whose extent is at least 2 px. Validation is not needed
 /// @param luminance          CV_8UC1 of the field's size; not an image that was filtered or equalized, see

@@ -57,7 +57,7 @@ class ExposureFilter {
   double darkest_ = 0, brightest_ = 0;  // logarithms of the mean brightness since value_
   int images_since_ = 0;                // the last update
   int images_since_look_ = 0;           // the last one that was looked at
-  int in_vain_ = 0;                     // images in a row that were looked at and told nothing
+  int in_vain_ = 0;                     // images in a row that were looked at without an estimate
 };
 
 }  // namespace gyro_deblur

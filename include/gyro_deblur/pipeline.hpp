@@ -51,7 +51,7 @@ struct ExposureQuestion {
   std::function<ExposureAnswer(const std::optional<ExposureEstimate>&, double)> answer;
 };
 
-/// What images still lack to tell the exposure time.
+/// What images still lack for an estimate of the exposure time.
 enum class ExposureNeed { NOTHING, MOTION, TEXTURE, LIGHT };
 
 /// What a caller wants of a frame; nothing else is computed.

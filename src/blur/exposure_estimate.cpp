@@ -163,7 +163,8 @@ std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const 
     // Zeros, rather than texture that departs from a cubic.
     constexpr double kLeastDepth = 0.35;
     if (peak->more_elsewhere < kLeastMore || peak->depth < kLeastDepth) return std::nullopt;
-    // Errors that all windows have in common, of the velocity first of all; those of windows that overlap are alike.
+    // Errors that all windows have in common, of the velocity first of all; those of windows that overlap are
+    // correlated.
     constexpr double kCommon = 0.01, kOverlap = 1.4;
     const double ratio = std::exp(log_scale);
     if (ratio < kMinExposureRatio || ratio > kMaxExposureRatio) return std::nullopt;

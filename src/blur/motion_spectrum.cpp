@@ -92,9 +92,9 @@ std::optional<Path2> path_in(const FrameBlur& field, const cv::Rect& window_px, 
       all += weight;
       if (!is_usable(field.blocks[i])) continue;
       const Path2 path_px = path_of(field.blocks[i]);
-      double alike = 0;  // a path and its opposite make the same blur
-      for (int k = 0; k < kPathInstants; ++k) alike += path_px[k].dot(sum[k]);
-      const double signed_weight = alike < 0 ? -weight : weight;
+      double same_way = 0;  // a path and its opposite make the same blur
+      for (int k = 0; k < kPathInstants; ++k) same_way += path_px[k].dot(sum[k]);
+      const double signed_weight = same_way < 0 ? -weight : weight;
       for (int k = 0; k < kPathInstants; ++k) sum[k] += signed_weight * path_px[k];
       usable += weight;
     }
@@ -195,8 +195,8 @@ struct Sample {
 
 /// Waves along the motion to the nearest whole number make a point.
 std::vector<SpectrumPoint> points_of(const std::vector<Sample>& samples) {
-  // Powers of neighbouring frequencies are correlated, by Hann's window: 1.94 of them along each axis tell as much as
-  // one that is independent.
+  // Powers of neighbouring frequencies are correlated, by Hann's window: 1.94 of them along each axis have the
+  // information of one that is independent.
   constexpr float kAlike = 1.94F * 1.94F;
   constexpr int kFewest = 4;
   std::array<Sums, kWaves + 1> sums;
@@ -337,7 +337,7 @@ std::vector<MotionSpectrum> motion_spectra(const FrameBlur& field, const cv::Mat
   if (extents_px.empty() || std::min(luminance.cols, luminance.rows) < kWindow) return {};
   const Halved level = halved(luminance, median(extents_px), noise);
   std::vector<Window> windows;
-  // Those that overlap by more than half tell much the same; more than some 16 tell more than is needed.
+  // Those that overlap by more than half add little; more than some 16 are not needed.
   constexpr double kWindows = 16;
   const double step_px = std::max(0.5 * kWindow, std::sqrt(static_cast<double>(level.image.total()) / kWindows));
   for (const int y : places(level.image.rows, step_px)) {

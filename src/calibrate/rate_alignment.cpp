@@ -158,7 +158,7 @@ class Step {
   const std::vector<Eigen::Vector3d>& predicted() const { return predicted_; }
   const std::vector<Eigen::Vector3d>& differences() const { return differences_; }
 
-  /// The larger of what the differences and what the parts tell.
+  /// The larger of the estimates from differences and from parts.
   Normal covariance() const {
     const Normal normal = normal_sum();
     const Unknowns right = right_sum();

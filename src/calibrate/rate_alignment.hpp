@@ -25,7 +25,7 @@ struct OffsetPeak {
 /// @param turns   whose gyroscope samples are there at every offset of the search; at least one
 /// @param center  of the search, which goes `search_ns` (> 0) to either side
 /// The correlation of vectors, with the rotation that makes it largest (Wahba's problem): signs and directions count,
-/// so that a motion whose speed alone repeats itself is told apart.
+/// so that a motion whose speed alone repeats itself is not taken for one that repeats.
 OffsetPeak search_rate_offset(const std::vector<ImageRate>& turns, const GyroIntegral& gyro, TimeNs center_ns,
                               TimeNs search_ns);
 

@@ -23,7 +23,7 @@ struct SelfCalibrationOptions {
   void validate() const;  ///< throws OptionError
 };
 
-/// A value that images and gyroscope tell.
+/// A value estimated from images and gyroscope.
 template <typename Value>
 struct Learned {
   Value value{};
@@ -47,7 +47,7 @@ struct LearnedCalibration {
 /// closed form (Wahba's problem), then both with bias and readout by robust least squares; the bias of a camera that
 /// stands still also from that alone. A value is known when two standard deviations are below 10 ms (readout: 7 ms), 5
 /// degrees, or 0.02 rad/s: what that costs is a few percent of the matches. A known value stays known until later
-/// motion tells it otherwise. Bounded memory, some milliseconds for an update() each second. Not thread-safe.
+/// motion contradicts it. Bounded memory, some milliseconds for an update() each second. Not thread-safe.
 class SelfCalibration {
  public:
   /// Throws OptionError.
@@ -64,7 +64,7 @@ class SelfCalibration {
   void update();
 
   const LearnedCalibration& learned() const { return learned_; }
-  /// Forgets images and samples, but not what they told: time has been reset.
+  /// Forgets images and samples, but not the estimates: time has been reset.
   void restart();
   /// Forgets everything.
   void clear();

@@ -95,7 +95,8 @@ ParameterGroup camera_timing() {
       "",
       {
           Parameter("exposure_time", &Shutter::exposure_ns, above(0, 1, "s"),
-                    "of each row, of images without an exposure message; '': not known, the images' blur tells it")
+                    "of each row, of images without an exposure message; '': not known, it is estimated from the "
+                    "images' blur")
               .may_be_empty(&GivenNumbers::exposure_time),
           {"exposure_source", &Config::exposure_source,
            "what the exposure topic has: gyro_deblur/Exposure or a RealSense's metadata, as recognised by their type; "

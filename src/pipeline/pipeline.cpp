@@ -116,9 +116,9 @@ double longest_extent_px(const FrameBlur& field) {
   return longest_px;
 }
 
-/// Why a field and the image's spectra do not tell the exposure.
+/// Why a field and the image's spectra give no estimate of the exposure.
 ExposureNeed exposure_need(double contrast, const std::optional<double>& noise, const FrameBlur& field) {
-  // One image with a median of so much tells it by day, see doc/reports/exposure.md.
+  // One image with a median of so much gives one by day, see doc/reports/exposure.md.
   constexpr float kEnoughPx = 6;
   // By day the noise of a camera is a tenth of the contrast or less.
   constexpr double kTooNoisy = 0.2;

@@ -339,7 +339,7 @@ Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame,
   }
   const std::string missing =
       "no transform from IMU frame \"" + imu_frame + "\" to camera frame \"" + camera_frame +
-      "\", and no parameter R_cam_imu: set it, or publish a static transform; images do not tell it yet: " +
+      "\", and no parameter R_cam_imu: set it, or publish a static transform; not estimated from images yet: " +
       terms.missing_rotation;
   if (terms.timed_out) {
     problems_.report(kNoExtrinsic, missing);

@@ -141,7 +141,8 @@ void DeblurNodelet::onInit() {
       if (ros::Time::isSimTime()) return;
       const std::string path = stored_calibration_path(getName(), width_px, height_px);
       stored = load_stored_calibration(path);
-      if (stored) NODELET_INFO_STREAM("calibration of the last start from " << path << ", until the images tell more");
+      if (stored)
+        NODELET_INFO_STREAM("calibration of the last start from " << path << ", until a better one is estimated");
     });
     return stored;
   };
@@ -457,7 +458,7 @@ bool DeblurNodelet::on_reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Res
 bool DeblurNodelet::on_reset_calibration(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
   processor_->reset_calibration();
   response.success = true;
-  response.message = "what the images have told of the calibration is forgotten";
+  response.message = "the calibration that was estimated is forgotten";
   try {
     const auto seen = processor_->calibration_by_images();
     if (seen && !ros::Time::isSimTime()) {
@@ -485,10 +486,9 @@ bool DeblurNodelet::on_save_calibration(std_srvs::Trigger::Request&, std_srvs::T
   try {
     const std::string path = save_calibration();
     response.success = !path.empty();
-    response.message = response.success ? "stored in " + path
-                       : ros::Time::isSimTime()
-                           ? "nothing is stored with use_sim_time"
-                           : "nothing is stored: the images have told nothing that is used, see the diagnostics";
+    response.message = response.success         ? "stored in " + path
+                       : ros::Time::isSimTime() ? "nothing is stored with use_sim_time"
+                                                : "nothing is stored: no estimate is in use, see the diagnostics";
   } catch (const std::exception& error) {
     response.success = false;
     response.message = error.what();

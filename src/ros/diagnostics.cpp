@@ -24,14 +24,15 @@ const char* remedy(PassThroughReason reason) {
     case PassThroughReason::NO_GYRO:
       return "check that the IMU publishes, its rate, and time_offset; compare the stamps of image and IMU";
     case PassThroughReason::NO_EXPOSURE_TIME:
-      return "images are deblurred once their blur has told the exposure time, which takes motion; set exposure_time, "
+      return "images are deblurred once the exposure time is estimated from their blur, which takes motion; set "
+             "exposure_time, "
              "or "
              "publish an Exposure message with each image's stamp, to have them deblurred at once";
     case PassThroughReason::NO_CALIBRATION:
       return "publish camera_info with each image's stamp, calibrated for the image's size; where it contradicts "
              "calibration_file, correct one of them or set on_calibration_conflict: configured";
     case PassThroughReason::NO_EXTRINSIC:
-      return "turn the camera about all axes, before a scene that stands still, until the images tell R_cam_imu; or "
+      return "turn the camera about all axes, before a scene that stands still, until R_cam_imu is estimated; or "
              "set it, or publish a static transform between the frames of images and IMU; where these contradict each "
              "other, correct one of them or set on_calibration_conflict: configured";
     case PassThroughReason::UNSUPPORTED_ENCODING:

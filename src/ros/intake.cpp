@@ -181,7 +181,7 @@ void Intake::check_exposure(const std::string& name, TimeNs exposure_ns) {
   if (exposure_ns == 0) {
     const std::string otherwise = config_.shutter.exposure_ns > 0
                                       ? "exposure_time = " + seconds_text(config_.shutter.exposure_ns) + " s"
-                                      : "what their blur tells";
+                                      : "the estimate from their blur";
     problems_.report("exposure 0", name + " is 0 s, taken as not known: images without one go by their neighbours, " +
                                        "else by " + otherwise);
     return;

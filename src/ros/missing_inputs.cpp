@@ -28,7 +28,8 @@ void MissingInputs::report(const Config& config, const Seen& seen, const std::st
       seen.exposure || config.shutter.exposure_ns > 0
           ? ""
           : "exposure_time is not set, and no exposure message has come " + when +
-                ": images pass through until their blur tells it, which takes motion. To have them deblurred at once "
+                ": images pass through until it is estimated from their blur, which takes motion. To have them "
+                "deblurred at once "
                 "set exposure_time [s], or connect the exposure topic (exposure_source says what it has)");
   set("no camera_info", seen.camera_info || file_has_camera
                             ? ""

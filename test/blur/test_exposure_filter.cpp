@@ -13,7 +13,7 @@ namespace {
 constexpr TimeNs kFrameNs = 50'000'000;
 constexpr double kMs = 1e6, kBright = 120;
 
-/// A camera whose blur tells its exposure to a few percent.
+/// A camera whose exposure is estimated to a few percent.
 class Camera {
  public:
   explicit Camera(double stddev, std::uint64_t seed = 1) : stddev_(stddev), rng_(seed) {}

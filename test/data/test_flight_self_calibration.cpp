@@ -17,7 +17,7 @@ namespace {
 /// What is to be met: it costs one to three percent of the matches.
 constexpr double kOffsetMs = 5, kRotationDeg = 5, kBiasRadS = 0.02, kReadoutMs = 4;
 
-/// Flies, and tells with nothing given but intrinsics and exposure times.
+/// The calibration estimated in a flight, with nothing given but intrinsics and exposure times.
 /// @param flight   of test::recorded_flights()
 /// @param known_s  rotation and offset have to be known before that
 void expect_learned(std::size_t flight, double seconds, double speed, TimeNs exposure_ns, TimeNs readout_ns,

@@ -1,4 +1,4 @@
-// The exposure that real blur tells.
+// The exposure estimated from real blur.
 #include <cmath>
 #include <cstdio>
 #include <filesystem>

@@ -488,7 +488,7 @@ TEST_F(PipelineByImages, RepeatedPictureIsWhatItWasAndDisturbsNothing) {
         EXPECT_EQ(result.field.blocks[b].residual.has_value(), expected.field.blocks[b].residual.has_value());
         by_images += result.field.blocks[b].residual ? 1 : 0;
       }
-      // A rotation that has been told once is no second witness of an error of the gyroscope.
+      // A rotation that has been given once is no second witness of an error of the gyroscope.
       EXPECT_EQ(result.residual_rotation.has_value(), expected.residual_rotation.has_value() && !repeats);
     }
   }
@@ -510,24 +510,24 @@ TEST_F(PipelineByImages, ExposureThatIsFoundIsUsedThroughout) {
                                         }};
     const PipelineResult found = pipeline_.process(camera_.picture(i), PixelLayout::GRAY, rotation_,
                                                    exposure.with_exposure(true_ns / 2), request);
-    const PipelineResult told =
+    const PipelineResult given =
         certain.process(camera_.picture(i), PixelLayout::GRAY, rotation_, exposure, PipelineRequest());
     EXPECT_EQ(asked, 1);
     EXPECT_TRUE(found.exposure_is_known);
     EXPECT_EQ(found.exposure_ns, true_ns);
     EXPECT_EQ(found.field.exposure_ns, true_ns);
-    EXPECT_EQ(found.reference_ns, told.reference_ns);
-    ASSERT_EQ(found.field.blocks.size(), told.field.blocks.size());
-    for (std::size_t b = 0; b < told.field.blocks.size(); ++b) {
-      EXPECT_NEAR(found.field.blocks[b].extent_px, told.field.blocks[b].extent_px, 0.3) << i << " " << b;
+    EXPECT_EQ(found.reference_ns, given.reference_ns);
+    ASSERT_EQ(found.field.blocks.size(), given.field.blocks.size());
+    for (std::size_t b = 0; b < given.field.blocks.size(); ++b) {
+      EXPECT_NEAR(found.field.blocks[b].extent_px, given.field.blocks[b].extent_px, 0.3) << i << " " << b;
     }
     if (i == 0) {
-      EXPECT_TRUE(equal(found.image, told.image)) << "nothing is followed yet";
+      EXPECT_TRUE(equal(found.image, given.image)) << "nothing is followed yet";
     }
   }
 }
 
-// What one image says is assumed for the next. The first image is told by the rotation alone: no corner is followed
+// What one image says is assumed for the next. The first image has the rotation alone: no corner is followed
 // yet.
 TEST_F(PipelineByImages, ExposureIsFoundFromHalfOfItWithinTwoImages) {
   const TimeNs true_ns = camera_.simulator().exposure(0).timing().exposure_ns;
@@ -558,7 +558,7 @@ TEST_F(PipelineByImages, ExposureThatIsNotKnownLeavesTheImageAsItIs) {
   constexpr TimeNs kAssumedNs = 15'000'000;
   PipelineRequest request;
   request.exposure = ExposureQuestion{false, 20'000'000, [](const std::optional<ExposureEstimate>& told, double) {
-                                        EXPECT_FALSE(told) << "it is not to be looked at";
+                                        EXPECT_FALSE(given) << "it is not to be looked at";
                                         return ExposureAnswer{kAssumedNs, false};
                                       }};
   const PipelineResult result =

@@ -165,9 +165,9 @@ TEST(ExposureAdapter, AutoRecognisesMessagesByTheirType) {
   ros::serialization::OStream stream(bytes.data.data(), static_cast<std::uint32_t>(bytes.data.size()));
   ros::serialization::serialize(stream, message);
   const std::string own = ros::message_traits::datatype<Exposure>();
-  const auto told = read(source, own, ros::message_traits::definition<Exposure>(), bytes);
-  EXPECT_EQ(told->exposure_ns, 17 * kMs);
-  EXPECT_EQ(told->stamp_ns, kStamp);
+  const auto exposure = read(source, own, ros::message_traits::definition<Exposure>(), bytes);
+  EXPECT_EQ(exposure->exposure_ns, 17 * kMs);
+  EXPECT_EQ(exposure->stamp_ns, kStamp);
 
   const std::string error = error_of(source, "a/B", kSequence, bytes);
   for (const std::string part :

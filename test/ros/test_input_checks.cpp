@@ -157,7 +157,7 @@ TEST_F(InputChecksTest, ExposureOfZeroWithoutParameterSaysSo) {
   play(0, 5, [this](int, TimeNs stamp_ns) { processor_.add_exposure(exposure_message(stamp_ns, 0)); });
   ASSERT_GE(outputs_.size(), 3u);
   expect_passed_through(0, PassThroughReason::NO_EXPOSURE_TIME, "the exposure time is not known yet");
-  expect_problem("exposure 0", {"0 s, taken as not known", "by what their blur tells"});
+  expect_problem("exposure 0", {"0 s, taken as not known", "by the estimate from their blur"});
 }
 
 TEST_F(InputChecksTest, SettingOfZeroIsNotKnown) {

@@ -1376,13 +1376,14 @@ TEST_F(UnknownCalibrationTest, RotationIsFoundAndUsed) {
   ASSERT_TRUE(play_until([this] { return !fields_.empty() && fields_.back()->reason == 0; }));
   mailbox_.look([this] {
     expect_reason(0, PassThroughReason::NO_EXTRINSIC);
-    EXPECT_NE(fields_[0]->reason_text.find("images do not tell it yet"), std::string::npos) << fields_[0]->reason_text;
+    EXPECT_NE(fields_[0]->reason_text.find("not estimated from images yet"), std::string::npos)
+        << fields_[0]->reason_text;
     EXPECT_GT(fields_.size(), 2 * TurningCamera::kFramesPerS) << "it takes two seconds of motion";
   });
   EXPECT_TRUE(mailbox_.wait([&] {
     return diagnostics.values["calibration, R_cam_imu"].find("by the images") != std::string::npos;
   })) << diagnostics.values["calibration, R_cam_imu"];
-  EXPECT_TRUE(mailbox_.wait([this] { return count_log("R_cam_imu is used as the images tell it") == 1; }));
+  EXPECT_TRUE(mailbox_.wait([this] { return count_log("R_cam_imu is estimated from the images and used") == 1; }));
 }
 
 TEST_F(UnknownCalibrationTest, IsStoredUntilTheNextStart) {

@@ -1,9 +1,7 @@
-// The nodelet in front of a camera whose exposure time nobody tells, or that is told wrongly. Loaded into this very
+// The nodelet in front of a camera whose exposure time is not given, or given wrongly. Loaded into this very
 // process. Waits for messages and conditions with a deadline; time never decides.
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
-#include <filesystem>
 #include <string>
 #include <vector>
 
@@ -17,6 +15,7 @@
 
 #include "camera_topics.hpp"
 #include "message_builders.hpp"
+#include "own_ros_home.hpp"
 #include "repeated_pictures.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/messages.hpp"
@@ -27,7 +26,7 @@ namespace {
 
 using namespace test;
 
-constexpr int kPictures = 70;  // 3.5 s; a contradiction is told after 2
+constexpr int kPictures = 70;  // 3.5 s; a contradiction is reported after 2
 constexpr double kHaste = 2;   // blur of 10 to 20 px
 
 class NodeletExposureTest : public CameraTopicsTest {
@@ -141,7 +140,7 @@ TEST_F(NodeletExposureTest, ImagesAreDeblurredAfterMotionWithNoExposureTimeAnywh
     deblurred += images_[i]->data != inputs_[i]->data;
   }
   EXPECT_GE(deblurred, 8) << "it is nearly at rest where it turns back";
-  EXPECT_TRUE(wait_for(log_, "as the blur of the images tells"));
+  EXPECT_TRUE(wait_for(log_, "estimated from the blur of the images"));
   EXPECT_TRUE(wait_for(diagnostics_, "exposure time, from = images"));
   EXPECT_TRUE(loader_.unload(name_));
 }
@@ -169,13 +168,9 @@ TEST_F(NodeletExposureTest, AWrongParameterIsNamedWithBothValues) {
 
 int main(int argc, char** argv) {
   testing::InitGoogleTest(&argc, argv);
-  // What the nodelets store is not of the user's cameras, and nothing is there that an earlier run has stored.
-  std::string home = (std::filesystem::temp_directory_path() / "gyro_deblur_home_XXXXXX").string();
-  if (mkdtemp(home.data()) == nullptr || setenv("ROS_HOME", home.c_str(), 1) != 0) return 1;
+  const gyro_deblur::test::OwnRosHome home;
   ros::init(argc, argv, "test_nodelet_exposure");
   ros::AsyncSpinner spinner(2);
   spinner.start();
-  const int status = RUN_ALL_TESTS();
-  std::filesystem::remove_all(home);
-  return status;
+  return RUN_ALL_TESTS();
 }
