@@ -557,7 +557,7 @@ TEST_F(PipelineByImages, ExposureIsFoundFromHalfOfItWithinTwoImages) {
 TEST_F(PipelineByImages, ExposureThatIsNotKnownLeavesTheImageAsItIs) {
   constexpr TimeNs kAssumedNs = 15'000'000;
   PipelineRequest request;
-  request.exposure = ExposureQuestion{false, 20'000'000, [](const std::optional<ExposureEstimate>& told, double) {
+  request.exposure = ExposureQuestion{false, 20'000'000, [](const std::optional<ExposureEstimate>& given, double) {
                                         EXPECT_FALSE(given) << "it is not to be looked at";
                                         return ExposureAnswer{kAssumedNs, false};
                                       }};
