@@ -88,7 +88,7 @@ configure() {
 
 # make_targets FOLDER TARGETS...
 make_targets() {
-  local folder="$1" now="${EPOCHSECONDS}" limit=()
+  local folder="$1" now="${EPOCHSECONDS}" begin="${SECONDS}" limit=()
   shift
   end_when_out_of_time
   if ((deadline > now)); then
@@ -99,6 +99,7 @@ make_targets() {
     tail -n 40 "${folder}/build.log" >&2
     fail "the build failed; its log is ${folder}/build.log"
   }
+  say "built, $((SECONDS - begin)) s"
 }
 
 # limited LOG COMMAND...: runs it, with its output in LOG; says so when it fails, or hangs.
