@@ -337,6 +337,7 @@ Readiness FrameAssembly::find_extrinsic(const Terms& terms, PendingFrame* frame,
     motion->R_by_tf = from_tf.has_value();
     return Readiness::READY;
   }
+  if (motion->without_gyro && goes_without_imu(terms.config)) return Readiness::READY;  // nothing to rotate
   const std::string missing =
       "no transform from IMU frame \"" + imu_frame + "\" to camera frame \"" + camera_frame +
       "\", and no parameter R_cam_imu: set it, or publish a static transform; not estimated from images yet: " +
@@ -355,8 +356,7 @@ Readiness FrameAssembly::find_motion(const Terms& terms, PendingFrame* frame, As
   const TimeRange own = longest_range(terms.config, *assembled);
   const TimeRange available = intake_.gyro().available();
   const bool empty = available.empty();
-  const PipelineOptions& options = terms.config.pipeline;
-  const bool by_flow = options.motion_from_images && options.flow_without_gyro != "never";
+  const bool by_flow = goes_without_imu(terms.config);
   const bool silent = intake_.imu_is_silent(own.begin_ns);
   if (!terms.timed_out && !(by_flow && silent)) {
     if (empty || available.end_ns < own.end_ns) return wait_for(Awaited::IMU, frame);

@@ -124,11 +124,10 @@ void Intake::count_without_imu(TimeNs begin_ns) {
   ++without_imu_;
   // One that has never come is reported among the missing inputs.
   if (gyro_.empty() || !imu_is_silent(begin_ns)) return;
-  const PipelineOptions& options = config_.pipeline;
-  const bool by_flow = options.motion_from_images && options.flow_without_gyro != "never";
   note_lack(kImuSilent, true,
             "the IMU has been silent since " + seconds_text(gyro_.available().end_ns) + " s of its clock: images " +
-                (by_flow ? "are deblurred by optical flow alone, which is less accurate," : "pass through unchanged") +
+                (goes_without_imu(config_) ? "are deblurred by optical flow alone, which is less accurate,"
+                                           : "pass through unchanged") +
                 " until it comes again. Check its driver and its cable");
 }
 

@@ -37,10 +37,9 @@ void MissingInputs::report(const Config& config, const Seen& seen, const std::st
                                   (config.rectified_input ? " (rectified_input needs camera_info)" : "") +
                                   ": publish camera_info beside the images" +
                                   (config.rectified_input ? "" : ", or set calibration_file"));
-  const std::string& flow = config.pipeline.flow_without_gyro;
-  const bool by_flow = config.pipeline.motion_from_images && flow != "never";
+  const bool by_flow = goes_without_imu(config);
   set("no imu",
-      seen.imu || (by_flow && flow == "always")
+      seen.imu || (by_flow && config.pipeline.flow_without_gyro == "always")
           ? ""
           : "no IMU message with angular rates has come " + when + ": " +
                 (by_flow ? "images are deblurred by optical flow alone, which is less accurate. Connect" : "connect") +

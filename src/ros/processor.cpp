@@ -262,8 +262,10 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
       const bool doubts_unit = config_->pipeline.motion_from_images && gyro_unit_.is_doubted(frame.stamp_ns);
       if (doubts_unit || gyro_unit_is_wrong_ || gyro_source_->unit_is_wrong()) assembled.drop_bad = false;
       if (readiness == Readiness::WAITS) return std::nullopt;
-      if (assembled.exposure) {
-        const TimeNs begin_ns = assembled.exposure->frame().begin_ns + assembled.gyro.time_offset_ns;
+      // Those of a fast camera fill the queue before they time out.
+      if (assembled.exposure || frame.verdict == PassThroughReason::OVERLOAD) {
+        const TimeNs begin_ns = (assembled.exposure ? assembled.exposure->frame().begin_ns : frame.stamp_ns) +
+                                terms.config.gyro.time_offset_ns;
         const TimeRange samples = intake_.gyro().available();
         if (samples.empty() || samples.end_ns < begin_ns) intake_.count_without_imu(begin_ns);
       }
@@ -505,7 +507,7 @@ void Processor::reset_calibration() {
 void Processor::remember_calibration(const sensor_msgs::Image& image) {
   if (image_size_ || !config_) return;
   image_size_.emplace(static_cast<int>(image.width), static_cast<int>(image.height));
-  if (!environment_.stored_calibration) return;
+  if (!environment_.stored_calibration || config_->self_calibration == SelfCalibrationMode::NEVER) return;
   const auto before = environment_.stored_calibration(image_size_->width, image_size_->height);
   if (before) calibration_.remember(*before);
 }

@@ -7,6 +7,7 @@
 
 #include "ros/exposure_adapter.hpp"
 #include "ros/messages.hpp"
+#include "ros/missing_inputs.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -45,8 +46,7 @@ DeblurTopics choose(const InputBag& input, const NamedTopics& named, const Confi
   const bool info_required = !config.calibration || !config.calibration->camera;
   chosen.camera_info = input.choose_topic<sensor_msgs::CameraInfo>("camera_info", named.camera_info,
                                                                    beside + "/camera_info", info_required);
-  const bool imu_required = !config.pipeline.motion_from_images || config.pipeline.flow_without_gyro == "never";
-  chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", imu_required);
+  chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", !goes_without_imu(config));
   choose_exposure(input, named, config, home, &chosen);
   chosen.output_namespace = named.output_namespace.empty() ? home : named.output_namespace;
   return chosen;

@@ -64,7 +64,9 @@ motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}
         sensor_msgs::Imu imu;
         imu.header.stamp = to_ros_time(imu_[sample].t_ns);
         imu.header.frame_id = kImuFrame;
-        const Eigen::Vector3d rate_rad_s = config_.R_cam_imu->transpose() * imu_[sample].rate_rad_s + bias_rad_s;
+        const Eigen::Vector3d rate_rad_s =
+            (config_.R_cam_imu ? config_.R_cam_imu->transpose() * imu_[sample].rate_rad_s : imu_[sample].rate_rad_s) +
+            bias_rad_s;
         imu.angular_velocity.x = rate_rad_s.x();
         imu.angular_velocity.y = rate_rad_s.y();
         imu.angular_velocity.z = rate_rad_s.z();
@@ -194,6 +196,30 @@ TEST_F(ProcessorImagesTest, ImagesCarryACameraWhileItsGyroscopeIsSilent) {
   const auto problems = processor_.statistics().input_problems;
   ASSERT_EQ(problems.count("imu silent"), 1u);
   EXPECT_FALSE(problems.at("imu silent").active) << "it has come again";
+}
+
+// As a camera at more than 60 images a second does, whose images fill the queue in half a second.
+TEST_F(ProcessorImagesTest, AQueueThatIsFullBeforeItTimesOutSeesThatTheGyroscopeIsSilent) {
+  constexpr int kSilentFrom = 8, kEnd = 64, kWaiting = 22;
+  config_.frame_queue_size = 4;
+  configure();
+  play(0, kEnd, {simulator_.stamp(kSilentFrom) - kMs, imu_.back().t_ns + kMs});
+  EXPECT_EQ(outputs_[kSilentFrom + 1].reason, PassThroughReason::OVERLOAD) << "the queue is full first";
+  for (int i = kSilentFrom + kWaiting + 8; i < kEnd; ++i) {
+    EXPECT_EQ(outputs_[i].reason, PassThroughReason::NONE) << i << outputs_[i].reason_text;
+  }
+}
+
+TEST_F(ProcessorImagesTest, ImagesNeedNoRotationToAGyroscopeThatIsSilent) {
+  constexpr int kSilentFrom = 8, kEnd = 64, kWaiting = 22;
+  config_.R_cam_imu.reset();
+  config_.self_calibration = SelfCalibrationMode::NEVER;
+  configure();
+  play(0, kEnd, {simulator_.stamp(kSilentFrom) - kMs, imu_.back().t_ns + kMs});
+  EXPECT_EQ(outputs_[0].reason, PassThroughReason::NO_EXTRINSIC);
+  for (int i = kSilentFrom + kWaiting + 8; i < kEnd; ++i) {
+    EXPECT_EQ(outputs_[i].reason, PassThroughReason::NONE) << i << outputs_[i].reason_text;
+  }
 }
 
 TEST_F(ProcessorImagesTest, SeesMotionAfterSomebodyHasCeasedToListenToTracks) {
