@@ -9,7 +9,7 @@ import common  # noqa: F401  (first: names the package of a module that is missi
 import matplotlib
 import numpy as np
 
-from common import fail, one_line_about
+from common import fail
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen first)
@@ -55,7 +55,7 @@ def plot_frames(axes, rows):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=one_line_about(__doc__))
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=pathlib.Path, help="that image_quality --out wrote")
     arguments = parser.parse_args()
     blocks, frames = arguments.folder / "image_quality_blocks.csv", arguments.folder / "image_quality_frames.csv"

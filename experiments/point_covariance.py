@@ -9,7 +9,7 @@ import common  # noqa: F401  (first: names the package of a module that is missi
 import matplotlib
 import numpy as np
 
-from common import fail, one_line_about
+from common import fail
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen first)
@@ -98,7 +98,7 @@ def draw(folder):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=one_line_about(__doc__))
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=pathlib.Path, help="that point_covariance --out wrote")
     arguments = parser.parse_args()
     path = arguments.folder / "point_covariance.csv"

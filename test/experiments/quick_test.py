@@ -19,7 +19,13 @@ class QuickTest(unittest.TestCase):
     ARGUMENTS = ()  # of the program, further ones
 
     @classmethod
+    def script(cls):
+        """Path of the Python script of the program's name."""
+        return ROOT / "experiments" / (pathlib.Path(cls.arguments.program).name + ".py")
+
+    @classmethod
     def setUpClass(cls):
+        subprocess.run(["/usr/bin/python3", cls.script(), "--help"], check=True, stdout=subprocess.DEVNULL)
         cls.temporary = tempfile.TemporaryDirectory()
         cls.out = pathlib.Path(cls.temporary.name)
         subprocess.run([cls.arguments.program, "--quick", "--quiet", *cls.ARGUMENTS, "--data", cls.arguments.data,
@@ -36,8 +42,7 @@ class QuickTest(unittest.TestCase):
 
     def check_drawn(self, *names, arguments=()):
         """The script of the program's name makes these files of more than a kilobyte."""
-        script = ROOT / "experiments" / (pathlib.Path(self.arguments.program).name + ".py")
-        subprocess.run(["/usr/bin/python3", script, self.out, *arguments], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(["/usr/bin/python3", self.script(), self.out, *arguments], check=True, stdout=subprocess.DEVNULL)
         for name in names:
             self.assertGreater((self.out / name).stat().st_size, 1000, msg=name)
 
