@@ -351,9 +351,10 @@ std::vector<MotionSpectrum> motion_spectra(const FrameBlur& field, const cv::Mat
     }
   }
   std::vector<std::vector<MotionSpectrum>> of_windows(windows.size());
-  std::vector<Scratch> scratch(threads_or_all(threads));
+  const int used = threads_or_all(threads);  // once: the number of cores may change
+  std::vector<Scratch> scratch(used);
   constexpr int kWindowsAtATime = 2;
-  run_parallel(static_cast<int>(windows.size()), threads, kWindowsAtATime,
+  run_parallel(static_cast<int>(windows.size()), used, kWindowsAtATime,
                [&](int i, int thread) { add_spectra(windows[i], i, level, &scratch[thread], &of_windows[i]); });
   std::vector<MotionSpectrum> spectra;
   for (std::vector<MotionSpectrum>& of_window : of_windows) {
