@@ -1,6 +1,7 @@
 # A Debian package of what is installed: scripts/package.sh. Libraries that are linked are found by dpkg-shlibdeps, what
 # launch files, the Python modules and rosrun need is named here.
-if(NOT GYRO_DEBLUR_ROS)
+# Inside another project, the packages are that one's.
+if(NOT GYRO_DEBLUR_ROS OR NOT CMAKE_SOURCE_DIR STREQUAL PROJECT_SOURCE_DIR)
   return()
 endif()
 if(CMAKE_INSTALL_PREFIX MATCHES "^/opt/ros/([a-z]+)$")

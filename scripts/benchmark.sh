@@ -40,7 +40,7 @@ fi
 cmake -S . -B "${build}" "${launcher[@]}" -DCMAKE_BUILD_TYPE=RelWithDebInfo -DGYRO_DEBLUR_ROS=OFF \
   -DGYRO_DEBLUR_TESTS=OFF -DGYRO_DEBLUR_BENCHMARKS=ON > "${build}/configure.log" 2>&1 ||
   { cat "${build}/configure.log" >&2; fail "cmake failed; the output is above"; }
-cmake --build "${build}" --parallel "$(nproc)" --target benchmarks
+cmake --build "${build}" --parallel "$(build_jobs)" --target benchmarks
 
 compare_arguments=()
 fidelity_arguments=()

@@ -49,12 +49,7 @@ cmake -S "${GYRO_DEBLUR_ROOT}" -B "${GYRO_DEBLUR_BUILD}" "${arguments[@]}" > "${
 
 show_cmake_warnings "${GYRO_DEBLUR_BUILD}/configure.log"
 
-# Templates of Eigen and OpenCV take about 1 GiB a compiler.
-jobs="$(nproc)"
-memory_jobs="$(awk '/MemAvailable/ {print int($2 / 1048576)}' /proc/meminfo)"
-((memory_jobs >= 1)) || memory_jobs=1
-((jobs <= memory_jobs)) || jobs="${memory_jobs}"
-
+jobs="$(build_jobs)"
 say "building with ${jobs} jobs"
 if ((${#targets[@]} > 0)); then
   cmake --build "${GYRO_DEBLUR_BUILD}" --parallel "${jobs}" --target "${targets[@]}"

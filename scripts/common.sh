@@ -45,6 +45,15 @@ source_devel_space() {
   set -u
 }
 
+# build_jobs: as many as there are cores and memory for: templates of Eigen and OpenCV take about 1 GiB a compiler.
+build_jobs() {
+  local cores memory
+  cores="$(nproc)"
+  memory="$(awk '/MemAvailable/ {print int($2 / 1048576)}' /proc/meminfo)"
+  ((memory >= 1)) || memory=1
+  printf '%d' $((cores < memory ? cores : memory))
+}
+
 # long_tests: a regular expression for the names of the tests in test/long_tests.txt, for ctest.
 long_tests() {
   local names

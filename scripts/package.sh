@@ -39,10 +39,12 @@ cmake -S . -B "${FOLDER}" -DCMAKE_INSTALL_PREFIX="${prefix}" -DCATKIN_BUILD_BINA
   -DPYTHON_EXECUTABLE=/usr/bin/python3 -DPython3_EXECUTABLE=/usr/bin/python3 > "${FOLDER}/configure.log" 2>&1 ||
   { cat "${FOLDER}/configure.log" >&2; fail "cmake failed; the output is above"; }
 show_cmake_warnings "${FOLDER}/configure.log"
-cmake --build "${FOLDER}" --parallel "$(nproc)" > "${FOLDER}/build.log" 2>&1 ||
+cmake --build "${FOLDER}" --parallel "$(build_jobs)" > "${FOLDER}/build.log" 2>&1 ||
   { tail -n 40 "${FOLDER}/build.log" >&2; fail "the build failed; its log is ${FOLDER}/build.log"; }
 rm -f "${FOLDER}"/*.deb
-(cd "${FOLDER}" && cpack -G DEB) > "${FOLDER}/cpack.log" 2>&1 ||
+# CPack before 3.20 does not tell dpkg-shlibdeps where the package's own libraries are.
+own_libraries="${FOLDER}/devel/lib:${FOLDER}/src"
+(cd "${FOLDER}" && LD_LIBRARY_PATH="${own_libraries}${LD_LIBRARY_PATH:+:${LD_LIBRARY_PATH}}" cpack -G DEB) > "${FOLDER}/cpack.log" 2>&1 ||
   { cat "${FOLDER}/cpack.log" >&2; fail "cpack failed; the output is above"; }
 deb="$(ls "${FOLDER}"/*.deb)"
 say "${deb}"

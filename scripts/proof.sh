@@ -94,7 +94,7 @@ make_targets() {
   if ((deadline > now)); then
     limit=(timeout --kill-after=10 $((deadline - now)))
   fi
-  "${limit[@]}" cmake --build "${folder}" --parallel "$(nproc)" --target "$@" > "${folder}/build.log" 2>&1 || {
+  "${limit[@]}" cmake --build "${folder}" --parallel "$(build_jobs)" --target "$@" > "${folder}/build.log" 2>&1 || {
     end_when_out_of_time
     tail -n 40 "${folder}/build.log" >&2
     fail "the build failed; its log is ${folder}/build.log"
