@@ -43,8 +43,8 @@ cmake --build "${FOLDER}" --parallel "$(build_jobs)" > "${FOLDER}/build.log" 2>&
   { tail -n 40 "${FOLDER}/build.log" >&2; fail "the build failed; its log is ${FOLDER}/build.log"; }
 rm -f "${FOLDER}"/*.deb
 # CPack before 3.20 does not tell dpkg-shlibdeps where the package's own libraries are.
-own_libraries="${FOLDER}/devel/lib:${FOLDER}/src"
-(cd "${FOLDER}" && LD_LIBRARY_PATH="${own_libraries}${LD_LIBRARY_PATH:+:${LD_LIBRARY_PATH}}" cpack -G DEB) > "${FOLDER}/cpack.log" 2>&1 ||
+libraries="${FOLDER}/devel/lib:${FOLDER}/src${LD_LIBRARY_PATH:+:${LD_LIBRARY_PATH}}"
+(cd "${FOLDER}" && LD_LIBRARY_PATH="${libraries}" cpack -G DEB) > "${FOLDER}/cpack.log" 2>&1 ||
   { cat "${FOLDER}/cpack.log" >&2; fail "cpack failed; the output is above"; }
 deb="$(ls "${FOLDER}"/*.deb)"
 say "${deb}"

@@ -262,7 +262,7 @@ std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
       const bool doubts_unit = config_->pipeline.motion_from_images && gyro_unit_.is_doubted(frame.stamp_ns);
       if (doubts_unit || gyro_unit_is_wrong_ || gyro_source_->unit_is_wrong()) assembled.drop_bad = false;
       if (readiness == Readiness::WAITS) return std::nullopt;
-      // Those of a fast camera fill the queue before they time out.
+      // A fast camera fills the queue before its images time out: those that leave it for that are without IMU too.
       if (assembled.exposure || frame.verdict == PassThroughReason::OVERLOAD) {
         const TimeNs begin_ns = (assembled.exposure ? assembled.exposure->frame().begin_ns : frame.stamp_ns) +
                                 terms.config.gyro.time_offset_ns;

@@ -173,10 +173,13 @@ TEST_F(ProcessorImagesTest, NeverMeansThatImagesWithoutAGyroscopePass) {
   EXPECT_EQ(processor_.statistics().input_problems.at("no imu").text.find("optical flow"), std::string::npos);
 }
 
+constexpr int kSilentFrom = 8;
+constexpr int kWaiting = 22;                             // images of the second in which it may be a gap
+constexpr int kByFlowFrom = kSilentFrom + kWaiting + 8;  // with those that wait at that time
+
 // From image 8 on it is silent for 2.5 s, and comes again.
 TEST_F(ProcessorImagesTest, ImagesCarryACameraWhileItsGyroscopeIsSilent) {
-  constexpr int kSilentFrom = 8, kSilentTo = 58, kEnd = 64;
-  constexpr int kWaiting = 22;  // images of the second in which it may be a gap
+  constexpr int kSilentTo = 58, kEnd = 64;
   play(0, kEnd, {simulator_.stamp(kSilentFrom) - kMs, simulator_.stamp(kSilentTo) - kMs});
   int passed = 0, alone = 0;
   for (int i = 0; i < kEnd; ++i) {
@@ -200,24 +203,24 @@ TEST_F(ProcessorImagesTest, ImagesCarryACameraWhileItsGyroscopeIsSilent) {
 
 // As a camera at more than 60 images a second does, whose images fill the queue in half a second.
 TEST_F(ProcessorImagesTest, AQueueThatIsFullBeforeItTimesOutSeesThatTheGyroscopeIsSilent) {
-  constexpr int kSilentFrom = 8, kEnd = 64, kWaiting = 22;
+  constexpr int kEnd = 64;
   config_.frame_queue_size = 4;
   configure();
   play(0, kEnd, {simulator_.stamp(kSilentFrom) - kMs, imu_.back().t_ns + kMs});
   EXPECT_EQ(outputs_[kSilentFrom + 1].reason, PassThroughReason::OVERLOAD) << "the queue is full first";
-  for (int i = kSilentFrom + kWaiting + 8; i < kEnd; ++i) {
+  for (int i = kByFlowFrom; i < kEnd; ++i) {
     EXPECT_EQ(outputs_[i].reason, PassThroughReason::NONE) << i << outputs_[i].reason_text;
   }
 }
 
 TEST_F(ProcessorImagesTest, ImagesNeedNoRotationToAGyroscopeThatIsSilent) {
-  constexpr int kSilentFrom = 8, kEnd = 64, kWaiting = 22;
+  constexpr int kEnd = 64;
   config_.R_cam_imu.reset();
   config_.self_calibration = SelfCalibrationMode::NEVER;
   configure();
   play(0, kEnd, {simulator_.stamp(kSilentFrom) - kMs, imu_.back().t_ns + kMs});
   EXPECT_EQ(outputs_[0].reason, PassThroughReason::NO_EXTRINSIC);
-  for (int i = kSilentFrom + kWaiting + 8; i < kEnd; ++i) {
+  for (int i = kByFlowFrom; i < kEnd; ++i) {
     EXPECT_EQ(outputs_[i].reason, PassThroughReason::NONE) << i << outputs_[i].reason_text;
   }
 }

@@ -43,7 +43,12 @@ class UnknownCalibration : public testing::Test {
     environment.clock = [this] { return now_ns_; };
     environment.log = [this](LogLevel, const std::string& text) { log_.push_back(text); };
     environment.extrinsic = [this](const std::string&, const std::string&) { return tf_; };
-    if (stored_) environment.stored_calibration = [this](int, int) { return stored_; };
+    if (stored_) {
+      environment.stored_calibration = [this](int, int) {
+        ++reads_;
+        return stored_;
+      };
+    }
     environment.request = [] {
       FrameRequest request;
       request.keypoints = false;
@@ -91,6 +96,7 @@ class UnknownCalibration : public testing::Test {
   Config config_;
   std::optional<Eigen::Matrix3d> tf_;
   std::optional<LearnedCalibration> stored_;
+  int reads_ = 0;  // of it
   TimeNs now_ns_ = 0;
   std::vector<std::string> log_;
   std::vector<FrameOutput> outputs_;
@@ -229,6 +235,18 @@ TEST_F(UnknownCalibration, IsUsedFromTheFirstImageOnAsItWasAtTheLastStart) {
   EXPECT_FALSE(processor_->calibration_by_images()->calibration.time_offset_s.known) << "it is not used";
   processor_->reset_calibration();
   EXPECT_FALSE(row("R_cam_imu").by_images) << "forgotten at once";
+}
+
+TEST_F(UnknownCalibration, WhatIsStoredIsReadOnceAndOnlyWhereItMayBeUsed) {
+  stored_.emplace();
+  for (const SelfCalibrationMode mode : {SelfCalibrationMode::AUTO, SelfCalibrationMode::NEVER}) {
+    config_.self_calibration = mode;
+    outputs_.clear();
+    camera().rewind();
+    start();
+    play(0, 3);
+    EXPECT_EQ(reads_, 1) << "NEVER adds none";
+  }
 }
 
 TEST_F(UnknownCalibration, OfAnotherCameraIsDroppedWithinFiveSecondsOfMotion) {
