@@ -39,7 +39,7 @@ demo_packages=(libgl1-mesa-dri xvfb "${report_packages[@]}" "${ros_demo_packages
 # The tests run the demo's tools and reports too, and the experiments on photographs of opencv-doc.
 test_packages=(
   "${demo_packages[@]}" "${ros_test_packages[@]}"
-  clang-format colmap opencv-doc pocl-opencl-icd python3-pil python3-yaml snakemake
+  clang-format codespell colmap opencv-doc pocl-opencl-icd python3-pil python3-yaml snakemake
 )
 proof_packages=("${test_packages[@]}" "${sanitizer_packages[@]}")
 package_packages=(dpkg-dev file)

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Installs what is missing, builds, checks format and package, and runs the tests. Ends with the line
+# Installs what is missing, builds, checks format, package and documents, and runs the tests. Ends with the line
 # 'N passed, N failed, N skipped'. Tests that take minutes (test/long_tests.txt) are left out, unless arguments for ctest
 # are given: scripts/proof.sh runs them. --proof, first: sanitizers and fuzzers too, after the tests (scripts/proof.sh
 # --quick), which count as one test more, and as a skipped one when 75 minutes are over, from the beginning, before their
@@ -13,8 +13,8 @@ if [[ "${1:-}" == --proof ]]; then
   proof=true
   shift
 fi
-STEPS=5
-"${proof}" && STEPS=6
+STEPS=6
+"${proof}" && STEPS=7
 readonly STEPS
 
 # took: what the steps took so far, for those who ask where the time goes.
@@ -61,6 +61,26 @@ if command -v catkin_lint > /dev/null; then
   fi
 else
   say "SKIPPED: there is no catkin_lint"
+fi
+
+step ${STEPS} "Spelling and links"
+if command -v codespell > /dev/null; then
+  # Not words of English, but right: scripts/spelling_words.txt.
+  mapfile -t texts < <(git ls-files -- ':!fuzz/corpus' ':!*.png' ':!scripts/spelling_words.txt')
+  if codespell --ignore-words scripts/spelling_words.txt "${texts[@]}"; then
+    say "${#texts[@]} files without spelling mistakes"
+  else
+    say "FAILED: correct the words above, or add them to scripts/spelling_words.txt"
+    failed_checks+=("Spelling")
+  fi
+else
+  say "SKIPPED: there is no codespell"
+fi
+if python3 scripts/check_links.py; then
+  say "every relative link and anchor exists"
+else
+  say "FAILED: correct the links above"
+  failed_checks+=("Links")
 fi
 
 step ${STEPS} "Tests"
