@@ -136,6 +136,13 @@ if ((skipped > 0)); then
   grep -h -A 1 -E '(: Skipped$|^SKIPPED:)' "${GYRO_DEBLUR_BUILD}/Testing/Temporary/LastTest.log" |
     grep -v -E '(: Skipped$|^SKIPPED:|^--$)' | sort | uniq -c | sort -rn | sed 's/^/  /' || true
 fi
+if ((failed > 0)); then
+  # Here, where a log that is cut at its beginning still has it.
+  printf '\nFailed tests, the end of what each said:\n'
+  awk '/^[0-9]+\/[0-9]+ Testing: / { n = 0 } { line[n++] = $0 }
+    /^Test Failed\.$/ { for (i = n > 60 ? n - 60 : 0; i < n; ++i) print "  " line[i]; n = 0 }' \
+    "${GYRO_DEBLUR_BUILD}/Testing/Temporary/LastTest.log"
+fi
 if ((${#failed_checks[@]} > 0)); then
   # Once more at the end: often that is all that is kept of a run.
   [[ " ${failed_checks[*]} " != *" Proof by tools "* ]] || tail -n 80 "${proof_log}"
