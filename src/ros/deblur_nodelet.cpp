@@ -210,10 +210,7 @@ std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
       NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (from Kalibr: see doc/guides/calibration.md)",
                    to_seconds(config->gyro.time_offset_ns));
     }
-    if (config->calibration) {
-      NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
-      for (const std::string& note : config->calibration->notes) NODELET_WARN_STREAM(note);
-    }
+    if (config->calibration) NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
   } catch (const std::exception& refused) {
     *error = refused.what();
     config.reset();

@@ -75,6 +75,7 @@ void Processor::set_config(const Config& config) {
   const std::lock_guard<std::mutex> lock(mutex_);
   config_ = config;
   calibration_.set_config(config);
+  note_calibration_file();
   self_calibrator_.set_expected_offset(config.given.time_offset ? config.gyro.time_offset_ns : 0);
   ++configurations_;
   config_error_.clear();
@@ -91,6 +92,7 @@ void Processor::set_config_error(const std::string& text) {
   config_.reset();
   pipeline_.reset();
   config_error_ = text;
+  note_calibration_file();
   if (environment_.stereo)
     environment_.stereo->set_patience(Config().stereo_patience_ns);  // its partners pass through, too
 }
@@ -159,6 +161,14 @@ void Processor::add_image(const sensor_msgs::ImageConstPtr& image, const std::st
 void Processor::add_mask(const sensor_msgs::Image& mask) {
   const std::lock_guard<std::mutex> lock(mutex_);
   mask_.set_message(mask);
+}
+
+void Processor::note_calibration_file() {
+  std::string text;
+  if (config_ && config_->calibration) {
+    for (const std::string& note : config_->calibration->notes) text += (text.empty() ? "" : "; ") + note;
+  }
+  note_unreadable("calibration file", text);
 }
 
 void Processor::note_unreadable(const std::string& kind, const std::string& text) {
@@ -496,6 +506,7 @@ void Processor::reset() {
   gyro_unit_is_wrong_ = false;
   log_.clear();
   problems_.clear();
+  note_calibration_file();
 }
 
 void Processor::reset_calibration() {

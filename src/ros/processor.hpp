@@ -126,6 +126,8 @@ class Processor {
 
  private:
   Eigen::Vector3d bias_in_use() const;  // needs mutex_
+  /// Reports what of the calibration file was not understood. Needs mutex_.
+  void note_calibration_file();
   void advance(const Sink& sink, bool finishing);
   /// The foremost frame with what belongs to it, or nothing while it has to wait.
   std::optional<AssembledFrame> next_frame(bool finishing);

@@ -92,6 +92,9 @@ void run(const Arguments& arguments) {
   const InputBag input(arguments.bag);
   Config config;
   if (!arguments.config.empty()) config = read_config("calibrate_timing", arguments.config);
+  if (config.calibration) {
+    for (const std::string& note : config.calibration->notes) say(note);
+  }
   FootageTopics topics;
   Footage footage;
   TimingResult result;

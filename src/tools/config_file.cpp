@@ -12,9 +12,6 @@ Config read_config(const std::string& tool, const std::string& path) {
     if (key == "image_transport") continue;  // of the nodelet; a bag's messages say by their type how to read them
     std::cerr << tool << ": " << path << ": key " << unknown_key_message(key) << '\n';
   }
-  if (config.calibration) {
-    for (const std::string& note : config.calibration->notes) std::cerr << tool << ": " << note << '\n';
-  }
   return config;
 }
 

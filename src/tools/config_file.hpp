@@ -7,8 +7,8 @@
 
 namespace gyro_deblur {
 
-/// Reads a configuration; what of it and of its calibration files is not understood is written to stderr. Throws
-/// OptionError as load_config() does.
+/// Reads a configuration; keys of it that are not known are written to stderr. Throws OptionError as load_config()
+/// does.
 /// @param tool  its name, which begins each line
 Config read_config(const std::string& tool, const std::string& path);
 

@@ -59,6 +59,19 @@ class InputChecksTest : public ProcessorTest {
   }
 };
 
+TEST_F(InputChecksTest, WhatOfACalibrationFileIsNotUnderstoodIsAProblemUntilItIsMended) {
+  config_.calibration.emplace();
+  config_.calibration->notes = {"/a.yaml: cam0.line_delay is not known", "/a.yaml: cam0.T_camera_imu is not known"};
+  configure();
+  const std::vector<std::string> both{"cam0.line_delay is not known; ", "cam0.T_camera_imu is not known"};
+  expect_problem("calibration file", both);
+  processor_.reset();
+  expect_problem("calibration file", both);
+  config_.calibration->notes.clear();
+  configure();
+  EXPECT_EQ(problem("calibration file"), "");
+}
+
 // --- exposure ---
 
 TEST_F(InputChecksTest, ExposureAboveTheFramePeriodIsRefusedByValue) {
