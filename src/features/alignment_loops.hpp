@@ -23,10 +23,19 @@ struct AlignmentLoops {
   ///               two of each row are 0
   void (*sample_row)(const float* pixels, std::ptrdiff_t stride, const float* table, float x, float y, float dx,
                      float dy, int count, float* sampled);
+  /// Derivatives along x and y at width * height pixels by Scharr's filters, which read a pixel on either side. What
+  /// is written beyond the end of a row is 0.
+  void (*differentiate)(const float* patch, std::ptrdiff_t patch_stride, float* along_x, float* along_y,
+                        std::ptrdiff_t stride, int width, int height);
   /// sums[i] = sum of patch * factors[i] for i < 3. `factors` are 0 on kPatchRoom pixels after each of their rows,
   /// where `patch` is finite.
-  void (*project)(const float* patch, const float* const* factors, std::ptrdiff_t stride, int width, int height,
-                  float* sums);
+  void (*project)(const float* patch, std::ptrdiff_t patch_stride, const float* const* factors, std::ptrdiff_t stride,
+                  int width, int height, float* sums);
+  /// Sums of ax bx, ax by + ay bx, and ay by, where b are derivatives of a patch by five-point differences, which read
+  /// two pixels on either side. After each of their rows kPatchRoom pixels of `ax` and `ay` are 0, those of the patch
+  /// finite.
+  void (*multiply_by_derivatives)(const float* ax, const float* ay, std::ptrdiff_t stride, const float* patch,
+                                  std::ptrdiff_t patch_stride, int width, int height, float* sums);
   /// Sums of ax bx, ax by + ay bx, and ay by. After each row kPatchRoom pixels of `a` or of `b` are 0, the others
   /// finite.
   void (*multiply_gradients)(const float* ax, const float* ay, const float* bx, const float* by, std::ptrdiff_t stride,

@@ -77,13 +77,30 @@ void sample_row(const float* pixels, std::ptrdiff_t stride, const float* table, 
   }
 }
 
-void project(const float* patch, const float* const* factors, std::ptrdiff_t stride, int width, int height,
-             float* sums) {
+/// H. Scharr's filters: (-1 0 1) / 2 along the axis, (3 10 3) / 16 across it.
+void differentiate(const float* patch, std::ptrdiff_t patch_stride, float* along_x, float* along_y,
+                   std::ptrdiff_t stride, int width, int height) {
+  constexpr float kMiddle = 10.0f / 32, kSide = 3.0f / 32;
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; x += kLanes) {
+      const float *middle = patch + y * patch_stride + x, *above = middle - patch_stride,
+                  *below = middle + patch_stride;
+      const Vector falling = load(below + 1) - load(above - 1), rising = load(above + 1) - load(below - 1);
+      const Vector across = load(middle + 1) - load(middle - 1), down = load(below) - load(above);
+      store(along_x + y * stride + x, kMiddle * across + kSide * (falling + rising));
+      store(along_y + y * stride + x, kMiddle * down + kSide * (falling - rising));
+    }
+    for (int x = width; x % kLanes != 0; ++x) along_x[y * stride + x] = along_y[y * stride + x] = 0;
+  }
+}
+
+void project(const float* patch, std::ptrdiff_t patch_stride, const float* const* factors, std::ptrdiff_t stride,
+             int width, int height, float* sums) {
   Vector first = {}, second = {}, third = {};
   for (int y = 0; y < height; ++y) {
     for (int x = 0; x < width; x += kLanes) {
       const std::ptrdiff_t at = y * stride + x;
-      const Vector value = load(patch + at);
+      const Vector value = load(patch + y * patch_stride + x);
       first += value * load(factors[0] + at);
       second += value * load(factors[1] + at);
       third += value * load(factors[2] + at);
@@ -92,6 +109,28 @@ void project(const float* patch, const float* const* factors, std::ptrdiff_t str
   sums[0] = sum_of(first);
   sums[1] = sum_of(second);
   sums[2] = sum_of(third);
+}
+
+void multiply_by_derivatives(const float* ax, const float* ay, std::ptrdiff_t stride, const float* patch,
+                             std::ptrdiff_t patch_stride, int width, int height, float* sums) {
+  constexpr float kNear = 8.0f / 12, kFar = 1.0f / 12;
+  Vector xx = {}, xy = {}, yy = {};
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; x += kLanes) {
+      const std::ptrdiff_t at = y * stride + x;
+      const float* value = patch + y * patch_stride + x;
+      const Vector second_x = kNear * (load(value + 1) - load(value - 1)) - kFar * (load(value + 2) - load(value - 2)),
+                   second_y = kNear * (load(value + patch_stride) - load(value - patch_stride)) -
+                              kFar * (load(value + 2 * patch_stride) - load(value - 2 * patch_stride));
+      const Vector first_x = load(ax + at), first_y = load(ay + at);
+      xx += first_x * second_x;
+      xy += first_x * second_y + first_y * second_x;
+      yy += first_y * second_y;
+    }
+  }
+  sums[0] = sum_of(xx);
+  sums[1] = sum_of(xy);
+  sums[2] = sum_of(yy);
 }
 
 void multiply_gradients(const float* ax, const float* ay, const float* bx, const float* by, std::ptrdiff_t stride,
@@ -114,7 +153,8 @@ void multiply_gradients(const float* ax, const float* ay, const float* bx, const
 }  // namespace
 
 extern const AlignmentLoops kAlignmentLoops;
-const AlignmentLoops kAlignmentLoops = {GYRO_DEBLUR_ISA_NAME, convolve, sample_row, project, multiply_gradients};
+const AlignmentLoops kAlignmentLoops = {GYRO_DEBLUR_ISA_NAME,    convolve,          sample_row, differentiate, project,
+                                        multiply_by_derivatives, multiply_gradients};
 
 }  // namespace GYRO_DEBLUR_ISA
 }  // namespace gyro_deblur

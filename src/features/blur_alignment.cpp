@@ -11,13 +11,16 @@
 namespace gyro_deblur {
 namespace {
 
-/// Five-point derivatives read two pixels on either side, interpolation two before and three after.
-constexpr int kDerivativeMargin = 2;
+/// Derivatives read so many pixels on either side, interpolation two before and three after.
+constexpr int kTemplateMargin = 1, kPatchMargin = 2;
 constexpr int kTaps = kInterpolationTaps, kBefore = 2, kAfter = 3;
 using Weights = Eigen::Array<float, kInterpolationStride, 1>;
 
 /// The second image is blurred so far beyond the window at once; predictions are rarely farther off.
 constexpr int kSearchMargin = 3;
+
+/// Less than rounding to grey levels makes, in some direction, is no texture [grey levels^2/px^2].
+constexpr double kLeastInformation = 1e-3;
 
 /// Share of the window below which a cut one is not compared.
 constexpr double kMinWindowShare = 0.4;
@@ -56,6 +59,10 @@ PlanePath mapped(const PlanePath& path_px, const Eigen::Matrix2d& map) {
   PlanePath result_px;
   for (std::size_t k = 0; k < path_px.size(); ++k) result_px[k] = map.cast<float>() * path_px[k];
   return result_px;
+}
+
+double least_eigenvalue(const Eigen::Matrix2d& symmetric) {
+  return 0.5 * (symmetric.trace() - std::hypot(symmetric(0, 0) - symmetric(1, 1), 2 * symmetric(0, 1)));
 }
 
 int floor_int(double value) { return static_cast<int>(std::floor(value)); }
@@ -152,8 +159,8 @@ void BlurAligner::blur(const cv::Mat& image, const Psf& psf, const Box& box, Reg
 
 BlurAligner::Box BlurAligner::template_box(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) const {
   Eigen::AlignedBox2d covered_px;
-  for (const int x : {window_.first_x - kDerivativeMargin, window_.last_x + kDerivativeMargin}) {
-    for (const int y : {window_.first_y - kDerivativeMargin, window_.last_y + kDerivativeMargin}) {
+  for (const int x : {window_.first_x - kTemplateMargin, window_.last_x + kTemplateMargin}) {
+    for (const int y : {window_.first_y - kTemplateMargin, window_.last_y + kTemplateMargin}) {
       covered_px.extend(place_px + inverse_map * Eigen::Vector2d(x, y));
     }
   }
@@ -164,6 +171,7 @@ BlurAligner::Box BlurAligner::template_box(const Eigen::Vector2d& place_px, cons
 
 BlurAligner::Box BlurAligner::search_box(const Eigen::Vector2d& place_px, int margin_px) const {
   const int x = floor_int(place_px.x()), y = floor_int(place_px.y());
+  margin_px += kPatchMargin;
   return {x + window_.first_x - margin_px - kBefore, x + window_.last_x + margin_px + kAfter,
           y + window_.first_y - margin_px - kBefore, y + window_.last_y + margin_px + kAfter};
 }
@@ -190,7 +198,7 @@ bool BlurAligner::crop_window(const cv::Size& from, const Eigen::Vector2d& from_
 }
 
 void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) {
-  constexpr int kMargin = kDerivativeMargin;
+  constexpr int kMargin = kTemplateMargin;
   const int width = window_.width(), height = window_.height();
   sampled_.resize(width + 2 * kMargin, height + 2 * kMargin);
   const Eigen::Vector2f step_px = inverse_map.col(0).cast<float>();
@@ -202,20 +210,20 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
     loops_.sample_row(first_.patch.row(0), first_.patch.stride(), interpolation_table(), at_px.x(), at_px.y(),
                       step_px.x(), step_px.y(), sampled_.width(), sampled_.row(y));
   }
-  const auto sampled = sampled_.pixels();
-  const auto shifted = [&](int x, int y) { return sampled.block(kMargin + y, kMargin + x, height, width); };
   for (Patch* patch : {&template_, &gradient_x_, &gradient_y_}) patch->resize_and_clear(width, height);
-  template_.pixels() = shifted(0, 0) - shifted(0, 0).mean();
-  gradient_x_.pixels() = (shifted(-2, 0) - shifted(2, 0) + 8 * (shifted(1, 0) - shifted(-1, 0))) / 12;
-  gradient_y_.pixels() = (shifted(0, -2) - shifted(0, 2) + 8 * (shifted(0, 1) - shifted(0, -1))) / 12;
+  const auto pattern = sampled_.pixels().block(kMargin, kMargin, height, width);
+  template_.pixels() = pattern - pattern.mean();
+  loops_.differentiate(sampled_.row(kMargin) + kMargin, sampled_.stride(), gradient_x_.row(0), gradient_y_.row(0),
+                       gradient_x_.stride(), width, height);
 }
 
 void BlurAligner::sample_patch(const Eigen::Vector2d& place_px) {
   const int x = floor_int(place_px.x()), y = floor_int(place_px.y());
   const auto across = interpolation_weights(place_px.x() - x), down = interpolation_weights(place_px.y() - y);
-  const int left = x + window_.first_x - kBefore - second_.box.first_x,
-            top = y + window_.first_y - kBefore - second_.box.first_y, width = window_.width(),
-            height = window_.height();
+  constexpr int kMargin = kPatchMargin;
+  const int left = x + window_.first_x - kMargin - kBefore - second_.box.first_x,
+            top = y + window_.first_y - kMargin - kBefore - second_.box.first_y, width = window_.width() + 2 * kMargin,
+            height = window_.height() + 2 * kMargin;
   rows_.resize(width, height + kTaps - 1);
   patch_.resize(width, height);
   std::array<int, kTaps> right_of, below;
@@ -227,6 +235,32 @@ void BlurAligner::sample_patch(const Eigen::Vector2d& place_px) {
                   rows_.row(0), rows_.stride(), width, height + kTaps - 1);
   loops_.convolve(rows_.row(0), rows_.stride(), below.data(), down.data(), kTaps, patch_.row(0), patch_.stride(), width,
                   height);
+}
+
+double BlurAligner::pattern_energy(double noise_variance) {
+  // Where noise is nearly all of it, its own scatter would decide.
+  constexpr double kLeastShare = 0.1;
+  const double energy = template_.pixels().square().sum();
+  return std::max(kLeastShare * energy, energy - noise_variance * template_.size());
+}
+
+Eigen::Matrix2d BlurAligner::gradients_beside_gain(double pattern) {
+  const auto pattern_px = template_.pixels(), gradient_x = gradient_x_.pixels(), gradient_y = gradient_y_.pixels();
+  for (Patch* of_axis : {&gradient_x_, &gradient_y_}) {
+    auto gradient = of_axis->pixels();
+    gradient -= gradient.mean();
+    if (pattern > 0) gradient -= static_cast<float>((gradient * pattern_px).sum() / pattern) * pattern_px;
+  }
+  Eigen::Matrix2d gradients;
+  gradients << gradient_x.square().sum(), (gradient_x * gradient_y).sum(), (gradient_x * gradient_y).sum(),
+      gradient_y.square().sum();
+  return gradients;
+}
+
+double BlurAligner::residual(double gain) {
+  const auto patch = patch_.pixels().block(kPatchMargin, kPatchMargin, window_.height(), window_.width());
+  return std::sqrt(
+      static_cast<double>((patch - patch.mean() - static_cast<float>(gain) * template_.pixels()).square().mean()));
 }
 
 bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, double pattern,
@@ -246,7 +280,8 @@ bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, do
     sample_patch(*place_px);
     // The factors have no mean: that of the patch does not matter.
     std::array<float, 3> sums;
-    loops_.project(patch_.row(0), factors.data(), patch_.stride(), window_.width(), window_.height(), sums.data());
+    loops_.project(patch_.row(kPatchMargin) + kPatchMargin, patch_.stride(), factors.data(), template_.stride(),
+                   window_.width(), window_.height(), sums.data());
     *gain = sums[0] / pattern;
     if (!(*gain > kMinGain)) return false;
     const Eigen::Vector2d products(sums[1], sums[2]);
@@ -259,6 +294,16 @@ bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, do
     if (length_px < options.min_step_px) return true;
   }
   return false;
+}
+
+Eigen::Matrix2d BlurAligner::multiply_gradients_of_both() {
+  std::array<float, 3> sums;
+  loops_.multiply_by_derivatives(gradient_x_.row(0), gradient_y_.row(0), gradient_x_.stride(),
+                                 patch_.row(kPatchMargin) + kPatchMargin, patch_.stride(), window_.width(),
+                                 window_.height(), sums.data());
+  Eigen::Matrix2d products;
+  products << sums[0], sums[1] / 2, sums[1] / 2, sums[2];
+  return products;
 }
 
 BlurAligner::NoiseShare BlurAligner::noise_share(const PlanePath& path_px) {
@@ -337,40 +382,29 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
   }
   blur(from, psf_of_first_, template_box(in_from.place_px, inverse_map), &first_);
   sample_template(in_from.place_px, inverse_map);
-  const auto pattern_px = template_.pixels(), gradient_x = gradient_x_.pixels(), gradient_y = gradient_y_.pixels();
-  const double pixels = static_cast<double>(pattern_px.size()), pattern = pattern_px.square().sum();
-  // Gradients without what gain and offset can explain: these are fitted with the place, not after it.
-  for (Patch* of_axis : {&gradient_x_, &gradient_y_}) {
-    auto gradient = of_axis->pixels();
-    gradient -= gradient.mean();
-    if (pattern > 0) gradient -= static_cast<float>((gradient * pattern_px).sum() / pattern) * pattern_px;
-  }
-  Eigen::Matrix2d gradients;
-  gradients << gradient_x.square().sum(), (gradient_x * gradient_y).sum(), (gradient_x * gradient_y).sum(),
-      gradient_y.square().sum();
-  // Less than rounding to grey levels makes, in some direction, is no texture.
-  constexpr double kLeastInformation = 1e-3;
-  const double information =
-      Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d>(gradients, Eigen::EigenvaluesOnly).eigenvalues()[0] / pixels;
-  if (!(information > kLeastInformation)) return std::nullopt;
+  const double template_noise = psf_of_first_.energy * interpolated_share(in_from.place_px, in_to.path_px),
+               pattern = pattern_energy(std::pow(in_from.noise, 2) * template_noise);
+  const Eigen::Matrix2d gradients = gradients_beside_gain(pattern);
+  if (!(least_eigenvalue(gradients) > kLeastInformation * template_.size())) return std::nullopt;
 
   Alignment result{};
   result.place_px = in_to.place_px;
   if (!search(to, gradients, pattern, options, &result.place_px, &result.gain)) return std::nullopt;
-  result.min_information = information;
-  result.contrast = result.gain * std::sqrt(pattern / pixels);
-  const float gain = static_cast<float>(result.gain);
-  const auto patch = patch_.pixels();
-  result.residual = std::sqrt(static_cast<double>((patch - patch.mean() - gain * pattern_px).square().mean()));
+  // By the gain: as the template's gradients alone would be without their noise.
+  const Eigen::Matrix2d products_of_both = multiply_gradients_of_both() / result.gain;
+  result.min_information = least_eigenvalue(products_of_both) / template_.size();
+  if (!(result.min_information > kLeastInformation)) return std::nullopt;
+  result.contrast = result.gain * std::sqrt(pattern / template_.size());
+  result.residual = residual(result.gain);
   const double first_variance = std::pow(result.gain * in_from.noise, 2), second_variance = std::pow(in_to.noise, 2);
   const NoiseShare of_first = noise_share(in_to.path_px), of_second = noise_share(blur_of_second_px);
   // The patches are compared without their means, of which long blur makes much of the noise.
-  const double first_left = psf_of_first_.energy * interpolated_share(in_from.place_px, in_to.path_px) - of_first.mean,
+  const double first_left = template_noise - of_first.mean,
                second_left =
                    psf_of_second_.energy * interpolated_share(result.place_px, blur_of_second_px) - of_second.mean;
   result.expected_residual =
       std::sqrt(first_variance * std::max(0.0, first_left) + second_variance * std::max(0.0, second_left));
-  const Eigen::Matrix2d inverse = gradients.inverse();
+  const Eigen::Matrix2d inverse = products_of_both.inverse();
   const Eigen::Matrix2d products = first_variance * of_first.products + second_variance * of_second.products;
   const double excess = result.expected_residual > 0 ? result.residual / result.expected_residual : 1;
   result.covariance_px2 = inverse * products * inverse * std::max(1.0, excess * excess) / (result.gain * result.gain);

@@ -38,11 +38,12 @@ struct AlignmentOptions {
 struct Alignment {
   Eigen::Vector2d place_px;        ///< where it is at the middle of its exposure
   Eigen::Matrix2d covariance_px2;  ///< of place_px: noise of both images, scaled up where the residual is larger
-  double gain;                     ///< contrast of the second patch over that of the first
-  double contrast;                 ///< standard deviation of the compared patch [grey levels of the second image]
+  double gain;                     ///< contrast of the second patch over that of the first, noise apart
+  double contrast;                 ///< standard deviation of the compared patch without noise [second image's levels]
   double residual;                 ///< root mean square of the difference of the patches [same]
   double expected_residual;        ///< what the noise of both images makes of it [same]
-  double min_information;  ///< smaller eigenvalue of the blurred gradients' matrix, a pixel [grey levels^2/px^2]
+  /// Smaller eigenvalue of the blurred gradients' matrix, a pixel, noise apart [grey levels^2/px^2].
+  double min_information;
 };
 
 /// Whether the two patches differ by no more than noise and what a motion that is not affine makes, at a similar
@@ -78,6 +79,7 @@ class BlurAligner {
     void resize_and_clear(int width, int height);
     int width() const { return width_; }
     int height() const { return height_; }
+    int size() const { return width_ * height_; }
     int stride() const { return stride_; }
     float* row(int y) { return pixels_.data() + y * stride_; }
     const float* row(int y) const { return pixels_.data() + y * stride_; }
@@ -123,10 +125,19 @@ class BlurAligner {
   Box search_box(const Eigen::Vector2d& place_px, int margin_px) const;
   /// Makes template_, gradient_x_ and gradient_y_.
   void sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map);
-  /// Searches from *place_px; on success patch_ is what the second image shows there.
+  /// Sum of the squares of template_ without those of its noise, which bias a gain by them towards 0.
+  double pattern_energy(double noise_variance);
+  /// Takes out of the gradients what gain and offset can explain: these are fitted with the place, not after it.
+  /// @return sums of the products of what is left of them
+  Eigen::Matrix2d gradients_beside_gain(double pattern);
+  /// Root mean square of what template_ and patch_ differ by.
+  double residual(double gain);
+  /// Searches from *place_px; on success patch_ is what the second image shows there, with a margin for derivatives.
   bool search(const cv::Mat& to, const Eigen::Matrix2d& gradients, double pattern, const AlignmentOptions& options,
               Eigen::Vector2d* place_px, double* gain);
   void sample_patch(const Eigen::Vector2d& place_px);
+  /// Products of the gradients of template_ and patch_, summed up: their noise is independent, and not in the mean.
+  Eigen::Matrix2d multiply_gradients_of_both();
   /// What white noise of variance 1, blurred by a path, makes.
   struct NoiseShare {
     Eigen::Matrix2d products = Eigen::Matrix2d::Zero();  // covariance of its products with the gradients

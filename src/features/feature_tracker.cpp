@@ -9,7 +9,6 @@
 #include <utility>
 
 #include <Eigen/Dense>
-#include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
 
 #include "base/parallel.hpp"
@@ -17,6 +16,7 @@
 #include "features/blurred_view.hpp"
 #include "features/corner_following.hpp"
 #include "features/corner_prediction.hpp"
+#include "features/epipolar_check.hpp"
 #include "features/local_motion.hpp"
 
 namespace gyro_deblur {
@@ -24,15 +24,6 @@ namespace {
 
 /// Integers up to here are exact in a float, which is what carries ids in sensor_msgs/PointCloud.
 constexpr std::int32_t kIds = 1 << 24;
-
-/// Of the strongest corner's smaller eigenvalue; VINS-Mono has 0.01 as well.
-constexpr double kCornerQuality = 0.01;
-/// Side of the squares over which gradients are summed.
-constexpr int kCornerBlockPx = 3;
-
-/// The fundamental matrix has seven degrees of freedom; OpenCV's RANSAC wants eight points.
-constexpr std::size_t kMinForGeometry = 8;
-constexpr double kRansacConfidence = 0.99;
 
 bool inside(const cv::Point2f& p, const cv::Size& size) {
   return p.x >= 0 && p.y >= 0 && p.x <= static_cast<float>(size.width - 1) &&
@@ -42,10 +33,26 @@ bool inside(const cv::Point2f& p, const cv::Size& size) {
 cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
 Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
 
+/// Corners of an image of half the size: noise makes fewer of its own there.
+/// @param allowed  CV_8UC1, of the luminance's size: not 0 where a corner may be
+std::vector<cv::Point2f> new_corners(const cv::Mat& luminance, const cv::Mat& allowed, int count,
+                                     double min_distance_px) {
+  constexpr double kQuality = 0.01;  // of the strongest corner's smaller eigenvalue; VINS-Mono has 0.01 as well
+  constexpr int kBlockPx = 3;        // side of the squares over which gradients are summed
+  const cv::Size half_size(luminance.cols / 2, luminance.rows / 2);
+  cv::Mat half, half_allowed;
+  cv::resize(luminance, half, half_size, 0, 0, cv::INTER_AREA);
+  cv::resize(allowed, half_allowed, half_size, 0, 0, cv::INTER_AREA);
+  std::vector<cv::Point2f> corners;
+  cv::goodFeaturesToTrack(half, corners, count, kQuality, min_distance_px / 2, half_allowed == 255, kBlockPx);
+  for (cv::Point2f& corner : corners) corner = 2 * corner + cv::Point2f(0.5f, 0.5f);
+  return corners;
+}
+
 /// Successive errors of a track are correlated, and its patch sees other depths than its point's: more than their sum.
 /// Fits to simulated flights, see doc/reports/tracks.md.
 Eigen::Matrix2d published_covariance(const Eigen::Matrix2d& sum_px2) {
-  constexpr double kFactor = 6, kFloorPx = 0.06;
+  constexpr double kFactor = 2.5, kFloorPx = 0.06;
   return kFactor * sum_px2 + kFloorPx * kFloorPx * Eigen::Matrix2d::Identity();
 }
 
@@ -116,14 +123,15 @@ struct FeatureTracker::Searcher {
 
   /// Of what noise does not make: patches that no affine map takes to each other, and paths that are not exact.
   static double model_variance_px2(const PlanePath& first_px, const PlanePath& second_px) {
-    constexpr double kFloorPx = 0.02, kShareOfExtent = 0.003;  // fits, see doc/reports/tracks.md
+    constexpr double kFloorPx = 0.04, kShareOfExtent = 0.0045;  // fits, see doc/reports/tracks.md
     const double extent_px = std::hypot(extent_of(first_px).norm(), extent_of(second_px).norm());
     return std::pow(kFloorPx, 2) + std::pow(kShareOfExtent * extent_px, 2);
   }
 
   static bool is_usable(const Alignment& found) {
-    // What is less certain helps no estimator, and may have been found by chance.
-    constexpr double kMaxStddevPx = 0.7;
+    // What is less certain helps no estimator, and may have been found by chance. Smaller limits end half of the tracks
+    // in low light (doc/reports/tracks.md).
+    constexpr double kMaxStddevPx = 1.4;
     const Eigen::Matrix2d& c = found.covariance_px2;
     const double largest = 0.5 * (c.trace() + std::hypot(c(0, 0) - c(1, 1), 2 * c(0, 1)));
     return agrees(found) && largest < kMaxStddevPx * kMaxStddevPx;
@@ -344,22 +352,13 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
 }
 
 void FeatureTracker::check_geometry(const Camera& camera, const std::vector<Eigen::Vector3d>& turned_rays) {
-  if (tracks_.size() < kMinForGeometry) return;
-  // Undistorted pixels of an ideal camera, with the rotation taken out of the first.
-  std::vector<cv::Point2f> before, after;
-  const double focal_px = camera.calibration().fx_px;
-  for (std::size_t i = 0; i < tracks_.size(); ++i) {
-    before.push_back(to_cv(focal_px * turned_rays[i].hnormalized()));
-    after.push_back(to_cv(focal_px * camera.ray(tracks_[i].pixel_px).hnormalized()));
-  }
-  std::vector<uchar> agrees_with_others;
-  cv::setRNGSeed(1);  // the same result for the same images
-  cv::findFundamentalMat(before, after, cv::FM_RANSAC, options_.max_epipolar_px, kRansacConfidence, agrees_with_others);
-  if (agrees_with_others.size() != tracks_.size()) return;  // no matrix found: nothing to disagree with
+  std::vector<Eigen::Vector3d> rays;
+  for (const Track& track : tracks_) rays.push_back(camera.ray(track.pixel_px));
+  const std::vector<char> agrees_with_others =
+      agree_with_epipolar_geometry(turned_rays, rays, camera.calibration().fx_px, options_.max_epipolar_px);
   std::size_t kept = 0;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
-    // What stays where the rotation takes it is right whatever the direction of translation.
-    if (!agrees_with_others[i] && cv::norm(after[i] - before[i]) > options_.max_epipolar_px) continue;
+    if (!agrees_with_others[i]) continue;
     tracks_[kept] = tracks_[i];
     states_[kept++] = states_[i];
   }
@@ -399,10 +398,7 @@ void FeatureTracker::add_corners(const std::shared_ptr<const BlurredView>& view,
   const int margin_px =
       std::max(options_.window_px / 2, std::min(options_.border_px, std::min(allowed.cols, allowed.rows) / 4));
   cv::rectangle(allowed, {0, 0}, {allowed.cols - 1, allowed.rows - 1}, cv::Scalar(0), 2 * margin_px);
-  std::vector<cv::Point2f> corners;
-  cv::goodFeaturesToTrack(luminance, corners, missing, kCornerQuality, options_.min_distance_px, allowed,
-                          kCornerBlockPx);
-  for (const cv::Point2f& corner : corners) {
+  for (const cv::Point2f& corner : new_corners(luminance, allowed, missing, options_.min_distance_px)) {
     const Eigen::Vector3d ray = camera.ray(to_eigen(corner));
     if (!ray.allFinite()) continue;
     Track track;

@@ -82,6 +82,60 @@ TEST_P(AlignmentLoopsTest, SampleWithTheWeightsOfBothFractions) {
   }
 }
 
+TEST_P(AlignmentLoopsTest, DifferentiateAnyWidth) {
+  // Of a quadratic surface Scharr's derivatives are exact.
+  const auto value = [](int x, int y) { return static_cast<float>(0.5 * x * x - 0.25 * x * y + y * y + 3 * x - y); };
+  for (int width = 1; width <= 70; ++width) {
+    const int height = 1 + width % 5, stride = width + kPatchRoom, read_stride = width + 2 + kPatchRoom;
+    std::vector<float> patch = random_patch(width + 2, height + 2, false), along_x(random_patch(width, height, false)),
+                       along_y(along_x);
+    const std::vector<float> before = along_x;
+    for (int y = -1; y <= height; ++y) {
+      for (int x = -1; x <= width; ++x) patch[static_cast<std::size_t>((y + 1) * read_stride + x + 1)] = value(x, y);
+    }
+    loops_->differentiate(patch.data() + read_stride + 1, read_stride, along_x.data(), along_y.data(), stride, width,
+                          height);
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x) {
+        const auto i = static_cast<std::size_t>(y * stride + x);
+        ASSERT_NEAR(along_x[i], x - 0.25 * y + 3, 1e-3) << width << ": " << x << ", " << y;
+        ASSERT_NEAR(along_y[i], -0.25 * x + 2 * y - 1, 1e-3) << width << ": " << x << ", " << y;
+      }
+      const auto end = static_cast<std::size_t>(y * stride + width);
+      ASSERT_TRUE(along_x[end] == before[end] || along_x[end] == 0) << "written, and not 0";
+    }
+  }
+}
+
+TEST_P(AlignmentLoopsTest, MultiplyByDerivativesOfAnyWidth) {
+  // Of cubic surfaces five-point differences are exact.
+  const auto value = [](double x, double y) { return 1e-3 * x * x * x + 0.02 * x * y - 1e-2 * y * y * y + x; };
+  for (int width = 1; width <= 70; ++width) {
+    const int height = 1 + width % 5, stride = width + kPatchRoom, read_stride = width + 4 + kPatchRoom;
+    const std::vector<float> a = random_patch(width, height, true), b = random_patch(width, height, true);
+    std::vector<float> patch = random_patch(width + 4, height + 4, false);
+    for (int y = -2; y < height + 2; ++y) {
+      for (int x = -2; x < width + 2; ++x) {
+        patch[static_cast<std::size_t>((y + 2) * read_stride + x + 2)] = static_cast<float>(value(x - 30, y));
+      }
+    }
+    std::array<float, 3> sums;
+    loops_->multiply_by_derivatives(a.data(), b.data(), stride, patch.data() + 2 * read_stride + 2, read_stride, width,
+                                    height, sums.data());
+    std::array<double, 3> expected{};
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x) {
+        const auto i = static_cast<std::size_t>(y * stride + x);
+        const double along_x = 3e-3 * (x - 30) * (x - 30) + 0.02 * y + 1, along_y = 0.02 * (x - 30) - 3e-2 * y * y;
+        expected[0] += a[i] * along_x;
+        expected[1] += a[i] * along_y + b[i] * along_x;
+        expected[2] += b[i] * along_y;
+      }
+    }
+    for (std::size_t k = 0; k < 3; ++k) ASSERT_NEAR(sums[k], expected[k], 2e-3) << width;
+  }
+}
+
 TEST_P(AlignmentLoopsTest, SumProductsOfAnyWidth) {
   for (int width = 1; width <= 70; ++width) {
     const int height = 1 + width % 5, stride = width + kPatchRoom;
@@ -90,7 +144,7 @@ TEST_P(AlignmentLoopsTest, SumProductsOfAnyWidth) {
                              e = random_patch(width, height, true);
     const std::array<const float*, 3> factors{c.data(), d.data(), e.data()};
     std::array<float, 3> projected, multiplied;
-    loops_->project(a.data(), factors.data(), stride, width, height, projected.data());
+    loops_->project(a.data(), stride, factors.data(), stride, width, height, projected.data());
     loops_->multiply_gradients(a.data(), b.data(), c.data(), d.data(), stride, width, height, multiplied.data());
     std::array<double, 3> of_projection{}, of_gradients{};
     for (int y = 0; y < height; ++y) {

@@ -95,11 +95,12 @@ class BlurAlignmentTest : public testing::Test {
     return result;
   }
   Comparison compare(double noise = 0, bool knows_paths = true) {
-    return compare(exposed(texture_.seen_by(first_, kSize, kContrast), noise, 11),
-                   exposed(texture_.seen_by(second_, kSize, kContrast), noise, 12), noise, knows_paths);
+    return compare(exposed(texture_.seen_by(first_, kSize, contrast_), noise, 11),
+                   exposed(texture_.seen_by(second_, kSize, contrast_), noise, 12), noise, knows_paths);
   }
 
   static constexpr double kContrast = 40;
+  double contrast_ = kContrast;
   SinusoidTexture texture_{300, 5};
   View first_, second_{some_map(), {-12.3, 20.6}};
   BlurAligner aligner_;
@@ -165,6 +166,23 @@ TEST_F(BlurAlignmentTest, CovarianceAndExpectedResidualAreThoseOfTheErrors) {
       EXPECT_LT(result.mahalanobis, 2.8);
       EXPECT_NEAR(result.residual_ratio, 1, 0.1);
     }
+  }
+}
+
+TEST_F(BlurAlignmentTest, NoiseIsNotTakenForContrast) {
+  contrast_ = 6;
+  for (const double extent_px : {0.0, 6.0}) {
+    first_.path_px = straight_path(extent_px, 0.5);
+    second_.path_px = straight_path(1.2 * extent_px, 1.0);
+    const Comparison result = compare(4);
+    std::printf("contrast 6, noise 4, %2.0f px: %3d found, size of error (%.3f, %.3f) px, e^T C^-1 e %.2f, gain %.2f\n",
+                extent_px, result.found, result.mean_size_px.x(), result.mean_size_px.y(), result.mahalanobis,
+                result.gain);
+    EXPECT_GE(result.found, 95);
+    EXPECT_NEAR(result.gain, 1, 0.1);
+    EXPECT_LT(result.mean_size_px.maxCoeff(), extent_px > 0 ? 0.3 : 0.12);
+    EXPECT_GT(result.mahalanobis, 1.2);
+    EXPECT_LT(result.mahalanobis, 2.8);
   }
 }
 

@@ -1,6 +1,7 @@
 #include "gyro_deblur/feature_tracker.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <map>
 #include <set>
 #include <string>
@@ -201,6 +202,25 @@ TEST_F(FeatureTrackerTest, AnObjectThatMovesOnItsOwnIsAnOutlier) {
   }
   EXPECT_LT(2 * kept, on_patch.size());
   EXPECT_GT(others, 15u);
+}
+
+TEST_F(FeatureTrackerTest, CornersStartInTextureAndNotInNoise) {
+  // On the left noise alone, on the right faint waves of 12 px.
+  cv::Mat image(240, 320, CV_8UC1);
+  cv::RNG rng(9);
+  for (int y = 0; y < image.rows; ++y) {
+    for (int x = 0; x < image.cols; ++x) {
+      const double wave = x < 160 ? 0 : 4 * std::sin(CV_PI / 6 * x) * std::sin(CV_PI / 6 * y);
+      image.at<uchar>(y, x) = cv::saturate_cast<uchar>(100 + wave + rng.gaussian(4));
+    }
+  }
+  options_.max_tracks = 40;
+  FeatureTracker tracker(options_);
+  const std::vector<Track>& tracks = tracker.track(image, simulator_.camera(), motion_, simulator_.exposure(0));
+  ASSERT_EQ(tracks.size(), 40u);
+  const auto in_noise =
+      std::count_if(tracks.begin(), tracks.end(), [](const Track& t) { return t.pixel_px.x() < 150; });
+  EXPECT_LE(in_noise, 4);
 }
 
 TEST_F(FeatureTrackerTest, StartsAnewWhenTimeGoesBackOrLeapsAndNeverUsesAnIdTwice) {
