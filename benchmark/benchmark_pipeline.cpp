@@ -1,11 +1,14 @@
 // Stages of the pipeline, and cv::ORB on the same frame for comparison. Arguments: width, height, mean extent, threads.
 
+#include <algorithm>
+
 #include <benchmark/benchmark.h>
 #include <opencv2/features2d.hpp>
 #include <opencv2/imgproc.hpp>
 
 #include "features/residual_flow.hpp"
 #include "gyro_deblur/blur_validation.hpp"
+#include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/image_rectification.hpp"
 #include "pipeline_scene.hpp"
 
@@ -65,6 +68,46 @@ void motion_from_images(::benchmark::State& state) {
   state.counters["corners"] = static_cast<double>(flow.samples().size());
 }
 
+/// What an image adds to the processing where feature_tracks are wanted.
+/// @param knows_residuals  whether the blur field has residual velocities, as optical flow gives them
+void feature_tracks(::benchmark::State& state, bool knows_residuals) {
+  constexpr int kFrames = 5;
+  cv::setNumThreads(static_cast<int>(state.range(3)));
+  const PipelineSequence sequence =
+      make_pipeline_sequence({static_cast<int>(state.range(0)), static_cast<int>(state.range(1))},
+                             static_cast<double>(state.range(2)), kFrames);
+  const Camera camera(sequence.scene.calibration);
+  FrameBlur field =
+      BlurFieldEstimator(camera, pipeline_options(1).blur_field).estimate(*sequence.scene.motion, sequence.exposure(0));
+  field.noise = 1;
+  if (knows_residuals) {
+    for (BlockBlur& block : field.blocks) block.residual.emplace();
+  }
+  FeatureTracker tracker{TrackerOptions{}};
+  tracker.set_threads(static_cast<int>(state.range(3)));
+  std::size_t frame = 0;
+  double corners = 0, followed = 0;
+  const auto track = [&]() -> const std::vector<Track>& {
+    return tracker.track(sequence.frames[frame], camera, *sequence.scene.motion, sequence.exposure(frame), &field);
+  };
+  for (auto _ : state) {
+    if (frame == 0 || ++frame == sequence.frames.size()) {
+      state.PauseTiming();
+      frame = 0;
+      tracker.reset();
+      track();
+      frame = 1;
+      state.ResumeTiming();
+    }
+    const std::vector<Track>& tracks = track();
+    corners += static_cast<double>(tracks.size());
+    followed += static_cast<double>(
+        std::count_if(tracks.begin(), tracks.end(), [](const Track& each) { return each.length > 1; }));
+  }
+  state.counters["corners"] = corners / static_cast<double>(state.iterations());
+  state.counters["followed"] = followed / static_cast<double>(state.iterations());
+}
+
 void global_shutter(::benchmark::State& state) {
   const PipelineScene scene = scene_of(state);
   const Camera camera(scene.calibration);
@@ -111,6 +154,8 @@ void scenes(::benchmark::internal::Benchmark* entry) {
 BENCHMARK(blur_field)->Apply(scenes);
 BENCHMARK(motion_from_images)->Apply(scenes);
 BENCHMARK(validation)->Apply(scenes);
+BENCHMARK_CAPTURE(feature_tracks, by_residuals, true)->Apply(scenes);
+BENCHMARK_CAPTURE(feature_tracks, by_rotation, false)->Apply(scenes);
 BENCHMARK(global_shutter)->Apply(scenes);
 BENCHMARK_CAPTURE(whole_frame, image, PipelineRequest{true, false})->Apply(scenes);
 BENCHMARK_CAPTURE(whole_frame, image_and_orb, PipelineRequest{true, true})->Apply(scenes);

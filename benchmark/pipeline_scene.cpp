@@ -1,5 +1,9 @@
 #include "pipeline_scene.hpp"
 
+#include <cstdint>
+
+#include <opencv2/imgproc.hpp>
+
 #include "analytic_motion.hpp"
 #include "roll_scene.hpp"
 #include "scene.hpp"
@@ -7,8 +11,14 @@
 
 namespace gyro_deblur::benchmark {
 
+namespace {
+
+constexpr TimeNs kExposureNs = 10'000'000, kStampNs = 1'000'000'000;
+
+}  // namespace
+
 PipelineScene make_pipeline_scene(cv::Size size, double mean_extent_px) {
-  constexpr TimeNs kExposureNs = 10'000'000, kStampNs = 1'000'000'000, kGyroPeriodNs = 5'000'000;
+  constexpr TimeNs kGyroPeriodNs = 5'000'000;
   const test::Roll roll = test::Roll::about_center(size.width, size.height, mean_extent_px);
 
   PipelineScene scene;
@@ -33,6 +43,25 @@ PipelineScene make_pipeline_scene(cv::Size size, double mean_extent_px) {
   timing.exposure_ns = kExposureNs;
   scene.exposure = std::make_unique<RowExposure>(kStampNs, size.height, timing);
   return scene;
+}
+
+RowExposure PipelineSequence::exposure(std::size_t frame) const {
+  return RowExposure(kStampNs + static_cast<TimeNs>(frame) * kFramePeriodNs, scene.frame.rows,
+                     scene.exposure->timing());
+}
+
+PipelineSequence make_pipeline_sequence(cv::Size size, double mean_extent_px, int frames) {
+  PipelineSequence sequence{make_pipeline_scene(size, mean_extent_px), {}};
+  const test::Roll roll = test::Roll::about_center(size.width, size.height, mean_extent_px);
+  const cv::Mat sharp = extend(natural_images().front(), size);
+  for (int i = 0; i < frames; ++i) {
+    const double turn_rad = roll.turn_rad * i * to_seconds(kFramePeriodNs) / to_seconds(kExposureNs);
+    const cv::Mat map = cv::getRotationMatrix2D(cv::Point2f(roll.pivot_px), turn_rad * 180 / CV_PI, 1);
+    cv::Mat turned;
+    cv::warpAffine(sharp, turned, map, size, cv::INTER_CUBIC, cv::BORDER_REFLECT_101);
+    sequence.frames.push_back(test::expose(roll.blur(turned), 1, static_cast<std::uint64_t>(i) + 1));
+  }
+  return sequence;
 }
 
 PipelineOptions pipeline_options(int threads) {

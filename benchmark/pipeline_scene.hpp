@@ -2,6 +2,7 @@
 #pragma once
 
 #include <memory>
+#include <vector>
 
 #include <opencv2/core.hpp>
 
@@ -18,6 +19,19 @@ struct PipelineScene {
 };
 
 PipelineScene make_pipeline_scene(cv::Size size, double mean_extent_px);
+
+/// The same, and what it sees kFramePeriodNs later each time.
+struct PipelineSequence {
+  PipelineScene scene;
+  std::vector<cv::Mat> frames;
+  RowExposure exposure(std::size_t frame) const;
+};
+
+/// As fast as an exposure of half the period allows.
+constexpr TimeNs kFramePeriodNs = 20'000'000;
+
+/// @param frames  [1, 5]: the scene's motion is known for so long
+PipelineSequence make_pipeline_sequence(cv::Size size, double mean_extent_px, int frames);
 
 /// Options of the scene's pipeline: defaults, but blur of any extent is deblurred, without motion from images, and ORB
 /// with 1000 features.
