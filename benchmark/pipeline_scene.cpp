@@ -55,7 +55,7 @@ PipelineSequence make_pipeline_sequence(cv::Size size, double mean_extent_px, in
   const test::Roll roll = test::Roll::about_center(size.width, size.height, mean_extent_px);
   const cv::Mat sharp = extend(natural_images().front(), size);
   for (int i = 0; i < frames; ++i) {
-    const double turn_rad = roll.turn_rad * i * to_seconds(kFramePeriodNs) / to_seconds(kExposureNs);
+    const double turn_rad = -roll.turn_rad * i * to_seconds(kFramePeriodNs) / to_seconds(kExposureNs);
     const cv::Mat map = cv::getRotationMatrix2D(cv::Point2f(roll.pivot_px), turn_rad * 180 / CV_PI, 1);
     cv::Mat turned;
     cv::warpAffine(sharp, turned, map, size, cv::INTER_CUBIC, cv::BORDER_REFLECT_101);

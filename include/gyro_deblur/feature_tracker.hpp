@@ -35,6 +35,8 @@ struct Track {
 constexpr TimeNs kLongestTrackBreakNs = 1'000'000'000;
 
 class BlurredView;
+class TrackSearch;
+struct TrackState;
 
 /// Follows corners through the raw images of one camera. Not thread-safe.
 ///
@@ -83,18 +85,8 @@ class FeatureTracker {
                                         const RowExposure& exposure, const FrameBlur* field = nullptr);
 
  private:
-  struct State;      // of a track
-  struct Candidate;  // for it in a new image
-  struct Searcher;   // finds candidates
-
-  /// @param pyramid  set to that of `view` where it was needed
-  void follow(const std::shared_ptr<const BlurredView>& view, const Camera& camera, const CameraMotion& motion,
-              std::vector<cv::Mat>* pyramid);
-  std::vector<Candidate> search(const BlurredView& view, const Camera& camera, const CameraMotion& motion,
-                                std::vector<cv::Mat>* pyramid);
-  /// Again, with what the corners that were found say of the motion around each, and takes the tracks there.
-  void refine(const BlurredView& view, const Camera& camera, const CameraMotion& motion,
-              std::vector<Candidate>* candidates);
+  void follow(const std::shared_ptr<const BlurredView>& view, const Camera& camera,
+              const CameraMotion& motion_of_camera);
   /// Drops those that do not agree with the epipolar geometry of the others.
   void check_geometry(const Camera& camera, const std::vector<Eigen::Vector3d>& turned_rays);
   void add_corners(const std::shared_ptr<const BlurredView>& view, const Camera& camera, const CameraMotion& motion);
@@ -104,10 +96,9 @@ class FeatureTracker {
   cv::Mat with_used_window_;  // where corners may start; empty: everywhere, or not worked out yet
   std::int32_t next_id_ = 0;
   std::vector<Track> tracks_;
-  std::vector<State> states_;                // of tracks_
-  std::unique_ptr<Searcher> searcher_;       // with its buffers
+  std::vector<TrackState> states_;           // of tracks_
+  std::unique_ptr<TrackSearch> search_;      // with its buffers
   std::shared_ptr<const BlurredView> view_;  // the newest image
-  std::vector<cv::Mat> pyramid_;             // of it; empty: not made yet
   CameraCalibration calibration_;
 };
 

@@ -62,14 +62,13 @@ BlurredView::Residual BlurredView::residual_at(const Eigen::Vector2d& pixel_px) 
   return mean;
 }
 
-BlurredPoint BlurredView::point_at(const Eigen::Vector2d& place_px, const Camera& camera,
+BlurredPoint BlurredView::point_at(const Eigen::Vector2d& place_px, const Eigen::Vector3d& ray, const Camera& camera,
                                    const CameraMotion& motion) const {
   BlurredPoint point{place_px, still_path(), noise_};
   const TimeNs start_ns = exposure_.start(place_px.y()), middle_ns = exposure_.middle(place_px.y()),
                end_ns = exposure_.end(place_px.y());
   const Residual residual = residual_at(place_px);
   const bool knows_rotation = motion.covers({start_ns, end_ns});
-  const Eigen::Vector3d ray = knows_rotation ? camera.ray(place_px) : Eigen::Vector3d::UnitZ();
   for (int k = 0; k < kPathInstants; ++k) {
     const TimeNs instant_ns = start_ns + (end_ns - start_ns) * k / (kPathInstants - 1);
     Eigen::Vector2d at_px = to_seconds(instant_ns - middle_ns) * residual.velocity_px_s;
@@ -80,12 +79,12 @@ BlurredPoint BlurredView::point_at(const Eigen::Vector2d& place_px, const Camera
   return point;
 }
 
-PredictedPoint predict_point(const Eigen::Vector2d& place_px, const BlurredView& from, const BlurredView& to,
-                             const Camera& camera, const CameraMotion& motion) {
+PredictedPoint predict_point(const Eigen::Vector2d& place_px, const NearbyRays& rays, const BlurredView& from,
+                             const BlurredView& to, const CameraMotion& motion) {
   bool by_residual = true;
   const auto predict = [&](const Eigen::Vector2d& at_px) -> Eigen::Vector2d {
     const Eigen::Vector2d turned_px =
-        predicted_pixel(at_px, camera, motion, from.exposure(), to.exposure()).value_or(at_px);
+        predicted_pixel(at_px, rays.ray(at_px), rays.camera(), motion, from.exposure(), to.exposure()).value_or(at_px);
     const BlurredView::Residual before = from.residual_at(at_px), now = to.residual_at(turned_px);
     by_residual = by_residual && (before.is_known || now.is_known);
     const double both = (before.is_known ? 1 : 0) + (now.is_known ? 1 : 0);

@@ -7,6 +7,7 @@
 #include <opencv2/core.hpp>
 
 #include "features/blur_alignment.hpp"
+#include "features/nearby_rays.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
@@ -33,7 +34,12 @@ class BlurredView {
 
   /// A point that is at `place_px` at the middle of its row's exposure, with its path by rotation and residual
   /// velocity. What is not known of the motion counts as none.
-  BlurredPoint point_at(const Eigen::Vector2d& place_px, const Camera& camera, const CameraMotion& motion) const;
+  /// @param ray  direction of the place
+  BlurredPoint point_at(const Eigen::Vector2d& place_px, const Eigen::Vector3d& ray, const Camera& camera,
+                        const CameraMotion& motion) const;
+  BlurredPoint point_at(const Eigen::Vector2d& place_px, const Camera& camera, const CameraMotion& motion) const {
+    return point_at(place_px, camera.ray(place_px), camera, motion);
+  }
 
  private:
   cv::Mat luminance_;
@@ -52,7 +58,12 @@ struct PredictedPoint {
 
 /// By the rotation between the instants at which the two images show the point, and the mean of both images' residual
 /// velocities times the time between. What is not known counts as none.
-PredictedPoint predict_point(const Eigen::Vector2d& place_px, const BlurredView& from, const BlurredView& to,
-                             const Camera& camera, const CameraMotion& motion);
+/// @param rays  around the place
+PredictedPoint predict_point(const Eigen::Vector2d& place_px, const NearbyRays& rays, const BlurredView& from,
+                             const BlurredView& to, const CameraMotion& motion);
+inline PredictedPoint predict_point(const Eigen::Vector2d& place_px, const BlurredView& from, const BlurredView& to,
+                                    const Camera& camera, const CameraMotion& motion) {
+  return predict_point(place_px, NearbyRays(camera, place_px), from, to, motion);
+}
 
 }  // namespace gyro_deblur

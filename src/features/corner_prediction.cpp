@@ -6,8 +6,13 @@ namespace gyro_deblur {
 
 std::optional<Eigen::Vector3d> turned_ray(const Eigen::Vector2d& pixel_px, const Camera& camera,
                                           const CameraMotion& motion, TimeNs from_ns, TimeNs to_ns) {
+  return turned_ray(camera.ray(pixel_px), motion, from_ns, to_ns);
+}
+
+std::optional<Eigen::Vector3d> turned_ray(const Eigen::Vector3d& ray, const CameraMotion& motion, TimeNs from_ns,
+                                          TimeNs to_ns) {
   if (!motion.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) return std::nullopt;
-  return motion.rotation(from_ns, to_ns) * camera.ray(pixel_px);
+  return motion.rotation(from_ns, to_ns) * ray;
 }
 
 namespace {
@@ -30,8 +35,13 @@ std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, 
 std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
                                                const CameraMotion& motion, const RowExposure& from,
                                                const RowExposure& to) {
+  return predicted_pixel(pixel_px, camera.ray(pixel_px), camera, motion, from, to);
+}
+
+std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Eigen::Vector3d& ray,
+                                               const Camera& camera, const CameraMotion& motion,
+                                               const RowExposure& from, const RowExposure& to) {
   const double last_row = camera.calibration().height_px - 1.0;
-  const Eigen::Vector3d ray = camera.ray(pixel_px);  // undistorting takes most of the time
   const TimeNs from_ns = from.middle(pixel_px.y());
   Eigen::Vector2d at_px = pixel_px;
   // The row decides when it is seen, and that decides the row.

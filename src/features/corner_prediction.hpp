@@ -16,6 +16,10 @@ namespace gyro_deblur {
 std::optional<Eigen::Vector3d> turned_ray(const Eigen::Vector2d& pixel_px, const Camera& camera,
                                           const CameraMotion& motion, TimeNs from_ns, TimeNs to_ns);
 
+/// The same of a direction.
+std::optional<Eigen::Vector3d> turned_ray(const Eigen::Vector3d& ray, const CameraMotion& motion, TimeNs from_ns,
+                                          TimeNs to_ns);
+
 /// Pixel, at `to_ns`, of what `pixel_px` shows in the image of `from`, whatever row it is in then.
 std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
                                                const CameraMotion& motion, const RowExposure& from, TimeNs to_ns);
@@ -24,6 +28,11 @@ std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, 
 std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
                                                const CameraMotion& motion, const RowExposure& from,
                                                const RowExposure& to);
+
+/// The same of a pixel whose direction is known.
+std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Eigen::Vector3d& ray,
+                                               const Camera& camera, const CameraMotion& motion,
+                                               const RowExposure& from, const RowExposure& to);
 
 /// Where what is at `pixel_px` in the middle of its row's exposure is on average within it, less `pixel_px`: a blurred
 /// corner is seen there. Nothing where the rotation is not known.

@@ -1,0 +1,256 @@
+#include "features/track_search.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include <Eigen/Dense>
+
+#include "base/parallel.hpp"
+#include "features/corner_following.hpp"
+#include "features/corner_prediction.hpp"
+#include "features/local_motion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// An alignment that is known better than this is worth no second one [px].
+constexpr double kClearPx = 0.15;
+
+double stddev_px(const Alignment& found) { return std::sqrt(found.covariance_px2.trace()); }
+
+/// Of what noise does not make: patches that no affine map takes to each other, and paths that are not exact.
+double model_variance_px2(const PlanePath& first_px, const PlanePath& second_px) {
+  constexpr double kFloorPx = 0.04, kShareOfExtent = 0.0045;  // fits, see doc/reports/tracks.md
+  const double extent_px = std::hypot(extent_of(first_px).norm(), extent_of(second_px).norm());
+  return std::pow(kFloorPx, 2) + std::pow(kShareOfExtent * extent_px, 2);
+}
+
+bool is_usable(const Alignment& found) {
+  // What is less certain helps no estimator, and may have been found by chance. Smaller limits end half of the tracks
+  // in low light (doc/reports/tracks.md).
+  constexpr double kMaxStddevPx = 1.4;
+  const Eigen::Matrix2d& c = found.covariance_px2;
+  const double largest = 0.5 * (c.trace() + std::hypot(c(0, 0) - c(1, 1), 2 * c(0, 1)));
+  return agrees(found) && largest < kMaxStddevPx * kMaxStddevPx;
+}
+
+/// Blurs that differ add the noise of what each lacks, and a second template helps. Of two short ones it does not.
+bool is_sharp(const TrackState& state) {
+  constexpr double kShortPx = 3;
+  return std::hypot(extent_of(state.point.path_px).norm(), extent_of(state.anchor.path_px).norm()) < kShortPx;
+}
+
+cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
+Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
+
+}  // namespace
+
+void TrackState::anchor_at(const std::shared_ptr<const BlurredView>& newest) {
+  anchor_covariance_px2 = covariance_px2();
+  since_anchor_px2.setZero();
+  anchor_map.setIdentity();
+  anchor_view = newest;
+  anchor = point;
+  anchor_age = 0;
+}
+
+/// The tools of one thread for one step.
+struct TrackSearch::Thread {
+  const TrackStep& step;
+  const RememberedMotion& motion;
+  BlurAligner& aligner;
+  int window_px;
+
+  BlurredPoint point_at(const Eigen::Vector2d& place_px, const NearbyRays& rays) const {
+    return step.now.point_at(place_px, rays.ray(place_px), step.camera, motion);
+  }
+
+  void predict(const TrackState& state, TrackCandidate* candidate) const {
+    const Eigen::Vector2d& place_px = state.point.place_px;
+    const NearbyRays rays(step.camera, place_px, state.ray);
+    candidate->predicted = predict_point(place_px, rays, step.before, step.now, motion);
+    candidate->predicted.map += step.seconds * state.unpredicted_slope_1_s;
+    const double row = candidate->predicted.place_px.y();
+    candidate->near_ray =
+        turned_ray(state.ray, motion, step.before.exposure().middle(place_px.y()), step.now.exposure().middle(row))
+            .value_or(state.ray);
+    candidate->near_ray /= candidate->near_ray.z();
+    candidate->near_px = step.camera.project(candidate->near_ray);
+  }
+
+  std::optional<Alignment> find(const BlurredView& from, const BlurredPoint& in_from, const Eigen::Vector2d& start_px,
+                                const Eigen::Matrix2d& map, TrackCandidate* candidate) const {
+    // Nearer than this the path is the same to a hundredth of its length.
+    constexpr double kSamePathPx = 3;
+    if (!((start_px - candidate->near_start.place_px).norm() < kSamePathPx)) {
+      candidate->near_start = point_at(start_px, NearbyRays(step.camera, candidate->near_px, candidate->near_ray));
+    }
+    BlurredPoint in_to = candidate->near_start;
+    in_to.place_px = start_px;
+    AlignmentOptions options;
+    options.window_px = window_px;
+    std::optional<Alignment> found =
+        aligner.align(from.luminance(), in_from, step.now.luminance(), in_to, map, options);
+    if (!found) return std::nullopt;
+    found->covariance_px2 += model_variance_px2(in_from.path_px, in_to.path_px) * Eigen::Matrix2d::Identity();
+    if (!is_usable(*found)) return std::nullopt;
+    return found;
+  }
+  std::optional<Alignment> find_from_anchor(const TrackState& state, const Eigen::Vector2d& start_px,
+                                            const Eigen::Matrix2d& map, TrackCandidate* candidate) const {
+    return find(*state.anchor_view, state.anchor, start_px, map, candidate);
+  }
+
+  /// By the older template alone where that is enough, or else by the image before.
+  void find(const TrackState& state, const Eigen::Vector2d& start_px, TrackCandidate* candidate) const {
+    candidate->by_anchor = false;
+    if (state.anchor_age > 0 && is_sharp(state)) {
+      candidate->found = find_from_anchor(state, start_px, candidate->predicted.map * state.anchor_map, candidate);
+      candidate->by_anchor = candidate->found && stddev_px(*candidate->found) < kClearPx;
+      if (candidate->by_anchor) return;
+    }
+    candidate->found = find(step.before, state.point, start_px, candidate->predicted.map, candidate);
+  }
+
+  /// Takes a track to where it was found.
+  void advance(TrackState* state, TrackCandidate* candidate) const {
+    const Eigen::Matrix2d& map = candidate->predicted.map;
+    state->anchor_map = map * state->anchor_map;
+    const Eigen::Matrix2d until_now_px2 = map * state->since_anchor_px2 * map.transpose();
+    state->since_anchor_px2 = candidate->found->covariance_px2;
+    if (!candidate->by_anchor) state->since_anchor_px2 += until_now_px2;
+    state->point.place_px = candidate->found->place_px;
+    ++state->anchor_age;
+    if (!candidate->by_anchor && state->anchor_age > 1) hold_down_drift(state, candidate);
+    const NearbyRays rays(step.camera, candidate->near_px, candidate->near_ray);
+    state->ray = rays.ray(state->point.place_px);
+    state->point = step.now.point_at(state->point.place_px, state->ray, step.camera, motion);
+  }
+
+  /// Improves what was found from the image before by the older template, where the two agree.
+  void hold_down_drift(TrackState* state, TrackCandidate* candidate) const {
+    const auto found = find_from_anchor(*state, state->point.place_px, state->anchor_map, candidate);
+    if (!found) return;
+    constexpr double kMaxMahalanobis = 13.8;  // of two degrees of freedom: 99.9 %
+    const Eigen::Vector2d difference_px = found->place_px - state->point.place_px;
+    const Eigen::Matrix2d sum_px2 = found->covariance_px2 + state->since_anchor_px2;
+    if (difference_px.dot(sum_px2.inverse() * difference_px) > kMaxMahalanobis) return;
+    const Eigen::Matrix2d share = state->since_anchor_px2 * sum_px2.inverse();
+    state->point.place_px += share * difference_px;
+    state->since_anchor_px2 = (Eigen::Matrix2d::Identity() - share) * state->since_anchor_px2;
+  }
+};
+
+void TrackSearch::set_options(const TrackerOptions& options) {
+  if (options.window_px != options_.window_px || options.levels != options_.levels) pyramid_.clear();
+  options_ = options;
+}
+
+template <typename Body>
+void TrackSearch::for_each(std::size_t count, const TrackStep& step, Body&& body) {
+  constexpr int kPointsAtATime = 4;
+  const int used = threads_or_all(threads_);
+  aligners_.resize(static_cast<std::size_t>(used));
+  const std::vector<RememberedMotion> motions(static_cast<std::size_t>(used), RememberedMotion(step.motion));
+  run_parallel(static_cast<int>(count), used, kPointsAtATime, [&](int i, int thread) {
+    const auto index = static_cast<std::size_t>(thread);
+    body(static_cast<std::size_t>(i), Thread{step, motions[index], aligners_[index], options_.window_px});
+  });
+}
+
+std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std::vector<TrackState>& states) {
+  std::vector<TrackCandidate> candidates(states.size());
+  std::vector<DisplacedPoint> of_last;  // what points moved by beside their predictions is much the same now
+  for (const TrackState& state : states) {
+    if (state.unpredicted_px_s) of_last.push_back({state.point.place_px, step.seconds * *state.unpredicted_px_s});
+  }
+  for_each(states.size(), step, [&](std::size_t i, const Thread& thread) {
+    TrackCandidate& candidate = candidates[i];
+    const TrackState& state = states[i];
+    thread.predict(state, &candidate);
+    candidate.near_start =
+        thread.point_at(candidate.predicted.place_px, NearbyRays(step.camera, candidate.near_px, candidate.near_ray));
+    Eigen::Vector2d start_px = candidate.predicted.place_px;
+    if (!candidate.predicted.by_residual) {
+      if (of_last.empty()) return;
+      start_px += state.unpredicted_px_s ? Eigen::Vector2d(step.seconds * *state.unpredicted_px_s)
+                                         : local_motion(of_last, state.point.place_px).displacement_px;
+    }
+    thread.find(state, start_px, &candidate);
+    // Otherwise it may have been found by chance: a search there and back decides.
+    constexpr double kSurePx = 0.5, kMaxSurprisePx = 2;
+    if (!candidate.predicted.by_residual && candidate.found &&
+        (stddev_px(*candidate.found) > kSurePx || (candidate.found->place_px - start_px).norm() > kMaxSurprisePx)) {
+      candidate.found.reset();
+    }
+  });
+  return candidates;
+}
+
+void TrackSearch::search_far(const TrackStep& step, const std::vector<TrackState>& states,
+                             std::vector<TrackCandidate>* candidates) {
+  std::vector<std::size_t> open;
+  std::vector<cv::Point2f> before, start;
+  for (std::size_t i = 0; i < states.size(); ++i) {
+    if ((*candidates)[i].found) continue;
+    open.push_back(i);
+    before.push_back(to_cv(states[i].point.place_px));
+    start.push_back(to_cv((*candidates)[i].predicted.place_px));
+  }
+  if (open.empty()) return;
+  if (pyramid_before_.empty()) {
+    pyramid_before_ = corner_pyramid(step.before.luminance(), options_.window_px, options_.levels);
+  }
+  pyramid_ = corner_pyramid(step.now.luminance(), options_.window_px, options_.levels);
+  const FollowedCorners corners = follow_there_and_back(
+      pyramid_before_, pyramid_, before, start,
+      {options_.window_px, options_.levels,
+       cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.05),  // a start: the alignment follows
+       options_.max_round_trip_px});
+  for_each(open.size(), step, [&](std::size_t k, const Thread& thread) {
+    TrackCandidate& candidate = (*candidates)[open[k]];
+    if (candidate.predicted.by_residual && !corners.found[k]) return;
+    const Eigen::Vector2d start_px = corners.found[k] ? to_eigen(corners.places[k]) : candidate.predicted.place_px;
+    thread.find(states[open[k]], start_px, &candidate);
+  });
+}
+
+void TrackSearch::refine(const TrackStep& step, std::vector<TrackCandidate>* candidates,
+                         std::vector<TrackState>* states) {
+  std::vector<DisplacedPoint> displaced;
+  for (std::size_t i = 0; i < candidates->size(); ++i) {
+    const TrackCandidate& candidate = (*candidates)[i];
+    if (!candidate.found) continue;
+    displaced.push_back({(*states)[i].point.place_px, candidate.found->place_px - candidate.predicted.place_px});
+  }
+  for_each(candidates->size(), step, [&](std::size_t i, const Thread& thread) {
+    TrackCandidate& candidate = (*candidates)[i];
+    TrackState& state = (*states)[i];
+    const LocalMotion local = local_motion(displaced, state.point.place_px);
+    // Where the map stays what it was, the patches do too: this moves the corner of a window by a fifth of a pixel.
+    constexpr double kLeastSlope = 0.02;
+    const Eigen::Matrix2d change = local.slope - step.seconds * state.unpredicted_slope_1_s;
+    candidate.predicted.map += change;
+    if (!candidate.found || change.norm() > kLeastSlope) {
+      thread.find(state,
+                  candidate.found ? candidate.found->place_px
+                                  : Eigen::Vector2d(candidate.predicted.place_px + local.displacement_px),
+                  &candidate);
+    }
+    if (!candidate.found) return;
+    state.unpredicted_slope_1_s = local.slope / step.seconds;
+    thread.advance(&state, &candidate);
+  });
+}
+
+std::vector<TrackCandidate> TrackSearch::follow(const TrackStep& step, std::vector<TrackState>* states) {
+  pyramid_before_ = std::move(pyramid_);
+  pyramid_.clear();
+  std::vector<TrackCandidate> candidates = search(step, *states);
+  search_far(step, *states, &candidates);
+  refine(step, &candidates, states);
+  return candidates;
+}
+
+}  // namespace gyro_deblur

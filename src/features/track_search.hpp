@@ -1,0 +1,97 @@
+// Where the points of one image are in the next: by the predicted motion, neighbours, and blur-aware alignment.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "features/blur_alignment.hpp"
+#include "features/blurred_view.hpp"
+#include "features/remembered_motion.hpp"
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/options.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+
+namespace gyro_deblur {
+
+/// What is known of a track in the newest image.
+struct TrackState {
+  BlurredPoint point;
+  Eigen::Vector3d ray;  ///< its direction, z = 1
+  /// The older template: where the point was in an image some back.
+  std::shared_ptr<const BlurredView> anchor_view;
+  BlurredPoint anchor;
+  int anchor_age = 0;  ///< [images]
+  /// What it moved by beside its prediction; nothing where a residual velocity predicted it, and at first.
+  std::optional<Eigen::Vector2d> unpredicted_px_s;
+  /// What the map of its motion changed by beside its prediction.
+  Eigen::Matrix2d unpredicted_slope_1_s = Eigen::Matrix2d::Zero();
+  Eigen::Matrix2d anchor_map = Eigen::Matrix2d::Identity();         ///< from there to the newest image
+  Eigen::Matrix2d anchor_covariance_px2 = Eigen::Matrix2d::Zero();  ///< there, against where the track began
+  Eigen::Matrix2d since_anchor_px2 = Eigen::Matrix2d::Zero();       ///< in the newest image, against the anchor
+
+  /// In the newest image, against where the track began.
+  Eigen::Matrix2d covariance_px2() const {
+    return anchor_map * anchor_covariance_px2 * anchor_map.transpose() + since_anchor_px2;
+  }
+  /// The newest image becomes that of the older template.
+  void anchor_at(const std::shared_ptr<const BlurredView>& newest);
+};
+
+/// One image to the next. Refers to what it was made of.
+struct TrackStep {
+  const BlurredView &before, &now;
+  const Camera& camera;
+  const CameraMotion& motion;
+  double seconds;  ///< > 0
+};
+
+/// A track in the new image.
+struct TrackCandidate {
+  PredictedPoint predicted;  ///< its map with the slope that the track had beside the last prediction
+  Eigen::Vector2d near_px;   ///< a place whose direction is known
+  Eigen::Vector3d near_ray;  ///< z = 1
+  BlurredPoint near_start;   ///< the path of a point about there
+  std::optional<Alignment> found;
+  bool by_anchor = false;  ///< found from the older template, which needs no other
+};
+
+/// Finds points, on several threads. Keeps its buffers. Not thread-safe.
+class TrackSearch {
+ public:
+  /// @param threads  >= 0; 0: one for each core
+  void set_threads(int threads) { threads_ = threads; }
+  void set_options(const TrackerOptions& options);
+  /// Forgets the image before.
+  void reset() { pyramid_.clear(); }
+
+  /// Takes the states of the points that are found to the new image.
+  /// @return one for each state
+  std::vector<TrackCandidate> follow(const TrackStep& step, std::vector<TrackState>* states);
+
+ private:
+  struct Thread;  // what each of them uses
+  /// Calls body(i, thread) for i < count.
+  template <typename Body>
+  void for_each(std::size_t count, const TrackStep& step, Body&& body);
+
+  /// Candidates with their predictions, found where these are good enough.
+  std::vector<TrackCandidate> search(const TrackStep& step, const std::vector<TrackState>& states);
+  /// By Lucas-Kanade over pyramids, those that were not found.
+  void search_far(const TrackStep& step, const std::vector<TrackState>& states,
+                  std::vector<TrackCandidate>* candidates);
+  /// Again, with what the points that were found say of the motion around each, and takes the states there.
+  void refine(const TrackStep& step, std::vector<TrackCandidate>* candidates, std::vector<TrackState>* states);
+
+  int threads_ = 1;
+  TrackerOptions options_;
+  std::vector<BlurAligner> aligners_;  // of the threads
+  std::vector<cv::Mat> pyramid_;       // of the newest image; empty: not made
+  std::vector<cv::Mat> pyramid_before_;
+};
+
+}  // namespace gyro_deblur
