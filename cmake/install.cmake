@@ -39,7 +39,7 @@ if(NOT GYRO_DEBLUR_ROS)
     DESTINATION ${config_folders} COMPONENT core)
 endif()
 
-foreach(tool calibrate_timing deblur_image evaluate_features make_bag simulate_bag)
+foreach(tool calibrate deblur_image evaluate_features make_bag simulate_bag)
   if(TARGET ${tool})
     install(TARGETS ${tool} RUNTIME DESTINATION ${program_folder})
     if(NOT GYRO_DEBLUR_ROS)
@@ -59,7 +59,7 @@ install(DIRECTORY config launch rviz workflow
   DESTINATION ${CATKIN_PACKAGE_SHARE_DESTINATION}
   USE_SOURCE_PERMISSIONS
   PATTERN __pycache__ EXCLUDE)
-catkin_install_python(PROGRAMS scripts/bag_transport.py scripts/play_through.py scripts/plot_timing.py scripts/report.py
+catkin_install_python(PROGRAMS scripts/bag_transport.py scripts/play_through.py scripts/plot_calibration.py scripts/report.py
   DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
 # What they import is installed beside them. The devel space has relays of the programs, so it has links to these.
 foreach(module bag_input.py missing_packages.py report_bags.py report_measures.py report_pictures.py report_tables.py)

@@ -100,7 +100,7 @@ attempt "launch files" "for file in ${prefix}/share/gyro_deblur/launch/*.launch;
   case \${file} in *playback* | *inspect* | *demo*) bag=bag:=/root/in.bag ;; *) bag= ;; esac
   roslaunch --files gyro_deblur \$(basename \${file}) \${bag}
 done; roslaunch --nodes gyro_deblur deblur.launch"
-attempt "tools" "for tool in calibrate_timing deblur_bag deblur_image make_bag simulate_bag; do
+attempt "tools" "for tool in calibrate deblur_bag deblur_image make_bag simulate_bag; do
   rosrun gyro_deblur \${tool} --help
 done"
 attempt "a script without its optional packages names one" \

@@ -30,9 +30,6 @@ constexpr double kLeastCorrelation = 0.7, kLeastAgreeing = 0.6;
 constexpr double kLeastScale = 0.6, kLargestScale = 1.6;
 /// About a second axis, root mean square: a twentieth of a degree a frame.
 constexpr double kLeastSecondRadS = 0.03;
-/// Half of what costs one to three percent of the matches.
-constexpr double kOffsetStddevS = 0.005, kRotationStddevRad = 2.5 / kDegrees, kBiasStddevRadS = 0.01,
-                 kReadoutStddevS = 0.0035;
 /// Of what the parts of one window have in common: exposures that jitter, tracking that pulls to one side.
 constexpr double kOffsetFloorS = 0.0005, kRotationFloorRad = 0.1 / kDegrees, kBiasFloorRadS = 0.001,
                  kReadoutFloorS = 0.0005, kReadoutFloorShare = 0.08;
@@ -217,9 +214,9 @@ void SelfCalibration::learn_alignment() {
   }
   const double offset_s = to_seconds(found->offset_ns);
   const double offset_stddev_s = std::hypot(found->offset_stddev_s, kOffsetFloorS);
-  if (offset_stddev_s > kOffsetStddevS) {
+  if (offset_stddev_s > UsefulStddev::kOffsetS) {
     return refuse(format("the time offset is known to %.0f ms, and %.0f ms are needed: turn the camera faster",
-                         1e3 * offset_stddev_s, 1e3 * kOffsetStddevS));
+                         1e3 * offset_stddev_s, 1e3 * UsefulStddev::kOffsetS));
   }
   take(offset_s, offset_stddev_s, turning_s, std::abs(offset_s - learned_.time_offset_s.value),
        &learned_.time_offset_s);
@@ -235,9 +232,9 @@ void SelfCalibration::learn_readout(const RateAlignment& found, double turning_s
                                turning_s, kLeastReadoutS),
                         &learned_.readout_s);
   }
-  if (stddev_s > kReadoutStddevS) {
+  if (stddev_s > UsefulStddev::kReadoutS) {
     return tell_missing(format("the readout time is known to %.0f ms, and %.0f ms are needed: turn the camera faster",
-                               1e3 * stddev_s, 1e3 * kReadoutStddevS),
+                               1e3 * stddev_s, 1e3 * UsefulStddev::kReadoutS),
                         &learned_.readout_s);
   }
   // A global shutter's is 0, and not nearly.
@@ -251,9 +248,9 @@ void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double
   if (found.second_rad_s < std::max(kLeastSecondRadS, found.spread_rad_s / 2)) {
     missing = format("the camera has turned about one axis only, %s: turn it about another one, too",
                      axis_name(found.main_axis));
-  } else if (rotation_stddev_rad > kRotationStddevRad) {
+  } else if (rotation_stddev_rad > UsefulStddev::kRotationRad) {
     missing = format("the rotation is known to %.1f degrees, and %.1f are needed: turn the camera about all axes",
-                     kDegrees * rotation_stddev_rad, kDegrees * kRotationStddevRad);
+                     kDegrees * rotation_stddev_rad, kDegrees * UsefulStddev::kRotationRad);
   }
   if (!missing.empty()) {
     tell_missing(missing, &learned_.R_cam_imu);
@@ -263,15 +260,15 @@ void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double
   take(found.R_cam_imu, rotation_stddev_rad, turning_s, angle_rad(found.R_cam_imu, learned_.R_cam_imu.value),
        &learned_.R_cam_imu);
   const double bias_stddev_rad_s = std::hypot(found.bias_stddev_rad_s, kBiasFloorRadS);
-  if (bias_stddev_rad_s > kBiasStddevRadS) {
+  if (bias_stddev_rad_s > UsefulStddev::kBiasRadS) {
     tell_missing(format("the bias is known to %.3f rad/s, and %.3f are needed: let the camera stand still",
-                        bias_stddev_rad_s, kBiasStddevRadS),
+                        bias_stddev_rad_s, UsefulStddev::kBiasRadS),
                  &learned_.bias_rad_s);
     return;
   }
   // At rest it is known better, but it drifts, and a slow pan passes for rest.
   const double change_rad_s = (found.bias_rad_s - learned_.bias_rad_s.value).norm();
-  if (bias_of_rest_ && change_rad_s < std::max(2 * kBiasStddevRadS, 4 * bias_stddev_rad_s)) return;
+  if (bias_of_rest_ && change_rad_s < std::max(2 * UsefulStddev::kBiasRadS, 4 * bias_stddev_rad_s)) return;
   bias_of_rest_ = false;
   take(found.bias_rad_s, bias_stddev_rad_s, turning_s, change_rad_s, &learned_.bias_rad_s);
 }

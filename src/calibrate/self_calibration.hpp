@@ -1,6 +1,7 @@
 // Rotation, time offset, readout time and gyroscope bias, learned while the camera is in use.
 #pragma once
 
+#include <cmath>
 #include <deque>
 #include <optional>
 #include <string>
@@ -31,6 +32,11 @@ struct Learned {
   double seconds = 0;     ///< of motion, or rest, behind it
   bool known = false;     ///< sure enough to be used
   std::string missing{};  ///< where it is not known: why not, and what would help
+};
+
+/// Largest standard deviations of a value that is of use, half of what costs one to three percent of the matches.
+struct UsefulStddev {
+  static constexpr double kOffsetS = 0.005, kRotationRad = 2.5 * M_PI / 180, kBiasRadS = 0.01, kReadoutS = 0.0035;
 };
 
 /// What has been learned so far.

@@ -38,7 +38,7 @@ std::vector<WindowPoints> select_points(const Camera& camera, const std::vector<
   if (selected.size() < kMinPairs) {
     throw TimingError(std::to_string(selected.size()) + " of " + std::to_string(windows.size()) +
                       " pairs of frames have " + std::to_string(kMinPointsOfPair) + " tracked points or more; " +
-                      std::to_string(kMinPairs) + " are needed");
+                      std::to_string(kMinPairs) + " are needed: record for longer, of a scene with corners");
   }
   return selected;
 }
@@ -69,7 +69,7 @@ void keep_covered(const TimingModel& model, const TimingOptions& options, const 
   windows->erase(std::remove_if(windows->begin(), windows->end(), is_open), windows->end());
   if (windows->size() < kMinPairs) {
     throw TimingError("gyroscope samples cover " + std::to_string(windows->size()) + " pairs of frames; " +
-                      std::to_string(kMinPairs) + " are needed");
+                      std::to_string(kMinPairs) + " are needed: record images and IMU together, for longer");
   }
 }
 

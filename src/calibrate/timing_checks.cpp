@@ -1,5 +1,6 @@
 #include "calibrate/timing_checks.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 
@@ -31,6 +32,16 @@ std::string stabilised(const TimingEstimate& estimate, const TimingOptions& opti
          (options.R_cam_imu ? ", or let --estimate-rotation find another R_cam_imu" : "");
 }
 
+/// A camera at rest.
+std::string motionless(const TimingEstimate& estimate) {
+  constexpr double kLeastPx = 1;
+  if (estimate.median_without_px >= kLeastPx) return {};
+  return text_of(
+      "the images hardly move: corners move by %.2f px within three frames in the median, %g px are needed; turn the "
+      "camera about all axes",
+      estimate.median_without_px, kLeastPx);
+}
+
 std::string at_search_limit(const TimingEstimate& estimate, const TimingOptions& options) {
   // Of the search by correlation; the estimation moves on by some.
   constexpr double kMarginS = 2e-3;
@@ -42,14 +53,52 @@ std::string at_search_limit(const TimingEstimate& estimate, const TimingOptions&
       estimate.time_offset_s.value, search_s, center_s);
 }
 
+std::string loose_offset(const TimingEstimate& estimate) {
+  const double stddev_s = estimate.time_offset_s.stddev;
+  if (stddev_s <= UsefulStddev::kOffsetS) return {};
+  return text_of(
+      "time_offset has a standard deviation of %.0f ms, %g at most are of use: turn the camera faster, and for longer",
+      1e3 * stddev_s, 1e3 * UsefulStddev::kOffsetS);
+}
+
+std::string contradicted_offset(const TimingEstimate& estimate, const LearnedCalibration& coarse) {
+  constexpr double kForgivenS = 0.02, kSignificance = 4;
+  const Learned<double>& other = coarse.time_offset_s;
+  const double off_s = std::abs(estimate.time_offset_s.value - other.value);
+  if (!other.known || off_s < std::max(kForgivenS, kSignificance * other.stddev)) return {};
+  return text_of(
+      "time_offset = %.4f s by the angular speeds, %.4f s by the angular rates about all axes: the motion repeats "
+      "itself; turn the camera irregularly",
+      estimate.time_offset_s.value, other.value);
+}
+
 std::string loose_rotation(const TimingEstimate& estimate) {
-  constexpr double kDegPerRad = 180 / M_PI, kLoosestDeg = 5;
-  const double stddev_deg = estimate.rotation_stddev_rad.maxCoeff() * kDegPerRad;
-  if (stddev_deg <= kLoosestDeg) return {};
+  constexpr double kDegPerRad = 180 / M_PI;
+  const double stddev_rad = estimate.rotation_stddev_rad.maxCoeff();
+  if (stddev_rad <= UsefulStddev::kRotationRad) return {};
   return text_of(
       "R_cam_imu has a standard deviation of %.1f degrees, %g at most are of use: turn the camera about all axes, or "
       "give R_cam_imu",
-      stddev_deg, kLoosestDeg);
+      kDegPerRad * stddev_rad, kDegPerRad * UsefulStddev::kRotationRad);
+}
+
+std::string loose_readout(const TimingEstimate& estimate) {
+  const double stddev_s = estimate.readout_s.stddev;
+  if (stddev_s <= UsefulStddev::kReadoutS) return {};
+  return text_of(
+      "readout_time has a standard deviation of %.0f ms, %g at most are of use: turn the camera faster, or give it in "
+      "--config with --fixed-readout",
+      1e3 * stddev_s, 1e3 * UsefulStddev::kReadoutS);
+}
+
+std::string loose_bias(const TimingEstimate& estimate) {
+  double stddev_rad_s = 0;
+  for (const Estimate& axis : estimate.bias_rad_s) stddev_rad_s = std::max(stddev_rad_s, axis.stddev);
+  if (stddev_rad_s <= UsefulStddev::kBiasRadS) return {};
+  return text_of(
+      "gyro_bias has a standard deviation of %.3f rad/s, %g at most are of use: let the camera stand still and call "
+      "~estimate_gyro_bias, or record for longer",
+      stddev_rad_s, UsefulStddev::kBiasRadS);
 }
 
 std::string impossible_readout(const TimingEstimate& estimate, const FramePeriod& period) {
@@ -63,12 +112,38 @@ std::string impossible_readout(const TimingEstimate& estimate, const FramePeriod
 
 }  // namespace
 
-std::vector<std::string> timing_objections(const TimingEstimate& estimate, const TimingOptions& options,
-                                           const FramePeriod& period) {
-  std::vector<std::string> objections;
-  for (const std::string& text : {stabilised(estimate, options), at_search_limit(estimate, options),
-                                  impossible_readout(estimate, period), loose_rotation(estimate)}) {
-    if (!text.empty()) objections.push_back(text);
+LearnedCalibration coarse_calibration(const std::vector<ImageRate>& rates, const std::vector<GyroSample>& samples,
+                                      TimeNs time_offset_ns, TimeNs search_ns) {
+  SelfCalibrationOptions options;
+  options.expected_offset_ns = time_offset_ns;
+  constexpr TimeNs kShortestSearchNs = 100'000'000;
+  options.search_ns = std::max(search_ns, kShortestSearchNs);
+  SelfCalibration calibration(options);
+  auto next = samples.begin();
+  for (const ImageRate& rate : rates) {
+    const TimeNs until_ns = rate.end_ns + time_offset_ns + 2 * options.search_ns;
+    for (; next != samples.end() && next->t_ns <= until_ns; ++next) calibration.add_sample(*next);
+    calibration.add_rate(rate);
+    if (calibration.is_due()) calibration.update();
+  }
+  calibration.update();
+  return calibration.learned();
+}
+
+std::vector<TimingObjection> timing_objections(const TimingEstimate& estimate, const TimingOptions& options,
+                                               const FramePeriod& period, const LearnedCalibration& coarse) {
+  std::vector<TimingObjection> objections;
+  const std::string still = motionless(estimate);
+  for (const TimingObjection& objection :
+       {TimingObjection{"", still.empty() ? stabilised(estimate, options) : still, true},
+        TimingObjection{"time_offset", at_search_limit(estimate, options), true},
+        TimingObjection{"time_offset", loose_offset(estimate), true},
+        TimingObjection{"time_offset", contradicted_offset(estimate, coarse), true},
+        TimingObjection{"readout_time", impossible_readout(estimate, period), true},
+        TimingObjection{"readout_time", loose_readout(estimate), false},
+        TimingObjection{"gyro_bias", loose_bias(estimate), false},
+        TimingObjection{"R_cam_imu", loose_rotation(estimate), true}}) {
+    if (!objection.text.empty()) objections.push_back(objection);
   }
   return objections;
 }

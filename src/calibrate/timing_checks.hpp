@@ -4,17 +4,35 @@
 #include <string>
 #include <vector>
 
+#include "calibrate/self_calibration.hpp"
 #include "calibrate/timing_calibration.hpp"
 #include "gyro_deblur/exposure.hpp"
 
 namespace gyro_deblur {
 
-/// Why the estimate should not be used, with the values, what is allowed, and the remedy; empty: nothing speaks against
-/// it. Refused are images that do not move as the gyroscope turned (stabilised ones), an offset at the limit of the
-/// search, a readout longer than the frame period, and a rotation that is hardly determined.
+/// Why a value should not be used.
+struct TimingObjection {
+  std::string key;                  ///< time_offset, readout_time, gyro_bias or R_cam_imu; empty: any of them
+  std::string text;                 ///< values, what is allowed, remedy
+  bool speaks_against_all = false;  ///< where this value is wrong, the others are not to be believed
+};
+
+/// Empty: nothing speaks against the estimate. All values are doubted with images that do not move, or not as the
+/// gyroscope turned (stabilised ones), an offset at the limit of the search, one that is hardly determined or that
+/// another way of finding it contradicts, a readout longer than the frame period, and a rotation that is hardly
+/// determined.
 /// @param options  that the estimate was made with
 /// @param period   of the images
-std::vector<std::string> timing_objections(const TimingEstimate& estimate, const TimingOptions& options,
-                                           const FramePeriod& period);
+/// @param coarse   the same values from the rates of images and gyroscope
+std::vector<TimingObjection> timing_objections(const TimingEstimate& estimate, const TimingOptions& options,
+                                               const FramePeriod& period, const LearnedCalibration& coarse);
+
+/// The values from rates of images and gyroscope, as they are found while the camera is in use, and what is missing to
+/// know them.
+/// @param rates    in the order of time
+/// @param samples  strictly increasing
+/// Throws OptionError for a search that is not allowed.
+LearnedCalibration coarse_calibration(const std::vector<ImageRate>& rates, const std::vector<GyroSample>& samples,
+                                      TimeNs time_offset_ns, TimeNs search_ns);
 
 }  // namespace gyro_deblur

@@ -55,7 +55,7 @@ void ClockCheck::report(const Config& config) const {
   std::snprintf(text, sizeof(text),
                 "the stamps of images and IMU do not overlap: the newest image is of %.3f s, the newest IMU sample of "
                 "%.3f s, so that images are %.3f s %s with time_offset = %.6g s. Where their clocks differ, begin with "
-                "time_offset: %.3f and let calibrate_timing refine it; where the %s, raise %s",
+                "time_offset: %.3f and let calibrate refine it; where the %s, raise %s",
                 to_seconds(*newest_image_ns_), to_seconds(*newest_imu_ns_), std::abs(ahead_s),
                 ahead_s > 0 ? "ahead" : "behind", to_seconds(config.gyro.time_offset_ns), to_seconds(offset_ns),
                 ahead_s > 0 ? "IMU comes late" : "images come late",

@@ -58,9 +58,9 @@ std::vector<GyroSample> read_gyro(const rosbag::Bag& bag, const std::string& top
 }
 
 /// Camera of the images, and the part of the sensor's readout that they take.
-void read_camera(const rosbag::Bag& bag, const sensor_msgs::Image& image, const FootageTopics& topics,
-                 const Config& config, Footage* footage) {
-  const int width = static_cast<int>(image.width), height = static_cast<int>(image.height);
+void read_camera(const rosbag::Bag& bag, const cv::Size& size, const FootageTopics& topics, const Config& config,
+                 Footage* footage) {
+  const int width = size.width, height = size.height;
   const bool from_file = config.calibration && config.calibration->camera && !config.rectified_input;
   sensor_msgs::CameraInfo info;
   if (from_file) info = camera_info_message(*config.calibration->camera);
@@ -83,10 +83,11 @@ void read_camera(const rosbag::Bag& bag, const sensor_msgs::Image& image, const 
 /// Follows points from image to image.
 class PairCollector {
  public:
+  /// The footage has its camera by the first image.
   PairCollector(const std::map<TimeNs, Exposure>& exposures, const Config& config, const FrameTrackerOptions& tracker,
                 Footage* footage)
       : exposures_(exposures),
-        configured_exposure_ns_(config.shutter.exposure_ns),
+        shutter_(config.shutter),
         bit_depth_(config.pipeline.significant_bits),
         tracker_(tracker),
         footage_(footage) {}
@@ -98,7 +99,9 @@ class PairCollector {
     constexpr TimeNs kLongestStep = 250'000'000;
     if (last_ns_ && (now.stamp_ns <= *last_ns_ || now.stamp_ns - *last_ns_ > kLongestStep)) tracker_.cut();
     const int bits = bit_depth_.of(pixels.image, pixels.layout);
-    tracker_.add(now, luminance8(pixels.image, pixels.layout, bits));
+    const cv::Mat luminance = luminance8(pixels.image, pixels.layout, bits);
+    tracker_.add(now, luminance);
+    add_rate(now, luminance);
     last_ns_ = now.stamp_ns;
     footage_->period.add(now.stamp_ns);
     ++footage_->frames;
@@ -110,17 +113,32 @@ class PairCollector {
  private:
   TimeNs exposure_of(TimeNs stamp_ns) {
     const auto exposure = exposures_.find(stamp_ns);
-    if (exposure == exposures_.end()) return configured_exposure_ns_;
+    if (exposure == exposures_.end()) return shutter_.exposure_ns;
     if (!exposure->second.readout_time.isZero()) {
       footage_->message_readout_ns = exposure->second.readout_time.toNSec();
     }
-    return exposure->second.exposure_time.toNSec();
+    const TimeNs exposure_ns = exposure->second.exposure_time.toNSec();
+    if (exposure_ns > 0) footage_->message_exposures_ns[stamp_ns] = exposure_ns;
+    return exposure_ns;
+  }
+
+  void add_rate(const FrameTime& now, const cv::Mat& luminance) {
+    if (!camera_) camera_.emplace(footage_->camera);
+    ShutterTiming middle = shutter_;
+    middle.stamp_phase = StampPhase::MIDDLE;
+    middle.exposure_ns = 1;  // any: times are those of the middle
+    const TimeNs middle_ns = now.stamp_ns + middle_after_stamp_ns(shutter_.stamp_phase, now.exposure_ns);
+    if (const auto rate = rates_.add(luminance, *camera_, RowExposure(middle_ns, luminance.rows, middle))) {
+      footage_->rates.push_back(*rate);
+    }
   }
 
   const std::map<TimeNs, Exposure>& exposures_;
-  TimeNs configured_exposure_ns_;
+  ShutterTiming shutter_;
   BitDepth bit_depth_;
   FrameTracker tracker_;
+  ImageRateTracker rates_;
+  std::optional<Camera> camera_;
   std::optional<TimeNs> last_ns_;
   Footage* footage_;
 };
@@ -172,6 +190,32 @@ std::optional<OffsetStart> start_of_distant_clocks(const Footage& footage, TimeN
   return start;
 }
 
+void for_each_picture(const InputBag& input, const FootageTopics& topics, const FootageOptions& options,
+                      const std::string& what, const std::function<void(const FootagePicture&)>& use) {
+  const rosbag::Bag& bag = input.bag();
+  rosbag::View whole(bag);
+  const ros::Time begin = whole.getBeginTime() + ros::Duration(options.start_s);
+  const ros::Time end = options.end_s ? whole.getBeginTime() + ros::Duration(*options.end_s) : ros::TIME_MAX;
+  rosbag::View view(bag, rosbag::TopicQuery(topics.image.name), begin, end);
+  Progress progress(view.size(), what, options.quiet);
+  PictureTracker pictures;
+  std::size_t done = 0;
+  for (const rosbag::MessageInstance& instance : view) {
+    const sensor_msgs::ImageConstPtr image = read_image(instance, topics.image.compressed);
+    if (!image) continue;
+    FootagePicture picture{to_time_ns(image->header.stamp), to_time_ns(instance.getTime()), image->header.frame_id,
+                           view_image(*image)};
+    // Between a picture and itself nothing moves, whatever the gyroscope says.
+    if (!pictures.add(image, picture.stamp_ns).is_new) continue;
+    use(picture);
+    progress.done(++done);
+  }
+}
+
+TimeNs middle_after_stamp_ns(StampPhase phase, TimeNs exposure_ns) {
+  return phase == StampPhase::START ? exposure_ns / 2 : phase == StampPhase::END ? -exposure_ns / 2 : 0;
+}
+
 Footage read_footage(const InputBag& input, const FootageTopics& topics, const FootageOptions& options,
                      const Config& config) {
   const rosbag::Bag& bag = input.bag();
@@ -180,34 +224,22 @@ Footage read_footage(const InputBag& input, const FootageTopics& topics, const F
   footage.samples = read_gyro(bag, topics.imu, &imu_frame, &footage.imu_delay_ns);
   const std::map<TimeNs, Exposure> exposures = read_exposures(bag, topics.exposure);
 
-  rosbag::View whole(bag);
-  const ros::Time begin = whole.getBeginTime() + ros::Duration(options.start_s);
-  const ros::Time end = options.end_s ? whole.getBeginTime() + ros::Duration(*options.end_s) : ros::TIME_MAX;
-  rosbag::View view(bag, rosbag::TopicQuery(topics.image.name), begin, end);
-  Progress progress(view.size(), "images", options.quiet);
   FrameTrackerOptions tracker;
   tracker.max_points = options.points;
-  PictureTracker pictures;
   PairCollector collector(exposures, config, tracker, &footage);
   std::vector<TimeNs> delays_ns;
-  for (const rosbag::MessageInstance& instance : view) {
-    const sensor_msgs::ImageConstPtr image = read_image(instance, topics.image.compressed);
-    if (!image) continue;
-    const ImageView pixels = view_image(*image);
-    // Between a picture and itself nothing moves, whatever the gyroscope says.
-    if (!pictures.add(image, to_time_ns(image->header.stamp)).is_new) continue;
+  for_each_picture(input, topics, options, "images", [&](const FootagePicture& picture) {
     if (footage.frames == 0) {
-      read_camera(bag, *image, topics, config, &footage);
-      camera_frame = image->header.frame_id;
+      read_camera(bag, picture.pixels.image.size(), topics, config, &footage);
+      camera_frame = picture.frame_id;
     }
-    const TimeNs stamp_ns = to_time_ns(image->header.stamp);
-    collector.add(stamp_ns, pixels);
-    delays_ns.push_back(to_time_ns(instance.getTime()) - stamp_ns);
+    const TimeNs stamp_ns = picture.stamp_ns;
+    collector.add(stamp_ns, picture.pixels);
+    delays_ns.push_back(picture.recorded_ns - stamp_ns);
     footage.images = footage.frames == 1 ? TimeRange{stamp_ns, stamp_ns}
                                          : TimeRange{std::min(footage.images.begin_ns, stamp_ns),
                                                      std::max(footage.images.end_ns, stamp_ns)};
-    progress.done(footage.frames);
-  }
+  });
   collector.finish();
   if (footage.frames == 0) throw std::runtime_error("no image on " + topics.image.name);
   footage.image_delay_ns = median(std::move(delays_ns));

@@ -2,16 +2,20 @@
 #pragma once
 
 #include <cstddef>
+#include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include <Eigen/Core>
 
+#include "calibrate/image_rate.hpp"
 #include "calibrate/timing_calibration.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/exposure.hpp"
+#include "ros/image_conversion.hpp"
 #include "tools/bag_file.hpp"
 #include "tools/image_topics.hpp"
 
@@ -39,12 +43,14 @@ struct Footage {
   CameraCalibration camera;
   double readout_part = 1;  ///< of the sensor's readout that the image's region of interest takes
   std::vector<TrackWindow> windows;
+  std::vector<ImageRate> rates;  ///< from picture to picture, coarser than the windows
   std::vector<GyroSample> samples;
   std::optional<Eigen::Matrix3d> R_cam_imu;  ///< of tf
   std::size_t frames = 0;                    ///< that show a new picture
   std::size_t without_exposure = 0;
-  TimeRange images;           ///< first to last stamp
-  TimeNs image_delay_ns = 0;  ///< median time from a stamp to the recording of its message
+  std::map<TimeNs, TimeNs> message_exposures_ns;  ///< by the images' stamps; > 0
+  TimeRange images;                               ///< first to last stamp
+  TimeNs image_delay_ns = 0;                      ///< median time from a stamp to the recording of its message
   TimeNs imu_delay_ns = 0;
   std::optional<TimeNs> message_readout_ns;  ///< of exposure messages
   FramePeriod period;
@@ -65,6 +71,22 @@ std::optional<OffsetStart> start_of_distant_clocks(const Footage& footage, TimeN
 /// @param named  what the user named; the empty ones are looked for
 /// Throws std::runtime_error that lists the bag's topics.
 FootageTopics choose_topics(const InputBag& input, const NamedFootage& named, const Config& config);
+
+/// An image that shows a new picture.
+struct FootagePicture {
+  TimeNs stamp_ns = 0, recorded_ns = 0;
+  std::string frame_id;
+  ImageView pixels;
+};
+
+/// In the order of the bag, with a bar. @param what  is done, for the bar
+/// Throws std::runtime_error for messages that cannot be read, FrameError for an image that cannot be used.
+void for_each_picture(const InputBag& input, const FootageTopics& topics, const FootageOptions& options,
+                      const std::string& what, const std::function<void(const FootagePicture&)>& use);
+
+/// From the stamp of a frame to the middle of the exposure of the row that it refers to; 0 for an exposure of 0, which
+/// is not known.
+TimeNs middle_after_stamp_ns(StampPhase phase, TimeNs exposure_ns);
 
 /// Throws std::runtime_error for messages that cannot be read and bags without images, OptionError for a camera that is
 /// not calibrated, FrameError for an image that cannot be used.

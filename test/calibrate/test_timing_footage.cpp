@@ -99,7 +99,7 @@ TEST(TimingFootage, MeetsTheLimits) {
     constexpr int kFrames = 60;
     sim::Simulator simulator(scene_of(c, kFrames));
     FrameTrackerOptions tracking;
-    tracking.max_points = 100;  // as calibrate_timing
+    tracking.max_points = 100;  // as calibrate
     FrameTracker tracker(tracking);
     for (int i = 0; i < kFrames; ++i) {
       const sim::Frame frame = simulator.frame(i);

@@ -15,7 +15,7 @@ import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 BUILD = pathlib.Path(sys.argv.pop())
-TOOLS = ("calibrate_timing", "deblur_bag", "deblur_image", "deblur_node", "make_bag", "simulate_bag")
+TOOLS = ("calibrate", "deblur_bag", "deblur_image", "deblur_node", "make_bag", "simulate_bag")
 LIBRARIES = ("libgyro_deblur_core.so", "libgyro_deblur_nodelet.so", "libgyro_deblur_ros.so")
 
 

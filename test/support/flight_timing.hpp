@@ -69,7 +69,7 @@ struct FlightTiming {
 inline FlightTiming calibrate_flight(const FlightCase& c, const std::string& folder) {
   sim::Simulator simulator(flight_scene(c, folder));
   FrameTrackerOptions options;
-  options.max_points = 100;  // as calibrate_timing
+  options.max_points = 100;  // as calibrate
   FrameTracker tracker(options);
   for (int i = 0; i < simulator.frames(); ++i) {
     const sim::Frame frame = simulator.frame(i);

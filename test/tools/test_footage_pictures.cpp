@@ -1,4 +1,4 @@
-// What calibrate_timing reads of a camera that sends pictures again.
+// What calibrate reads of a camera that sends pictures again.
 #include <cstdlib>
 #include <filesystem>
 #include <stdexcept>

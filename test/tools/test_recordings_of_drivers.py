@@ -196,10 +196,10 @@ class WhichImages(DriverBags):
 
     def test_timing_chooses_alike(self):
         self.write({"/camera/left": image, "/camera/right/compressed": compressed}, frames=2)
-        self.refused(self.run_tool("calibrate_timing", self.input), "several topics of images", "/camera/left",
+        self.refused(self.run_tool("calibrate", self.input), "several topics of images", "/camera/left",
                      "/camera/right/compressed")
         self.write({"/camera/color/compressed": compressed, "/camera/depth": lambda i, t: image(i, t, "16UC1")})
-        result = self.run_tool("calibrate_timing", self.input, "--quiet")
+        result = self.run_tool("calibrate", self.input, "--quiet")
         self.assertIn("pairs of frames", result.stdout)  # read, and of course not enough for an estimate
         self.assertNotIn("topic", result.stdout)
 
@@ -300,7 +300,7 @@ class Stages(DriverBags):
 class NoBags(DriverBags):
     def tools(self):
         yield lambda path: self.run_tool("deblur_bag", path, self.output, "--config", self.folder / "config.yaml")
-        yield lambda path: self.run_tool("calibrate_timing", path)
+        yield lambda path: self.run_tool("calibrate", path)
 
     def expect(self, path, *parts):
         for run in self.tools():
@@ -336,12 +336,12 @@ class NoBags(DriverBags):
 
 class CommonOptions(unittest.TestCase):
     def test_every_tool_has_them(self):
-        for tool in ("deblur_bag", "deblur_image", "make_bag", "simulate_bag", "calibrate_timing"):
+        for tool in ("deblur_bag", "deblur_image", "make_bag", "simulate_bag", "calibrate"):
             text = subprocess.run([str(TOOLS / tool), "--help"], stdout=subprocess.PIPE, universal_newlines=True,
                                   check=True).stdout
             for option in ("--json", "--quiet"):
                 self.assertIn(option, text, tool)
-            if tool in ("deblur_bag", "make_bag", "calibrate_timing"):
+            if tool in ("deblur_bag", "make_bag", "calibrate"):
                 for option in ("--camera-ns", "--image-topic", "--imu-topic"):
                     self.assertIn(option, text, tool)
 

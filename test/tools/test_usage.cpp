@@ -54,7 +54,7 @@ const Tool kTools[] = {
     {DEBLUR_BAG, {"/nowhere/in", "/nowhere/out", "--config", "/nowhere/config"}},
     {MAKE_BAG, {"/nowhere/out", "/nowhere/in", "--format", "euroc"}},
     {SIMULATE_BAG, {"/nowhere/out", "--scene", "/nowhere/in"}},
-    {CALIBRATE_TIMING, {"/nowhere/in"}},
+    {CALIBRATE, {"/nowhere/in"}},
 #endif
 };
 

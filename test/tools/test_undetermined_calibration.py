@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""calibrate_timing on footage that does not determine the answer, all simulated.
+"""calibrate on footage that does not determine the answer, all simulated.
 
-Usage: test_undetermined_timing.py FOLDER_OF_THE_TOOLS
+Usage: test_undetermined_calibration.py FOLDER_OF_THE_TOOLS
 """
+import json
 import pathlib
 import re
 import subprocess
@@ -17,7 +18,7 @@ import yaml
 TOOLS = pathlib.Path(sys.argv[1])
 TRUE_OFFSET_S, TRUE_READOUT_S = 0.123, 0.025
 SCENE = """
-frames: 40
+frames: %d
 lead_time: 0.7
 camera: {size: [376, 240], intrinsics: [229.4, 228.7, 183.6, 124.2], distortion_model: plumb_bob,
          distortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002], fps: 20, exposure_time: [0.008, 0.012],
@@ -36,7 +37,7 @@ PAN = [((3, 8, 2), 0.35, 30)]
 LEFT_OF_SHAKE = 0.3  # by the stabilisation of a camera
 
 
-class UndeterminedTiming(unittest.TestCase):
+class UndeterminedCalibration(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         folder = tempfile.TemporaryDirectory()
@@ -45,9 +46,10 @@ class UndeterminedTiming(unittest.TestCase):
         cls.good = cls.simulate("good", 1)
 
     @classmethod
-    def simulate(cls, name, shake, readout_s=TRUE_READOUT_S):
-        scene = SCENE % (readout_s, TRUE_OFFSET_S)
-        for amplitudes, frequency, phase in [([shake * a for a in s[0]], *s[1:]) for s in SHAKE] + PAN:
+    def simulate(cls, name, shake, readout_s=TRUE_READOUT_S, pan=1, only_axis=None, frames=40):
+        scene = SCENE % (frames, readout_s, TRUE_OFFSET_S)
+        for factor, (amplitudes, frequency, phase) in [(shake, s) for s in SHAKE] + [(pan, s) for s in PAN]:
+            amplitudes = [factor * a if only_axis in (None, i) else 0 for i, a in enumerate(amplitudes)]
             scene += "      - {amplitude: [%g, %g, %g], frequency: %g, phase: %g}\n" % (*amplitudes, frequency, phase)
         (cls.folder / (name + ".yaml")).write_text(scene, encoding="utf-8")
         path = cls.folder / (name + ".bag")
@@ -70,9 +72,14 @@ class UndeterminedTiming(unittest.TestCase):
         self.output = self.folder / "out.yaml"
         if self.output.exists():
             self.output.unlink()
-        return subprocess.run([str(TOOLS / "calibrate_timing"), str(path), "--output", str(self.output), "--quiet",
+        self.json = self.folder / "out.json"
+        return subprocess.run([str(TOOLS / "calibrate"), str(path), "--output", str(self.output), "--json",
+                               str(self.json), "--quiet",
                                *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True,
                               timeout=300)
+
+    def verdicts(self):
+        return {v["key"]: v for v in json.loads(self.json.read_text(encoding="utf-8"))["verdicts"]}
 
     def refused(self, path, *parts, arguments=()):
         result = self.calibrate(path, *arguments)
@@ -148,6 +155,21 @@ class UndeterminedTiming(unittest.TestCase):
 
     def test_no_offset_is_found(self):
         self.refused(self.shifted(-3 * 3600, still=True), "do not overlap", "do not agree at any offset")
+        for key, verdict in self.verdicts().items():
+            if key != "exposure_time":  # of messages
+                self.assertEqual(verdict["state"], "not determined", key)
+
+    def test_camera_at_rest(self):
+        self.refused(self.simulate("rest", 0, pan=0.1), "the images hardly move", "turn the camera about all axes")
+        self.assertEqual(self.verdicts()["time_offset"]["state"], "not determined")
+        self.refused(self.simulate("still", 0, pan=0, frames=50), "do not agree at any offset")
+        for key in ("time_offset", "readout_time", "R_cam_imu"):
+            self.assertRegex(self.verdicts()[key]["text"], r"turned faster than 0\.1 rad/s for \d\.\d of the 2 s", key)
+
+    def test_a_turn_about_one_axis_leaves_the_rotation_open(self):
+        path = self.simulate("one_axis", 1, only_axis=1, frames=50)
+        self.refused(path, "the recording turns about one axis only", arguments=["--estimate-rotation"])
+        self.assertIn("about one axis only, left and right (about y)", self.verdicts()["R_cam_imu"]["text"])
 
 
 if __name__ == "__main__":

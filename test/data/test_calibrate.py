@@ -1,7 +1,7 @@
 #!/usr/bin/python3
-"""calibrate_timing as a program, on simulated bags with known truth.
+"""calibrate as a program, on simulated bags with known truth.
 
-Usage: test_calibrate_timing.py TOOL_DIR PLOT_SCRIPT
+Usage: test_calibrate.py TOOL_DIR PLOT_SCRIPT
 """
 import json
 import os
@@ -36,14 +36,33 @@ motion:
 R_CAM_IMU = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 
 
-class CalibrateTiming(unittest.TestCase):
+# Blur of 9 px and more in most images, of an exposure that no message tells.
+BLURRED_SCENE = SCENE.replace("exposure_time: [0.008, 0.012]", "exposure_time: 0.02").replace(
+    "[4, 7, 2]", "[8, 14, 4]").replace("[-3, 2, 5]", "[-6, 4, 10]")
+EXPOSURE_S = 0.02
+
+
+class Calibrate(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.folder = tempfile.TemporaryDirectory()
+        cls.simulate("in.bag", SCENE)
+
+    @classmethod
+    def simulate(cls, name, scene):
         with open(cls.path("scene.yaml"), "w") as file:
-            file.write(SCENE)
-        subprocess.run([os.path.join(TOOL_DIR, "simulate_bag"), cls.path("in.bag"), "--scene", cls.path("scene.yaml"),
+            file.write(scene)
+        subprocess.run([os.path.join(TOOL_DIR, "simulate_bag"), cls.path(name), "--scene", cls.path("scene.yaml"),
                         "--no-truth", "--quiet"], check=True, stdout=subprocess.DEVNULL)
+
+    @classmethod
+    def images_and_samples(cls, name, scene):
+        """Simulates a bag without messages of exposure and tf."""
+        cls.simulate("all.bag", scene)
+        with rosbag.Bag(cls.path("all.bag")) as source, rosbag.Bag(cls.path(name), "w") as target:
+            for topic, message, time in source.read_messages():
+                if topic not in ("/camera/exposure", "/tf_static"):
+                    target.write(topic, message, time)
 
     @classmethod
     def tearDownClass(cls):
@@ -54,7 +73,7 @@ class CalibrateTiming(unittest.TestCase):
         return os.path.join(cls.folder.name, name)
 
     def calibrate(self, *arguments, bag="in.bag"):
-        return subprocess.run([os.path.join(TOOL_DIR, "calibrate_timing"), self.path(bag), "--output",
+        return subprocess.run([os.path.join(TOOL_DIR, "calibrate"), self.path(bag), "--output",
                                self.path("out.yaml"), "--json", self.path("out.json"), "--quiet"] + list(arguments),
                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True)
 
@@ -82,12 +101,57 @@ class CalibrateTiming(unittest.TestCase):
         # The simulated exposure messages bring their own readout time, which the user has to know.
         self.assertIn("readout time of 0.025000 s of their own", result.stderr)
 
+    def verdict(self, key):
+        with open(self.path("out.json")) as file:
+            return {v["key"]: v for v in json.load(file)["verdicts"]}[key]
+
+    def test_everything_from_images_and_samples(self):
+        self.images_and_samples("blurred.bag", BLURRED_SCENE)
+        result = self.calibrate(bag="blurred.bag")
+        self.assertEqual(result.returncode, 0, result.stderr)
+        keys, report = self.results()
+        self.check(keys)
+        self.assertAlmostEqual(keys["exposure_time"], EXPOSURE_S, delta=0.03 * EXPOSURE_S)
+        self.assertEqual(keys["stamp_phase"], "start")
+        R = np.reshape(keys["R_cam_imu"], (3, 3))
+        self.assertLess(np.degrees(np.arccos((np.trace(R.T @ R_CAM_IMU) - 1) / 2)), 0.5)
+        self.assertEqual([v["state"] for v in report["verdicts"]], 5 * ["known"])
+        self.assertRegex(self.verdict("exposure_time")["text"], r"known to [12]\.\d %, by the blur of \d+ of 50 images")
+        # The zeros of the spectrum are where the path puts them.
+        power = {round(p["waves"], 2): p["log_power"] for p in report["exposure"]["spectrum"]}
+        self.assertLess(power[1.05], power[1.35] - 0.5)
+        # The images hold against exposure_time, unless it is to be kept.
+        for more, exposure_s in (("", EXPOSURE_S), ("on_exposure_conflict: configured\n", 0.03)):
+            with open(self.path("wrong.yaml"), "w") as file:
+                file.write("exposure_time: 0.03\n" + more)
+            result = self.calibrate("--config", self.path("wrong.yaml"), bag="blurred.bag")
+            self.assertEqual(result.returncode, 0, result.stderr)
+            keys, _ = self.results()
+            self.assertAlmostEqual(keys["exposure_time"], exposure_s, delta=0.03 * EXPOSURE_S)
+        self.assertRegex(self.verdict("exposure_time")["text"], r"blur is 0\.6\d times \(\+- 1 %\) what exposure_time says")
+
+    def test_an_exposure_that_sharp_images_do_not_tell(self):
+        self.images_and_samples("sharp.bag", SCENE.replace("exposure_time: [0.008, 0.012]", "exposure_time: 0.002"))
+        result = self.calibrate(bag="sharp.bag")
+        self.assertEqual(result.returncode, 0, result.stderr)
+        keys, _ = self.results()
+        self.assertNotIn("exposure_time", keys)
+        # Half of it is in the offset.
+        self.assertAlmostEqual(keys["time_offset"], 0.123 + 0.001, delta=0.0005)
+        self.assertEqual(keys["stamp_phase"], "middle")
+        self.assertEqual(self.verdict("exposure_time")["state"], "not determined")
+        self.assertIn("Turn the camera faster, or set exposure_time", self.verdict("exposure_time")["text"])
+        with open(self.path("out.yaml")) as file:
+            self.assertIn("# exposure_time is not here: 0 of 50 images tell it", file.read())
+
     def test_with_the_rotation_of_tf(self):
         self.assertEqual(self.calibrate().returncode, 0)
         keys, report = self.results()
         self.check(keys)
         self.assertNotIn("R_cam_imu", keys)
         self.assertEqual(report["rotation_from"], "tf")
+        self.assertEqual(self.verdict("R_cam_imu")["state"], "given")
+        self.assertIn("the exposure message", self.verdict("exposure_time")["text"])
 
     def test_the_written_file_deblurs(self):
         self.assertEqual(self.calibrate().returncode, 0)
@@ -139,7 +203,7 @@ class CalibrateTiming(unittest.TestCase):
         self.assertEqual(keys["gyro_bias"], [0.01, -0.02, 0.03])
         self.assertEqual(report["rotation_from"], "as configured")
         self.assertAlmostEqual(keys["time_offset"], 0.123, delta=0.002)
-        # What calibrate_timing does not estimate is handed on, and what it does holds against the file.
+        # What calibrate does not estimate is handed on, and what it does holds against the file.
         self.assertEqual(keys["gamma"], 0.02)
         self.assertEqual(keys["calibration_file"], self.path("extrinsic.yaml"))
         self.assertEqual(keys["on_calibration_conflict"], "configured")

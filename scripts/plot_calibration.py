@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draws what calibrate_timing --json wrote: the angular rates of image and gyroscope, and what its values leave over.
+"""Draws what calibrate --json wrote: the angular rates of image and gyroscope, and what its values leave over.
 
 Top: the camera's rates about its three axes by the image and by the gyroscope, with the estimated offset, bias and
 rotation; the curves must lie on each other. Bottom left: distance of the tracked points from their prediction, before
@@ -85,7 +85,7 @@ def draw(report):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("report", help="JSON by calibrate_timing")
+    parser.add_argument("report", help="JSON by calibrate")
     parser.add_argument("picture", help="PNG to write")
     arguments = parser.parse_args()
     report = read_json(arguments.report)

@@ -1,0 +1,194 @@
+#include "tools/calibration_verdicts.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "gyro_deblur/calibration.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+constexpr double kDegPerRad = 180 / M_PI;
+
+template <typename... Values>
+std::string text_of(const char* format, Values... values) {
+  char text[500];
+  std::snprintf(text, sizeof(text), format, values...);
+  return text;
+}
+
+/// Why a value of the timing is not determined; empty: it is.
+std::string reason_against(const FootageCalibration& found, const std::string& key, const std::string& missing) {
+  if (!found.timing) return found.timing_error + (missing.empty() ? "" : ". Seen so far: " + missing);
+  for (const TimingObjection& objection : found.objections) {
+    if (objection.key.empty() || objection.key == key) return objection.text;
+  }
+  for (const TimingObjection& objection : found.objections) {
+    if (objection.speaks_against_all) return objection.key + " is wrong, and this with it";
+  }
+  return {};
+}
+
+std::string by_footage(const FootageCalibration& found) {
+  return text_of(", by %zu points in %zu frames", found.timing->points, found.timing->pairs);
+}
+
+Verdict of_time_offset(const FootageCalibration& found) {
+  Verdict verdict{"time_offset", {}, VerdictState::OPEN, {}};
+  if (found.timing) {
+    const Estimate& offset = found.timing->time_offset_s;
+    verdict.value = text_of("%+.6f +- %.6f s", offset.value, offset.stddev);
+  }
+  verdict.text = reason_against(found, verdict.key, found.coarse.time_offset_s.missing);
+  if (!verdict.text.empty()) return verdict;
+  verdict.state = VerdictState::KNOWN;
+  verdict.text = text_of("known to %.2f ms", 1e3 * found.timing->time_offset_s.stddev) + by_footage(found);
+  if (found.offset_has_exposure) {
+    verdict.text += ". Half of the exposure time, which is not known, is in it: it holds with stamp_phase: middle";
+  }
+  return verdict;
+}
+
+Verdict of_readout(const FootageCalibration& found) {
+  Verdict verdict{"readout_time", {}, VerdictState::OPEN, {}};
+  if (found.timing) {
+    verdict.value = text_of("%+.6f +- %.6f s", found.sensor_readout_s.value, found.sensor_readout_s.stddev);
+  }
+  verdict.text = reason_against(found, verdict.key, found.coarse.readout_s.missing);
+  if (!verdict.text.empty()) return verdict;
+  const double stddev_s = found.sensor_readout_s.stddev;
+  if (stddev_s == 0) return {verdict.key, verdict.value, VerdictState::GIVEN, "as given"};
+  verdict.state = VerdictState::KNOWN;
+  verdict.text = text_of("known to %.2f ms", 1e3 * stddev_s);
+  constexpr double kSignificance = 3, kShortS = 1e-3;
+  if (std::abs(found.sensor_readout_s.value) < std::max(kSignificance * stddev_s, kShortS)) {
+    verdict.text += ": a global shutter";
+  } else {
+    verdict.text += found.sensor_readout_s.value > 0 ? ": a rolling shutter" : ": a rolling shutter, last row first";
+  }
+  return verdict;
+}
+
+Verdict of_bias(const FootageCalibration& found) {
+  Verdict verdict{"gyro_bias", {}, VerdictState::OPEN, {}};
+  double stddev_rad_s = 0;
+  if (found.timing) {
+    const Estimate* bias = found.timing->bias_rad_s;
+    verdict.value = text_of("[%+.5f, %+.5f, %+.5f] +- [%.5f, %.5f, %.5f] rad/s", bias[0].value, bias[1].value,
+                            bias[2].value, bias[0].stddev, bias[1].stddev, bias[2].stddev);
+    stddev_rad_s = std::max({bias[0].stddev, bias[1].stddev, bias[2].stddev});
+  }
+  verdict.text = reason_against(found, verdict.key, found.coarse.bias_rad_s.missing);
+  if (!verdict.text.empty()) return verdict;
+  if (stddev_rad_s == 0) return {verdict.key, verdict.value, VerdictState::GIVEN, "as given"};
+  verdict.state = VerdictState::KNOWN;
+  verdict.text = text_of("known to %.5f rad/s. It changes with the temperature", stddev_rad_s);
+  return verdict;
+}
+
+Verdict of_rotation(const FootageCalibration& found) {
+  Verdict verdict{"R_cam_imu", {}, VerdictState::OPEN, {}};
+  const bool estimated = found.rotation_from == "estimated";
+  if (found.timing) {
+    const Eigen::Vector3d stddev_deg = found.timing->rotation_stddev_rad * kDegPerRad;
+    verdict.value = to_string(found.timing->R_cam_imu);
+    if (estimated) {
+      verdict.value += text_of(" +- [%.3f, %.3f, %.3f] degrees about the camera's axes", stddev_deg.x(), stddev_deg.y(),
+                               stddev_deg.z());
+    }
+  }
+  verdict.text = reason_against(found, verdict.key, found.coarse.R_cam_imu.missing);
+  if (!verdict.text.empty()) return verdict;
+  verdict.state = estimated ? VerdictState::KNOWN : VerdictState::GIVEN;
+  verdict.text = estimated ? text_of("known to %.2f degrees", found.timing->rotation_stddev_rad.maxCoeff() * kDegPerRad)
+                           : found.rotation_from + ", and the images agree";
+  return verdict;
+}
+
+/// Why the images do not tell the exposure.
+std::string exposure_text(const RecordedExposure& exposure, std::size_t frames) {
+  const std::string few = text_of("%zu of %zu images tell it, 3 that agree are needed", exposure.estimates, frames);
+  switch (exposure.missing) {
+    case ExposureNeed::TEXTURE:
+      return few + ": the blur shows too little. Record a scene with more texture, or set exposure_time";
+    case ExposureNeed::LIGHT:
+      return few + ": noise hides the blur. Record with more light, or set exposure_time";
+    case ExposureNeed::MOTION:
+    case ExposureNeed::NOTHING:
+      break;
+  }
+  return few + ": their blur is too short, 6 px are needed. Turn the camera faster, or set exposure_time";
+}
+
+/// How the images judge an exposure that is given.
+std::string agreement_text(const std::optional<ExposureEstimate>& over_given, const std::string& source,
+                           const std::string& remedy, const std::string& why_not) {
+  if (!over_given) return source + "; not checked: " + why_not;
+  constexpr double kForgiven = 0.08;  // as while the camera is in use, see ExposureChoice
+  const std::string says = text_of("blur is %.2f times (+- %.0f %%) what %s says", over_given->ratio,
+                                   100 * over_given->log_stddev, source.c_str());
+  if (std::abs(std::log(over_given->ratio)) < std::log1p(kForgiven)) return source + ", and the images agree: " + says;
+  return says + ": " + remedy;
+}
+
+Verdict of_exposure(const FootageCalibration& found, std::size_t frames) {
+  const RecordedExposure& exposure = found.exposure;
+  Verdict verdict{"exposure_time", {}, VerdictState::OPEN, {}};
+  const auto seconds = [](TimeNs time_ns) { return to_seconds(time_ns); };
+  switch (found.exposure_from) {
+    case ExposureSourceOfFootage::MESSAGES:
+      verdict.state = VerdictState::GIVEN;
+      verdict.value = "of each image";
+      verdict.text = agreement_text(exposure.over_given, "the exposure message", "check exposure_source and its unit",
+                                    exposure_text(exposure, frames));
+      return verdict;
+    case ExposureSourceOfFootage::PARAMETER: {
+      verdict.state = VerdictState::GIVEN;
+      verdict.value = text_of("%.6f s", seconds(found.shutter.exposure_ns));
+      std::optional<ExposureEstimate> over_given;
+      if (exposure.is_known) {
+        over_given = {seconds(exposure.exposure_ns) / seconds(found.shutter.exposure_ns), exposure.log_stddev};
+      }
+      verdict.text = agreement_text(over_given, "exposure_time", "it is kept (on_exposure_conflict: configured)",
+                                    exposure_text(exposure, frames));
+      return verdict;
+    }
+    case ExposureSourceOfFootage::IMAGES:
+      break;
+    case ExposureSourceOfFootage::UNKNOWN:
+      verdict.text = exposure_text(exposure, frames);
+      return verdict;
+  }
+  verdict.state = VerdictState::KNOWN;
+  const std::string by = text_of("by the blur of %zu of %zu images", exposure.estimates, frames);
+  if (exposure.varies) {
+    verdict.value = text_of("%.6f to %.6f s", seconds(exposure.low_ns), seconds(exposure.high_ns));
+    verdict.text = by + ". It changes from image to image: leave exposure_time empty, and the images tell it";
+  } else {
+    verdict.value =
+        text_of("%.6f +- %.6f s", seconds(exposure.exposure_ns), exposure.log_stddev * seconds(exposure.exposure_ns));
+    verdict.text = text_of("known to %.1f %%, ", 100 * exposure.log_stddev) + by;
+  }
+  return verdict;
+}
+
+}  // namespace
+
+const char* to_string(VerdictState state) {
+  switch (state) {
+    case VerdictState::KNOWN:
+      return "known";
+    case VerdictState::GIVEN:
+      return "given";
+    case VerdictState::OPEN:
+      break;
+  }
+  return "not determined";
+}
+
+std::vector<Verdict> verdicts_of(const FootageCalibration& found, std::size_t frames) {
+  return {of_time_offset(found), of_readout(found), of_exposure(found, frames), of_bias(found), of_rotation(found)};
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,182 @@
+#include "tools/footage_calibration.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "gyro_deblur/option_error.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// The readout of an image's region of interest, of that of the sensor.
+TimeNs image_readout_ns(const Config& config, const Footage& footage) {
+  return to_ns(to_seconds(config.shutter.readout_ns) * footage.readout_part);
+}
+
+TimingOptions timing_options(const FootageCalibrationOptions& options, const Config& config, const Footage& footage) {
+  TimingOptions timing;
+  timing.stamp_row = config.shutter.stamp_row;
+  timing.stamp_phase = config.shutter.stamp_phase;
+  timing.time_offset_ns = config.gyro.time_offset_ns;
+  timing.search_ns = options.search_ns;
+  timing.readout_ns = image_readout_ns(config, footage);
+  timing.estimate_readout = !options.fixed_readout;
+  timing.estimate_bias = !options.fixed_bias;
+  timing.bias_rad_s = config.gyro.bias_rad_s;
+  timing.max_gap_ns = config.gyro.max_gap_ns;
+  timing.gyro_range_rad_s = config.gyro.range_rad_s;
+  if (!options.estimate_rotation) timing.R_cam_imu = config.R_cam_imu ? config.R_cam_imu : footage.R_cam_imu;
+  return timing;
+}
+
+/// As estimated; as configured where nothing was, and enough is given; else nothing.
+std::optional<RotationTrack> motion_of(const FootageCalibration& found, const TimingOptions& options,
+                                       const Config& config, const Footage& footage) {
+  GyroOptions gyro = config.gyro;
+  if (found.timing && !found.is_refused()) {
+    gyro.time_offset_ns = to_ns(found.timing->time_offset_s.value);
+    for (int axis = 0; axis < 3; ++axis) gyro.bias_rad_s[axis] = found.timing->bias_rad_s[axis].value;
+    return RotationTrack(footage.samples, gyro, found.timing->R_cam_imu);
+  }
+  if (!config.given.time_offset || !options.R_cam_imu) return std::nullopt;
+  return RotationTrack(footage.samples, gyro, *options.R_cam_imu);
+}
+
+RecordedExposure estimate_exposures(const InputBag& input, const FootageTopics& topics,
+                                    const FootageOptions& footage_options, const Footage& footage, const Config& config,
+                                    const FootageCalibration& found, const TimingOptions& options) {
+  ShutterTiming shutter = config.shutter;
+  shutter.readout_ns =
+      found.timing && !found.is_refused() ? to_ns(found.timing->readout_s.value) : image_readout_ns(config, footage);
+  RecordedExposureEstimator estimator(footage.camera, shutter, config.pipeline,
+                                      motion_of(found, options, config, footage));
+  for_each_picture(input, topics, footage_options, "images' exposure", [&](const FootagePicture& picture) {
+    const auto message = footage.message_exposures_ns.find(picture.stamp_ns);
+    std::optional<TimeNs> given_ns;
+    if (message != footage.message_exposures_ns.end()) given_ns = message->second;
+    const TimeNs middle_ns = picture.stamp_ns + middle_after_stamp_ns(config.shutter.stamp_phase,
+                                                                      given_ns.value_or(config.shutter.exposure_ns));
+    estimator.add(picture.stamp_ns, middle_ns, picture.pixels.image, picture.pixels.layout, given_ns);
+  });
+  return estimator.result();
+}
+
+/// The coarse offset contains half of what readout and exposure were not known of; here it does not.
+/// @param exposure_ns  that was not known then, and is now
+LearnedCalibration by_present_times(LearnedCalibration coarse, const TimingEstimate& timing,
+                                    const TimingOptions& options, TimeNs exposure_ns) {
+  const double middle_s = 0.5 * (timing.readout_s.value - to_seconds(options.readout_ns));
+  coarse.time_offset_s.value -= options.stamp_row == StampRow::FIRST  ? middle_s
+                                : options.stamp_row == StampRow::LAST ? -middle_s
+                                                                      : 0;
+  coarse.time_offset_s.value -= to_seconds(middle_after_stamp_ns(options.stamp_phase, exposure_ns));
+  return coarse;
+}
+
+/// Whether the images contradict exposure_time beyond doubt.
+bool contradicts(const RecordedExposure& exposure, TimeNs given_ns) {
+  // As while the camera is in use, see ExposureChoice.
+  constexpr double kForgiven = 0.08, kSignificance = 3;
+  if (!exposure.is_known || exposure.varies) return exposure.is_known;
+  const double log_ratio = std::log(static_cast<double>(exposure.exposure_ns) / static_cast<double>(given_ns));
+  return std::abs(log_ratio) > std::max(std::log1p(kForgiven), kSignificance * exposure.log_stddev);
+}
+
+/// Which exposures hold.
+void choose_exposure(const Footage& footage, const Config& config, FootageCalibration* found) {
+  RecordedExposure& exposure = found->exposure;
+  if (exposure.is_known) {
+    try {
+      footage.period.require_plausible_exposure("exposure_time",
+                                                exposure.varies ? exposure.high_ns : exposure.exposure_ns);
+    } catch (const OptionError& error) {
+      found->warnings.push_back(std::string("the exposure by the images is not used: ") + error.what());
+      exposure.is_known = false;
+    }
+  }
+  found->shutter = config.shutter;
+  const bool replaces = config.on_exposure_conflict == OnExposureConflict::IMAGES;
+  if (footage.message_exposures_ns.size() == footage.frames) {
+    found->exposure_from = ExposureSourceOfFootage::MESSAGES;
+  } else if (config.shutter.exposure_ns > 0 && !(replaces && contradicts(exposure, config.shutter.exposure_ns))) {
+    found->exposure_from = ExposureSourceOfFootage::PARAMETER;
+  } else if (exposure.is_known) {
+    found->exposure_from = ExposureSourceOfFootage::IMAGES;
+    found->shutter.exposure_ns = exposure.varies ? 0 : exposure.exposure_ns;
+  }
+}
+
+/// The windows with the exposures that the images told.
+std::vector<TrackWindow> with_exposures(const Footage& footage, const RecordedExposure& exposure) {
+  std::vector<TrackWindow> windows = footage.windows;
+  for (TrackWindow& window : windows) {
+    for (FrameTime& frame : window.frames) {
+      if (footage.message_exposures_ns.count(frame.stamp_ns) == 0) {
+        frame.exposure_ns = exposure.exposure_of(frame.stamp_ns);
+      }
+    }
+  }
+  return windows;
+}
+
+}  // namespace
+
+bool FootageCalibration::is_refused() const {
+  return std::any_of(objections.begin(), objections.end(),
+                     [](const TimingObjection& objection) { return objection.speaks_against_all; });
+}
+
+FootageCalibration calibrate_footage(const InputBag& input, const FootageTopics& topics,
+                                     const FootageOptions& footage_options, const Footage& footage,
+                                     const Config& config, const FootageCalibrationOptions& options) {
+  FootageCalibration found;
+  TimingOptions timing = timing_options(options, config, footage);
+  if (const auto distant = start_of_distant_clocks(footage, timing.time_offset_ns, timing.search_ns)) {
+    timing.time_offset_ns = distant->time_offset_ns;
+    timing.search_ns = distant->search_ns;
+    found.warnings.push_back(distant->problem + ": searching around " +
+                             std::to_string(to_seconds(timing.time_offset_ns)) + " s");
+  }
+  const Camera camera(footage.camera);
+  found.rotation_from = !timing.R_cam_imu ? "estimated" : config.R_cam_imu ? "as configured" : "tf";
+  // Of less, rates determine nothing, and what they say is that there is more to come.
+  constexpr TimeNs kShortestNs = 2'000'000'000;
+  if (footage.images.end_ns - footage.images.begin_ns >= kShortestNs) {
+    found.coarse = coarse_calibration(footage.rates, footage.samples, timing.time_offset_ns, timing.search_ns);
+  }
+  const auto estimate = [&](const std::vector<TrackWindow>& windows, TimeNs found_exposure_ns) {
+    try {
+      found.timing = estimate_timing(camera, windows, footage.samples, timing);
+      found.objections = timing_objections(*found.timing, timing, footage.period,
+                                           by_present_times(found.coarse, *found.timing, timing, found_exposure_ns));
+    } catch (const TimingError& error) {
+      found.timing.reset();
+      found.timing_error = error.what();
+    }
+  };
+  estimate(footage.windows, 0);
+  found.exposure = estimate_exposures(input, topics, footage_options, footage, config, found, timing);
+  choose_exposure(footage, config, &found);
+  if (found.exposure_from == ExposureSourceOfFootage::IMAGES && found.timing) {
+    estimate(with_exposures(footage, found.exposure), found.exposure.exposure_ns - config.shutter.exposure_ns);
+  }
+  if (found.timing) {
+    found.sensor_readout_s = {found.timing->readout_s.value / footage.readout_part,
+                              found.timing->readout_s.stddev / footage.readout_part};
+  }
+  found.offset_has_exposure =
+      found.exposure_from == ExposureSourceOfFootage::UNKNOWN && config.shutter.stamp_phase != StampPhase::MIDDLE;
+  // Without an exposure the middle of it is what stamps and offset tell.
+  if (found.offset_has_exposure && footage.message_exposures_ns.empty()) {
+    found.shutter.stamp_phase = StampPhase::MIDDLE;
+  }
+  if (found.timing && footage.message_readout_ns) {
+    found.warnings.push_back("the exposure messages bring a readout time of " +
+                             std::to_string(to_seconds(*footage.message_readout_ns)) +
+                             " s of their own, which holds before readout_time");
+  }
+  return found;
+}
+
+}  // namespace gyro_deblur

@@ -1,0 +1,52 @@
+// What a recording tells of a camera and its IMU.
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "calibrate/recorded_exposure.hpp"
+#include "calibrate/self_calibration.hpp"
+#include "calibrate/timing_calibration.hpp"
+#include "calibrate/timing_checks.hpp"
+#include "gyro_deblur/config.hpp"
+#include "tools/timing_footage.hpp"
+
+namespace gyro_deblur {
+
+struct FootageCalibrationOptions {
+  TimeNs search_ns = 500'000'000;
+  bool fixed_readout = false, fixed_bias = false;
+  bool estimate_rotation = false;  ///< although it is given
+};
+
+/// Where the exposure times that hold are from.
+enum class ExposureSourceOfFootage { MESSAGES, PARAMETER, IMAGES, UNKNOWN };
+
+/// The estimates from one recording.
+struct FootageCalibration {
+  std::optional<TimingEstimate> timing;  ///< nothing: `timing_error` says why
+  std::string timing_error;
+  LearnedCalibration coarse;
+  Estimate sensor_readout_s;  ///< of the whole sensor; the estimate's is that of the image's region of interest
+  std::string rotation_from;  ///< "estimated", "as configured" or "tf"
+  std::vector<TimingObjection> objections;
+  RecordedExposure exposure;
+  ExposureSourceOfFootage exposure_from = ExposureSourceOfFootage::UNKNOWN;
+  ShutterTiming shutter;              ///< what stamps mean, and the exposure that holds for all images; 0: none does
+  bool offset_has_exposure = false;   ///< half of an exposure that is not known
+  std::vector<std::string> warnings;  ///< of what was found on the way
+
+  /// Whether anything was found that speaks against all of it.
+  bool is_refused() const;
+};
+
+/// Estimates timing, then the exposure with it, then timing again where the images told the exposure. Timing that
+/// cannot be estimated leaves the exposure to optical flow, or to the motion that the configuration gives.
+/// Throws OptionError for bad options, and what for_each_picture() throws.
+FootageCalibration calibrate_footage(const InputBag& input, const FootageTopics& topics,
+                                     const FootageOptions& footage_options, const Footage& footage,
+                                     const Config& config, const FootageCalibrationOptions& options);
+
+}  // namespace gyro_deblur
