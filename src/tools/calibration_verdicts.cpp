@@ -4,8 +4,6 @@
 #include <cmath>
 #include <cstdio>
 
-#include "gyro_deblur/calibration.hpp"
-
 namespace gyro_deblur {
 namespace {
 
@@ -87,22 +85,26 @@ Verdict of_bias(const FootageCalibration& found) {
   return verdict;
 }
 
+std::string rotation_text(const Eigen::Matrix3d& R) {
+  std::string text;
+  for (int i = 0; i < 9; ++i) text += text_of("%s%.4f", i == 0 ? "[" : ", ", R(i / 3, i % 3));
+  return text + "]";
+}
+
 Verdict of_rotation(const FootageCalibration& found) {
   Verdict verdict{"R_cam_imu", {}, VerdictState::OPEN, {}};
   const bool estimated = found.rotation_from == "estimated";
-  if (found.timing) {
-    const Eigen::Vector3d stddev_deg = found.timing->rotation_stddev_rad * kDegPerRad;
-    verdict.value = to_string(found.timing->R_cam_imu);
-    if (estimated) {
-      verdict.value += text_of(" +- [%.3f, %.3f, %.3f] degrees about the camera's axes", stddev_deg.x(), stddev_deg.y(),
-                               stddev_deg.z());
-    }
-  }
+  if (found.timing) verdict.value = rotation_text(found.timing->R_cam_imu);
   verdict.text = reason_against(found, verdict.key, found.coarse.R_cam_imu.missing);
   if (!verdict.text.empty()) return verdict;
   verdict.state = estimated ? VerdictState::KNOWN : VerdictState::GIVEN;
-  verdict.text = estimated ? text_of("known to %.2f degrees", found.timing->rotation_stddev_rad.maxCoeff() * kDegPerRad)
-                           : found.rotation_from + ", and the images agree";
+  if (estimated) {
+    const Eigen::Vector3d stddev_deg = found.timing->rotation_stddev_rad * kDegPerRad;
+    verdict.text = text_of("known to %.2f, %.2f and %.2f degrees about the camera's axes x, y and z", stddev_deg.x(),
+                           stddev_deg.y(), stddev_deg.z());
+  } else {
+    verdict.text = found.rotation_from + ", and the images agree";
+  }
   return verdict;
 }
 
