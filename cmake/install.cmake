@@ -59,10 +59,12 @@ install(DIRECTORY config launch rviz workflow
   DESTINATION ${CATKIN_PACKAGE_SHARE_DESTINATION}
   USE_SOURCE_PERMISSIONS
   PATTERN __pycache__ EXCLUDE)
-catkin_install_python(PROGRAMS scripts/bag_transport.py scripts/play_through.py scripts/plot_calibration.py scripts/report.py
+catkin_install_python(
+  PROGRAMS scripts/bag_transport.py scripts/play_through.py scripts/plot_calibration.py scripts/report.py scripts/setup
   DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
 # What they import is installed beside them. The devel space has relays of the programs, so it has links to these.
-foreach(module bag_input.py missing_packages.py report_bags.py report_measures.py report_pictures.py report_tables.py)
+foreach(module bag_input.py live_inputs.py missing_packages.py report_bags.py report_measures.py report_pictures.py
+        report_tables.py wanted_motion.py)
   install(FILES scripts/${module} DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
   file(MAKE_DIRECTORY ${CATKIN_DEVEL_PREFIX}/${CATKIN_PACKAGE_BIN_DESTINATION})
   file(CREATE_LINK ${PROJECT_SOURCE_DIR}/scripts/${module}

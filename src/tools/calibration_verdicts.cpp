@@ -100,7 +100,7 @@ Verdict of_rotation(const FootageCalibration& found) {
   verdict.state = estimated ? VerdictState::KNOWN : VerdictState::GIVEN;
   if (estimated) {
     const Eigen::Vector3d stddev_deg = found.timing->rotation_stddev_rad * kDegPerRad;
-    verdict.text = text_of("known to %.2f, %.2f and %.2f degrees about the camera's axes x, y and z", stddev_deg.x(),
+    verdict.text = text_of("known to %.3f, %.3f and %.3f degrees about the camera's axes x, y and z", stddev_deg.x(),
                            stddev_deg.y(), stddev_deg.z());
   } else {
     verdict.text = found.rotation_from + ", and the images agree";

@@ -160,6 +160,12 @@ FootageCalibration calibrate_footage(const InputBag& input, const FootageTopics&
   choose_exposure(footage, config, &found);
   if (found.exposure_from == ExposureSourceOfFootage::IMAGES && found.timing) {
     estimate(with_exposures(footage, found.exposure), found.exposure.exposure_ns - config.shutter.exposure_ns);
+    // Half of the exposure's error is in the offset.
+    const TimeNs half_ns = middle_after_stamp_ns(config.shutter.stamp_phase, found.exposure.exposure_ns);
+    if (found.timing) {
+      double& stddev_s = found.timing->time_offset_s.stddev;
+      stddev_s = std::hypot(stddev_s, to_seconds(half_ns) * found.exposure.log_stddev);
+    }
   }
   if (found.timing) {
     found.sensor_readout_s = {found.timing->readout_s.value / footage.readout_part,

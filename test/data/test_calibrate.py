@@ -113,6 +113,10 @@ class Calibrate(unittest.TestCase):
         self.check(keys)
         self.assertAlmostEqual(keys["exposure_time"], EXPOSURE_S, delta=0.03 * EXPOSURE_S)
         self.assertEqual(keys["stamp_phase"], "start")
+        # Half of the exposure's error is in the offset.
+        offset = report["time_offset_s"]
+        self.assertLess(abs(offset["value"] - 0.123), 3 * offset["stddev"])
+        self.assertLess(offset["stddev"], 2e-4)
         R = np.reshape(keys["R_cam_imu"], (3, 3))
         self.assertLess(np.degrees(np.arccos((np.trace(R.T @ R_CAM_IMU) - 1) / 2)), 0.5)
         self.assertEqual([v["state"] for v in report["verdicts"]], 5 * ["known"])
@@ -128,7 +132,8 @@ class Calibrate(unittest.TestCase):
             self.assertEqual(result.returncode, 0, result.stderr)
             keys, _ = self.results()
             self.assertAlmostEqual(keys["exposure_time"], exposure_s, delta=0.03 * EXPOSURE_S)
-        self.assertRegex(self.verdict("exposure_time")["text"], r"blur is 0\.6\d times \(\+- 1 %\) what exposure_time says")
+        self.assertRegex(self.verdict("exposure_time")["text"],
+                         r"blur is 0\.6\d times \(\+- 1 %\) what exposure_time says")
 
     def test_an_exposure_that_sharp_images_do_not_tell(self):
         self.images_and_samples("sharp.bag", SCENE.replace("exposure_time: [0.008, 0.012]", "exposure_time: 0.002"))

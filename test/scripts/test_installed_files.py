@@ -69,7 +69,8 @@ class InstalledFiles(unittest.TestCase):
         self.assert_installed("lib/gyro_deblur/" + name for name in TOOLS)
         scripts = [name for name in self.files if name.startswith("lib/gyro_deblur/") and name.endswith(".py")]
         self.assertIn("lib/gyro_deblur/play_through.py", scripts)
-        for script in scripts:
+        self.assertIn("lib/gyro_deblur/setup", self.files)
+        for script in scripts + ["lib/gyro_deblur/setup"]:
             self.assert_installed("lib/gyro_deblur/" + name
                                   for name in local_imports(ROOT / "scripts" / script.rsplit("/", 1)[-1]))
 

@@ -16,7 +16,7 @@ sys.path.insert(0, str(SCRIPTS))
 import missing_packages  # noqa: E402
 
 REPORTS = ("bag_transport.py", "benchmark_report.py", "neighbours_report.py", "play_through.py", "plot_calibration.py",
-           "report.py", "soak_plot.py", "stereo_latency.py")
+           "report.py", "setup", "soak_plot.py", "stereo_latency.py")
 EXPERIMENTS = ("image_quality.py", "motion_from_images.py", "point_covariance.py", "real_world.py", "reconstruction.py",
                "report_experiments.py")
 
