@@ -74,9 +74,8 @@ class UndeterminedCalibration(unittest.TestCase):
             self.output.unlink()
         self.json = self.folder / "out.json"
         return subprocess.run([str(TOOLS / "calibrate"), str(path), "--output", str(self.output), "--json",
-                               str(self.json), "--quiet",
-                               *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True,
-                              timeout=300)
+                               str(self.json), "--quiet", "--points", "20", *arguments], stdout=subprocess.PIPE,
+                              stderr=subprocess.PIPE, universal_newlines=True, timeout=300)
 
     def verdicts(self):
         return {v["key"]: v for v in json.loads(self.json.read_text(encoding="utf-8"))["verdicts"]}
