@@ -12,17 +12,19 @@
 namespace gyro_deblur {
 namespace {
 
-/// That agree, as the images' estimates do when one is by chance.
+/// A single estimate may be wrong by chance; three that agree are not.
 constexpr std::size_t kFewestEstimates = 3;
-/// Logarithm of what two estimates of one exposure differ by at most, beside their standard deviations; a front end
-/// does not notice less (doc/reports/exposure.md).
-const double kSame = std::log(1.08);
-/// Of what estimates have in common: errors of the velocity first of all, as in estimate_exposure(). Optical flow alone
-/// has the mean velocity between images, and was wrong by up to 8 % of the exposure for a camera that shakes.
+/// Deviations from the median below it count as agreement, however small standard deviations are.
+const double kSame = std::log(kContradictingRatio);
+/// Standard deviation of errors that all estimates share, such as those of the velocity. Optical flow alone gives the
+/// mean velocity between images, and was wrong by up to 8 % of the exposure for a camera that shakes.
 constexpr double kCommon = 0.01, kCommonOfFlow = 0.05;
 
+/// Standard deviations beyond which a difference is none of chance.
+constexpr double kSignificance = 3;
+
 constexpr double kBinWaves = 0.1, kLastWaves = 3.6;
-/// They tell no more after so many.
+/// More do not change the median spectrum.
 constexpr int kMostSpectraImages = 60;
 
 TimeNs exp_ns(double log_ns) { return std::llround(std::exp(log_ns)); }
@@ -50,7 +52,7 @@ double median_extent_px(const FrameBlur& field) {
 
 /// Logarithm of the power of a straight path at even speed.
 double log_of_path(double waves) {
-  // What the window mixes, and paths that are not quite straight, leave of the zeros.
+  // Power at the zeros: a window blends frequencies, and paths are not quite straight.
   constexpr double kLeft = 0.004;
   const double phase = M_PI * waves;
   const double sinc = phase < 1e-6 ? 1 : std::sin(phase) / phase;
@@ -115,7 +117,7 @@ void summarise(double common, RecordedExposure* result) {
   if (logs.size() < kFewestEstimates) return;
   const Spread all = spread_of(logs);
   std::size_t agreeing = 0;
-  constexpr double kSignificance = 3, kMostAgree = 0.8;
+  constexpr double kMostAgree = 0.8;
   for (std::size_t i = 0; i < logs.size(); ++i) {
     if (std::abs(logs[i] - all.middle) < std::max(kSame, kSignificance * stddevs[i])) ++agreeing;
   }
@@ -129,7 +131,19 @@ void summarise(double common, RecordedExposure* result) {
   result->high_ns = exp_ns(percentile(std::move(logs), kHigh));
 }
 
+TimeNs median_interval_ns(const std::vector<ImageExposure>& images) {
+  std::vector<TimeNs> intervals_ns;
+  for (std::size_t i = 1; i < images.size(); ++i) {
+    intervals_ns.push_back(images[i].stamp_ns - images[i - 1].stamp_ns);
+  }
+  return intervals_ns.empty() ? 0 : median(std::move(intervals_ns));
+}
+
 }  // namespace
+
+bool contradicts(const ExposureEstimate& over_given) {
+  return std::abs(std::log(over_given.ratio)) > std::max(kSame, kSignificance * over_given.log_stddev);
+}
 
 TimeNs RecordedExposure::exposure_of(TimeNs stamp_ns) const {
   if (!is_known) return 0;
@@ -160,6 +174,8 @@ void RecordedExposureEstimator::add(TimeNs stamp_ns, TimeNs middle_ns, const cv:
   if (given_ns && *given_ns > 0) given = GivenExposure{ExposureOrigin::MESSAGE, *given_ns};
   ExposurePlan plan = choice_.plan(given, period_.get());
   plan.estimate = true;
+  longest_tried_ns_ =
+      std::max<TimeNs>(longest_tried_ns_, std::llround(kMaxExposureRatio * static_cast<double>(plan.exposure_ns)));
   ShutterTiming timing = shutter_;
   timing.exposure_ns = plan.exposure_ns;
   timing.stamp_phase = StampPhase::MIDDLE;
@@ -172,7 +188,7 @@ void RecordedExposureEstimator::add(TimeNs stamp_ns, TimeNs middle_ns, const cv:
   request.luminance = true;
   request.without_gyro = without_gyro_;
   request.permit = [](const FrameBlur&) { return Permit::STOP; };
-  // Not known, whatever is known: nothing beyond the field is wanted, and what the image lacks is.
+  // Answered with "not known" in any case: the pipeline then stops after the field and says what the image lacks.
   request.exposure =
       ExposureQuestion{true, 0, [&](const std::optional<ExposureEstimate>& estimate, double mean_brightness) {
                          chosen = choice_.decide(stamp_ns, plan, estimate, mean_brightness);
@@ -223,6 +239,8 @@ void RecordedExposureEstimator::add_spectra(const FrameBlur& field, const cv::Ma
 RecordedExposure RecordedExposureEstimator::result() const {
   RecordedExposure result;
   result.images = images_;
+  result.longest_tried_ns = longest_tried_ns_;
+  result.frame_interval_ns = median_interval_ns(images_);
   summarise(without_gyro_ ? kCommonOfFlow : kCommon, &result);
   constexpr std::size_t kFewestWindows = 5;
   for (std::size_t bin = 0; bin < log_powers_.size(); ++bin) {

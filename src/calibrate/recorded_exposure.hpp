@@ -49,6 +49,8 @@ struct RecordedExposure {
   bool varies = false;     ///< from image to image; then from low_ns to high_ns, for eight of ten
   TimeNs low_ns = 0, high_ns = 0;
   ExposureNeed missing = ExposureNeed::NOTHING;  ///< of most images, where it is not known
+  TimeNs longest_tried_ns = 0;                   ///< no longer exposure would have been found
+  TimeNs frame_interval_ns = 0;                  ///< median; 0: fewer than two images
   /// Median ratio of the images' exposures to those of messages, and the logarithm's standard deviation; nothing where
   /// too few images have both.
   std::optional<ExposureEstimate> over_given;
@@ -57,6 +59,10 @@ struct RecordedExposure {
   /// That of an image whose exposure is not given; 0: not known.
   TimeNs exposure_of(TimeNs stamp_ns) const;
 };
+
+/// Whether an estimate contradicts a given exposure, by a ratio that matters and beyond its uncertainty.
+/// @param over_given  estimated over given exposure
+bool contradicts(const ExposureEstimate& over_given);
 
 /// Looks at one image after the other, as the pipeline does while the camera is in use: the blur of optical flow and
 /// gyroscope is compared with the spectra, and estimates are filtered by ExposureChoice. Not thread-safe.
@@ -90,6 +96,7 @@ class RecordedExposureEstimator {
   RotationTrack motion_;
   bool without_gyro_;
   std::vector<ImageExposure> images_;
+  TimeNs longest_tried_ns_ = 0;
   std::vector<std::vector<float>> log_powers_;  // by waves
   int spectra_images_ = 0;
 };

@@ -14,7 +14,7 @@ namespace gyro_deblur {
 struct TimingObjection {
   std::string key;                  ///< time_offset, readout_time, gyro_bias or R_cam_imu; empty: any of them
   std::string text;                 ///< values, what is allowed, remedy
-  bool speaks_against_all = false;  ///< where this value is wrong, the others are not to be believed
+  bool speaks_against_all = false;  ///< a wrong value of this key makes the others wrong
 };
 
 /// Empty: nothing speaks against the estimate. All values are doubted with images that do not move, or not as the

@@ -23,7 +23,7 @@ constexpr double kSureEnough = 0.05;
 constexpr double kSureToContradict = 0.03;
 
 /// Logarithms of ratios of true to given exposure: a contradiction begins beyond the first, and ends within the second.
-const double kContradicts = std::log(1.08), kAgrees = std::log(1.04);
+const double kContradicts = std::log(kContradictingRatio), kAgrees = std::log(1.04);
 /// For so long, and by so many estimates. An auto exposure that hunts is back before.
 constexpr TimeNs kContradictsForNs = 2'000'000'000;
 constexpr int kContradictingEstimates = 5;

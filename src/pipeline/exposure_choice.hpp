@@ -29,6 +29,10 @@ struct GivenExposure {
   TimeNs exposure_ns = 0;  ///< > 0
 };
 
+/// Larger than this, or smaller than its inverse, is the ratio of an estimate to a given exposure that it contradicts.
+/// A front end does not notice less (doc/reports/exposure.md).
+constexpr double kContradictingRatio = 1.08;
+
 /// What an image is processed with until its blur has been looked at.
 struct ExposurePlan {
   ExposureOrigin origin = ExposureOrigin::ASSUMED;

@@ -48,7 +48,7 @@ void run(const Arguments& arguments) {
   if (!arguments.config.empty()) {
     config = read_config("calibrate", arguments.config);
   } else {
-    config.given = {false, false, false, false};
+    config.given = {false, false, false, false};  // the default is that of a configuration made in code
   }
   if (config.calibration) {
     for (const std::string& note : config.calibration->notes) say(note);
@@ -84,10 +84,8 @@ int main_of(int argc, char** argv) {
   Arguments arguments;
   CommandLine app{
       "Estimates the time offset between camera and IMU, the readout time, the exposure time, the gyroscope's bias "
-      "and, "
-      "where neither the configuration nor tf has it, the rotation between the two, from a bag in which the camera "
-      "turns "
-      "about all axes. Says of each number how well it is known, or why the bag does not determine it. "
+      "and, where neither the configuration nor tf has it, the rotation between the two, from a bag in which the "
+      "camera turns about all axes. Says of each number how well it is known, or why the bag does not determine it. "
       "Topics that are not named are taken when the bag has exactly one of the type.",
       "calibrate"};
   app.add_option("BAG", arguments.bag, "bag with images, camera_info and imu").required();
@@ -102,7 +100,7 @@ int main_of(int argc, char** argv) {
   app.add_flag("--fixed-bias", arguments.calibration.fixed_bias, "gyro_bias is known: do not estimate it");
   app.add_flag("--estimate-rotation", arguments.calibration.estimate_rotation,
                "estimate R_cam_imu from nothing although it is known");
-  app.add_flag("--force", arguments.force, "write the values although the recording does not determine them");
+  app.add_flag("--force", arguments.force, "write values that the recording does not determine");
   app.add_option("--points", arguments.footage.points, "of each image that are tracked in those after it [100]")
       .range(10, 10000);
   app.add_option("--start", arguments.footage.start_s, "[s] since the bag's first message [0]").not_negative();
@@ -114,8 +112,8 @@ int main_of(int argc, char** argv) {
   app.add_option("--exposure-topic", arguments.topics.exposure,
                  "gyro_deblur/Exposure [exposure in --camera-ns, or beside the images]");
   app.footer(
-      "The JSON holds values, verdicts and residuals, for plot_calibration.py. It is written of a bag that is refused, "
-      "too.");
+      "The JSON holds values, verdicts and residuals, for plot_calibration.py. It is also written if the bag is "
+      "refused.");
   add_common_options(app, &arguments.common);
   return run_tool(app, argc, argv, [&arguments] {
     arguments.footage.quiet = arguments.common.quiet;

@@ -1,5 +1,6 @@
 #include "tools/calibration_report.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdio>
@@ -74,7 +75,10 @@ void add_timing(const FootageCalibration& found, const std::string& key, YamlLin
   if (key == "time_offset") {
     yaml->add(key, text_of("%.6f", e.time_offset_s.value), with_stddev(e.time_offset_s.stddev));
   } else if (key == "readout_time") {
-    yaml->add(key, text_of("%.6f", found.sensor_readout_s.value), with_stddev(found.sensor_readout_s.stddev));
+    const Estimate& readout_s = found.sensor_readout_s;
+    const bool is_global = readout_s.stddev > 0 && is_global_shutter(readout_s);
+    yaml->add(key, is_global ? "0" : text_of("%.6f", readout_s.value),
+              with_stddev(readout_s.stddev) + (is_global ? ", global shutter" : ""));
   } else if (key == "gyro_bias") {
     const bool estimated = e.bias_rad_s[0].stddev > 0;
     yaml->add(key, vector_text(e.bias_rad_s, &Estimate::value),
@@ -98,12 +102,12 @@ void add_exposure(const FootageCalibration& found, const Verdict& verdict, YamlL
   }
 }
 
-/// What the estimate holds for.
+/// What stamps mean, for which the estimates hold.
 void add_shutter(const FootageCalibration& found, YamlLines* yaml) {
   for (const char* key : {"stamp_row", "stamp_phase"}) {
     const bool is_middle = found.offset_has_exposure && key == std::string("stamp_phase");
     yaml->add(key, std::get<Choice>(find_parameter(key)->get(found.shutter)).name,
-              is_middle ? "time_offset is that to the middle of an exposure that is not known" : "");
+              is_middle ? "time_offset contains half of the exposure, which is not known" : "");
   }
 }
 
@@ -125,27 +129,7 @@ void add_configuration(const std::string& path, YamlLines* yaml) {
   yaml->add_others(given, "From " + path);
 }
 
-}  // namespace
-
-void print_summary(const FootageCalibration& found, const std::vector<Verdict>& verdicts) {
-  for (const Verdict& verdict : verdicts) {
-    std::printf("%-13s %s\n              %s%s\n", verdict.key.c_str(),
-                verdict.value.empty() ? "-" : verdict.value.c_str(),
-                verdict.state == VerdictState::OPEN ? "NOT DETERMINED: " : "", verdict.text.c_str());
-  }
-  if (const std::optional<TimingEstimate>& estimate = found.timing) {
-    std::printf(
-        "%zu pairs of frames, %zu points; correlation of the angular speeds %.3f; translation %.2f depths/s on each "
-        "axis; median residual %.2f px without gyroscope, %.2f px with it, %.2f px refined and with translation\n",
-        estimate->pairs, estimate->points, estimate->correlation, estimate->speed_per_s, estimate->median_without_px,
-        estimate->median_at_start_px, estimate->median_px);
-  }
-  std::fflush(stdout);
-}
-
-namespace {
-
-void add_timing(const FootageCalibration& found, nlohmann::json* report) {
+void report_timing(const FootageCalibration& found, nlohmann::json* report) {
   const TimingEstimate& e = *found.timing;
   (*report)["time_offset_s"] = to_json(e.time_offset_s);
   (*report)["readout_time_s"] = to_json(found.sensor_readout_s);
@@ -210,6 +194,26 @@ nlohmann::json to_json(const RecordedExposure& exposure) {
 
 }  // namespace
 
+void print_summary(const FootageCalibration& found, const std::vector<Verdict>& verdicts) {
+  for (const Verdict& verdict : verdicts) {
+    const Verdict& first = *std::find_if(verdicts.begin(), verdicts.end(),
+                                         [&verdict](const Verdict& other) { return other.text == verdict.text; });
+    const bool repeats = verdict.state == VerdictState::OPEN && &first != &verdict;
+    const std::string text = repeats ? "for the same reason as " + first.key : verdict.text;
+    std::printf("%-13s %s\n              %s%s\n", verdict.key.c_str(),
+                verdict.value.empty() ? "-" : verdict.value.c_str(),
+                verdict.state == VerdictState::OPEN ? "NOT DETERMINED: " : "", text.c_str());
+  }
+  if (const std::optional<TimingEstimate>& estimate = found.timing) {
+    std::printf(
+        "%zu pairs of frames, %zu points; correlation of the angular speeds %.3f; translation %.2f depths/s on each "
+        "axis; median residual %.2f px without gyroscope, %.2f px with it, %.2f px refined and with translation\n",
+        estimate->pairs, estimate->points, estimate->correlation, estimate->speed_per_s, estimate->median_without_px,
+        estimate->median_at_start_px, estimate->median_px);
+  }
+  std::fflush(stdout);
+}
+
 nlohmann::json report_of(const FootageCalibration& found, const std::vector<Verdict>& verdicts, const std::string& bag,
                          const FootageTopics& topics) {
   nlohmann::json report;
@@ -222,7 +226,7 @@ nlohmann::json report_of(const FootageCalibration& found, const std::vector<Verd
     report["verdicts"].push_back(
         {{"key", verdict.key}, {"value", verdict.value}, {"state", to_string(verdict.state)}, {"text", verdict.text}});
   }
-  if (found.timing) add_timing(found, &report);
+  if (found.timing) report_timing(found, &report);
   report["exposure"] = to_json(found.exposure);
   return report;
 }

@@ -29,7 +29,7 @@ std::string reason_against(const FootageCalibration& found, const std::string& k
 }
 
 std::string by_footage(const FootageCalibration& found) {
-  return text_of(", by %zu points in %zu frames", found.timing->points, found.timing->pairs);
+  return text_of(", by %zu points in %zu pairs of frames", found.timing->points, found.timing->pairs);
 }
 
 Verdict of_time_offset(const FootageCalibration& found) {
@@ -59,8 +59,7 @@ Verdict of_readout(const FootageCalibration& found) {
   if (stddev_s == 0) return {verdict.key, verdict.value, VerdictState::GIVEN, "as given"};
   verdict.state = VerdictState::KNOWN;
   verdict.text = text_of("known to %.2f ms", 1e3 * stddev_s);
-  constexpr double kSignificance = 3, kShortS = 1e-3;
-  if (std::abs(found.sensor_readout_s.value) < std::max(kSignificance * stddev_s, kShortS)) {
+  if (is_global_shutter(found.sensor_readout_s)) {
     verdict.text += ": a global shutter";
   } else {
     verdict.text += found.sensor_readout_s.value > 0 ? ": a rolling shutter" : ": a rolling shutter, last row first";
@@ -108,17 +107,25 @@ Verdict of_rotation(const FootageCalibration& found) {
   return verdict;
 }
 
-/// Why the images do not tell the exposure.
+/// Why the images do not determine the exposure.
 std::string exposure_text(const RecordedExposure& exposure, std::size_t frames) {
-  const std::string few = text_of("%zu of %zu images tell it, 3 that agree are needed", exposure.estimates, frames);
+  const std::string few = text_of("%zu of %zu images determine it, 3 are needed", exposure.estimates, frames);
   switch (exposure.missing) {
     case ExposureNeed::TEXTURE:
-      return few + ": the blur shows too little. Record a scene with more texture, or set exposure_time";
+      return few + ": the scene has too little texture. Record another one, or set exposure_time";
     case ExposureNeed::LIGHT:
       return few + ": noise hides the blur. Record with more light, or set exposure_time";
     case ExposureNeed::MOTION:
     case ExposureNeed::NOTHING:
       break;
+  }
+  constexpr double kClearlyLonger = 1.1;  // stamps scatter
+  if (static_cast<double>(exposure.frame_interval_ns) >
+      kClearlyLonger * static_cast<double>(exposure.longest_tried_ns)) {
+    return few +
+           text_of(": exposures up to %.3g s were tried, and at one frame in %.3g s it may be longer. ",
+                   to_seconds(exposure.longest_tried_ns), to_seconds(exposure.frame_interval_ns)) +
+           "Set exposure_time";
   }
   return few + ": their blur is too short, 6 px are needed. Turn the camera faster, or set exposure_time";
 }
@@ -127,10 +134,9 @@ std::string exposure_text(const RecordedExposure& exposure, std::size_t frames) 
 std::string agreement_text(const std::optional<ExposureEstimate>& over_given, const std::string& source,
                            const std::string& remedy, const std::string& why_not) {
   if (!over_given) return source + "; not checked: " + why_not;
-  constexpr double kForgiven = 0.08;  // as while the camera is in use, see ExposureChoice
   const std::string says = text_of("blur is %.2f times (+- %.0f %%) what %s says", over_given->ratio,
                                    100 * over_given->log_stddev, source.c_str());
-  if (std::abs(std::log(over_given->ratio)) < std::log1p(kForgiven)) return source + ", and the images agree: " + says;
+  if (!contradicts(*over_given)) return source + ", and the images agree: " + says;
   return says + ": " + remedy;
 }
 
@@ -166,7 +172,8 @@ Verdict of_exposure(const FootageCalibration& found, std::size_t frames) {
   const std::string by = text_of("by the blur of %zu of %zu images", exposure.estimates, frames);
   if (exposure.varies) {
     verdict.value = text_of("%.6f to %.6f s", seconds(exposure.low_ns), seconds(exposure.high_ns));
-    verdict.text = by + ". It changes from image to image: leave exposure_time empty, and the images tell it";
+    verdict.text =
+        by + ". It changes from image to image: leave exposure_time empty, and it is estimated while running";
   } else {
     verdict.value =
         text_of("%.6f +- %.6f s", seconds(exposure.exposure_ns), exposure.log_stddev * seconds(exposure.exposure_ns));

@@ -51,7 +51,7 @@ RecordedExposure estimate_exposures(const InputBag& input, const FootageTopics& 
       found.timing && !found.is_refused() ? to_ns(found.timing->readout_s.value) : image_readout_ns(config, footage);
   RecordedExposureEstimator estimator(footage.camera, shutter, config.pipeline,
                                       motion_of(found, options, config, footage));
-  for_each_picture(input, topics, footage_options, "images' exposure", [&](const FootagePicture& picture) {
+  for_each_picture(input, topics, footage_options, "images examined for blur", [&](const FootagePicture& picture) {
     const auto message = footage.message_exposures_ns.find(picture.stamp_ns);
     std::optional<TimeNs> given_ns;
     if (message != footage.message_exposures_ns.end()) given_ns = message->second;
@@ -62,9 +62,9 @@ RecordedExposure estimate_exposures(const InputBag& input, const FootageTopics& 
   return estimator.result();
 }
 
-/// The coarse offset contains half of what readout and exposure were not known of; here it does not.
-/// @param exposure_ns  that was not known then, and is now
-LearnedCalibration by_present_times(LearnedCalibration coarse, const TimingEstimate& timing,
+/// The coarse offset contains half of what readout and exposure were wrong by: takes that out.
+/// @param exposure_ns  what the exposure was wrong by
+LearnedCalibration corrected_offset(LearnedCalibration coarse, const TimingEstimate& timing,
                                     const TimingOptions& options, TimeNs exposure_ns) {
   const double middle_s = 0.5 * (timing.readout_s.value - to_seconds(options.readout_ns));
   coarse.time_offset_s.value -= options.stamp_row == StampRow::FIRST  ? middle_s
@@ -74,16 +74,20 @@ LearnedCalibration by_present_times(LearnedCalibration coarse, const TimingEstim
   return coarse;
 }
 
-/// Whether the images contradict exposure_time beyond doubt.
-bool contradicts(const RecordedExposure& exposure, TimeNs given_ns) {
-  // As while the camera is in use, see ExposureChoice.
-  constexpr double kForgiven = 0.08, kSignificance = 3;
+/// Whether the images contradict a constant exposure.
+bool is_contradicted(TimeNs given_ns, const RecordedExposure& exposure) {
   if (!exposure.is_known || exposure.varies) return exposure.is_known;
-  const double log_ratio = std::log(static_cast<double>(exposure.exposure_ns) / static_cast<double>(given_ns));
-  return std::abs(log_ratio) > std::max(std::log1p(kForgiven), kSignificance * exposure.log_stddev);
+  return contradicts({static_cast<double>(exposure.exposure_ns) / static_cast<double>(given_ns), exposure.log_stddev});
 }
 
-/// Which exposures hold.
+/// Whether messages give the exposure. Some may have been lost; images without one take that of their neighbours while
+/// the camera is in use.
+bool has_messages(const Footage& footage) {
+  constexpr double kShare = 0.9;
+  return static_cast<double>(footage.message_exposures_ns.size()) >= kShare * static_cast<double>(footage.frames);
+}
+
+/// Decides between messages, exposure_time and the estimate.
 void choose_exposure(const Footage& footage, const Config& config, FootageCalibration* found) {
   RecordedExposure& exposure = found->exposure;
   if (exposure.is_known) {
@@ -97,9 +101,9 @@ void choose_exposure(const Footage& footage, const Config& config, FootageCalibr
   }
   found->shutter = config.shutter;
   const bool replaces = config.on_exposure_conflict == OnExposureConflict::IMAGES;
-  if (footage.message_exposures_ns.size() == footage.frames) {
+  if (has_messages(footage)) {
     found->exposure_from = ExposureSourceOfFootage::MESSAGES;
-  } else if (config.shutter.exposure_ns > 0 && !(replaces && contradicts(exposure, config.shutter.exposure_ns))) {
+  } else if (config.shutter.exposure_ns > 0 && !(replaces && is_contradicted(config.shutter.exposure_ns, exposure))) {
     found->exposure_from = ExposureSourceOfFootage::PARAMETER;
   } else if (exposure.is_known) {
     found->exposure_from = ExposureSourceOfFootage::IMAGES;
@@ -107,7 +111,7 @@ void choose_exposure(const Footage& footage, const Config& config, FootageCalibr
   }
 }
 
-/// The windows with the exposures that the images told.
+/// The windows with the exposures that were estimated.
 std::vector<TrackWindow> with_exposures(const Footage& footage, const RecordedExposure& exposure) {
   std::vector<TrackWindow> windows = footage.windows;
   for (TrackWindow& window : windows) {
@@ -120,7 +124,25 @@ std::vector<TrackWindow> with_exposures(const Footage& footage, const RecordedEx
   return windows;
 }
 
+void warn_of_messages(const Footage& footage, FootageCalibration* found) {
+  const std::size_t with_message = footage.message_exposures_ns.size();
+  if (with_message > 0 && with_message < footage.frames) {
+    found->warnings.push_back(std::to_string(footage.frames - with_message) + " of " + std::to_string(footage.frames) +
+                              " images have no exposure message");
+  }
+  if (found->timing && footage.message_readout_ns) {
+    found->warnings.push_back("the exposure messages bring a readout time of " +
+                              std::to_string(to_seconds(*footage.message_readout_ns)) +
+                              " s of their own, which holds before readout_time");
+  }
+}
+
 }  // namespace
+
+bool is_global_shutter(const Estimate& readout_s) {
+  constexpr double kSignificance = 3, kShortS = 0.5e-3;
+  return std::abs(readout_s.value) < std::max(kSignificance * readout_s.stddev, kShortS);
+}
 
 bool FootageCalibration::is_refused() const {
   return std::any_of(objections.begin(), objections.end(),
@@ -140,16 +162,16 @@ FootageCalibration calibrate_footage(const InputBag& input, const FootageTopics&
   }
   const Camera camera(footage.camera);
   found.rotation_from = !timing.R_cam_imu ? "estimated" : config.R_cam_imu ? "as configured" : "tf";
-  // Of less, rates determine nothing, and what they say is that there is more to come.
+  // Shorter footage determines nothing, and the reason is always that it is too short.
   constexpr TimeNs kShortestNs = 2'000'000'000;
   if (footage.images.end_ns - footage.images.begin_ns >= kShortestNs) {
     found.coarse = coarse_calibration(footage.rates, footage.samples, timing.time_offset_ns, timing.search_ns);
   }
-  const auto estimate = [&](const std::vector<TrackWindow>& windows, TimeNs found_exposure_ns) {
+  const auto estimate = [&](const std::vector<TrackWindow>& windows, TimeNs exposure_error_ns) {
     try {
       found.timing = estimate_timing(camera, windows, footage.samples, timing);
       found.objections = timing_objections(*found.timing, timing, footage.period,
-                                           by_present_times(found.coarse, *found.timing, timing, found_exposure_ns));
+                                           corrected_offset(found.coarse, *found.timing, timing, exposure_error_ns));
     } catch (const TimingError& error) {
       found.timing.reset();
       found.timing_error = error.what();
@@ -171,17 +193,10 @@ FootageCalibration calibrate_footage(const InputBag& input, const FootageTopics&
     found.sensor_readout_s = {found.timing->readout_s.value / footage.readout_part,
                               found.timing->readout_s.stddev / footage.readout_part};
   }
-  found.offset_has_exposure =
-      found.exposure_from == ExposureSourceOfFootage::UNKNOWN && config.shutter.stamp_phase != StampPhase::MIDDLE;
-  // Without an exposure the middle of it is what stamps and offset tell.
-  if (found.offset_has_exposure && footage.message_exposures_ns.empty()) {
-    found.shutter.stamp_phase = StampPhase::MIDDLE;
-  }
-  if (found.timing && footage.message_readout_ns) {
-    found.warnings.push_back("the exposure messages bring a readout time of " +
-                             std::to_string(to_seconds(*footage.message_readout_ns)) +
-                             " s of their own, which holds before readout_time");
-  }
+  found.offset_has_exposure = found.exposure_from == ExposureSourceOfFootage::UNKNOWN &&
+                              config.shutter.stamp_phase != StampPhase::MIDDLE && footage.message_exposures_ns.empty();
+  if (found.offset_has_exposure) found.shutter.stamp_phase = StampPhase::MIDDLE;
+  warn_of_messages(footage, &found);
   return found;
 }
 

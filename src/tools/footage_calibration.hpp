@@ -1,4 +1,4 @@
-// What a recording tells of a camera and its IMU.
+// The calibration of a camera and its IMU from a recording.
 #pragma once
 
 #include <functional>
@@ -21,7 +21,7 @@ struct FootageCalibrationOptions {
   bool estimate_rotation = false;  ///< although it is given
 };
 
-/// Where the exposure times that hold are from.
+/// Where the exposure times in use are from.
 enum class ExposureSourceOfFootage { MESSAGES, PARAMETER, IMAGES, UNKNOWN };
 
 /// The estimates from one recording.
@@ -35,16 +35,19 @@ struct FootageCalibration {
   RecordedExposure exposure;
   ExposureSourceOfFootage exposure_from = ExposureSourceOfFootage::UNKNOWN;
   ShutterTiming shutter;              ///< what stamps mean, and the exposure that holds for all images; 0: none does
-  bool offset_has_exposure = false;   ///< half of an exposure that is not known
+  bool offset_has_exposure = false;   ///< time_offset contains half of an exposure that is not known
   std::vector<std::string> warnings;  ///< of what was found on the way
 
-  /// Whether anything was found that speaks against all of it.
+  /// Whether there is an objection to all of the timing.
   bool is_refused() const;
 };
 
-/// Estimates timing, then the exposure with it, then timing again where the images told the exposure. Timing that
-/// cannot be estimated leaves the exposure to optical flow, or to the motion that the configuration gives.
-/// Throws OptionError for bad options, and what for_each_picture() throws.
+/// Whether a readout is too short to be told from 0, or to matter.
+bool is_global_shutter(const Estimate& readout_s);
+
+/// Estimates timing, then the exposure with it, then timing again with an exposure that the images determined. If
+/// timing cannot be estimated, the exposure is estimated with the motion that the configuration gives, else with
+/// optical flow. Throws OptionError for bad options, and what for_each_picture() throws.
 FootageCalibration calibrate_footage(const InputBag& input, const FootageTopics& topics,
                                      const FootageOptions& footage_options, const Footage& footage,
                                      const Config& config, const FootageCalibrationOptions& options);

@@ -94,7 +94,6 @@ class PairCollector {
 
   void add(TimeNs stamp_ns, const ImageView& pixels) {
     const FrameTime now{stamp_ns, exposure_of(stamp_ns)};
-    if (now.exposure_ns == 0) ++footage_->without_exposure;
     // Across lost frames the motion is too large to be followed.
     constexpr TimeNs kLongestStep = 250'000'000;
     if (last_ns_ && (now.stamp_ns <= *last_ns_ || now.stamp_ns - *last_ns_ > kLongestStep)) tracker_.cut();
@@ -228,7 +227,7 @@ Footage read_footage(const InputBag& input, const FootageTopics& topics, const F
   tracker.max_points = options.points;
   PairCollector collector(exposures, config, tracker, &footage);
   std::vector<TimeNs> delays_ns;
-  for_each_picture(input, topics, options, "images", [&](const FootagePicture& picture) {
+  for_each_picture(input, topics, options, "images followed", [&](const FootagePicture& picture) {
     if (footage.frames == 0) {
       read_camera(bag, picture.pixels.image.size(), topics, config, &footage);
       camera_frame = picture.frame_id;

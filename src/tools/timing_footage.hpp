@@ -45,9 +45,8 @@ struct Footage {
   std::vector<TrackWindow> windows;
   std::vector<ImageRate> rates;  ///< from picture to picture, coarser than the windows
   std::vector<GyroSample> samples;
-  std::optional<Eigen::Matrix3d> R_cam_imu;  ///< of tf
-  std::size_t frames = 0;                    ///< that show a new picture
-  std::size_t without_exposure = 0;
+  std::optional<Eigen::Matrix3d> R_cam_imu;       ///< of tf
+  std::size_t frames = 0;                         ///< that show a new picture
   std::map<TimeNs, TimeNs> message_exposures_ns;  ///< by the images' stamps; > 0
   TimeRange images;                               ///< first to last stamp
   TimeNs image_delay_ns = 0;                      ///< median time from a stamp to the recording of its message

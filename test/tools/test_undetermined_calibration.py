@@ -21,7 +21,7 @@ SCENE = """
 frames: %d
 lead_time: 0.7
 camera: {size: [376, 240], intrinsics: [229.4, 228.7, 183.6, 124.2], distortion_model: plumb_bob,
-         distortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002], fps: 20, exposure_time: [0.008, 0.012],
+         distortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002], %s,
          readout_time: %g, noise: 2}
 imu: {rate: 200, gyro_bias: [0.01, -0.02, 0.03], gyro_noise: 0.003, time_offset: %g, R_cam_imu: [0, 1, 0, -1, 0, 0, 0, 0, 1]}
 planes:
@@ -46,8 +46,9 @@ class UndeterminedCalibration(unittest.TestCase):
         cls.good = cls.simulate("good", 1)
 
     @classmethod
-    def simulate(cls, name, shake, readout_s=TRUE_READOUT_S, pan=1, only_axis=None, frames=40):
-        scene = SCENE % (frames, readout_s, TRUE_OFFSET_S)
+    def simulate(cls, name, shake, readout_s=TRUE_READOUT_S, pan=1, only_axis=None, frames=40,
+                 camera="fps: 20, exposure_time: [0.008, 0.012]"):
+        scene = SCENE % (frames, camera, readout_s, TRUE_OFFSET_S)
         for factor, (amplitudes, frequency, phase) in [(shake, s) for s in SHAKE] + [(pan, s) for s in PAN]:
             amplitudes = [factor * a if only_axis in (None, i) else 0 for i, a in enumerate(amplitudes)]
             scene += "      - {amplitude: [%g, %g, %g], frequency: %g, phase: %g}\n" % (*amplitudes, frequency, phase)
@@ -164,6 +165,18 @@ class UndeterminedCalibration(unittest.TestCase):
         self.refused(self.simulate("still", 0, pan=0, frames=50), "do not agree at any offset")
         for key in ("time_offset", "readout_time", "R_cam_imu"):
             self.assertRegex(self.verdicts()[key]["text"], r"turned faster than 0\.1 rad/s for \d\.\d of the 2 s", key)
+
+    def test_an_exposure_that_is_longer_than_what_is_tried(self):
+        """Of a slow camera. That its blur is too short would be wrong."""
+        path = self.folder / "unknown_exposure.bag"
+        simulated = self.simulate("slow", 0, pan=0.5, frames=8, camera="fps: 4, exposure_time: 0.2")
+        with rosbag.Bag(str(simulated)) as source, rosbag.Bag(str(path), "w") as target:
+            for topic, message, time in source.read_messages():
+                if topic != "/camera/exposure":
+                    target.write(topic, message, time)
+        self.refused(path, "pairs of frames")
+        self.assertIn("exposures up to 0.081 s were tried, and at one frame in 0.25 s it may be longer",
+                      self.verdicts()["exposure_time"]["text"])
 
     def test_a_turn_about_one_axis_leaves_the_rotation_open(self):
         path = self.simulate("one_axis", 1, only_axis=1, frames=50)
