@@ -1,6 +1,6 @@
 """The cameras and IMUs of a running system, and a recording of some of its topics.
 
-Installed beside the script that imports it. Needs a node: rospy.init_node() comes first.
+Needs a node: rospy.init_node() comes first.
 """
 import threading
 import time
@@ -14,7 +14,7 @@ from gyro_deblur.msg import Exposure
 POLL_S = 0.1
 COMPRESSED = "/compressed"  # image_transport's name below that of the image
 IMAGE_TYPES = {Image._type: Image, CompressedImage._type: CompressedImage}
-# What this package publishes, and depth, are no cameras.
+# Images that this package publishes, and depth, are not offered as cameras.
 OWN_OUTPUTS = ("/deblurred/image_raw", "/global_shutter/image_raw", "/blur_overlay", "/trust_mask")
 DEPTH_NAMES, DEPTH_ENCODINGS = ("depth", "disparity"), ("16UC1", "32FC1")
 
@@ -24,14 +24,14 @@ class Stream:
 
     def __init__(self, topic, kind):
         self.topic, self.kind = topic, kind
-        self.first = None
+        self.first, self.size_bytes = None, 0
         self._count, self._begin_s, self._end_s = 0, 0.0, 0.0
         self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._on_message, buff_size=2**24)
 
     def _on_message(self, message):
         self._end_s = time.monotonic()
         if self._count == 0:
-            self._begin_s = self._end_s
+            self._begin_s, self.size_bytes = self._end_s, len(message._buff)
             if message._connection_header["md5sum"] == self.kind._md5sum:
                 self.first = self.kind().deserialize(message._buff)
         self._count += 1
@@ -45,14 +45,21 @@ class Stream:
         self._subscriber.unregister()
 
 
+def in_namespace_of(topic, name):
+    """The topic of that name in the namespace of another one."""
+    return topic.rsplit("/", 1)[0] + "/" + name
+
+
 class Camera:
-    """A topic of images, and what belongs to it."""
+    """A topic of images with its camera_info (or None) and its topic of exposure messages (or "")."""
 
     def __init__(self, stream, info, exposure):
         self.topic, self.rate_hz = stream.topic, stream.rate_hz()
+        self.bytes_per_s = stream.size_bytes * self.rate_hz
         self.transport = "compressed" if stream.kind is CompressedImage else "raw"
         self.image = self.topic[:-len(COMPRESSED)] if self.transport == "compressed" else self.topic
-        self.namespace, self.name = self.image.rsplit("/", 1)
+        namespace, self.name = self.image.rsplit("/", 1)
+        self.namespace = namespace or "/"
         self.first, self.info, self.exposure = stream.first, info, exposure
 
     def is_depth(self):
@@ -67,20 +74,15 @@ class Camera:
             return "no image within the time of looking"
         what = ("%dx%d %s" % (self.first.width, self.first.height, self.first.encoding) if self.transport == "raw"
                 else self.first.format.strip() or "compressed")
-        info = ("no camera_info beside it" if self.info is None else
+        info = ("without camera_info" if self.info is None else
                 "calibrated" if self.is_calibrated() else "camera_info is not calibrated")
         return "%s, %.1f Hz, %s%s" % (what, self.rate_hz, info, ", exposure messages" if self.exposure else "")
-
-
-def beside(image, name):
-    """The topic of that name in the namespace of the images."""
-    return image.rsplit("/", 1)[0] + "/" + name
 
 
 def find_inputs(look_s):
     """(cameras, IMUs): Camera and Stream objects of everything that is published, sorted by their topics.
 
-    look_s: how long rates are measured, and up to three times as long where something has sent less than two messages.
+    look_s: how long rates are measured; up to three times as long if a stream has sent fewer than two messages.
     """
     types = dict(rospy.get_published_topics())
     images = {topic: IMAGE_TYPES[kind] for topic, kind in types.items()
@@ -98,7 +100,7 @@ def find_inputs(look_s):
     cameras = []
     for stream in streams:
         image = stream.topic[:-len(COMPRESSED)] if stream.kind is CompressedImage else stream.topic
-        info, exposure = infos.get(beside(image, "camera_info")), beside(image, "exposure")
+        info, exposure = infos.get(in_namespace_of(image, "camera_info")), in_namespace_of(image, "exposure")
         camera = Camera(stream, info and info.first, exposure if types.get(exposure) == Exposure._type else "")
         if not camera.is_depth():
             cameras.append(camera)
@@ -124,7 +126,7 @@ class Recording:
             if self._bag is None:
                 return
             header = message._connection_header  # rospy has no other access to it
-            # A bag has no time 0, which is what simulated time is before it begins.
+            # Simulated time is 0 before it begins, which a bag refuses.
             at = max(rospy.Time.now(), rospy.Time(0, 1))
             raw = (header["type"], message._buff, header["md5sum"], None)
             self._bag.write(topic, raw, at, raw=True, connection_header=dict(header, topic=topic))

@@ -108,7 +108,7 @@ def draw_spectrum(axes, exposure):
     title = "blur along the motion: zeros at whole numbers"
     spectrum = exposure["spectrum"]
     if len(spectrum) < 10:  # a quarter of its range
-        return nothing(axes, title, "no blur that tells the exposure")
+        return nothing(axes, title, "no blur that determines the exposure")
     waves = np.array([p["waves"] for p in spectrum])
     power = np.array([p["log_power"] for p in spectrum])
     path = np.array([p["log_of_path"] for p in spectrum])
@@ -130,16 +130,16 @@ def draw_spectrum(axes, exposure):
 def draw_exposures(axes, exposure):
     title = "exposure time by single images"
     images = exposure.get("images", [])
-    told = [i for i in images if i["estimate_s"] is not None]
-    if not told:
-        return nothing(axes, title, "no image tells it: the median blur is %.1f px"
+    estimated = [i for i in images if i["estimate_s"] is not None]
+    if not estimated:
+        return nothing(axes, title, "no image determines it: the median blur is %.1f px"
                        % (np.median([i["extent_px"] for i in images]) if images else 0))
     begin_ns = images[0]["stamp_ns"]
-    t_s = np.array([(i["stamp_ns"] - begin_ns) * 1e-9 for i in told])
-    values_ms = 1e3 * np.array([i["estimate_s"] for i in told])
-    errors_ms = values_ms * np.array([i["log_stddev"] for i in told])
+    t_s = np.array([(i["stamp_ns"] - begin_ns) * 1e-9 for i in estimated])
+    values_ms = 1e3 * np.array([i["estimate_s"] for i in estimated])
+    errors_ms = values_ms * np.array([i["log_stddev"] for i in estimated])
     axes.errorbar(t_s, values_ms, yerr=errors_ms, fmt="o", color="tab:blue", markersize=3, linewidth=1,
-                  label="%d of %d images" % (len(told), len(images)))
+                  label="%d of %d images" % (len(estimated), len(images)))
     for key, name, colour in (("given_s", "message", "tab:gray"), ("filtered_s", "filtered", "tab:orange")):
         line = [((i["stamp_ns"] - begin_ns) * 1e-9, 1e3 * i[key]) for i in images if i[key] is not None]
         if line and (key != "filtered_s" or exposure["varies"]):

@@ -1,15 +1,14 @@
 """Which motion a recording still lacks for a calibration, from the gyroscope alone.
 
-Installed beside the script that imports it. What calibrate needs: turns about all axes, at 0.5 rad/s and more, that
-change their direction (doc/guides/calibration.md). The axes of the IMU are not those of the camera here: its main axes
-are those of the motion itself.
+calibrate needs rotation about all axes, at 0.5 rad/s and more, that changes its direction (doc/guides/calibration.md).
+How the IMU is mounted on the camera is not known here: rotation is counted about its own principal axes.
 """
 import numpy as np
 
 FAST_RAD_S = 0.5
 FAST_S = 8.0  # of turns that fast
-SECOND_RAD_S, THIRD_RAD_S = 0.2, 0.1  # root mean square about the other main axes
-REVERSED_RAD_S = 0.3  # on either side of 0 about the first main axis
+SECOND_RAD_S, THIRD_RAD_S = 0.2, 0.1  # root mean square about the second and third principal axis
+REVERSED_RAD_S = 0.3  # on either side of 0 about the first one
 REVERSALS = 6
 LONGEST_GAP_S = 0.1  # between samples, else nothing is known of the motion
 
@@ -25,16 +24,16 @@ class WantedMotion:
             self._rates.append(rate_rad_s)
 
     def state(self):
-        """(share, text): how much of what is needed is there, 0 to 1, and what is wanted next; empty: it is enough."""
+        """(share, text): how much of the motion is there, 0 to 1, and which is wanted next; empty text: enough."""
         if len(self._times_s) < 2:
             return 0.0, "no samples of the IMU yet"
         rates = np.array(self._rates, dtype=float)
-        rates -= np.median(rates, axis=0)  # the bias, and whatever it turns on the mean
+        rates -= np.median(rates, axis=0)  # the bias
         steps_s = np.minimum(np.diff(self._times_s, prepend=self._times_s[0]), LONGEST_GAP_S)
         fast = np.linalg.norm(rates, axis=1) >= FAST_RAD_S
         if not fast.any():
             return 0.0, "turn the camera: back and forth, faster than %.1f rad/s" % FAST_RAD_S
-        # While it turns; pauses take nothing away.
+        # Of the time in motion: pauses do no harm.
         values, axes = np.linalg.eigh(rates[fast].T @ rates[fast] / fast.sum())
         third_rad_s, second_rad_s, _ = np.sqrt(np.maximum(values, 0))
         signs = np.sign(np.where(np.abs(rates @ axes[:, 2]) > REVERSED_RAD_S, rates @ axes[:, 2], 0))

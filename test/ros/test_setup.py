@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""setup beside a simulated camera and IMU that rosbag plays, with a master of its own.
+"""setup with a simulated camera and IMU that rosbag plays, with a master of its own.
 
 Usage: test_setup.py FOLDER_OF_THE_TOOLS
 """
 import contextlib
+import importlib.util
 import os
 import pathlib
 import socket
@@ -11,20 +12,26 @@ import subprocess
 import sys
 import tempfile
 import time
+import types
 import unittest
+from importlib.machinery import SourceFileLoader
 
 import cv2
 import rosbag
 import rosgraph
 import yaml
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
+
+SCRIPTS = pathlib.Path(__file__).resolve().parents[2] / "scripts"
+sys.path.insert(0, str(SCRIPTS))
+from live_inputs import Camera  # noqa: E402
 
 TOOLS = pathlib.Path(sys.argv[1])
 EXPOSURE_S, OFFSET_S, READOUT_S = 0.02, 0.043, 0.02
 SCENE = f"""
-frames: 320
+frames: 224
 lead_time: 0.3
-camera: {{size: [256, 192], intrinsics: [190, 190, 127.5, 95.5], fps: 20, exposure_time: {EXPOSURE_S},
+camera: {{size: [256, 192], intrinsics: [190, 190, 127.5, 95.5], fps: 14, exposure_time: {EXPOSURE_S},
          readout_time: {READOUT_S}, noise: 1.5}}
 imu: {{rate: 200, gyro_bias: [0.01, -0.02, 0.03], gyro_noise: 0.003, time_offset: {OFFSET_S}, R_cam_imu: [0, 1, 0, -1, 0, 0, 0, 0, 1]}}
 planes:
@@ -112,17 +119,22 @@ class Setup(unittest.TestCase):
         self.assertEqual(result.returncode, 1, result.stdout + result.stderr)
         self.assertIn(text, result.stderr)
 
+    def parameters_of(self, launch):
+        return yaml.safe_load(subprocess.run(["roslaunch", "--dump-params", str(launch)], env=self.environment,
+                                             stdout=subprocess.PIPE, universal_newlines=True, check=True,
+                                             timeout=60).stdout)
+
     def test_cameras_are_listed_and_have_to_be_chosen(self):
         with self.drivers():
             result = self.run_setup("--list")
             self.assertEqual(result.returncode, 0, result.stderr)
             self.assertRegex(result.stdout, r"1  /camera/image_raw +256x192 mono8, \d+\.\d Hz, calibrated\n")
-            self.assertRegex(result.stdout, r"2  /other/image_raw +2x2 mono8, \d+\.\d Hz, no camera_info beside it\n")
+            self.assertRegex(result.stdout, r"2  /other/image_raw +2x2 mono8, \d+\.\d Hz, without camera_info\n")
             self.assertRegex(result.stdout, r"1  /imu  \d+ Hz\n")
             self.assertNotIn("/range", result.stdout)
             self.refused("there are several cameras, name one with --image: /camera/image_raw, /other/image_raw")
         with self.drivers():
-            self.refused("--imu /gyro is not there: /imu", "--image", "/camera/image_raw", "--imu", "/gyro")
+            self.refused("--imu /gyro is not published: /imu", "--image", "/camera/image_raw", "--imu", "/gyro")
             self.refused("/other/image_raw has no calibrated camera_info", "--image", "/other/image_raw")
 
     def test_from_running_drivers_to_a_launch_file(self):
@@ -140,9 +152,7 @@ class Setup(unittest.TestCase):
                          ["mine.json", "mine.launch", "mine.png", "mine.yaml"])
         self.assertIn(f"roslaunch {folder}/mine.launch", result.stdout)
         self.assertRegex(result.stderr, r"  \d of 9 s, motion \[#+-*\] +\d+ %, \d+ images, \d+ samples: keep turning")
-        parameters = subprocess.run(["roslaunch", "--dump-params", str(folder / "mine.launch")], env=self.environment,
-                                    stdout=subprocess.PIPE, universal_newlines=True, check=True, timeout=60).stdout
-        parameters = yaml.safe_load(parameters)
+        parameters = self.parameters_of(folder / "mine.launch")
         self.assertEqual(parameters["/camera/gyro_deblur/time_offset"], keys["time_offset"])
 
     def test_a_recording_that_is_too_short_has_verdicts_and_nothing_to_start(self):
@@ -151,6 +161,21 @@ class Setup(unittest.TestCase):
             self.refused("does not determine the calibration", "--image", "/camera/image_raw", "--seconds", "0.3",
                          "--folder", str(folder))
         self.assertEqual(sorted(path.name for path in folder.iterdir()), ["camera.json", "camera.png"])
+
+    def test_launch_file_of_a_camera_in_any_namespace(self):
+        loader = SourceFileLoader("setup", str(SCRIPTS / "setup"))  # its name has no .py
+        setup = importlib.util.module_from_spec(importlib.util.spec_from_loader("setup", loader))
+        loader.exec_module(setup)
+        (self.folder / "any.yaml").write_text("time_offset: 0.25\n", encoding="utf-8")
+        launch = self.folder / "any.launch"
+        for topic, kind, transport, node in (
+                ("/image_raw", Image, "raw", "/gyro_deblur"),
+                ("/a/b/image_raw/compressed", CompressedImage, "compressed", "/a/b/gyro_deblur")):
+            stream = types.SimpleNamespace(topic=topic, kind=kind, first=None, size_bytes=0, rate_hz=lambda: 0.0)
+            launch.write_text(setup.launch_file(Camera(stream, None, ""), stream, "any.yaml"), encoding="utf-8")
+            parameters = self.parameters_of(launch)
+            self.assertEqual(parameters[node + "/time_offset"], 0.25)
+            self.assertEqual(parameters[node + "/image_transport"], transport)
 
     def test_without_a_master(self):
         self.refused("there is no ROS master at http://localhost:1", ROS_MASTER_URI="http://localhost:1")
