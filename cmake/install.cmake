@@ -59,6 +59,7 @@ install(DIRECTORY config launch rviz workflow
   DESTINATION ${CATKIN_PACKAGE_SHARE_DESTINATION}
   USE_SOURCE_PERMISSIONS
   PATTERN __pycache__ EXCLUDE)
+# Programs of the installation and of the devel space. Not executable in scripts/: rosrun would find them twice.
 catkin_install_python(
   PROGRAMS scripts/bag_transport.py scripts/play_through.py scripts/plot_calibration.py scripts/report.py scripts/setup
   DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})

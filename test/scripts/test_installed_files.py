@@ -74,6 +74,15 @@ class InstalledFiles(unittest.TestCase):
             self.assert_installed("lib/gyro_deblur/" + name
                                   for name in local_imports(ROOT / "scripts" / script.rsplit("/", 1)[-1]))
 
+    def test_programs_are_executable_and_found_once(self):
+        """rosrun takes any executable file below the package's folder, too."""
+        for name in sorted(self.files):
+            if name.startswith("lib/gyro_deblur/"):
+                script = ROOT / "scripts" / name.rsplit("/", 1)[-1]
+                is_program = not script.exists() or script.read_text().startswith("#!")
+                self.assertEqual(os.access(str(self.root / name), os.X_OK), is_program, name)
+                self.assertFalse(script.exists() and os.access(str(script), os.X_OK), script)
+
     def test_nothing_names_the_sources_or_the_build(self):
         for name in self.files:
             content = (self.root / name).read_bytes()
