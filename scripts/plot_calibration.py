@@ -19,7 +19,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen first)
 
 COLOURS = {"known": "tab:green", "given": "tab:blue", "not determined": "tab:red"}
-RESIDUALS = [("without_px", "no gyroscope", "tab:gray"), ("at_start_px", "offset found, not refined", "tab:orange"),
+RESIDUALS = [("without_px", "no gyroscope", "tab:gray"), ("at_start_px", "not refined", "tab:orange"),
              ("estimated_px", "estimated", "tab:blue")]
 
 
@@ -74,7 +74,7 @@ def draw_distribution(axes, report):
                   label="%s: median %.2f px" % (name, np.median(values)))
     axes.set_xscale("log")
     axes.set_xlabel("residual [px]")
-    axes.set_ylabel("part of the points below")
+    axes.set_ylabel("share of the points")
     axes.set_title("residuals of the points", fontsize=9, loc="left")
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3)
