@@ -14,6 +14,9 @@ constexpr int kInterpolationTaps = 6, kInterpolationStride = 8, kInterpolationSt
 /// The functions of one instruction set. Strides are in floats.
 struct AlignmentLoops {
   const char* name;
+  /// Bytes as floats.
+  void (*widen)(const unsigned char* bytes, std::ptrdiff_t byte_stride, float* written, std::ptrdiff_t stride,
+                int width, int height);
   /// written(x, y) = sum of shares[k] * read[offsets[k] + x + y * read_stride] over k < taps, for x < width.
   void (*convolve)(const float* read, std::ptrdiff_t read_stride, const int* offsets, const float* shares, int taps,
                    float* written, std::ptrdiff_t stride, int width, int height);
@@ -27,6 +30,13 @@ struct AlignmentLoops {
   /// is written beyond the end of a row is 0.
   void (*differentiate)(const float* patch, std::ptrdiff_t patch_stride, float* along_x, float* along_y,
                         std::ptrdiff_t stride, int width, int height);
+  /// Sums of p, p t and p^2, where p is what `patch` has beside `offset`. After each row of `other` (t) kPatchRoom
+  /// pixels are 0, of the patch finite.
+  void (*compare)(const float* patch, std::ptrdiff_t patch_stride, float offset, const float* other,
+                  std::ptrdiff_t stride, int width, int height, float* sums);
+  /// written = scale_a * a + scale_b * b + offset. What is written beyond the end of a row is 0.
+  void (*combine)(const float* a, std::ptrdiff_t a_stride, float scale_a, const float* b, std::ptrdiff_t b_stride,
+                  float scale_b, float offset, float* written, std::ptrdiff_t stride, int width, int height);
   /// sums[i] = sum of patch * factors[i] for i < 3. `factors` are 0 on kPatchRoom pixels after each of their rows,
   /// where `patch` is finite.
   void (*project)(const float* patch, std::ptrdiff_t patch_stride, const float* const* factors, std::ptrdiff_t stride,

@@ -15,6 +15,26 @@ inline float sum_of(Vector v) {
   return sum;
 }
 
+void widen(const unsigned char* bytes, std::ptrdiff_t byte_stride, float* written, std::ptrdiff_t stride, int width,
+           int height) {
+  typedef unsigned char Bytes __attribute__((vector_size(kLanes)));
+  for (int y = 0; y < height; ++y) {
+    const unsigned char* from = bytes + y * byte_stride;
+    float* to = written + y * stride;
+    if (width < kLanes) {
+      for (int x = 0; x < width; ++x) to[x] = from[x];
+      continue;
+    }
+    // The last vector overlaps the one before: nothing is read beyond the image.
+    for (int x = 0; x < width; x += kLanes) {
+      const int at = x + kLanes <= width ? x : width - kLanes;
+      Bytes values;
+      std::memcpy(&values, from + at, sizeof values);
+      store(to + at, __builtin_convertvector(values, Vector));
+    }
+  }
+}
+
 /// Two rows at a time: independent sums hide the latency of each.
 template <int kVectors>
 inline void convolve_strip(const float* read, std::ptrdiff_t read_stride, const int* offsets, const float* shares,
@@ -94,6 +114,40 @@ void differentiate(const float* patch, std::ptrdiff_t patch_stride, float* along
   }
 }
 
+/// 1 in the lanes that are left of a row, 0 in the others.
+inline Vector lanes_left(int count) {
+  static const float kMask[2 * kPatchRoom] = {1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+  return load(kMask + kPatchRoom - (count < kLanes ? count : kLanes));
+}
+
+void compare(const float* patch, std::ptrdiff_t patch_stride, float offset, const float* other, std::ptrdiff_t stride,
+             int width, int height, float* sums) {
+  Vector first = {}, product = {}, second = {};
+  for (int x = 0; x < width; x += kLanes) {
+    const Vector mask = lanes_left(width - x);
+    for (int y = 0; y < height; ++y) {
+      const Vector value = mask * (load(patch + y * patch_stride + x) - offset);
+      first += value;
+      product += value * load(other + y * stride + x);
+      second += value * value;
+    }
+  }
+  sums[0] = sum_of(first);
+  sums[1] = sum_of(product);
+  sums[2] = sum_of(second);
+}
+
+void combine(const float* a, std::ptrdiff_t a_stride, float scale_a, const float* b, std::ptrdiff_t b_stride,
+             float scale_b, float offset, float* written, std::ptrdiff_t stride, int width, int height) {
+  for (int x = 0; x < width; x += kLanes) {
+    const Vector mask = lanes_left(width - x);
+    for (int y = 0; y < height; ++y) {
+      store(written + y * stride + x,
+            mask * (scale_a * load(a + y * a_stride + x) + scale_b * load(b + y * b_stride + x) + offset));
+    }
+  }
+}
+
 void project(const float* patch, std::ptrdiff_t patch_stride, const float* const* factors, std::ptrdiff_t stride,
              int width, int height, float* sums) {
   Vector first = {}, second = {}, third = {};
@@ -153,8 +207,16 @@ void multiply_gradients(const float* ax, const float* ay, const float* bx, const
 }  // namespace
 
 extern const AlignmentLoops kAlignmentLoops;
-const AlignmentLoops kAlignmentLoops = {GYRO_DEBLUR_ISA_NAME,    convolve,          sample_row, differentiate, project,
-                                        multiply_by_derivatives, multiply_gradients};
+const AlignmentLoops kAlignmentLoops = {GYRO_DEBLUR_ISA_NAME,
+                                        widen,
+                                        convolve,
+                                        sample_row,
+                                        differentiate,
+                                        compare,
+                                        combine,
+                                        project,
+                                        multiply_by_derivatives,
+                                        multiply_gradients};
 
 }  // namespace GYRO_DEBLUR_ISA
 }  // namespace gyro_deblur

@@ -17,7 +17,7 @@ constexpr int kTaps = kInterpolationTaps, kBefore = 2, kAfter = 3;
 using Weights = Eigen::Array<float, kInterpolationStride, 1>;
 
 /// The second image is blurred so far beyond the window at once; predictions are rarely farther off.
-constexpr int kSearchMargin = 3;
+constexpr int kSearchMargin = 1;
 
 /// Less than rounding to grey levels makes, in some direction, is no texture [grey levels^2/px^2].
 constexpr double kLeastInformation = 1e-3;
@@ -97,11 +97,6 @@ void BlurAligner::Patch::resize(int width, int height) {
   if (pixels_.size() < size) pixels_.resize(size, 0.0f);
 }
 
-void BlurAligner::Patch::resize_and_clear(int width, int height) {
-  resize(width, height);
-  std::fill(pixels_.begin(), pixels_.end(), 0.0f);
-}
-
 void BlurAligner::rasterize(const PlanePath& path_px, Psf* psf) {
   // Bilinear shares keep the path's mean; samples half a pixel apart spread evenly over its pixels.
   constexpr float kStepPx = 0.5f;
@@ -137,11 +132,8 @@ void BlurAligner::blur(const cv::Mat& image, const Psf& psf, const Box& box, Reg
   constexpr float kLeastShare = 1e-6f;  // rounding left it
   const Box read = box.grown(psf.reach);
   source_.resize(read.width(), read.height());
-  for (int y = 0; y < read.height(); ++y) {
-    const uchar* from = image.ptr(read.first_y + y) + read.first_x;
-    float* to = source_.row(y);
-    for (int x = 0; x < read.width(); ++x) to[x] = from[x];
-  }
+  loops_.widen(image.ptr(read.first_y) + read.first_x, static_cast<std::ptrdiff_t>(image.step), source_.row(0),
+               source_.stride(), read.width(), read.height());
   offsets_.clear();
   shares_.clear();
   for (int y = 0; y < psf.reach.height(); ++y) {
@@ -210,9 +202,18 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
     loops_.sample_row(first_.patch.row(0), first_.patch.stride(), interpolation_table(), at_px.x(), at_px.y(),
                       step_px.x(), step_px.y(), sampled_.width(), sampled_.row(y));
   }
-  for (Patch* patch : {&template_, &gradient_x_, &gradient_y_}) patch->resize_and_clear(width, height);
-  const auto pattern = sampled_.pixels().block(kMargin, kMargin, height, width);
-  template_.pixels() = pattern - pattern.mean();
+  for (Patch* patch : {&template_, &gradient_x_, &gradient_y_}) patch->resize(width, height);
+  const float* middle = sampled_.row(kMargin) + kMargin;
+  // From a pixel of its own: squares of grey levels would leave few digits for the contrast.
+  const float offset = *middle;
+  loops_.combine(middle, sampled_.stride(), 1, middle, sampled_.stride(), 0, -offset, template_.row(0),
+                 template_.stride(), width, height);
+  std::array<float, 3> sums;
+  loops_.compare(template_.row(0), template_.stride(), 0, template_.row(0), template_.stride(), width, height,
+                 sums.data());
+  const float mean = sums[0] / static_cast<float>(template_.size());
+  loops_.combine(middle, sampled_.stride(), 1, middle, sampled_.stride(), 0, -offset - mean, template_.row(0),
+                 template_.stride(), width, height);
   loops_.differentiate(sampled_.row(kMargin) + kMargin, sampled_.stride(), gradient_x_.row(0), gradient_y_.row(0),
                        gradient_x_.stride(), width, height);
 }
@@ -240,27 +241,43 @@ void BlurAligner::sample_patch(const Eigen::Vector2d& place_px) {
 double BlurAligner::pattern_energy(double noise_variance) {
   // Where noise is nearly all of it, its own scatter would decide.
   constexpr double kLeastShare = 0.1;
-  const double energy = template_.pixels().square().sum();
+  std::array<float, 3> sums;
+  loops_.compare(template_.row(0), template_.stride(), 0, template_.row(0), template_.stride(), template_.width(),
+                 template_.height(), sums.data());
+  const double energy = sums[2];
   return std::max(kLeastShare * energy, energy - noise_variance * template_.size());
 }
 
 Eigen::Matrix2d BlurAligner::gradients_beside_gain(double pattern) {
-  const auto pattern_px = template_.pixels(), gradient_x = gradient_x_.pixels(), gradient_y = gradient_y_.pixels();
-  for (Patch* of_axis : {&gradient_x_, &gradient_y_}) {
-    auto gradient = of_axis->pixels();
-    gradient -= gradient.mean();
-    if (pattern > 0) gradient -= static_cast<float>((gradient * pattern_px).sum() / pattern) * pattern_px;
+  const int width = template_.width(), height = template_.height(), stride = template_.stride();
+  std::array<float, 3> sums;
+  for (Patch* gradient : {&gradient_x_, &gradient_y_}) {
+    float* pixels = gradient->row(0);
+    loops_.compare(pixels, stride, 0, template_.row(0), stride, width, height, sums.data());
+    // The template has no mean.
+    const float mean = sums[0] / static_cast<float>(template_.size()),
+                share = pattern > 0 ? sums[1] / static_cast<float>(pattern) : 0;
+    loops_.combine(pixels, stride, 1, template_.row(0), stride, -share, -mean, pixels, stride, width, height);
   }
+  loops_.multiply_gradients(gradient_x_.row(0), gradient_y_.row(0), gradient_x_.row(0), gradient_y_.row(0), stride,
+                            width, height, sums.data());
   Eigen::Matrix2d gradients;
-  gradients << gradient_x.square().sum(), (gradient_x * gradient_y).sum(), (gradient_x * gradient_y).sum(),
-      gradient_y.square().sum();
+  gradients << sums[0], sums[1] / 2, sums[1] / 2, sums[2];
   return gradients;
 }
 
 double BlurAligner::residual(double gain) {
-  const auto patch = patch_.pixels().block(kPatchMargin, kPatchMargin, window_.height(), window_.width());
-  return std::sqrt(
-      static_cast<double>((patch - patch.mean() - static_cast<float>(gain) * template_.pixels()).square().mean()));
+  const int width = template_.width(), height = template_.height();
+  const float* middle = patch_.row(kPatchMargin) + kPatchMargin;
+  // Of what the patch has beside the template; the room behind its rows does not count, and need not be 0.
+  difference_.resize(width, height);
+  loops_.combine(middle, patch_.stride(), 1, template_.row(0), template_.stride(), static_cast<float>(-gain), -*middle,
+                 difference_.row(0), difference_.stride(), width, height);
+  std::array<float, 3> sums;
+  loops_.compare(difference_.row(0), difference_.stride(), 0, template_.row(0), template_.stride(), width, height,
+                 sums.data());
+  const double pixels = template_.size(), mean = sums[0] / pixels;
+  return std::sqrt(std::max(0.0, sums[2] / pixels - mean * mean));
 }
 
 bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, double pattern,
@@ -309,7 +326,7 @@ Eigen::Matrix2d BlurAligner::multiply_gradients_of_both() {
 BlurAligner::NoiseShare BlurAligner::noise_share(const PlanePath& path_px) {
   // Two pixels of the blurred image share noise where one is as far from the other as one instant's place from
   // another's. Instants of a short path are nearer to each other than pixels.
-  constexpr float kShortPx = kPathInstants - 1;
+  constexpr float kShortPx = 2 * (kPathInstants - 1);
   const int per_piece = extent_of(path_px).maxCoeff() > kShortPx ? 2 : 1, instants = per_piece * (kPathInstants - 1);
   std::array<Eigen::Vector2f, 2 * (kPathInstants - 1)> places_px;
   for (int k = 0; k < instants; ++k) {
@@ -361,6 +378,20 @@ bool can_be_aligned(const Eigen::Vector2d& place_px, const PlanePath& path_px, c
   return is_inside && is_finite && extent_of(path_px).maxCoeff() <= kMaxPlaneExtentPx;
 }
 
+/// Images are larger than the caches that are near: their pixels arrive while PSFs are made.
+void prefetch(const cv::Mat& image, const Eigen::Vector2d& place_px, const PlanePath& path_px, int reach_px) {
+  constexpr int kCacheLine = 64;
+  const Eigen::Array2i half_px = (0.5f * extent_of(path_px)).cast<int>().array() + reach_px;
+  const Eigen::Array2i first_px = (place_px.cast<int>().array() - half_px).max(0);
+  const int last_x = std::min(image.cols - 1, static_cast<int>(place_px.x()) + half_px.x()),
+            last_y = std::min(image.rows - 1, static_cast<int>(place_px.y()) + half_px.y());
+  for (int y = first_px.y(); y <= last_y; ++y) {
+    for (int x = first_px.x(); x < last_x + kCacheLine; x += kCacheLine) {
+      __builtin_prefetch(image.ptr(y) + std::min(x, last_x));
+    }
+  }
+}
+
 }  // namespace
 
 std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPoint& in_from, const cv::Mat& to,
@@ -375,6 +406,9 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
       !can_be_aligned(in_to.place_px, blur_of_second_px, to.size())) {
     return std::nullopt;
   }
+  const int reach_px = options.window_px / 2 + kSearchMargin + kPatchMargin + kAfter;
+  prefetch(from, in_from.place_px, blur_of_first_px, reach_px);
+  prefetch(to, in_to.place_px, blur_of_second_px, reach_px);
   rasterize(blur_of_first_px, &psf_of_first_);
   rasterize(blur_of_second_px, &psf_of_second_);
   if (!crop_window(from.size(), in_from.place_px, to.size(), in_to.place_px, inverse_map, options.window_px)) {

@@ -31,7 +31,7 @@ struct AlignmentOptions {
   int window_px = 21;         ///< odd, [5, 101]: side of the patch that is compared, in the second image
   int max_iterations = 30;    ///< >= 1
   double max_offset_px = 6;   ///< > 0: the search ends farther from its start
-  double min_step_px = 0.01;  ///< > 0: a shorter step ends the search
+  double min_step_px = 0.02;  ///< > 0: a shorter step ends the search
 };
 
 /// A point that was found in the second image.
@@ -75,17 +75,12 @@ class BlurAligner {
    public:
     /// Keeps no pixels.
     void resize(int width, int height);
-    /// The same, all 0, the room as well.
-    void resize_and_clear(int width, int height);
     int width() const { return width_; }
     int height() const { return height_; }
     int size() const { return width_ * height_; }
     int stride() const { return stride_; }
     float* row(int y) { return pixels_.data() + y * stride_; }
     const float* row(int y) const { return pixels_.data() + y * stride_; }
-    Eigen::Map<Pixels, 0, Eigen::OuterStride<>> pixels() {
-      return {pixels_.data(), height_, width_, Eigen::OuterStride<>(stride_)};
-    }
 
    private:
     int width_ = 0, height_ = 0, stride_ = 0;
@@ -148,7 +143,7 @@ class BlurAligner {
   Psf psf_of_first_, psf_of_second_;  // what first and second image are blurred by: the other's path
   Region first_, second_;
   Box window_;  // about the point, in the second image
-  Patch source_, sampled_, rows_, template_, gradient_x_, gradient_y_, patch_;
+  Patch source_, sampled_, rows_, template_, gradient_x_, gradient_y_, patch_, difference_;
   std::vector<int> offsets_;  // of what is not 0 in a PSF
   std::vector<float> shares_;
   std::vector<int> pairs_;                 // of a path's instants, by lag; 0 between calls

@@ -1,46 +1,63 @@
 #include "features/local_motion.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
 #include <utility>
 
 #include <Eigen/Dense>
 
-#include "base/median.hpp"
 #include "features/robust_weight.hpp"
 
 namespace gyro_deblur {
+namespace {
+
+constexpr std::size_t kNeighbours = 12, kMinNeighbours = 6;
+
+/// Called for each corner of each image: nothing here allocates.
+double median_of(std::array<double, kNeighbours> values, std::size_t count) {
+  const auto begin = values.begin(), middle = begin + static_cast<std::ptrdiff_t>(count / 2);
+  std::nth_element(begin, middle, begin + static_cast<std::ptrdiff_t>(count));
+  return *middle;
+}
+
+}  // namespace
 
 LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen::Vector2d& place_px) {
-  constexpr std::size_t kNeighbours = 12, kMinNeighbours = 6;
   // Slopes are believed where displacements known to 0.1 px say more than that they are about 0.01.
   constexpr double kSlopePriorPx2 = 100;
   constexpr int kIterations = 4;
   LocalMotion motion{Eigen::Vector2d::Zero(), Eigen::Matrix2d::Zero()};
   if (points.size() < kMinNeighbours) return motion;
-  std::vector<std::pair<double, const DisplacedPoint*>> nearest;
-  for (const DisplacedPoint& point : points) nearest.emplace_back((point.place_px - place_px).squaredNorm(), &point);
-  const std::size_t count = std::min(kNeighbours, nearest.size());
-  std::partial_sort(nearest.begin(), nearest.begin() + static_cast<std::ptrdiff_t>(count), nearest.end());
-  nearest.resize(count);
+  // Farthest last of those kept so far, by insertion: most points are farther than all of them.
+  std::array<std::pair<double, const DisplacedPoint*>, kNeighbours> nearest;
+  std::size_t count = 0;
+  for (const DisplacedPoint& point : points) {
+    const double distance_px2 = (point.place_px - place_px).squaredNorm();
+    if (count == kNeighbours && distance_px2 >= nearest[count - 1].first) continue;
+    std::size_t at = count < kNeighbours ? count++ : count - 1;
+    for (; at > 0 && nearest[at - 1].first > distance_px2; --at) nearest[at] = nearest[at - 1];
+    nearest[at] = {distance_px2, &point};
+  }
 
   // From the median on.
   Eigen::Matrix<double, 3, 2> plane = Eigen::Matrix<double, 3, 2>::Zero();
   for (int axis = 0; axis < 2; ++axis) {
-    std::vector<double> values;
-    for (const auto& neighbour : nearest) values.push_back(neighbour.second->displacement_px[axis]);
-    plane(0, axis) = median(values);
+    std::array<double, kNeighbours> values;
+    for (std::size_t k = 0; k < count; ++k) values[k] = nearest[k].second->displacement_px[axis];
+    plane(0, axis) = median_of(values, count);
   }
   const auto row_of = [&](const DisplacedPoint& point) {
     const Eigen::Vector2d away_px = point.place_px - place_px;
     return Eigen::Vector3d(1, away_px.x(), away_px.y());
   };
   for (int iteration = 0; iteration < kIterations; ++iteration) {
-    std::vector<double> distances_px;
-    for (const auto& [unused, point] : nearest) {
-      distances_px.push_back((point->displacement_px - plane.transpose() * row_of(*point)).norm());
+    std::array<double, kNeighbours> distances_px;
+    for (std::size_t k = 0; k < count; ++k) {
+      const DisplacedPoint& point = *nearest[k].second;
+      distances_px[k] = (point.displacement_px - plane.transpose() * row_of(point)).norm();
     }
-    const double spread_px = spread_of(distances_px);
+    const double spread_px = spread_of_median(median_of(distances_px, count));
     Eigen::Matrix3d normal = Eigen::Vector3d(0, kSlopePriorPx2, kSlopePriorPx2).asDiagonal();
     Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
     for (std::size_t k = 0; k < count; ++k) {
@@ -50,7 +67,7 @@ LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen:
       normal += weight * row * row.transpose();
       right += weight * row * point.displacement_px.transpose();
     }
-    plane = normal.ldlt().solve(right);
+    plane = normal.inverse() * right;
   }
   if (!plane.allFinite()) return motion;
   motion.displacement_px = plane.row(0).transpose();

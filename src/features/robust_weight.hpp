@@ -8,13 +8,14 @@
 
 namespace gyro_deblur {
 
-/// Standard deviation of each component of vectors with these lengths, from their median; not 0.
-inline double spread_of(const std::vector<double>& distances) {
+/// Standard deviation of each component of vectors, from their lengths' median; not 0.
+inline double spread_of_median(double distance) {
   /// Of the length of a vector whose components are normal, with a deviation of 1: its median.
   constexpr double kMedianLength = 1.1774;
   constexpr double kLeast = 1e-3;
-  return std::max(median(distances) / kMedianLength, kLeast);
+  return std::max(distance / kMedianLength, kLeast);
 }
+inline double spread_of(const std::vector<double>& distances) { return spread_of_median(median(distances)); }
 
 /// Geman and McClure's.
 inline double robust_weight(double distance, double spread) {

@@ -82,6 +82,50 @@ TEST_P(AlignmentLoopsTest, SampleWithTheWeightsOfBothFractions) {
   }
 }
 
+TEST_P(AlignmentLoopsTest, WidenAnyWidth) {
+  for (int width = 1; width <= 70; ++width) {
+    const int height = 1 + width % 3, stride = width + kPatchRoom, byte_stride = width + 5;
+    // Of exactly the image's size: nothing is read behind it.
+    std::vector<unsigned char> bytes(static_cast<std::size_t>(byte_stride * (height - 1) + width));
+    for (unsigned char& byte : bytes) byte = static_cast<unsigned char>(random_() % 256);
+    std::vector<float> written(static_cast<std::size_t>(stride * height));
+    loops_->widen(bytes.data(), byte_stride, written.data(), stride, width, height);
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x) {
+        ASSERT_EQ(written[static_cast<std::size_t>(y * stride + x)],
+                  bytes[static_cast<std::size_t>(y * byte_stride + x)])
+            << width << ": " << x << ", " << y;
+      }
+    }
+  }
+}
+
+TEST_P(AlignmentLoopsTest, CompareAndCombineAnyWidth) {
+  for (int width = 1; width <= 70; ++width) {
+    const int height = 1 + width % 5, stride = width + kPatchRoom;
+    const std::vector<float> a = random_patch(width, height, false), b = random_patch(width, height, true);
+    std::vector<float> combined = random_patch(width, height, false);
+    const std::vector<float> before = combined;
+    std::array<float, 3> sums;
+    loops_->compare(a.data(), stride, 0.25f, b.data(), stride, width, height, sums.data());
+    loops_->combine(a.data(), stride, 2, b.data(), stride, -0.5f, 3, combined.data(), stride, width, height);
+    std::array<double, 3> expected{};
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x) {
+        const auto i = static_cast<std::size_t>(y * stride + x);
+        const double value = a[i] - 0.25;
+        expected[0] += value;
+        expected[1] += value * b[i];
+        expected[2] += value * value;
+        ASSERT_NEAR(combined[i], 2 * a[i] - 0.5 * b[i] + 3, 1e-5) << width << ": " << x << ", " << y;
+      }
+      const auto end = static_cast<std::size_t>(y * stride + width);
+      ASSERT_TRUE(combined[end] == before[end] || combined[end] == 0) << "written, and not 0";
+    }
+    for (std::size_t k = 0; k < 3; ++k) ASSERT_NEAR(sums[k], expected[k], 1e-4) << width;
+  }
+}
+
 TEST_P(AlignmentLoopsTest, DifferentiateAnyWidth) {
   // Of a quadratic surface Scharr's derivatives are exact.
   const auto value = [](int x, int y) { return static_cast<float>(0.5 * x * x - 0.25 * x * y + y * y + 3 * x - y); };
