@@ -190,10 +190,14 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
 
 void TrackSearch::search_far(const TrackStep& step, const std::vector<TrackState>& states,
                              std::vector<TrackCandidate>* candidates) {
+  // Where residual velocities predict most points right, those that are not found have left or are hidden.
+  const auto found =
+      std::count_if(candidates->begin(), candidates->end(), [](const TrackCandidate& each) { return each.found; });
+  const bool predicts_most = 2 * static_cast<std::size_t>(found) > states.size();
   std::vector<std::size_t> open;
   std::vector<cv::Point2f> before, start;
   for (std::size_t i = 0; i < states.size(); ++i) {
-    if ((*candidates)[i].found) continue;
+    if ((*candidates)[i].found || (predicts_most && (*candidates)[i].predicted.by_residual)) continue;
     open.push_back(i);
     before.push_back(to_cv(states[i].point.place_px));
     start.push_back(to_cv((*candidates)[i].predicted.place_px));

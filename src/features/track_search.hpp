@@ -81,7 +81,7 @@ class TrackSearch {
 
   /// Candidates with their predictions, found where these are good enough.
   std::vector<TrackCandidate> search(const TrackStep& step, const std::vector<TrackState>& states);
-  /// By Lucas-Kanade over pyramids, those that were not found.
+  /// By Lucas-Kanade over pyramids, those that were not found and may be elsewhere.
   void search_far(const TrackStep& step, const std::vector<TrackState>& states,
                   std::vector<TrackCandidate>* candidates);
   /// Again, with what the points that were found say of the motion around each, and takes the states there.
