@@ -16,8 +16,8 @@ namespace {
 constexpr std::size_t kFewestEstimates = 3;
 /// Deviations from the median below it count as agreement, however small standard deviations are.
 const double kSame = std::log(kContradictingRatio);
-/// Standard deviation of errors that all estimates share, such as those of the velocity. Optical flow alone gives the
-/// mean velocity between images, and was wrong by up to 8 % of the exposure for a camera that shakes.
+/// Standard deviation of errors that all estimates share, such as those of the velocity. Optical flow alone is too fast
+/// where a shaking camera is fastest, see doc/reports/exposure.md.
 constexpr double kCommon = 0.01, kCommonOfFlow = 0.05;
 
 /// Standard deviations beyond which a difference is none of chance.
