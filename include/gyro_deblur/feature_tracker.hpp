@@ -35,6 +35,7 @@ struct Track {
 constexpr TimeNs kLongestTrackBreakNs = 1'000'000'000;
 
 class BlurredView;
+class CornerDetector;
 class TrackSearch;
 struct TrackState;
 
@@ -98,6 +99,7 @@ class FeatureTracker {
   std::vector<Track> tracks_;
   std::vector<TrackState> states_;           // of tracks_
   std::unique_ptr<TrackSearch> search_;      // with its buffers
+  std::unique_ptr<CornerDetector> detector_;
   std::shared_ptr<const BlurredView> view_;  // the newest image
   CameraCalibration calibration_;
 };

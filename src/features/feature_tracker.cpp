@@ -12,6 +12,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "features/blurred_view.hpp"
+#include "features/corner_detector.hpp"
 #include "features/corner_prediction.hpp"
 #include "features/epipolar_check.hpp"
 #include "features/remembered_motion.hpp"
@@ -31,22 +32,6 @@ bool inside(const cv::Point2f& p, const cv::Size& size) {
 cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
 Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
 
-/// Corners of an image of half the size: noise makes fewer of its own there.
-/// @param allowed  CV_8UC1, of the luminance's size: not 0 where a corner may be
-std::vector<cv::Point2f> new_corners(const cv::Mat& luminance, const cv::Mat& allowed, int count,
-                                     double min_distance_px) {
-  constexpr double kQuality = 0.01;  // of the strongest corner's smaller eigenvalue; VINS-Mono has 0.01 as well
-  constexpr int kBlockPx = 3;        // side of the squares over which gradients are summed
-  const cv::Size half_size(luminance.cols / 2, luminance.rows / 2);
-  cv::Mat half, half_allowed;
-  cv::resize(luminance, half, half_size, 0, 0, cv::INTER_AREA);
-  cv::resize(allowed, half_allowed, half_size, 0, 0, cv::INTER_AREA);
-  std::vector<cv::Point2f> corners;
-  cv::goodFeaturesToTrack(half, corners, count, kQuality, min_distance_px / 2, half_allowed == 255, kBlockPx);
-  for (cv::Point2f& corner : corners) corner = 2 * corner + cv::Point2f(0.5f, 0.5f);
-  return corners;
-}
-
 /// Successive errors of a track are correlated, and its patch sees other depths than its point's: more than their sum.
 /// Fits to simulated flights, see doc/reports/tracks.md.
 Eigen::Matrix2d published_covariance(const Eigen::Matrix2d& sum_px2) {
@@ -59,7 +44,8 @@ constexpr int kTemplateImages = 10;
 
 }  // namespace
 
-FeatureTracker::FeatureTracker(const TrackerOptions& options) : search_(std::make_unique<TrackSearch>()) {
+FeatureTracker::FeatureTracker(const TrackerOptions& options)
+    : search_(std::make_unique<TrackSearch>()), detector_(std::make_unique<CornerDetector>()) {
   set_options(options);
 }
 
@@ -189,18 +175,18 @@ void FeatureTracker::add_corners(const std::shared_ptr<const BlurredView>& view,
   std::stable_sort(order.begin(), order.end(),
                    [this](std::size_t a, std::size_t b) { return tracks_[a].length > tracks_[b].length; });
   if (with_used_window_.empty()) with_used_window_ = mask_.with_used_window(options_.window_px / 2);
-  cv::Mat allowed(luminance.size(), CV_8UC1, cv::Scalar(255));
-  if (!with_used_window_.empty()) with_used_window_.copyTo(allowed);
-  const int radius_px = cvRound(options_.min_distance_px);
-  cv::Mat met(luminance.size(), CV_8UC1, cv::Scalar(0));
+  std::vector<Eigen::Vector2d> taken_px;
   std::vector<Track> tracks;
   std::vector<TrackState> states;
+  // Not at the distance of new ones already, of which many would fall below it by the slightest change of view.
+  const double met_px2 = std::pow(options_.min_distance_px / 2, 2);
   for (const std::size_t i : order) {
-    const cv::Point at(cvRound(tracks_[i].pixel_px.x()), cvRound(tracks_[i].pixel_px.y()));
-    if (met.at<uchar>(at) != 0) continue;  // two tracks have met: the longer one stays
-    // Not at the distance of new ones already, of which many would fall below it by the slightest change of view.
-    cv::circle(met, at, radius_px / 2, cv::Scalar(255), cv::FILLED);
-    cv::circle(allowed, at, radius_px, cv::Scalar(0), cv::FILLED);
+    const Eigen::Vector2d& at_px = tracks_[i].pixel_px;
+    const bool has_met = std::any_of(taken_px.begin(), taken_px.end(), [&](const Eigen::Vector2d& other_px) {
+      return (other_px - at_px).squaredNorm() <= met_px2;
+    });
+    if (has_met) continue;  // the longer one stays
+    taken_px.push_back(at_px);
     if (tracks.size() == static_cast<std::size_t>(options_.max_tracks)) continue;
     tracks.push_back(tracks_[i]);
     states.push_back(states_[i]);
@@ -211,15 +197,15 @@ void FeatureTracker::add_corners(const std::shared_ptr<const BlurredView>& view,
   if (missing <= 0) return;
   // A corner whose window is cut is about to leave, or has just come.
   const int margin_px =
-      std::max(options_.window_px / 2, std::min(options_.border_px, std::min(allowed.cols, allowed.rows) / 4));
-  cv::rectangle(allowed, {0, 0}, {allowed.cols - 1, allowed.rows - 1}, cv::Scalar(0), 2 * margin_px);
-  for (const cv::Point2f& corner : new_corners(luminance, allowed, missing, options_.min_distance_px)) {
-    const Eigen::Vector3d ray = camera.ray(to_eigen(corner));
+      std::max(options_.window_px / 2, std::min(options_.border_px, std::min(luminance.cols, luminance.rows) / 4));
+  const CornerRequest request{missing, options_.min_distance_px, margin_px, with_used_window_, taken_px};
+  for (const Eigen::Vector2d& corner_px : detector_->detect(luminance, request)) {
+    const Eigen::Vector3d ray = camera.ray(corner_px);
     if (!ray.allFinite()) continue;
     Track track;
     track.id = next_id_;
     next_id_ = (next_id_ + 1) % kIds;
-    track.pixel_px = to_eigen(corner);
+    track.pixel_px = corner_px;
     track.normalized = camera.normalized(ray);
     tracks_.push_back(track);
     TrackState state;

@@ -1,0 +1,53 @@
+// New corners, away from those that are followed.
+#pragma once
+
+#include <vector>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "features/corner_loops.hpp"
+
+namespace gyro_deblur {
+
+/// Where corners may start.
+struct CornerRequest {
+  int count;                                  ///< at most
+  double min_distance_px;                     ///< > 0: from each other and from those that are followed
+  int margin_px;                              ///< >= 4: from the image's edge
+  const cv::Mat& allowed;                     ///< CV_8UC1 of the image's size, not 0 where one may be; or empty
+  const std::vector<Eigen::Vector2d>& taken;  ///< those that are followed
+};
+
+/// Strongest gradients in both directions, in an image of half the size: noise makes fewer corners of its own there.
+/// Keeps its buffers. Not thread-safe.
+class CornerDetector {
+ public:
+  /// @param luminance  CV_8UC1
+  /// @return pixels of the image, strongest first; none weaker than a hundredth of the strongest
+  std::vector<Eigen::Vector2d> detect(const cv::Mat& luminance, const CornerRequest& request);
+
+ private:
+  struct Peak {
+    float strength;
+    int x, y;
+  };
+  /// Rows with room on both sides.
+  struct Plane {
+    std::vector<float> pixels;
+    int stride = 0;
+    void resize(int width, int height);
+    float* row(int y) { return pixels.data() + y * stride + kCornerRoom; }
+  };
+
+  void rate(const cv::Mat& luminance);
+  void find_peaks(int margin);
+
+  int width_ = 0, height_ = 0;  // of the half image
+  Plane half_, strengths_, products_;
+  std::vector<int> columns_;
+  std::vector<Peak> peaks_;
+  const CornerLoops& loops_ = best_corner_loops();
+};
+
+}  // namespace gyro_deblur
