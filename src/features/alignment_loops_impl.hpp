@@ -7,6 +7,9 @@ namespace GYRO_DEBLUR_ISA {
 namespace {
 
 typedef float FourFloats __attribute__((vector_size(16)));
+/// A row of the interpolation's table, whatever the processor's vectors are.
+typedef float Taps __attribute__((vector_size(4 * kInterpolationStride)));
+static_assert(kInterpolationStride == 8, "two halves");
 static_assert(kLanes <= kPatchRoom, "whole vectors are read and written");
 
 inline float sum_of(Vector v) {
@@ -18,6 +21,7 @@ inline float sum_of(Vector v) {
 void widen(const unsigned char* bytes, std::ptrdiff_t byte_stride, float* written, std::ptrdiff_t stride, int width,
            int height) {
   typedef unsigned char Bytes __attribute__((vector_size(kLanes)));
+  typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes)));
   for (int y = 0; y < height; ++y) {
     const unsigned char* from = bytes + y * byte_stride;
     float* to = written + y * stride;
@@ -30,7 +34,9 @@ void widen(const unsigned char* bytes, std::ptrdiff_t byte_stride, float* writte
       const int at = x + kLanes <= width ? x : width - kLanes;
       Bytes values;
       std::memcpy(&values, from + at, sizeof values);
-      store(to + at, __builtin_convertvector(values, Vector));
+      // One size at a time: compilers take wider steps lane by lane.
+      const IntVector wide = __builtin_convertvector(__builtin_convertvector(values, Shorts), IntVector);
+      store(to + at, __builtin_convertvector(wide, Vector));
     }
   }
 }
@@ -73,27 +79,51 @@ void convolve(const float* read, std::ptrdiff_t read_stride, const int* offsets,
   }
 }
 
+/// Interpolated at a pixel but for the sum of its lanes.
+inline FourFloats interpolate(const float* pixels, std::ptrdiff_t stride, const float* table, float at_x, float at_y) {
+  const int left = static_cast<int>(at_x), top = static_cast<int>(at_y);
+  const int step_x = static_cast<int>((at_x - static_cast<float>(left)) * kInterpolationSteps + 0.5f),
+            step_y = static_cast<int>((at_y - static_cast<float>(top)) * kInterpolationSteps + 0.5f);
+  const float *across = table + step_x * kInterpolationStride, *down = table + step_y * kInterpolationStride,
+              *row = pixels + top * stride + left;
+  Taps even = {}, odd = {}, values, weights;
+  for (int j = 0; j < kInterpolationTaps; j += 2, row += 2 * stride) {
+    std::memcpy(&values, row, sizeof values);
+    even += down[j] * values;
+    std::memcpy(&values, row + stride, sizeof values);
+    odd += down[j + 1] * values;
+  }
+  std::memcpy(&weights, across, sizeof weights);
+  const Taps products = (even + odd) * weights;
+  FourFloats halves[2];
+  std::memcpy(halves, &products, sizeof products);
+  return halves[0] + halves[1];
+}
+
+/// Sums of the lanes of each: adding those of one vector after the other would take most of the time.
+inline FourFloats sums_of(const FourFloats* vectors) {
+#if defined(__SSE3__)
+  return (FourFloats)_mm_hadd_ps(_mm_hadd_ps((__m128)vectors[0], (__m128)vectors[1]),
+                                 _mm_hadd_ps((__m128)vectors[2], (__m128)vectors[3]));
+#else
+  FourFloats sums;
+  for (int i = 0; i < 4; ++i) sums[i] = (vectors[i][0] + vectors[i][1]) + (vectors[i][2] + vectors[i][3]);
+  return sums;
+#endif
+}
+
 void sample_row(const float* pixels, std::ptrdiff_t stride, const float* table, float x, float y, float dx, float dy,
                 int count, float* sampled) {
-  for (int i = 0; i < count; ++i) {
-    const float at_x = x + static_cast<float>(i) * dx, at_y = y + static_cast<float>(i) * dy;
-    const int left = static_cast<int>(at_x), top = static_cast<int>(at_y);
-    const int step_x = static_cast<int>((at_x - static_cast<float>(left)) * kInterpolationSteps + 0.5f),
-              step_y = static_cast<int>((at_y - static_cast<float>(top)) * kInterpolationSteps + 0.5f);
-    const float *across = table + step_x * kInterpolationStride, *down = table + step_y * kInterpolationStride,
-                *row = pixels + top * stride + left;
-    FourFloats first = {}, last = {}, values, weights;
-    for (int j = 0; j < kInterpolationTaps; ++j, row += stride) {
-      std::memcpy(&values, row, sizeof values);
-      first += down[j] * values;
-      std::memcpy(&values, row + 4, sizeof values);
-      last += down[j] * values;
+  constexpr int kAtATime = 4;
+  for (int i = 0; i < count; i += kAtATime) {
+    const int left = count - i < kAtATime ? count - i : kAtATime;
+    FourFloats lanes[kAtATime];
+    for (int j = 0; j < kAtATime; ++j) {
+      const auto at = static_cast<float>(i + (j < left ? j : 0));
+      lanes[j] = interpolate(pixels, stride, table, x + at * dx, y + at * dy);
     }
-    std::memcpy(&weights, across, sizeof weights);
-    first *= weights;
-    std::memcpy(&weights, across + 4, sizeof weights);
-    first += last * weights;
-    sampled[i] = (first[0] + first[1]) + (first[2] + first[3]);
+    const FourFloats sums = sums_of(lanes);
+    std::memcpy(sampled + i, &sums, static_cast<std::size_t>(left) * sizeof(float));
   }
 }
 

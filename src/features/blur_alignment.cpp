@@ -110,6 +110,7 @@ void BlurAligner::rasterize(const PlanePath& path_px, Psf* psf) {
   psf->reach = {static_cast<int>(first.x()), static_cast<int>(last.x()), static_cast<int>(first.y()),
                 static_cast<int>(last.y())};
   psf->shares.setZero(psf->reach.height(), psf->reach.width());
+  psf->columns.assign(static_cast<std::size_t>(psf->reach.height()), {psf->reach.width(), -1});
   for (std::size_t k = 0; k + 1 < path_px.size(); ++k) {
     const Eigen::Array2f begin = -path_px[k].array() - first, step = (path_px[k] - path_px[k + 1]).array();
     const int samples = std::max(1, static_cast<int>(std::ceil(step.matrix().norm() / kStepPx)));
@@ -123,6 +124,11 @@ void BlurAligner::rasterize(const PlanePath& path_px, Psf* psf) {
       psf->shares(y, x + 1) += share * fx * (1 - fy);
       psf->shares(y + 1, x) += share * (1 - fx) * fy;
       psf->shares(y + 1, x + 1) += share * fx * fy;
+      for (const int row : {y, y + 1}) {
+        auto& [first_x, last_x] = psf->columns[static_cast<std::size_t>(row)];
+        first_x = std::min(first_x, x);
+        last_x = std::max(last_x, x + 1);
+      }
     }
   }
   psf->energy = psf->shares.square().sum();
@@ -137,7 +143,8 @@ void BlurAligner::blur(const cv::Mat& image, const Psf& psf, const Box& box, Reg
   offsets_.clear();
   shares_.clear();
   for (int y = 0; y < psf.reach.height(); ++y) {
-    for (int x = 0; x < psf.reach.width(); ++x) {
+    const auto& [first_x, last_x] = psf.columns[static_cast<std::size_t>(y)];
+    for (int x = first_x; x <= last_x; ++x) {
       if (!(psf.shares(y, x) > kLeastShare)) continue;
       offsets_.push_back(y * source_.stride() + x);
       shares_.push_back(psf.shares(y, x));
@@ -325,27 +332,30 @@ Eigen::Matrix2d BlurAligner::multiply_gradients_of_both() {
 
 BlurAligner::NoiseShare BlurAligner::noise_share(const PlanePath& path_px) {
   // Two pixels of the blurred image share noise where one is as far from the other as one instant's place from
-  // another's. Instants of a short path are nearer to each other than pixels.
-  constexpr float kShortPx = 2 * (kPathInstants - 1);
-  const int per_piece = extent_of(path_px).maxCoeff() > kShortPx ? 2 : 1, instants = per_piece * (kPathInstants - 1);
-  std::array<Eigen::Vector2f, 2 * (kPathInstants - 1)> places_px;
-  for (int k = 0; k < instants; ++k) {
-    const float part = (static_cast<float>(k % per_piece) + 0.5f) / static_cast<float>(per_piece);
-    places_px[k] = (1 - part) * path_px[k / per_piece] + part * path_px[k / per_piece + 1];
-  }
+  // another's. Gradients are blurred by the path as well: they change little between two instants of a long one.
+  constexpr int kInstants = kPathInstants - 1;
+  std::array<Eigen::Vector2f, kInstants> places_px;
+  for (int k = 0; k < kInstants; ++k) places_px[k] = 0.5f * (path_px[k] + path_px[k + 1]);
   const int width = window_.width(), height = window_.height(), columns = 2 * width - 1;
   pairs_.resize(static_cast<std::size_t>(columns * height), 0);  // by lag, y >= 0: the opposite is the same
   lags_.clear();
   // std::lround is slow where its rounding of halves is not an instruction.
   const auto rounded = [](float value) { return static_cast<int>(std::floor(value + 0.5f)); };
-  for (int i = 0; i < instants; ++i) {
-    for (int j = 0; j < instants; ++j) {
-      const Eigen::Vector2f away_px = places_px[i] - places_px[j];
-      const int x = rounded(away_px.x()), y = rounded(away_px.y());
-      if (y < 0 || y >= height || std::abs(x) >= width) continue;
-      int& pairs = pairs_[static_cast<std::size_t>(y * columns + x + width - 1)];
-      if (pairs == 0) lags_.emplace_back(x, y);
-      pairs += y == 0 ? 1 : 2;
+  const auto add_pairs = [&](int x, int y, int count) {
+    if (y < 0 || (y == 0 && x < 0)) {
+      x = -x;
+      y = -y;
+    }
+    if (y >= height || std::abs(x) >= width) return;
+    int& pairs = pairs_[static_cast<std::size_t>(y * columns + x + width - 1)];
+    if (pairs == 0) lags_.emplace_back(x, y);
+    pairs += count;
+  };
+  add_pairs(0, 0, kInstants);  // each with itself
+  for (int i = 0; i < kInstants; ++i) {
+    for (int k = 0; k < i; ++k) {
+      const Eigen::Vector2f away_px = places_px[i] - places_px[k];
+      add_pairs(rounded(away_px.x()), rounded(away_px.y()), 2);
     }
   }
   NoiseShare share;
@@ -361,7 +371,7 @@ BlurAligner::NoiseShare BlurAligner::noise_share(const PlanePath& path_px) {
     share.mean += count * rows * cols;
   }
   share.products(1, 0) = share.products(0, 1);
-  const double pairs = instants * instants;
+  constexpr double pairs = kInstants * kInstants;
   share.products /= pairs;
   share.mean /= pairs * std::pow(width * height, 2);
   return share;
@@ -378,20 +388,6 @@ bool can_be_aligned(const Eigen::Vector2d& place_px, const PlanePath& path_px, c
   return is_inside && is_finite && extent_of(path_px).maxCoeff() <= kMaxPlaneExtentPx;
 }
 
-/// Images are larger than the caches that are near: their pixels arrive while PSFs are made.
-void prefetch(const cv::Mat& image, const Eigen::Vector2d& place_px, const PlanePath& path_px, int reach_px) {
-  constexpr int kCacheLine = 64;
-  const Eigen::Array2i half_px = (0.5f * extent_of(path_px)).cast<int>().array() + reach_px;
-  const Eigen::Array2i first_px = (place_px.cast<int>().array() - half_px).max(0);
-  const int last_x = std::min(image.cols - 1, static_cast<int>(place_px.x()) + half_px.x()),
-            last_y = std::min(image.rows - 1, static_cast<int>(place_px.y()) + half_px.y());
-  for (int y = first_px.y(); y <= last_y; ++y) {
-    for (int x = first_px.x(); x < last_x + kCacheLine; x += kCacheLine) {
-      __builtin_prefetch(image.ptr(y) + std::min(x, last_x));
-    }
-  }
-}
-
 }  // namespace
 
 std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPoint& in_from, const cv::Mat& to,
@@ -406,9 +402,6 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
       !can_be_aligned(in_to.place_px, blur_of_second_px, to.size())) {
     return std::nullopt;
   }
-  const int reach_px = options.window_px / 2 + kSearchMargin + kPatchMargin + kAfter;
-  prefetch(from, in_from.place_px, blur_of_first_px, reach_px);
-  prefetch(to, in_to.place_px, blur_of_second_px, reach_px);
   rasterize(blur_of_first_px, &psf_of_first_);
   rasterize(blur_of_second_px, &psf_of_second_);
   if (!crop_window(from.size(), in_from.place_px, to.size(), in_to.place_px, inverse_map, options.window_px)) {

@@ -101,9 +101,10 @@ class BlurAligner {
   };
   /// PSF of a path: the pixels that are read for one that is written.
   struct Psf {
-    Pixels shares;     // sums to 1
-    Box reach;         // of `shares`, relative to the written pixel
-    float energy = 0;  // sum of the squared shares
+    Pixels shares;                             // sums to 1
+    std::vector<std::pair<int, int>> columns;  // first and last that are not 0, by row
+    Box reach;                                 // of `shares`, relative to the written pixel
+    float energy = 0;                          // sum of the squared shares
   };
   /// Part of an image, blurred.
   struct Region {

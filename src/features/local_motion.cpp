@@ -26,7 +26,7 @@ double median_of(std::array<double, kNeighbours> values, std::size_t count) {
 LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen::Vector2d& place_px) {
   // Slopes are believed where displacements known to 0.1 px say more than that they are about 0.01.
   constexpr double kSlopePriorPx2 = 100;
-  constexpr int kIterations = 4;
+  constexpr int kIterations = 2;
   LocalMotion motion{Eigen::Vector2d::Zero(), Eigen::Matrix2d::Zero()};
   if (points.size() < kMinNeighbours) return motion;
   // Farthest last of those kept so far, by insertion: most points are farther than all of them.

@@ -190,14 +190,16 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
 
 void TrackSearch::search_far(const TrackStep& step, const std::vector<TrackState>& states,
                              std::vector<TrackCandidate>* candidates) {
-  // Where residual velocities predict most points right, those that are not found have left or are hidden.
+  // Where residual velocities predict most points right, those that are not found have left or are hidden. So they have
+  // where the last motion does for nearly all; a few are not worth both images' pyramids.
   const auto found =
       std::count_if(candidates->begin(), candidates->end(), [](const TrackCandidate& each) { return each.found; });
-  const bool predicts_most = 2 * static_cast<std::size_t>(found) > states.size();
+  const double share = static_cast<double>(found) / static_cast<double>(std::max<std::size_t>(1, states.size()));
+  constexpr double kMost = 0.5, kNearlyAll = 0.9;
   std::vector<std::size_t> open;
   std::vector<cv::Point2f> before, start;
   for (std::size_t i = 0; i < states.size(); ++i) {
-    if ((*candidates)[i].found || (predicts_most && (*candidates)[i].predicted.by_residual)) continue;
+    if ((*candidates)[i].found || share > ((*candidates)[i].predicted.by_residual ? kMost : kNearlyAll)) continue;
     open.push_back(i);
     before.push_back(to_cv(states[i].point.place_px));
     start.push_back(to_cv((*candidates)[i].predicted.place_px));
