@@ -9,7 +9,6 @@
 #include <utility>
 
 #include <Eigen/Dense>
-#include <opencv2/imgproc.hpp>
 
 #include "features/blurred_view.hpp"
 #include "features/corner_detector.hpp"
@@ -24,13 +23,9 @@ namespace {
 /// Integers up to here are exact in a float, which is what carries ids in sensor_msgs/PointCloud.
 constexpr std::int32_t kIds = 1 << 24;
 
-bool inside(const cv::Point2f& p, const cv::Size& size) {
-  return p.x >= 0 && p.y >= 0 && p.x <= static_cast<float>(size.width - 1) &&
-         p.y <= static_cast<float>(size.height - 1);
+bool inside(const Eigen::Vector2d& p, const cv::Size& size) {
+  return p.x() >= 0 && p.y() >= 0 && p.x() <= size.width - 1 && p.y() <= size.height - 1;
 }
-
-cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
-Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
 
 /// Successive errors of a track are correlated, and its patch sees other depths than its point's: more than their sum.
 /// Fits to simulated flights, see doc/reports/tracks.md.
@@ -128,7 +123,7 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
     Track track = tracks_[i];
     TrackState state = states_[i];
     const Eigen::Vector2d& at_px = state.point.place_px;
-    if (!inside(to_cv(at_px), size) || !mask_.uses({cvRound(at_px.x()), cvRound(at_px.y())})) continue;
+    if (!inside(at_px, size) || !mask_.uses({cvRound(at_px.x()), cvRound(at_px.y())})) continue;
     if (!state.ray.allFinite()) continue;
     turned_rays.push_back(turned_ray(rays_before[i], motion, view_->exposure().middle(track.pixel_px.y()),
                                      view->exposure().middle(at_px.y()))
