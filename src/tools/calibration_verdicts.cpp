@@ -108,13 +108,17 @@ Verdict of_rotation(const FootageCalibration& found) {
 }
 
 /// Why the images do not determine the exposure.
-std::string exposure_text(const RecordedExposure& exposure, std::size_t frames) {
-  const std::string few = text_of("%zu of %zu images determine it, 3 are needed", exposure.estimates, frames);
+struct ExposureGap {
+  std::string reason, remedy;
+};
+
+ExposureGap exposure_gap(const RecordedExposure& exposure, std::size_t frames) {
+  const std::string few = text_of("%zu of %zu images determine it, 3 are needed: ", exposure.estimates, frames);
   switch (exposure.missing) {
     case ExposureNeed::TEXTURE:
-      return few + ": the scene has too little texture. Record another one, or set exposure_time";
+      return {few + "the scene has too little texture", "Record another one, or set exposure_time"};
     case ExposureNeed::LIGHT:
-      return few + ": noise hides the blur. Record with more light, or set exposure_time";
+      return {few + "noise hides the blur", "Record with more light, or set exposure_time"};
     case ExposureNeed::MOTION:
     case ExposureNeed::NOTHING:
       break;
@@ -122,12 +126,11 @@ std::string exposure_text(const RecordedExposure& exposure, std::size_t frames) 
   constexpr double kClearlyLonger = 1.1;  // stamps scatter
   if (static_cast<double>(exposure.frame_interval_ns) >
       kClearlyLonger * static_cast<double>(exposure.longest_tried_ns)) {
-    return few +
-           text_of(": exposures up to %.3g s were tried, and at one frame in %.3g s it may be longer. ",
-                   to_seconds(exposure.longest_tried_ns), to_seconds(exposure.frame_interval_ns)) +
-           "Set exposure_time";
+    return {few + text_of("exposures up to %.3g s were tried, and at one frame in %.3g s it may be longer",
+                          to_seconds(exposure.longest_tried_ns), to_seconds(exposure.frame_interval_ns)),
+            "Set exposure_time"};
   }
-  return few + ": their blur is too short, 6 px are needed. Turn the camera faster, or set exposure_time";
+  return {few + "their blur is too short, 6 px are needed", "Turn the camera faster, or set exposure_time"};
 }
 
 /// How the images judge an exposure that is given.
@@ -142,14 +145,15 @@ std::string agreement_text(const std::optional<ExposureEstimate>& over_given, co
 
 Verdict of_exposure(const FootageCalibration& found, std::size_t frames) {
   const RecordedExposure& exposure = found.exposure;
+  const ExposureGap gap = exposure_gap(exposure, frames);
   Verdict verdict{"exposure_time", {}, VerdictState::OPEN, {}};
   const auto seconds = [](TimeNs time_ns) { return to_seconds(time_ns); };
   switch (found.exposure_from) {
     case ExposureSourceOfFootage::MESSAGES:
       verdict.state = VerdictState::GIVEN;
       verdict.value = "of each image";
-      verdict.text = agreement_text(exposure.over_given, "the exposure message", "check exposure_source and its unit",
-                                    exposure_text(exposure, frames));
+      verdict.text =
+          agreement_text(exposure.over_given, "the exposure message", "check exposure_source and its unit", gap.reason);
       return verdict;
     case ExposureSourceOfFootage::PARAMETER: {
       verdict.state = VerdictState::GIVEN;
@@ -158,14 +162,14 @@ Verdict of_exposure(const FootageCalibration& found, std::size_t frames) {
       if (exposure.is_known) {
         over_given = {seconds(exposure.exposure_ns) / seconds(found.shutter.exposure_ns), exposure.log_stddev};
       }
-      verdict.text = agreement_text(over_given, "exposure_time", "it is kept (on_exposure_conflict: configured)",
-                                    exposure_text(exposure, frames));
+      verdict.text =
+          agreement_text(over_given, "exposure_time", "it is kept (on_exposure_conflict: configured)", gap.reason);
       return verdict;
     }
     case ExposureSourceOfFootage::IMAGES:
       break;
     case ExposureSourceOfFootage::UNKNOWN:
-      verdict.text = exposure_text(exposure, frames);
+      verdict.text = gap.reason + ". " + gap.remedy;
       return verdict;
   }
   verdict.state = VerdictState::KNOWN;
