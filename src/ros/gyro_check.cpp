@@ -49,14 +49,17 @@ TimeNs GyroCheck::longest_step_ns(const GyroOptions& options) const {
 }
 
 void GyroCheck::check_rate(TimeNs stamp_ns, const GyroOptions& options) {
-  constexpr std::size_t kKept = 16, kFewestSteps = 5;
+  constexpr std::size_t kKept = 16, kFewestSteps = 5, kMostBack = 1;
   stamps_.push_back(stamp_ns);
   if (stamps_.size() > kKept) stamps_.pop_front();
   std::vector<TimeNs> steps_ns;
+  std::size_t back = 0;
   for (std::size_t i = 1; i < stamps_.size(); ++i) {
     if (stamps_[i] > stamps_[i - 1]) steps_ns.push_back(stamps_[i] - stamps_[i - 1]);
+    back += stamps_[i] < stamps_[i - 1];
   }
-  if (steps_ns.size() < kFewestSteps) return;
+  // One is a restart. More are wrong stamps, each of which makes a step forward too long as well.
+  if (back > kMostBack || steps_ns.size() < kFewestSteps) return;
   typical_step_ns_ = median(std::move(steps_ns));
   const bool was_slow = std::exchange(is_slow_, typical_step_ns_ > options.max_gap_ns);
   if (is_slow_ && !was_slow) {

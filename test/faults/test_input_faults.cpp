@@ -115,6 +115,15 @@ TEST_F(InputFaultsTest, SlowImu) {
   EXPECT_EQ(passed_through(PassThroughReason::NO_GYRO), fast().frames());
 }
 
+TEST_F(InputFaultsTest, WrongStampsAreNoSlowImu) {
+  for (unsigned seed = 1; seed <= 5; ++seed) {
+    SCOPED_TRACE(seed);
+    play(inject(fast().deliveries(), Stream::IMU, Fault::TIME_JUMP, 0.5, seed));
+    EXPECT_EQ(problem("imu rate"), "");
+    EXPECT_LE(passed_through(PassThroughReason::NO_GYRO), fast().frames() / 10);
+  }
+}
+
 TEST_F(InputFaultsTest, ClocksYearsApart) {
   constexpr TimeNs kYears = 50 * 31'536'000 * kSecond;
   const std::vector<Delivery> apart = shift_clock(fast().deliveries(), Stream::IMU, kYears);
