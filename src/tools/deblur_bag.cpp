@@ -223,7 +223,9 @@ void run(const Arguments& arguments) {
   if (arguments.threads) config.pipeline.threads = *arguments.threads;
   if (!arguments.mask.empty()) config.mask_file = arguments.mask;
   if (!config.mask_file.empty()) load_mask(config.mask_file);  // refused before the bag is read
-  const DeblurTopics topics = choose_topics(input, arguments.topics, config);
+  NamedTopics named = arguments.topics;
+  named.mask_by_file = !arguments.mask.empty();
+  const DeblurTopics topics = choose_topics(input, named, config);
   if (arguments.keep_all_topics) require_free_topics(input, OutputTopics(topics.output_namespace));
   FrameReport report(arguments.common.json);
   Outcome outcome;
@@ -254,7 +256,8 @@ int main_of(int argc, char** argv) {
   app.add_option("output", arguments.output, "bag to write").required();
   app.add_option("--config", arguments.config, "YAML file with the keys of config/default.yaml").required();
   app.add_option("--mask", arguments.mask,
-                 "PNG or PGM file of the image's size, 0 where a pixel does not show the scene [the configuration's]");
+                 "PNG or PGM file of the image's size, 0 where a pixel does not show the scene [the topic mask in "
+                 "--camera-ns, or beside the images, else the configuration's]");
   add_image_options(app, &arguments.topics.images);
   app.add_option("--camera-info-topic", arguments.topics.camera_info,
                  "sensor_msgs/CameraInfo [camera_info beside the images]");

@@ -10,6 +10,7 @@
 
 #include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 #include <tf2_msgs/TFMessage.h>
 
@@ -18,6 +19,20 @@
 #include "tools/bag_reading.hpp"
 
 namespace gyro_deblur {
+
+namespace {
+
+/// Where it is published once, or seldom, the last one holds. Null: there is none.
+template <typename Message>
+boost::shared_ptr<const Message> last_before(const rosbag::Bag& bag, const std::string& topic, ros::Time until) {
+  if (topic.empty()) return nullptr;
+  rosbag::View view(bag, rosbag::TopicQuery(topic), ros::TIME_MIN, until);
+  std::optional<rosbag::MessageInstance> last;
+  for (const rosbag::MessageInstance& instance : view) last.emplace(instance);
+  return last ? read_message<Message>(*last) : nullptr;
+}
+
+}  // namespace
 
 ros::Time Slice::read_from() const { return std::max(to_ros_time(begin_ns - lead_ns), ros::TIME_MIN); }
 
@@ -42,7 +57,8 @@ DeblurFeed::DeblurFeed(const rosbag::Bag& bag, const DeblurTopics& topics, const
       camera_info_(bag, topics.camera_info, from, config.time_jump_ns, camera_info_reader()),
       exposure_(bag, topics.exposure, from, config.time_jump_ns,
                 driver_messages_ ? driver_reader() : exposure_reader()),
-      transforms_(bag, "/tf", from, config.time_jump_ns, transform_reader()) {
+      transforms_(bag, "/tf", from, config.time_jump_ns, transform_reader()),
+      mask_(bag, topics.mask, from, config.time_jump_ns, mask_reader()) {
   processor_.set_config(config);
   // Latched transforms of the whole bag: a node would have them from the start.
   take_transforms("/tf_static", ros::TIME_MAX);
@@ -70,15 +86,11 @@ void DeblurFeed::take_transforms(const std::string& topic, ros::Time until) {
 
 void DeblurFeed::catch_up() {
   take_transforms("/tf", from_);
-  // Where it is published once, or seldom, the last one holds.
-  if (!topics_.camera_info.empty()) {
-    rosbag::View infos(bag_, rosbag::TopicQuery(topics_.camera_info), ros::TIME_MIN, from_);
-    std::optional<rosbag::MessageInstance> last;
-    for (const rosbag::MessageInstance& instance : infos) last.emplace(instance);
-    now_ns_ = to_time_ns(from_);
-    const auto info = last ? read_message<sensor_msgs::CameraInfo>(*last) : nullptr;
-    if (info) processor_.add_camera_info(info);
+  now_ns_ = to_time_ns(from_);
+  if (const auto info = last_before<sensor_msgs::CameraInfo>(bag_, topics_.camera_info, from_)) {
+    processor_.add_camera_info(info);
   }
+  if (const auto mask = last_before<sensor_msgs::Image>(bag_, topics_.mask, from_)) processor_.add_mask(*mask);
   if (!driver_messages_ || topics_.exposure.empty()) return;
   // A setting is published when it changes, which may be long before the slice.
   rosbag::View before(bag_, rosbag::TopicQuery(topics_.exposure), ros::TIME_MIN, from_);
@@ -146,6 +158,15 @@ MessageStream::Read DeblurFeed::transform_reader() {
     if (!transforms || transforms->transforms.empty()) return false;
     message->stamp_ns = to_time_ns(transforms->transforms.front().header.stamp);
     message->deliver = [this, transforms] { add_transforms(*transforms, &tf_buffer_); };
+    return true;
+  };
+}
+
+MessageStream::Read DeblurFeed::mask_reader() {
+  return [this](const rosbag::MessageInstance& instance, MessageStream::Message* message) {
+    const auto mask = read_message<sensor_msgs::Image>(instance);
+    if (!mask) return false;
+    message->deliver = [this, mask] { processor_.add_mask(*mask); };
     return true;
   };
 }
@@ -225,7 +246,7 @@ void DeblurFeed::deliver_due(TimeNs until_ns) {
   while (true) {
     MessageStream* earliest = nullptr;
     TimeNs recorded_ns = 0;
-    for (MessageStream* const stream : {&imu_, &camera_info_, &exposure_, &transforms_}) {
+    for (MessageStream* const stream : {&imu_, &camera_info_, &exposure_, &transforms_, &mask_}) {
       const MessageStream::Message* message = stream->due(now_ns_, until_ns);
       if (message == nullptr || (earliest != nullptr && message->recorded_ns >= recorded_ns)) continue;
       earliest = stream;

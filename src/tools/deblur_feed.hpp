@@ -43,7 +43,8 @@ class DeblurFeed {
   DeblurFeed(const DeblurFeed&) = delete;
   DeblurFeed& operator=(const DeblurFeed&) = delete;
 
-  /// What was said before `from` and still holds: transforms, camera_info, and a setting of the driver.
+  /// What was said before `from` and still holds: transforms, camera_info, mask, and a setting of the
+  /// driver.
   void catch_up();
 
   /// Told when the image of a frame that will come out was recorded.
@@ -65,6 +66,7 @@ class DeblurFeed {
   /// As in the nodelet: a message without an exposure time costs its frame, not the run.
   MessageStream::Read driver_reader();
   MessageStream::Read transform_reader();
+  MessageStream::Read mask_reader();
   /// Of what the foremost frame waits for; null when it waits for nothing.
   MessageStream* awaited_stream();
   /// The foremost image goes in, with what belongs to it, and out again.
@@ -92,7 +94,7 @@ class DeblurFeed {
   TimeNs now_ns_ = 0;
   ExposureAdapter adapter_;
   Processor processor_;
-  MessageStream imu_, camera_info_, exposure_, transforms_;
+  MessageStream imu_, camera_info_, exposure_, transforms_, mask_;
   std::deque<BagImage> images_;
 };
 

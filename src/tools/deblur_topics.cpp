@@ -3,6 +3,7 @@
 #include <stdexcept>
 
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 
 #include "ros/exposure_adapter.hpp"
@@ -48,6 +49,10 @@ DeblurTopics choose(const InputBag& input, const NamedTopics& named, const Confi
                                                                    beside + "/camera_info", info_required);
   chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", !goes_without_imu(config));
   choose_exposure(input, named, config, home, &chosen);
+  const auto mask = input.topics().find(home + "/" + kMaskTopic);
+  const bool has_mask =
+      mask != input.topics().end() && mask->second == ros::message_traits::datatype<sensor_msgs::Image>();
+  if (has_mask && !named.mask_by_file) chosen.mask = mask->first;
   chosen.output_namespace = named.output_namespace.empty() ? home : named.output_namespace;
   return chosen;
 }

@@ -14,6 +14,7 @@ namespace gyro_deblur {
 struct NamedTopics {
   NamedImages images;
   std::string camera_info, imu, exposure;
+  bool mask_by_file = false;  ///< that of the bag is left aside
   std::string output_namespace;
 };
 
@@ -28,8 +29,8 @@ struct OutputTopics {
 
 struct DeblurTopics {
   ImageTopic image;
-  std::string imu, camera_info, exposure;  ///< empty: none
-  bool reads_driver_messages = false;      ///< exposure has messages of another type than the package's
+  std::string imu, camera_info, exposure, mask;  ///< empty: none
+  bool reads_driver_messages = false;            ///< exposure has messages of another type than the package's
   std::string output_namespace;
 };
 

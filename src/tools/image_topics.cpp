@@ -73,8 +73,9 @@ std::vector<std::string> image_topics(const BagTopics& topics) {
 std::string only_images(const InputBag& input) {
   const std::vector<std::string> all = image_topics(input.topics());
   std::vector<std::string> candidates;
-  std::copy_if(all.begin(), all.end(), std::back_inserter(candidates),
-               [&input](const std::string& topic) { return !is_depth(input, topic); });
+  std::copy_if(all.begin(), all.end(), std::back_inserter(candidates), [&input](const std::string& topic) {
+    return !ends_with(topic, std::string("/") + kMaskTopic) && !is_depth(input, topic);
+  });
   if (candidates.size() == 1) return candidates.front();
   if (!candidates.empty()) {
     std::string list;
@@ -83,7 +84,8 @@ std::string only_images(const InputBag& input) {
     }
     throw std::runtime_error("several topics of images, name one with --image-topic: " + list);
   }
-  const std::string only_depth = all.empty() ? "" : ", only depth, which is taken where --image-topic names it";
+  const std::string only_depth =
+      all.empty() ? "" : ", only depth or masks, which are taken where --image-topic names it";
   throw std::runtime_error("no topic of type " + std::string(kRawType) + " or " + kCompressedType + " for images" +
                            only_depth + "; the bag has " + list_of(input.topics()));
 }

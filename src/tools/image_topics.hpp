@@ -23,6 +23,9 @@ struct NamedImages {
 /// Adds --camera-ns and --image-topic.
 void add_image_options(CommandLine& app, NamedImages* named);
 
+/// Of a camera's mask, in its namespace.
+inline constexpr char kMaskTopic[] = "mask";
+
 struct ImageTopic {
   std::string name;
   bool compressed = false;  ///< sensor_msgs/CompressedImage
@@ -37,7 +40,7 @@ sensor_msgs::ImageConstPtr read_image(const rosbag::MessageInstance& instance, b
 
 /// The images to work on: the topic that is named, or its compressed version; without a name the only images of the
 /// bag. A compressed version of a raw topic is not another one. Depth (by the encoding of the first message, or by
-/// "depth" or "disparity" in the name) is taken only where it is named.
+/// "depth" or "disparity" in the name) and masks are taken only where they are named.
 /// Throws std::runtime_error that lists the candidates when there are several, else the bag's topics; MessageError for
 /// a first message that cannot be read.
 ImageTopic choose_images(const InputBag& input, const NamedImages& named);

@@ -440,6 +440,33 @@ TEST_F(DeblurBagTest, MaskedPixelsLeaveAsTheyCame) {
       << other_size.output;
 }
 
+// From when it was recorded on, also for a slice after it; not where a file is named.
+TEST_F(DeblurBagTest, MaskOfTheBagIsUsed) {
+  write_bag(kFastRadS);
+  cv::Mat used(kHeight, kWidth, CV_8UC1, cv::Scalar(255));
+  used.colRange(0, kWidth / 2).setTo(0);
+  {
+    rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Append);
+    const TimeNs recorded_ns = kStart + kFramePeriod - kMs;  // after the first image
+    bag.write("/cam/mask", to_ros_time(recorded_ns), *to_mono_image(used, std_msgs::Header()));
+  }
+  const auto masked_parts = [&](const std::vector<std::string>& options) {
+    const ProgramResult result = run(options);
+    EXPECT_EQ(result.exit_code, 0) << result.output;
+    std::vector<float> parts;
+    for (const auto& quality : read<ImageQuality>("out.bag", "/cam/image_quality")) parts.push_back(quality->masked);
+    fs::remove(path("out.bag"));
+    return parts;
+  };
+  std::vector<float> expected(kFrames, 0.5f);
+  expected.front() = expected.back() = 0;  // the last one has no samples
+  EXPECT_EQ(masked_parts({}), expected);
+  write_config("gyro_buffer_duration: 0.11\ngyro_timeout: 0.03\n");
+  EXPECT_EQ(masked_parts({"--start", "2.25"}), (std::vector<float>{0.5f, 0}));
+  ASSERT_TRUE(cv::imwrite(path("all.png"), cv::Mat(kHeight, kWidth, CV_8UC1, cv::Scalar(255))));
+  EXPECT_EQ(masked_parts({"--mask", path("all.png")}), std::vector<float>(kFrames, 0));
+}
+
 TEST_F(DeblurBagTest, EveryFrameComesOutInOrderWithItsReason) {
   write_bag(kFastRadS);
   const ProgramResult result = run();
