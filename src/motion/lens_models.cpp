@@ -360,7 +360,8 @@ const LensModelRow& lens_model(const std::string& name) {
 }
 
 const LensModelRow& camera_info_model(const std::string& name) {
-  const LensModelRow& row = lens_model(require_distortion_model(name));
+  const std::string model = require_distortion_model(name);  // named, or GCC 13 and later fear for the reference
+  const LensModelRow& row = lens_model(model);
   if (row.is_in_camera_info) return row;
   std::string names;
   for (const LensModelRow& known : lens_models()) {

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdio>
 #include <fstream>
+#include <functional>
 #include <iostream>
 #include <map>
 #include <new>
@@ -15,6 +16,7 @@
 #include <stdexcept>
 #include <string>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "engine/fallback_engine.hpp"
@@ -23,6 +25,7 @@
 #include "neighbour_processes.hpp"
 #include "process_memory.hpp"
 #include "replay.hpp"
+#include "ros/image_conversion.hpp"
 #include "ros/pass_through.hpp"
 #include "tools/progress.hpp"
 #include "tools/tool_main.hpp"
@@ -111,6 +114,14 @@ std::string describe(const std::map<PassThroughReason, std::size_t>& passed_thro
   return text.empty() ? "-" : text;
 }
 
+/// Of the first image. Precondition: there is one.
+cv::Size image_size(const std::vector<Delivery>& deliveries) {
+  const auto first = std::find_if(deliveries.begin(), deliveries.end(),
+                                  [](const Delivery& delivery) { return stream_of(delivery) == Stream::IMAGE; });
+  const sensor_msgs::Image& image = *std::get<sensor_msgs::ImageConstPtr>(first->message);
+  return {static_cast<int>(image.width), static_cast<int>(image.height)};
+}
+
 class Table {
  public:
   Table(const Recording& recording, const Config& config, std::size_t reloads)
@@ -120,7 +131,7 @@ class Table {
 
   void make(bool quiet) {
     const Stream streams[] = {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE};
-    constexpr std::size_t kOthers = 41;
+    constexpr std::size_t kOthers = 44;
     Progress progress(std::size(kFaults) * std::size(streams) * std::size(kRates) + kOthers, "faults", quiet);
     std::size_t done = 0;
     const auto add = [&](Row row) {
@@ -231,6 +242,22 @@ class Table {
     told("another clock, 50 years ahead", "imu", shift_clock(all, Stream::IMU, 50 * 31'536'000 * kSecond), "clocks");
     told("10 times the time that it is", "exposure", set_exposures(all, kSecond / 5, all.size()), "exposure");
     told("0 at first", "exposure", set_exposures(all, 0, 10), "exposure 0");
+    const cv::Size size = image_size(all);
+    const auto with_mask = [&all](const std::function<sensor_msgs::ImagePtr()>& make) {
+      return with_action(all, kSecond / 2, [make](Processor& processor) { processor.add_mask(*make()); });
+    };
+    bool left = false;
+    const auto half = [size, &left] {
+      left = !left;
+      cv::Mat used(size, CV_8UC1, cv::Scalar(0));
+      used.colRange(left ? 0 : size.width / 2, left ? size.width / 2 : size.width).setTo(255);
+      return to_mono_image(used, {});
+    };
+    one("covers the other half, at 2 Hz", "mask", with_mask(half), options_);
+    told("of another size", "mask",
+         with_mask([size] { return to_mono_image(cv::Mat(size / 2, CV_8UC1, cv::Scalar(255)), {}); }), "mask size");
+    told("in colour", "mask",
+         with_mask([size] { return to_bgr_image(cv::Mat(size, CV_8UC3, cv::Scalar::all(255)), {}); }), "mask topic");
     constexpr std::size_t kFramesOfAKind = 7;
     one("size changes", "image", change_sizes(all, kFramesOfAKind), options_);
     one("encoding changes", "image", change_encodings(all, kFramesOfAKind), options_);
