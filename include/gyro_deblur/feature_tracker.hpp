@@ -97,8 +97,8 @@ class FeatureTracker {
   cv::Mat with_used_window_;  // where corners may start; empty: everywhere, or not worked out yet
   std::int32_t next_id_ = 0;
   std::vector<Track> tracks_;
-  std::vector<TrackState> states_;           // of tracks_
-  std::unique_ptr<TrackSearch> search_;      // with its buffers
+  std::vector<TrackState> states_;       // of tracks_
+  std::unique_ptr<TrackSearch> search_;  // with its buffers
   std::unique_ptr<CornerDetector> detector_;
   std::shared_ptr<const BlurredView> view_;  // the newest image
   CameraCalibration calibration_;
