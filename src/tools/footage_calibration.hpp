@@ -42,7 +42,7 @@ struct FootageCalibration {
   bool is_refused() const;
 };
 
-/// Whether a readout is too short to be told from 0, or to matter.
+/// Whether a readout is too short to be distinguished from 0, or to matter.
 bool is_global_shutter(const Estimate& readout_s);
 
 /// Estimates timing, then the exposure with it, then timing again with an exposure that the images determined. If

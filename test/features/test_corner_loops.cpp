@@ -101,7 +101,7 @@ TEST_P(CornerLoopsTest, RateIsDeterminantOverTrace) {
 TEST_P(CornerLoopsTest, FindPeaksOfAnyWidth) {
   for (int width = 3; width <= 70; ++width) {
     std::array<Row, 3> rows = random_rows(width);
-    rows[1][width / 2] = rows[1][width / 2 + 1] = 2;  // of two alike the first
+    rows[1][width / 2] = rows[1][width / 2 + 1] = 2;  // of two equal maxima the first
     std::vector<int> expected;
     for (int x = 1; x < width - 1; ++x) {
       bool is_peak = true;
