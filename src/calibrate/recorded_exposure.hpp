@@ -31,7 +31,7 @@ struct ImageExposure {
 };
 
 /// Median power along the motion where the product of frequency and extent is `waves`, and that of a straight path at
-/// even speed, whose zeros are at whole numbers. Natural logarithms; 0 on the mean of the first lobe.
+/// uniform speed, whose zeros are at whole numbers. Natural logarithms; 0 on the mean of the first lobe.
 struct ExposureSpectrumPoint {
   double waves = 0;
   double log_power = 0;

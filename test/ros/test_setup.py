@@ -183,6 +183,14 @@ class Setup(unittest.TestCase):
     def test_bad_arguments(self):
         self.assertEqual(self.run_setup("--seconds", "0").returncode, 2)
 
+    def test_a_recording_is_not_overwritten(self):
+        bag = self.folder / "field.bag"
+        bag.write_text("precious", encoding="utf-8")
+        result = self.run_setup("--folder", str(self.folder), "--name", "field", "--yes")
+        self.assertEqual(result.returncode, 2)
+        self.assertIn("field.bag is there already: choose another --folder or --name", result.stderr)
+        self.assertEqual(bag.read_text(encoding="utf-8"), "precious")
+
 
 if __name__ == "__main__":
     unittest.main(argv=sys.argv[:1], verbosity=2)
