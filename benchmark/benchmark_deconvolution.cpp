@@ -1,4 +1,4 @@
-// Deconvolution of a roll field: engines x sizes x extents x threads; and of bent paths in the plane.
+// Deconvolution of a roll field: engines x sizes x extents x threads; and of curved paths in the plane.
 
 #include <string>
 
@@ -7,7 +7,7 @@
 #include "engines.hpp"
 #include "filter_grids.hpp"
 #include "gyro_deblur/deconvolution.hpp"
-#include "plane_paths.hpp"
+#include "paths_2d.hpp"
 #include "roll_scene.hpp"
 #include "scene.hpp"
 
@@ -16,7 +16,7 @@ namespace {
 
 void deconvolution(::benchmark::State& state, const std::string& engine_name, cv::Size size, double extent_px,
                    int threads) {
-  static const KernelBank bank(KernelOptions{});
+  static const FilterBank bank(FilterOptions{});
   static const cv::Mat photograph = natural_images().front();
   const cv::Mat image = extend(photograph, size);
   const FrameBlur field =
@@ -34,9 +34,9 @@ void deconvolution(::benchmark::State& state, const std::string& engine_name, cv
 }
 
 /// All blocks of 64 px with the inverse of an arc along the rows, or along a diagonal, which needs larger tiles.
-void plane(::benchmark::State& state, cv::Size size, double extent_px, bool is_diagonal, int threads) {
+void fourier(::benchmark::State& state, cv::Size size, double extent_px, bool is_diagonal, int threads) {
   const cv::Mat image = extend(natural_images().front(), size);
-  const PlaneInverse inverse{test::arc_path(extent_px, 0.2 * extent_px, is_diagonal ? CV_PI / 4 : 0), 0.007f, 0.1f};
+  const WienerInverse2d inverse{test::arc_path(extent_px, 0.2 * extent_px, is_diagonal ? CV_PI / 4 : 0), 0.007f, 0.1f};
   const FilterGrid grid = test::make_grid(size, 64, [&](int) { return BlockFilter{0, nullptr, &inverse}; });
   const auto engine = make_engine("auto", threads);
   cv::Mat dst;
@@ -51,10 +51,10 @@ const bool registered = [] {
   for (const auto& [size, extent_px] : {std::pair(cv::Size(752, 480), 25), std::pair(cv::Size(1920, 1080), 60)}) {
     for (const bool is_diagonal : {false, true}) {
       for (const int threads : {1, 2}) {
-        const std::string name = "plane/" + std::to_string(size.width) + "x" + std::to_string(size.height) + "/" +
+        const std::string name = "fourier/" + std::to_string(size.width) + "x" + std::to_string(size.height) + "/" +
                                  std::to_string(extent_px) + "px/" + (is_diagonal ? "diagonal/" : "rows/") +
                                  std::to_string(threads) + "threads";
-        ::benchmark::RegisterBenchmark(name.c_str(), plane, size, extent_px, is_diagonal, threads)
+        ::benchmark::RegisterBenchmark(name.c_str(), fourier, size, extent_px, is_diagonal, threads)
             ->Unit(::benchmark::kMillisecond)
             ->UseRealTime();
       }

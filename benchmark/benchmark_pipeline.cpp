@@ -43,7 +43,7 @@ void validation(::benchmark::State& state) {
 }
 
 /// Of a camera that stands still before a scene that moves: every corner has an image to be found in.
-void motion_from_images(::benchmark::State& state) {
+void optical_flow(::benchmark::State& state) {
   constexpr TimeNs kPeriodNs = 50'000'000;
   const PipelineScene scene = scene_of(state);
   const Camera camera(scene.calibration);
@@ -152,7 +152,7 @@ void scenes(::benchmark::internal::Benchmark* entry) {
 }
 
 BENCHMARK(blur_field)->Apply(scenes);
-BENCHMARK(motion_from_images)->Apply(scenes);
+BENCHMARK(optical_flow)->Apply(scenes);
 BENCHMARK(validation)->Apply(scenes);
 BENCHMARK_CAPTURE(feature_tracks, by_residuals, true)->Apply(scenes);
 BENCHMARK_CAPTURE(feature_tracks, by_rotation, false)->Apply(scenes);

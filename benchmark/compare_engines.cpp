@@ -23,7 +23,7 @@
 #include <opencv2/features2d.hpp>
 
 #include "base/median.hpp"
-#include "engine/cpu/block_kernels.hpp"
+#include "engine/cpu/block_simd.hpp"
 #include "engines.hpp"
 #include "gyro_deblur/deconvolution.hpp"
 #include "machine_peaks.hpp"
@@ -97,7 +97,7 @@ std::string baseline_of(const std::string& engine) {
   return "float";
 }
 
-nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBank& bank) {
+nlohmann::json measure_deconvolution(const Arguments& arguments, const FilterBank& bank) {
   nlohmann::json records;
   for (const std::string& size_text : arguments.sizes) {
     const cv::Size size = parse_size(size_text);
@@ -145,7 +145,7 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const KernelBan
           }
           const bool is_float = name.compare(0, 5, "float") == 0;
           if (is_float || name.compare(0, 4, "cpu-") == 0) {
-            const BlockKernels* kernels = is_float ? nullptr : find_block_kernels(name.c_str() + 4);
+            const BlockSimd* kernels = is_float ? nullptr : find_block_simd(name.c_str() + 4);
             const Work work = is_float ? work_of_float(grid) : work_of_cpu(grid, kernels->lanes);
             record["work"] = {{"float_gmac", work.float_macs / 1e9},
                               {"int16_gmac", work.int16_macs / 1e9},
@@ -241,7 +241,7 @@ double peak_mib(const std::function<void()>& work) {
   return static_cast<double>(usage.ru_maxrss) / 1024;
 }
 
-nlohmann::json measure_memory(const Arguments& arguments, const KernelBank& bank) {
+nlohmann::json measure_memory(const Arguments& arguments, const FilterBank& bank) {
   // Everything but the engine is there before the children start, so that the difference is the engine's.
   constexpr int kThreads = 2;
   const cv::Size size(1920, 1080);
@@ -324,7 +324,7 @@ void run(Arguments arguments) {
   for (const std::string& name : arguments.engines) {
     if (!make_engine(name, 1)) throw std::runtime_error("engine " + name + " cannot run here");
   }
-  const KernelBank bank(KernelOptions{});
+  const FilterBank bank(FilterOptions{});
   nlohmann::json result;
   result["machine"] = {{"processor", field_of("/proc/cpuinfo", "model name")},
                        {"processors", std::thread::hardware_concurrency()},

@@ -1,5 +1,5 @@
-// What it costs that blur changes: the first frame at new extents against later ones, and blur at uneven speed against
-// even blur of the same extent, in time and in what is restored.
+// What it costs that blur changes: the first frame at new extents against later ones, and blur at non-uniform speed
+// against even blur of the same extent, in time and in what is restored.
 
 #include <time.h>
 
@@ -38,7 +38,7 @@ struct Arguments {
   int threads = 1;
   int rounds = 5;
   int angle_step_deg = 15;
-  bool wall = false, in_time = false, skip_first = false, skip_uneven = false, skip_fidelity = false;
+  bool wall = false, in_time = false, skip_first = false, skip_nonuniform = false, skip_fidelity = false;
   std::string json;
 };
 
@@ -66,8 +66,8 @@ const std::array<Profile, 4> kProfiles = {
      {"turns back", [](double t) { return (t - 0.3) * (t - 0.3); }}}};
 
 /// `profile` over `extent_px`, from where it is at the middle of the exposure.
-LinePath path_of(const Profile& profile, double extent_px) {
-  LinePath path_px;
+Path1d path_of(const Profile& profile, double extent_px) {
+  Path1d path_px;
   for (int k = 0; k < kPathInstants; ++k) {
     path_px[k] = static_cast<float>(profile.place(k / (kPathInstants - 1.0)) - profile.place(0.5));
   }
@@ -82,8 +82,8 @@ FrameBlur roll_field(cv::Size size, double mean_extent_px) {
 }
 
 /// Every block at the speed of `profile`.
-FrameBlur uneven(FrameBlur field, const Profile& profile) {
-  for (BlockBlur& block : field.blocks) block.uneven_path_px = path_of(profile, block.extent_px);
+FrameBlur nonuniform(FrameBlur field, const Profile& profile) {
+  for (BlockBlur& block : field.blocks) block.nonuniform_path_px = path_of(profile, block.extent_px);
   return field;
 }
 
@@ -100,7 +100,7 @@ nlohmann::json measure_first_frame(const Arguments& arguments) {
       for (int round = 0; round < arguments.rounds; ++round) {
         BlurFieldOptions options;
         options.max_extent_px = max_extent_px;
-        const KernelBank bank(KernelOptions{});
+        const FilterBank bank(FilterOptions{});
         const auto engine = make_engine(arguments.engine, arguments.threads);
         cv::Mat dst;
         const auto run = [&](const FrameBlur& field) {
@@ -132,11 +132,11 @@ nlohmann::json measure_first_frame(const Arguments& arguments) {
   return records;
 }
 
-nlohmann::json measure_uneven(const Arguments& arguments) {
+nlohmann::json measure_nonuniform(const Arguments& arguments) {
   nlohmann::json records;
   const cv::Size size(1920, 1080);
   const cv::Mat image = extend(natural_images().front(), size);
-  const KernelBank bank(KernelOptions{});
+  const FilterBank bank(FilterOptions{});
   std::printf("\nUneven speed, 1920x1080, %d thread%s, median ms: making kernels + filtering, over even\n%-22s",
               arguments.threads, arguments.threads > 1 ? "s" : "", "mean extent");
   for (const double extent_px : arguments.extents_px) std::printf(" %15.0f px", extent_px);
@@ -150,7 +150,7 @@ nlohmann::json measure_uneven(const Arguments& arguments) {
         block.extent_px = static_cast<float>(arguments.extents_px[e]);
         block.status = BlockStatus::DEBLURRED;
       }
-      if (p >= 0) field = uneven(field, kProfiles[p]);
+      if (p >= 0) field = nonuniform(field, kProfiles[p]);
       const auto engine = make_engine(arguments.engine, arguments.threads);
       cv::Mat dst;
       std::vector<double> making_ms, filtering_ms, all_ms;
@@ -165,7 +165,7 @@ nlohmann::json measure_uneven(const Arguments& arguments) {
       }
       if (p < 0) even_ms.push_back(median(all_ms));
       std::size_t slow = 0;
-      for (const auto& [reason, count] : engine->slow_blocks()) slow += count;
+      for (const auto& [reason, count] : engine->fallback_counts()) slow += count;
       const double ratio = median(all_ms) / even_ms[e];
       std::printf(" %5.1f+%5.1f %4.1f%s", median(making_ms), median(filtering_ms), ratio, slow > 0 ? "s" : " ");
       std::fflush(stdout);
@@ -175,7 +175,7 @@ nlohmann::json measure_uneven(const Arguments& arguments) {
                          {"making_ms", median(making_ms)},
                          {"filtering_ms", median(filtering_ms)},
                          {"over_even", ratio},
-                         {"slow_blocks", slow}});
+                         {"fallback_counts", slow}});
     }
     std::printf("\n");
   }
@@ -188,10 +188,10 @@ double mean_square(const cv::Mat& a, const cv::Mat& b) {
 }
 double psnr_of(double mean_square_error) { return 10 * std::log10(255.0 * 255.0 / std::max(mean_square_error, 1e-9)); }
 
-/// Photographs blurred along one line at uneven speed: what the engine restores, against what "float" does.
+/// Photographs blurred along one line at non-uniform speed: what the engine restores, against what "float" does.
 nlohmann::json measure_fidelity(const Arguments& arguments) {
   nlohmann::json records;
-  const KernelBank bank(KernelOptions{});
+  const FilterBank bank(FilterOptions{});
   std::vector<cv::Mat> photographs = natural_images();
   photographs.resize(std::min<std::size_t>(photographs.size(), 2));
   const auto in_float = make_engine("float", arguments.threads);
@@ -201,7 +201,7 @@ nlohmann::json measure_fidelity(const Arguments& arguments) {
     for (const double extent_px : arguments.extents_px) {
       double parity = 0, worst_parity = 0, blurred_db = 0, restored_db = 0, loss_db = 0, worst_loss_db = -100;
       int count = 0;
-      const LinePath path_px = path_of(profile, extent_px);
+      const Path1d path_px = path_of(profile, extent_px);
       for (const cv::Mat& photograph : photographs) {
         const cv::Rect middle((photograph.cols - 320) / 2, (photograph.rows - 256) / 2, 320, 256);
         for (int degrees = 0; degrees < 180; degrees += arguments.angle_step_deg) {
@@ -210,7 +210,7 @@ nlohmann::json measure_fidelity(const Arguments& arguments) {
           const cv::Mat blurred = test::expose(test::blur_along_path(photograph, angle_rad, path_px)(middle),
                                                kNoiseGreyLevels, static_cast<std::uint64_t>(degrees));
           FrameBlur field = uniform_blur_field(blurred.cols, blurred.rows, angle_rad, extent_px, wide_options());
-          for (BlockBlur& block : field.blocks) block.uneven_path_px = path_px;
+          for (BlockBlur& block : field.blocks) block.nonuniform_path_px = path_px;
           cv::Mat expected, actual;
           deconvolve(blurred, PixelLayout::GRAY, field, bank, *in_float, expected);
           deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine(arguments.engine, arguments.threads),
@@ -250,7 +250,7 @@ void run(const Arguments& arguments) {
   nlohmann::json result;
   result["clock"] = arguments.wall ? "wall" : "processor";
   if (!arguments.skip_first) result["first_frame"] = measure_first_frame(arguments);
-  if (!arguments.skip_uneven) result["uneven"] = measure_uneven(arguments);
+  if (!arguments.skip_nonuniform) result["nonuniform"] = measure_nonuniform(arguments);
   if (!arguments.skip_fidelity) result["fidelity"] = measure_fidelity(arguments);
   write_json(arguments.json, result);
 }
@@ -261,8 +261,9 @@ void run(const Arguments& arguments) {
 int main(int argc, char** argv) {
   gyro_deblur::benchmark::Arguments arguments;
   gyro_deblur::CommandLine app{
-      "Times the first frame at new extents against later ones, and blur at uneven speed against even blur; and what "
-      "of uneven blur is restored.",
+      "Times the first frame at new extents against later ones, and blur at non-uniform speed against even blur; and "
+      "what "
+      "of non-uniform blur is restored.",
       "compare_kernels"};
   app.add_option("--engine", arguments.engine).show_default();
   app.add_option("--max-extents", arguments.max_extents_px, "of the first frames [px]")
@@ -277,7 +278,7 @@ int main(int argc, char** argv) {
   app.add_flag("--wall", arguments.wall, "time of the wall instead of the processors'");
   app.add_flag("--in-time", arguments.in_time, "make nothing ahead of the first frame");
   app.add_flag("--skip-first", arguments.skip_first);
-  app.add_flag("--skip-uneven", arguments.skip_uneven);
+  app.add_flag("--skip-nonuniform", arguments.skip_nonuniform);
   app.add_flag("--skip-fidelity", arguments.skip_fidelity);
   app.add_option("--json", arguments.json, "also write the numbers as JSON");
   return gyro_deblur::run_tool(app, argc, argv, [&arguments] { gyro_deblur::benchmark::run(arguments); });

@@ -44,7 +44,7 @@ struct Arguments {
   int frames = 40;
   int scenes = 4;
   std::vector<double> extents_px{5, 10, 20, 40};
-  double gamma = KernelOptions{}.gamma;
+  double gamma = FilterOptions{}.gamma;
   double noise = 1.5;
   std::vector<int> borders_px{TrackerOptions{}.border_px};
   std::string csv;

@@ -91,7 +91,7 @@ void print(const char* what, const std::string& engine, double extent_px, const 
 
 /// One angle and extent for the whole image, every angle.
 nlohmann::json measure_uniform(const Arguments& arguments, const std::vector<cv::Mat>& photographs,
-                               const KernelBank& bank) {
+                               const FilterBank& bank) {
   nlohmann::json records;
   const auto float_engine = make_engine("float", arguments.threads);
   for (const double extent_px : arguments.extents_px) {
@@ -133,7 +133,7 @@ nlohmann::json measure_uniform(const Arguments& arguments, const std::vector<cv:
 
 /// Rolls about the image centre.
 nlohmann::json measure_roll(const Arguments& arguments, const std::vector<cv::Mat>& photographs,
-                            const KernelBank& bank) {
+                            const FilterBank& bank) {
   nlohmann::json records;
   const auto float_engine = make_engine("float", arguments.threads);
   for (const double extent_px : {5, 15, 30, 60, 90, 130}) {
@@ -164,7 +164,7 @@ nlohmann::json measure_roll(const Arguments& arguments, const std::vector<cv::Ma
 
 /// Gradient across block borders against that inside, relative to the sharp image.
 nlohmann::json measure_seams(const Arguments& arguments, const std::vector<cv::Mat>& photographs,
-                             const KernelBank& bank) {
+                             const FilterBank& bank) {
   nlohmann::json records;
   std::vector<std::string> engines = arguments.engines;
   engines.insert(engines.begin(), "float");
@@ -201,7 +201,7 @@ void run(const Arguments& arguments) {
     if (!make_engine(name, 1)) throw std::runtime_error("engine " + name + " cannot run here");
   }
   const std::vector<cv::Mat> photographs = natural_images();
-  const KernelBank bank(KernelOptions{});
+  const FilterBank bank(FilterOptions{});
   nlohmann::json result;
   result["images"] = photographs.size();
   result["noise_grey_levels"] = kNoiseGreyLevels;

@@ -69,7 +69,7 @@ PipelineOptions pipeline_options(int threads) {
   options.blur_field.max_extent_px = wide_options().max_extent_px;
   options.keypoints.detector = "ORB";
   options.keypoints.descriptor = "ORB";
-  options.motion_from_images = false;  // one frame, again and again: it is measured by itself
+  options.optical_flow = false;  // one frame, again and again: it is measured by itself
   options.threads = threads;
   return options;
 }

@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "engine/cpu/block_kernels.hpp"
 #include "engine/cpu/block_method.hpp"
+#include "engine/cpu/block_simd.hpp"
 #include "engine/seam_blender.hpp"
 #include "inverse/line_taps.hpp"
 #include "inverse/two_scale_design.hpp"

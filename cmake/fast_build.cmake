@@ -12,7 +12,7 @@ else()
   set(GYRO_DEBLUR_PRECOMPILE OFF)
 endif()
 
-# Of other libraries alone: what a room or a test includes of the package, it has to include itself.
+# Of other libraries alone: what a layer or a test includes of the package, it has to include itself.
 set(gyro_deblur_core_headers
   <algorithm> <array> <cmath> <cstdint> <deque> <functional> <limits> <map> <memory> <optional> <set> <sstream>
   <stdexcept> <string> <utility> <vector>

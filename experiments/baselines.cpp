@@ -61,7 +61,7 @@ FrameBlur as_blurred(FrameBlur field) {
   return field;
 }
 
-cv::Mat deblur_in_space(const cv::Mat& image, const LineBlur& blur, const KernelOptions& options) {
+cv::Mat deblur_in_space(const cv::Mat& image, const LineBlur& blur, const FilterOptions& options) {
   require_gray8(image);
   require_range("extent", blur.extent_px, kMinKernelExtentPx, kMaxKernelExtentPx, "px");
   // The blur is given, so nothing is exempt from deblurring.
@@ -69,9 +69,9 @@ cv::Mat deblur_in_space(const cv::Mat& image, const LineBlur& blur, const Kernel
   field_options.min_extent_px = kMinKernelExtentPx;
   field_options.max_extent_px = kMaxKernelExtentPx;
   FrameBlur field = uniform_blur_field(image.cols, image.rows, blur.angle_rad, blur.extent_px, field_options);
-  const KernelBank bank(options);
+  const FilterBank bank(options);
   field.noise = image_noise(image, PixelLayout::GRAY);
-  weigh_noise(image, bank, field, 1);
+  adapt_regularization(image, bank, field, 1);
   cv::Mat deblurred;
   deconvolve(image, PixelLayout::GRAY, field, bank, *make_engine("cpu", 1), deblurred);
   return deblurred;
@@ -143,10 +143,10 @@ cv::Mat restore_beyond_borders(const cv::Mat& image, const LineBlur& blur, const
   };
   // Filters as spectra. W is the paper's kernel, a spatial one of limited length; its centre goes to the origin.
   cv::Mat inverse = cv::Mat::zeros(size, CV_32F);
-  KernelOptions kernel_options;
+  FilterOptions kernel_options;
   kernel_options.gamma = options.gamma;
   kernel_options.length_factor = options.length_factor;
-  kernel_options.gamma_rule = GammaRule::PAPER;
+  kernel_options.regularization = Regularization::PAPER;
   const LineKernel kernel = wiener_kernel(blur.extent_px, kernel_options);
   for (const KernelTap& tap : rotate_kernel(kernel, blur.angle_rad)) {
     const int u = ((tap.dx % size.width) + size.width) % size.width;

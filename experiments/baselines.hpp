@@ -24,7 +24,7 @@ FrameBlur as_blurred(FrameBlur field);
 
 /// The proposed method: the package's own deconvolution with one blur in every block. Image: CV_8UC1; the result, too.
 /// Throws OptionError for extents outside [kMinKernelExtentPx, kMaxKernelExtentPx].
-cv::Mat deblur_in_space(const cv::Mat& image, const LineBlur& blur, const KernelOptions& options = {});
+cv::Mat deblur_in_space(const cv::Mat& image, const LineBlur& blur, const FilterOptions& options = {});
 
 /// Edge tapering, as usual before a deconvolution in the frequency domain: towards the border the image gives way to
 /// its own periodic blur, weighted by the autocorrelation of the blur's projection on either axis, so that opposite

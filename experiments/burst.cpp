@@ -192,7 +192,7 @@ Eigen::Vector2d interpolate_to_middle(const Eigen::Vector2d& first_px, const Eig
 }
 
 void ProtocolOptions::validate() const {
-  require_range("max_features", max_features, 10, 100000);
+  require_range("max_keypoints", max_keypoints, 10, 100000);
   require_range("max_ratio", max_ratio, 1e-6, 1);
   require_range("burst_ransac", burst_ransac_px, 1e-6, 100, "px");
   require_range("pair_ransac", pair_ransac_px, 1e-6, 100, "px");
@@ -200,8 +200,8 @@ void ProtocolOptions::validate() const {
 
 BurstPoints interpolated_points(const Burst& burst, const ProtocolOptions& options) {
   options.validate();
-  const Features first = extract_sift(burst.frames[FIRST].image, options.max_features);
-  const Features last = extract_sift(burst.frames[LAST].image, options.max_features);
+  const Features first = extract_sift(burst.frames[FIRST].image, options.max_keypoints);
+  const Features last = extract_sift(burst.frames[LAST].image, options.max_keypoints);
   const auto matches = ratio_matches(first.descriptors, last.descriptors, options.max_ratio);
   std::vector<cv::Point2f> points1, points2;
   for (const cv::DMatch& match : matches) {

@@ -63,7 +63,7 @@ struct BurstPoints {
 };
 
 struct ProtocolOptions {
-  int max_features = 3000;     ///< [10, 100000] of each sharp image
+  int max_keypoints = 3000;    ///< [10, 100000] of each sharp image
   double max_ratio = 0.8;      ///< (0, 1] nearest over second nearest descriptor distance (Lowe 2004)
   double burst_ransac_px = 5;  ///< (0, 100] within a burst: a rolling shutter leaves no exact homography
   double pair_ransac_px = 3;   ///< (0, 100] between the middle frames

@@ -47,7 +47,7 @@ struct Method {
 
 cv::Mat frequency(const cv::Mat& blurred, bool taper) {
   cv::Mat out;
-  deblur_in_frequency(blurred, kBlur, KernelOptions().gamma, taper).convertTo(out, CV_8U);
+  deblur_in_frequency(blurred, kBlur, FilterOptions().gamma, taper).convertTo(out, CV_8U);
   return out;
 }
 
@@ -77,7 +77,7 @@ void write_image(const std::string& path, const cv::Mat& image) {
 
 /// The kernel as the paper draws it, along the line and in the plane. Returns how much of the plane is not zero.
 nlohmann::json write_kernels(const std::string& folder) {
-  const LineKernel kernel = wiener_kernel(kBlur.extent_px, KernelOptions());
+  const LineKernel kernel = wiener_kernel(kBlur.extent_px, FilterOptions());
   std::ofstream line(folder + "/deconvolution_kernel_1d.csv");
   line << "position_px,weight\n";
   for (std::size_t i = 0; i < kernel.taps.size(); ++i) {
@@ -96,8 +96,8 @@ nlohmann::json write_kernels(const std::string& folder) {
   return {{"taps", taps.size()}, {"width_px", 2 * rx + 1}, {"height_px", 2 * ry + 1}};
 }
 
-const std::pair<const char*, GammaRule> kRules[] = {
-    {"paper", GammaRule::PAPER}, {"fixed", GammaRule::FIXED}, {"noise", GammaRule::NOISE}};
+const std::pair<const char*, Regularization> kRules[] = {
+    {"paper", Regularization::PAPER}, {"fixed", Regularization::FIXED}, {"noise", Regularization::NOISE}};
 
 double psnr_of(const cv::Mat& image, const cv::Mat& truth) {
   const double squares = std::pow(cv::norm(image, truth, cv::NORM_L2), 2);
@@ -127,8 +127,8 @@ nlohmann::json compare_rules(const Arguments& arguments, std::vector<ImagePair> 
         for (std::size_t n = 0; n < noises.size(); ++n) {
           const cv::Mat blurred = test::expose(exposed, noises[n], arguments.seed * 1000 + p);
           for (std::size_t r = 0; r < std::size(kRules); ++r) {
-            KernelOptions options;
-            options.gamma_rule = kRules[r].second;
+            FilterOptions options;
+            options.regularization = kRules[r].second;
             const double gain_db = psnr_of(deblur_in_space(blurred, blur, options), sharp) - psnr_of(blurred, sharp);
             const std::size_t i = n * std::size(kRules) + r;
             gains_db[i] += gain_db / static_cast<double>(pairs.size() * angles_deg.size());
@@ -195,7 +195,7 @@ void run(const Arguments& arguments) {
                                                      {"angle_deg", kBlur.angle_rad * 180 / CV_PI},
                                                      {"extent_px", kBlur.extent_px},
                                                      {"band_px", std::lround(kBandExtents * kBlur.extent_px)},
-                                                     {"gamma", KernelOptions().gamma},
+                                                     {"gamma", FilterOptions().gamma},
                                                      {"noise_grey_levels", arguments.noise_grey_levels},
                                                      {"kernel", write_kernels(arguments.out)},
                                                      {"methods", methods},

@@ -37,7 +37,7 @@ std::vector<cv::KeyPoint> detect(const Arguments& arguments, const cv::Mat& imag
   options.detector = arguments.detector;
   options.descriptor = "NONE";
   // More than are compared, because some lie outside the part that both images show.
-  options.max_features = 100000;
+  options.max_keypoints = 100000;
   return without_duplicates(FeatureExtractor(options).extract(image).keypoints);
 }
 
@@ -80,7 +80,7 @@ void run(const Arguments& arguments) {
   OverlapOptions normalized = arguments.overlap;
   normalized.normalized_radius_px = arguments.normalized_radius_px;
   const Repeatability plain = repeatability(arguments.overlap), scaled = repeatability(normalized);
-  const int n = arguments.matching.max_features;
+  const int n = arguments.matching.max_keypoints;
   const Matching sift =
       evaluate_matching(extract_sift(image1, n), image1.size(), extract_sift(image2, n), H, arguments.matching);
   const Matching orb =
@@ -117,7 +117,7 @@ int main_of(int argc, char** argv) {
   app.add_option("--radius-factor", arguments.overlap.radius_factor, "radius of a disc over the keypoint's size")
       .show_default();
   app.add_option("--normalized-radius-px", arguments.normalized_radius_px, "of the normalised discs").show_default();
-  app.add_option("--matching-features", arguments.matching.max_features, "strongest, of each image").show_default();
+  app.add_option("--matching-features", arguments.matching.max_keypoints, "strongest, of each image").show_default();
   app.add_option("--max-ratio", arguments.matching.max_ratio, "of the ratio test").show_default();
   app.add_option("--max-error-px", arguments.matching.max_error_px, "of a correct match").show_default();
   app.add_option("--json", arguments.json, "also write the results as JSON");

@@ -176,7 +176,7 @@ Repeatability evaluate_repeatability(const std::vector<cv::KeyPoint>& keypoints1
 }
 
 void MatchingOptions::validate() const {
-  require_range("max_features", max_features, 1, 100000);
+  require_range("max_keypoints", max_keypoints, 1, 100000);
   require_range("max_ratio", max_ratio, 1e-6, 1);
   require_range("max_error", max_error_px, 1e-6, 1000, "px");
   require_range("ransac", ransac_px, 1e-6, 100, "px");
@@ -188,8 +188,8 @@ Matching evaluate_matching(const Features& features1, const cv::Size& size1, con
   options.validate();
   Matching result;
   result.corner_error_px = std::numeric_limits<double>::infinity();
-  const int n1 = std::min(features1.descriptors.rows, options.max_features);
-  const int n2 = std::min(features2.descriptors.rows, options.max_features);
+  const int n1 = std::min(features1.descriptors.rows, options.max_keypoints);
+  const int n2 = std::min(features2.descriptors.rows, options.max_keypoints);
   if (n1 == 0 || n2 < 2) return result;  // no second nearest, no ratio
 
   const int norm = features1.descriptors.depth() == CV_8U ? cv::NORM_HAMMING : cv::NORM_L2;
@@ -233,7 +233,7 @@ Features extract_orb(const cv::Mat& image, int count) {
   // Everything but the thresholds as FeatureExtractor has it, whose FAST threshold is the same.
   KeypointOptions options;
   options.detector = options.descriptor = "ORB";
-  options.max_features = count;
+  options.max_keypoints = count;
   return FeatureExtractor(options).extract(image);
 }
 

@@ -77,7 +77,7 @@ Repeatability evaluate_repeatability(const std::vector<cv::KeyPoint>& keypoints1
                                      const Homography& H_2_1, int count, const OverlapOptions& options);
 
 struct MatchingOptions {
-  int max_features = 1000;         ///< [1, 100000]; strongest by response, of each image
+  int max_keypoints = 1000;        ///< [1, 100000]; strongest by response, of each image
   double max_ratio = 0.8;          ///< (0, 1]: nearest over second nearest descriptor distance (Lowe 2004)
   double max_error_px = 5;         ///< (0, 1000]: in image 2, for a match to be correct
   double ransac_px = 3;            ///< (0, 100]: reprojection error of RANSAC's inliers
@@ -96,7 +96,7 @@ struct Matching {
 };
 
 /// Nearest neighbours of image 1's descriptors among image 2's (Hamming distance for CV_8U, else Euclidean), ratio
-/// test, comparison with the truth, and a homography by RANSAC. Features hold at least max_features where there are so
+/// test, comparison with the truth, and a homography by RANSAC. Features hold at least max_keypoints where there are so
 /// many, by falling response.
 Matching evaluate_matching(const Features& features1, const cv::Size& size1, const Features& features2,
                            const Homography& H_2_1, const MatchingOptions& options);

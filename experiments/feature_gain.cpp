@@ -30,7 +30,7 @@ class ToldDeblurring {
     FrameBlur field =
         validate_blur_field(estimator_.estimate(rotation, exposure, residuals), image, options_.validation);
     field.noise = image_noise(image, PixelLayout::GRAY);
-    weigh_noise(image, bank_, field);
+    adapt_regularization(image, bank_, field);
     if (field.count(BlockStatus::DEBLURRED) == 0) return image;
     cv::Mat deblurred;
     deconvolve(image, PixelLayout::GRAY, field, bank_, *engine_, deblurred);
@@ -40,7 +40,7 @@ class ToldDeblurring {
  private:
   PipelineOptions options_;
   BlurFieldEstimator estimator_;
-  KernelBank bank_;
+  FilterBank bank_;
   std::unique_ptr<Engine> engine_;
 };
 
@@ -50,7 +50,7 @@ class Deblurring {
   Deblurring(Knowledge knowledge, const Footage& footage)
       : knowledge_(knowledge), footage_(footage), rotation_(footage.rotation()), told_(footage.camera()) {
     PipelineOptions options;
-    options.motion_from_images = knowledge == Knowledge::IMAGES;
+    options.optical_flow = knowledge == Knowledge::IMAGES;
     pipeline_ = std::make_unique<Pipeline>(options);
     pipeline_->set_calibration(footage.camera().calibration());
   }
@@ -122,7 +122,7 @@ std::array<FeatureCounts, 4> feature_counts(Footage& footage, const Light& light
   constexpr int kFirst = 2;
   constexpr int kFeatures = 1000;
   MatchingOptions options;
-  options.max_features = kFeatures;
+  options.max_keypoints = kFeatures;
   options.max_error_px = 3;
   const RotationTrack rotation = footage.rotation();
   std::deque<Deblurring> deblurring;  // of what cannot be moved

@@ -1,6 +1,6 @@
 // What is left of features when a hand shakes: frames exposed at random times of a recorded shake, as they arrive,
-// with what no line serves left alone, as the package deblurs them, and all in the plane. Writes the table of
-// doc/reports/hand_shake.md and its pictures.
+// with what is too curved for a straight path passed through, as the package deblurs them, and all by the 2-D filter.
+// Writes the table of doc/reports/hand_shake.md and its pictures.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -36,16 +36,16 @@ namespace {
 struct Arguments {
   std::string data = GYRO_DEBLUR_DATA_DIR, output;
   std::uint64_t seed = 1;
-  double max_bend_px = BlurFieldOptions().max_bend_px;
+  double curved_path_threshold_px = BlurFieldOptions().curved_path_threshold_px;
   bool quick = false, quiet = false;
 };
 
-/// What becomes of a frame. LINES: as the package was before it had the plane, one line for each block, one gamma for
-/// all noise, the paper's validation, and what is bent left alone. PLANE: all blocks in the plane, by their whole path
-/// where that leaves a line by more than 2 % of its length.
-enum Kind : std::size_t { SHARP, BLURRED, LINES, PACKAGE, PLANE };
-constexpr std::array<Kind, 5> kKinds{SHARP, BLURRED, LINES, PACKAGE, PLANE};
-constexpr std::array<const char*, 5> kKindNames{"sharp", "blurred", "lines", "package", "plane"};
+/// What becomes of a frame. STRAIGHT: one straight path for each block, one gamma for
+/// all noise, the paper's validation, and what is curved left alone. FOURIER: all blocks by the 2-D filter of their
+/// whole path where that leaves a line by more than 2 % of its length.
+enum Kind : std::size_t { SHARP, BLURRED, STRAIGHT, PACKAGE, FOURIER };
+constexpr std::array<Kind, 5> kKinds{SHARP, BLURRED, STRAIGHT, PACKAGE, FOURIER};
+constexpr std::array<const char*, 5> kKindNames{"sharp", "blurred", "straight", "package", "fourier"};
 
 constexpr int kFeatures = 1000, kRepeated = 500;
 
@@ -71,7 +71,7 @@ cv::Mat reference_of(const Shot& shot, const FrameBlur& field, cv::Mat* inside) 
     for (int x = 0; x < map_x.cols; ++x) {
       Eigen::Vector2d offset_px(0, 0);
       for (const BlockGrid::Neighbour& n : field.grid.around({x, y})) {
-        offset_px += n.share * field.blocks[n.index].shown_offset_px();
+        offset_px += n.share * field.blocks[n.index].apparent_offset_px();
       }
       map_x.at<float>(y, x) = static_cast<float>(x - offset_px.x());
       map_y.at<float>(y, x) = static_cast<float>(y - offset_px.y());
@@ -114,7 +114,7 @@ Seen see(Kind kind, const Shot& shot, double noise, std::uint64_t seed, Pipeline
   const cv::Mat blurred = lit(shot.blurred, light, seed);
   PipelineRequest request;
   request.keypoints = false;
-  request.in_a_hurry = kind == LINES;
+  request.behind_camera_rate = kind == STRAIGHT;
   const PipelineResult result =
       pipeline->process(blurred, PixelLayout::GRAY, shot.rotation, shot.simulator.exposure(0), request);
   const FrameBlur field = kind == BLURRED ? as_blurred(result.field) : result.field;
@@ -124,7 +124,7 @@ Seen see(Kind kind, const Shot& shot, double noise, std::uint64_t seed, Pipeline
     double bent = 0;
     for (const BlockBlur& block : result.field.blocks) {
       extents_px.push_back(block.extent_px);
-      if (block.bent_path_px) ++bent;
+      if (block.curved_path_px) ++bent;
     }
     *bent_share = bent / static_cast<double>(extents_px.size());
     *extent_px = quantile(extents_px, 0.5);
@@ -209,12 +209,12 @@ Measured measure(const std::vector<Shot>& shots, double noise,
   if (!picture.empty()) {
     const auto most = std::max_element(m.bent_shares.begin(), m.bent_shares.end()) - m.bent_shares.begin();
     std::vector<std::pair<const char*, cv::Mat>> images;
-    for (const Kind kind : {BLURRED, LINES, PACKAGE, SHARP})
+    for (const Kind kind : {BLURRED, STRAIGHT, PACKAGE, SHARP})
       images.emplace_back(kKindNames[kind], seen[kind][most].image);
     cv::imwrite(picture, side_by_side(images));
   }
   MatchingOptions options;
-  options.max_features = kFeatures;
+  options.max_keypoints = kFeatures;
   options.max_error_px = 3;
   const cv::Size size = shots.front().sharp.size();
   for (std::size_t i = 0; i < shots.size(); ++i) {
@@ -238,19 +238,19 @@ Measured measure(const std::vector<Shot>& shots, double noise,
   return m;
 }
 
-std::array<std::unique_ptr<Pipeline>, kKinds.size()> pipelines_for(const Shot& shot, double max_bend_px) {
+std::array<std::unique_ptr<Pipeline>, kKinds.size()> pipelines_for(const Shot& shot, double curved_path_threshold_px) {
   std::array<std::unique_ptr<Pipeline>, kKinds.size()> pipelines;
   for (const Kind kind : kKinds) {
     PipelineOptions options;
-    options.motion_from_images = false;  // frames are not consecutive
-    if (kind == PACKAGE) options.blur_field.max_bend_px = max_bend_px;
-    if (kind == LINES) {
-      options.kernel.gamma_rule = GammaRule::FIXED;
+    options.optical_flow = false;  // frames are not consecutive
+    if (kind == PACKAGE) options.blur_field.curved_path_threshold_px = curved_path_threshold_px;
+    if (kind == STRAIGHT) {
+      options.kernel.regularization = Regularization::FIXED;
       options.validation.rule = ValidationRule::PAPER;
     }
-    if (kind == PLANE) {
-      options.engine = "plane";
-      options.blur_field.max_bend_px = 0;
+    if (kind == FOURIER) {
+      options.engine = "fourier";
+      options.blur_field.curved_path_threshold_px = 0;
     }
     pipelines[kind] = std::make_unique<Pipeline>(options);
     pipelines[kind]->set_calibration(shot.simulator.scene().camera.calibration);
@@ -270,9 +270,9 @@ void run(const Arguments& arguments) {
   std::vector<double> scales{1, 0.6, 0.3};
   std::vector<TimeNs> exposures_ns{10'000'000, 20'000'000, 30'000'000};
   if (arguments.quick) cameras.resize(1), scales.resize(1), exposures_ns = {exposures_ns.back()};
-  ResultTable table({"camera", "shake", "exposure [ms]", "noise", "extent [px]", "bent [%]", "PSNR [dB]", "SIFT", "ORB",
-                     "SIFT, with sharp", "ORB, with sharp", "repeatability", "package over lines: SIFT, ORB with sharp",
-                     "least over blurred [standard errors]"});
+  ResultTable table({"camera", "shake", "exposure [ms]", "noise", "extent [px]", "curved [%]", "PSNR [dB]", "SIFT",
+                     "ORB", "SIFT, with sharp", "ORB, with sharp", "repeatability",
+                     "package over straight: SIFT, ORB with sharp", "least over blurred [standard errors]"});
   Progress progress(cameras.size() * scales.size() * exposures_ns.size(), "shakes", arguments.quiet);
   std::size_t done = 0;
   for (const ShakenCamera& camera : cameras) {
@@ -282,7 +282,7 @@ void run(const Arguments& arguments) {
         for (const View& view : views) {
           shots.push_back(take_shot(camera, trace, scale, exposure_ns, view, photographs));
         }
-        auto pipelines = pipelines_for(shots.front(), arguments.max_bend_px);
+        auto pipelines = pipelines_for(shots.front(), arguments.curved_path_threshold_px);
         const double exposure_ms = 1e3 * to_seconds(exposure_ns);
         for (const double noise : {2.0, 6.0}) {
           const bool shown = !arguments.output.empty() && noise == 2 && exposure_ns == exposures_ns.back();
@@ -290,7 +290,7 @@ void run(const Arguments& arguments) {
               measure(shots, noise, pipelines,
                       shown ? arguments.output + "/" + camera.name + "_x" + text_of(scale, 1) + ".png" : std::string());
           const auto ratio = [](const Figures& f) {
-            return text_of(mean_of(f[PACKAGE]) / std::max(mean_of(f[LINES]), 1.0), 2);
+            return text_of(mean_of(f[PACKAGE]) / std::max(mean_of(f[STRAIGHT]), 1.0), 2);
           };
           double least = std::numeric_limits<double>::infinity();
           for (const Figures* f : {&m.sift, &m.orb, &m.sift_sharp, &m.orb_sharp}) {
@@ -305,7 +305,7 @@ void run(const Arguments& arguments) {
       }
     }
   }
-  std::printf("Photographs: %s. Cells: sharp / blurred / lines / package / plane.\n%s", source.c_str(),
+  std::printf("Photographs: %s. Cells: sharp / blurred / straight / package / fourier.\n%s", source.c_str(),
               table.markdown().c_str());
   if (!arguments.output.empty()) table.write(arguments.output, "hand_shake");
 }
@@ -316,7 +316,7 @@ int main_of(int argc, char** argv) {
                   "hand_shake"};
   app.add_option("--out", arguments.output, "folder for the table and pictures");
   app.add_option("--data", arguments.data, "recorded data, with handshake_gyro/");
-  app.add_option("--max-bend", arguments.max_bend_px, "of the package [px]").range(0.0, 100.0);
+  app.add_option("--max-bend", arguments.curved_path_threshold_px, "of the package [px]").range(0.0, 100.0);
   app.add_option("--seed", arguments.seed, "of the times and views [1]");
   app.add_flag("--quick", arguments.quick, "four frames of one cell");
   app.add_flag("--quiet", arguments.quiet, "no progress");

@@ -74,7 +74,7 @@ std::size_t extent_bin(double extent_px) {
 }
 
 struct Frame {
-  std::string camera, what, verdict;
+  std::string camera, what, grade;
   double noise_to_contrast, score, measured, extent_px;
 };
 
@@ -101,7 +101,7 @@ Frame count(const cv::Mat& image, const FrameBlur& field, const Shot& shot, cons
   }
   return {"",
           "",
-          to_string(quality.verdict),
+          to_string(quality.grade),
           noise_to_contrast(field),
           quality.score.value_or(-1),
           all.share(),
@@ -111,7 +111,7 @@ Frame count(const cv::Mat& image, const FrameBlur& field, const Shot& shot, cons
 /// The frame as it came, and as the package leaves it with its defaults.
 PipelineResult deblur(const cv::Mat& blurred, const Shot& shot) {
   PipelineOptions options;
-  options.motion_from_images = false;  // frames are not consecutive
+  options.optical_flow = false;  // frames are not consecutive
   Pipeline pipeline(options);
   pipeline.set_calibration(shot.simulator.scene().camera.calibration);
   PipelineRequest request;
@@ -275,7 +275,7 @@ void run(const Arguments& arguments) {
                                      deblurred ? result.field : as_it_arrived, shot, sharp, light, &bins));
               frames.back().camera = camera.name;
               frames.back().what = deblurred ? "deblurred" : "blurred";
-              if (!deblurred) frames.back().verdict = "-";  // it has no status of its own
+              if (!deblurred) frames.back().grade = "-";  // it has no status of its own
             }
           }
         }
@@ -298,9 +298,9 @@ void run(const Arguments& arguments) {
   if (arguments.output.empty()) return;
   std::filesystem::create_directories(arguments.output);
   table.write(arguments.output, "image_quality_blocks");
-  ResultTable all({"camera", "image", "verdict", "noise over contrast", "extent [px]", "score", "repeated"});
+  ResultTable all({"camera", "image", "grade", "noise over contrast", "extent [px]", "score", "repeated"});
   for (const Frame& frame : frames) {
-    all.add({frame.camera, frame.what, frame.verdict, text_of(frame.noise_to_contrast, 3), text_of(frame.extent_px, 1),
+    all.add({frame.camera, frame.what, frame.grade, text_of(frame.noise_to_contrast, 3), text_of(frame.extent_px, 1),
              text_of(frame.score, 3), text_of(frame.measured, 3)});
   }
   all.write(arguments.output, "image_quality_frames");

@@ -89,7 +89,7 @@ ObjectScene film_object(const Footage& footage, const cv::Point2d& velocity_px_s
                       velocity_px_s, period_s, footage.frames()};
   const RotationTrack rotation = footage.rotation();
   PipelineOptions with, without;
-  without.motion_from_images = false;
+  without.optical_flow = false;
   Pipeline images(with), alone(without);
   PipelineRequest request;
   request.keypoints = false;

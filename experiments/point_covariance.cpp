@@ -153,7 +153,7 @@ Sample sample_at(const std::string& points, const PointCovariance& covariance, c
   sample.status = block.status;
   sample.extent_px = block.extent_px;
   sample.angle_rad = block.angle_rad;
-  sample.shown_px = block.shown_offset_px();
+  sample.shown_px = block.apparent_offset_px();
   sample.radius_px = radius_px;
   sample.covariance_px2 = covariance.at(pixel_px, radius_px, errors);
   sample.by_motion_px2 = covariance_of_moving(block, to_seconds(field.exposure_ns));
@@ -214,7 +214,7 @@ void study_keypoints(const Arguments& arguments, Study* study) {
       for (std::size_t i = 0; i < views.size(); ++i) {
         const Shot shot = take_shot(kVga, trace, scale, exposure_ns, views[i], photographs);
         PipelineOptions options;
-        options.motion_from_images = false;  // frames are not consecutive
+        options.optical_flow = false;  // frames are not consecutive
         Pipeline pipeline(options);
         pipeline.set_calibration(shot.simulator.scene().camera.calibration);
         PipelineRequest request;

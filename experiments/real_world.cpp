@@ -258,7 +258,7 @@ DeblurredMiddle deblurred_middle(const Burst& burst, nlohmann::json& report) {
                     {"blocks", result.field.grid.size()},
                     {"deblurred", result.field.count(BlockStatus::DEBLURRED)},
                     {"rejected", result.field.count(BlockStatus::REJECTED)},
-                    {"bent", result.field.count(BlockStatus::BENT)}});
+                    {"too_curved", result.field.count(BlockStatus::TOO_CURVED)}});
   const cv::Mat image = result.image.empty() ? middle.image : result.image;
   const LineBlur blur = mean_blur(result.field);
   return {image, blur, std::move(result)};

@@ -43,7 +43,7 @@ EVEN = 0.20  # largest change of speed during an exposure of an 'even' pair, ove
 STRAIGHT_DEG = 10.0  # largest angle between velocity and blur in an exposure of an 'even' pair
 PAIRS = 5  # of each scene and class
 KINDS = {"even": f"even: speed changes by less than {100 * EVEN:.0f} %, direction by less than {STRAIGHT_DEG:.0f} deg",
-         "uneven": "uneven: the others"}
+         "nonuniform": "non-uniform: the others"}
 METHODS = {"dog": "DoG", "pretto": "Pretto et al.", "proposed": "proposed"}
 # The same images, all of them smoothed before detection.
 SMOOTHED = {"dog_smoothed": "dog", "proposed_smoothed": "proposed"}
@@ -246,7 +246,7 @@ def rows_of(report, pair):
                   best_homography_error_px=homography["error_of_best_homography"]["median_px"],
                   blocks=sum(f["blocks"] for f in report["frames"]),
                   rejected=sum(f["rejected"] for f in report["frames"]),
-                  bent=sum(f["bent"] for f in report["frames"]))
+                  too_curved=sum(f["too_curved"] for f in report["frames"]))
     for truth in GROUND_TRUTHS:
         for method, value in report[truth].items():
             yield dict(common, ground_truth=truth, method=method, repeatability=value["repeatability"],

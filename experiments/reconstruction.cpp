@@ -27,7 +27,7 @@ struct Arguments {
   int frames = 0;       // 0: as the scene says
   int first_frame = 0;  // of the scene
   int step = 1;         // from frame to frame
-  int max_features = 0;
+  int max_keypoints = 0;
   int image_period = 0;  // 0: no images
   bool quiet = false;
 };
@@ -75,7 +75,7 @@ void run(const Arguments& arguments) {
   const sim::ImuModel& imu = simulator.scene().imu;
 
   PipelineOptions options;
-  options.keypoints.max_features = arguments.max_features;
+  options.keypoints.max_keypoints = arguments.max_keypoints;
   Pipeline pipeline(options);
   pipeline.set_calibration(simulator.camera().calibration());
   GyroOptions gyro;
@@ -135,14 +135,14 @@ int main_of(int argc, char** argv) {
       "SIFT features of a simulated sequence, blurred and deblurred, raw and rectified, and the true poses.",
       "reconstruction"};
   Arguments arguments;
-  arguments.max_features = 8192;  // SiftGPU's limit
+  arguments.max_keypoints = 8192;  // SiftGPU's limit
   app.add_option("SCENE", arguments.scene, "YAML scene; config/scenes/handheld.yaml documents the keys").required();
   app.add_option("OUT", arguments.output, "folder to write: blurred/, deblurred/, images/, truth.csv, camera.csv")
       .required();
   app.add_option("--frames", arguments.frames, "how many [all]").range(1, 1000000);
   app.add_option("--first-frame", arguments.first_frame, "of the scene [0]").range(0, 1000000);
   app.add_option("--step", arguments.step, "from frame to frame [1]").range(1, 1000000);
-  app.add_option("--max-features", arguments.max_features, "of each frame [8192]").range(10, 100000);
+  app.add_option("--max-features", arguments.max_keypoints, "of each frame [8192]").range(10, 100000);
   app.add_option("--image-period", arguments.image_period, "write every n-th image [none]").range(1, 1000000);
   app.add_flag("--quiet", arguments.quiet, "no progress on stderr");
   return run_tool(app, argc, argv, [&arguments] { run(arguments); });

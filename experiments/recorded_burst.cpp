@@ -70,12 +70,12 @@ std::vector<BurstFrame> burst_frames(const std::string& folder, const std::strin
   PipelineOptions with, without;
   with.blur_field.max_extent_px = 200;  // 124 px by the gyroscope, and a fifth more
   without.blur_field = with.blur_field;
-  without.motion_from_images = false;
+  without.optical_flow = false;
   Pipeline images(with), alone(without);
   for (Pipeline* pipeline : {&images, &alone}) pipeline->set_calibration(recording.camera);
   const Camera camera(recording.camera);
   KeypointOptions keypoints;
-  keypoints.max_features = 5000;
+  keypoints.max_keypoints = 5000;
   FeatureExtractor extractor(keypoints);
   PipelineRequest request;
   request.keypoints = false;

@@ -137,8 +137,8 @@ def rules_table(deconvolution):
         return f"{record['gain_db']:.2f} ({record['least_db']:.2f})"
     rows = [[f"{noise:g}", RULES[rule], *(cell(by_cell[noise, rule, extent]) for extent in extents)]
             for noise, rule in dict.fromkeys((r["noise_grey_levels"], r["rule"]) for r in records)]
-    return titled_table("PSNR [dB] over the blurred image, mean (least), by noise [grey levels], gamma_rule and extent:",
-                        ["noise", "gamma_rule", *(f"{extent:g} px" for extent in extents)], rows)
+    return titled_table("PSNR [dB] over the blurred image, mean (least), by noise [grey levels], regularization and extent:",
+                        ["noise", "regularization", *(f"{extent:g} px" for extent in extents)], rows)
 
 
 def save_with_palette(figure, path):

@@ -127,7 +127,7 @@ cv::Mat rounded(const cv::Mat& image) {
 
 /// What the detector of a method gets to see.
 cv::Mat restore(const Method& method, const Exposure& exposure, const LineBlur& truth) {
-  const double gamma = KernelOptions().gamma;
+  const double gamma = FilterOptions().gamma;
   switch (method.kind) {
     case Method::SHARP:
       return exposure.sharp;
@@ -141,8 +141,8 @@ cv::Mat restore(const Method& method, const Exposure& exposure, const LineBlur& 
       return deblur_in_space(exposure.blurred, {truth.angle_rad + method.error.angle_deg * CV_PI / 180,
                                                 truth.extent_px + method.error.extent_px});
     case Method::TRANSFORMED: {
-      KernelOptions options;
-      options.gamma_rule = GammaRule::PAPER;
+      FilterOptions options;
+      options.regularization = Regularization::PAPER;
       return deblur_in_space(exposure.blurred, truth, options);
     }
     case Method::BEYOND:
@@ -184,7 +184,7 @@ Outcome run_task(const Task& task, const std::vector<int>& counts) {
   }
   if (task.method->kind == Method::ADAPTED_DETECTOR) return outcome;  // a detector only
   const MatchingOptions options;
-  const int n = options.max_features;
+  const int n = options.max_keypoints;
   outcome.matching.push_back(
       {task.pair->name, task.method->name,
        evaluate_matching(extract_sift(images[0], n), images[0].size(), extract_sift(images[1], n), H, options),

@@ -163,8 +163,8 @@ void follow(Footage* footage, const Light& light, double speed, Study* study) {
   request.keypoints = request.image = false;
   request.luminance = true;
   std::vector<std::function<const std::vector<Track>&(const cv::Mat&, const RowExposure&, const FrameBlur&)>> trackers;
-  std::vector<Judge> judges;
-  judges.reserve(kMethods.size());
+  std::vector<Judge> evaluators;
+  evaluators.reserve(kMethods.size());
   for (std::size_t m = 0; m < kMethods.size(); ++m) {
     if (kMethods[m].is_new) {
       const auto tracker = std::make_shared<FeatureTracker>(TrackerOptions{});
@@ -179,7 +179,7 @@ void follow(Footage* footage, const Light& light, double speed, Study* study) {
         return tracker->track(image, footage->camera(), rotation, exposure);
       });
     }
-    judges.emplace_back(*footage, light.name, speed, m, study);
+    evaluators.emplace_back(*footage, light.name, speed, m, study);
   }
   for (int i = 0; i < footage->frames(); ++i) {
     const cv::Mat raw = footage->image(i, light), sharp = footage->sharp(i, light);
@@ -190,7 +190,7 @@ void follow(Footage* footage, const Light& light, double speed, Study* study) {
     for (std::size_t m = 0; m < kMethods.size(); ++m) {
       const bool is_sharp = kMethods[m].images == Images::SHARP;
       const cv::Mat& image = is_sharp ? sharp : kMethods[m].images == Images::DEBLURRED ? of_blurred.luminance : raw;
-      judges[m].add(
+      evaluators[m].add(
           i, extent_px,
           trackers[m](image, is_sharp ? short_exposure : exposure, is_sharp ? of_sharp.field : of_blurred.field));
     }

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Prints the transport of a bag's images, raw or compressed, for playback.launch.
 
-Ends well for a bag that cannot be read, too: play_through.py says what is wrong with it. Usage: BAG CAMERA IMAGE
+Ends well for a bag that cannot be read, too: play_bag.py says what is wrong with it. Usage: BAG CAMERA IMAGE
 """
 import sys
 

@@ -34,7 +34,7 @@ launch() {
   wait "${launch_pid}" || status=$?
   launch_pid=''
   # A required node that ends well ends the launch, whose own status says nothing then.
-  if ((status != 0)) || ! grep -q 'frames came out' "${log}" || grep -q '^play_through.py: ' "${log}"; then
+  if ((status != 0)) || ! grep -q 'frames came out' "${log}" || grep -q '^play_bag.py: ' "${log}"; then
     tail -n 30 "${log}" >&2
     fail "the launch failed; the log is ${log}"
   fi

@@ -3,7 +3,7 @@
 # Debian 12 and 13: from the lists below. Ubuntu 20.04 with ROS noetic in /opt/ros: what package.xml names through
 # rosdep, the rest from the lists below.
 #
-#   scripts/install_dependencies.sh [build] [demo] [test] [proof] [package] [benchmark] [experiments]
+#   scripts/install_dependencies.sh [build] [demo] [test] [extended] [package] [benchmark] [experiments]
 set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
@@ -41,7 +41,7 @@ test_packages=(
   "${demo_packages[@]}" "${ros_test_packages[@]}"
   clang-format codespell colmap opencv-doc pocl-opencl-icd python3-pil python3-yaml snakemake
 )
-proof_packages=("${test_packages[@]}" "${sanitizer_packages[@]}")
+extended_packages=("${test_packages[@]}" "${sanitizer_packages[@]}")
 package_packages=(dpkg-dev file)
 benchmark_packages=(libbenchmark-dev opencv-doc pocl-opencl-icd python3-matplotlib)
 # OpenBLAS matches features for the reconstruction.
@@ -50,14 +50,14 @@ experiments_packages=(
   python3-tqdm python3-yaml
 )
 
-(($# > 0)) || set -- build demo test proof package benchmark experiments
+(($# > 0)) || set -- build demo test extended package benchmark experiments
 packages=()
 for group in "$@"; do
   case "${group}" in
     build) packages+=("${build_packages[@]}") ;;
     demo) packages+=("${demo_packages[@]}") ;;
     test) packages+=("${test_packages[@]}") ;;
-    proof) packages+=("${proof_packages[@]}") ;;
+    extended) packages+=("${extended_packages[@]}") ;;
     package) packages+=("${package_packages[@]}") ;;
     benchmark) packages+=("${benchmark_packages[@]}") ;;
     experiments) packages+=("${experiments_packages[@]}") ;;
@@ -85,7 +85,7 @@ if "${rosdep}"; then
   [[ -d /etc/ros/rosdep/sources.list.d ]] || as_root rosdep init
   types=(--dependency-types=buildtool --dependency-types=build --dependency-types=build_export
     --dependency-types=buildtool_export --dependency-types=exec)
-  [[ " $* " != *" test "* && " $* " != *" proof "* ]] || types+=(--dependency-types=test)
+  [[ " $* " != *" test "* && " $* " != *" extended "* ]] || types+=(--dependency-types=test)
   say "rosdep install --from-paths ${GYRO_DEBLUR_ROOT} ${types[*]}"
   # Noetic has reached its end of life: rosdep leaves it out unless it is asked for, before 0.19 by the first option.
   rosdep update --include-eol-distros --rosdistro noetic

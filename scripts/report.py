@@ -86,7 +86,7 @@ def analyse(arguments):
 
 
 def throughput(bag_path, json_path):
-    """What play_through.py measured, and what became of the frames."""
+    """What play_bag.py measured, and what became of the frames."""
     played = read_json(json_path)
     with one_line_about(json_path):
         result = {key: played[key] for key in ("frames_in", "frames_out", "rate_hz", "wanted_rate_hz")}
@@ -189,10 +189,10 @@ def every_frame_lines(frames):
         rows.append([
             row["frame"], row["reason_text"] or row["reason"], number(row.get("center_extent_px")) + " px",
             number(row.get("center_angle_deg")) + " deg", "%d, %d, %d, %d of %d" % (
-                blocks["DEBLURRED"], blocks["REJECTED"], blocks["BENT"], blocks["NO_GYRO"], sum(blocks.values())),
+                blocks["DEBLURRED"], blocks["REJECTED"], blocks["TOO_CURVED"], blocks["NO_GYRO"], sum(blocks.values())),
             "%d, %d" % (row["keypoints_before"], row["keypoints_after"]),
             "%s, %s" % (row.get("consecutive_matches_before", "-"), row.get("consecutive_matches_after", "-"))])
-    header = ["frame", "reason", "extent at the centre", "angle", "blocks deblurred, rejected, bent, not covered",
+    header = ["frame", "reason", "extent at the centre", "angle", "blocks deblurred, rejected, too curved, not covered",
               "keypoints before, after", "matches with the frame before: before, after"]
     return ["![over time](plots.png)", "", "## Every frame", "", *table(header, rows)]
 
@@ -221,7 +221,7 @@ def main():
     parser.add_argument("--title", default="gyro_deblur: report")
     parser.add_argument("--pictures", type=int, default=2, help="how many frames, most blurred first [%(default)s]")
     parser.add_argument("--throughput", nargs=2, metavar=("BAG", "JSON"),
-                        help="a bag recorded in another run and what play_through.py --json wrote of it")
+                        help="a bag recorded in another run and what play_bag.py --json wrote of it")
     arguments = parser.parse_args()
     if arguments.pictures < 0:
         parser.error("--pictures %d is negative" % arguments.pictures)

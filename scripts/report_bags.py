@@ -8,7 +8,7 @@ import numpy as np
 from bag_input import open_bag
 from report_tables import fail
 
-STATUS_NAMES = ["SHARP", "DEBLURRED", "REJECTED", "TOO_LARGE", "NO_GYRO", "BENT", "NOISY", "MASKED",
+STATUS_NAMES = ["SHARP", "DEBLURRED", "REJECTED", "TOO_LARGE", "NO_GYRO", "TOO_CURVED", "NOISY", "MASKED",
                 "STATIC_EDGE"]
 DEBLURRED = STATUS_NAMES.index("DEBLURRED")
 NO_GYRO = STATUS_NAMES.index("NO_GYRO")

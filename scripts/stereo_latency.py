@@ -149,7 +149,7 @@ def main():
     parser.add_argument("--camera", default="/camera", help="namespace in the bag [%(default)s]")
     parser.add_argument("--imu", default="/imu", help="topic in the bag [%(default)s]")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE",
-                        help="parameter of the nodelets besides detector ORB, 1000 features, one thread each")
+                        help="parameter of the nodelets besides keypoint_detector ORB, 1000 features, one thread each")
     parser.add_argument("--set1", action="append", default=[], metavar="KEY=VALUE", help="of the second one alone")
     parser.add_argument("--seconds", type=float, default=1e9, help="play only so much of the bag")
     parser.add_argument("--json", metavar="FILE", help="write everything to this file")
@@ -159,7 +159,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         config = os.path.join(folder, "config.yaml")
         with open(config, "w", encoding="utf-8") as file:
-            file.write("detector: ORB\ndescriptor: ORB\nmax_features: 1000\nthreads: 1\n")
+            file.write("keypoint_detector: ORB\nkeypoint_descriptor: ORB\nmax_keypoints: 1000\nthreads: 1\n")
             file.writelines("%s: %s\n" % tuple(item.split("=", 1)) for item in arguments.set)
         config1 = os.path.join(folder, "config1.yaml")
         with open(config, encoding="utf-8") as file, open(config1, "w", encoding="utf-8") as file1:

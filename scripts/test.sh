@@ -1,20 +1,20 @@
 #!/usr/bin/env bash
 # Installs what is missing, builds, checks format, package and documents, and runs the tests. Ends with the line
 # 'N passed, N failed, N skipped'. Tests that take minutes (test/long_tests.txt) are left out, unless arguments for ctest
-# are given: scripts/proof.sh runs them. --proof, first: sanitizers and fuzzers too, after the tests (scripts/proof.sh
+# are given: scripts/extended_tests.sh runs them. --extended, first: sanitizers and fuzzers too, after the tests (scripts/extended_tests.sh
 # --quick), which count as one test more, and as a skipped one when 75 minutes are over, from the beginning, before their
 # last part begins. Further arguments go to ctest.
 set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
 cd "${GYRO_DEBLUR_ROOT}"
-proof=false
-if [[ "${1:-}" == --proof ]]; then
-  proof=true
+extended=false
+if [[ "${1:-}" == --extended ]]; then
+  extended=true
   shift
 fi
 STEPS=6
-"${proof}" && STEPS=7
+"${extended}" && STEPS=7
 readonly STEPS
 
 # took: what the steps took so far, for those who ask where the time goes.
@@ -22,7 +22,7 @@ took() { say "done at minute $((SECONDS / 60)):$(printf '%02d' $((SECONDS % 60))
 
 step ${STEPS} "Packages"
 groups=(build test)
-"${proof}" && groups+=(proof)
+"${extended}" && groups+=(extended)
 scripts/install_dependencies.sh "${groups[@]}"
 took
 
@@ -31,8 +31,8 @@ scripts/build.sh
 took
 
 failed_checks=()
-proofs_passed=0
-proofs_skipped=0
+extended_passed=0
+extended_skipped=0
 
 step ${STEPS} "Format"
 # Releases of clang-format differ in detail; 14 is Debian 12's.
@@ -93,7 +93,7 @@ ctest_status=0
 chosen=("$@")
 if (($# == 0)); then
   chosen=(-E "$(long_tests)")
-  say "left out: $(grep -c -v -E '^ *(#|$)' test/long_tests.txt) long tests (scripts/proof.sh --only long runs them)"
+  say "left out: $(grep -c -v -E '^ *(#|$)' test/long_tests.txt) long tests (scripts/extended_tests.sh --only long runs them)"
 fi
 # The devel space is for these alone: its path of libraries would have the sanitizers' programs load this build's.
 (source_devel_space && cd "${GYRO_DEBLUR_BUILD}" && ctest --output-on-failure --no-tests=error --parallel "$(nproc)" "${chosen[@]}") 2>&1 |
@@ -108,23 +108,23 @@ if [[ -z "${total}" || -z "${failed}" ]]; then
 fi
 took
 
-if "${proof}"; then
-  step ${STEPS} "Proof by tools"
+if "${extended}"; then
+  step ${STEPS} "Extended tests"
   # Last, so that a slow machine spends its time on the tests first. All takes 45 minutes on two free cores.
-  readonly PROOF_ENDS_MINUTE=75
-  PROOF_MINUTES=$((SECONDS / 60 < PROOF_ENDS_MINUTE ? PROOF_ENDS_MINUTE - SECONDS / 60 : 1))
-  readonly PROOF_MINUTES
-  proof_status=0
-  proof_log="${GYRO_DEBLUR_BUILD}/proof.log"
-  scripts/proof.sh --quick --within "${PROOF_MINUTES}" --only asan --only tsan --only fuzz 2>&1 |
-    tee "${proof_log}" || proof_status=$?
-  case "${proof_status}" in
-    0) proofs_passed=1 ;;
+  readonly EXTENDED_ENDS_MINUTE=75
+  EXTENDED_MINUTES=$((SECONDS / 60 < EXTENDED_ENDS_MINUTE ? EXTENDED_ENDS_MINUTE - SECONDS / 60 : 1))
+  readonly EXTENDED_MINUTES
+  extended_status=0
+  extended_log="${GYRO_DEBLUR_BUILD}/extended_tests.log"
+  scripts/extended_tests.sh --quick --within "${EXTENDED_MINUTES}" --only asan --only tsan --only fuzz 2>&1 |
+    tee "${extended_log}" || extended_status=$?
+  case "${extended_status}" in
+    0) extended_passed=1 ;;
     77)
-      proofs_skipped=1
-      say "SKIPPED: not done within ${PROOF_ENDS_MINUTE} minutes of all; scripts/proof.sh goes on where this ended"
+      extended_skipped=1
+      say "SKIPPED: not done within ${EXTENDED_ENDS_MINUTE} minutes of all; scripts/extended_tests.sh goes on where this ended"
       ;;
-    *) failed_checks+=("Proof by tools") ;;
+    *) failed_checks+=("Extended tests") ;;
   esac
   took
 fi
@@ -145,9 +145,9 @@ if ((failed > 0)); then
 fi
 if ((${#failed_checks[@]} > 0)); then
   # Once more at the end: often that is all that is kept of a run.
-  [[ " ${failed_checks[*]} " != *" Proof by tools "* ]] || tail -n 80 "${proof_log}"
+  [[ " ${failed_checks[*]} " != *" Extended tests "* ]] || tail -n 80 "${extended_log}"
   (IFS=, && printf '\nFailed beside the tests: %s\n' "${failed_checks[*]}")
 fi
-printf '\n%d passed, %d failed, %d skipped\n' $((total - failed - skipped + proofs_passed)) \
-  $((failed + ${#failed_checks[@]})) $((skipped + proofs_skipped))
+printf '\n%d passed, %d failed, %d skipped\n' $((total - failed - skipped + extended_passed)) \
+  $((failed + ${#failed_checks[@]})) $((skipped + extended_skipped))
 ((failed == 0 && ${#failed_checks[@]} == 0 && ctest_status == 0))

@@ -24,7 +24,7 @@ import rospy
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from common import ROOT, fail, write_markdown  # noqa: E402
-from judges import OpenVins, state_errors  # noqa: E402
+from evaluators import OpenVins, state_errors  # noqa: E402
 from slam import DRONE, NAMES, Case, bags_of, deblur, read_recording  # noqa: E402
 
 # It starts from what it sees and feels: there is no true state to start from.

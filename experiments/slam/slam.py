@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from common import ROOT, fail, write_markdown  # noqa: E402
-from judges import Lost, OpenVins, OpenVinsTracks, OwnTracks, Recording, run_logged  # noqa: E402
+from evaluators import Lost, OpenVins, OpenVinsTracks, OwnTracks, Recording, run_logged  # noqa: E402
 from trajectory import read_truth  # noqa: E402
 
 matplotlib.use("Agg")
@@ -63,7 +63,7 @@ class Case:
         return ", ".join(parts)
 
     def suits(self, judge):
-        """Tracks are those of each row's own time, and who judges them takes an image for one instant."""
+        """Tracks are those of each row's own time, and who evaluators them takes an image for one instant."""
         return not (judge.reads_tracks and self.readout_ms)
 
 
@@ -74,11 +74,11 @@ REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms in (0, R
 TUNED = [Case(TUNING, exposure_ms, speed) for speed in (1.7, 1.0) for exposure_ms in (30, 15)]
 
 # How the images get to the judge: keys of config/default.yaml; None: as they are in the bag.
-VARIANTS = {"sharp": None, "blurred": None, "gyroscope": {"motion_from_images": False}, "package": {}}
+VARIANTS = {"sharp": None, "blurred": None, "gyroscope": {"optical_flow": False}, "package": {}}
 TITLES = {"sharp": "sharp", "blurred": "blurred", "gyroscope": "gyroscope alone", "package": "the package"}
 COLORS = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue"}
 # Nothing is deblurred: for tracks on images as they are.
-UNTOUCHED = {"min_extent": 1, "max_extent": 1, "motion_from_images": False}
+UNTOUCHED = {"min_extent": 1, "max_extent": 1, "optical_flow": False}
 
 
 def options_of(variant):
@@ -119,10 +119,10 @@ class Study:
             part.write_text(json.dumps(self.results, indent=1) + "\n")
             part.rename(self.path)
 
-    def run(self, judges, cases, variants):
+    def run(self, evaluators, cases, variants):
         seeds = list(range(1, self.arguments.seeds + 1))
         known = {tuple(r[k] for k in KEY) for r in self.results}
-        missing = {case: [(judge, case, light, seed, variant) for judge in judges if case.suits(judge)
+        missing = {case: [(judge, case, light, seed, variant) for judge in evaluators if case.suits(judge)
                           for light in self.arguments.lights for seed in seeds for variant in variants
                           if self._key(judge, case, light, seed, variant) not in known] for case in cases}
         total = sum(map(len, missing.values()))
@@ -367,9 +367,9 @@ def main():
     study = Study(arguments)
     if not arguments.report:
         with contextlib.ExitStack() as stack:
-            judges = [stack.enter_context(contextlib.closing(
+            evaluators = [stack.enter_context(contextlib.closing(
                 judge(arguments.openvins, arguments.out) if arguments.openvins else judge())) for judge in types]
-            study.run(judges, cases, arguments.variants)
+            study.run(evaluators, cases, arguments.variants)
     cells = [Cells(study.results, judge, arguments.seconds) for judge in types]
     tracks = cells[1] if len(cells) > 1 else None
     lines = markdown(cells[0], tracks, cases, arguments.lights, arguments.variants)

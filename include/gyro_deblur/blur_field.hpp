@@ -10,8 +10,8 @@
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
-#include "gyro_deblur/line_path.hpp"
 #include "gyro_deblur/options.hpp"
+#include "gyro_deblur/path_1d.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
@@ -25,22 +25,25 @@ BlockBlur classify_blur(double dx_px, double dy_px, const BlurFieldOptions& opti
 /// px. The fast engines know boxes best.
 double even_path_px(double extent_px);
 
-/// A path is bent when it leaves its line by more than max_bend_px and this share of the extent: what a line loses by a
-/// bow of so much hardly depends on the extent, see max_bend_px.
+/// A path is curved when it leaves its line by more than curved_path_threshold_px and this share of the extent: what a
+/// line loses by a deviation of so much hardly depends on the extent, see curved_path_threshold_px.
 constexpr double kStraightPathShare = 0.02;
 
-/// Where there is no time for the plane a line does for paths that leave it by so much [px] (or max_bend_px) and
-/// kStraightPathShare at most: there it still gains, from 10 px on (doc/reports/experiments_real_world.md).
-constexpr double kMaxLineBendPx = 1.5;
+/// Where there is no time for a 2-D filter, a straight path does for paths that leave it by so much [px] (or
+/// curved_path_threshold_px) and kStraightPathShare at most: there it still gains, from 10 px on
+/// (doc/reports/experiments_real_world.md).
+constexpr double kMaxStraightDeviationPx = 1.5;
 
 /// Blur of one block from the places [px] of a scene point at kPathInstants, relative to that at the middle: that of
 /// the way from the first to the last place (classify_blur) as long as the point runs along it at even speed, less the
 /// best shift, to within the limit of evenness. Otherwise the line is the one that lies nearest to the places,
-/// extent_px is what they cover of it, and uneven_path_px is set. Where they lie more than the limit of a bend to
-/// either side of the line, bent_path_px is set, and the path is BENT where it leads farther than kMaxPlaneExtentPx.
-/// @param lines_alone  bent_path_px is never set; BENT is what leaves its line by more than kMaxLineBendPx instead
+/// extent_px is what they cover of it, and nonuniform_path_px is set. Where they lie more than that limit to
+/// either side of the line, curved_path_px is set, and the path is TOO_CURVED where it leads farther than
+/// kMax2dExtentPx.
+/// @param straight_only  curved_path_px is never set; TOO_CURVED is what leaves its line by more than
+/// kMaxStraightDeviationPx instead
 BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options,
-                        bool lines_alone = false);
+                        bool straight_only = false);
 
 /// Whether a residual velocity is far enough from none to be one, for a path within `exposure_ns`: a camera that only
 /// turns is deblurred by its gyroscope alone.
@@ -60,9 +63,9 @@ class BlurFieldEstimator {
   /// @param residuals  of the blocks of grid(), or empty: added to the paths where it is certain, see is_certain(). A
   ///                   block is SHARP whose extent may be below min_extent_px: less their deviation, or less what an
   ///                   uncertain one of min_extent_px or more would add
-  /// @param lines_alone  as of classify_path()
+  /// @param straight_only  as of classify_path()
   FrameBlur estimate(const CameraMotion& motion, const RowExposure& exposure, const ResidualField& residuals = {},
-                     bool lines_alone = false) const;
+                     bool straight_only = false) const;
 
   const BlockGrid& grid() const { return grid_; }
 

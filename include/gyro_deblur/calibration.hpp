@@ -24,7 +24,7 @@ struct SensorCalibration {
   std::vector<std::string> notes;  ///< what of a file was not understood: sentences that begin with its path
 };
 
-/// Reads a calibration file. Which format it has is told by its keys:
+/// Reads a calibration file. Its keys say which format it has:
 /// - Kalibr's camchain.yaml and camchain-imucam.yaml (github.com/ethz-asl/kalibr/wiki/yaml-formats), also as OpenVINS
 /// has
 ///   them: pinhole with radtan, equidistant or none, ds, eucm, and omni with radtan or none; `T_cam_imu` or its inverse

@@ -75,15 +75,15 @@ struct Config {
   std::string calibration_camera = "cam0";       ///< which of a file's cameras
   std::optional<SensorCalibration> calibration;  ///< of the files; what they say has gone into the fields above
   OnCalibrationConflict on_calibration_conflict = OnCalibrationConflict::ERROR;
-  TimeNs gyro_timeout_ns = 500'000'000;   ///< how long a frame waits for gyroscope, exposure and tf
+  TimeNs input_timeout_ns = 500'000'000;  ///< how long a frame waits for gyroscope, exposure and tf
   int frame_queue_size = 30;              ///< frames that may wait
   TimeNs bias_window_ns = 1'000'000'000;  ///< of ~estimate_gyro_bias
   double bias_max_stddev_rad_s = 0.05;    ///< of single samples at rest
   TimeNs time_jump_ns = 500'000'000;      ///< a stamp that goes back by more is a clock reset
   /// How long an image waits until the other one of its stereo pair is decided on; 0: each camera on its own.
-  TimeNs stereo_patience_ns = 100'000'000;
-  bool drop_bad = false;  ///< images of the verdict BAD are not published, see QualityVerdict
-  std::string mask_file;  ///< of the pixels that show the scene, see PixelMask; empty: all do
+  TimeNs stereo_sync_timeout_ns = 100'000'000;
+  bool drop_poor = false;  ///< images of grade POOR are not published, see QualityGrade
+  std::string mask_file;   ///< of the pixels that show the scene, see PixelMask; empty: all do
 
   void validate() const;  ///< throws OptionError
 };

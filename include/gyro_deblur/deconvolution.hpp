@@ -4,41 +4,42 @@
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/engine.hpp"
+#include "gyro_deblur/filter_bank.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/image_format.hpp"
-#include "gyro_deblur/kernel_bank.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
 
 namespace gyro_deblur {
 
-/// With GammaRule::NOISE: weighs the texture of each DEBLURRED block of `field` against the image's noise. Sets
+/// With Regularization::NOISE: weighs the texture of each DEBLURRED block of `field` against the image's noise. Sets
 /// noise_to_texture, by which make_filter_grid() chooses gamma, and turns those blocks NOISY that filtering would make
 /// worse. Does nothing by other rules, or where field.noise is not known.
 /// @param luminance  CV_8UC1 of the field's size
 /// @param mask       empty, or of the field's size: of the pixels that noise is found in
-void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& field, int threads = 0,
-                 const PixelMask& mask = {});
+void adapt_regularization(const cv::Mat& luminance, const FilterBank& bank, FrameBlur& field, int threads = 0,
+                          const PixelMask& mask = {});
 
 /// The filters that deblur `field`: for DEBLURRED blocks of at least kMinKernelExtentPx the bank's kernels, or own ones
-/// where the path is uneven, made on at most `threads` threads (0: one for each core); inverses in the plane where it
-/// is bent, or `in_plane` for all of them; none for the others. Lives no longer than the bank.
-FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int threads = 0, bool in_plane = false);
+/// where the path is non-uniform, made on at most `threads` threads (0: one for each core); 2-D inverses where
+/// it is curved, or `in_2d` for all of them; none for the others. Lives no longer than the bank.
+FilterGrid make_filter_grid(const FrameBlur& field, const FilterBank& bank, int threads = 0, bool in_2d = false);
 
 /// Deblurs the DEBLURRED blocks of `field` and copies the rest bit for bit; alpha, and the colours of YUV 4:2:2, are
 /// copied; Bayer mosaics are filtered plane by plane with half the extent.
 /// Preconditions: image has the field's size and a type that fits `layout`. `dst` as for Engine::filter,
 /// `threads` as for make_filter_grid.
-/// Returns Engine::slow_blocks(); of a mosaic the largest number of any plane, for a block is filtered alike in each.
-SlowBlocks deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field, const KernelBank& bank,
-                      Engine& engine, cv::Mat& dst, int threads = 0);
+/// Returns Engine::fallback_counts(); of a mosaic the largest number of any plane, for a block is filtered in the same
+/// way in each.
+FallbackCounts deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field, const FilterBank& bank,
+                          Engine& engine, cv::Mat& dst, int threads = 0);
 
 /// Makes what deconvolve() needs for even blur that the options let through, of mosaics too, so that the first frame of
 /// an extent takes no longer than later ones: the bank's kernels, and what the engine makes of them. A tenth of
 /// a second and 20 MB where blur may be 150 px long, ten times as much for 500 px.
-void prepare_deconvolution(const BlurFieldOptions& options, const KernelBank& bank, Engine& engine, int threads = 0);
+void prepare_deconvolution(const BlurFieldOptions& options, const FilterBank& bank, Engine& engine, int threads = 0);
 
 /// Adds to `all` what another pass over the same blocks found: for each reason the larger number.
-void keep_larger(const SlowBlocks& of_pass, SlowBlocks& all);
+void keep_larger(const FallbackCounts& of_pass, FallbackCounts& all);
 
 }  // namespace gyro_deblur

@@ -10,17 +10,17 @@
 
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/kernel_bank.hpp"
-#include "gyro_deblur/plane_inverse.hpp"
+#include "gyro_deblur/filter_bank.hpp"
+#include "gyro_deblur/wiener_inverse_2d.hpp"
 
 namespace gyro_deblur {
 
 /// What to do with one block of an image: at most one of `kernel` and `inverse` is set, neither is owned. Without both
 /// the block is copied bit for bit.
 struct BlockFilter {
-  double angle_rad = 0;                   ///< direction of the kernel's line, x right, y down
-  const LineKernel* kernel = nullptr;     ///< convolved with along the line
-  const PlaneInverse* inverse = nullptr;  ///< filtered with in the plane
+  double angle_rad = 0;                      ///< direction of the kernel's line, x right, y down
+  const LineKernel* kernel = nullptr;        ///< convolved with along the line
+  const WienerInverse2d* inverse = nullptr;  ///< for the 2-D filter
 
   bool copies() const { return kernel == nullptr && inverse == nullptr; }
 };
@@ -32,7 +32,7 @@ struct FilterGrid {
   /// Kernels that `blocks` point to and nobody else keeps.
   std::vector<std::shared_ptr<const LineKernel>> own_kernels = {};
   /// Inverses that `blocks` point to.
-  std::vector<std::shared_ptr<const PlaneInverse>> own_inverses = {};
+  std::vector<std::shared_ptr<const WienerInverse2d>> own_inverses = {};
 
   int cols() const { return x.empty() ? 0 : static_cast<int>(x.size()) - 1; }
   int rows() const { return y.empty() ? 0 : static_cast<int>(y.size()) - 1; }
@@ -41,12 +41,12 @@ struct FilterGrid {
 };
 
 /// How many blocks an engine filtered with a slower method than the one it has for most, by the reason in words.
-using SlowBlocks = std::map<std::string, std::size_t>;
+using FallbackCounts = std::map<std::string, std::size_t>;
 
-/// Convolves every block of an image along its own line with its own kernel, or filters it with its inverse in the
-/// plane. So that the borders of blocks do not show, inverses in the plane fade into each other over the whole of their
+/// Convolves every block of an image along its own line with its own kernel, or filters it with its 2-D
+/// inverse. So that the borders of blocks do not show, 2-D inverses fade into each other over the whole of their
 /// blocks, other neighbours with different filters over up to 4 px on either side, and a filtered block fades into the
-/// input within as much of a copied one (the rules: src/engine/plane_filter.hpp, src/engine/seam_blender.hpp).
+/// input within as much of a copied one (the rules: src/engine/fourier_filter.hpp, src/engine/seam_blender.hpp).
 class Engine {
  public:
   virtual ~Engine() = default;
@@ -62,14 +62,14 @@ class Engine {
   /// others. Not during filter().
   virtual void prepare(const std::vector<const LineKernel*>& kernels) { static_cast<void>(kernels); }
 
-  /// Whether it is for inverses in the plane of all blocks, also where a kernel would serve.
-  virtual bool prefers_plane() const { return false; }
+  /// Whether all blocks get a 2-D inverse, also where a 1-D kernel would serve.
+  virtual bool prefers_2d() const { return false; }
 
   /// Short name for diagnostics, e.g. "float". Any thread may ask, also during filter().
   virtual std::string name() const = 0;
 
   /// Those of the latest image; none where an engine has one method for all. Not during filter().
-  virtual SlowBlocks slow_blocks() const { return {}; }
+  virtual FallbackCounts fallback_counts() const { return {}; }
 
   /// Something the user should know, such as a device that failed; each warning is returned once, empty: none.
   virtual std::string take_warning() { return {}; }
@@ -81,7 +81,7 @@ class Engine {
 /// - "opencl", "opencl:INDEX" or "opencl:NAME": the first GPU (else the first device), or a device by its index or a
 ///   part of its platform's or its own name in any case. When it is absent or fails, also in mid-run, the "cpu" engine
 ///   takes over with that very frame, and take_warning() says why;
-/// - "plane": the inverse of the whole path for all blocks, a third as fast as "cpu";
+/// - "fourier": the inverse of the whole path for all blocks, a third as fast as "cpu";
 /// - "auto": "cpu", also where there is a GPU: none has been measured.
 /// Throws OptionError that lists the names.
 std::unique_ptr<Engine> make_engine(const std::string& engine, int threads = 0);

@@ -28,7 +28,7 @@ struct ShutterTiming {
 /// Throws OptionError "NAME = ... s is longer than the frame period ..." when rows would still be read while the next
 /// frame is: a wrong unit, most likely.
 /// @param frame_period_ns  > 0
-/// @param tolerance        of the period, > 0; by default that of one that is told, as it is of rounded data sheets
+/// @param tolerance        of the period, > 0; by default that of a reported one, as it is of rounded data sheets
 void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns, double tolerance = 0.1);
 
 /// The time from frame to frame, from the stamps as they come, which scatter when a driver stamps on arrival. Lost

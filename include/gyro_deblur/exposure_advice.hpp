@@ -53,7 +53,7 @@ struct ExposureAdvice {
 /// of sharp ones with the same noise, so that three quarters of the most that any exposure gives is well, and not so
 /// near the maximum that only images without blur were.
 /// @param limit_ns  > 0; no longer exposures are considered: the frame period
-/// @return nothing where images are BAD at any exposure
+/// @return nothing where images are POOR at any exposure
 std::optional<ExposureAdvice> advise_exposure(const ExposureTerms& terms, TimeNs limit_ns);
 
 }  // namespace gyro_deblur

@@ -25,12 +25,12 @@ class ExposureFilter {
     TimeNs exposure_ns;  ///< > 0
     double log_stddev;   ///< standard deviation of the natural logarithm of exposure_ns, at the stamp of the last add()
   };
-  /// Exposure at the last image; nothing before images told it, after reset(), and where they have not for so long that
+  /// Exposure at the last image; nothing before images gave it, after reset(), and where they have not for so long that
   /// it may be off by more than a quarter (one standard deviation).
   std::optional<State> state() const;
 
-  /// Whether the next image should be looked at. Not where the exposure is known well and was confirmed a few images
-  /// ago: a change is then found a few images later, or at once where the brightness changes.
+  /// Whether the exposure should be estimated from the next image. Not where the exposure is known well and was
+  /// confirmed a few images ago: a change is then found a few images later, or at once where the brightness changes.
   bool wants_estimate() const;
 
   /// Forgets everything: after a time jump, or for another camera.
@@ -56,8 +56,8 @@ class ExposureFilter {
   std::optional<TimeNs> stamp_ns_;      // of the last image
   double darkest_ = 0, brightest_ = 0;  // logarithms of the mean brightness since value_
   int images_since_ = 0;                // the last update
-  int images_since_look_ = 0;           // the last one that was looked at
-  int in_vain_ = 0;                     // images in a row that were looked at without an estimate
+  int images_since_look_ = 0;           // the last one with an attempt
+  int in_vain_ = 0;                     // attempts in a row without an estimate
 };
 
 }  // namespace gyro_deblur

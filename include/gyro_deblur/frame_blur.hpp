@@ -10,8 +10,8 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/line_path.hpp"
-#include "gyro_deblur/plane_path.hpp"
+#include "gyro_deblur/path_1d.hpp"
+#include "gyro_deblur/path_2d.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
@@ -23,9 +23,10 @@ enum class BlockStatus : std::uint8_t {
   REJECTED = 2,   ///< the image contradicts the predicted blur: copied unchanged, keypoints not rectified
   TOO_LARGE = 3,  ///< extent above max_extent_px: copied unchanged
   NO_GYRO = 4,    ///< no usable gyroscope samples for this block's exposure: copied unchanged
-  BENT = 5,       ///< the path leaves a straight line; too long for the plane, or no time for it: copied unchanged
-  NOISY = 6,      ///< filtering would add more noise than it removes blur: copied unchanged
-  MASKED = 7,     ///< no pixel of it is used, see PixelMask: copied unchanged
+  TOO_CURVED =
+      5,       ///< the path leaves a straight line; too long for the 2-D filter, or no time for it: copied unchanged
+  NOISY = 6,   ///< filtering would add more noise than it removes blur: copied unchanged
+  MASKED = 7,  ///< no pixel of it is used, see PixelMask: copied unchanged
   /// Its pixels, or those that its filter would read, are masked in part or do not move with the camera in part: copied
   /// unchanged.
   STATIC_EDGE = 8,
@@ -33,8 +34,9 @@ enum class BlockStatus : std::uint8_t {
 
 /// All there are.
 constexpr std::array<BlockStatus, 9> kBlockStatuses{
-    BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED, BlockStatus::TOO_LARGE,  BlockStatus::NO_GYRO,
-    BlockStatus::BENT,  BlockStatus::NOISY,     BlockStatus::MASKED,   BlockStatus::STATIC_EDGE};
+    BlockStatus::SHARP,     BlockStatus::DEBLURRED, BlockStatus::REJECTED,
+    BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO,   BlockStatus::TOO_CURVED,
+    BlockStatus::NOISY,     BlockStatus::MASKED,    BlockStatus::STATIC_EDGE};
 
 /// Name of the status, e.g. "DEBLURRED". Never null.
 const char* to_string(BlockStatus status);
@@ -93,27 +95,28 @@ using ResidualField = std::vector<std::optional<ResidualVelocity>>;
 /// Blur of one block along a line, or near it.
 struct BlockBlur {
   float angle_rad = 0;  ///< axial, [0, pi), x right, y down
-  float extent_px = 0;  ///< >= 0; length of the path from start to end of the exposure; uneven: of the line it covers
+  float extent_px =
+      0;  ///< >= 0; length of the path from start to end of the exposure; nonuniform: of the line it covers
   BlockStatus status = BlockStatus::SHARP;
   /// Where the path departs from the paper's straight one at even speed: the path along the line.
-  std::optional<LinePath> uneven_path_px = std::nullopt;
+  std::optional<Path1d> nonuniform_path_px = std::nullopt;
   /// Where the path leaves the line: the whole of it.
-  std::optional<PlanePath> bent_path_px = std::nullopt;
+  std::optional<Path2d> curved_path_px = std::nullopt;
   /// Halfway between the path's ends, and its mean in time, from where the point is at the middle of the exposure.
   Eigen::Vector2f chord_middle_px = Eigen::Vector2f::Zero();
   Eigen::Vector2f mean_place_px = Eigen::Vector2f::Zero();
   /// What the path has beside the camera's known motion; nothing where that is not known, or not certain enough.
   std::optional<ResidualVelocity> residual = std::nullopt;
-  /// See KernelBank::choose(); 0 where it is not known.
+  /// See FilterBank::choose(); 0 where it is not known.
   float noise_to_texture = 0;
   /// Variance of the noise that filtering leaves over that before, see FilterChoice; 1 where it is not known.
   float noise_gain = 1;
 
   /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
-  /// point towards the middle of the line that it stands for, the farther the longer it is, the kernel of an uneven
-  /// path to where the point was, the inverse of a bent path too; across the line, and where nothing is filtered, blur
-  /// stays centred on its mean.
-  Eigen::Vector2d shown_offset_px() const;
+  /// point towards the middle of the line that it stands for, the farther the longer it is, the kernel of an
+  /// non-uniform path to where the point was, the inverse of a curved path too; across the line, and where nothing is
+  /// filtered, blur stays centred on its mean.
+  Eigen::Vector2d apparent_offset_px() const;
 };
 
 /// The blur of an image; `status` is the only record of what may be deblurred and rectified.

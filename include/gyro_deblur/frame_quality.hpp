@@ -14,19 +14,19 @@
 namespace gyro_deblur {
 
 /// Values equal the constants of gyro_deblur/ImageQuality.msg.
-enum class QualityVerdict : std::uint8_t {
-  SHARP = 0,      ///< nearly all of it arrived so
-  DEBLURRED = 1,  ///< nearly all of it is sharp or deblurred
-  PARTLY = 2,     ///< part of it stays blurred
-  BAD = 3,        ///< few corners can be expected where they would be without blur
-  UNKNOWN = 4,    ///< its blur is not known
+enum class QualityGrade : std::uint8_t {
+  SHARP = 0,             ///< nearly all of it arrived so
+  DEBLURRED = 1,         ///< nearly all of it is sharp or deblurred
+  PARTLY_DEBLURRED = 2,  ///< part of it stays blurred
+  POOR = 3,              ///< few corners can be expected where they would be without blur
+  UNKNOWN = 4,           ///< its blur is not known
 };
 
-/// Name of the verdict, e.g. "PARTLY". Never null.
-const char* to_string(QualityVerdict verdict);
+/// Name of the grade, e.g. "PARTLY_DEBLURRED". Never null.
+const char* to_string(QualityGrade grade);
 
-/// Images with a score below it are BAD: three of four corners that are found are wrong. ImageQuality.msg tells users.
-constexpr double kBadScore = 0.25;
+/// Images with a score below it are POOR: three of four corners that are found are wrong. ImageQuality.msg tells users.
+constexpr double kPoorScore = 0.25;
 
 /// Extents [px] that half of the blocks, or all but a twentieth, do not exceed.
 struct ExtentSpread {
@@ -35,7 +35,7 @@ struct ExtentSpread {
 
 /// An image after validation and deblurring. Blocks count by their pixels, MASKED ones in `shares` alone.
 struct FrameQuality {
-  QualityVerdict verdict = QualityVerdict::UNKNOWN;
+  QualityGrade grade = QualityGrade::UNKNOWN;
   /// [0, 1], the mean of expected_repeatability() of all blocks; nothing: not known.
   std::optional<double> score;
   ExtentSpread before;          ///< of the blur that arrived, of blocks whose blur is known; 0 when there are none

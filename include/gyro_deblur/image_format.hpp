@@ -26,7 +26,7 @@ enum class PixelLayout {
   YUV422_YUYV,  ///< pairs of pixels as Y U Y V; two channels, of which the first is the luminance
 };
 
-/// Layout of a sensor_msgs image encoding (mono8, mono16, 8UC1, 16UC1, bgr8, rgb8, bgra8, rgba8, their 16-bit kin,
+/// Layout of a sensor_msgs image encoding (mono8, mono16, 8UC1, 16UC1, bgr8, rgb8, bgra8, rgba8, their 16-bit variants,
 /// 8UC3 and 16UC3 as BGR, bayer_*8/16, and yuv422 or uyvy, yuv422_yuy2 or yuyv); nothing for any other. 8UC4 has none:
 /// whether its fourth channel is light is not known.
 std::optional<PixelLayout> layout_of_encoding(const std::string& encoding);

@@ -42,7 +42,7 @@ class GlobalShutterMap {
 };
 
 /// True when all rows are exposed at once, around the reference time: the image is what a map would make of it, except
-/// for BlockBlur::shown_offset_px(), which is not worth resampling it.
+/// for BlockBlur::apparent_offset_px(), which is not worth resampling it.
 bool is_global_shutter(const RowExposure& exposure, TimeNs reference_ns);
 
 /// Takes every row to `reference_ns`. The inverse of rectify_points(): what that moves from q to p is found for p at q,

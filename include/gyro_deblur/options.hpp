@@ -13,25 +13,25 @@ namespace gyro_deblur {
 
 /// Blur field and its division into blocks (paper section IV).
 struct BlurFieldOptions {
-  int block_size_px = 64;  ///< a multiple of 2 so that Bayer planes divide alike
+  int block_size_px = 64;  ///< a multiple of 2 so that Bayer planes divide into the same blocks
   /// Smaller blur is left alone. The paper's kernels start at 2 px; the filter gains 2.6 dB at 2.25 px with
   /// noise of 1 grey level and loses 0.3 dB with noise of 4, at 3 px it gains 3.4 and 0.9 dB
   /// (doc/reports/experiments.md).
   double min_extent_px = 3.0;
   double max_extent_px = 150.0;  ///< >= min_extent_px; larger blur is TOO_LARGE
   /// How far the path within the exposure may lie to either side of a straight line, less 2 % of the extent
-  /// (kStraightPathShare); more is undone in the plane, which takes three times as long. At 0.1 px the box along the
-  /// line restores 2.4, 2.3, 2.4, 2.4, 2.0, 1.9 and 1.7 dB less than the inverse of the whole path, for extents of 5,
-  /// 10, 20, 40, 60, 90 and 120 px, on Oxford images with noise of 1.5 grey levels, at 1.5 px 9.7 to 2.6 dB less; on a
-  /// straight line 1.4 to 0.1 dB less. Of a recorded shake of 30 ms and 20 px (doc/reports/hand_shake.md) 1.5, 0.8 and
-  /// 0.1 px leave 26, 48 and 68 % of the blocks to the plane, and 332, 389 and 398 SIFT matches with a sharp frame, of
-  /// 225 where what is bent stays as it is.
-  double max_bend_px = 0.8;
+  /// (kStraightPathShare); more is undone by the 2-D filter, which takes three times as long. At 0.1 px the box along
+  /// the line restores 2.4, 2.3, 2.4, 2.4, 2.0, 1.9 and 1.7 dB less than the inverse of the whole path, for extents of
+  /// 5, 10, 20, 40, 60, 90 and 120 px, on Oxford images with noise of 1.5 grey levels, at 1.5 px 9.7 to 2.6 dB less; on
+  /// a straight line 1.4 to 0.1 dB less. Of a recorded shake of 30 ms and 20 px (doc/reports/hand_shake.md) 1.5, 0.8
+  /// and 0.1 px leave 26, 48 and 68 % of the blocks to the 2-D filter, and 332, 389 and 398 SIFT matches with a sharp
+  /// frame, of 225 where what is curved stays as it is.
+  double curved_path_threshold_px = 0.8;
 
   void validate() const;  ///< throws OptionError
 };
 
-/// What a block's image is asked before its blur is believed.
+/// How a block's predicted blur is checked against its pixels.
 enum class ValidationRule {
   /// Whether its power spectrum fits the predicted blur better than less blur, see BlurLikelihood: robust to noise, low
   /// contrast, hot pixels and saturation, and told by neighbours and frame where the block has too little texture. Of
@@ -50,10 +50,10 @@ struct ValidationOptions {
   ValidationRule rule = ValidationRule::LIKELIHOOD;
   /// Of blocks blurred by a third of what is predicted, how many may be accepted; of sharp ones it is two thirds as
   /// many. Measured over 18 photographs (experiments/validation.cpp), extents of 5 to 40 px, noise of 1 to 8 grey
-  /// levels and contrasts of 1 and .35 alike; of truly blurred blocks .1 accepts 99 %, .02 89 %, .01 81 %. Recorded
+  /// levels and contrasts of both 1 and .35; of truly blurred blocks .1 accepts 99 %, .02 89 %, .01 81 %. Recorded
   /// blur is a fifth longer than predicted at times (shield_burst, frame 3): .1 accepts 93 % of that, .07 88 %.
   /// Up to .052 blocks of which nothing is known are rejected, above they are accepted.
-  double false_acceptance = 0.1;
+  double false_accept_rate = 0.1;
   /// The paper's rule. The defaults accept at least 98.6 % of truly blurred 64 px blocks at every extent from 5 to 90
   /// px (first images of the Oxford sets, noise up to 2 grey levels) and reject 68 / 86 / 94 / 97 / 97 % of sharp ones
   /// at 5 / 10 / 20 / 40 / 90 px.
@@ -65,9 +65,9 @@ struct ValidationOptions {
 };
 
 /// What gamma and the taps of an inverse of limited length are found by.
-enum class GammaRule {
+enum class Regularization {
   /// As FIXED, with gamma doubled as often as makes the error least that noise and texture of the block let expect,
-  /// see KernelBank::choose().
+  /// see FilterBank::choose().
   /// Blocks that it would still lose by are left alone.
   NOISE,
   /// The taps that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), h the blur, g a unit pulse (the Gaussian
@@ -83,7 +83,7 @@ enum class GammaRule {
 };
 
 /// Wiener kernels (paper section IV-A).
-struct KernelOptions {
+struct FilterOptions {
   double gamma = 0.01;         ///< noise-to-signal ratio of the Wiener filter at 1/6 cycles/px, at least
   double length_factor = 4.0;  ///< length of the inverse kernel in extents
   /// Standard deviation of a Gaussian that the inverse is smoothed with along the line. Where the blur has left
@@ -91,7 +91,7 @@ struct KernelOptions {
   /// kernels have no jumps at places that are known, which the fast engine makes use of: extents above 36 px are then
   /// filtered tap by tap.
   double smoothing_px = 0.0;
-  GammaRule gamma_rule = GammaRule::NOISE;
+  Regularization regularization = Regularization::NOISE;
 
   void validate() const;  ///< throws OptionError
 };
@@ -111,8 +111,8 @@ struct KeypointOptions {
   std::string detector = "SIFT";  ///< SIFT, ORB, AKAZE, BRISK, GFTT or FAST
   /// SIFT, ORB (not of SIFT's keypoints), AKAZE (of AKAZE's alone), BRISK or NONE
   std::string descriptor = "SIFT";
-  int max_features = 1000;  ///< strongest by response
-  int grid_cols = 1;        ///< with more than one cell the limit is shared evenly among cells
+  int max_keypoints = 1000;  ///< strongest by response
+  int grid_cols = 1;         ///< with more than one cell the limit is shared evenly among cells
   int grid_rows = 1;
 
   void validate() const;  ///< throws OptionError
@@ -148,7 +148,7 @@ enum class OnExposureConflict {
   CONFIGURED,  ///< what is given is reported and kept
 };
 
-/// Gyroscope intake.
+/// Gyroscope input_buffers.
 struct GyroOptions {
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< subtracted once, in RotationTrack
   TimeNs time_offset_ns = 0;                             ///< t_imu = t_cam + time_offset
@@ -165,10 +165,10 @@ struct GyroOptions {
 struct PipelineOptions {
   BlurFieldOptions blur_field;
   ValidationOptions validation;
-  KernelOptions kernel;
+  FilterOptions kernel;
   NoiseModel noise;
   KeypointOptions keypoints;
-  bool motion_from_images = true;  ///< what the gyroscope does not know of a motion, see ResidualFlow
+  bool optical_flow = true;  ///< what the gyroscope does not know of a motion, see ResidualFlow
   /// Which frames that the gyroscope does not cover go by the images alone: "absent", where there is no gyroscope or
   /// it is silent; "always", also at its gaps and where it is saturated; "never".
   std::string flow_without_gyro = "absent";
@@ -183,7 +183,7 @@ struct PipelineOptions {
 
 /// The same value in every member: what was built with one need not be built again for the other.
 bool operator==(const BlurFieldOptions& a, const BlurFieldOptions& b);
-bool operator==(const KernelOptions& a, const KernelOptions& b);
+bool operator==(const FilterOptions& a, const FilterOptions& b);
 bool operator==(const KeypointOptions& a, const KeypointOptions& b);
 
 }  // namespace gyro_deblur

@@ -1,4 +1,4 @@
-// The blur field as a picture. Colours by status are decided here, for overlay and rviz markers alike.
+// The blur field as a picture. Colours by status are decided here, for both overlay and rviz markers.
 #pragma once
 
 #include <optional>

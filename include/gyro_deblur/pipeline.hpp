@@ -15,8 +15,8 @@
 #include "gyro_deblur/deconvolution.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/exposure_estimate.hpp"
+#include "gyro_deblur/filter_bank.hpp"
 #include "gyro_deblur/image_format.hpp"
-#include "gyro_deblur/kernel_bank.hpp"
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
@@ -44,9 +44,9 @@ struct ExposureAnswer {
 
 /// How an exposure time is found that is not certain.
 struct ExposureQuestion {
-  bool estimate = true;   ///< the blur is looked at, see estimate_exposure()
+  bool estimate = true;   ///< the exposure is estimated from the blur, see estimate_exposure()
   TimeNs longest_ns = 0;  ///< that the exposure may turn out to be; 0: not known
-  /// Called once, with what the blur says (nothing: it says nothing, or was not looked at) and the mean grey level of
+  /// Called once, with what the blur says (nothing: it says nothing, or was not examined) and the mean grey level of
   /// the image, 0 to 255.
   std::function<ExposureAnswer(const std::optional<ExposureEstimate>&, double)> answer;
 };
@@ -60,7 +60,8 @@ struct PipelineRequest {
   bool keypoints = true;        ///< keypoints and rectification (implies the deblurred luminance)
   bool luminance = false;       ///< the deblurred luminance
   bool global_shutter = false;  ///< the deblurred image with all rows moved to the reference time
-  bool in_a_hurry = false;      ///< no bent paths: the plane takes three times as long. Has no effect on engine "plane"
+  bool behind_camera_rate =
+      false;  ///< no curved paths: the 2-D filter takes three times as long. Has no effect on engine "fourier"
   /// The image shows the picture of the call before again: one that was exposed once, and came a second time. What is
   /// not known of its motion was found then, for between a picture and itself nothing moves. `motion` and `exposure`
   /// have to be those of the call before, too.
@@ -111,7 +112,7 @@ struct PipelineResult {
   std::optional<ResidualRotation> seen_rotation;
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;
-  SlowBlocks slow_blocks;  ///< blocks that left the engine's fast path, and why
+  FallbackCounts fallback_counts;  ///< blocks that left the engine's fast path, and why
   /// The exposure that was used, or assumed.
   TimeNs exposure_ns = 0;
   /// False: the exposure is not known. Then no block is DEBLURRED and there are no image, keypoints and global-shutter
@@ -156,7 +157,7 @@ class Pipeline {
   /// set_options and after each frame.
   std::string take_warning();
 
-  /// Exposure of the picture before, from which corners are followed and static content is told: how far back the next
+  /// Exposure of the picture before, from which corners are followed and static content is found: how far back the next
   /// call's `motion` should reach.
   std::optional<TimeRange> newest_frame() const;
 
@@ -187,10 +188,10 @@ class Pipeline {
   /// The blur field by the gyroscope and the residual velocities.
   /// @param alone  they are the whole motion
   FrameBlur blur_field(const CameraMotion& known, const RowExposure& exposure, const ResidualField& residuals,
-                       bool alone, bool in_a_hurry) const;
+                       bool alone, bool behind_camera_rate) const;
   /// Finds the exposure out, and the field again where it is another one.
   /// @param exposure  the assumed one; becomes the one found
-  void settle_exposure(const ExposureQuestion& question, const cv::Mat& luminance, const std::optional<double>& noise,
+  void choose_exposure(const ExposureQuestion& question, const cv::Mat& luminance, const std::optional<double>& noise,
                        const std::function<FrameBlur(const RowExposure&)>& field_by, RowExposure* exposure,
                        PipelineResult* result);
   /// Blocks that the mask or static content keeps from being deblurred.
@@ -208,7 +209,7 @@ class Pipeline {
   PipelineOptions options_;
   std::unique_ptr<Camera> camera_;
   std::unique_ptr<BlurFieldEstimator> estimator_;
-  std::unique_ptr<KernelBank> bank_;
+  std::unique_ptr<FilterBank> bank_;
   std::unique_ptr<Engine> engine_;
   BitDepth bit_depth_;
   PixelMask mask_;

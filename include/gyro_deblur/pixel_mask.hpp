@@ -40,8 +40,8 @@ void mark_masked(const PixelMask& mask, FrameBlur* field);
 
 /// What a block's filter reads, to either side of the block.
 struct FilterReach {
-  double length_factor = 4;  ///< KernelOptions::length_factor
-  bool in_plane = false;     ///< all blocks are filtered in the plane, see Engine::prefers_plane()
+  double length_factor = 4;  ///< FilterOptions::length_factor
+  bool in_2d = false;        ///< all blocks have a 2-D filter, see Engine::prefers_2d()
 };
 
 /// DEBLURRED blocks become STATIC_EDGE where a pixel that they have, or that their filter would read, is masked: what

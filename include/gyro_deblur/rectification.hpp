@@ -22,7 +22,7 @@ struct RectifiedPoint {
 };
 
 /// Takes points to `reference_ns` from the middle of their row's exposure: from where the scene point was then, which
-/// is where the image shows it less BlockBlur::shown_offset_px(). That and the residual velocities of blocks hold at
+/// is where the image shows it less BlockBlur::apparent_offset_px(). That and the residual velocities of blocks hold at
 /// their centres, and between these what is linear between them: global_shutter_map() moves images by the same rule.
 /// Points in REJECTED blocks are not rectified (paper section III-D), nor those in NO_GYRO blocks, those between whose
 /// time and the reference time the motion is not known, and those that leave the range of the lens model; other points

@@ -19,7 +19,7 @@ int fourier_size(int length);
 /// other do not compete for the same cache sets.
 constexpr int fourier_stride(int size) { return size + 16; }
 
-/// A plan as the loops see it (fourier_loops.hpp).
+/// A plan as the loops see it (fourier_simd.hpp).
 struct FourierStages {
   int size;
   int count;              ///< of stages
@@ -39,7 +39,7 @@ struct FourierTile {
 /// by exp(-2 pi i j q / L): the twiddles, for j = 1 .. L / r - 1 and q = 1 .. r - 1, as pairs of floats.
 class FourierPlan {
  public:
-  /// @param largest_radix  4 or 8, see FourierLoops
+  /// @param largest_radix  4 or 8, see FourierSimd
   /// Precondition: size = fourier_size(size).
   FourierPlan(int size, int largest_radix);
 

@@ -1,4 +1,4 @@
-// Loops that are compiled once per instruction set (cmake/rooms.cmake, base/vectors_impl.hpp): which copy runs here.
+// Loops that are compiled once per instruction set (cmake/layers.cmake, base/vectors_impl.hpp): which copy runs here.
 #pragma once
 
 #include <cstring>
@@ -11,7 +11,7 @@ bool runs_instruction_set(const char* name);
 /// Of a table of copies, widest first, each with the `name` of its instruction set, the first that this processor runs.
 /// The last one is "baseline", which all run.
 template <typename Copy, int kCount>
-const Copy& best_copy(const Copy* const (&copies)[kCount]) {
+const Copy& select_for_cpu(const Copy* const (&copies)[kCount]) {
   for (const Copy* copy : copies) {
     if (runs_instruction_set(copy->name)) return *copy;
   }
@@ -21,7 +21,7 @@ const Copy& best_copy(const Copy* const (&copies)[kCount]) {
 /// Of a table of copies, each with the `name` of its instruction set, the one of that name; null when it is not there
 /// or this processor does not run it.
 template <typename Copy, int kCount>
-const Copy* find_copy(const Copy* const (&copies)[kCount], const char* name) {
+const Copy* find_for_cpu(const Copy* const (&copies)[kCount], const char* name) {
   for (const Copy* copy : copies) {
     if (std::strcmp(copy->name, name) == 0) return runs_instruction_set(name) ? copy : nullptr;
   }

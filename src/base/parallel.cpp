@@ -20,19 +20,19 @@
 namespace gyro_deblur {
 namespace {
 
-using Clock = std::chrono::steady_clock;  // its time is read without a system call, see begin_alone
+using Clock = std::chrono::steady_clock;  // its time is read without a system call, see serial_until_worthwhile
 
 // Work for each helper that is worth waking it. Waking takes 9 us (two cores of a virtual machine), but a helper whose
 // core a neighbour takes in the middle of a piece keeps the loop waiting for the neighbour's turn, and every system
 // call is a chance for the kernel to give this thread's core away. With 0.05 ms frames of 752x480 px took as long as on
 // one thread on a machine without a neighbour, 1.7 to 1.8 ms, and beside one their p95 was 37 to 53 ms instead of 4
 // to 14.
-constexpr std::chrono::nanoseconds kWorthHelp{2'000'000};
+constexpr std::chrono::nanoseconds kMinWorkPerHelper{2'000'000};
 
 #ifdef GYRO_DEBLUR_TSAN
-std::atomic<int> help_at_once{1};
+std::atomic<int> eager_helpers{1};
 #else
-std::atomic<int> help_at_once{0};
+std::atomic<int> eager_helpers{0};
 #endif
 
 /// A loop that is being run. Lives on the stack of the thread that runs it, which leaves last.
@@ -146,8 +146,8 @@ class Helpers {
 
 /// Works alone until it is known whether the rest is worth help. Makes no system call.
 /// @return how many of `most` helpers it is worth; 0: it is done
-int begin_alone(Loop& loop, int most) {
-  if (help_at_once > 0) return most;
+int serial_until_worthwhile(Loop& loop, int most) {
+  if (eager_helpers > 0) return most;
   auto before = Clock::now();
   std::chrono::nanoseconds elapsed{0}, longest{0};
   for (int steps = 1; loop.step(0); ++steps) {
@@ -161,7 +161,7 @@ int begin_alone(Loop& loop, int most) {
     const int begun = loop.begun();
     const double step_ns = static_cast<double>((elapsed - longest).count()) / (steps - 1);
     const double rest_ns = step_ns * steps * (loop.count() - begun) / begun;
-    const double helpers = rest_ns / static_cast<double>(kWorthHelp.count());
+    const double helpers = rest_ns / static_cast<double>(kMinWorkPerHelper.count());
     if (helpers >= 1) return static_cast<int>(std::min<double>(helpers, most));
   }
   return 0;
@@ -175,12 +175,12 @@ int available_cores() {
   return std::max(1, static_cast<int>(std::thread::hardware_concurrency()));  // more cores than the set holds
 }
 
-void run_parts(int count, int threads, int chunk, const LoopPart& part) {
+void parallel_for_ranges(int count, int threads, int chunk, const LoopPart& part) {
   if (count <= 0) return;
   const int chunks = (count - 1) / chunk + 1, most = std::min(threads_or_all(threads), chunks);
   if (most == 1) return part(0, count, 0);
   Loop loop(count, chunk, part);
-  const int helpers = begin_alone(loop, most - 1);
+  const int helpers = serial_until_worthwhile(loop, most - 1);
   if (helpers > 0) {
     Helpers::instance().call(loop, helpers);
     while (loop.step(0)) {
@@ -190,7 +190,7 @@ void run_parts(int count, int threads, int chunk, const LoopPart& part) {
   loop.rethrow();
 }
 
-HelpAtOnce::HelpAtOnce() { ++help_at_once; }
-HelpAtOnce::~HelpAtOnce() { --help_at_once; }
+EagerHelpers::EagerHelpers() { ++eager_helpers; }
+EagerHelpers::~EagerHelpers() { --eager_helpers; }
 
 }  // namespace gyro_deblur

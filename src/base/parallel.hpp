@@ -3,7 +3,7 @@
 // Not OpenMP: its threads spin for milliseconds after every loop, which takes cores from the processes beside this one,
 // a loop ends only when every thread of the team has had a core, which a busy neighbour keeps from it, and a library
 // can change neither: the runtime reads its environment once, and belongs to the whole process.
-// doc/reports/neighbours.md has the numbers.
+// doc/reports/contention.md has the numbers.
 #pragma once
 
 #include <functional>
@@ -35,12 +35,12 @@ using LoopPart = std::function<void(int begin, int end, int thread)>;
 /// than waking them costs, and one that comes late finds nothing left to do and holds nobody up. The first exception is
 /// thrown again when all threads have left; what had not begun then is skipped. May be called from several threads at
 /// once, and from within a loop.
-void run_parts(int count, int threads, int chunk, const LoopPart& part);
+void parallel_for_ranges(int count, int threads, int chunk, const LoopPart& part);
 
 /// The same, with body(i) or body(i, thread) for every iteration.
 template <typename Body>
-void run_parallel(int count, int threads, int chunk, Body&& body) {
-  run_parts(count, threads, chunk, [&body](int begin, int end, int thread) {
+void parallel_for(int count, int threads, int chunk, Body&& body) {
+  parallel_for_ranges(count, threads, chunk, [&body](int begin, int end, int thread) {
     for (int i = begin; i < end; ++i) {
       if constexpr (std::is_invocable_v<Body&, int, int>) {
         body(i, thread);
@@ -53,12 +53,12 @@ void run_parallel(int count, int threads, int chunk, Body&& body) {
 }
 
 /// While one lives, loops call for help at once, however short they are: for tests of what threads do to each other.
-class HelpAtOnce {
+class EagerHelpers {
  public:
-  HelpAtOnce();
-  ~HelpAtOnce();
-  HelpAtOnce(const HelpAtOnce&) = delete;
-  HelpAtOnce& operator=(const HelpAtOnce&) = delete;
+  EagerHelpers();
+  ~EagerHelpers();
+  EagerHelpers(const EagerHelpers&) = delete;
+  EagerHelpers& operator=(const EagerHelpers&) = delete;
 };
 
 }  // namespace gyro_deblur

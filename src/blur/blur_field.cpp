@@ -34,7 +34,7 @@ namespace {
 /// Extent of a path along and across a line [px], and the path along it.
 struct LineFit {
   double along_px, across_px;
-  LinePath path_px;
+  Path1d path_px;
 };
 
 LineFit fit_to_line(const std::array<Eigen::Vector2d, kPathInstants>& path_px, double angle_rad) {
@@ -52,7 +52,7 @@ LineFit fit_to_line(const std::array<Eigen::Vector2d, kPathInstants>& path_px, d
 }
 
 /// How far a path along a line departs from an even run from its first to its last place, less the best shift [px].
-double unevenness_px(const LinePath& path_px) {
+double nonuniformity_px(const Path1d& path_px) {
   double least = 0, most = 0;  // the ends do not depart
   for (int k = 0; k < kPathInstants; ++k) {
     const double even = path_px.front() + k / (kPathInstants - 1.0) * (path_px.back() - path_px.front());
@@ -91,12 +91,12 @@ double even_path_px(double extent_px) {
 }
 
 BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options,
-                        bool lines_alone) {
+                        bool straight_only) {
   const Eigen::Vector2d chord_px = path_px.back() - path_px.front();
   BlockBlur blur = classify_blur(chord_px.x(), chord_px.y(), options);
   const float angle_rad = fitted_angle(path_px);
   LineFit fit = fit_to_line(path_px, angle_rad);
-  if (unevenness_px(fit.path_px) > even_path_px(fit.along_px)) {
+  if (nonuniformity_px(fit.path_px) > even_path_px(fit.along_px)) {
     blur = {angle_rad, static_cast<float>(fit.along_px), status_of(fit.along_px, options), fit.path_px};
   } else {
     fit = fit_to_line(path_px, blur.angle_rad);
@@ -104,13 +104,13 @@ BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_p
   blur.chord_middle_px = (0.5 * (path_px.front() + path_px.back())).cast<float>();
   blur.mean_place_px = mean_place(path_px).cast<float>();
   const double bend_px = 0.5 * fit.across_px - kStraightPathShare * fit.along_px;
-  if (blur.status != BlockStatus::DEBLURRED || bend_px <= options.max_bend_px) return blur;
-  if (lines_alone) {
-    if (bend_px > kMaxLineBendPx) blur.status = BlockStatus::BENT;
+  if (blur.status != BlockStatus::DEBLURRED || bend_px <= options.curved_path_threshold_px) return blur;
+  if (straight_only) {
+    if (bend_px > kMaxStraightDeviationPx) blur.status = BlockStatus::TOO_CURVED;
   } else {
-    PlanePath& bent_path_px = blur.bent_path_px.emplace();
-    for (int k = 0; k < kPathInstants; ++k) bent_path_px[k] = path_px[k].cast<float>();
-    if (extent_of(bent_path_px).maxCoeff() > kMaxPlaneExtentPx) blur.status = BlockStatus::BENT;
+    Path2d& curved_path_px = blur.curved_path_px.emplace();
+    for (int k = 0; k < kPathInstants; ++k) curved_path_px[k] = path_px[k].cast<float>();
+    if (extent_of(curved_path_px).maxCoeff() > kMax2dExtentPx) blur.status = BlockStatus::TOO_CURVED;
   }
   return blur;
 }
@@ -133,7 +133,7 @@ BlurFieldEstimator::BlurFieldEstimator(const Camera& camera, const BlurFieldOpti
 }
 
 FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExposure& exposure,
-                                       const ResidualField& residuals, bool lines_alone) const {
+                                       const ResidualField& residuals, bool straight_only) const {
   if (!residuals.empty() && residuals.size() != static_cast<std::size_t>(grid_.size())) {
     throw std::invalid_argument(std::to_string(residuals.size()) + " residual velocities for a grid of " +
                                 std::to_string(grid_.size()) + " blocks");
@@ -159,15 +159,15 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
     for (int i = first; i < first + grid_.cols(); ++i) {
       const Eigen::Vector2d center_px = grid_.center(i);
       std::optional<ResidualVelocity> residual;
-      double doubt_px = 0;  // about the extent
+      double uncertainty_px = 0;  // about the extent
       if (!residuals.empty() && residuals[i]) {
         const double exposure_s = to_seconds(end_ns - start_ns),
                      moved_px = exposure_s * residuals[i]->velocity_px_s.norm();
         if (is_certain(*residuals[i], end_ns - start_ns)) {
           residual = residuals[i];
-          doubt_px = exposure_s * residual->stddev_px_s;
+          uncertainty_px = exposure_s * residual->stddev_px_s;
         } else if (moved_px >= options_.min_extent_px) {
-          doubt_px = moved_px;  // what is uncertain is not used, and may be so all the same
+          uncertainty_px = moved_px;  // what is uncertain is not used, and may be so all the same
         }
       }
       std::array<Eigen::Vector2d, kPathInstants> path_px;
@@ -179,10 +179,10 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
         continue;
       }
       BlockBlur& block = field.blocks[i];
-      block = classify_path(path_px, options_, lines_alone);
+      block = classify_path(path_px, options_, straight_only);
       block.residual = residual;
       // Where it cancels the rotation, little blur may be none.
-      if (block.status == BlockStatus::DEBLURRED && block.extent_px - doubt_px < options_.min_extent_px) {
+      if (block.status == BlockStatus::DEBLURRED && block.extent_px - uncertainty_px < options_.min_extent_px) {
         block.status = BlockStatus::SHARP;
       }
     }

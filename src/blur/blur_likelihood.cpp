@@ -9,7 +9,7 @@
 
 #include "base/one_thread.hpp"
 #include "base/parallel.hpp"
-#include "blur/spectrum_loops.hpp"
+#include "blur/spectrum_simd.hpp"
 #include "gyro_deblur/image_noise.hpp"
 
 namespace gyro_deblur {
@@ -79,11 +79,11 @@ std::array<double, kFineBins> squared_transfer(const std::array<double, kPlaces>
 
 std::array<double, kFineBins> squared_transfer(const BlockBlur& blur, double scale) {
   constexpr double kStep = 1.0 / (kSpectrumWindow * kBinsPerWave * kFiner);
-  if (!blur.uneven_path_px) {
+  if (!blur.nonuniform_path_px) {
     return squared_transfer(std::array<double, 2>{0, scale * blur.extent_px}, kStep);
   }
   std::array<double, kPathInstants> places_px;
-  for (int k = 0; k < kPathInstants; ++k) places_px[k] = scale * (*blur.uneven_path_px)[k];
+  for (int k = 0; k < kPathInstants; ++k) places_px[k] = scale * (*blur.nonuniform_path_px)[k];
   return squared_transfer(places_px, kStep);
 }
 
@@ -111,8 +111,8 @@ cv::Mat clipped(const cv::Mat& luminance, double noise_grey_levels, int threads)
   const int margin = static_cast<int>(std::min(255.0, std::ceil(kStddevs * noise_grey_levels)));
   constexpr int kRowsAtATime = 32;
   cv::Mat image(luminance.size(), CV_8UC1);
-  static const SpectrumLoops& loops = best_spectrum_loops();
-  run_parallel(luminance.rows, threads, kRowsAtATime, [&](int y) {
+  static const SpectrumSimd& loops = best_spectrum_simd();
+  parallel_for(luminance.rows, threads, kRowsAtATime, [&](int y) {
     loops.clip_outliers(luminance.ptr<std::uint8_t>(std::max(y - 1, 0)), luminance.ptr<std::uint8_t>(y),
                         luminance.ptr<std::uint8_t>(std::min(y + 1, luminance.rows - 1)), luminance.cols, margin,
                         image.ptr<std::uint8_t>(y));
@@ -122,7 +122,7 @@ cv::Mat clipped(const cv::Mat& luminance, double noise_grey_levels, int threads)
 
 }  // namespace
 
-PathPhases phases_of(const PlanePath& path_px, double scale) {
+PathPhases phases_of(const Path2d& path_px, double scale) {
   PathPhases phases{};
   for (int k = 0; k < kPathInstants - 1; ++k) {
     const Eigen::Vector2d begin = scale / kSpectrumWindow * path_px[k].cast<double>(),
@@ -185,7 +185,7 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
   const cv::Rect window(begin(block.x + block.width / 2, image.cols), begin(block.y + block.height / 2, image.rows),
                         kSpectrumWindow, kSpectrumWindow);
 
-  static const SpectrumLoops& loops = best_spectrum_loops();
+  static const SpectrumSimd& loops = best_spectrum_simd();
   Spectrum power;
   loops.power_spectrum(spectrum_tables(), image.ptr<std::uint8_t>(window.y, window.x),
                        static_cast<std::ptrdiff_t>(image.step[0]), power.data());
@@ -199,13 +199,13 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
 
   const auto bins_x = static_cast<float>(kBinsPerWave * std::cos(blur.angle_rad));
   const auto bins_y = static_cast<float>(kBinsPerWave * std::sin(blur.angle_rad));
-  const auto squared = blur.bent_path_px ? std::array<double, kFineBins>{} : squared_transfer(blur, 1.0 / shrink);
+  const auto squared = blur.curved_path_px ? std::array<double, kFineBins>{} : squared_transfer(blur, 1.0 / shrink);
   // What the window mixes, and a path that is not quite the predicted one: below the lobes of the longest blur.
   const double left = 0.003 / shrink;
   Spectrum model;
   const auto model_of = [&](double share) {
-    if (blur.bent_path_px) {
-      const PathPhases phases = phases_of(*blur.bent_path_px, share / shrink);
+    if (blur.curved_path_px) {
+      const PathPhases phases = phases_of(*blur.curved_path_px, share / shrink);
       return loops.multiply_path_gain(texture().data(), phases, static_cast<float>(left), model.data());
     }
     loops.multiply_gain(texture().data(), gain_of(squared, share, left).data(), bins_x, bins_y, model.data());
@@ -241,10 +241,10 @@ std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& lik
     return window_px < 4 * grid.block_size_px() ? (row + col) % 2 == 0 : row % 2 == 0 && col % 2 == 0;
   };
   std::vector<double> ratios(field.blocks.size());
-  run_parallel(grid.size(), threads, kBlocksAtATime, [&](int i) {
+  parallel_for(grid.size(), threads, kBlocksAtATime, [&](int i) {
     if (is_asked(i) && is_looked_at(i)) ratios[i] = likelihood.log_ratio(grid.rect(i), field.blocks[i]);
   });
-  run_parallel(grid.size(), threads, kBlocksAtATime, [&](int i) {
+  parallel_for(grid.size(), threads, kBlocksAtATime, [&](int i) {
     if (!is_asked(i) || is_looked_at(i)) return;
     const int row = i / grid.cols(), col = i % grid.cols();
     double sum = 0;

@@ -12,8 +12,8 @@ namespace gyro_deblur {
 
 struct PathPhases;
 
-/// Of a path times `scale`, for SpectrumLoops::multiply_path_gain.
-PathPhases phases_of(const PlanePath& path_px, double scale);
+/// Of a path times `scale`, for SpectrumSimd::multiply_path_gain.
+PathPhases phases_of(const Path2d& path_px, double scale);
 
 /// One image, made ready for the likelihood of many blurs.
 class BlurLikelihood {
@@ -27,7 +27,7 @@ class BlurLikelihood {
   /// window of 64 px around the block, and of 128 or 256 px for blur of 16 or 64 px and more, as far as the image
   /// reaches. The model of the power at a frequency f, u of it along the motion, is
   ///   (a |f|^-2.5 |H(u)|^2 + noise) g,
-  /// H the transfer function of the blur (of a bent path at f), smeared as the window does it, `a` whatever fits each
+  /// H the transfer function of the blur (of a curved path at f), smeared as the window does it, `a` whatever fits each
   /// hypothesis best, and g an unknown factor, log-logistic, for what the texture has of its own (P. Whittle's
   /// likelihood, Arkiv for Matematik 2, 1953, has an exponential one). 0, which says nothing, where no window fits into
   /// the image.

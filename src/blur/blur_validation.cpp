@@ -9,7 +9,7 @@
 
 #include "base/parallel.hpp"
 #include "blur/blur_likelihood.hpp"
-#include "blur/gradient_loops.hpp"
+#include "blur/gradient_simd.hpp"
 #include "gyro_deblur/image_noise.hpp"
 
 namespace gyro_deblur {
@@ -37,7 +37,7 @@ void load_with_border(const cv::Mat& luminance, const cv::Rect& block, std::vect
 float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double angle_rad) {
   const int dx = static_cast<int>(std::lround(std::cos(angle_rad) * kFixedPointOne));
   const int dy = static_cast<int>(std::lround(std::sin(angle_rad) * kFixedPointOne));
-  static const GradientLoops& loops = best_gradient_loops();
+  static const GradientSimd& loops = best_gradient_simd();
   const auto strongest_in = [&](const std::uint8_t* around, std::ptrdiff_t stride) {
     return static_cast<float>(loops.strongest_gradient(around, stride, block.width, block.height, dx, dy) *
                               (kSobelScale / kFixedPointOne));
@@ -88,14 +88,14 @@ FrameBlur reject_outvoted(const FrameBlur& judged) {
 }  // namespace
 
 double steepest_box_px(const BlockBlur& blur) {
-  if (!blur.uneven_path_px) return blur.extent_px;
+  if (!blur.nonuniform_path_px) return blur.extent_px;
   // The Sobel pair sees what is left of a step over two pixels; a box of r leaves 2 / r of it there.
   constexpr double kWindowPx = 2;
   double most = 0;
-  for (const double place_px : *blur.uneven_path_px) {
+  for (const double place_px : *blur.nonuniform_path_px) {
     // The share of the exposure spent in a window is largest where the window begins or ends at a place.
-    most = std::max({most, share_within(*blur.uneven_path_px, place_px, place_px + kWindowPx),
-                     share_within(*blur.uneven_path_px, place_px - kWindowPx, place_px)});
+    most = std::max({most, share_within(*blur.nonuniform_path_px, place_px, place_px + kWindowPx),
+                     share_within(*blur.nonuniform_path_px, place_px - kWindowPx, place_px)});
   }
   return std::min<double>(blur.extent_px, kWindowPx / most);
 }
@@ -106,7 +106,7 @@ FrameBlur validate_by_gradient(const FrameBlur& field, const cv::Mat& luminance,
                                int threads) {
   FrameBlur validated = field;
   constexpr int kBlocksAtATime = 8;
-  run_parallel(field.grid.size(), threads, kBlocksAtATime, [&](int i) {
+  parallel_for(field.grid.size(), threads, kBlocksAtATime, [&](int i) {
     BlockBlur& block = validated.blocks[i];
     if (block.status != BlockStatus::DEBLURRED) return;
     if (max_gradient_along(luminance, field.grid.rect(i), block.angle_rad) >
@@ -118,10 +118,10 @@ FrameBlur validate_by_gradient(const FrameBlur& field, const cv::Mat& luminance,
 }
 
 /// Log likelihood ratio, with neighbours and frame, that a share of falsely believed blocks exceeds: a fit to measured
-/// quantiles (see ValidationOptions::false_acceptance), within 2 from .1 to .005. With the default it is below 0: a
+/// quantiles (see ValidationOptions::false_accept_rate), within 2 from .1 to .005. With the default it is below 0: a
 /// block of which nothing is known is believed. Deblurring it gains nothing, but its keypoints lie where the prediction
 /// puts them, which mostly holds.
-double least_log_ratio(double false_acceptance) { return 18 * std::log(0.052 / false_acceptance); }
+double least_log_ratio(double false_accept_rate) { return 18 * std::log(0.052 / false_accept_rate); }
 
 /// Of shorter blur a spectrum tells little; an edge that is sharper than it may be tells more. Noise does not come near
 /// what so short a blur allows.
@@ -132,7 +132,7 @@ FrameBlur validate_by_likelihood(const FrameBlur& field, const cv::Mat& luminanc
   if (!noise) noise = image_noise(luminance, PixelLayout::GRAY);
   const BlurLikelihood likelihood(luminance, noise.value_or(0), threads);
   const std::vector<double> ratios = with_neighbours(field.grid, log_ratios(field, likelihood, threads));
-  const double least = least_log_ratio(options.false_acceptance);
+  const double least = least_log_ratio(options.false_accept_rate);
   FrameBlur validated = field, brief = field;
   for (int i = 0; i < field.grid.size(); ++i) {
     if (field.blocks[i].status != BlockStatus::DEBLURRED) continue;

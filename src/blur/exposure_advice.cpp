@@ -30,7 +30,7 @@ double expected_repeatability_at(const ExposureTerms& terms, TimeNs exposure_ns)
   const double left = *expected_repeatability(block, noise);
   if (block.extent_px < terms.blur_field.min_extent_px || block.extent_px > terms.blur_field.max_extent_px) return left;
   block.status = BlockStatus::DEBLURRED;
-  return std::max(left, *expected_repeatability(block, noise));  // see GammaRule::NOISE
+  return std::max(left, *expected_repeatability(block, noise));  // see Regularization::NOISE
 }
 
 std::optional<ExposureAdvice> advise_exposure(const ExposureTerms& terms, TimeNs limit_ns) {
@@ -46,7 +46,7 @@ std::optional<ExposureAdvice> advise_exposure(const ExposureTerms& terms, TimeNs
     consider(std::llround(step_ns));
   }
   consider(limit_ns);
-  if (advice.best_share < kBadScore) return std::nullopt;
+  if (advice.best_share < kPoorScore) return std::nullopt;
   // From the limit back: what lies between may be less, where blur begins to be undone.
   const double enough = kWell * advice.best_share;
   TimeNs too_long_ns = limit_ns;

@@ -18,8 +18,8 @@ const char* to_string(BlockStatus status) {
       return "TOO_LARGE";
     case BlockStatus::NO_GYRO:
       return "NO_GYRO";
-    case BlockStatus::BENT:
-      return "BENT";
+    case BlockStatus::TOO_CURVED:
+      return "TOO_CURVED";
     case BlockStatus::NOISY:
       return "NOISY";
     case BlockStatus::MASKED:
@@ -94,17 +94,17 @@ void FrameBlur::reject_all() {
   }
 }
 
-Eigen::Vector2d BlockBlur::shown_offset_px() const {
+Eigen::Vector2d BlockBlur::apparent_offset_px() const {
   const Eigen::Vector2d mean_px = mean_place_px.cast<double>();
   if (status != BlockStatus::DEBLURRED) return mean_px;
-  if (bent_path_px) return Eigen::Vector2d::Zero();
+  if (curved_path_px) return Eigen::Vector2d::Zero();
   const Eigen::Vector2d line(std::cos(angle_rad), std::sin(angle_rad));
   // What a corner needs to be told from a box: of an extent near it, blur's own centre remains. Measured on corners at
-  // 10 to 60 px by experiments/motion_from_images, whose slopes it brings to 1 within 0.05.
+  // 10 to 60 px by experiments/optical_flow, whose slopes it brings to 1 within 0.05.
   constexpr double kCornerPx = 7.5;
   const Eigen::Vector2d middle_px =
       (1 - kCornerPx / std::max<double>(extent_px, kCornerPx)) * (chord_middle_px.cast<double>() - mean_px);
-  const double along_px = uneven_path_px ? -line.dot(mean_px) : line.dot(middle_px);
+  const double along_px = nonuniform_path_px ? -line.dot(mean_px) : line.dot(middle_px);
   return mean_px + along_px * line;
 }
 

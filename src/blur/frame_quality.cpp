@@ -31,11 +31,11 @@ ExtentSpread spread_of(const std::vector<Weighed>& extents) {
 
 /// How far blur reaches from a pixel, to each side [px].
 Eigen::Vector2d reach_of(const BlockBlur& block) {
-  if (!block.bent_path_px) {
+  if (!block.curved_path_px) {
     return 0.5 * block.extent_px * Eigen::Vector2d(std::abs(std::cos(block.angle_rad)), std::sin(block.angle_rad));
   }
-  Eigen::Vector2f least = block.bent_path_px->front(), most = least;
-  for (const Eigen::Vector2f& place_px : *block.bent_path_px) {
+  Eigen::Vector2f least = block.curved_path_px->front(), most = least;
+  for (const Eigen::Vector2f& place_px : *block.curved_path_px) {
     least = least.cwiseMin(place_px);
     most = most.cwiseMax(place_px);
   }
@@ -44,17 +44,17 @@ Eigen::Vector2d reach_of(const BlockBlur& block) {
 
 }  // namespace
 
-const char* to_string(QualityVerdict verdict) {
-  switch (verdict) {
-    case QualityVerdict::SHARP:
+const char* to_string(QualityGrade grade) {
+  switch (grade) {
+    case QualityGrade::SHARP:
       return "SHARP";
-    case QualityVerdict::DEBLURRED:
+    case QualityGrade::DEBLURRED:
       return "DEBLURRED";
-    case QualityVerdict::PARTLY:
-      return "PARTLY";
-    case QualityVerdict::BAD:
-      return "BAD";
-    case QualityVerdict::UNKNOWN:
+    case QualityGrade::PARTLY_DEBLURRED:
+      return "PARTLY_DEBLURRED";
+    case QualityGrade::POOR:
+      return "POOR";
+    case QualityGrade::UNKNOWN:
       return "UNKNOWN";
   }
   return "?";
@@ -106,10 +106,10 @@ FrameQuality assess_quality(const FrameBlur& field) {
   constexpr double kNearlyAll = 0.9;  // ImageQuality.msg tells users
   const double sharp = quality.share(BlockStatus::SHARP) / unmasked,
                deblurred = quality.share(BlockStatus::DEBLURRED) / unmasked;
-  quality.verdict = *quality.score < kBadScore        ? QualityVerdict::BAD
-                    : sharp >= kNearlyAll             ? QualityVerdict::SHARP
-                    : sharp + deblurred >= kNearlyAll ? QualityVerdict::DEBLURRED
-                                                      : QualityVerdict::PARTLY;
+  quality.grade = *quality.score < kPoorScore       ? QualityGrade::POOR
+                  : sharp >= kNearlyAll             ? QualityGrade::SHARP
+                  : sharp + deblurred >= kNearlyAll ? QualityGrade::DEBLURRED
+                                                    : QualityGrade::PARTLY_DEBLURRED;
   return quality;
 }
 

@@ -33,10 +33,10 @@ Path2 path_of(const BlockBlur& block) {
   Path2 path_px;
   const Eigen::Vector2d line(std::cos(block.angle_rad), std::sin(block.angle_rad));
   for (int k = 0; k < kPathInstants; ++k) {
-    if (block.bent_path_px) {
-      path_px[k] = (*block.bent_path_px)[k].cast<double>();
-    } else if (block.uneven_path_px) {
-      path_px[k] = (*block.uneven_path_px)[k] * line;
+    if (block.curved_path_px) {
+      path_px[k] = (*block.curved_path_px)[k].cast<double>();
+    } else if (block.nonuniform_path_px) {
+      path_px[k] = (*block.nonuniform_path_px)[k] * line;
     } else {
       path_px[k] = (static_cast<double>(k) / (kPathInstants - 1) - 0.5) * block.extent_px * line;
     }
@@ -354,7 +354,7 @@ std::vector<MotionSpectrum> motion_spectra(const FrameBlur& field, const cv::Mat
   const int used = threads_or_all(threads);  // once: the number of cores may change
   std::vector<Scratch> scratch(used);
   constexpr int kWindowsAtATime = 2;
-  run_parallel(static_cast<int>(windows.size()), used, kWindowsAtATime,
+  parallel_for(static_cast<int>(windows.size()), used, kWindowsAtATime,
                [&](int i, int thread) { add_spectra(windows[i], i, level, &scratch[thread], &of_windows[i]); });
   std::vector<MotionSpectrum> spectra;
   for (std::vector<MotionSpectrum>& of_window : of_windows) {

@@ -8,7 +8,7 @@
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/frame_blur.hpp"
-#include "gyro_deblur/line_path.hpp"
+#include "gyro_deblur/path_1d.hpp"
 
 namespace gyro_deblur {
 

@@ -72,8 +72,8 @@ const char* fate(BlockStatus status) {
       return "blurred too far";
     case BlockStatus::NO_GYRO:
       return "without gyroscope";
-    case BlockStatus::BENT:
-      return "blurred along a bow";
+    case BlockStatus::TOO_CURVED:
+      return "blurred along a curve";
     case BlockStatus::NOISY:
       return "too noisy to gain";
     case BlockStatus::MASKED:
@@ -174,7 +174,7 @@ cv::Vec3b status_color_rgb(BlockStatus status) {
       return {255, 80, 255};
     case BlockStatus::NO_GYRO:
       return {255, 230, 0};
-    case BlockStatus::BENT:
+    case BlockStatus::TOO_CURVED:
       return {70, 200, 255};
     case BlockStatus::NOISY:
       return {140, 110, 255};

@@ -23,8 +23,8 @@ cv::Rect widened(const cv::Rect& rect, int x_px, int y_px) {
 bool reads_masked(const PixelMask& mask, const cv::Rect& rect, const BlockBlur& blur, int block_size_px,
                   const FilterReach& reach) {
   const double half_px = 0.5 * reach.length_factor * blur.extent_px;
-  if (blur.bent_path_px || reach.in_plane) {
-    // Windows of the Fourier transform end with the neighbouring blocks (src/engine/plane_filter.hpp).
+  if (blur.curved_path_px || reach.in_2d) {
+    // Windows of the Fourier transform end with the neighbouring blocks (src/engine/fourier_filter.hpp).
     const int around_px = std::max(static_cast<int>(std::ceil(half_px)), block_size_px) + kMarginPx;
     return mask.masked_in(widened(rect, around_px, around_px)) > 0;
   }

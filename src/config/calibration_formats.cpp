@@ -9,7 +9,7 @@
 
 #include <Eigen/Geometry>
 
-#include "base/listing.hpp"
+#include "base/join.hpp"
 #include "config/calibration_section.hpp"
 #include "config/yaml_reading.hpp"
 #include "gyro_deblur/rotation_track.hpp"
@@ -37,7 +37,7 @@ LensModelRow find_lens_model(const Section& section, const std::string& key, con
     if (name == known) return row;
     supported.push_back(known);
   }
-  refuse_model(section, key, "supported are " + listing(supported, "and"));
+  refuse_model(section, key, "supported are " + join(supported, "and"));
 }
 
 /// Whole pixels, for numbers that some files write as 752.0.
@@ -101,10 +101,10 @@ void set_T_cam_imu(const Eigen::Isometry3d& T_cam_imu, SensorCalibration& calibr
 }
 
 /// Notes the keys of a file that nobody has asked for.
-void note_unknown_keys(const Section& root, SensorCalibration& calibration) {
+void record_unknown_keys(const Section& root, SensorCalibration& calibration) {
   const std::vector<std::string> unknown = root.unknown_keys();
   if (unknown.empty()) return;
-  calibration.notes.push_back(root.name("") + listing(unknown, "and") + (unknown.size() > 1 ? " are" : " is") +
+  calibration.notes.push_back(root.name("") + join(unknown, "and") + (unknown.size() > 1 ? " are" : " is") +
                               " not known and ignored: doc/guides/calibration.md lists the keys that are read");
 }
 
@@ -126,7 +126,7 @@ const LensModelRow& find_kalibr_model(const Section& section) {
     }
   }
   if (distortion_models.empty()) {
-    refuse_model(section, "camera_model", "supported are " + listing(camera_models, "and"));
+    refuse_model(section, "camera_model", "supported are " + join(camera_models, "and"));
   }
   const std::string distortion_model = section.text("distortion_model");
   const LensModelRow* without = nullptr;
@@ -137,7 +137,7 @@ const LensModelRow& find_kalibr_model(const Section& section) {
   }
   if (distortion_model == "none") return *without;
   refuse_model(section, "distortion_model",
-               "with camera_model " + camera_model + " supported are " + listing(distortion_models, "and") +
+               "with camera_model " + camera_model + " supported are " + join(distortion_models, "and") +
                    "; calibrate again with one of these");
 }
 
@@ -185,7 +185,7 @@ SensorCalibration read_kalibr(const Section& root, const std::string& camera_nam
   for (const auto& entry : root.node()) {
     if (entry.first.IsScalar() && is_camera_name(entry.first.Scalar())) root.ignore(entry.first.Scalar());
   }
-  note_unknown_keys(root, calibration);
+  record_unknown_keys(root, calibration);
   return calibration;
 }
 
@@ -217,7 +217,7 @@ SensorCalibration read_euroc(const Section& root) {
     calibration.frame_period_ns = to_ns(1 / rate_hz);
   }
   root.ignore("comment");
-  note_unknown_keys(root, calibration);
+  record_unknown_keys(root, calibration);
   return calibration;
 }
 
@@ -306,7 +306,7 @@ SensorCalibration read_vins(const Section& root, const std::string& camera_name)
     const fs::path intrinsics = fs::path(root.path()).parent_path() / root.text(calib_key);
     const Section section = Section::load(intrinsics.string());
     calibration.camera = read_vins_camera(section);
-    note_unknown_keys(section, calibration);
+    record_unknown_keys(section, calibration);
   } else {
     calibration.camera = read_vins_camera(root);
   }
@@ -326,7 +326,7 @@ SensorCalibration read_vins(const Section& root, const std::string& camera_name)
     calibration.readout_ns = root.integer("rolling_shutter") == 0 ? 0 : root.seconds("rolling_shutter_tr");
   }
   ignore_estimator_keys(root);
-  note_unknown_keys(root, calibration);
+  record_unknown_keys(root, calibration);
   return calibration;
 }
 
@@ -382,7 +382,7 @@ SensorCalibration read_basalt(const Section& root, const std::string& camera_nam
   all.ignore({"accel_bias_std", "accel_noise_std", "calib_accel_bias", "calib_gyro_bias", "gyro_bias_std",
               "gyro_noise_std", "imu_update_rate", "mocap_time_offset_ns", "mocap_to_imu_offset_ns", "T_imu_marker",
               "T_mocap_world", "vignette"});
-  note_unknown_keys(root, calibration);
+  record_unknown_keys(root, calibration);
   return calibration;
 }
 
@@ -403,7 +403,7 @@ SensorCalibration read_camera_info(const Section& root) {
   SensorCalibration calibration;
   calibration.camera = validated(root, camera);
   root.ignore({"camera_name", "rectification_matrix", "projection_matrix"});
-  note_unknown_keys(root, calibration);
+  record_unknown_keys(root, calibration);
   return calibration;
 }
 

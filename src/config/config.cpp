@@ -192,7 +192,7 @@ Config load_config(const std::string& path, std::vector<std::string>* unknown) {
 }
 
 std::string unknown_key_message(const std::string& key) {
-  static const std::string kSeenByImages = "motion_from_images sees translation without it";
+  static const std::string kSeenByImages = "optical_flow sees translation without it";
   static const std::map<std::string, std::string> kFormer{
       {"backend", "it is now called engine"},
       {"bridge_gyro_gaps", "it is now called flow_without_gyro, and true is now always"},

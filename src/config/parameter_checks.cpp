@@ -97,7 +97,7 @@ void BlurFieldOptions::validate() const {
 
 void ValidationOptions::validate() const { check_parameters(*this); }
 
-void KernelOptions::validate() const { check_parameters(*this); }
+void FilterOptions::validate() const { check_parameters(*this); }
 
 void NoiseModel::validate() const { check_parameters(*this); }
 
@@ -106,11 +106,12 @@ void KeypointOptions::validate() const {
   const std::vector<std::string>& refused = refused_detectors(descriptor);
   if (std::find(refused.begin(), refused.end(), detector) == refused.end()) return;
   std::string accepted;
-  for (const std::string& name : find_parameter("detector")->choices) {
+  for (const std::string& name : find_parameter("keypoint_detector")->choices) {
     if (std::find(refused.begin(), refused.end(), name) == refused.end()) accepted += ' ' + name;
   }
-  throw OptionError("descriptor = \"" + descriptor + "\" cannot describe the keypoints of detector = \"" + detector +
-                    "\", only those of" + accepted);
+  throw OptionError("keypoint_descriptor = \"" + descriptor +
+                    "\" cannot describe the keypoints of keypoint_detector = \"" + detector + "\", only those of" +
+                    accepted);
 }
 
 void TrackerOptions::validate() const {
@@ -142,8 +143,8 @@ void PipelineOptions::validate() const {
   noise.validate();
   keypoints.validate();
   check_parameters(*this);
-  if (flow_without_gyro == "always" && !motion_from_images) {
-    throw OptionError("flow_without_gyro = \"always\" needs motion_from_images = true, which is false");
+  if (flow_without_gyro == "always" && !optical_flow) {
+    throw OptionError("flow_without_gyro = \"always\" needs optical_flow = true, which is false");
   }
   static_cast<void>(BitDepth(significant_bits));
 }
@@ -166,7 +167,7 @@ void Config::validate() const {
 
 bool operator==(const BlurFieldOptions& a, const BlurFieldOptions& b) { return same_parameters(a, b); }
 
-bool operator==(const KernelOptions& a, const KernelOptions& b) { return same_parameters(a, b); }
+bool operator==(const FilterOptions& a, const FilterOptions& b) { return same_parameters(a, b); }
 
 bool operator==(const KeypointOptions& a, const KeypointOptions& b) { return same_parameters(a, b); }
 

@@ -11,7 +11,7 @@ template <typename Owner, typename AnyConfig>
 auto& part(AnyConfig& config) {
   if constexpr (std::is_same_v<Owner, BlurFieldOptions>) return config.pipeline.blur_field;
   if constexpr (std::is_same_v<Owner, ValidationOptions>) return config.pipeline.validation;
-  if constexpr (std::is_same_v<Owner, KernelOptions>) return config.pipeline.kernel;
+  if constexpr (std::is_same_v<Owner, FilterOptions>) return config.pipeline.kernel;
   if constexpr (std::is_same_v<Owner, NoiseModel>) return config.pipeline.noise;
   if constexpr (std::is_same_v<Owner, KeypointOptions>) return config.pipeline.keypoints;
   if constexpr (std::is_same_v<Owner, PipelineOptions>) return config.pipeline;
@@ -69,7 +69,7 @@ OneOf one_of(std::vector<std::string> names) { return {std::move(names)}; }
 
 using Blur = BlurFieldOptions;
 using Validation = ValidationOptions;
-using Kernel = KernelOptions;
+using Kernel = FilterOptions;
 using Keypoints = KeypointOptions;
 using Tracker = TrackerOptions;
 using Gyro = GyroOptions;
@@ -164,7 +164,7 @@ ParameterGroup gyroscope() {
               {"gyro_range", &Gyro::range_rad_s, within(0, 400, "rad/s"),
                "the sensor's range on each axis (2000 degrees/s: 34.9); samples at it are saturated and not integrated "
                "across; 0: not known, nothing is checked"},
-              {"gyro_timeout", &Config::gyro_timeout_ns, within(0, 10, "s"),
+              {"input_timeout", &Config::input_timeout_ns, within(0, 10, "s"),
                "how long a frame waits for gyroscope, exposure and tf"},
               {"frame_queue_size", &Config::frame_queue_size, within(1, 1000), "frames that may wait"},
               {"bias_window", &Config::bias_window_ns, within(0.1, 10, "s"), "averaged by ~estimate_gyro_bias"},
@@ -178,7 +178,7 @@ ParameterGroup stereo() {
   return {"stereo",
           "",
           {
-              {"stereo_patience", &Config::stereo_patience_ns, within(0, 10, "s"),
+              {"stereo_sync_timeout", &Config::stereo_sync_timeout_ns, within(0, 10, "s"),
                "of the cameras in one process with the same IMU both images of a stamp are deblurred, or neither: how "
                "long one waits for the other to be decided on; 0: each on its own"},
           }};
@@ -188,8 +188,8 @@ ParameterGroup image_quality() {
   return {"image quality",
           "",
           {
-              {"drop_bad", &Config::drop_bad,
-               "true: an image whose verdict is BAD, and what was found in it, is not published, the one exception to "
+              {"drop_poor", &Config::drop_poor,
+               "true: an image of grade POOR, and what was found in it, is not published, the one exception to "
                "one image out for every image in",
                RUNNING},
           }};
@@ -203,10 +203,10 @@ ParameterGroup blur_field() {
               {"min_extent", &Blur::min_extent_px, within(1, 20, "px"), "smaller blur is left alone", RUNNING},
               {"max_extent", &Blur::max_extent_px, within(1, 500, "px"),
                "at least min_extent; larger blur is left alone", RUNNING},
-              {"max_bend", &Blur::max_bend_px, within(0, 100, "px"),
+              {"curved_path_threshold", &Blur::curved_path_threshold_px, within(0, 100, "px"),
                "blur off a line by more than this and 2 % of its length is undone in the plane, which takes longer",
                RUNNING},
-              {"motion_from_images", &PipelineOptions::motion_from_images,
+              {"optical_flow", &PipelineOptions::optical_flow,
                "what the gyroscope does not know of the motion is taken from corners followed between images", RUNNING},
               {"flow_without_gyro", &PipelineOptions::flow_without_gyro, one_of({"absent", "always", "never"}),
                "which frames that the gyroscope does not cover go by those corners alone: those of a camera whose IMU "
@@ -216,23 +216,24 @@ ParameterGroup blur_field() {
 }
 
 ParameterGroup wiener_filter() {
-  return {"Wiener filter",
-          "",
-          {
-              {"gamma", &Kernel::gamma, within(1e-5, 1), "noise-to-signal ratio at 1/6 cycles/px", RUNNING},
-              {"gamma_rule", &Kernel::gamma_rule,
-               "noise: gamma rises with noise over texture, and blocks that noise would spoil are left alone; fixed: "
-               "gamma as it is; paper: the paper's taps, with gamma at every frequency"},
-              {"kernel_length_factor", &Kernel::length_factor, within(2, 8), "length of the inverse kernel in extents"},
-              {"kernel_smoothing", &Kernel::smoothing_px, within(0, 5, "px"),
-               "Gaussian along the motion that the inverse is smoothed with"},
-              {"engine", &PipelineOptions::engine,
-               "cpu; plane (the inverse of the whole path for all blocks); float; opencl (first GPU, else first "
-               "device), opencl:INDEX or opencl:NAME (part of the name), "
-               "which cpu replaces where the device is absent or fails, with one warning; auto: cpu"},
-              {"threads", &PipelineOptions::threads, within(0, 256),
-               "of validation, kernels and engine, at most; 0: one for each core to run on"},
-          }};
+  return {
+      "Wiener filter",
+      "",
+      {
+          {"noise_to_signal_ratio", &Kernel::gamma, within(1e-5, 1), "noise-to-signal ratio at 1/6 cycles/px", RUNNING},
+          {"regularization", &Kernel::regularization,
+           "noise: gamma rises with noise over texture, and blocks that noise would spoil are left alone; fixed: "
+           "gamma as it is; paper: the paper's taps, with gamma at every frequency"},
+          {"kernel_length_factor", &Kernel::length_factor, within(2, 8), "length of the inverse kernel in extents"},
+          {"kernel_smoothing", &Kernel::smoothing_px, within(0, 5, "px"),
+           "Gaussian along the motion that the inverse is smoothed with"},
+          {"engine", &PipelineOptions::engine,
+           "cpu; fourier (the inverse of the whole path for all blocks); float; opencl (first GPU, else first "
+           "device), opencl:INDEX or opencl:NAME (part of the name), "
+           "which cpu replaces where the device is absent or fails, with one warning; auto: cpu"},
+          {"threads", &PipelineOptions::threads, within(0, 256),
+           "of validation, kernels and engine, at most; 0: one for each core to run on"},
+      }};
 }
 
 ParameterGroup validation() {
@@ -246,7 +247,7 @@ ParameterGroup validation() {
            RUNNING},
           {"validation", &Validation::rule,
            "what they are rejected by: how likely their power spectrum is, or the paper's gradient"},
-          {"false_acceptance", &Validation::false_acceptance, within(0.001, 0.5),
+          {"false_accept_rate", &Validation::false_accept_rate, within(0.001, 0.5),
            "likelihood: share of blocks blurred by a third of what is predicted that may be accepted", RUNNING},
           {"tau", &Validation::tau, within(0, 255, "grey levels / px"),
            "paper, and blur below 5 px: gradient that is always allowed", RUNNING},
@@ -259,12 +260,12 @@ ParameterGroup keypoints() {
   return {"keypoints",
           "",
           {
-              {"detector", &Keypoints::detector, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"}),
+              {"keypoint_detector", &Keypoints::detector, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"}),
                "finds keypoints", RUNNING},
-              {"descriptor", &Keypoints::descriptor, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "NONE"}),
-               "describes them; AKAZE only with detector AKAZE, ORB not with detector SIFT", RUNNING},
-              {"max_features", &Keypoints::max_features, within(1, 100000), "keypoints that are kept, strongest first",
-               RUNNING},
+              {"keypoint_descriptor", &Keypoints::descriptor, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "NONE"}),
+               "describes them; AKAZE only with keypoint_detector AKAZE, ORB not with SIFT", RUNNING},
+              {"max_keypoints", &Keypoints::max_keypoints, within(1, 100000),
+               "keypoints that are kept, strongest first", RUNNING},
               {"grid_cols", &Keypoints::grid_cols, within(1, 64),
                "columns of the grid over which the limit is shared evenly", RUNNING},
               {"grid_rows", &Keypoints::grid_rows, within(1, 64), "rows of that grid", RUNNING},

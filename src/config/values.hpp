@@ -55,9 +55,9 @@ inline const Names<ImageBorder>& names_of(ImageBorder) {
   return kNames;
 }
 
-inline const Names<GammaRule>& names_of(GammaRule) {
-  static const Names<GammaRule> kNames{
-      {"noise", GammaRule::NOISE}, {"fixed", GammaRule::FIXED}, {"paper", GammaRule::PAPER}};
+inline const Names<Regularization>& names_of(Regularization) {
+  static const Names<Regularization> kNames{
+      {"noise", Regularization::NOISE}, {"fixed", Regularization::FIXED}, {"paper", Regularization::PAPER}};
   return kNames;
 }
 

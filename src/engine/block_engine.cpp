@@ -44,7 +44,7 @@ void BlockEngine::filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& ds
   }
   is_copied_ = false;
   filter_blocks(src, grid, with_kernel_, seams_, dst);
-  plane_filter_.filter(src, grid, with_inverse_, threads(), seams_, dst);
+  fourier_filter_.filter(src, grid, with_inverse_, threads(), seams_, dst);
   copy_untouched(src, grid, dst);
   seams_.blend(src, threads(), dst);
 }

@@ -5,17 +5,17 @@
 
 #include <opencv2/core.hpp>
 
-#include "engine/plane_filter.hpp"
+#include "engine/fourier_filter.hpp"
 #include "engine/seam_blender.hpp"
 #include "gyro_deblur/engine.hpp"
 
 namespace gyro_deblur {
 
-/// Checks image and grid, copies blocks that have no filter, filters those with an inverse in the plane, has those with
+/// Checks image and grid, copies blocks that have no filter, filters those with a 2-D inverse, has those with
 /// a kernel filtered, and blends where blocks meet. Keeps its memory between frames.
 class BlockEngine : public Engine {
  public:
-  /// @param threads  at most, >= 0; 0: one for each core, see run_parts
+  /// @param threads  at most, >= 0; 0: one for each core, see parallel_for_ranges
   explicit BlockEngine(int threads) : threads_(threads) {}
 
   void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) final;
@@ -37,7 +37,7 @@ class BlockEngine : public Engine {
  private:
   int threads_;
   SeamBlender seams_;
-  PlaneFilter plane_filter_;
+  FourierFilter fourier_filter_;
   std::vector<int> with_kernel_, with_inverse_;  // blocks
   bool is_copied_ = false;                       // the blocks without a filter, of the frame at hand
 };

@@ -42,8 +42,8 @@ std::string FallbackEngine::name() const {
   return primary_ ? primary_->name() : secondary_->name() + " (" + failure_ + ")";
 }
 
-SlowBlocks FallbackEngine::slow_blocks() const {
-  return primary_ ? primary_->slow_blocks() : secondary_->slow_blocks();
+FallbackCounts FallbackEngine::fallback_counts() const {
+  return primary_ ? primary_->fallback_counts() : secondary_->fallback_counts();
 }
 
 std::string FallbackEngine::take_warning() {

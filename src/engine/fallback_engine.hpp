@@ -35,7 +35,7 @@ class FallbackEngine : public Engine {
   /// The primary's name, or "SECONDARY (PRIMARY failed: reason)". Any thread may ask, also during filter().
   std::string name() const override;
 
-  SlowBlocks slow_blocks() const override;
+  FallbackCounts fallback_counts() const override;
 
   std::string take_warning() override;
 

@@ -10,15 +10,15 @@ namespace gyro_deblur {
 namespace {
 
 constexpr int kPairs = kHalvingTapCount / 2;
-// Pixels before an output of halve(), and behind it, beside the two that it lies between.
+// Pixels before an output of downsample2x(), and behind it, beside the two that it lies between.
 constexpr int kReach = kPairs - 1;
 // Of the low pass an even place of the double meets every second tap from the second on, two pixels before it, the one
 // that it belongs to and one behind; an odd place the same from behind.
 constexpr int kAround = 2;
 
-/// One row of halve().
+/// One row of downsample2x().
 template <typename Pixel>
-void halve_row(const cv::Mat& src, int row, std::vector<float>& scratch, float* to) {
+void downsample2x_row(const cv::Mat& src, int row, std::vector<float>& scratch, float* to) {
   const int width = src.cols, half_width = (width + 1) / 2;
   const Pixel* rows[kHalvingTapCount];
   for (int k = 0; k < kHalvingTapCount; ++k) {
@@ -44,28 +44,28 @@ void halve_row(const cv::Mat& src, int row, std::vector<float>& scratch, float* 
 }
 
 template <typename Pixel>
-void halve_as(const cv::Mat& src, int threads, cv::Mat& half) {
+void downsample2x_as(const cv::Mat& src, int threads, cv::Mat& half) {
   half.create((src.rows + 1) / 2, (src.cols + 1) / 2, CV_32F);
   constexpr int kRowsAtATime = 16;
-  run_parallel(half.rows, threads, kRowsAtATime, [&](int row) {
+  parallel_for(half.rows, threads, kRowsAtATime, [&](int row) {
     thread_local std::vector<float> scratch;
-    halve_row<Pixel>(src, row, scratch, half.ptr<float>(row));
+    downsample2x_row<Pixel>(src, row, scratch, half.ptr<float>(row));
   });
 }
 
 }  // namespace
 
-double left_by_halving(double f) {
+double lowpass_response(double f) {
   double sum = 0;
   for (int k = 0; k < kPairs; ++k) sum += 2 * kHalvingTaps[k] * std::cos(2 * CV_PI * f * (kReach + 0.5 - k));
   return sum;
 }
 
-void halve(const cv::Mat& src, int threads, cv::Mat& half) {
+void downsample2x(const cv::Mat& src, int threads, cv::Mat& half) {
   if (src.depth() == CV_8U) {
-    halve_as<std::uint8_t>(src, threads, half);
+    downsample2x_as<std::uint8_t>(src, threads, half);
   } else {
-    halve_as<std::uint16_t>(src, threads, half);
+    downsample2x_as<std::uint16_t>(src, threads, half);
   }
 }
 

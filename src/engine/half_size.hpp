@@ -15,13 +15,13 @@ constexpr float kHalvingTaps[] = {-0.0388f, -0.0084f, 0.1709f, 0.3763f, 0.3763f,
 constexpr int kHalvingTapCount = 8;
 
 /// What the low pass leaves of a wave of f cycles/px, along one axis.
-double left_by_halving(double f);
+double lowpass_response(double f);
 
 /// Low pass, and every second pixel: pixel (x, y) of `half` is what is at (2 x + 1/2, 2 y + 1/2). Outside of the image
 /// its edge goes on. On at most `threads` threads.
 /// @param src   CV_8UC1 or CV_16UC1, not empty
 /// @param half  CV_32FC1 with half of the columns and rows, rounded up; (re)allocated when needed
-void halve(const cv::Mat& src, int threads, cv::Mat& half);
+void downsample2x(const cv::Mat& src, int threads, cv::Mat& half);
 
 /// What double_size() takes for `rect` of an image from its half, which has the size `half`.
 cv::Rect needed_of_half(const cv::Rect& rect, cv::Size half);

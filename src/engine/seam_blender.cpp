@@ -359,14 +359,14 @@ template <typename Pixel>
 void SeamBlender::blend_as(const cv::Mat& src, int threads, cv::Mat& dst) const {
   const int cols = grid_->cols(), count = cols * grid_->rows();
   constexpr int kBlocksAtATime = 16;
-  run_parallel(count, threads, kBlocksAtATime, [&](int block) {
+  parallel_for(count, threads, kBlocksAtATime, [&](int block) {
     const Margins& m = places_[block].margins;
     if (m.right > 0) blend_right<Pixel>(block, src, dst);
     if (m.bottom > 0) blend_below<Pixel>(block, src, dst);
     if (m.right > 0 && m.bottom > 0) blend_corner<Pixel>(block, src, dst);
   });
   if (!fades_) return;
-  run_parallel(count, threads, kBlocksAtATime, [&](int block) {
+  parallel_for(count, threads, kBlocksAtATime, [&](int block) {
     if (!is_copied(block)) fade<Pixel>(block, src, dst);
   });
 }

@@ -16,7 +16,7 @@ namespace gyro_deblur {
 ///
 /// - A border between two columns (rows) of blocks has a margin m, the largest of 4, 2, 1 and 0 px that is at most half
 ///   of either; 0 at the edge of the image, and where the filters on either side of the whole line are the same,
-///   or both are in the plane, which are one function of the place.
+///   or both have 2-D filters, which are one function of the place.
 /// - A filtered block is computed on its rectangle and the margins around it. A copied block is the input everywhere.
 /// - Over the m px on either side of a border, the weight of the block behind it rises in 2 m + 1 equal steps, in x and
 ///   y independently. The weighted mean of the blocks' rounded results is rounded.

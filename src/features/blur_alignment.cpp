@@ -55,8 +55,8 @@ Eigen::Map<const Weights> interpolation_weights(double fraction) {
                                    kInterpolationStride * static_cast<int>(fraction * kInterpolationSteps + 0.5));
 }
 
-PlanePath mapped(const PlanePath& path_px, const Eigen::Matrix2d& map) {
-  PlanePath result_px;
+Path2d mapped(const Path2d& path_px, const Eigen::Matrix2d& map) {
+  Path2d result_px;
   for (std::size_t k = 0; k < path_px.size(); ++k) result_px[k] = map.cast<float>() * path_px[k];
   return result_px;
 }
@@ -69,7 +69,7 @@ int floor_int(double value) { return static_cast<int>(std::floor(value)); }
 
 /// Share of the noise's variance that interpolation leaves. Noise that is blurred along an axis changes little
 /// from pixel to pixel, so that interpolation along it leaves all.
-double interpolated_share(const Eigen::Vector2d& place_px, const PlanePath& blurred_by_px) {
+double interpolated_share(const Eigen::Vector2d& place_px, const Path2d& blurred_by_px) {
   const Eigen::Vector2f extent_px = extent_of(blurred_by_px);
   double share = 1;
   for (int axis = 0; axis < 2; ++axis) {
@@ -97,7 +97,7 @@ void BlurAligner::Patch::resize(int width, int height) {
   if (pixels_.size() < size) pixels_.resize(size, 0.0f);
 }
 
-void BlurAligner::rasterize(const PlanePath& path_px, Psf* psf) {
+void BlurAligner::rasterize(const Path2d& path_px, Psf* psf) {
   // Bilinear shares keep the path's mean; samples half a pixel apart spread evenly over its pixels.
   constexpr float kStepPx = 0.5f;
   Eigen::Array2f least = path_px[0], most = path_px[0];
@@ -330,7 +330,7 @@ Eigen::Matrix2d BlurAligner::multiply_gradients_of_both() {
   return products;
 }
 
-BlurAligner::NoiseShare BlurAligner::noise_share(const PlanePath& path_px) {
+BlurAligner::NoiseShare BlurAligner::noise_share(const Path2d& path_px) {
   // Two pixels of the blurred image share noise where one is as far from the other as one instant's place from
   // another's. Gradients are blurred by the path as well: they change little between two instants of a long one.
   constexpr int kInstants = kPathInstants - 1;
@@ -380,12 +380,12 @@ BlurAligner::NoiseShare BlurAligner::noise_share(const PlanePath& path_px) {
 namespace {
 
 /// Pixels and paths that a gyroscope in a wrong unit, say, throws far away are nowhere.
-bool can_be_aligned(const Eigen::Vector2d& place_px, const PlanePath& path_px, const cv::Size& size) {
+bool can_be_aligned(const Eigen::Vector2d& place_px, const Path2d& path_px, const cv::Size& size) {
   const bool is_inside =
       (place_px.array() >= 0).all() && place_px.x() < size.width && place_px.y() < size.height;  // not NaN either
   const bool is_finite =
       std::all_of(path_px.begin(), path_px.end(), [](const Eigen::Vector2f& at_px) { return at_px.allFinite(); });
-  return is_inside && is_finite && extent_of(path_px).maxCoeff() <= kMaxPlaneExtentPx;
+  return is_inside && is_finite && extent_of(path_px).maxCoeff() <= kMax2dExtentPx;
 }
 
 }  // namespace
@@ -396,8 +396,7 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
   constexpr double kLeastDeterminant = 0.1;  // a tenth of the area: nothing that is followed shrinks so
   if (!(map.determinant() > kLeastDeterminant)) return std::nullopt;
   const Eigen::Matrix2d inverse_map = map.inverse();
-  const PlanePath blur_of_second_px = mapped(in_from.path_px, map),
-                  blur_of_first_px = mapped(in_to.path_px, inverse_map);
+  const Path2d blur_of_second_px = mapped(in_from.path_px, map), blur_of_first_px = mapped(in_to.path_px, inverse_map);
   if (!can_be_aligned(in_from.place_px, blur_of_first_px, from.size()) ||
       !can_be_aligned(in_to.place_px, blur_of_second_px, to.size())) {
     return std::nullopt;

@@ -8,23 +8,23 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
-#include "features/alignment_loops.hpp"
-#include "gyro_deblur/plane_path.hpp"
+#include "features/alignment_simd.hpp"
+#include "gyro_deblur/path_2d.hpp"
 
 namespace gyro_deblur {
 
 /// Path of a point that stands still. Eigen's default constructor sets nothing.
-inline PlanePath still_path() {
-  PlanePath path_px;
+inline Path2d still_path() {
+  Path2d path_px;
   path_px.fill(Eigen::Vector2f::Zero());
   return path_px;
 }
 
 /// A scene point in a blurred image.
 struct BlurredPoint {
-  Eigen::Vector2d place_px;          ///< where it is at the middle of its exposure
-  PlanePath path_px = still_path();  ///< during the exposure, relative to place_px
-  double noise = 0;  ///< >= 0: standard deviation of the image's pixels [grey levels], rounding included
+  Eigen::Vector2d place_px;       ///< where it is at the middle of its exposure
+  Path2d path_px = still_path();  ///< during the exposure, relative to place_px
+  double noise = 0;               ///< >= 0: standard deviation of the image's pixels [grey levels], rounding included
 };
 
 struct AlignmentOptions {
@@ -70,7 +70,7 @@ class BlurAligner {
  private:
   using Pixels = Eigen::Array<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-  /// Pixels with room behind each row (alignment_loops.hpp), which is 0 at first.
+  /// Pixels with room behind each row (alignment_simd.hpp), which is 0 at first.
   class Patch {
    public:
     /// Keeps no pixels.
@@ -112,7 +112,7 @@ class BlurAligner {
     Box box;
   };
 
-  static void rasterize(const PlanePath& path_px, Psf* psf);
+  static void rasterize(const Path2d& path_px, Psf* psf);
   void blur(const cv::Mat& image, const Psf& psf, const Box& box, Region* blurred);
   /// Shrinks window_ until everything that is read lies in the images; false where too little of it is left.
   bool crop_window(const cv::Size& from, const Eigen::Vector2d& from_px, const cv::Size& to,
@@ -139,7 +139,7 @@ class BlurAligner {
     Eigen::Matrix2d products = Eigen::Matrix2d::Zero();  // covariance of its products with the gradients
     double mean = 0;                                     // variance of the patch's mean
   };
-  NoiseShare noise_share(const PlanePath& path_px);
+  NoiseShare noise_share(const Path2d& path_px);
 
   Psf psf_of_first_, psf_of_second_;  // what first and second image are blurred by: the other's path
   Region first_, second_;
@@ -149,7 +149,7 @@ class BlurAligner {
   std::vector<float> shares_;
   std::vector<int> pairs_;                 // of a path's instants, by lag; 0 between calls
   std::vector<std::pair<int, int>> lags_;  // that have pairs
-  const AlignmentLoops& loops_ = best_alignment_loops();
+  const AlignmentSimd& loops_ = best_alignment_simd();
 };
 
 }  // namespace gyro_deblur

@@ -6,7 +6,7 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
-#include "features/corner_loops.hpp"
+#include "features/corner_simd.hpp"
 
 namespace gyro_deblur {
 
@@ -47,7 +47,7 @@ class CornerDetector {
   Plane half_, strengths_, products_;
   std::vector<int> columns_;
   std::vector<Peak> peaks_;
-  const CornerLoops& loops_ = best_corner_loops();
+  const CornerSimd& loops_ = best_corner_simd();
 };
 
 }  // namespace gyro_deblur

@@ -146,7 +146,7 @@ GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera
                      static_cast<float>(std::clamp(px.y(), -kFarPx, kFarPx)));
   };
   cv::Mat moves_px(rows, cols, CV_32FC2);  // of the image as it arrived
-  run_parallel(rows, threads, 1, [&](int row) {
+  parallel_for(rows, threads, 1, [&](int row) {
     const PointMotion::Turn turn = point_motion.turn(times_ns[row], reference_ns);
     for (int col = 0; col < cols; ++col) {
       const Eigen::Vector2d pixel_px(node_px(col), node_px(row));
@@ -158,7 +158,7 @@ GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera
   GlobalShutterMap map;
   map.size_ = {width_px, height_px};
   map.nodes_px_.create(rows, cols, CV_32FC2);
-  run_parallel(rows, threads, 1, [&](int row) {
+  parallel_for(rows, threads, 1, [&](int row) {
     Eigen::Vector2d move_px(0, 0), step_px(0, 0);
     for (int col = 0; col < cols; ++col) {
       const Eigen::Vector2d pixel_px(node_px(col), node_px(row));
@@ -207,7 +207,7 @@ cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, Ima
   const int whole_cells_px = (image.cols + kStepPx - 1) / kStepPx * kStepPx;
   // The map of so many rows stays in the fast caches.
   constexpr int kRows = 16;
-  run_parallel((image.rows + kRows - 1) / kRows, threads, 1, [&](int strip) {
+  parallel_for((image.rows + kRows - 1) / kRows, threads, 1, [&](int strip) {
     const int begin = strip * kRows;
     cv::Mat rows = moved.rowRange(begin, std::min(begin + kRows, image.rows));
     cv::Mat x_px(rows.rows, whole_cells_px, CV_32FC1), y_px(rows.rows, whole_cells_px, CV_32FC1);

@@ -10,10 +10,12 @@
 
 #include <opencv2/core/version.hpp>
 
+#include "base/join.hpp"
+
 namespace gyro_deblur {
 namespace {
 
-// Blurred frames have little contrast, and deblurring returns only part of it. The limit is max_features, chosen by
+// Blurred frames have little contrast, and deblurring returns only part of it. The limit is max_keypoints, chosen by
 // response; thresholds only keep the detectors from drowning in noise, and are therefore below OpenCV's defaults.
 constexpr double kSiftContrastThreshold = 0.01;  // OpenCV 0.04, as Lowe 2004 (0.03); VLFeat 0
 constexpr double kSiftEdgeThreshold = 10;        // Lowe 2004
@@ -38,12 +40,6 @@ cv::Ptr<cv::Feature2D> make_sift() {
 #else
   return nullptr;
 #endif
-}
-
-std::string join(const std::vector<std::string>& names) {
-  std::string list;
-  for (const std::string& name : names) list += (list.empty() ? "" : ", ") + name;
-  return list;
 }
 
 /// Null for a name that is not known here.
@@ -79,14 +75,14 @@ bool stronger(const cv::KeyPoint& a, const cv::KeyPoint& b) {
          std::make_tuple(-b.response, b.pt.y, b.pt.x, b.size, b.angle, b.octave);
 }
 
-/// Keeps at most max_features of keypoints sorted by `stronger`, and their order. Every cell first gets an even share
+/// Keeps at most max_keypoints of keypoints sorted by `stronger`, and their order. Every cell first gets an even share
 /// of its own strongest; what cells leave goes to the strongest left anywhere.
 std::vector<cv::KeyPoint> select(const std::vector<cv::KeyPoint>& sorted, const cv::Size& size,
                                  const KeypointOptions& options) {
-  const std::size_t limit = static_cast<std::size_t>(options.max_features);
+  const std::size_t limit = static_cast<std::size_t>(options.max_keypoints);
   if (sorted.size() <= limit) return sorted;
   const int cells = options.grid_cols * options.grid_rows;
-  const int share = options.max_features / cells;
+  const int share = options.max_keypoints / cells;
   std::vector<int> taken(cells, 0);
   std::vector<bool> keep(sorted.size(), false);
   std::size_t kept = 0;
@@ -167,11 +163,11 @@ double corner_radius_px(const cv::KeyPoint& keypoint, const std::string& detecto
 FeatureExtractor::FeatureExtractor(const KeypointOptions& options) : options_(options) {
   options_.validate();
   const bool has_grid = options_.grid_cols * options_.grid_rows > 1;
-  detector_ = require_feature("detector", options_.detector, has_grid ? kEverything : options_.max_features);
+  detector_ = require_feature("keypoint_detector", options_.detector, has_grid ? kEverything : options_.max_keypoints);
   if (options_.descriptor == options_.detector) {
     descriptor_ = detector_;
   } else if (options_.descriptor != "NONE") {
-    descriptor_ = require_feature("descriptor", options_.descriptor, options_.max_features);
+    descriptor_ = require_feature("keypoint_descriptor", options_.descriptor, options_.max_keypoints);
   }
 }
 

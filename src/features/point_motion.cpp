@@ -7,7 +7,7 @@ PointMotion::PointMotion(const FrameBlur& field, const Camera& camera, const Cam
   blocks_.reserve(field.blocks.size());
   for (const BlockBlur& block : field.blocks) {
     const ResidualVelocity residual = block.residual.value_or(ResidualVelocity{});
-    blocks_.push_back({block.shown_offset_px(), residual.velocity_px_s, block.residual ? 1.0 : 0.0});
+    blocks_.push_back({block.apparent_offset_px(), residual.velocity_px_s, block.residual ? 1.0 : 0.0});
   }
 }
 
@@ -15,7 +15,7 @@ PointMotion::Mean PointMotion::mean_at(const Eigen::Vector2d& pixel_px) const {
   Mean mean{Eigen::Vector2d::Zero(), Eigen::Vector2d::Zero(), 0};
   for (const BlockGrid::Neighbour& neighbour : grid_.around(pixel_px)) {
     const Mean& block = blocks_[static_cast<std::size_t>(neighbour.index)];
-    mean.shown_offset_px += neighbour.share * block.shown_offset_px;
+    mean.apparent_offset_px += neighbour.share * block.apparent_offset_px;
     mean.velocity_px_s += neighbour.share * block.velocity_px_s;
     mean.share_with_residual += neighbour.share * block.share_with_residual;
   }
@@ -30,7 +30,7 @@ PointMotion::Turn PointMotion::turn(TimeNs from_ns, TimeNs to_ns) const {
 
 PointMotion::Place PointMotion::moved(const Eigen::Vector2d& shown_px, const Turn& turn) const {
   const Mean mean = mean_at(shown_px);
-  const Eigen::Vector3d direction = turn.rotation * camera_.ray(shown_px - mean.shown_offset_px);
+  const Eigen::Vector3d direction = turn.rotation * camera_.ray(shown_px - mean.apparent_offset_px);
   const Eigen::Vector2d turned_px = camera_.project(direction);
   if (mean.share_with_residual == 0) return {turned_px, direction};
   return {turned_px + turn.seconds * mean.velocity_px_s, std::nullopt};

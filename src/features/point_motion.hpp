@@ -40,8 +40,8 @@ class PointMotion {
  private:
   /// Of the blocks around a pixel.
   struct Mean {
-    Eigen::Vector2d shown_offset_px, velocity_px_s;  ///< where there is no residual velocity, it counts as 0
-    double share_with_residual;                      ///< [0, 1]
+    Eigen::Vector2d apparent_offset_px, velocity_px_s;  ///< where there is no residual velocity, it counts as 0
+    double share_with_residual;                         ///< [0, 1]
   };
   Mean mean_at(const Eigen::Vector2d& pixel_px) const;
 

@@ -96,7 +96,7 @@ VelocityPlane fit_plane(const std::vector<Neighbour>& neighbours, const Residual
   for (const Neighbour& neighbour : neighbours) reach_px2 = std::max(reach_px2, neighbour.distance_px2);
   Eigen::Matrix3d normal = Eigen::Matrix3d::Identity(), squares = Eigen::Matrix3d::Zero();
   std::vector<double> distances(neighbours.size());
-  double believed = 0;
+  double inlier_weight = 0;
   for (int iteration = 0;; ++iteration) {
     for (std::size_t k = 0; k < neighbours.size(); ++k) {
       distances[k] = (neighbours[k].velocity_px_s - plane.at(neighbours[k].from_center_px)).norm();
@@ -105,14 +105,14 @@ VelocityPlane fit_plane(const std::vector<Neighbour>& neighbours, const Residual
     if (iteration == options.iterations_of_plane) break;
     normal.setZero();
     squares.setZero();
-    believed = 0;
+    inlier_weight = 0;
     // A slope is believed where the corners tell it.
     normal(1, 1) = normal(2, 2) = options.slope_prior * reach_px2;
     Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
     for (std::size_t k = 0; k < neighbours.size(); ++k) {
       const Eigen::Vector3d row(1, neighbours[k].from_center_px.x(), neighbours[k].from_center_px.y());
       const double belief = robust_weight(distances[k], plane.spread_px_s), weight = belief * neighbours[k].nearness;
-      believed += belief;
+      inlier_weight += belief;
       normal += weight * row * row.transpose();
       squares += weight * weight * row * row.transpose();
       right += weight * row * neighbours[k].velocity_px_s.transpose();
@@ -121,9 +121,9 @@ VelocityPlane fit_plane(const std::vector<Neighbour>& neighbours, const Residual
   }
   // Three corners lie on a plane whatever they say.
   constexpr double kParameters = 3, kLeastFreedom = 0.5;
-  const double freedom = std::max(believed - kParameters, kLeastFreedom);
+  const double freedom = std::max(inlier_weight - kParameters, kLeastFreedom);
   const Eigen::Matrix3d inverse = normal.inverse();
-  plane.stddev_px_s = plane.spread_px_s * std::sqrt((inverse * squares * inverse)(0, 0) * believed / freedom);
+  plane.stddev_px_s = plane.spread_px_s * std::sqrt((inverse * squares * inverse)(0, 0) * inlier_weight / freedom);
   return plane;
 }
 
@@ -292,10 +292,10 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
     const TimeNs now_ns = middle_of(exposure, camera), mean_ns = now_ns - (now_ns - middle_of(*exposure_, camera)) / 2;
     ResidualField means = mean_velocities(grid, threads);
     std::vector<std::optional<Eigen::Vector2d>> before_px_s(means.size());
-    run_parallel(means_.size() == means.size() ? grid.size() : 0, threads, grid.cols(), [&](int i) {
+    parallel_for(means_.size() == means.size() ? grid.size() : 0, threads, grid.cols(), [&](int i) {
       if (means[i]) before_px_s[i] = velocity_before(i, *means[i], grid, camera, motion, exposure);
     });
-    carried = carried_on(means, before_px_s, camera, motion, exposure, grid, to_seconds(mean_ns - mean_ns_));
+    carried = extrapolated(means, before_px_s, camera, motion, exposure, grid, to_seconds(mean_ns - mean_ns_));
     means_ = std::move(means);
     mean_ns_ = mean_ns;
   } else {
@@ -311,10 +311,10 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
   return carried;
 }
 
-ResidualField ResidualFlow::carried_on(const ResidualField& means,
-                                       const std::vector<std::optional<Eigen::Vector2d>>& before_px_s,
-                                       const Camera& camera, const CameraMotion& motion, const RowExposure& exposure,
-                                       const BlockGrid& grid, double since_before_s) {
+ResidualField ResidualFlow::extrapolated(const ResidualField& means,
+                                         const std::vector<std::optional<Eigen::Vector2d>>& before_px_s,
+                                         const Camera& camera, const CameraMotion& motion, const RowExposure& exposure,
+                                         const BlockGrid& grid, double since_before_s) {
   const TimeNs before_ns = middle_of(*exposure_, camera), now_ns = middle_of(exposure, camera);
   InertialChange::Step step;
   step.step_s = to_seconds(now_ns - before_ns);
@@ -439,7 +439,7 @@ ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) 
   std::vector<Neighbour> everywhere;
   for (const Sample& sample : samples_) everywhere.push_back(neighbour_of(sample, Eigen::Vector2d::Zero()));
   const VelocityPlane scene = fit_plane(everywhere, options_);
-  run_parallel(grid.rows(), threads, 1, [&](int row) {
+  parallel_for(grid.rows(), threads, 1, [&](int row) {
     std::vector<std::pair<double, std::size_t>> by_distance(samples_.size());  // [px^2], and whose
     std::vector<Neighbour> nearest(count);
     for (int i = row * grid.cols(); i < (row + 1) * grid.cols(); ++i) {
@@ -457,8 +457,10 @@ ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) 
       const VelocityPlane plane = fit_plane(nearest, options_);
       const Eigen::Vector2d velocity_px_s = plane.at(Eigen::Vector2d::Zero());
       const double from_scene_px_s = (velocity_px_s - scene.at(center_px)).norm();
-      const double doubt_px_s = from_scene_px_s * seen_from_px(plane, nearest) / (scale_ * options_.object_reach_px);
-      velocities[static_cast<std::size_t>(i)] = {velocity_px_s, std::hypot(plane.stddev_px_s, floor_px_s, doubt_px_s)};
+      const double uncertainty_px_s =
+          from_scene_px_s * seen_from_px(plane, nearest) / (scale_ * options_.object_reach_px);
+      velocities[static_cast<std::size_t>(i)] = {velocity_px_s,
+                                                 std::hypot(plane.stddev_px_s, floor_px_s, uncertainty_px_s)};
     }
   });
   return velocities;

@@ -20,7 +20,7 @@ namespace gyro_deblur {
 
 /// How corners are followed. Lengths are those of the image that they are followed in: halved until it is no wider than
 /// largest_width_px. The values left the smallest error on recorded flights through a simulated room
-/// (experiments/motion_from_images), those of a larger image a larger one where blur is long.
+/// (experiments/optical_flow), those of a larger image a larger one where blur is long.
 struct ResidualFlowOptions {
   int largest_width_px = 250;
   int cell_px = 16;
@@ -100,9 +100,9 @@ class ResidualFlow {
   /// The means at the middle of the newest image's exposure, as far as their changes tell.
   /// @param before_px_s     of each block, the mean before as it would be seen now
   /// @param since_before_s  between the middles of the times that the two are means over
-  ResidualField carried_on(const ResidualField& means, const std::vector<std::optional<Eigen::Vector2d>>& before_px_s,
-                           const Camera& camera, const CameraMotion& motion, const RowExposure& exposure,
-                           const BlockGrid& grid, double since_before_s);
+  ResidualField extrapolated(const ResidualField& means, const std::vector<std::optional<Eigen::Vector2d>>& before_px_s,
+                             const Camera& camera, const CameraMotion& motion, const RowExposure& exposure,
+                             const BlockGrid& grid, double since_before_s);
   /// Since the image before.
   ResidualField mean_velocities(const BlockGrid& grid, int threads) const;
 

@@ -20,7 +20,7 @@ constexpr double kClearPx = 0.15;
 double stddev_px(const Alignment& found) { return std::sqrt(found.covariance_px2.trace()); }
 
 /// Of what noise does not make: patches that no affine map takes to each other, and paths that are not exact.
-double model_variance_px2(const PlanePath& first_px, const PlanePath& second_px) {
+double model_variance_px2(const Path2d& first_px, const Path2d& second_px) {
   constexpr double kFloorPx = 0.04, kShareOfExtent = 0.0045;  // fits, see doc/reports/tracks.md
   const double extent_px = std::hypot(extent_of(first_px).norm(), extent_of(second_px).norm());
   return std::pow(kFloorPx, 2) + std::pow(kShareOfExtent * extent_px, 2);
@@ -153,7 +153,7 @@ void TrackSearch::for_each(std::size_t count, const TrackStep& step, Body&& body
   const int used = threads_or_all(threads_);
   aligners_.resize(static_cast<std::size_t>(used));
   const std::vector<RememberedMotion> motions(static_cast<std::size_t>(used), RememberedMotion(step.motion));
-  run_parallel(static_cast<int>(count), used, kPointsAtATime, [&](int i, int thread) {
+  parallel_for(static_cast<int>(count), used, kPointsAtATime, [&](int i, int thread) {
     const auto index = static_cast<std::size_t>(thread);
     body(static_cast<std::size_t>(i), Thread{step, motions[index], aligners_[index], options_.window_px});
   });

@@ -3,13 +3,13 @@
 
 #include <vector>
 
-#include "gyro_deblur/kernel_bank.hpp"
+#include "gyro_deblur/filter_bank.hpp"
 
 namespace gyro_deblur {
 
 constexpr double kMaxGamma = 1;
 
-/// The integrals that KernelBank::choose() is about, made once for a gamma and its doublings, and for extents a
+/// The integrals that FilterBank::choose() is about, made once for a gamma and its doublings, and for extents a
 /// quarter of an octave apart.
 class ExpectedErrors {
  public:
@@ -19,7 +19,7 @@ class ExpectedErrors {
   /// Of gamma until it reaches kMaxGamma.
   int doublings() const { return static_cast<int>(by_extent_.front().filtered.size()) - 1; }
 
-  /// See KernelBank::choose(). Extents are clamped to those that have kernels.
+  /// See FilterBank::choose(). Extents are clamped to those that have kernels.
   FilterChoice least(double extent_px, double noise_to_texture) const;
 
  private:

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "gyro_deblur/kernel_bank.hpp"
+#include "gyro_deblur/filter_bank.hpp"
 
 namespace gyro_deblur {
 

@@ -208,7 +208,7 @@ TwoScaleDesign::TwoScaleDesign(int box_half, int radius)
   }
 }
 
-void TwoScaleDesign::fit(const float* kernel, int count, const TapLoops& loops, TwoScaleWeights& weights) const {
+void TwoScaleDesign::fit(const float* kernel, int count, const TapSimd& loops, TwoScaleWeights& weights) const {
   weights.coarse.resize(row_groups_ * kRowGroup);
   float* sums = weights.coarse.data();
   for (int group = 0; group < row_groups_; ++group) {
@@ -235,7 +235,7 @@ const TwoScaleDesign& TwoScaleDesigns::get(const TwoScaleShape& shape) {
 void TwoScaleDesigns::prepare(const std::set<TwoScaleShape>& shapes, int threads) {
   designs_.keep_only(shapes);
   const std::vector<TwoScaleShape> list(shapes.begin(), shapes.end());
-  run_parallel(static_cast<int>(list.size()), threads, 1, [&](int i) { get(list[i]); });
+  parallel_for(static_cast<int>(list.size()), threads, 1, [&](int i) { get(list[i]); });
 }
 
 }  // namespace gyro_deblur

@@ -6,8 +6,8 @@
 #include <utility>
 #include <vector>
 
-#include "base/made_once.hpp"
-#include "inverse/tap_loops.hpp"
+#include "base/once_map.hpp"
+#include "inverse/tap_simd.hpp"
 
 namespace gyro_deblur {
 
@@ -37,11 +37,11 @@ class TwoScaleDesign {
 
   /// Weights that come nearest to the kernel, with its sum kept exactly.
   /// @param kernel  taps 0 .. count, count <= reach()
-  void fit(const float* kernel, int count, const TapLoops& loops, TwoScaleWeights& weights) const;
+  void fit(const float* kernel, int count, const TapSimd& loops, TwoScaleWeights& weights) const;
 
  private:
   int box_half_, decimation_, radius_;
-  // Rows are coarse weights, inner and outer box; a column for each tap. See TapLoops::combine_columns.
+  // Rows are coarse weights, inner and outer box; a column for each tap. See TapSimd::combine_columns.
   int row_groups_;
   std::vector<float> map_;
 };
@@ -60,7 +60,7 @@ class TwoScaleDesigns {
   std::size_t size() const { return designs_.size(); }
 
  private:
-  MadeOnce<TwoScaleShape, TwoScaleDesign> designs_;
+  OnceMap<TwoScaleShape, TwoScaleDesign> designs_;
 };
 
 }  // namespace gyro_deblur

@@ -94,7 +94,7 @@ void add_two_scale_shapes(const LineKernel& kernel, std::set<TwoScaleShape>& sha
 
 // The kernel along the major axis jumps at the ends of its box and is smooth elsewhere: two boxes carry the jumps, and
 // few coarse weights the rest.
-void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_point, const TapLoops& loops,
+void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_point, const TapSimd& loops,
                          TwoScaleDesigns& designs, TwoScaleTaps& taps) {
   const double stretch = std::abs(major);  // steps of the major axis in one pixel of the line
   const int box_half = box_half_of(kernel, stretch), steps = steps_of(kernel, stretch);

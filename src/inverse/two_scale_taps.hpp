@@ -5,9 +5,9 @@
 #include <set>
 #include <vector>
 
-#include "gyro_deblur/kernel_bank.hpp"
+#include "gyro_deblur/filter_bank.hpp"
 #include "inverse/coefficients.hpp"
-#include "inverse/tap_loops.hpp"
+#include "inverse/tap_simd.hpp"
 #include "inverse/two_scale_design.hpp"
 
 namespace gyro_deblur {
@@ -26,7 +26,7 @@ struct TwoScaleTaps {
 /// @param kernel       with a box: box_extent_px > 0
 /// @param major        see kernel_on_major_axis()
 /// @param fixed_point  also weights in fixed point, for 8-bit pixels
-void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_point, const TapLoops& loops,
+void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_point, const TapSimd& loops,
                          TwoScaleDesigns& designs, TwoScaleTaps& taps);
 
 /// Adds the shapes of all designs that make_two_scale_taps() takes for this kernel, whatever the line's angle.

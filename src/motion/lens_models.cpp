@@ -7,7 +7,7 @@
 
 #include <Eigen/LU>
 
-#include "base/listing.hpp"
+#include "base/join.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/option_error.hpp"
 #include "motion/sphere_lenses.hpp"
@@ -387,7 +387,7 @@ void require_coefficients(const LensModelRow& model, const std::vector<double>& 
     std::vector<std::string> names;
     for (const ShapeCoefficient& coefficient : model.shape) names.push_back(coefficient.name);
     refuse(names.empty() ? ", of which the first has to be given"
-                         : ", of which " + listing(names, "and") + " have to be given");
+                         : ", of which " + join(names, "and") + " have to be given");
   }
   constexpr double kLargest = std::numeric_limits<double>::max();
   for (std::size_t i = 0; i < coefficients.size(); ++i) {

@@ -18,17 +18,17 @@ namespace {
 // Of places within a path of 500 px as floats.
 constexpr double kRounding = 1e-3;
 
-/// Filters of a field's blocks, empty for those that are not filtered. Kernels of uneven paths, and inverses, are
+/// Filters of a field's blocks, empty for those that are not filtered. Kernels of non-uniform paths, and inverses, are
 /// nobody else's.
 struct FieldFilters {
   std::vector<BlockFilter> filters;
   std::vector<std::shared_ptr<const LineKernel>> kernels;
-  std::vector<std::shared_ptr<const PlaneInverse>> inverses;
+  std::vector<std::shared_ptr<const WienerInverse2d>> inverses;
 };
 
-/// The inverse of an uneven path whose lengths count `scale` times; null where that is no blur.
-std::shared_ptr<const LineKernel> uneven_kernel(LinePath path_px, double scale, int gamma_doublings,
-                                                const KernelOptions& options) {
+/// The inverse of an non-uniform path whose lengths count `scale` times; null where that is no blur.
+std::shared_ptr<const LineKernel> nonuniform_kernel(Path1d path_px, double scale, int gamma_doublings,
+                                                    const FilterOptions& options) {
   for (float& place_px : path_px) place_px *= static_cast<float>(scale);
   // Not blur.extent_px: rounded on its own, it may lie on the other side of a limit.
   const double extent_px = extent_of(path_px);
@@ -40,41 +40,42 @@ std::shared_ptr<const LineKernel> uneven_kernel(LinePath path_px, double scale, 
 }
 
 /// The whole path of a block. That of a box is centred as a box is.
-PlanePath plane_path(const BlockBlur& blur) {
-  if (blur.bent_path_px) return *blur.bent_path_px;
+Path2d path_2d(const BlockBlur& blur) {
+  if (blur.curved_path_px) return *blur.curved_path_px;
   const Eigen::Vector2f line(std::cos(blur.angle_rad), std::sin(blur.angle_rad));
-  PlanePath path_px;
+  Path2d path_px;
   for (int k = 0; k < kPathInstants; ++k) {
     const float even_px = (static_cast<float>(k) / (kPathInstants - 1) - 0.5f) * blur.extent_px;
-    path_px[k] = line * (blur.uneven_path_px ? (*blur.uneven_path_px)[k] : even_px);
+    path_px[k] = line * (blur.nonuniform_path_px ? (*blur.nonuniform_path_px)[k] : even_px);
   }
   return path_px;
 }
 
 /// Filters of a field whose lengths count `scale` times.
-FieldFilters make_filters(const FrameBlur& field, double scale, const KernelBank& bank, int threads, bool in_plane) {
+FieldFilters make_filters(const FrameBlur& field, double scale, const FilterBank& bank, int threads, bool in_2d) {
   const std::size_t blocks = field.blocks.size();
   FieldFilters made{std::vector<BlockFilter>(blocks), std::vector<std::shared_ptr<const LineKernel>>(blocks),
-                    std::vector<std::shared_ptr<const PlaneInverse>>(blocks)};
+                    std::vector<std::shared_ptr<const WienerInverse2d>>(blocks)};
   constexpr int kBlocksAtATime = 16;
-  run_parallel(static_cast<int>(blocks), threads, kBlocksAtATime, [&](int i) {
+  parallel_for(static_cast<int>(blocks), threads, kBlocksAtATime, [&](int i) {
     const BlockBlur& blur = field.blocks[i];
     if (blur.status != BlockStatus::DEBLURRED) return;
     const double extent_px = blur.extent_px * scale;
     // With half of the pixels a line's power is half as dense, at half of the frequencies.
-    const bool by_noise = bank.options().gamma_rule == GammaRule::NOISE;
+    const bool by_noise = bank.options().regularization == Regularization::NOISE;
     const double noise_to_texture = by_noise ? blur.noise_to_texture * scale : 0;
     const int doublings = noise_to_texture > 0 ? bank.choose(extent_px, noise_to_texture).gamma_doublings : 0;
     BlockFilter& filter = made.filters[i];
     filter.angle_rad = blur.angle_rad;
-    if (blur.bent_path_px || in_plane) {
-      PlanePath path_px = plane_path(blur);
+    if (blur.curved_path_px || in_2d) {
+      Path2d path_px = path_2d(blur);
       for (Eigen::Vector2f& place_px : path_px) place_px *= static_cast<float>(scale);
       if (extent_px < kMinKernelExtentPx) return;
-      made.inverses[i] = std::make_shared<const PlaneInverse>(plane_inverse(path_px, bank.options(), noise_to_texture));
+      made.inverses[i] =
+          std::make_shared<const WienerInverse2d>(wiener_inverse_2d(path_px, bank.options(), noise_to_texture));
       filter.inverse = made.inverses[i].get();
-    } else if (blur.uneven_path_px) {
-      made.kernels[i] = uneven_kernel(*blur.uneven_path_px, scale, doublings, bank.options());
+    } else if (blur.nonuniform_path_px) {
+      made.kernels[i] = nonuniform_kernel(*blur.nonuniform_path_px, scale, doublings, bank.options());
       filter.kernel = made.kernels[i].get();
     } else if (extent_px >= kMinKernelExtentPx) {
       filter.kernel = &bank.kernel(extent_px, doublings);
@@ -108,12 +109,12 @@ struct Divisions {
 
 /// Filters the four planes of a Bayer mosaic. Each samples the image at every second pixel from (px, py), so direction
 /// stays, extent halves, and block borders (even, because block sizes are) fall between samples.
-SlowBlocks deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const KernelBank& bank, Engine& engine,
-                            int threads, cv::Mat& dst) {
-  SlowBlocks slow;
+FallbackCounts deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const FilterBank& bank, Engine& engine,
+                                int threads, cv::Mat& dst) {
+  FallbackCounts slow;
   mosaic.copyTo(dst);
   const std::size_t pixel_bytes = mosaic.elemSize();
-  const FieldFilters made = make_filters(field, 0.5, bank, threads, engine.prefers_plane());
+  const FieldFilters made = make_filters(field, 0.5, bank, threads, engine.prefers_2d());
   cv::Mat plane, filtered;
   for (int py = 0; py < 2; ++py) {
     for (int px = 0; px < 2; ++px) {
@@ -142,7 +143,7 @@ SlowBlocks deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, const
         for (int x = 0; x < size.width; ++x) std::copy_n(from + 2 * x * pixel_bytes, pixel_bytes, to + x * pixel_bytes);
       }
       engine.filter(plane, grid, filtered);
-      keep_larger(engine.slow_blocks(), slow);
+      keep_larger(engine.fallback_counts(), slow);
       for (int y = 0; y < size.height; ++y) {
         const uchar* from = filtered.ptr(y);
         uchar* to = dst.ptr(2 * y + py) + px * pixel_bytes;
@@ -172,9 +173,11 @@ cv::Rect at_least(int side_px, const cv::Rect& rect, const cv::Size& image) {
 
 }  // namespace
 
-void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& field, int threads,
-                 const PixelMask& mask) {
-  if (bank.options().gamma_rule != GammaRule::NOISE || !field.noise || field.count(BlockStatus::DEBLURRED) == 0) return;
+void adapt_regularization(const cv::Mat& luminance, const FilterBank& bank, FrameBlur& field, int threads,
+                          const PixelMask& mask) {
+  if (bank.options().regularization != Regularization::NOISE || !field.noise ||
+      field.count(BlockStatus::DEBLURRED) == 0)
+    return;
   if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
       luminance.rows != field.grid.height_px()) {
     throw std::invalid_argument("noise is weighed by 8-bit luminance of the blur field's size");
@@ -185,7 +188,7 @@ void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& fi
   const double found = image_noise(luminance, PixelLayout::GRAY, 8, 2, mask).value_or(0);
   const double coarse = found > kTextureShare * *field.noise ? found : *field.noise;
   constexpr int kBlocksAtATime = 16, kMinSidePx = 32;  // 240 differences: a tenth off
-  run_parallel(field.grid.size(), threads, kBlocksAtATime, [&](int i) {
+  parallel_for(field.grid.size(), threads, kBlocksAtATime, [&](int i) {
     BlockBlur& block = field.blocks[i];
     if (block.status != BlockStatus::DEBLURRED) return;
     const bool is_short = block.extent_px < kMinCoarseExtentPx;
@@ -206,29 +209,29 @@ void weigh_noise(const cv::Mat& luminance, const KernelBank& bank, FrameBlur& fi
   });
 }
 
-FilterGrid make_filter_grid(const FrameBlur& field, const KernelBank& bank, int threads, bool in_plane) {
+FilterGrid make_filter_grid(const FrameBlur& field, const FilterBank& bank, int threads, bool in_2d) {
   const int cols = field.grid.cols();
   FilterGrid grid{{0}, {0}, {}};
   for (int col = 0; col < cols; ++col) grid.x.push_back(field.grid.rect(col).br().x);
   for (int row = 0; row < field.grid.rows(); ++row) grid.y.push_back(field.grid.rect(row * cols).br().y);
-  const FieldFilters made = make_filters(field, 1.0, bank, threads, in_plane);
+  const FieldFilters made = make_filters(field, 1.0, bank, threads, in_2d);
   for (int i = 0; i < field.grid.size(); ++i) add_filter(made, i, grid);
   return grid;
 }
 
-void prepare_deconvolution(const BlurFieldOptions& options, const KernelBank& bank, Engine& engine, int threads) {
+void prepare_deconvolution(const BlurFieldOptions& options, const FilterBank& bank, Engine& engine, int threads) {
   options.validate();
   // The planes of a mosaic have half the extent.
   const double from_px = std::max(kMinKernelExtentPx, options.min_extent_px / 2);
-  const int first = static_cast<int>(from_px / KernelBank::kExtentStepPx);
+  const int first = static_cast<int>(from_px / FilterBank::kExtentStepPx);
   const int last =
-      static_cast<int>(std::ceil(std::min(options.max_extent_px, kMaxKernelExtentPx) / KernelBank::kExtentStepPx));
-  if (engine.prefers_plane()) return;  // it has no use for kernels
-  const int doublings = bank.options().gamma_rule == GammaRule::NOISE ? bank.max_doublings() : 0;
+      static_cast<int>(std::ceil(std::min(options.max_extent_px, kMaxKernelExtentPx) / FilterBank::kExtentStepPx));
+  if (engine.prefers_2d()) return;  // it has no use for kernels
+  const int doublings = bank.options().regularization == Regularization::NOISE ? bank.max_doublings() : 0;
   std::vector<const LineKernel*> kernels(std::max(0, last + 1 - first));
   constexpr int kKernelsAtATime = 8;
-  run_parallel(static_cast<int>(kernels.size()), threads, kKernelsAtATime, [&](int i) {
-    const double extent_px = (first + i) * KernelBank::kExtentStepPx;
+  parallel_for(static_cast<int>(kernels.size()), threads, kKernelsAtATime, [&](int i) {
+    const double extent_px = (first + i) * FilterBank::kExtentStepPx;
     for (int k = 0; k <= doublings; ++k) {
       kernels[i] = &bank.kernel(std::clamp(extent_px, kMinKernelExtentPx, kMaxKernelExtentPx), k);
     }
@@ -236,15 +239,15 @@ void prepare_deconvolution(const BlurFieldOptions& options, const KernelBank& ba
   engine.prepare(kernels);
 }
 
-void keep_larger(const SlowBlocks& of_pass, SlowBlocks& all) {
+void keep_larger(const FallbackCounts& of_pass, FallbackCounts& all) {
   for (const auto& [reason, count] : of_pass) {
     std::size_t& most = all[reason];
     most = std::max(most, count);
   }
 }
 
-SlowBlocks deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field, const KernelBank& bank,
-                      Engine& engine, cv::Mat& dst, int threads) {
+FallbackCounts deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field, const FilterBank& bank,
+                          Engine& engine, cv::Mat& dst, int threads) {
   if (image.cols != field.grid.width_px() || image.rows != field.grid.height_px()) {
     throw std::invalid_argument("image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
                                 " px does not fit a blur field of " + std::to_string(field.grid.width_px()) + "x" +
@@ -260,18 +263,18 @@ SlowBlocks deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur&
   }
   if (is_bayer(layout)) return deconvolve_bayer(image, field, bank, engine, threads, dst);
 
-  const FilterGrid grid = make_filter_grid(field, bank, threads, engine.prefers_plane());
+  const FilterGrid grid = make_filter_grid(field, bank, threads, engine.prefers_2d());
   if (is_yuv422(layout)) {
     cv::Mat luminance, filtered;
     cv::extractChannel(image, luminance, luminance_channel(layout));
     engine.filter(luminance, grid, filtered);
     image.copyTo(dst);
     cv::insertChannel(filtered, dst, luminance_channel(layout));
-    return engine.slow_blocks();
+    return engine.fallback_counts();
   }
   if (image.channels() < 4) {
     engine.filter(image, grid, dst);
-    return engine.slow_blocks();
+    return engine.fallback_counts();
   }
   // Alpha is no light: filter the three colours and put the input's alpha beside them.
   cv::Mat color(image.size(), CV_MAKETYPE(image.depth(), 3)), filtered;
@@ -281,7 +284,7 @@ SlowBlocks deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur&
   dst.create(image.size(), image.type());
   cv::mixChannels({filtered}, {dst}, colors, 3);
   cv::mixChannels({image}, {dst}, alpha, 1);
-  return engine.slow_blocks();
+  return engine.fallback_counts();
 }
 
 }  // namespace gyro_deblur

@@ -33,15 +33,15 @@ struct GivenExposure {
 /// A front end does not notice less (doc/reports/exposure.md).
 constexpr double kContradictingRatio = 1.08;
 
-/// What an image is processed with until its blur has been looked at.
+/// The exposure that an image is processed with until its blur has been examined.
 struct ExposurePlan {
   ExposureOrigin origin = ExposureOrigin::ASSUMED;
   TimeNs exposure_ns = 0;
   TimeNs longest_ns = 0;  ///< that the exposure may turn out to be: gyroscope samples are wanted up to there
   double log_stddev = 0;  ///< of exposure_ns where it is from the images
-  bool estimate = false;  ///< the blur is to be looked at
-  /// Once the image has been looked at: nothing changes any more, for images that repeat its picture.
-  bool settled = false;
+  bool estimate = false;  ///< it is to be estimated from the blur
+  /// Once it has been chosen: nothing changes any more, for images that repeat its picture.
+  bool decided = false;
   std::optional<GivenExposure> given;
 };
 
@@ -94,14 +94,14 @@ class ExposureChoice {
   ChosenExposure by_images(const ExposurePlan& plan) const;
 
   OnExposureConflict policy_ = OnExposureConflict::IMAGES;
-  std::optional<TimeNs> newest_ns_;  // of the images that were looked at
+  std::optional<TimeNs> newest_ns_;  // of the images with an attempt
   ExposureFilter exposures_;         // of images without a message
   ExposureFilter ratios_;            // of images with one: true over given exposure, times kRatioNs
   std::optional<ExposureConflict> conflict_;
   std::optional<GivenExposure> compared_;  // what conflict_ and since_ns_ are about
   std::optional<TimeNs> since_ns_;         // the images have said otherwise than conflict_
   int estimates_ = 0;                      // that have said so
-  int in_vain_ = 0;                        // images in a row that were looked at without an estimate
+  int in_vain_ = 0;                        // attempts in a row without an estimate
   std::size_t assumption_ = 0;             // the one to try, counted on
 };
 

@@ -75,7 +75,7 @@ std::vector<Eigen::Matrix2d> covariances(const cv::Mat& luminance, const std::st
 }
 
 /// Stands in for a motion that is not known: velocities beside it are the whole of it.
-class StandingCamera : public CameraMotion {
+class StationaryCamera : public CameraMotion {
  public:
   bool covers(const TimeRange& range) const override { return !range.empty(); }
   Eigen::Matrix3d rotation(TimeNs, TimeNs) const override { return Eigen::Matrix3d::Identity(); }
@@ -150,8 +150,8 @@ Pipeline::~Pipeline() = default;
 void Pipeline::set_options(const PipelineOptions& options) {
   // Everything that may throw comes before the first assignment, so that a failure leaves the former state.
   options.validate();
-  std::unique_ptr<KernelBank> bank;
-  if (!bank_ || !(options.kernel == options_.kernel)) bank = std::make_unique<KernelBank>(options.kernel);
+  std::unique_ptr<FilterBank> bank;
+  if (!bank_ || !(options.kernel == options_.kernel)) bank = std::make_unique<FilterBank>(options.kernel);
   std::unique_ptr<Engine> engine;
   if (!engine_ || options.engine != options_.engine || options.threads != options_.threads) {
     engine = make_engine_(options.engine, options.threads);
@@ -175,8 +175,8 @@ void Pipeline::set_options(const PipelineOptions& options) {
   if (other_keypoints) extractor_.reset();
   if (other_depth) bit_depth_ = BitDepth(options_.significant_bits);
   if (estimator) estimator_ = std::move(estimator);
-  if (options_.motion_from_images != (flow_ != nullptr)) {
-    flow_ = options_.motion_from_images ? std::make_unique<ResidualFlow>() : nullptr;
+  if (options_.optical_flow != (flow_ != nullptr)) {
+    flow_ = options_.optical_flow ? std::make_unique<ResidualFlow>() : nullptr;
     alone_ = false;
   }
 }
@@ -219,7 +219,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   const bool by_flow =
       options_.flow_without_gyro == "always" || (options_.flow_without_gyro == "absent" && request.without_gyro);
   const bool alone = flow_ && by_flow && !motion.covers(assumed_exposure.frame());
-  const StandingCamera standing;
+  const StationaryCamera standing;
   const CameraMotion& known = alone ? standing : motion;
   cv::Mat luminance;
   ResidualField residuals;
@@ -243,7 +243,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   const Stopwatch blur_field_watch;
   watch_static_content(image, layout, motion, exposure, &luminance, &result);
   const auto field_by = [&](const RowExposure& by) {
-    return blur_field(known, by, residuals, alone, request.in_a_hurry);
+    return blur_field(known, by, residuals, alone, request.behind_camera_rate);
   };
   const auto field_by_found = [&](const RowExposure& found) {
     const std::optional<TimeRange> before = flow_before ? flow_before->newest_frame() : std::nullopt;
@@ -268,7 +268,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   if (request.exposure) {
     const Stopwatch watch;
     if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
-    settle_exposure(*request.exposure, luminance, image_has_luminance ? found_noise : std::nullopt, field_by_found,
+    choose_exposure(*request.exposure, luminance, image_has_luminance ? found_noise : std::nullopt, field_by_found,
                     &exposure, &result);
     result.times.exposure_ms = watch.ms();
   }
@@ -292,14 +292,14 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   {
     const Stopwatch watch;
     const bool weighs =
-        options_.kernel.gamma_rule == GammaRule::NOISE && result.field.count(BlockStatus::DEBLURRED) > 0;
+        options_.kernel.regularization == Regularization::NOISE && result.field.count(BlockStatus::DEBLURRED) > 0;
     if (luminance.empty() && (weighs || options_.noise.is_known())) {
       luminance = luminance8(image, layout, result.significant_bits);
     }
     result.field.noise = options_.noise.is_known() ? image_noise(luminance, options_.noise, mask_) : found_noise;
     result.field.contrast = image_contrast(image, layout, result.significant_bits, mask_);
     if (weighs) {
-      weigh_noise(luminance, *bank_, result.field, options_.threads, mask_);
+      adapt_regularization(luminance, *bank_, result.field, options_.threads, mask_);
     } else {
       for (BlockBlur& block : result.field.blocks) {
         if (block.status != BlockStatus::DEBLURRED) continue;
@@ -316,7 +316,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   const bool anything_to_deblur = result.field.count(BlockStatus::DEBLURRED) > 0;
   if ((request.image || request.global_shutter) && anything_to_deblur) {
     const Stopwatch watch;
-    result.slow_blocks = deconvolve(image, layout, result.field, *bank_, *engine_, result.image, options_.threads);
+    result.fallback_counts = deconvolve(image, layout, result.field, *bank_, *engine_, result.image, options_.threads);
     keep_range(image, result.significant_bits, result.image);
     result.times.deconvolution_ms = watch.ms();
   }
@@ -335,7 +335,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     if (anything_to_deblur) {
       cv::Mat deblurred;
       keep_larger(deconvolve(luminance, PixelLayout::GRAY, result.field, *bank_, *engine_, deblurred, options_.threads),
-                  result.slow_blocks);
+                  result.fallback_counts);
       luminance = deblurred;
     }
     result.times.deconvolution_ms += watch.ms();
@@ -352,14 +352,14 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
 }
 
 FrameBlur Pipeline::blur_field(const CameraMotion& known, const RowExposure& exposure, const ResidualField& residuals,
-                               bool alone, bool in_a_hurry) const {
-  FrameBlur field = estimator_->estimate(known, exposure, residuals, in_a_hurry);
+                               bool alone, bool behind_camera_rate) const {
+  FrameBlur field = estimator_->estimate(known, exposure, residuals, behind_camera_rate);
   if (alone) require_residuals(&field);
   mark_blocks(&field);
   return field;
 }
 
-void Pipeline::settle_exposure(const ExposureQuestion& question, const cv::Mat& luminance,
+void Pipeline::choose_exposure(const ExposureQuestion& question, const cv::Mat& luminance,
                                const std::optional<double>& noise,
                                const std::function<FrameBlur(const RowExposure&)>& field_by, RowExposure* exposure,
                                PipelineResult* result) {
@@ -403,7 +403,7 @@ void Pipeline::watch_static_content(const cv::Mat& image, PixelLayout layout, co
 }
 
 void Pipeline::mark_blocks(FrameBlur* field) const {
-  const FilterReach reach{options_.kernel.length_factor, engine_->prefers_plane()};
+  const FilterReach reach{options_.kernel.length_factor, engine_->prefers_2d()};
   mark_masked(mask_, field);
   mark_static_edges(mask_, reach, field);
   mark_static_edges(static_content_->edges(), reach, field);
@@ -425,7 +425,7 @@ std::optional<ResidualRotation> Pipeline::seen_rotation(const cv::Mat& luminance
   const Eigen::Vector3d told_rad_s = rate_at(motion, exposure.middle(0.5 * (grid.height_px() - 1)));
   if (++unaided_frames_ < kFewestFrames || told_rad_s.norm() < GyroUnitWatch::kLeastToldRadS) return std::nullopt;
   if (!unaided_flow_) unaided_flow_ = std::make_unique<ResidualFlow>();
-  const StandingCamera standing;
+  const StationaryCamera standing;
   unaided_flow_->set_mask(mask_);
   const ResidualField whole = unaided_flow_->follow(luminance, *camera_, standing, exposure, grid, options_.threads);
   std::optional<ResidualRotation> seen =

@@ -1,4 +1,4 @@
-// Which calibration frames go by: what was given, else what the images have told.
+// Which calibration holds for frames: what was given, else what was estimated from the images.
 #pragma once
 
 #include <optional>

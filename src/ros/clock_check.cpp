@@ -16,7 +16,7 @@ ClockCheck::Side ClockCheck::side(const Config& config, bool is_live) const {
   // gone; a second of latency is usual. What a recorder writes, it writes within a few seconds.
   constexpr TimeNs kUsualLatencyNs = 1'000'000'000, kLatestRecordingNs = 10'000'000'000;
   const TimeNs ahead_ns = *newest_image_ns_ + config.gyro.time_offset_ns - *newest_imu_ns_;
-  if (ahead_ns > (is_live ? std::max(config.gyro_timeout_ns, kUsualLatencyNs) : kLatestRecordingNs)) {
+  if (ahead_ns > (is_live ? std::max(config.input_timeout_ns, kUsualLatencyNs) : kLatestRecordingNs)) {
     return Side::IMAGES_AHEAD;
   }
   if (-ahead_ns > (is_live ? std::max(config.gyro.buffer_ns, kUsualLatencyNs) : kLatestRecordingNs)) {
@@ -59,7 +59,7 @@ void ClockCheck::report(const Config& config) const {
                 to_seconds(*newest_image_ns_), to_seconds(*newest_imu_ns_), std::abs(ahead_s),
                 ahead_s > 0 ? "ahead" : "behind", to_seconds(config.gyro.time_offset_ns), to_seconds(offset_ns),
                 ahead_s > 0 ? "IMU comes late" : "images come late",
-                ahead_s > 0 ? "gyro_timeout" : "gyro_buffer_duration");
+                ahead_s > 0 ? "input_timeout" : "gyro_buffer_duration");
   problems_.report(kKind, text);
 }
 

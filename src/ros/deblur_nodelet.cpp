@@ -33,10 +33,10 @@ std::uint32_t output_queue(const Config& config) {
   return static_cast<std::uint32_t>(config.frame_queue_size + kLag);
 }
 
-/// How often waiting frames are looked at when no message comes: timeouts are late by at most this.
+/// How often waiting frames are checked when no message comes: timeouts are late by at most this.
 constexpr std::chrono::milliseconds kPollPeriod{20};
 
-/// How long an image may fail to come before somebody is told.
+/// How long no image may come before that is reported.
 constexpr double kImageSilenceS = 5;
 
 /// Private parameters that are not keys of the configuration.
@@ -417,7 +417,7 @@ void DeblurNodelet::on_mask(const sensor_msgs::ImageConstPtr& mask) {
 }
 
 void DeblurNodelet::on_imu() {
-  guarded("taking an IMU sample in", [&] { processor_->notice_imu(); });
+  guarded("taking an IMU sample in", [&] { processor_->on_imu_sample(); });
   wake_worker();
 }
 

@@ -42,15 +42,16 @@ const char* remedy(PassThroughReason reason) {
     case PassThroughReason::BAD_CONFIGURATION:
       return "mend the parameter that the message names";
     case PassThroughReason::OVERLOAD:
-      return "too slow: fewer max_features, a faster detector (ORB), smaller images, or fewer subscribers";
+      return "too slow: fewer max_keypoints, a faster detector (ORB), smaller images, or fewer subscribers";
     case PassThroughReason::TIME_JUMP:
       return "expected when a bag loops; otherwise synchronise the clocks";
     case PassThroughReason::INTERNAL_ERROR:
       return "the log has the error";
     case PassThroughReason::GYRO_SATURATED:
       return "the camera turns faster than the gyroscope measures: set a larger range in its driver and in gyro_range";
-    case PassThroughReason::PARTNER:
-      return "see why the other image of the pair passes through, or set stereo_patience: 0 for cameras that are no "
+    case PassThroughReason::STEREO_PARTNER:
+      return "see why the other image of the pair passes through, or set stereo_sync_timeout: 0 for cameras that are "
+             "no "
              "pair";
     case PassThroughReason::NO_STAMP:
       return "have the driver stamp every image with the time of its exposure";
@@ -127,7 +128,7 @@ void DiagnosticReport::add(const FrameOutput& output) {
   latencies_["waiting"].add(output.waiting_ms);
   latencies_["processing"].add(output.total_ms);
   if (output.quality) {
-    ++quality_.verdicts[output.quality->verdict];
+    ++quality_.grades[output.quality->grade];
     if (output.quality->score >= 0) quality_.score_sum += output.quality->score, ++quality_.scores;
   }
   if (output.exposure) exposure_ = output.exposure;
@@ -172,7 +173,7 @@ void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) 
   add_quality(now, status);
   add_exposure(status);
   add_exposure_advice(now, status);
-  add_motion_from_images(now, status);
+  add_optical_flow(now, status);
   add_imu(now, status);
   for (const CalibrationRow& row : now.statistics.calibration) status->add("calibration, " + row.key, row.text);
   status->add("time jumps", now.statistics.time_jumps);
@@ -231,7 +232,7 @@ void DiagnosticReport::add_blocks(const Moment& now, DiagnosticStatusWrapper* st
   for (const auto& [block_status, count] : now.statistics.blocks) {
     status->add(std::string("blocks, ") + to_string(block_status), count);
   }
-  for (const auto& [reason, count] : now.statistics.slow_blocks) {
+  for (const auto& [reason, count] : now.statistics.fallback_counts) {
     status->add("blocks on the float engine, " + reason, count);
   }
   const auto fresh = [&](BlockStatus block_status) {
@@ -249,19 +250,20 @@ void DiagnosticReport::add_blocks(const Moment& now, DiagnosticStatusWrapper* st
 
 void DiagnosticReport::add_quality(const Moment& now, DiagnosticStatusWrapper* status) const {
   std::size_t frames = 0;
-  for (const auto& [verdict, count] : quality_.verdicts) frames += count;
-  for (const auto& [verdict, count] : quality_.verdicts) {
-    status->addf(std::string("images, ") + to_string(static_cast<QualityVerdict>(verdict)) + " [%]", "%.0f",
+  for (const auto& [grade, count] : quality_.grades) frames += count;
+  for (const auto& [grade, count] : quality_.grades) {
+    status->addf(std::string("images, ") + to_string(static_cast<QualityGrade>(grade)) + " [%]", "%.0f",
                  100 * static_cast<double>(count) / static_cast<double>(frames));
   }
   if (quality_.scores > 0) {
     status->addf("score of images, mean", "%.2f", quality_.score_sum / static_cast<double>(quality_.scores));
   }
-  status->add("images dropped, BAD", now.statistics.dropped_bad);
+  status->add("images dropped, POOR", now.statistics.dropped_bad);
   const std::size_t fresh = now.statistics.dropped_bad - last_.dropped_bad;
   if (fresh > 0) {
     status->mergeSummaryf(DiagnosticStatus::WARN,
-                          "%zu images dropped by drop_bad: they, or their partners, are BAD; see image_quality", fresh);
+                          "%zu images dropped by drop_poor: they, or their partners, are POOR; see image_quality",
+                          fresh);
   }
 }
 
@@ -291,14 +293,14 @@ void DiagnosticReport::add_exposure_advice(const Moment& now, DiagnosticStatusWr
   const TimeNs period_ns = now.statistics.frame_period_ns.value_or(kLongestNs);
   const auto advice = advise_exposure(*fast, std::clamp(period_ns, TimeNs{1}, kLongestNs));
   if (!advice) {
-    status->add("longest exposure that is undone well [ms]", "none: BAD at any, too dark for this motion");
+    status->add("longest exposure that is undone well [ms]", "none: POOR at any, too dark for this motion");
     return;
   }
   status->addf("longest exposure that is undone well [ms]", "%.1f", to_seconds(advice->longest_ns) * 1e3);
   status->addf("exposure with most corners [ms]", "%.1f", to_seconds(advice->best_ns) * 1e3);
 }
 
-void DiagnosticReport::add_motion_from_images(const Moment& now, DiagnosticStatusWrapper* status) const {
+void DiagnosticReport::add_optical_flow(const Moment& now, DiagnosticStatusWrapper* status) const {
   status->add("blocks with motion from images", now.statistics.blocks_from_images);
   status->add("frames by images alone", now.statistics.frames_by_images_alone);
   if (!from_images_.blocks_px.empty()) {

@@ -55,7 +55,7 @@ class DiagnosticReport {
   };
   /// What the images of a period are worth.
   struct Quality {
-    std::map<std::uint8_t, std::size_t> verdicts;  ///< frames, by ImageQuality's constants
+    std::map<std::uint8_t, std::size_t> grades;  ///< frames, by ImageQuality's constants
     double score_sum = 0;
     std::size_t scores = 0;
     std::vector<ExposureTerms> exposures;
@@ -67,7 +67,7 @@ class DiagnosticReport {
   void add_quality(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_exposure(diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_exposure_advice(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
-  void add_motion_from_images(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
+  void add_optical_flow(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_latencies(diagnostic_updater::DiagnosticStatusWrapper* status) const;
 
   std::mutex mutex_;  // everything below

@@ -155,16 +155,16 @@ void ExposureAdapter::pass_on(const std::string& type, const std::string& defini
     if (source_.kind == ExposureSource::Kind::AUTO && type == ros::message_traits::datatype<Exposure>()) {
       Exposure exposure;  // it may also bring a readout time
       deserialize_checked(bytes.data(), bytes.size(), &exposure);
-      processor->note_unreadable(kKind, "");
+      processor->record_unreadable(kKind, "");
       processor->add_exposure(exposure);
       return;
     }
     reading = read(type, definition, bytes.data(), bytes.size());
   } catch (const std::runtime_error& error) {
-    processor->note_unreadable(kKind, error.what());
+    processor->record_unreadable(kKind, error.what());
     return;
   }
-  processor->note_unreadable(kKind, "");
+  processor->record_unreadable(kKind, "");
   if (!reading) return;
   if (!reading->stamp_ns) {
     processor->add_exposure_setting(reading->exposure_ns);

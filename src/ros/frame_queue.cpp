@@ -8,47 +8,48 @@
 
 namespace gyro_deblur {
 
-std::size_t FrameQueue::unsettled() const {
+std::size_t FrameQueue::waiting() const {
   return static_cast<std::size_t>(std::count_if(frames_.begin(), frames_.end(), [](const PendingFrame& frame) {
-    return frame.verdict == PassThroughReason::NONE;
+    return frame.pass_through_reason == PassThroughReason::NONE;
   }));
 }
 
 std::size_t FrameQueue::push(PendingFrame frame) {
   frame.epoch = is_unset(frame.stamp_ns) ? epochs_.current() : epochs_.next(frame.stamp_ns);
   frames_.push_back(std::move(frame));
-  std::size_t settled = 0;
-  std::size_t waiting = unsettled();
+  std::size_t overdue = 0;
+  std::size_t still_waiting = waiting();
   for (PendingFrame& old : frames_) {
-    if (waiting <= capacity_) break;
-    if (old.verdict != PassThroughReason::NONE) continue;
-    old.settle(PassThroughReason::OVERLOAD,
-               "more than frame_queue_size = " + std::to_string(capacity_) + " frames were waiting");
-    --waiting;
-    ++settled;
+    if (still_waiting <= capacity_) break;
+    if (old.pass_through_reason != PassThroughReason::NONE) continue;
+    old.pass_through(PassThroughReason::OVERLOAD,
+                     "more than frame_queue_size = " + std::to_string(capacity_) + " frames were waiting");
+    --still_waiting;
+    ++overdue;
   }
-  return settled;
+  return overdue;
 }
 
-void FrameQueue::settle_before(int epoch, PassThroughReason reason, const std::string& text) {
+void FrameQueue::pass_through_before(int epoch, PassThroughReason reason, const std::string& text) {
   for (PendingFrame& frame : frames_) {
-    if (frame.epoch < epoch && frame.verdict == PassThroughReason::NONE) frame.settle(reason, text);
+    if (frame.epoch < epoch && frame.pass_through_reason == PassThroughReason::NONE) frame.pass_through(reason, text);
   }
 }
 
-void FrameQueue::settle_all(PassThroughReason reason, const std::string& text) {
-  settle_before(epochs_.begin(), reason, text);
+void FrameQueue::pass_through_all(PassThroughReason reason, const std::string& text) {
+  pass_through_before(epochs_.begin(), reason, text);
 }
 
-void FrameQueue::settle_old_epoch(PassThroughReason reason, const std::string& text) {
-  settle_before(epochs_.reset(), reason, text);
+void FrameQueue::pass_through_old_epoch(PassThroughReason reason, const std::string& text) {
+  pass_through_before(epochs_.reset(), reason, text);
 }
 
 std::size_t FrameQueue::ready_behind_front() const {
   if (frames_.empty()) return 0;
-  return static_cast<std::size_t>(std::count_if(
-      std::next(frames_.begin()), frames_.end(),
-      [](const PendingFrame& frame) { return frame.ready_steady_ns && frame.verdict == PassThroughReason::NONE; }));
+  return static_cast<std::size_t>(
+      std::count_if(std::next(frames_.begin()), frames_.end(), [](const PendingFrame& frame) {
+        return frame.ready_steady_ns && frame.pass_through_reason == PassThroughReason::NONE;
+      }));
 }
 
 PendingFrame FrameQueue::pop() {

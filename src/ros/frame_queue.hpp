@@ -34,40 +34,40 @@ struct PendingFrame {
   TimeNs arrival_steady_ns = 0;                  ///< steady clock
   std::optional<TimeNs> ready_steady_ns;         ///< steady clock; since when it has all that it needs
   int epoch = 0;                                 ///< set by the queue; grows when time was reset
-  /// Not NONE: it is settled that the frame passes through unchanged, and why.
-  PassThroughReason verdict = PassThroughReason::NONE;
-  std::string verdict_text;
-  Awaited awaits = Awaited::NOTHING;  ///< when it was looked at last
+  /// Why the frame passes through unchanged; NONE: nothing speaks against deblurring it.
+  PassThroughReason pass_through_reason = PassThroughReason::NONE;
+  std::string pass_through_text;
+  Awaited awaits = Awaited::NOTHING;  ///< when it was checked last
   std::string missing_extrinsic;      ///< why it waits for the rotation between IMU and camera; empty: it does not
-  bool verdict_told = false;          ///< to the partners of a stereo camera
+  bool partners_notified = false;     ///< to the partners of a stereo camera
 
   /// Stamp of the picture: of the first image that showed it.
   TimeNs picture_ns() const { return picture ? picture->stamp_ns : stamp_ns; }
 
-  void settle(PassThroughReason reason, const std::string& text) {
-    verdict = reason;
-    verdict_text = text;
+  void pass_through(PassThroughReason reason, const std::string& text) {
+    pass_through_reason = reason;
+    pass_through_text = text;
   }
 };
 
-/// First in, first out; nothing is ever lost: a frame that cannot wait any longer is settled and leaves in its turn.
+/// First in, first out; nothing is ever lost: a frame that cannot wait any longer passes through in its turn.
 /// Not thread-safe.
 class FrameQueue {
  public:
-  /// Precondition: capacity >= 1, the frames that may wait unsettled.
+  /// Precondition: capacity >= 1, the frames that may wait.
   explicit FrameQueue(std::size_t capacity) : capacity_(capacity) {}
 
   void set_capacity(std::size_t capacity) { capacity_ = capacity; }
 
-  /// Appends a frame; the oldest unsettled ones beyond the capacity are settled as OVERLOAD.
+  /// Appends a frame; the oldest waiting ones beyond the capacity pass through as OVERLOAD.
   /// @return how many were
   std::size_t push(PendingFrame frame);
 
-  /// Settles every unsettled frame.
-  void settle_all(PassThroughReason reason, const std::string& text);
+  /// Passes every waiting frame through.
+  void pass_through_all(PassThroughReason reason, const std::string& text);
 
-  /// Settles the unsettled frames from before time was reset, see EpochCounter::reset.
-  void settle_old_epoch(PassThroughReason reason, const std::string& text);
+  /// Passes the waiting frames through that are from before time was reset, see EpochCounter::reset.
+  void pass_through_old_epoch(PassThroughReason reason, const std::string& text);
 
   bool empty() const { return frames_.empty(); }
   std::size_t size() const { return frames_.size(); }
@@ -85,8 +85,8 @@ class FrameQueue {
   void put_back(PendingFrame frame) { frames_.push_front(std::move(frame)); }
 
  private:
-  std::size_t unsettled() const;
-  void settle_before(int epoch, PassThroughReason reason, const std::string& text);
+  std::size_t waiting() const;
+  void pass_through_before(int epoch, PassThroughReason reason, const std::string& text);
 
   std::size_t capacity_;
   std::deque<PendingFrame> frames_;

@@ -59,40 +59,40 @@ bool GyroSource::add(const sensor_msgs::Imu& imu) {
 }
 
 bool GyroSource::take(const GyroSample& sample) {
-  const auto ruling = stamps_.add(sample, imu_stamps(check_.longest_step_ns(options_.gyro), options_.time_jump_ns));
-  if (ruling.newest_refused) {
+  const auto result = stamps_.add(sample, imu_stamps(check_.longest_step_ns(options_.gyro), options_.time_jump_ns));
+  if (result.newest_refused) {
     --statistics_.imu_accepted;
     if (is_saturated(buffer_.drop_newest(), options_.gyro)) --statistics_.imu_saturated;
   }
-  if (ruling.reset) {
+  if (result.reset) {
     ++epoch_;
-    restarted_from_ns_ = ruling.reset->from_ns;
-    restarted_at_ns_ = ruling.reset->to_ns;
+    restarted_from_ns_ = result.reset->from_ns;
+    restarted_at_ns_ = result.reset->to_ns;
     buffer_.clear();
   }
-  for (const GyroSample& taken : ruling.taken) {
+  for (const GyroSample& taken : result.taken) {
     buffer_.add(taken);
     ++statistics_.imu_accepted;
     if (is_saturated(taken, options_.gyro)) ++statistics_.imu_saturated;
   }
-  if (ruling.late) ++statistics_.imu_out_of_order;
-  for (const auto& refused : ruling.refused) refuse(refused);
-  return !ruling.taken.empty();
+  if (result.late) ++statistics_.imu_out_of_order;
+  for (const auto& refused : result.refused) refuse(refused);
+  return !result.taken.empty();
 }
 
-void GyroSource::refuse(const StampRuling<GyroSample>::Refused& refused) {
+void GyroSource::refuse(const TimestampFilterResult<GyroSample>::Refused& refused) {
   const std::string stamp_text = seconds_text(refused.message.t_ns);
   switch (refused.why) {
-    case Misfit::REPEATED:
+    case RejectReason::REPEATED:
       ++statistics_.imu_duplicate;
       log_(LogLevel::WARNING, "imu duplicate", "imu sample dropped: a second one with the stamp " + stamp_text + " s");
       break;
-    case Misfit::LATE:  // counted when it came
+    case RejectReason::LATE:  // counted when it came
       log_(LogLevel::WARNING, "imu out of order",
            "imu sample dropped: its stamp " + stamp_text + " s is before that of the one before it");
       break;
-    case Misfit::FAR:
-    case Misfit::AHEAD:
+    case RejectReason::FAR:
+    case RejectReason::AHEAD:
       ++statistics_.imu_stray;
       log_(LogLevel::WARNING, "imu stray",
            "imu sample dropped: its stamp " + stamp_text + " s is far from those around it");

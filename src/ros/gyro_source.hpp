@@ -16,8 +16,8 @@
 #include "gyro_deblur/time.hpp"
 #include "ros/gyro_check.hpp"
 #include "ros/input_problems.hpp"
-#include "ros/stamp_rule.hpp"
 #include "ros/throttled_log.hpp"
+#include "ros/timestamp_filter.hpp"
 
 namespace gyro_deblur {
 
@@ -34,7 +34,7 @@ struct ImuStatistics {
 
 /// Takes the messages of one IMU in and keeps their samples as the sensor gave them: bias, time offset and rotation are
 /// those of each camera, and applied by it. Messages that cannot be used are dropped, counted and logged; for stamps
-/// StampRule decides with imu_stamps. When the IMU's clock was set back, everything from before is forgotten.
+/// TimestampFilter decides with imu_stamps. When the IMU's clock was set back, everything from before is forgotten.
 /// Thread-safe.
 class GyroSource {
  public:
@@ -69,7 +69,7 @@ class GyroSource {
 
   /// True when the newest sample in store is this one.
   bool take(const GyroSample& sample);
-  void refuse(const StampRuling<GyroSample>::Refused& refused);
+  void refuse(const TimestampFilterResult<GyroSample>::Refused& refused);
   void resize(TimeNs capacity_ns);
 
   ThrottledLog log_;
@@ -79,7 +79,7 @@ class GyroSource {
   Options options_;
   GyroCheck check_{&problems_};
   GyroBuffer buffer_;
-  StampRule<GyroSample> stamps_;
+  TimestampFilter<GyroSample> stamps_;
   std::string frame_id_;
   ImuStatistics statistics_;
   int epoch_ = 0;  // grows when the clock was set back

@@ -40,7 +40,7 @@ PixelType pixel_type_of(const std::string& encoding) {
   throw FrameError(PassThroughReason::UNSUPPORTED_ENCODING,
                    "encoding \"" + encoding +
                        "\" is not one of mono8, mono16, 8UC1, 16UC1, bgr8, rgb8, 8UC3, bgra8, rgba8, their 16-bit "
-                       "kin, bayer_*8/16, yuv422 and yuv422_yuy2");
+                       "variants, bayer_*8/16, yuv422 and yuv422_yuy2");
 }
 
 }  // namespace

@@ -16,7 +16,7 @@ constexpr char kNoExtrinsic[] = "no extrinsic";
 
 /// Images are deblurred by optical flow alone where the IMU is absent or silent.
 inline bool goes_without_imu(const Config& config) {
-  return config.pipeline.motion_from_images && config.pipeline.flow_without_gyro != "never";
+  return config.pipeline.optical_flow && config.pipeline.flow_without_gyro != "never";
 }
 
 /// Reports each missing input once, and resolves the report when the input has come. By a clock that does not stop with

@@ -69,12 +69,12 @@ BlurFieldPtr pass_through_message(PassThroughReason reason, const std::string& t
 ImageQualityPtr to_message(const FrameQuality& quality, const std_msgs::Header& header) {
   auto message = boost::make_shared<ImageQuality>();
   message->header = header;
-  message->verdict = static_cast<std::uint8_t>(quality.verdict);
+  message->grade = static_cast<std::uint8_t>(quality.grade);
   message->score = quality.score ? static_cast<float>(*quality.score) : kUnknown;
   message->extent_median = static_cast<float>(quality.before.median_px);
   message->extent_p95 = static_cast<float>(quality.before.p95_px);
-  message->left_median = static_cast<float>(quality.after.median_px);
-  message->left_p95 = static_cast<float>(quality.after.p95_px);
+  message->residual_extent_median = static_cast<float>(quality.after.median_px);
+  message->residual_extent_p95 = static_cast<float>(quality.after.p95_px);
   message->noise = quality.noise ? static_cast<float>(*quality.noise) : kUnknown;
   message->contrast = static_cast<float>(quality.contrast);
   const auto share = [&quality](BlockStatus status) { return static_cast<float>(quality.share(status)); };
@@ -83,7 +83,7 @@ ImageQualityPtr to_message(const FrameQuality& quality, const std_msgs::Header& 
   message->rejected = share(BlockStatus::REJECTED);
   message->too_large = share(BlockStatus::TOO_LARGE);
   message->no_gyro = share(BlockStatus::NO_GYRO);
-  message->bent = share(BlockStatus::BENT);
+  message->too_curved = share(BlockStatus::TOO_CURVED);
   message->noisy = share(BlockStatus::NOISY);
   message->masked = share(BlockStatus::MASKED);
   message->static_edge = share(BlockStatus::STATIC_EDGE);

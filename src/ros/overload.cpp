@@ -36,8 +36,8 @@ std::string OverloadRule::judge(TimeNs now_ns, TimeNs ready_ns, std::size_t read
          seconds_text(*frame_period_ns) + " s";
 }
 
-bool OverloadRule::is_in_a_hurry(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
-                                 std::optional<TimeNs> frame_period_ns) {
+bool OverloadRule::is_behind_camera_rate(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
+                                         std::optional<TimeNs> frame_period_ns) {
   return ready_behind > 0 && frame_period_ns && now_ns - ready_ns > *frame_period_ns;
 }
 

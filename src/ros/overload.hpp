@@ -12,18 +12,18 @@ namespace gyro_deblur {
 
 /// The newest frames matter to SLAM: when processing is slower than the camera, frames that are ready wait in a queue
 /// of two. When it is fast, more that are ready at once (the IMU's samples come in batches, a network that stalled) are
-/// a burst, which it works off. Times are of a steady clock; without one nobody is in a hurry, and nothing is overload.
+/// a burst, which it works off. Times are of a steady clock; without one nothing is overload.
 /// Not thread-safe.
 class OverloadRule {
  public:
   /// Frames that are ready behind the foremost one before that can be passed over.
   static constexpr std::size_t kReadyQueue = 2;
 
-  /// Processing of a frame begins. How long it takes counts when it is in a hurry, or takes less than those that were:
-  /// what has time may take it.
-  void begin(TimeNs steady_ns, bool in_a_hurry) {
+  /// Processing of a frame begins. How long it takes counts when it is behind the camera's rate, or takes less than
+  /// those that were: what has time may take it.
+  void begin(TimeNs steady_ns, bool behind_camera_rate) {
     begun_ns_ = steady_ns;
-    in_a_hurry_ = in_a_hurry;
+    in_a_hurry_ = behind_camera_rate;
   }
   /// The next frame is asked for: what was begun has ended, its publishing included.
   void end(TimeNs steady_ns);
@@ -36,8 +36,8 @@ class OverloadRule {
 
   /// Whether the foremost frame has waited for so long that it should take as little time as it can, so that none has
   /// to be passed over. Arguments as above.
-  static bool is_in_a_hurry(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
-                            std::optional<TimeNs> frame_period_ns);
+  static bool is_behind_camera_rate(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
+                                    std::optional<TimeNs> frame_period_ns);
 
  private:
   TimeNs usual_ns() const;  // precondition: some are kept

@@ -28,8 +28,8 @@ const char* to_string(PassThroughReason reason) {
       return "INTERNAL_ERROR";
     case PassThroughReason::GYRO_SATURATED:
       return "GYRO_SATURATED";
-    case PassThroughReason::PARTNER:
-      return "PARTNER";
+    case PassThroughReason::STEREO_PARTNER:
+      return "STEREO_PARTNER";
     case PassThroughReason::NO_STAMP:
       return "NO_STAMP";
   }

@@ -21,7 +21,7 @@ enum class PassThroughReason : std::uint8_t {
   TIME_JUMP = 9,             ///< the clock was reset while the frame waited
   INTERNAL_ERROR = 10,       ///< an exception while processing; the log has its text
   GYRO_SATURATED = 11,       ///< no block's exposure is free of samples at the gyroscope's limit
-  PARTNER = 12,              ///< the other image of a stereo pair stays blurred
+  STEREO_PARTNER = 12,       ///< the other image of a stereo pair stays blurred
   NO_STAMP = 13,             ///< the image's stamp is 0: nobody has set it
 };
 
@@ -31,7 +31,7 @@ const char* to_string(PassThroughReason reason);
 /// What has been decided on a frame whose blur is known.
 struct FrameDecision {
   std::string refusal;  ///< why nothing of it is deblurred; empty: what may be is
-  std::string drop;     ///< why it is not published, see Config::drop_bad; empty: it is
+  std::string drop;     ///< why it is not published, see Config::drop_poor; empty: it is
 };
 
 /// A frame that has to be passed through, with the reason and one line that has the values involved.

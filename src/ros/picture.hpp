@@ -20,7 +20,7 @@ namespace gyro_deblur {
 
 /// When a picture was exposed, and how the camera moved meanwhile; copies, so that it needs no lock.
 struct PictureMotion {
-  std::optional<RowExposure> exposure;  ///< by the plan, until the images have told more
+  std::optional<RowExposure> exposure;  ///< by the plan, until it is known from the images
   ExposurePlan plan;
   GyroOptions gyro;  ///< with the bias in use
   Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();

@@ -33,9 +33,9 @@ struct MadePicture {
   PipelineResult result;
 
   /// Whether it is what would be made of this frame for this request.
-  bool serves(const AssembledFrame& assembled, const PipelineRequest& wanted) const {
-    return configuration == assembled.configuration && calibration == *assembled.frame.calibration &&
-           mask.is_same(assembled.mask) && (request.image || !wanted.image) &&
+  bool serves(const SynchronizedFrame& synchronized, const PipelineRequest& wanted) const {
+    return configuration == synchronized.configuration && calibration == *synchronized.frame.calibration &&
+           mask.is_same(synchronized.mask) && (request.image || !wanted.image) &&
            (request.keypoints || !wanted.keypoints) && (request.global_shutter || !wanted.global_shutter);
   }
 };
@@ -47,11 +47,11 @@ double elapsed_ms(std::chrono::steady_clock::time_point since) {
 }
 
 /// What is wrong with saturated samples among those that the frame itself needs; empty when there is none.
-std::string saturation_text(const AssembledFrame& assembled) {
-  const GyroOptions& options = assembled.gyro;
+std::string saturation_text(const SynchronizedFrame& synchronized) {
+  const GyroOptions& options = synchronized.gyro;
   const auto saturated = [&options](const GyroSample& sample) { return is_saturated(sample, options); };
-  const auto begin = assembled.samples.begin() + static_cast<std::ptrdiff_t>(assembled.own_begin),
-             end = assembled.samples.begin() + static_cast<std::ptrdiff_t>(assembled.own_end);
+  const auto begin = synchronized.samples.begin() + static_cast<std::ptrdiff_t>(synchronized.own_begin),
+             end = synchronized.samples.begin() + static_cast<std::ptrdiff_t>(synchronized.own_end);
   const auto first = std::find_if(begin, end, saturated);
   if (first == end) return {};
   char range[40];
@@ -62,16 +62,16 @@ std::string saturation_text(const AssembledFrame& assembled) {
 }
 
 /// The blur field's message, and why blocks or the whole frame are as they were.
-void add_field(const AssembledFrame& assembled, const RowExposure& exposure, const RotationTrack& rotation,
+void add_field(const SynchronizedFrame& synchronized, const RowExposure& exposure, const RotationTrack& rotation,
                const FrameBlur& field, FrameOutput* output) {
-  const sensor_msgs::Image& image = *assembled.frame.image;
+  const sensor_msgs::Image& image = *synchronized.frame.image;
   output->blur_field = to_message(field, image.header);
   const std::size_t uncovered = field.count(BlockStatus::NO_GYRO);
   const bool gyro_covers = rotation.covers(exposure.frame());
-  const std::string saturation = gyro_covers ? "" : saturation_text(assembled);
+  const std::string saturation = gyro_covers ? "" : saturation_text(synchronized);
   if (uncovered > 0) {
     output->reason_text = gyro_covers          ? "blocks lie beyond the range of the lens model"
-                          : saturation.empty() ? assembled.coverage_text
+                          : saturation.empty() ? synchronized.coverage_text
                                                : saturation;
   }
   if (uncovered == field.blocks.size()) {
@@ -81,7 +81,7 @@ void add_field(const AssembledFrame& assembled, const RowExposure& exposure, con
     output->blur_field = pass_through_message(output->reason, output->reason_text, image);
   }
   if (field.images_alone && output->reason == PassThroughReason::NONE) {
-    output->reason_text = "images alone: " + (saturation.empty() ? assembled.coverage_text : saturation);
+    output->reason_text = "images alone: " + (saturation.empty() ? synchronized.coverage_text : saturation);
   }
   output->blur_field->reason_text = output->reason_text;
 }
@@ -106,19 +106,19 @@ Permit permit_of(const FrameDecision& decision) {
 
 /// The pipeline's work, which is not done again for a picture that comes again.
 /// @param decision  set to what `decide` says of the field
-/// @param chosen    set to what `settle_exposure` says, where it is asked
-PipelineResult make(const AssembledFrame& assembled, const FrameRequest& request, const ImageView& view,
+/// @param chosen    set to what `choose_exposure` says, where it is asked
+PipelineResult make(const SynchronizedFrame& synchronized, const FrameRequest& request, const ImageView& view,
                     const RotationTrack& rotation, FrameDecision* decision, ChosenExposure* chosen) {
-  const PendingFrame& frame = assembled.frame;
+  const PendingFrame& frame = synchronized.frame;
   PipelineRequest wanted;
   wanted.image = request.image;
   wanted.keypoints = request.keypoints;
   wanted.global_shutter = request.global_shutter;
-  wanted.in_a_hurry = assembled.in_a_hurry;
+  wanted.behind_camera_rate = synchronized.behind_camera_rate;
   wanted.repeats_picture = frame.repeats;
-  wanted.without_gyro = assembled.without_gyro;
+  wanted.without_gyro = synchronized.without_gyro;
   const std::shared_ptr<const MadePicture> made = frame.picture ? frame.picture->made : nullptr;
-  if (made && frame.repeats && made->serves(assembled, wanted)) {
+  if (made && frame.repeats && made->serves(synchronized, wanted)) {
     if (request.decide) *decision = request.decide(made->result.field);
     if (permit_of(*decision) == Permit::DEBLUR) {
       PipelineResult result = made->result;
@@ -134,57 +134,58 @@ PipelineResult make(const AssembledFrame& assembled, const FrameRequest& request
       return permit_of(*decision);
     };
   }
-  if (request.settle_exposure) {
+  if (request.choose_exposure) {
     const auto answer = [&request, chosen](const std::optional<ExposureEstimate>& estimate, double mean_brightness) {
-      *chosen = request.settle_exposure(estimate, mean_brightness);
+      *chosen = request.choose_exposure(estimate, mean_brightness);
       return ExposureAnswer{chosen->exposure_ns, chosen->origin != ExposureOrigin::ASSUMED};
     };
-    const ExposurePlan& plan = assembled.plan;
-    wanted.exposure = ExposureQuestion{plan.estimate && !plan.settled, plan.longest_ns, answer};
+    const ExposurePlan& plan = synchronized.plan;
+    wanted.exposure = ExposureQuestion{plan.estimate && !plan.decided, plan.longest_ns, answer};
   }
-  PipelineResult result = assembled.pipeline->process(view.image, view.layout, rotation, *assembled.exposure, wanted);
-  if (assembled.pictures_repeat && frame.picture && permit_of(*decision) == Permit::DEBLUR) {
+  PipelineResult result =
+      synchronized.pipeline->process(view.image, view.layout, rotation, *synchronized.exposure, wanted);
+  if (synchronized.pictures_repeat && frame.picture && permit_of(*decision) == Permit::DEBLUR) {
     wanted.permit = nullptr;
     wanted.exposure.reset();
     frame.picture->made = std::make_shared<MadePicture>(
-        MadePicture{frame.image, assembled.configuration, *frame.calibration, assembled.mask, wanted, result});
+        MadePicture{frame.image, synchronized.configuration, *frame.calibration, synchronized.mask, wanted, result});
   }
   return result;
 }
 
 /// Precondition: the frame is ready.
-void deblur(const AssembledFrame& assembled, const FrameRequest& request, FeatureTracker* tracker,
+void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, FeatureTracker* tracker,
             FrameOutput* output) {
-  const PendingFrame& frame = assembled.frame;
-  Pipeline& pipeline = *assembled.pipeline;
+  const PendingFrame& frame = synchronized.frame;
+  Pipeline& pipeline = *synchronized.pipeline;
   auto start = std::chrono::steady_clock::now();
   const ImageView view = view_image(*frame.image);
   output->messages_ms += elapsed_ms(start);
 
   start = std::chrono::steady_clock::now();
-  pipeline.set_options(assembled.options);
+  pipeline.set_options(synchronized.options);
   pipeline.set_calibration(*frame.calibration);
-  pipeline.set_mask(assembled.mask);
-  const RotationTrack rotation(assembled.samples, assembled.gyro, assembled.R_cam_imu, assembled.own_begin);
+  pipeline.set_mask(synchronized.mask);
+  const RotationTrack rotation(synchronized.samples, synchronized.gyro, synchronized.R_cam_imu, synchronized.own_begin);
   const double preparation_ms = elapsed_ms(start);
   FrameDecision decision;
-  ChosenExposure chosen{assembled.plan.origin, assembled.plan.exposure_ns, assembled.plan.log_stddev};
-  PipelineResult result = make(assembled, request, view, rotation, &decision, &chosen);
+  ChosenExposure chosen{synchronized.plan.origin, synchronized.plan.exposure_ns, synchronized.plan.log_stddev};
+  PipelineResult result = make(synchronized, request, view, rotation, &decision, &chosen);
   output->exposure = FrameExposure{chosen, result.exposure_need};
-  const RowExposure exposure = assembled.exposure->with_exposure(result.exposure_ns);
+  const RowExposure exposure = synchronized.exposure->with_exposure(result.exposure_ns);
   // What is said of a picture holds for the image that shows it, as though it had been exposed by that one's stamp.
   result.reference_ns += frame.stamp_ns - frame.picture_ns();
   output->stages = result.times;
   output->stages.blur_field_ms += preparation_ms;  // of what the field is predicted from
   if (result.residual_rotation) {
-    const Eigen::Matrix3d R_imu_cam = assembled.R_cam_imu.transpose();
+    const Eigen::Matrix3d R_imu_cam = synchronized.R_cam_imu.transpose();
     output->residual_rotation = result.residual_rotation;
     output->residual_rotation->rate_rad_s = R_imu_cam * result.residual_rotation->rate_rad_s;
     output->residual_rotation->known_rad_s = R_imu_cam * result.residual_rotation->known_rad_s;
   }
   output->static_share = result.static_share;
   output->seen_rotation = result.seen_rotation;
-  output->slow_blocks = result.slow_blocks;
+  output->fallback_counts = result.fallback_counts;
   output->engine_warning = pipeline.take_warning();
   output->keypoints_text = result.keypoints_text;
 
@@ -194,9 +195,9 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   const std_msgs::Header& header = frame.image->header;
   if (request.tracks && !output->dropped) {
     start = std::chrono::steady_clock::now();
-    tracker->set_options(assembled.tracker_options);
-    tracker->set_threads(assembled.options.threads);
-    tracker->set_mask(assembled.mask);
+    tracker->set_options(synchronized.tracker_options);
+    tracker->set_threads(synchronized.options.threads);
+    tracker->set_mask(synchronized.mask);
     const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
     output->tracks = to_message((tracker->*track)(luminance8(view.image, view.layout, result.significant_bits),
                                                   Camera(*frame.calibration), rotation, exposure, &result.field),
@@ -222,45 +223,45 @@ void deblur(const AssembledFrame& assembled, const FrameRequest& request, Featur
   if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
   const FrameQuality quality = assess_quality(result.field);
   output->quality = to_message(quality, header);
-  if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field, assembled.mask), header);
+  if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field, synchronized.mask), header);
   if (decision.refusal.empty() || output->dropped) {
     output->exposure_terms =
-        exposure_terms(result.field, quality, assembled.options.blur_field, assembled.options.noise);
-    add_field(assembled, exposure, rotation, result.field, output);
+        exposure_terms(result.field, quality, synchronized.options.blur_field, synchronized.options.noise);
+    add_field(synchronized, exposure, rotation, result.field, output);
     output->field = std::move(result.field);
   } else {
-    output->reason = PassThroughReason::PARTNER;
+    output->reason = PassThroughReason::STEREO_PARTNER;
     output->reason_text = decision.refusal;
   }
-  if (output->dropped) output->blur_field->reason_text = output->reason_text = "drop_bad: " + decision.drop;
+  if (output->dropped) output->blur_field->reason_text = output->reason_text = "drop_poor: " + decision.drop;
   output->messages_ms += elapsed_ms(start);
 }
 
 /// Keypoints of a frame that passes through; an empty array when it can have none.
 /// @param output  gets the time, and why they could not be found, where that is so
-KeypointArrayPtr raw_keypoints(const AssembledFrame& assembled, PassThroughReason reason, FrameOutput* output) {
-  const PendingFrame& frame = assembled.frame;
+KeypointArrayPtr raw_keypoints(const SynchronizedFrame& synchronized, PassThroughReason reason, FrameOutput* output) {
+  const PendingFrame& frame = synchronized.frame;
   auto none = boost::make_shared<KeypointArray>();
   none->header = frame.image->header;
   none->reference_time = none->header.stamp;
   // When too much waits, what is left of the work has to be quick.
-  if (!assembled.pipeline || reason == PassThroughReason::OVERLOAD) return none;
+  if (!synchronized.pipeline || reason == PassThroughReason::OVERLOAD) return none;
   try {
     const ImageView view = view_image(*frame.image);
     std::optional<CameraCalibration> calibration = frame.calibration;
     if (!calibration && frame.info) {
       try {
-        calibration = to_calibration(*frame.info, view.image.cols, view.image.rows, assembled.rectified_input);
+        calibration = to_calibration(*frame.info, view.image.cols, view.image.rows, synchronized.rectified_input);
       } catch (const OptionError&) {
         // Normalised coordinates are not known then.
       }
     }
-    assembled.pipeline->set_options(assembled.options);
-    assembled.pipeline->set_mask(assembled.mask);
-    const PipelineResult result = assembled.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration);
+    synchronized.pipeline->set_options(synchronized.options);
+    synchronized.pipeline->set_mask(synchronized.mask);
+    const PipelineResult result = synchronized.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration);
     output->keypoints_text = result.keypoints_text;
     output->stages.keypoints_ms = result.times.keypoints_ms;
-    return to_message(result, assembled.options.keypoints, none->header);
+    return to_message(result, synchronized.options.keypoints, none->header);
   } catch (const std::exception&) {
     return none;  // the frame has its reason already
   }
@@ -283,7 +284,7 @@ void pass_through_failed(const std::string& text, FrameOutput* output) {
   output->field.reset();
   output->exposure.reset();
   output->exposure_terms.reset();
-  output->slow_blocks.clear();
+  output->fallback_counts.clear();
   output->blur_field.reset();
   output->quality.reset();
   output->trust_mask.reset();
@@ -302,22 +303,22 @@ void pass_through_failed(const std::string& text, FrameOutput* output) {
 
 std::string drop_text(const FrameBlur& field) {
   const FrameQuality quality = assess_quality(field);
-  if (quality.verdict != QualityVerdict::BAD) return {};
+  if (quality.grade != QualityGrade::POOR) return {};
   char text[40];
-  std::snprintf(text, sizeof(text), "BAD, with a score of %.3f", *quality.score);
+  std::snprintf(text, sizeof(text), "POOR, with a score of %.3f", *quality.score);
   return text;
 }
 
-FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request, FeatureTracker* tracker) {
+FrameOutput process(const SynchronizedFrame& synchronized, const FrameRequest& request, FeatureTracker* tracker) {
   const auto start = std::chrono::steady_clock::now();
-  const PendingFrame& frame = assembled.frame;
+  const PendingFrame& frame = synchronized.frame;
   FrameOutput output;
   output.input = output.image = frame.image;
-  output.reason = frame.verdict;
-  output.reason_text = frame.verdict_text;
+  output.reason = frame.pass_through_reason;
+  output.reason_text = frame.pass_through_text;
   if (output.reason == PassThroughReason::NONE) {
     try {
-      deblur(assembled, request, tracker, &output);
+      deblur(synchronized, request, tracker, &output);
     } catch (const std::exception& error) {
       pass_through_failed(error.what(), &output);
     } catch (...) {
@@ -341,7 +342,7 @@ FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request
   if (request.trust_mask && !output.trust_mask) output.trust_mask = no_trust(*frame.image);
   if (request.keypoints && !output.keypoints) {
     const double found_ms = output.stages.keypoints_ms;
-    output.keypoints = raw_keypoints(assembled, output.reason, &output);
+    output.keypoints = raw_keypoints(synchronized, output.reason, &output);
     output.messages_ms -= output.stages.keypoints_ms - found_ms;
   }
   if (request.markers && !output.markers) output.markers = no_markers(frame.image->header);

@@ -1,4 +1,4 @@
-// Makes of an assembled frame what leaves.
+// Makes of an synchronized frame what leaves.
 #pragma once
 
 #include <functional>
@@ -15,7 +15,7 @@
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/residual_rotation.hpp"
-#include "ros/assembly.hpp"
+#include "ros/frame_synchronizer.hpp"
 #include "ros/messages.hpp"
 #include "ros/pass_through.hpp"
 
@@ -34,7 +34,7 @@ struct FrameRequest {
   std::function<FrameDecision(const FrameBlur&)> decide = {};
   /// Told what the blur says of the exposure time and the mean grey level; returns the exposure to deblur by. Absent:
   /// the plan's is certain.
-  std::function<ChosenExposure(const std::optional<ExposureEstimate>&, double)> settle_exposure = {};
+  std::function<ChosenExposure(const std::optional<ExposureEstimate>&, double)> choose_exposure = {};
 };
 
 /// The exposure time that a frame was deblurred by.
@@ -69,7 +69,7 @@ struct FrameOutput {
   std::optional<FrameBlur> field;                     ///< of the core; absent when the pipeline did not run
   std::optional<FrameExposure> exposure;              ///< absent when the pipeline did not run
   std::optional<ExposureTerms> exposure_terms;        ///< of the field, where they are known
-  SlowBlocks slow_blocks;                             ///< that left the engine's fast path, by reason
+  FallbackCounts fallback_counts;                     ///< that left the engine's fast path, by reason
   std::string engine_warning;                         ///< what the engine has to tell; mostly empty
   std::optional<ResidualRotation> residual_rotation;  ///< axes of the IMU; absent where images tell too little
   double static_share = 0;                            ///< of the image, see PipelineResult::static_share
@@ -81,12 +81,12 @@ struct FrameOutput {
   double total_ms = 0;                                ///< of processing, without waiting
 };
 
-/// Why Config::drop_bad keeps an image with this validated field from being published; empty: it does not.
+/// Why Config::drop_poor keeps an image with this validated field from being published; empty: it does not.
 std::string drop_text(const FrameBlur& field);
 
-/// The last station of a frame. Depends on nothing but the frame, the request and the images that the tracker has seen.
+/// Processes a frame. Depends on nothing but the frame, the request and the images that the tracker has seen.
 /// Exceptions of the pipeline become INTERNAL_ERROR; those of passing a frame through (for lack of memory) pass.
 /// @param tracker  of this camera; one thread at a time
-FrameOutput process(const AssembledFrame& assembled, const FrameRequest& request, FeatureTracker* tracker);
+FrameOutput process(const SynchronizedFrame& synchronized, const FrameRequest& request, FeatureTracker* tracker);
 
 }  // namespace gyro_deblur

@@ -22,7 +22,7 @@ LogLevel level_of(PassThroughReason reason) {
     case PassThroughReason::NO_EXPOSURE_TIME:
     case PassThroughReason::GYRO_SATURATED:
     case PassThroughReason::OVERLOAD:
-    case PassThroughReason::PARTNER:
+    case PassThroughReason::STEREO_PARTNER:
     case PassThroughReason::NO_STAMP:
       return LogLevel::WARNING;
     default:
@@ -34,7 +34,7 @@ LogLevel level_of(PassThroughReason reason) {
 DropTerms drop_terms(const FrameBlur& field) {
   FrameBlur left = field;
   left.reject_all();
-  return {assess_quality(field).verdict != QualityVerdict::UNKNOWN, drop_text(field), drop_text(left)};
+  return {assess_quality(field).grade != QualityGrade::UNKNOWN, drop_text(field), drop_text(left)};
 }
 
 }  // namespace
@@ -50,9 +50,9 @@ Processor::Processor(Environment environment)
       self_calibrator_(environment_.self_calibration, &log_),
       calibration_(&problems_, environment_.log),
       mask_(&problems_),
-      intake_({environment_.clock, environment_.steady_clock}, gyro_source_, environment_.exposure_expected,
-              environment_.log, &log_, &problems_),
-      assembly_(intake_, environment_.extrinsic, &log_, &problems_),
+      input_buffers_({environment_.clock, environment_.steady_clock}, gyro_source_, environment_.exposure_expected,
+                     environment_.log, &log_, &problems_),
+      frame_synchronizer_(input_buffers_, environment_.extrinsic, &log_, &problems_),
       repetitions_(&problems_) {}
 
 void Processor::set_config(const Config& config) {
@@ -75,16 +75,16 @@ void Processor::set_config(const Config& config) {
   const std::lock_guard<std::mutex> lock(mutex_);
   config_ = config;
   calibration_.set_config(config);
-  note_calibration_file();
+  record_calibration_file();
   self_calibrator_.set_expected_offset(config.given.time_offset ? config.gyro.time_offset_ns : 0);
   ++configurations_;
   config_error_.clear();
   pipeline_ = std::move(pipeline);
   mask_.set_file(config.mask_file);
-  intake_.set_config(config);
+  input_buffers_.set_config(config);
   exposures_.set_policy(config.on_exposure_conflict);
   gyro_errors_.clear();
-  if (environment_.stereo) environment_.stereo->set_patience(config.stereo_patience_ns);
+  if (environment_.stereo) environment_.stereo->set_patience(config.stereo_sync_timeout_ns);
 }
 
 void Processor::set_config_error(const std::string& text) {
@@ -92,38 +92,38 @@ void Processor::set_config_error(const std::string& text) {
   config_.reset();
   pipeline_.reset();
   config_error_ = text;
-  note_calibration_file();
+  record_calibration_file();
   if (environment_.stereo)
-    environment_.stereo->set_patience(Config().stereo_patience_ns);  // its partners pass through, too
+    environment_.stereo->set_patience(Config().stereo_sync_timeout_ns);  // its partners pass through, too
 }
 
 void Processor::add_imu(const sensor_msgs::Imu& imu) {
   gyro_source_->add(imu);
-  notice_imu();
+  on_imu_sample();
 }
 
-void Processor::notice_imu() {
+void Processor::on_imu_sample() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  intake_.now();
-  note_ready();
+  input_buffers_.now();
+  mark_ready();
 }
 
 void Processor::add_exposure(const Exposure& exposure) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  intake_.add_exposure(exposure);
-  note_ready();
+  input_buffers_.add_exposure(exposure);
+  mark_ready();
 }
 
 void Processor::add_exposure_setting(TimeNs exposure_ns) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  intake_.add_exposure_setting(exposure_ns);
-  note_ready();
+  input_buffers_.add_exposure_setting(exposure_ns);
+  mark_ready();
 }
 
 void Processor::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  intake_.add_camera_info(info);
-  note_ready();
+  input_buffers_.add_camera_info(info);
+  mark_ready();
 }
 
 bool Processor::add_compressed_image(const sensor_msgs::CompressedImage& compressed) {
@@ -133,8 +133,8 @@ bool Processor::add_compressed_image(const sensor_msgs::CompressedImage& compres
     return true;
   }
   const std::lock_guard<std::mutex> lock(mutex_);
-  intake_.count_undecodable("compressed image " + seconds_text(to_time_ns(compressed.header.stamp)) +
-                            " is left out: " + decoded.problem);
+  input_buffers_.count_undecodable("compressed image " + seconds_text(to_time_ns(compressed.header.stamp)) +
+                                   " is left out: " + decoded.problem);
   return false;
 }
 
@@ -147,15 +147,15 @@ void Processor::add_image(const sensor_msgs::ImageConstPtr& image, const std::st
     if (!problem.empty()) throw FrameError(PassThroughReason::BAD_IMAGE, problem);
     if (is_unset(frame.stamp_ns)) throw FrameError(PassThroughReason::NO_STAMP, "the image's stamp is 0");
   } catch (const FrameError& error) {
-    frame.settle(error.reason(), error.what());
+    frame.pass_through(error.reason(), error.what());
   }
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (frame.verdict == PassThroughReason::NONE) remember_calibration(*image);
+  if (frame.pass_through_reason == PassThroughReason::NONE) remember_calibration(*image);
   // One without a stamp is no image of the instant 0.
   if (environment_.stereo && !is_unset(frame.stamp_ns)) environment_.stereo->announce(frame.stamp_ns);
-  intake_.add_frame(std::move(frame));
-  note_ready();
-  tell_partners();
+  input_buffers_.add_frame(std::move(frame));
+  mark_ready();
+  notify_stereo();
 }
 
 void Processor::add_mask(const sensor_msgs::Image& mask) {
@@ -163,80 +163,81 @@ void Processor::add_mask(const sensor_msgs::Image& mask) {
   mask_.set_message(mask);
 }
 
-void Processor::note_calibration_file() {
+void Processor::record_calibration_file() {
   std::string text;
   if (config_ && config_->calibration) {
     for (const std::string& note : config_->calibration->notes) text += (text.empty() ? "" : "; ") + note;
   }
-  note_unreadable("calibration file", text);
+  record_unreadable("calibration file", text);
 }
 
-void Processor::note_unreadable(const std::string& kind, const std::string& text) {
+void Processor::record_unreadable(const std::string& kind, const std::string& text) {
   text.empty() ? problems_.resolve(kind) : problems_.report(kind, text);
 }
 
-void Processor::note_ready() {
+void Processor::mark_ready() {
   if (!config_) return;
   // Not the tracker's time: another thread's, and of no matter for being ready.
-  const FrameAssembly::Terms terms = this->terms();
+  const FrameSynchronizer::Context context = this->context();
   try {
-    for (PendingFrame& frame : intake_.queue().frames()) {
-      if (frame.verdict != PassThroughReason::NONE || frame.ready_steady_ns) continue;
+    for (PendingFrame& frame : input_buffers_.queue().frames()) {
+      if (frame.pass_through_reason != PassThroughReason::NONE || frame.ready_steady_ns) continue;
       // Those behind it have to wait for it anyway.
-      if (assembly_.look(terms, &frame) == Readiness::WAITS) return;
-      frame.ready_steady_ns = intake_.steady_now();
+      if (frame_synchronizer_.is_ready(context, &frame) == Readiness::WAITS) return;
+      frame.ready_steady_ns = input_buffers_.steady_now();
     }
   } catch (const std::exception&) {
     // next_frame meets it again, and tells.
   }
 }
 
-void Processor::tell_partners() {
+void Processor::notify_stereo() {
   if (!environment_.stereo) return;
-  for (PendingFrame& each : intake_.queue().frames()) {
-    if (each.verdict == PassThroughReason::NONE || each.verdict_told) continue;
-    environment_.stereo->pass_through(each.stamp_ns, each.verdict);
-    each.verdict_told = true;
+  for (PendingFrame& each : input_buffers_.queue().frames()) {
+    if (each.pass_through_reason == PassThroughReason::NONE || each.partners_notified) continue;
+    environment_.stereo->pass_through(each.stamp_ns, each.pass_through_reason);
+    each.partners_notified = true;
   }
 }
 
-FrameAssembly::Terms Processor::terms() const {
-  FrameAssembly::Terms terms{calibration_.config(),    exposures_, estimated_bias_rad_s_, {}, false,
-                             calibration_.R_cam_imu(), ""};
-  if (!terms.R_cam_imu) terms.missing_rotation = calibration_.missing_rotation();
-  return terms;
+FrameSynchronizer::Context Processor::context() const {
+  FrameSynchronizer::Context context{calibration_.config(),    exposures_, estimated_bias_rad_s_, {}, false,
+                                     calibration_.R_cam_imu(), ""};
+  if (!context.R_cam_imu) context.missing_rotation = calibration_.missing_rotation();
+  return context;
 }
 
-void Processor::learn_from(const AssembledFrame& assembled, const std::optional<FrameExposure>& found) {
-  const PendingFrame& frame = assembled.frame;
+void Processor::learn_from(const SynchronizedFrame& synchronized, const std::optional<FrameExposure>& found) {
+  const PendingFrame& frame = synchronized.frame;
   std::vector<GyroSample> samples;
   std::optional<SelfCalibrator::Image> image;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!config_ || config_->self_calibration == SelfCalibrationMode::NEVER) return;
-    if (!frame.calibration || frame.repeats || frame.verdict == PassThroughReason::TIME_JUMP) return;
-    if (frame.verdict == PassThroughReason::NONE || frame.verdict == PassThroughReason::NO_EXTRINSIC) {
-      calibration_.set_tf(assembled.R_by_tf ? std::optional(assembled.R_cam_imu) : std::nullopt);
+    if (!frame.calibration || frame.repeats || frame.pass_through_reason == PassThroughReason::TIME_JUMP) return;
+    if (frame.pass_through_reason == PassThroughReason::NONE ||
+        frame.pass_through_reason == PassThroughReason::NO_EXTRINSIC) {
+      calibration_.set_tf(synchronized.R_by_tf ? std::optional(synchronized.R_cam_imu) : std::nullopt);
     }
     constexpr TimeNs kSecond = 1'000'000'000;
     readout_share_ = to_seconds(region_readout_ns(kSecond, *frame.info));
     ShutterTiming timing = config_->shutter;
-    const TimeNs assumed_ns = assembled.exposure ? assembled.exposure->timing().exposure_ns : 0;
+    const TimeNs assumed_ns = synchronized.exposure ? synchronized.exposure->timing().exposure_ns : 0;
     timing.exposure_ns = std::max<TimeNs>(found ? found->chosen.exposure_ns : assumed_ns, 1);
-    if (assembled.exposure) readout_by_messages_ = assembled.readout_by_message;
-    if (assembled.exposure && (config_->given.readout_time || assembled.readout_by_message)) {
-      timing.readout_ns = assembled.exposure->timing().readout_ns;
+    if (synchronized.exposure) readout_by_messages_ = synchronized.readout_by_message;
+    if (synchronized.exposure && (config_->given.readout_time || synchronized.readout_by_message)) {
+      timing.readout_ns = synchronized.exposure->timing().readout_ns;
     } else {
       timing.readout_ns = region_readout_ns(timing.readout_ns, *frame.info);
     }
     image.emplace(SelfCalibrator::Image{frame.image, *frame.calibration,
                                         RowExposure(frame.picture_ns(), static_cast<int>(frame.image->height), timing),
-                                        assembled.mask});
-    const TimeRange available = intake_.gyro().available();
+                                        synchronized.mask});
+    const TimeRange available = input_buffers_.gyro().available();
     if (!available.empty()) {
       if (newest_learned_ns_ > available.end_ns) newest_learned_ns_.reset();
       const TimeNs from_ns = newest_learned_ns_ ? *newest_learned_ns_ + 1 : available.begin_ns;
-      for (const GyroSample& sample : intake_.gyro().window({from_ns, available.end_ns})) {
+      for (const GyroSample& sample : input_buffers_.gyro().window({from_ns, available.end_ns})) {
         if (sample.t_ns >= from_ns) samples.push_back(sample);
       }
       newest_learned_ns_ = available.end_ns;
@@ -245,117 +246,119 @@ void Processor::learn_from(const AssembledFrame& assembled, const std::optional<
   self_calibrator_.add(std::move(samples), std::move(*image));
 }
 
-std::optional<AssembledFrame> Processor::next_frame(bool finishing) {
+std::optional<SynchronizedFrame> Processor::next_frame(bool finishing) {
   const std::lock_guard<std::mutex> lock(mutex_);
   const std::size_t updates = self_calibrator_.updates();
   if (std::exchange(calibration_updates_, updates) != updates &&
       calibration_.learn(self_calibrator_.learned(), readout_share_, readout_by_messages_)) {
     gyro_errors_.clear();
   }
-  if (std::exchange(time_jumps_, intake_.statistics().time_jumps) != intake_.statistics().time_jumps)
+  if (std::exchange(time_jumps_, input_buffers_.statistics().time_jumps) != input_buffers_.statistics().time_jumps)
     exposures_.reset();
-  const TimeNs now_ns = intake_.now(), steady_ns = intake_.steady_now();
+  const TimeNs now_ns = input_buffers_.now(), steady_ns = input_buffers_.steady_now();
   overload_.end(steady_ns);
-  if (finishing) intake_.forget_picture();
-  if (intake_.queue().empty()) return std::nullopt;
-  PendingFrame& frame = intake_.queue().front();
-  AssembledFrame assembled;
-  assembled.pipeline = pipeline_;
+  if (finishing) input_buffers_.forget_picture();
+  if (input_buffers_.queue().empty()) return std::nullopt;
+  PendingFrame& frame = input_buffers_.queue().front();
+  SynchronizedFrame synchronized;
+  synchronized.pipeline = pipeline_;
   try {
     if (config_) {
-      const bool timed_out = finishing || intake_.has_timed_out(frame, now_ns, config_->gyro_timeout_ns);
-      FrameAssembly::Terms terms = this->terms();
-      terms.followed_cam = {tracker_.newest_frame(), pipeline_ ? pipeline_->newest_frame() : std::nullopt};
-      terms.timed_out = timed_out;
-      const Readiness readiness = assembly_.assemble(terms, &frame, &assembled);
-      // By rates of a wrong unit every image looks BAD.
-      const bool doubts_unit = config_->pipeline.motion_from_images && gyro_unit_.is_doubted(frame.stamp_ns);
-      if (doubts_unit || gyro_unit_is_wrong_ || gyro_source_->unit_is_wrong()) assembled.drop_bad = false;
+      const bool timed_out = finishing || input_buffers_.has_timed_out(frame, now_ns, config_->input_timeout_ns);
+      FrameSynchronizer::Context context = this->context();
+      context.followed_cam = {tracker_.newest_frame(), pipeline_ ? pipeline_->newest_frame() : std::nullopt};
+      context.timed_out = timed_out;
+      const Readiness readiness = frame_synchronizer_.assemble(context, &frame, &synchronized);
+      // By rates of a wrong unit every image looks POOR.
+      const bool doubts_unit = config_->pipeline.optical_flow && gyro_unit_.is_doubted(frame.stamp_ns);
+      if (doubts_unit || gyro_unit_is_wrong_ || gyro_source_->unit_is_wrong()) synchronized.drop_poor = false;
       if (readiness == Readiness::WAITS) return std::nullopt;
       // A fast camera fills the queue before its images time out: those that leave it for that are without IMU too.
-      if (assembled.exposure || frame.verdict == PassThroughReason::OVERLOAD) {
-        const TimeNs begin_ns = (assembled.exposure ? assembled.exposure->frame().begin_ns : frame.stamp_ns) +
-                                terms.config.gyro.time_offset_ns;
-        const TimeRange samples = intake_.gyro().available();
-        if (samples.empty() || samples.end_ns < begin_ns) intake_.count_without_imu(begin_ns);
+      if (synchronized.exposure || frame.pass_through_reason == PassThroughReason::OVERLOAD) {
+        const TimeNs begin_ns = (synchronized.exposure ? synchronized.exposure->frame().begin_ns : frame.stamp_ns) +
+                                context.config.gyro.time_offset_ns;
+        const TimeRange samples = input_buffers_.gyro().available();
+        if (samples.empty() || samples.end_ns < begin_ns) input_buffers_.count_without_imu(begin_ns);
       }
       if (readiness == Readiness::READY) {
-        repetitions_.add(frame, intake_.gyro(), assembled.gyro, intake_.statistics());
-        assembled.configuration = configurations_;
-        assembled.pictures_repeat = intake_.statistics().repeated_pictures > 0;
+        repetitions_.add(frame, input_buffers_.gyro(), synchronized.gyro, input_buffers_.statistics());
+        synchronized.configuration = configurations_;
+        synchronized.pictures_repeat = input_buffers_.statistics().repeated_pictures > 0;
       }
       if (readiness == Readiness::READY && !finishing) {
         const TimeNs ready_ns = frame.ready_steady_ns.value_or(steady_ns);
-        const std::size_t ready_behind = intake_.queue().ready_behind_front();
-        const std::optional<TimeNs> period_ns = intake_.frame_period().get();
+        const std::size_t ready_behind = input_buffers_.queue().ready_behind_front();
+        const std::optional<TimeNs> period_ns = input_buffers_.frame_period().get();
         const std::string overload = overload_.judge(steady_ns, ready_ns, ready_behind, period_ns);
-        if (!overload.empty()) frame.settle(PassThroughReason::OVERLOAD, overload);
-        assembled.in_a_hurry = OverloadRule::is_in_a_hurry(steady_ns, ready_ns, ready_behind, period_ns);
+        if (!overload.empty()) frame.pass_through(PassThroughReason::OVERLOAD, overload);
+        synchronized.behind_camera_rate =
+            OverloadRule::is_behind_camera_rate(steady_ns, ready_ns, ready_behind, period_ns);
       }
-    } else if (frame.verdict == PassThroughReason::NONE) {
-      frame.settle(PassThroughReason::BAD_CONFIGURATION, config_error_);
+    } else if (frame.pass_through_reason == PassThroughReason::NONE) {
+      frame.pass_through(PassThroughReason::BAD_CONFIGURATION, config_error_);
     }
   } catch (const std::exception& error) {
-    // Without a verdict the frame would be tried again for ever, and hold up all that come after it.
-    frame.settle(PassThroughReason::INTERNAL_ERROR, error.what());
+    // Without a reason the frame would be tried again for ever, and hold up all that come after it.
+    frame.pass_through(PassThroughReason::INTERNAL_ERROR, error.what());
   }
-  frame.info = assembly_.best_info(frame);
-  if (frame.verdict != PassThroughReason::BAD_IMAGE && frame.verdict != PassThroughReason::UNSUPPORTED_ENCODING) {
-    assembled.mask = mask_.for_image({static_cast<int>(frame.image->width), static_cast<int>(frame.image->height)});
+  frame.info = frame_synchronizer_.best_info(frame);
+  if (frame.pass_through_reason != PassThroughReason::BAD_IMAGE &&
+      frame.pass_through_reason != PassThroughReason::UNSUPPORTED_ENCODING) {
+    synchronized.mask = mask_.for_image({static_cast<int>(frame.image->width), static_cast<int>(frame.image->height)});
   }
-  if (frame.verdict == PassThroughReason::NONE) overload_.begin(steady_ns, assembled.in_a_hurry);
-  assembled.frame = intake_.queue().pop();
+  if (frame.pass_through_reason == PassThroughReason::NONE) overload_.begin(steady_ns, synchronized.behind_camera_rate);
+  synchronized.frame = input_buffers_.queue().pop();
   ++in_progress_;
-  return assembled;
+  return synchronized;
 }
 
-FrameOutput Processor::process_with_partners(const AssembledFrame& assembled) {
+FrameOutput Processor::process_with_partners(const SynchronizedFrame& synchronized) {
   FrameRequest request = environment_.request ? environment_.request() : FrameRequest();
-  request.settle_exposure = [this, &assembled](const std::optional<ExposureEstimate>& estimate, double brightness) {
-    return settle_exposure(assembled, estimate, brightness);
+  request.choose_exposure = [this, &synchronized](const std::optional<ExposureEstimate>& estimate, double brightness) {
+    return choose_exposure(synchronized, estimate, brightness);
   };
   StereoCamera* const stereo = environment_.stereo.get();
   if (!stereo) {
-    if (assembled.drop_bad) {
+    if (synchronized.drop_poor) {
       request.decide = [](const FrameBlur& field) { return FrameDecision{"", drop_text(field)}; };
     }
-    return process(assembled, request, &tracker_);
+    return process(synchronized, request, &tracker_);
   }
-  const TimeNs stamp_ns = assembled.frame.stamp_ns;
-  const bool drop_bad = assembled.drop_bad;
-  const PassThroughReason verdict = assembled.frame.verdict;
-  verdict == PassThroughReason::NONE ? stereo->begin(stamp_ns) : stereo->pass_through(stamp_ns, verdict);
-  request.decide = [stereo, stamp_ns, drop_bad](const FrameBlur& field) {
-    return drop_bad ? stereo->decide(stamp_ns, field, drop_terms(field))
-                    : FrameDecision{stereo->decide(stamp_ns, field), ""};
+  const TimeNs stamp_ns = synchronized.frame.stamp_ns;
+  const bool drop_poor = synchronized.drop_poor;
+  const PassThroughReason reason = synchronized.frame.pass_through_reason;
+  reason == PassThroughReason::NONE ? stereo->begin(stamp_ns) : stereo->pass_through(stamp_ns, reason);
+  request.decide = [stereo, stamp_ns, drop_poor](const FrameBlur& field) {
+    return drop_poor ? stereo->decide(stamp_ns, field, drop_terms(field))
+                     : FrameDecision{stereo->decide(stamp_ns, field), ""};
   };
-  FrameOutput output = process(assembled, request, &tracker_);
+  FrameOutput output = process(synchronized, request, &tracker_);
   if (output.reason != PassThroughReason::NONE) stereo->pass_through(stamp_ns, output.reason);
   return output;
 }
 
-ChosenExposure Processor::settle_exposure(const AssembledFrame& assembled,
+ChosenExposure Processor::choose_exposure(const SynchronizedFrame& synchronized,
                                           const std::optional<ExposureEstimate>& estimate, double mean_brightness) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  const PendingFrame& frame = assembled.frame;
-  const ChosenExposure chosen = exposures_.decide(frame.picture_ns(), assembled.plan, estimate, mean_brightness);
+  const PendingFrame& frame = synchronized.frame;
+  const ChosenExposure chosen = exposures_.decide(frame.picture_ns(), synchronized.plan, estimate, mean_brightness);
   if (frame.picture && frame.picture->motion) {
     PictureMotion& motion = *frame.picture->motion;
-    motion.exposure = assembled.exposure->with_exposure(chosen.exposure_ns);
+    motion.exposure = synchronized.exposure->with_exposure(chosen.exposure_ns);
     motion.plan.origin = chosen.origin;
     motion.plan.exposure_ns = chosen.exposure_ns;
     motion.plan.log_stddev = chosen.log_stddev;
-    motion.plan.settled = true;
+    motion.plan.decided = true;
   }
   return chosen;
 }
 
-void Processor::note_exposure(const FrameOutput& output) {
+void Processor::record_exposure(const FrameOutput& output) {
   constexpr char kKind[] = "exposure contradicted";
   if (!output.exposure) return;
   const ChosenExposure& chosen = output.exposure->chosen;
-  if (chosen.origin == ExposureOrigin::IMAGES && !intake_.has_exposure_of_images()) {
-    intake_.note_exposure_of_images();
+  if (chosen.origin == ExposureOrigin::IMAGES && !input_buffers_.has_exposure_from_images()) {
+    input_buffers_.set_exposure_from_images();
     log_(LogLevel::INFO, "exposure found",
          "the exposure time is " + seconds_text(chosen.exposure_ns) + " s, estimated from the blur of the images");
   }
@@ -382,7 +385,7 @@ void Processor::keep_global_shutter_in_order(FrameOutput* output) {
   last_moved_ = stamp;
 }
 
-void Processor::note_static_content(const FrameOutput& output) {
+void Processor::record_static_content(const FrameOutput& output) {
   constexpr char kKind[] = "static content";
   if (!output.field) return;
   if (output.static_share == 0) {
@@ -399,18 +402,18 @@ void Processor::note_static_content(const FrameOutput& output) {
                  size_text(output.input->width, output.input->height) + ", 0 where a pixel does not show the scene");
 }
 
-void Processor::note(const FrameOutput& output) {
+void Processor::record(const FrameOutput& output) {
   statistics_.count(output);
   const TimeNs stamp_ns = to_time_ns(output.input->header.stamp);
   const std::string name = "frame " + seconds_text(stamp_ns);
-  note_static_content(output);
-  note_exposure(output);
+  record_static_content(output);
+  record_exposure(output);
   if (output.residual_rotation) gyro_errors_.add(stamp_ns, *output.residual_rotation);
   check_gyro_unit(output);
   if (!output.keypoints_text.empty()) {
     log_(LogLevel::ERROR, "keypoints", name + " has no keypoints: " + output.keypoints_text);
   }
-  if (output.dropped) log_(LogLevel::INFO, "drop_bad", name + " is not published: " + output.reason_text);
+  if (output.dropped) log_(LogLevel::INFO, "drop_poor", name + " is not published: " + output.reason_text);
   // A jump has told its one message already.
   if (output.reason != PassThroughReason::NONE && output.reason != PassThroughReason::TIME_JUMP) {
     log_(level_of(output.reason), to_string(output.reason),
@@ -444,15 +447,15 @@ void Processor::check_gyro_unit(const FrameOutput& output) {
 
 void Processor::advance(const Sink& sink, bool finishing) {
   const std::lock_guard<std::mutex> one_at_a_time(advance_mutex_);
-  while (std::optional<AssembledFrame> assembled = next_frame(finishing)) {
+  while (std::optional<SynchronizedFrame> synchronized = next_frame(finishing)) {
     FrameOutput output;
     try {
-      const TimeNs waited_ns = intake_.steady_now() - assembled->frame.arrival_steady_ns;
-      output = process_with_partners(*assembled);
+      const TimeNs waited_ns = input_buffers_.steady_now() - synchronized->frame.arrival_steady_ns;
+      output = process_with_partners(*synchronized);
       output.waiting_ms = static_cast<double>(waited_ns) * 1e-6;
       if (!output.engine_warning.empty()) environment_.log(LogLevel::WARNING, output.engine_warning);
       try {
-        learn_from(*assembled, output.exposure);
+        learn_from(*synchronized, output.exposure);
       } catch (const std::exception& error) {  // costs no frame
         log_(LogLevel::ERROR, "self-calibration", std::string("self-calibration failed: ") + error.what());
       }
@@ -460,15 +463,15 @@ void Processor::advance(const Sink& sink, bool finishing) {
       // Even passing it through failed, for lack of memory for example: it stays the first to leave.
       const std::lock_guard<std::mutex> lock(mutex_);
       --in_progress_;
-      assembled->frame.verdict = PassThroughReason::INTERNAL_ERROR;
-      intake_.queue().put_back(std::move(assembled->frame));
+      synchronized->frame.pass_through_reason = PassThroughReason::INTERNAL_ERROR;
+      input_buffers_.queue().put_back(std::move(synchronized->frame));
       throw;
     }
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       --in_progress_;
       keep_global_shutter_in_order(&output);
-      note(output);
+      record(output);
     }
     if (!sink(std::move(output))) return;
   }
@@ -479,22 +482,22 @@ void Processor::advance(const Sink& sink) { advance(sink, false); }
 void Processor::finish(const Sink& sink) {
   advance(sink, true);
   const std::lock_guard<std::mutex> lock(mutex_);
-  intake_.finish();
+  input_buffers_.finish();
 }
 
 std::size_t Processor::waiting() const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return intake_.queue().size() + in_progress_;
+  return input_buffers_.queue().size() + in_progress_;
 }
 
 Awaited Processor::awaited() const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return intake_.queue().empty() ? Awaited::NOTHING : intake_.queue().front().awaits;
+  return input_buffers_.queue().empty() ? Awaited::NOTHING : input_buffers_.queue().front().awaits;
 }
 
 void Processor::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  intake_.reset();
+  input_buffers_.reset();
   estimated_bias_rad_s_.reset();
   calibration_.set_measured_bias({});
   calibration_.forget_contradictions();
@@ -506,7 +509,7 @@ void Processor::reset() {
   gyro_unit_is_wrong_ = false;
   log_.clear();
   problems_.clear();
-  note_calibration_file();
+  record_calibration_file();
 }
 
 void Processor::reset_calibration() {
@@ -535,7 +538,7 @@ bool Processor::estimate_bias(std::string* text) {
     *text = "the configuration cannot be used: " + config_error_;
     return false;
   }
-  const std::optional<Eigen::Vector3d> bias_rad_s = gyro_deblur::estimate_bias(intake_.gyro(), *config_, text);
+  const std::optional<Eigen::Vector3d> bias_rad_s = gyro_deblur::estimate_bias(input_buffers_.gyro(), *config_, text);
   if (bias_rad_s) {
     estimated_bias_rad_s_ = bias_rad_s;
     calibration_.set_measured_bias(bias_rad_s);
@@ -558,11 +561,11 @@ ProcessorStatistics Processor::statistics() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   ProcessorStatistics statistics;
   static_cast<ImuStatistics&>(statistics) = gyro_source_->statistics();
-  static_cast<IntakeStatistics&>(statistics) = intake_.statistics();
+  static_cast<InputStatistics&>(statistics) = input_buffers_.statistics();
   static_cast<OutputStatistics&>(statistics) = statistics_;
-  statistics.waiting = intake_.queue().size() + in_progress_;
-  statistics.frame_period_ns = intake_.frame_period().get();
-  statistics.gyro_available = intake_.gyro().available();
+  statistics.waiting = input_buffers_.queue().size() + in_progress_;
+  statistics.frame_period_ns = input_buffers_.frame_period().get();
+  statistics.gyro_available = input_buffers_.gyro().available();
   if (!statistics.gyro_available.empty()) statistics.newest_imu_ns = statistics.gyro_available.end_ns;
   if (pipeline_) statistics.engine = pipeline_->engine();
   statistics.configuration_error = config_error_;

@@ -17,13 +17,13 @@
 #include "gyro_deblur/gyro_unit_watch.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/residual_rotation.hpp"
-#include "ros/assembly.hpp"
 #include "ros/calibration_in_use.hpp"
+#include "ros/frame_synchronizer.hpp"
 #include "ros/gyro_bias.hpp"
 #include "ros/gyro_source.hpp"
+#include "ros/input_buffers.hpp"
 #include "ros/input_mask.hpp"
 #include "ros/input_problems.hpp"
-#include "ros/intake.hpp"
 #include "ros/messages.hpp"
 #include "ros/overload.hpp"
 #include "ros/processing.hpp"
@@ -35,7 +35,7 @@
 
 namespace gyro_deblur {
 
-/// The stations of a frame and their locks: messages go into the intake (from any thread), a frame is assembled from
+/// A frame's way and its locks: messages go into the input buffers (from any thread), a frame is synchronised from
 /// what is there, processed, and given out, in order (to the one thread at a time that calls advance).
 class Processor {
  public:
@@ -43,7 +43,7 @@ class Processor {
   struct Environment {
     std::function<TimeNs()> clock;  ///< node clock (ros::Time, or the time of a bag), required
     Log log;                        ///< required
-    /// Samples that others use as well; whoever adds to it calls notice_imu. Absent: one of its own, for add_imu.
+    /// Samples that others use as well; whoever adds to it calls on_imu_sample. Absent: one of its own, for add_imu.
     std::shared_ptr<GyroSource> gyro;
     /// The camera's place in a stereo rig; absent: it has no partners.
     std::shared_ptr<StereoCamera> stereo;
@@ -51,7 +51,7 @@ class Processor {
     /// for `clock` alone, and there is all the time of the world to process them.
     std::function<TimeNs()> steady_clock;
     /// R_cam_imu for (camera frame, IMU frame); absent: from the configuration only.
-    FrameAssembly::Extrinsic extrinsic;
+    FrameSynchronizer::Extrinsic extrinsic;
     /// True when somebody will send exposure messages. Once one has come they are expected anyway.
     std::function<bool()> exposure_expected;
     /// What is wanted of the frame that is about to be processed; absent: image and keypoints.
@@ -78,7 +78,7 @@ class Processor {
 
   void add_imu(const sensor_msgs::Imu& imu);
   /// A message has come to a shared source.
-  void notice_imu();
+  void on_imu_sample();
   void add_exposure(const Exposure& exposure);
   /// A setting that holds for the images from now on, until the next.
   void add_exposure_setting(TimeNs exposure_ns);
@@ -89,7 +89,7 @@ class Processor {
   /// Replaces the configuration's mask, see InputMask.
   void add_mask(const sensor_msgs::Image& mask);
   /// Tells of a message that could not be read, or no longer does (empty text).
-  void note_unreadable(const std::string& kind, const std::string& text);
+  void record_unreadable(const std::string& kind, const std::string& text);
 
   /// Hands every frame that can leave to `sink`. Exceptions of processing become INTERNAL_ERROR; those of `sink` pass.
   void advance(const Sink& sink);
@@ -108,7 +108,7 @@ class Processor {
   /// @return true, and the bias in `text`; false with the cause in `text` when the sensor moved or samples are missing
   bool estimate_bias(std::string* text);
 
-  /// Forgets what the images have told of the calibration.
+  /// Forgets the calibration that was estimated from the images.
   void reset_calibration();
 
   /// What is used as the images told it, of images of this size.
@@ -127,35 +127,35 @@ class Processor {
  private:
   Eigen::Vector3d bias_in_use() const;  // needs mutex_
   /// Reports what of the calibration file was not understood. Needs mutex_.
-  void note_calibration_file();
+  void record_calibration_file();
   void advance(const Sink& sink, bool finishing);
   /// The foremost frame with what belongs to it, or nothing while it has to wait.
-  std::optional<AssembledFrame> next_frame(bool finishing);
+  std::optional<SynchronizedFrame> next_frame(bool finishing);
   /// @param problem  why its pixels cannot be used; empty: they can
   void add_image(const sensor_msgs::ImageConstPtr& image, const std::string& problem);
   /// Remembers which frames have become ready; after every message. Needs mutex_.
-  void note_ready();
-  /// Partners need not wait until frames that are settled leave. Needs mutex_.
-  void tell_partners();
-  FrameOutput process_with_partners(const AssembledFrame& assembled);
+  void mark_ready();
+  /// Stereo partners need not wait until frames that pass through are published. Needs mutex_.
+  void notify_stereo();
+  FrameOutput process_with_partners(const SynchronizedFrame& synchronized);
   /// Uses what is stored for images of this size. Needs mutex_.
   void remember_calibration(const sensor_msgs::Image& image);
   /// The frame tells something of the calibration. Takes mutex_.
-  /// @param found  what the frame was deblurred by, where its blur was looked at
-  void learn_from(const AssembledFrame& assembled, const std::optional<FrameExposure>& found);
+  /// @param found  what the frame was deblurred by, where its blur was examined
+  void learn_from(const SynchronizedFrame& synchronized, const std::optional<FrameExposure>& found);
   /// What is used beside messages. Needs mutex_ and a configuration.
-  FrameAssembly::Terms terms() const;
+  FrameSynchronizer::Context context() const;
   /// What the frame is deblurred by; its picture goes by that from now on.
-  ChosenExposure settle_exposure(const AssembledFrame& assembled, const std::optional<ExposureEstimate>& estimate,
+  ChosenExposure choose_exposure(const SynchronizedFrame& synchronized, const std::optional<ExposureEstimate>& estimate,
                                  double mean_brightness);
-  /// Tells when the images have told the exposure time, and when they contradict the given one. Needs mutex_.
-  void note_exposure(const FrameOutput& output);
+  /// Reports when the images give the exposure time, and when they contradict the given one. Needs mutex_.
+  void record_exposure(const FrameOutput& output);
   /// Stamps of global-shutter images are not those that came in, and grow all the same. Needs both mutexes.
   void keep_global_shutter_in_order(FrameOutput* output);
   /// Reports what does not move with the camera.
-  void note_static_content(const FrameOutput& output);
+  void record_static_content(const FrameOutput& output);
   /// Counts a frame that leaves, and tells what is wrong with it.
-  void note(const FrameOutput& output);
+  void record(const FrameOutput& output);
   /// Tells when images do not turn as the gyroscope says. Needs mutex_.
   void check_gyro_unit(const FrameOutput& output);
 
@@ -184,8 +184,8 @@ class Processor {
   bool readout_by_messages_ = false;     // see there
   std::optional<cv::Size> image_size_;   // of the first image
   InputMask mask_;
-  Intake intake_;
-  FrameAssembly assembly_;
+  InputBuffers input_buffers_;
+  FrameSynchronizer frame_synchronizer_;
   ExposureChoice exposures_;
   OverloadRule overload_;
   RepetitionWatch repetitions_;

@@ -38,7 +38,7 @@ bool has_turned(const PendingFrame& frame, const GyroReader& gyro, const GyroOpt
 }  // namespace
 
 void RepetitionWatch::add(const PendingFrame& frame, const GyroReader& gyro, const GyroOptions& options,
-                          const IntakeStatistics& counts) {
+                          const InputStatistics& counts) {
   const bool reported = proven_ns_.size() >= kReported;
   while (!proven_ns_.empty() &&
          (proven_ns_.front() > frame.stamp_ns || frame.stamp_ns - proven_ns_.front() > kWatchedNs)) {

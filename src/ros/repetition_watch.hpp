@@ -7,8 +7,8 @@
 #include "gyro_deblur/time.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/gyro_source.hpp"
+#include "ros/input_buffers.hpp"
 #include "ros/input_problems.hpp"
-#include "ros/intake.hpp"
 
 namespace gyro_deblur {
 
@@ -23,7 +23,7 @@ class RepetitionWatch {
   /// @param gyro    that is mounted on the camera, with `options`
   /// @param counts  of images since the start
   void add(const PendingFrame& frame, const GyroReader& gyro, const GyroOptions& options,
-           const IntakeStatistics& counts);
+           const InputStatistics& counts);
   void clear() { proven_ns_.clear(); }
 
  private:

@@ -12,7 +12,7 @@ void OutputStatistics::count(const FrameOutput& output) {
     }
   }
   if (output.field && output.field->images_alone && output.reason == PassThroughReason::NONE) ++frames_by_images_alone;
-  for (const auto& [reason, number] : output.slow_blocks) slow_blocks[reason] += number;
+  for (const auto& [reason, number] : output.fallback_counts) fallback_counts[reason] += number;
   keypoints_text = output.keypoints_text;
 }
 

@@ -15,8 +15,8 @@
 #include "gyro_deblur/time.hpp"
 #include "ros/calibration_in_use.hpp"
 #include "ros/gyro_source.hpp"
+#include "ros/input_buffers.hpp"
 #include "ros/input_problems.hpp"
-#include "ros/intake.hpp"
 #include "ros/pass_through.hpp"
 #include "ros/processing.hpp"
 
@@ -25,11 +25,11 @@ namespace gyro_deblur {
 /// What has left.
 struct OutputStatistics {
   std::size_t frames_out = 0;
-  std::size_t dropped_bad = 0;  ///< frames that drop_bad kept from leaving
+  std::size_t dropped_bad = 0;  ///< frames that drop_poor kept from leaving
   std::map<PassThroughReason, std::size_t> passed_through;
   std::map<BlockStatus, std::size_t> blocks;  ///< of the frames that were not passed through
   std::size_t blocks_from_images = 0;         ///< of those, whose motion is also from the images
-  SlowBlocks slow_blocks;                     ///< that left the engine's fast path, by reason
+  FallbackCounts fallback_counts;             ///< that left the engine's fast path, by reason
   std::size_t frames_by_images_alone = 0;     ///< deblurred without a gyroscope
   std::string keypoints_text;                 ///< why the newest frame could have no keypoints; else empty
 
@@ -37,7 +37,7 @@ struct OutputStatistics {
 };
 
 /// Of a processor; those of the IMU are since the start of its source.
-struct ProcessorStatistics : ImuStatistics, IntakeStatistics, OutputStatistics {
+struct ProcessorStatistics : ImuStatistics, InputStatistics, OutputStatistics {
   std::size_t waiting = 0;                               ///< frames that have not left
   std::optional<TimeNs> frame_period_ns;                 ///< by the stamps
   std::optional<TimeNs> newest_imu_ns;                   ///< IMU clock

@@ -155,7 +155,7 @@ StereoRig::Blocking StereoRig::blocking(const Pair& pair, Id id) const {
   return {};
 }
 
-void StereoRig::note_habits(const Pair& pair, Id id) {
+void StereoRig::record_habits(const Pair& pair, Id id) {
   for (auto& [other, member] : members_) {
     if (other == id || member.newest == 0) continue;
     const auto place = pair.places.find(other);
@@ -168,7 +168,7 @@ void StereoRig::note_habits(const Pair& pair, Id id) {
   }
 }
 
-void StereoRig::settle(Pair* pair) const {
+void StereoRig::decide(Pair* pair) const {
   pair->agreed = true;
   if (pair->leaves) return;
   for (const auto& [id, place] : pair->places) {
@@ -215,7 +215,7 @@ FrameDecision StereoRig::meet(Id id, TimeNs stamp_ns, const Statement& statement
     if (pair->agreed) return {pair->refusal, droppable ? pair->drop : ""};
     const bool may_be_dropped = droppable && !pair->leaves;
     if (!may_be_dropped && (!statement.deblurs || !pair->refusal.empty())) {
-      note_habits(*pair, id);
+      record_habits(*pair, id);
       return {pair->refusal, ""};
     }
     const Blocking before = blocked;
@@ -226,8 +226,8 @@ FrameDecision StereoRig::meet(Id id, TimeNs stamp_ns, const Statement& statement
       left_out->second.sending.miss();  // waited for in vain
     }
     if (!blocked.id) {
-      note_habits(*pair, id);
-      settle(pair.get());
+      record_habits(*pair, id);
+      decide(pair.get());
       changed_.notify_all();
       return {pair->refusal, statement.drop ? pair->drop : ""};
     }

@@ -117,10 +117,10 @@ class StereoRig {
   void refuse(const std::shared_ptr<Pair>& pair, Id id, const std::string& why);
   Blocking blocking(const Pair& pair, Id id) const;
   /// Once an image is decided on: which of the others had been in time.
-  void note_habits(const Pair& pair, Id id);
+  void record_habits(const Pair& pair, Id id);
   std::string give_up(const std::shared_ptr<Pair>& pair, Id id, const Blocking& blocking, bool waited, bool refuses);
   /// Everybody has stated.
-  void settle(Pair* pair) const;
+  void decide(Pair* pair) const;
 
   std::mutex mutex_;  // everything below
   std::condition_variable changed_;

@@ -1,4 +1,4 @@
-// What the images have told of a camera's calibration, kept on disk from one start to the next.
+// The calibration that was estimated from the images, kept on disk from one start to the next.
 #pragma once
 
 #include <optional>

@@ -42,30 +42,30 @@ const char* to_string(Stream stream) {
   return "unknown";
 }
 
-TimeJumpDetector::Verdict TimeJumpDetector::update(Stream stream, TimeNs stamp_ns, std::size_t messages) {
+TimeJumpDetector::Result TimeJumpDetector::update(Stream stream, TimeNs stamp_ns, std::size_t messages) {
   State& own = state(stream);
   if (own.rule.add({stamp_ns}, limits_).reset) return tell(stream);
   own.stragglers_left -= static_cast<int>(std::min(messages, static_cast<std::size_t>(own.stragglers_left)));
-  return Verdict::FORWARD;
+  return Result::FORWARD;
 }
 
-TimeJumpDetector::Verdict TimeJumpDetector::went_back(Stream stream, TimeNs stamp_ns) {
+TimeJumpDetector::Result TimeJumpDetector::went_back(Stream stream, TimeNs stamp_ns) {
   state(stream).rule.restart({stamp_ns});
   return tell(stream);
 }
 
-TimeJumpDetector::Verdict TimeJumpDetector::tell(Stream stream) {
+TimeJumpDetector::Result TimeJumpDetector::tell(Stream stream) {
   State& own = state(stream);
   const bool known = own.stragglers_left > 0;
   own.stragglers_left = 0;
-  if (known) return Verdict::FOLLOWS;
-  if (!tells_of_resets(stream)) return Verdict::FORWARD;
+  if (known) return Result::FOLLOWS;
+  if (!tells_of_resets(stream)) return Result::FORWARD;
   for (std::size_t i = 0; i < kStreams; ++i) {
     const auto other = static_cast<Stream>(i);
     // A stream that has not started yet has nothing old to bring.
     if (other != stream && newest_ns(other)) state(other).stragglers_left = straggler_limit(other);
   }
-  return Verdict::JUMP;
+  return Result::JUMP;
 }
 
 int EpochCounter::next(TimeNs stamp_ns) {

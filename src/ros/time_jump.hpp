@@ -6,7 +6,7 @@
 #include <optional>
 
 #include "gyro_deblur/time.hpp"
-#include "ros/stamp_rule.hpp"
+#include "ros/timestamp_filter.hpp"
 
 namespace gyro_deblur {
 
@@ -19,10 +19,10 @@ const char* to_string(Stream stream);
 /// Watches the newest time of every stream. The first stream to go back tells of a jump (camera_info and exposures do
 /// not: late ones are no reset); the others, whose last old messages may still be on their way, then follow it without
 /// telling again. A stream that goes on for long without going back has not been reset. Which stamps are believed is
-/// decided by StampRule with watched_stamps.
+/// decided by TimestampFilter with watched_stamps.
 class TimeJumpDetector {
  public:
-  enum class Verdict {
+  enum class Result {
     FORWARD,  ///< nothing special
     JUMP,     ///< time was reset: everything from before is of another epoch
     FOLLOWS,  ///< this stream now follows a jump that is known already: what it brought before is of another epoch
@@ -34,10 +34,10 @@ class TimeJumpDetector {
   void set_threshold(TimeNs threshold_ns) { limits_ = watched_stamps(threshold_ns); }
 
   /// @param messages  that the stream has brought, of which this is the newest
-  Verdict update(Stream stream, TimeNs stamp_ns, std::size_t messages = 1);
+  Result update(Stream stream, TimeNs stamp_ns, std::size_t messages = 1);
 
   /// The stream went back to `stamp_ns`, as its owner knows by other means.
-  Verdict went_back(Stream stream, TimeNs stamp_ns);
+  Result went_back(Stream stream, TimeNs stamp_ns);
 
   /// Newest time of the stream since it went back last; nothing before its first message.
   std::optional<TimeNs> newest_ns(Stream stream) const { return state(stream).rule.newest_ns(); }
@@ -52,10 +52,10 @@ class TimeJumpDetector {
     TimeNs t_ns;
   };
   struct State {
-    StampRule<Stamp> rule;
+    TimestampFilter<Stamp> rule;
     int stragglers_left = 0;  // messages of the old epoch that may still come after a jump
   };
-  Verdict tell(Stream stream);
+  Result tell(Stream stream);
   State& state(Stream stream) { return states_[static_cast<std::size_t>(stream)]; }
   const State& state(Stream stream) const { return states_[static_cast<std::size_t>(stream)]; }
 
@@ -65,8 +65,8 @@ class TimeJumpDetector {
 
 /// Tells what a stream brought before time was reset from what it brought after. Recordings that are shorter than the
 /// threshold step back by less, so the first messages of the new epoch may come before the reset is sure. A stream that
-/// afterwards gets beyond where it stepped back was out of order, and not reset. (No matter for StampRule: all these
-/// messages are kept, whatever their stamps; that another stream was reset decides which of them are old.)
+/// afterwards gets beyond where it stepped back was out of order, and not reset. (No matter for TimestampFilter: all
+/// these messages are kept, whatever their stamps; that another stream was reset decides which of them are old.)
 class EpochCounter {
  public:
   /// Epoch of a message that has come.

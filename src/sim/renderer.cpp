@@ -114,7 +114,7 @@ Renderer::Renderer(const Camera& camera, const std::vector<Plane>& planes, doubl
 cv::Mat Renderer::render(const std::function<RowPoses(int row)>& poses) {
   std::vector<RowPoses> rows(static_cast<std::size_t>(height_px_));
   constexpr int kDefaultThreads = 0, kRowsAtATime = 4;
-  run_parallel(height_px_, kDefaultThreads, kRowsAtATime, [&](int y) { rows[static_cast<std::size_t>(y)] = poses(y); });
+  parallel_for(height_px_, kDefaultThreads, kRowsAtATime, [&](int y) { rows[static_cast<std::size_t>(y)] = poses(y); });
 
   // Levels are built before the parallel part: Texture is not thread-safe.
   std::vector<std::vector<const cv::Mat*>> levels(rows.size());
@@ -125,7 +125,7 @@ cv::Mat Renderer::render(const std::function<RowPoses(int row)>& poses) {
   }
 
   cv::Mat image(height_px_, width_px_, CV_32FC(channels_));
-  run_parallel(height_px_, kDefaultThreads, kRowsAtATime, [&](int y) {
+  parallel_for(height_px_, kDefaultThreads, kRowsAtATime, [&](int y) {
     const std::size_t row = static_cast<std::size_t>(y);
     if (channels_ == 1) {
       render_row<1>(rows[row].samples, y, levels[row], image.ptr<float>(y));

@@ -9,6 +9,7 @@
 
 #include <yaml-cpp/yaml.h>
 
+#include "base/join.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"
@@ -22,16 +23,6 @@ constexpr double kRadPerDeg = 3.14159265358979323846 / 180;
 constexpr double kMaxAngleDeg = 36000;  // turns are allowed, typing errors are not
 constexpr double kMaxLengthM = 1e4;
 constexpr double kMaxTimeS = 1e5;
-
-template <typename Words>
-std::string join(const Words& words) {
-  std::string list;
-  for (const auto& word : words) {
-    if (!list.empty()) list += ", ";
-    list += word;
-  }
-  return list;
-}
 
 // A map of the scene file whose keys are read by name and must all be known.
 class Section {

@@ -106,7 +106,7 @@ cv::Mat Simulator::encode(const cv::Mat& grey_levels, bool with_noise, int frame
   const int values = image.cols * out_channels;
   const std::uint64_t frame_seed = mix(scene_.seed, static_cast<std::uint64_t>(frame));
   constexpr int kDefaultThreads = 0, kRowsAtATime = 16;
-  run_parallel(image.rows, kDefaultThreads, kRowsAtATime, [&](int y) {
+  parallel_for(image.rows, kDefaultThreads, kRowsAtATime, [&](int y) {
     cv::Mat noise = cv::Mat::zeros(1, values, CV_32F);
     if (with_noise && scene_.camera.noise > 0) {
       cv::RNG rng(mix(frame_seed, static_cast<std::uint64_t>(y)));  // a seed a row: the same on any number of threads

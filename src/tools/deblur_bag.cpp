@@ -175,7 +175,7 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
                    {"duplicate", statistics.imu_duplicate}, {"out_of_order", statistics.imu_out_of_order},
                    {"stray", statistics.imu_stray},         {"without_gyroscope", statistics.imu_without_gyroscope},
                    {"saturated", statistics.imu_saturated}};
-  report["blocks_off_fast_path"] = statistics.slow_blocks;
+  report["blocks_off_fast_path"] = statistics.fallback_counts;
   report["input_problems"] = nlohmann::json::array();
   for (const auto& [kind, problem] : statistics.input_problems) {
     report["input_problems"].push_back({{"kind", kind}, {"text", problem.text}, {"count", problem.count}});
@@ -198,7 +198,7 @@ void print_summary(const Arguments& arguments, const DeblurTopics& topics, const
     std::cout << ", " << count << " passed through (" << to_string(reason) << ")";
   }
   if (outcome.statistics.dropped_bad > 0) {
-    std::cout << ", " << outcome.statistics.dropped_bad << " more dropped as BAD (drop_bad)";
+    std::cout << ", " << outcome.statistics.dropped_bad << " more dropped as POOR (drop_poor)";
   }
   if (outcome.statistics.undecodable_images > 0) {
     std::cout << ", " << outcome.statistics.undecodable_images << " more left out: they could not be decoded";

@@ -40,7 +40,7 @@ TimeNs lead_ns(const Config& config) {
   // Clocks that are hours apart record their messages at the same time all the same: what an image needs is among the
   // samples that are kept when it comes.
   return config.gyro.buffer_ns + std::min(std::abs(config.gyro.time_offset_ns), config.gyro.buffer_ns) +
-         config.gyro_timeout_ns + config.exposure_max_age_ns;
+         config.input_timeout_ns + config.exposure_max_age_ns;
 }
 
 DeblurFeed::DeblurFeed(const rosbag::Bag& bag, const DeblurTopics& topics, const Config& config,

@@ -38,7 +38,7 @@ struct Arguments {
   double field_offset = 0;
   BlurFieldOptions blur_field;
   ValidationOptions validation;
-  KernelOptions kernel;
+  FilterOptions kernel;
   std::string engine = "auto";
   int significant_bits = 0;
   int threads = 0;
@@ -174,7 +174,7 @@ void run(const Arguments& arguments) {
   }
   const auto engine = make_engine(arguments.engine, arguments.threads);
   mark_masked(mask, &field);
-  mark_static_edges(mask, {arguments.kernel.length_factor, engine->prefers_plane()}, &field);
+  mark_static_edges(mask, {arguments.kernel.length_factor, engine->prefers_2d()}, &field);
   BitDepth depth(arguments.significant_bits);
   const int bits = depth.of(image, layout);
   if (const std::string message = depth.take_message(); !message.empty()) std::cerr << "warning: " << message << "\n";
@@ -182,8 +182,8 @@ void run(const Arguments& arguments) {
   field = validate_blur_field(field, luminance, arguments.validation);
   field.noise = image_noise(image, layout, bits, 1, mask);
 
-  const KernelBank bank(arguments.kernel);
-  weigh_noise(luminance, bank, field, 0, mask);
+  const FilterBank bank(arguments.kernel);
+  adapt_regularization(luminance, bank, field, 0, mask);
   cv::Mat deblurred;
   const auto start = std::chrono::steady_clock::now();
   deconvolve(image, layout, field, bank, *engine, deblurred);
@@ -245,7 +245,7 @@ int main_of(int argc, char** argv) {
   app.add_option("--gamma", arguments.kernel.gamma, "noise-to-signal ratio of the Wiener filter, at least")
       .show_default();
   app.add_flag(
-      "--fixed-gamma", [&] { arguments.kernel.gamma_rule = GammaRule::FIXED; },
+      "--fixed-gamma", [&] { arguments.kernel.regularization = Regularization::FIXED; },
       "gamma as it is, whatever the noise, and no block left alone for it");
   app.add_option("--engine", arguments.engine, "engine: auto, cpu, plane, float, opencl, opencl:INDEX, opencl:NAME")
       .show_default();

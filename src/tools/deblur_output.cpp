@@ -42,7 +42,7 @@ nlohmann::json report_of(const FrameOutput& output) {
   frame["identical"] = output.image == output.input;
   frame["keypoints"] = output.keypoints ? output.keypoints->keypoints.size() : 0;
   if (output.field) report_field(*output.field, &frame);
-  frame["milliseconds"] = {{"motion_from_images", output.stages.flow_ms},
+  frame["milliseconds"] = {{"optical_flow", output.stages.flow_ms},
                            {"blur_field", output.stages.blur_field_ms},
                            {"validation", output.stages.validation_ms},
                            {"noise", output.stages.noise_ms},

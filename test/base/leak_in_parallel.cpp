@@ -1,4 +1,4 @@
-// Loses 100 blocks in a parallel loop, on purpose: scripts/proof.sh wants to hear of them.
+// Loses 100 blocks in a parallel loop, on purpose: scripts/extended_tests.sh wants to hear of them.
 #include <cstddef>
 #include <cstdlib>
 
@@ -9,8 +9,8 @@ int main() {
   constexpr std::size_t kBytes = 64;
   // Kept from the compiler, which would see that nobody needs them.
   static void* volatile newest = nullptr;
-  const gyro_deblur::HelpAtOnce on_all_threads;
-  gyro_deblur::run_parallel(kBlocks, kThreads, 1, [](int) { newest = std::malloc(kBytes); });
+  const gyro_deblur::EagerHelpers on_all_threads;
+  gyro_deblur::parallel_for(kBlocks, kThreads, 1, [](int) { newest = std::malloc(kBytes); });
   newest = nullptr;
   return 0;
 }

@@ -1,5 +1,5 @@
 // Transforms of tiles, for every instruction set that this processor runs.
-#include "base/fourier_loops.hpp"
+#include "base/fourier_simd.hpp"
 
 #include <cmath>
 #include <complex>
@@ -36,7 +36,7 @@ TEST(FourierPlan, HasAPlaceForEveryFrequency) {
 class FourierTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_fourier_loops(GetParam());
+    loops_ = find_fourier_simd(GetParam());
     if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
     EXPECT_STREQ(loops_->name, GetParam());
   }
@@ -66,7 +66,7 @@ class FourierTest : public testing::TestWithParam<const char*> {
     return tile(cv::Rect(first_col, 0, end_col - first_col, rows)).clone();
   }
 
-  const FourierLoops* loops_ = nullptr;
+  const FourierSimd* loops_ = nullptr;
 };
 
 /// A gain without half a cycle a pixel for tiles of real numbers.
@@ -130,8 +130,8 @@ INSTANTIATE_TEST_SUITE_P(InstructionSets, FourierTest, testing::Values("baseline
 
 TEST(Fourier, LoopsOfTheWidestSetAreTheBest) {
   const char* widest = "baseline";
-  for (const char* name : {"avx2", "avx512"}) widest = find_fourier_loops(name) != nullptr ? name : widest;
-  EXPECT_STREQ(best_fourier_loops().name, widest);
+  for (const char* name : {"avx2", "avx512"}) widest = find_fourier_simd(name) != nullptr ? name : widest;
+  EXPECT_STREQ(best_fourier_simd().name, widest);
 }
 
 }  // namespace

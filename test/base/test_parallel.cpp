@@ -44,23 +44,23 @@ std::ptrdiff_t threads_of_process() {
 
 TEST(RunParallel, CallsEveryIndexOnce) {
   std::vector<int> calls(1000, 0);
-  run_parallel(1000, kThreads, 7, [&](int i) { ++calls[static_cast<std::size_t>(i)]; });
+  parallel_for(1000, kThreads, 7, [&](int i) { ++calls[static_cast<std::size_t>(i)]; });
   EXPECT_EQ(calls, std::vector<int>(1000, 1));
-  run_parallel(0, kThreads, 1, [](int) { FAIL(); });
-  const HelpAtOnce help_at_once;
-  run_parallel(1000, kThreads, 7, [&](int i) { ++calls[static_cast<std::size_t>(i)]; });
+  parallel_for(0, kThreads, 1, [](int) { FAIL(); });
+  const EagerHelpers eager_helpers;
+  parallel_for(1000, kThreads, 7, [&](int i) { ++calls[static_cast<std::size_t>(i)]; });
   EXPECT_EQ(calls, std::vector<int>(1000, 2));
 }
 
 TEST(RunParallel, ThrowsWhatABodyThrewInsteadOfEndingTheProcess) {
-  EXPECT_THROW(run_parallel(100, kThreads, 1,
+  EXPECT_THROW(parallel_for(100, kThreads, 1,
                             [](int i) {
                               if (i == 50) throw std::bad_alloc();
                             }),
                std::bad_alloc);
-  EXPECT_THROW(run_parallel(100, 0, 1, [](int) { throw std::runtime_error("every one"); }), std::runtime_error);
-  const HelpAtOnce help_at_once;
-  EXPECT_THROW(run_parallel(100, kThreads, 1, [](int) { throw std::runtime_error("every one"); }), std::runtime_error);
+  EXPECT_THROW(parallel_for(100, 0, 1, [](int) { throw std::runtime_error("every one"); }), std::runtime_error);
+  const EagerHelpers eager_helpers;
+  EXPECT_THROW(parallel_for(100, kThreads, 1, [](int) { throw std::runtime_error("every one"); }), std::runtime_error);
 }
 
 TEST(RunParallel, SkipsWhatIsLeftAfterAFailure) {
@@ -70,18 +70,18 @@ TEST(RunParallel, SkipsWhatIsLeftAfterAFailure) {
       ++calls;
       throw std::invalid_argument("first");
     };
-    EXPECT_THROW(run_parallel(1000, threads, 1, fail_at_once), std::invalid_argument);
+    EXPECT_THROW(parallel_for(1000, threads, 1, fail_at_once), std::invalid_argument);
     EXPECT_LE(calls, threads);
-    run_parallel(10, threads, 1, [&](int) { ++calls; });  // and the next loop is whole
+    parallel_for(10, threads, 1, [&](int) { ++calls; });  // and the next loop is whole
     EXPECT_GE(calls, 11);
   }
 }
 
 TEST(RunParallel, GivesThreadsThatWorkAtTheSameTimeNumbersOfTheirOwn) {
-  const HelpAtOnce help_at_once;
+  const EagerHelpers eager_helpers;
   std::vector<std::atomic<int>> at_work(kThreads);
   std::atomic<int> wrong{0};
-  run_parallel(200, kThreads, 1, [&](int, int thread) {
+  parallel_for(200, kThreads, 1, [&](int, int thread) {
     if (thread < 0 || thread >= kThreads || ++at_work[static_cast<std::size_t>(thread)] != 1) ++wrong;
     work_for(20e-6);
     --at_work[static_cast<std::size_t>(std::clamp(thread, 0, kThreads - 1))];
@@ -90,8 +90,8 @@ TEST(RunParallel, GivesThreadsThatWorkAtTheSameTimeNumbersOfTheirOwn) {
 }
 
 // The cause of frames that take twenty times as long beside a busy process, and of the time that is taken from it.
-TEST(RunParallel, ThreadsSleepBetweenLoops) {
-  constexpr int kLoops = 20, kAllCores = 0;
+TEST(RunParallel, ThreadsSleepBetweenSimd) {
+  constexpr int kSimd = 20, kAllCores = 0;
   constexpr double kWorkS = 250e-6;
   // Of each thread that has helped, from its first work on. Libraries have threads too, of which OpenBLAS' spin.
   struct Helped {
@@ -100,8 +100,8 @@ TEST(RunParallel, ThreadsSleepBetweenLoops) {
   };
   std::map<std::thread::id, Helped> helpers;
   std::mutex mutex;
-  for (int i = 0; i < kLoops; ++i) {
-    run_parallel(40, kAllCores, 1, [&, caller = std::this_thread::get_id()](int) {
+  for (int i = 0; i < kSimd; ++i) {
+    parallel_for(40, kAllCores, 1, [&, caller = std::this_thread::get_id()](int) {
       const double begin_s = seconds_of(CLOCK_THREAD_CPUTIME_ID);
       work_for(kWorkS);
       const std::lock_guard<std::mutex> lock(mutex);
@@ -115,7 +115,7 @@ TEST(RunParallel, ThreadsSleepBetweenLoops) {
   double idle_s = 0;
   for (const auto& [id, helped] : helpers) idle_s += seconds_of(helped.clock) - helped.begin_s - helped.worked_s;
   EXPECT_TRUE(available_cores() == 1 || !helpers.empty());
-  EXPECT_LT(idle_s / kLoops, 300e-6) << "processor time of the threads that help beside their work, a loop";
+  EXPECT_LT(idle_s / kSimd, 300e-6) << "processor time of the threads that help beside their work, a loop";
 }
 
 TEST(RunParallel, SmallWorkStartsNoThread) {
@@ -124,7 +124,7 @@ TEST(RunParallel, SmallWorkStartsNoThread) {
   for (int i = 0; i < kTries; ++i) {
     const std::ptrdiff_t before = threads_of_process();
     // More threads than any loop before had.
-    run_parallel(100, 2 * kThreads + i, 1, [](int) {});
+    parallel_for(100, 2 * kThreads + i, 1, [](int) {});
     grown += threads_of_process() > before ? 1 : 0;
   }
 #ifdef GYRO_DEBLUR_TSAN
@@ -134,14 +134,14 @@ TEST(RunParallel, SmallWorkStartsNoThread) {
 }
 
 TEST(RunParallel, DoesNotWaitForThreadsThatAreKeptElsewhere) {
-  const HelpAtOnce help_at_once;
+  const EagerHelpers eager_helpers;
   std::mutex mutex;
   std::condition_variable changed;
   int inside = 0;
   bool released = false;
   // Two threads, this one's and a helper, that stay inside their loop.
   std::thread other([&] {
-    run_parallel(2, 2, 1, [&](int) {
+    parallel_for(2, 2, 1, [&](int) {
       std::unique_lock<std::mutex> lock(mutex);
       ++inside;
       changed.notify_all();
@@ -153,7 +153,7 @@ TEST(RunParallel, DoesNotWaitForThreadsThatAreKeptElsewhere) {
     changed.wait(lock, [&] { return inside == 2; });
   }
   std::atomic<int> calls{0};
-  run_parallel(1000, 2, 1, [&](int) { ++calls; });
+  parallel_for(1000, 2, 1, [&](int) { ++calls; });
   EXPECT_EQ(calls, 1000);
   {
     const std::lock_guard<std::mutex> lock(mutex);
@@ -164,13 +164,13 @@ TEST(RunParallel, DoesNotWaitForThreadsThatAreKeptElsewhere) {
 }
 
 TEST(RunParallel, RunsWithinLoopsAndFromSeveralThreadsAtOnce) {
-  const HelpAtOnce help_at_once;
+  const EagerHelpers eager_helpers;
   std::atomic<int> calls{0};
   std::vector<std::thread> cameras;
   for (int i = 0; i < kThreads; ++i) {
     cameras.emplace_back([&] {
       for (int frame = 0; frame < 50; ++frame) {
-        run_parallel(10, kThreads, 1, [&](int) { run_parallel(10, 2, 1, [&](int) { ++calls; }); });
+        parallel_for(10, kThreads, 1, [&](int) { parallel_for(10, 2, 1, [&](int) { ++calls; }); });
       }
     });
   }

@@ -122,7 +122,7 @@ TEST(ClassifyPath, StraightAtEvenSpeedIsTheBox) {
     EXPECT_EQ(blur.angle_rad, expected.angle_rad);
     EXPECT_FLOAT_EQ(blur.extent_px, expected.extent_px);
     EXPECT_EQ(blur.status, expected.status);
-    EXPECT_FALSE(blur.uneven_path_px);
+    EXPECT_FALSE(blur.nonuniform_path_px);
   }
 }
 
@@ -135,18 +135,18 @@ TEST(ClassifyPath, AStepOfTheSpeedDepartsByAQuarterOfTheDifference) {
       return classify_path(path_of([&](double t) { return 2 * t * (t < 0 ? 10 : 10 + difference_px) * way; }), {});
     };
     // Of an extent of 20 px and the difference, a quarter of which is the limit at 1.115 px.
-    EXPECT_FALSE(stepped(1.10).uneven_path_px);
+    EXPECT_FALSE(stepped(1.10).nonuniform_path_px);
     const BlockBlur blur = stepped(10);
     EXPECT_NEAR(blur.extent_px, 30, 1e-4);
     EXPECT_LT(axial_difference(blur.angle_rad, axial_angle(way.x(), way.y())), 1e-6);
     EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
-    ASSERT_TRUE(blur.uneven_path_px);
+    ASSERT_TRUE(blur.nonuniform_path_px);
     // Forwards or backwards along the axial angle.
     const double sign = way.dot(Eigen::Vector2d(std::cos(blur.angle_rad), std::sin(blur.angle_rad)));
     EXPECT_NEAR(std::abs(sign), 1, 1e-6);
     const double expected[] = {-10, -7.5, -5, -2.5, 0, 5, 10, 15, 20};
-    for (int k = 0; k < kPathInstants; ++k) EXPECT_NEAR((*blur.uneven_path_px)[k], sign * expected[k], 1e-4) << k;
-    EXPECT_TRUE(stepped(1.13).uneven_path_px);
+    for (int k = 0; k < kPathInstants; ++k) EXPECT_NEAR((*blur.nonuniform_path_px)[k], sign * expected[k], 1e-4) << k;
+    EXPECT_TRUE(stepped(1.13).nonuniform_path_px);
   }
 }
 
@@ -163,18 +163,18 @@ TEST(ClassifyPath, SaysWhereTheImageShowsThePoint) {
   constexpr double kMean = (1 / 2.0 + 2 * (9 + 4 + 1) / 16.0 + 1 / 2.0) / 8;
   BlockBlur even = blur_of(1.5, 0.9);
   ASSERT_EQ(even.status, BlockStatus::DEBLURRED);
-  ASSERT_FALSE(even.uneven_path_px);
+  ASSERT_FALSE(even.nonuniform_path_px);
   constexpr double kMiddle = 1 - 7.5 / 40;  // how near it is to the middle of the line
-  EXPECT_LT((even.shown_offset_px() - ((kMiddle + (1 - kMiddle) * kMean) * 1.5 * way + kMean * 0.9 * across)).norm(),
+  EXPECT_LT((even.apparent_offset_px() - ((kMiddle + (1 - kMiddle) * kMean) * 1.5 * way + kMean * 0.9 * across)).norm(),
             1e-3);
   even.status = BlockStatus::SHARP;
-  EXPECT_LT((even.shown_offset_px() - kMean * (1.5 * way + 0.9 * across)).norm(), 1e-4);
-  const BlockBlur uneven = blur_of(6, 0.9);
-  ASSERT_EQ(uneven.status, BlockStatus::DEBLURRED);
-  ASSERT_TRUE(uneven.uneven_path_px);
+  EXPECT_LT((even.apparent_offset_px() - kMean * (1.5 * way + 0.9 * across)).norm(), 1e-4);
+  const BlockBlur nonuniform = blur_of(6, 0.9);
+  ASSERT_EQ(nonuniform.status, BlockStatus::DEBLURRED);
+  ASSERT_TRUE(nonuniform.nonuniform_path_px);
   // Its line is fitted to the places, so that it is a little off the way.
-  EXPECT_LT((uneven.shown_offset_px() - kMean * 0.9 * across).norm(), 0.1);
-  EXPECT_EQ(uniform_blur_field(64, 64, 1, 20, {}).blocks[0].shown_offset_px(), Eigen::Vector2d::Zero());
+  EXPECT_LT((nonuniform.apparent_offset_px() - kMean * 0.9 * across).norm(), 0.1);
+  EXPECT_EQ(uniform_blur_field(64, 64, 1, 20, {}).blocks[0].apparent_offset_px(), Eigen::Vector2d::Zero());
 }
 
 TEST(ClassifyPath, ThereAndBackCoversTheLineOnce) {
@@ -182,7 +182,7 @@ TEST(ClassifyPath, ThereAndBackCoversTheLineOnce) {
   EXPECT_NEAR(blur.extent_px, 20, 1e-4);
   EXPECT_NEAR(blur.angle_rad, M_PI / 2, 1e-6);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
-  EXPECT_TRUE(blur.uneven_path_px);
+  EXPECT_TRUE(blur.nonuniform_path_px);
 }
 
 TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
@@ -196,39 +196,39 @@ TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
   const double turn_rad = 0.9, bend_px = 0.5 * kRadius * (1 - std::cos(0.5 * turn_rad));
   const double allowed_px = kStraightPathShare * 2 * kRadius * std::sin(0.5 * turn_rad);
   BlurFieldOptions options;
-  options.max_bend_px = 1.001 * bend_px - allowed_px;
+  options.curved_path_threshold_px = 1.001 * bend_px - allowed_px;
   BlockBlur blur = classify_path(bow(turn_rad), options);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
-  EXPECT_FALSE(blur.bent_path_px);
+  EXPECT_FALSE(blur.curved_path_px);
   EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
   EXPECT_LT(axial_difference(blur.angle_rad, 0), 1e-6);
-  options.max_bend_px = 0.999 * bend_px - allowed_px;
+  options.curved_path_threshold_px = 0.999 * bend_px - allowed_px;
   blur = classify_path(bow(turn_rad), options);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
-  ASSERT_TRUE(blur.bent_path_px);
+  ASSERT_TRUE(blur.curved_path_px);
   for (int k = 0; k < kPathInstants; ++k) {
-    EXPECT_LT(((*blur.bent_path_px)[k].cast<double>() - bow(turn_rad)[k]).norm(), 1e-5) << k;
+    EXPECT_LT(((*blur.curved_path_px)[k].cast<double>() - bow(turn_rad)[k]).norm(), 1e-5) << k;
   }
-  EXPECT_EQ(blur.shown_offset_px(), Eigen::Vector2d::Zero()) << "the whole path is undone";
+  EXPECT_EQ(blur.apparent_offset_px(), Eigen::Vector2d::Zero()) << "the whole path is undone";
   EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
-  EXPECT_TRUE(classify_path(bow(2 * M_PI), {}).bent_path_px) << "a whole circle";
+  EXPECT_TRUE(classify_path(bow(2 * M_PI), {}).curved_path_px) << "a whole circle";
   // Where there is no time for the plane.
   blur = classify_path(bow(turn_rad), options, true);
-  EXPECT_EQ(blur.status, BlockStatus::BENT);
-  EXPECT_FALSE(blur.bent_path_px);
+  EXPECT_EQ(blur.status, BlockStatus::TOO_CURVED);
+  EXPECT_FALSE(blur.curved_path_px);
   // 2 px high: 1 px to either side of a line, of which 0.6 are allowed.
   const auto slight_bow = path_of([](double t) { return Eigen::Vector2d(30 * t, 8 * t * (1 - t)); });
-  options.max_bend_px = 0.2;
-  EXPECT_TRUE(classify_path(slight_bow, options).bent_path_px);
+  options.curved_path_threshold_px = 0.2;
+  EXPECT_TRUE(classify_path(slight_bow, options).curved_path_px);
   blur = classify_path(slight_bow, options, true);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
-  EXPECT_FALSE(blur.bent_path_px);
+  EXPECT_FALSE(blur.curved_path_px);
   // Longer than any tile.
-  options.max_extent_px = 2 * kMaxPlaneExtentPx;
-  const auto long_bow = path_of([](double t) { return Eigen::Vector2d(1.01 * kMaxPlaneExtentPx * t, 200 * t * t); });
-  EXPECT_EQ(classify_path(long_bow, options).status, BlockStatus::BENT);
+  options.max_extent_px = 2 * kMax2dExtentPx;
+  const auto long_bow = path_of([](double t) { return Eigen::Vector2d(1.01 * kMax2dExtentPx * t, 200 * t * t); });
+  EXPECT_EQ(classify_path(long_bow, options).status, BlockStatus::TOO_CURVED);
   // What is too small or too large anyway stays that.
-  options.max_bend_px = 0;
+  options.curved_path_threshold_px = 0;
   options.min_extent_px = 5;
   EXPECT_EQ(classify_path(bow(0.06), options).status, BlockStatus::SHARP);
   options.max_extent_px = 10;
@@ -248,7 +248,7 @@ TEST(BlurFieldEstimator, PanBlursAlongX) {
     const double a = std::atan((field.grid.center(i).x() - 319.5) / f), h = 0.5 * rate * exposure_s;
     const double dx = f * (std::tan(a + h) - std::tan(a - h));
     EXPECT_EQ(field.blocks[i].status, BlockStatus::DEBLURRED);
-    EXPECT_FALSE(field.blocks[i].uneven_path_px);
+    EXPECT_FALSE(field.blocks[i].nonuniform_path_px);
     EXPECT_GE(field.blocks[i].extent_px, dx - 1e-4);  // away from the middle row there is some dy as well
     EXPECT_LT(field.blocks[i].extent_px, 1.05 * dx);
   }
@@ -380,11 +380,11 @@ TEST(BlurFieldEstimator, FindsAStepOfTheRateInTheRowsThatSeeIt) {
     const BlockBlur& blur = field.blocks[index];
     EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
     if (exposure.end(y) < step_ns - kMs || exposure.start(y) > step_ns + kMs) {
-      EXPECT_FALSE(blur.uneven_path_px) << row;
+      EXPECT_FALSE(blur.nonuniform_path_px) << row;
       ++even;
       continue;
     }
-    ASSERT_TRUE(blur.uneven_path_px) << row;
+    ASSERT_TRUE(blur.nonuniform_path_px) << row;
     const double slow_s = to_seconds(step_ns - exposure.start(y)), fast_s = to_seconds(exposure.end(y) - step_ns);
     // The step takes 1 ms; tan is steeper away from the centre.
     EXPECT_NEAR(blur.extent_px, 500 * (kSlow * slow_s + kFast * fast_s), 0.6) << row;

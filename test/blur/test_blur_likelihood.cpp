@@ -8,7 +8,7 @@
 #include <gtest/gtest.h>
 
 #include "gyro_deblur/blur_validation.hpp"
-#include "plane_paths.hpp"
+#include "paths_2d.hpp"
 #include "validation_scores.hpp"
 
 namespace gyro_deblur {
@@ -73,7 +73,7 @@ TEST(BlurLikelihood, OneRateIsOneThreshold) {
   double last_false = 0, last_true = 0;
   for (const double rate : {0.001, 0.01, 0.1, 0.5}) {
     ValidationOptions options = kLikelihood;
-    options.false_acceptance = rate;
+    options.false_accept_rate = rate;
     const double now_false = accepted(images.field, third, options),
                  now_true = accepted(images.field, blurred, options);
     EXPECT_GE(now_false, last_false);
@@ -82,7 +82,7 @@ TEST(BlurLikelihood, OneRateIsOneThreshold) {
     last_true = now_true;
   }
   ValidationOptions strict = kLikelihood;
-  strict.false_acceptance = 0.001;
+  strict.false_accept_rate = 0.001;
   EXPECT_LT(accepted(images.field, blurred, strict), last_true) << "the rate has an effect";
 }
 
@@ -103,9 +103,9 @@ TEST(BlurLikelihood, SaturatedLightsDoNotContradict) {
   EXPECT_GE(accepted(field, test::expose(blurred, 2, 8)), 0.95);
 }
 
-TEST(BlurLikelihood, AnUnevenPathHasItsOwnSpectrum) {
+TEST(BlurLikelihood, AnNonuniformPathHasItsOwnSpectrum) {
   // Two thirds of the exposure on a quarter of the way: a box of 24 px is no fit for it.
-  const LinePath path_px = {-8, -7, -6, -5, -4, -3, -2, 7, 16};
+  const Path1d path_px = {-8, -7, -6, -5, -4, -3, -2, 7, 16};
   const cv::Mat sharp = test::textured_image(kWidthPx, kHeightPx, 36);
   const cv::Mat image = test::expose(test::blur_along_path(sharp, 0.9, path_px), 1, 9);
   FrameBlur field = uniform_blur_field(kWidthPx, kHeightPx, 0.9, 24, {});
@@ -114,7 +114,7 @@ TEST(BlurLikelihood, AnUnevenPathHasItsOwnSpectrum) {
     return std::accumulate(ratios.begin(), ratios.end(), 0.0) / static_cast<double>(ratios.size());
   };
   const double as_box = mean_ratio();
-  for (BlockBlur& block : field.blocks) block.uneven_path_px = path_px;
+  for (BlockBlur& block : field.blocks) block.nonuniform_path_px = path_px;
   EXPECT_GT(mean_ratio(), as_box + 5);
   EXPECT_GE(accepted(field, image), 0.98);
   EXPECT_LE(accepted(field, test::expose(sharp, 1, 10)), 0.02);
@@ -125,9 +125,9 @@ TEST(BlurLikelihood, AnEvenPathIsABox) {
   const BlurLikelihood likelihood(image, 2);
   BlockBlur blur{0.6f, 12, BlockStatus::DEBLURRED};
   const double box = likelihood.log_ratio({64, 0, 64, 64}, blur);
-  LinePath path_px;
+  Path1d path_px;
   for (int k = 0; k < kPathInstants; ++k) path_px[k] = 12.0f * static_cast<float>(k) / (kPathInstants - 1) - 6;
-  blur.uneven_path_px = path_px;
+  blur.nonuniform_path_px = path_px;
   EXPECT_NEAR(likelihood.log_ratio({64, 0, 64, 64}, blur), box, 1e-3 * std::abs(box));
   EXPECT_GT(box, 5);
 }
@@ -137,7 +137,7 @@ TEST(BlurLikelihood, AStraightPathInThePlaneIsABox) {
   const BlurLikelihood likelihood(image, 2);
   BlockBlur blur{0.6f, 20, BlockStatus::DEBLURRED};
   const double box = likelihood.log_ratio({64, 64, 64, 64}, blur);
-  blur.bent_path_px = test::arc_path(20, 0, 0.6);
+  blur.curved_path_px = test::arc_path(20, 0, 0.6);
   // The line is smeared along itself alone, and looked up in bins.
   EXPECT_NEAR(likelihood.log_ratio({64, 64, 64, 64}, blur), box, 0.1 * std::abs(box));
   EXPECT_GT(box, 5);
@@ -146,13 +146,13 @@ TEST(BlurLikelihood, AStraightPathInThePlaneIsABox) {
 TEST(BlurLikelihood, ABentPathHasItsOwnSpectrum) {
   const cv::Mat sharp = test::textured_image(kWidthPx, kHeightPx, 42);
   for (const auto& [extent_px, sagitta_px] : {std::pair(12.0, 4.0), std::pair(24.0, 10.0), std::pair(80.0, 30.0)}) {
-    const PlanePath path_px = test::arc_path(extent_px, sagitta_px, 0.9);
-    const cv::Mat image = test::expose(test::blur_in_plane(sharp, path_px), 2, 9);
+    const Path2d path_px = test::arc_path(extent_px, sagitta_px, 0.9);
+    const cv::Mat image = test::expose(test::blur_in_2d(sharp, path_px), 2, 9);
     FrameBlur field = uniform_blur_field(kWidthPx, kHeightPx, 0.9, extent_px, {});
-    for (BlockBlur& block : field.blocks) block.bent_path_px = path_px;
+    for (BlockBlur& block : field.blocks) block.curved_path_px = path_px;
     EXPECT_GE(accepted(field, image), 0.98) << extent_px << " px";
     EXPECT_LE(accepted(field, test::expose(sharp, 2, 10)), 0.02) << extent_px << " px";
-    for (BlockBlur& block : field.blocks) block.bent_path_px = test::arc_path(extent_px, sagitta_px, 0.9 + M_PI / 2);
+    for (BlockBlur& block : field.blocks) block.curved_path_px = test::arc_path(extent_px, sagitta_px, 0.9 + M_PI / 2);
     EXPECT_LE(accepted(field, image), 0.02) << extent_px << " px across";
   }
 }
@@ -213,7 +213,7 @@ TEST(BlurLikelihood, TouchesOnlyBlocksThatWouldBeDeblurredWhateverTheThreads) {
   const cv::Mat sharp = test::textured_image(kWidthPx, kHeightPx, 41);
   FrameBlur field = uniform_blur_field(kWidthPx, kHeightPx, 0.3, 30, {});
   const BlockStatus statuses[] = {BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::TOO_LARGE,
-                                  BlockStatus::NO_GYRO, BlockStatus::BENT};
+                                  BlockStatus::NO_GYRO, BlockStatus::TOO_CURVED};
   for (std::size_t i = 0; i < field.blocks.size(); ++i) field.blocks[i].status = statuses[i % 5];
   const std::vector<double> ratios = log_ratios(field, BlurLikelihood(sharp, 1), 1);
   EXPECT_EQ(log_ratios(field, BlurLikelihood(sharp, 1), 2), ratios);

@@ -112,14 +112,14 @@ TEST(SteepestBox, IsTheExtentOfAnEvenPathAndShortWhereThePointLingers) {
   blur.extent_px = 16;
   EXPECT_EQ(steepest_box_px(blur), 16);
   // Half of the exposure on 4 px, the other half on 12: a box of 8 px is as dense as the first half.
-  blur.uneven_path_px = LinePath{-4, -3, -2, -1, 0, 3, 6, 9, 12};
+  blur.nonuniform_path_px = Path1d{-4, -3, -2, -1, 0, 3, 6, 9, 12};
   EXPECT_NEAR(steepest_box_px(blur), 8, 1e-9);
   // There and back: two eighths of the exposure on the last pixel but one from the turn, as on each before.
-  blur.uneven_path_px = LinePath{-8, -6, -4, -2, 0, -2, -4, -6, -8};
+  blur.nonuniform_path_px = Path1d{-8, -6, -4, -2, 0, -2, -4, -6, -8};
   blur.extent_px = 8;
   EXPECT_NEAR(steepest_box_px(blur), 8, 1e-9);
   // Half of the exposure at rest.
-  blur.uneven_path_px = LinePath{0, 0, 0, 0, 0, 2, 4, 6, 8};
+  blur.nonuniform_path_px = Path1d{0, 0, 0, 0, 0, 2, 4, 6, 8};
   EXPECT_NEAR(steepest_box_px(blur), 2 / 0.625, 1e-9);
 }
 

@@ -7,7 +7,7 @@
 #include <gtest/gtest.h>
 
 #include "gyro_deblur/blur_field.hpp"
-#include "plane_paths.hpp"
+#include "paths_2d.hpp"
 #include "validation_scores.hpp"
 
 namespace gyro_deblur {
@@ -49,9 +49,9 @@ INSTANTIATE_TEST_SUITE_P(Scenes, ExposureEstimateTest,
                          testing::Values(Scene{7, 0.4, {1}}, Scene{10, 0, {2}}, Scene{13, 1.57, {4}},
                                          Scene{16, 2.2, {3, 0.35}}, Scene{25, 1.0, {2, 1, 500}}, Scene{50, 2.8, {2}}));
 
-TEST(ExposureEstimate, FollowsPathsOfUnevenSpeed) {
+TEST(ExposureEstimate, FollowsPathsOfNonuniformSpeed) {
   // Three quarters of the exposure in half of the line.
-  LinePath path_px;
+  Path1d path_px;
   for (int k = 0; k < kPathInstants; ++k) {
     const float s = static_cast<float>(k) / (kPathInstants - 1);
     path_px[k] = 16 * (s < 0.75F ? s * 2 / 3 : 0.5F + 2 * (s - 0.75F)) - 16.0F / 3;
@@ -61,22 +61,22 @@ TEST(ExposureEstimate, FollowsPathsOfUnevenSpeed) {
     SCOPED_TRACE(assumption);
     FrameBlur field = assumed_field(0.7, 16, assumption);
     for (BlockBlur& block : field.blocks) {
-      block.uneven_path_px = path_px;
-      for (float& place : *block.uneven_path_px) place *= assumption;
+      block.nonuniform_path_px = path_px;
+      for (float& place : *block.nonuniform_path_px) place *= assumption;
     }
     expect_ratio(estimate_exposure(field, image), 1 / assumption);
   }
 }
 
 TEST(ExposureEstimate, FollowsCurvedPaths) {
-  const PlanePath path_px = test::arc_path(22, 4, 0.5);
-  const cv::Mat image = test::expose(test::blur_in_plane(texture(53), path_px), 1.5, 3);
+  const Path2d path_px = test::arc_path(22, 4, 0.5);
+  const cv::Mat image = test::expose(test::blur_in_2d(texture(53), path_px), 1.5, 3);
   for (const float assumption : {0.5F, 1.0F, 1.8F}) {
     SCOPED_TRACE(assumption);
     FrameBlur field = assumed_field(0.5, 22, assumption);
     for (BlockBlur& block : field.blocks) {
-      block.bent_path_px = path_px;
-      for (Eigen::Vector2f& place : *block.bent_path_px) place *= assumption;
+      block.curved_path_px = path_px;
+      for (Eigen::Vector2f& place : *block.curved_path_px) place *= assumption;
     }
     expect_ratio(estimate_exposure(field, image), 1 / assumption);
   }

@@ -67,7 +67,7 @@ TEST(NoiseToContrast, IsThatOfWhatIsNotNoise) {
 
 TEST(AssessQuality, OfAWholeImage) {
   const FrameQuality sharp = assess_quality(field_of(1, BlockStatus::SHARP));
-  EXPECT_STREQ(to_string(sharp.verdict), "SHARP");
+  EXPECT_STREQ(to_string(sharp.grade), "SHARP");
   EXPECT_NEAR(*sharp.score, *expected_repeatability(block_of(1, BlockStatus::SHARP), kRelative), 1e-9);
   EXPECT_EQ(sharp.noise, kNoise);
   EXPECT_EQ(sharp.before.median_px, 1);
@@ -75,12 +75,12 @@ TEST(AssessQuality, OfAWholeImage) {
   EXPECT_NEAR(sharp.share(BlockStatus::SHARP), 1, 1e-9);
 
   const FrameQuality deblurred = assess_quality(field_of(20, BlockStatus::DEBLURRED));
-  EXPECT_STREQ(to_string(deblurred.verdict), "DEBLURRED");
+  EXPECT_STREQ(to_string(deblurred.grade), "DEBLURRED");
   EXPECT_EQ(deblurred.before.median_px, 20);
   EXPECT_EQ(deblurred.after.p95_px, 0);
 
   const FrameQuality blurred = assess_quality(field_of(80, BlockStatus::TOO_LARGE));
-  EXPECT_STREQ(to_string(blurred.verdict), "BAD");
+  EXPECT_STREQ(to_string(blurred.grade), "POOR");
   EXPECT_EQ(blurred.after.median_px, 80);
   EXPECT_LT(*blurred.score, *deblurred.score);
   EXPECT_LT(*deblurred.score, *sharp.score);
@@ -91,17 +91,17 @@ TEST(AssessQuality, CountsBlocksByTheirPixels) {
   FrameBlur field = uniform_blur_field(200, 128, 0, 10, {});
   ASSERT_EQ(field.blocks.size(), 8u);
   for (const std::size_t narrow : {3u, 7u}) {
-    field.blocks[narrow].status = BlockStatus::BENT;
+    field.blocks[narrow].status = BlockStatus::TOO_CURVED;
     field.blocks[narrow].extent_px = 90;
   }
   FrameQuality quality = assess_quality(field);
-  EXPECT_NEAR(quality.share(BlockStatus::BENT), 0.04, 1e-9);
+  EXPECT_NEAR(quality.share(BlockStatus::TOO_CURVED), 0.04, 1e-9);
   EXPECT_EQ(quality.before.p95_px, 10);
   EXPECT_EQ(quality.after.p95_px, 0);
-  EXPECT_STREQ(to_string(quality.verdict), "DEBLURRED");
+  EXPECT_STREQ(to_string(quality.grade), "DEBLURRED");
   field.blocks[0].status = BlockStatus::REJECTED;  // 16 % more
   quality = assess_quality(field);
-  EXPECT_STREQ(to_string(quality.verdict), "PARTLY");
+  EXPECT_STREQ(to_string(quality.grade), "PARTLY_DEBLURRED");
   EXPECT_EQ(quality.after.median_px, 0);
   EXPECT_EQ(quality.after.p95_px, 10);
 }
@@ -109,12 +109,12 @@ TEST(AssessQuality, CountsBlocksByTheirPixels) {
 TEST(AssessQuality, SaysNothingOfAnImageOfWhichMostIsNotKnown) {
   FrameBlur field = field_of(10, BlockStatus::DEBLURRED);
   for (int i = 0; i < 19; ++i) field.blocks[static_cast<std::size_t>(i)].status = BlockStatus::NO_GYRO;
-  EXPECT_STREQ(to_string(assess_quality(field).verdict), "PARTLY");
+  EXPECT_STREQ(to_string(assess_quality(field).grade), "PARTLY_DEBLURRED");
   EXPECT_NEAR(*assess_quality(field).score, *assess_quality(field_of(10, BlockStatus::DEBLURRED)).score, 1e-9);
   field.blocks[19].status = BlockStatus::NO_GYRO;
-  EXPECT_STREQ(to_string(assess_quality(field).verdict), "UNKNOWN");
+  EXPECT_STREQ(to_string(assess_quality(field).grade), "UNKNOWN");
   EXPECT_FALSE(assess_quality(field).score);
-  EXPECT_STREQ(to_string(assess_quality(FrameBlur{}).verdict), "UNKNOWN");
+  EXPECT_STREQ(to_string(assess_quality(FrameBlur{}).grade), "UNKNOWN");
 }
 
 TEST(TrustMask, IsWhereTheImageIsSharpOrRestored) {
@@ -145,12 +145,12 @@ TEST(TrustMask, LeavesOutWhatBlurHasMixedWithWhatIsNotInTheImage) {
 
 TEST(TrustMask, GoesByTheWholeOfABentPath) {
   FrameBlur field = uniform_blur_field(640, 256, 0, 40, {});
-  PlanePath path_px;
+  Path2d path_px;
   for (int k = 0; k < kPathInstants; ++k) {
     const float t = static_cast<float>(k) / (kPathInstants - 1) - 0.5f;
     path_px[k] = {40 * t, 80 * t * t};  // 40 px wide, 20 px high
   }
-  for (BlockBlur& block : field.blocks) block.bent_path_px = path_px;
+  for (BlockBlur& block : field.blocks) block.curved_path_px = path_px;
   const cv::Mat mask = trust_mask(field);
   EXPECT_EQ(cv::countNonZero(mask), cv::countNonZero(mask(cv::Rect(20, 10, 600, 236))));
   EXPECT_GE(cv::countNonZero(mask), 598 * 234);

@@ -41,7 +41,7 @@ TEST(StatusColor, IsDifferentForEveryStatusAndNamedRight) {
   EXPECT_TRUE(is(BlockStatus::REJECTED, true, false, false));
   EXPECT_TRUE(is(BlockStatus::TOO_LARGE, true, false, true));
   EXPECT_TRUE(is(BlockStatus::NO_GYRO, true, true, false));
-  EXPECT_TRUE(is(BlockStatus::BENT, false, true, true));
+  EXPECT_TRUE(is(BlockStatus::TOO_CURVED, false, true, true));
   EXPECT_TRUE(is(BlockStatus::NOISY, false, false, true));
   EXPECT_TRUE(is(BlockStatus::MASKED, false, false, false));
   EXPECT_TRUE(is(BlockStatus::STATIC_EDGE, true, false, false));
@@ -139,7 +139,7 @@ TEST(ResidualSegment, IsTheWayWithinTheExposureFromTheCentre) {
   EXPECT_LT((segment->to_px - Eigen::Vector2d(101.5, 87.5)).norm(), 1e-9);
 }
 
-TEST(DrawOverlay, MarksBlocksThatHaveMotionFromImagesAndDrawsIt) {
+TEST(DrawOverlay, MarksBlocksThatHaveOpticalFlowAndDrawsIt) {
   const cv::Mat grey(960, 1280, CV_8UC1, cv::Scalar(120));  // lines are 2 px wide
   const cv::Vec3b rgb = residual_color_rgb(), orange(rgb[2], rgb[1], rgb[0]);
   for (const BlockStatus status : kBlockStatuses) EXPECT_GT(distance(bgr(status), orange), 75) << to_string(status);

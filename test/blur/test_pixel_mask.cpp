@@ -150,7 +150,7 @@ TEST(PixelMask, MaskedBlocksDoNotCount) {
   FrameBlur field = field_of(0, 10), whole = field;
   mark_masked(mask, &field);
   ASSERT_GT(assess_quality(field).share(BlockStatus::MASKED), 0.2);
-  EXPECT_EQ(assess_quality(field).verdict, QualityVerdict::DEBLURRED);
+  EXPECT_EQ(assess_quality(field).grade, QualityGrade::DEBLURRED);
   EXPECT_NEAR(*assess_quality(field).score, *assess_quality(whole).score, 1e-9);
   const cv::Mat trust = trust_mask(field, mask);
   EXPECT_EQ(cv::countNonZero(trust & (mask.pixels() == 0)), 0);

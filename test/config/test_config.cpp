@@ -45,23 +45,24 @@ std::string dump(const Config& c) {
     << c.calibration_files.size() << ' ' << c.calibration_camera << "\nself_calibration "
     << static_cast<int>(c.self_calibration) << "\nrectified_input " << c.rectified_input << "\nR ";
   if (c.R_cam_imu) s << *c.R_cam_imu;
-  s << "\ntimeout " << c.gyro_timeout_ns << "\nqueue " << c.frame_queue_size << "\nstereo_patience "
-    << c.stereo_patience_ns << "\ndrop_bad " << c.drop_bad << "\nmask " << c.mask_file << "\nbias_window "
+  s << "\ntimeout " << c.input_timeout_ns << "\nqueue " << c.frame_queue_size << "\nstereo_sync_timeout "
+    << c.stereo_sync_timeout_ns << "\ndrop_poor " << c.drop_poor << "\nmask " << c.mask_file << "\nbias_window "
     << c.bias_window_ns << "\nbias_max_stddev " << c.bias_max_stddev_rad_s << "\ntime_jump " << c.time_jump_ns
     << "\nrectify_to " << static_cast<int>(c.pipeline.rectify_to) << "\nglobal_shutter_border "
     << static_cast<int>(c.pipeline.global_shutter_border) << "\nengine " << c.pipeline.engine << "\nthreads "
     << c.pipeline.threads << "\nsignificant_bits " << c.pipeline.significant_bits << "\nblock_size "
     << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px << "\nmax_extent "
-    << c.pipeline.blur_field.max_extent_px << "\nmax_bend " << c.pipeline.blur_field.max_bend_px
-    << "\nmotion_from_images " << c.pipeline.motion_from_images << "\nflow_without_gyro "
-    << c.pipeline.flow_without_gyro << "\ngamma " << c.pipeline.kernel.gamma << "\nlength_factor "
-    << c.pipeline.kernel.length_factor << "\nsmoothing " << c.pipeline.kernel.smoothing_px << "\ngamma_rule "
-    << static_cast<int>(c.pipeline.kernel.gamma_rule) << "\nnoise " << c.pipeline.noise.read_noise << ' '
-    << c.pipeline.noise.noise_gain << "\nvalidate " << c.pipeline.validation.enabled << "\nvalidation "
-    << static_cast<int>(c.pipeline.validation.rule) << ' ' << c.pipeline.validation.false_acceptance << "\ntau "
-    << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\ndetector "
-    << c.pipeline.keypoints.detector << "\ndescriptor " << c.pipeline.keypoints.descriptor << "\nmax_features "
-    << c.pipeline.keypoints.max_features << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
+    << c.pipeline.blur_field.max_extent_px << "\ncurved_path_threshold "
+    << c.pipeline.blur_field.curved_path_threshold_px << "\noptical_flow " << c.pipeline.optical_flow
+    << "\nflow_without_gyro " << c.pipeline.flow_without_gyro << "\ngamma " << c.pipeline.kernel.gamma
+    << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing " << c.pipeline.kernel.smoothing_px
+    << "\nregularization " << static_cast<int>(c.pipeline.kernel.regularization) << "\nnoise "
+    << c.pipeline.noise.read_noise << ' ' << c.pipeline.noise.noise_gain << "\nvalidate "
+    << c.pipeline.validation.enabled << "\nvalidation " << static_cast<int>(c.pipeline.validation.rule) << ' '
+    << c.pipeline.validation.false_accept_rate << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
+    << c.pipeline.validation.tau_contrast << "\nkeypoint_detector " << c.pipeline.keypoints.detector
+    << "\nkeypoint_descriptor " << c.pipeline.keypoints.descriptor << "\nmax_keypoints "
+    << c.pipeline.keypoints.max_keypoints << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
     << c.pipeline.keypoints.grid_rows << "\ntracker " << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' '
     << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' '
     << c.tracker.window_px << ' ' << c.tracker.levels;
@@ -90,10 +91,10 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"gyro_buffer_duration", "10"},
       {"max_gyro_gap", "0.02"},
       {"gyro_range", "34.9066"},
-      {"gyro_timeout", "0"},
+      {"input_timeout", "0"},
       {"frame_queue_size", "3"},
-      {"stereo_patience", "0.25"},
-      {"drop_bad", "true"},
+      {"stereo_sync_timeout", "0.25"},
+      {"drop_poor", "true"},
       {"bias_window", "2"},
       {"bias_max_stddev", "0.1"},
       {"time_jump_threshold", "1"},
@@ -112,23 +113,23 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"block_size", "32"},
       {"min_extent", "4"},
       {"max_extent", "100.5"},
-      {"max_bend", "2.5"},
-      {"motion_from_images", "false"},
+      {"curved_path_threshold", "2.5"},
+      {"optical_flow", "false"},
       {"flow_without_gyro", "always"},
-      {"gamma", "1e-3"},
+      {"noise_to_signal_ratio", "1e-3"},
       {"kernel_length_factor", "6"},
       {"kernel_smoothing", "1.5"},
-      {"gamma_rule", "paper"},
+      {"regularization", "paper"},
       {"read_noise", "2.5"},
       {"noise_gain", "0.1"},
       {"validate", "false"},
       {"validation", "paper"},
-      {"false_acceptance", "0.01"},
+      {"false_accept_rate", "0.01"},
       {"tau", "12"},
       {"tau_contrast", "0"},
-      {"detector", "ORB"},
-      {"descriptor", "BRISK"},
-      {"max_features", "500"},
+      {"keypoint_detector", "ORB"},
+      {"keypoint_descriptor", "BRISK"},
+      {"max_keypoints", "500"},
       {"grid_cols", "8"},
       {"grid_rows", "6"},
   };
@@ -168,7 +169,7 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.gyro.buffer_ns, 10'000 * kMs);
   EXPECT_EQ(c.gyro.max_gap_ns, 20 * kMs);
   EXPECT_DOUBLE_EQ(c.gyro.range_rad_s, 34.9066);
-  EXPECT_EQ(c.gyro_timeout_ns, 0);
+  EXPECT_EQ(c.input_timeout_ns, 0);
   EXPECT_EQ(c.frame_queue_size, 3);
   EXPECT_EQ(c.bias_window_ns, 2000 * kMs);
   EXPECT_EQ(c.bias_max_stddev_rad_s, 0.1);
@@ -180,26 +181,26 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(c.pipeline.blur_field.block_size_px, 32);
   EXPECT_EQ(c.pipeline.blur_field.min_extent_px, 4);
   EXPECT_EQ(c.pipeline.blur_field.max_extent_px, 100.5);
-  EXPECT_EQ(c.pipeline.blur_field.max_bend_px, 2.5);
-  EXPECT_FALSE(c.pipeline.motion_from_images);
+  EXPECT_EQ(c.pipeline.blur_field.curved_path_threshold_px, 2.5);
+  EXPECT_FALSE(c.pipeline.optical_flow);
   EXPECT_EQ(parse("flow_without_gyro: always").pipeline.flow_without_gyro, "always");
-  EXPECT_EQ(error_of("{flow_without_gyro: always, motion_from_images: false}"),
-            "flow_without_gyro = \"always\" needs motion_from_images = true, which is false");
-  EXPECT_EQ(error_of("motion_from_images: false"), "") << "nothing is asked for that needs it";
+  EXPECT_EQ(error_of("{flow_without_gyro: always, optical_flow: false}"),
+            "flow_without_gyro = \"always\" needs optical_flow = true, which is false");
+  EXPECT_EQ(error_of("optical_flow: false"), "") << "nothing is asked for that needs it";
   EXPECT_EQ(c.pipeline.kernel.gamma, 1e-3);
   EXPECT_EQ(c.pipeline.kernel.length_factor, 6);
   EXPECT_EQ(c.pipeline.kernel.smoothing_px, 1.5);
-  EXPECT_EQ(c.pipeline.kernel.gamma_rule, GammaRule::PAPER);
+  EXPECT_EQ(c.pipeline.kernel.regularization, Regularization::PAPER);
   EXPECT_EQ(c.pipeline.noise.read_noise, 2.5);
   EXPECT_EQ(c.pipeline.noise.noise_gain, 0.1);
   EXPECT_FALSE(c.pipeline.validation.enabled);
   EXPECT_EQ(c.pipeline.validation.rule, ValidationRule::PAPER);
-  EXPECT_EQ(c.pipeline.validation.false_acceptance, 0.01);
+  EXPECT_EQ(c.pipeline.validation.false_accept_rate, 0.01);
   EXPECT_EQ(c.pipeline.validation.tau, 12);
   EXPECT_EQ(c.pipeline.validation.tau_contrast, 0);
   EXPECT_EQ(c.pipeline.keypoints.detector, "ORB");
   EXPECT_EQ(c.pipeline.keypoints.descriptor, "BRISK");
-  EXPECT_EQ(c.pipeline.keypoints.max_features, 500);
+  EXPECT_EQ(c.pipeline.keypoints.max_keypoints, 500);
   EXPECT_EQ(c.pipeline.keypoints.grid_cols, 8);
   EXPECT_EQ(c.pipeline.keypoints.grid_rows, 6);
 }
@@ -238,8 +239,8 @@ TEST(ParseConfig, EnumerationsTakeEveryName) {
   EXPECT_EQ(parse("stamp_row: middle").shutter.stamp_row, StampRow::MIDDLE);
   EXPECT_EQ(parse("stamp_phase: start").shutter.stamp_phase, StampPhase::START);
   EXPECT_EQ(parse("stamp_phase: middle").shutter.stamp_phase, StampPhase::MIDDLE);
-  EXPECT_EQ(parse("gamma_rule: noise").pipeline.kernel.gamma_rule, GammaRule::NOISE);
-  EXPECT_EQ(parse("gamma_rule: fixed").pipeline.kernel.gamma_rule, GammaRule::FIXED);
+  EXPECT_EQ(parse("regularization: noise").pipeline.kernel.regularization, Regularization::NOISE);
+  EXPECT_EQ(parse("regularization: fixed").pipeline.kernel.regularization, Regularization::FIXED);
   EXPECT_EQ(parse("rectify_to: middle_row").pipeline.rectify_to, RectifyTo::MIDDLE_ROW);
   EXPECT_EQ(parse("rectify_to: first_row").pipeline.rectify_to, RectifyTo::FIRST_ROW);
   EXPECT_EQ(parse("rectify_to: last_row").pipeline.rectify_to, RectifyTo::LAST_ROW);
@@ -254,20 +255,20 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
   EXPECT_EQ(unknown_key_message("backend"), "backend is not known, ignored: it is now called engine");
   EXPECT_EQ(unknown_key_message("bridge_gyro_gaps"),
             "bridge_gyro_gaps is not known, ignored: it is now called flow_without_gyro, and true is now always");
-  EXPECT_NE(unknown_key_message("odometry_clock").find("motion_from_images"), std::string::npos);
+  EXPECT_NE(unknown_key_message("odometry_clock").find("optical_flow"), std::string::npos);
 }
 
 // rosparam's YAML 1.1 makes a string of 2e-2 and of y, and a launch file's <param> makes one of a list.
 TEST(ParseConfig, TakesStringsThatAreEntirelyValues) {
   EXPECT_EQ(parse("exposure_time: \"2e-2\"").shutter.exposure_ns, 20 * kMs);
-  EXPECT_EQ(parse("gamma: \"0.01\"").pipeline.kernel.gamma, 0.01);
+  EXPECT_EQ(parse("noise_to_signal_ratio: \"0.01\"").pipeline.kernel.gamma, 0.01);
   for (const char* integer : {"1e2", "\"1e2\"", "100.0", "\"100\""}) {
     EXPECT_EQ(parse(std::string("frame_queue_size: ") + integer).frame_queue_size, 100) << integer;
   }
   for (const char* off : {"false", "\"false\"", "\"no\"", "\"n\"", "\"off\"", "\"False\""}) {
     EXPECT_FALSE(parse(std::string("validate: ") + off).pipeline.validation.enabled) << off;
   }
-  EXPECT_TRUE(parse("drop_bad: \"y\"").drop_bad);
+  EXPECT_TRUE(parse("drop_poor: \"y\"").drop_poor);
   EXPECT_EQ(parse("max_extent: 100").pipeline.blur_field.max_extent_px, 100) << "an integer for a double";
   const Eigen::Vector3d bias(-0.002, 0.021, 0.078);
   EXPECT_EQ(parse("gyro_bias: [\"-2e-3\", \"0.021\", 0.078]").gyro.bias_rad_s, bias);
@@ -281,32 +282,32 @@ TEST(ParseConfig, AnEmptyExposureTimeIsNotKnown) {
   for (const char* empty : {"", "''", "\"\"", "~", "[]", "0", "0.0"}) {
     EXPECT_EQ(parse(std::string("exposure_time: ") + empty).shutter.exposure_ns, 0) << empty;
   }
-  EXPECT_EQ(error_of("gyro_timeout: ''").rfind("gyro_timeout = \"\" is not a finite number of seconds", 0), 0u);
+  EXPECT_EQ(error_of("input_timeout: ''").rfind("input_timeout = \"\" is not a finite number of seconds", 0), 0u);
 }
 
 TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   const auto expect = [](const std::string& yaml, const std::string& start) {
     EXPECT_EQ(error_of(yaml).rfind(start, 0), 0u) << yaml << "\n" << error_of(yaml);
   };
-  expect("gamma: low", "gamma = low is not a finite number");
-  expect("gamma: .nan", "gamma = .nan is not a finite number");
-  expect("gamma: .inf", "gamma = .inf is not a finite number");
-  expect("gamma: \"0.01 px\"", "gamma = \"0.01 px\" is not a finite number");
-  expect("gamma: \"\"", "gamma = \"\" is not a finite number");
+  expect("noise_to_signal_ratio: low", "noise_to_signal_ratio = low is not a finite number");
+  expect("noise_to_signal_ratio: .nan", "noise_to_signal_ratio = .nan is not a finite number");
+  expect("noise_to_signal_ratio: .inf", "noise_to_signal_ratio = .inf is not a finite number");
+  expect("noise_to_signal_ratio: \"0.01 px\"", "noise_to_signal_ratio = \"0.01 px\" is not a finite number");
+  expect("noise_to_signal_ratio: \"\"", "noise_to_signal_ratio = \"\" is not a finite number");
   expect("block_size: \"64.5\"", "block_size = \"64.5\" is not an integer");
   expect("validate: \"1\"", "validate = \"1\" is not true or false");
   expect("gyro_bias: \"[0, 0]\"", "gyro_bias = [0, 0] is not a list of 3 finite numbers");
   expect("gyro_bias: \"[0, 0\"", "gyro_bias = \"[0, 0\" is not a list of 3 finite numbers");
-  expect("gamma: [0.01]", "gamma = [0.01] is not a finite number");
-  expect("gamma:", "gamma = ~ is not a finite number");
+  expect("noise_to_signal_ratio: [0.01]", "noise_to_signal_ratio = [0.01] is not a finite number");
+  expect("noise_to_signal_ratio:", "noise_to_signal_ratio = ~ is not a finite number");
   expect("exposure_time: 20ms", "exposure_time = 20ms is not a finite number of seconds");
   expect("exposure_time: .nan", "exposure_time = .nan is not a finite number of seconds");
   expect("exposure_time: 1e300", "exposure_time = 1e+300 is outside");
   expect("block_size: 64.5", "block_size = 64.5 is not an integer");
   expect("block_size: 99999999999", "block_size = 99999999999 is not an integer");
   expect("validate: 1", "validate = 1 is not true or false");
-  expect("detector: [SIFT]", "detector = [SIFT] is not a string");
-  expect("detector: SURF", "detector = \"SURF\" is not one of SIFT ORB");
+  expect("keypoint_detector: [SIFT]", "keypoint_detector = [SIFT] is not a string");
+  expect("keypoint_detector: SURF", "keypoint_detector = \"SURF\" is not one of SIFT ORB");
   expect("stamp_row: top", "stamp_row = top is not one of first middle last");
   expect("calibration_file: {path: a}", "calibration_file = {path: a} is not a path or a list of paths");
   expect("on_calibration_conflict: warn", "on_calibration_conflict = warn is not one of error configured");
@@ -329,9 +330,9 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("R_cam_imu: [1, 0, 0, 0, 1, 0, 0, 0, x]", "R_cam_imu = x is not a rotation");
   expect("R_cam_imu: [1, 0, 0, 0, 1, 0, 0, 0, -1]", "R_cam_imu has determinant -1: it mirrors");
   expect("[1, 2]", "the configuration is not a map of keys: [1, 2]");
-  expect("gamma", "the configuration is not a map of keys: gamma");
-  expect("{gamma: 0.1, gamma: 0.2}", "gamma = 0.2 is given a second time");
-  expect("gamma: [1, 2", "the configuration is not YAML: ");
+  expect("noise_to_signal_ratio", "the configuration is not a map of keys: gamma");
+  expect("{gamma: 0.1, gamma: 0.2}", "noise_to_signal_ratio = 0.2 is given a second time");
+  expect("noise_to_signal_ratio: [1, 2", "the configuration is not YAML: ");
 }
 
 TEST(ParseConfig, RefusesValuesOutOfRange) {
@@ -346,7 +347,7 @@ TEST(ParseConfig, RefusesValuesOutOfRange) {
       {"gyro_buffer_duration", {"0.101", "60"}, {"0.1", "60.001"}},
       {"max_gyro_gap", {"0.001", "1"}, {"0.0009", "1.001"}},
       {"gyro_range", {"0", "400"}, {"-0.001", "2000"}},
-      {"gyro_timeout", {"0", "10"}, {"-0.001", "10.001"}},
+      {"input_timeout", {"0", "10"}, {"-0.001", "10.001"}},
       {"frame_queue_size", {"1", "1000"}, {"0", "1001"}},
       {"bias_window", {"0.1", "10"}, {"0.0999", "10.001"}},
       {"bias_max_stddev", {"1e-9", "1"}, {"0", "-1", "1.001"}},
@@ -441,11 +442,11 @@ TEST(LoadConfig, NamesTheFileThatCannotBeUsed) {
   };
   EXPECT_NE(message("/nonexistent/a.yaml").find("/nonexistent/a.yaml cannot be read"), std::string::npos);
   const std::string path = testing::TempDir() + "gyro_deblur_test_config.yaml";
-  std::ofstream(path) << "gamma: [1, 2\n";
+  std::ofstream(path) << "noise_to_signal_ratio: [1, 2\n";
   EXPECT_NE(message(path).find(path + " cannot be read"), std::string::npos);
-  std::ofstream(path) << "gamma: 7\n";
+  std::ofstream(path) << "noise_to_signal_ratio: 7\n";
   EXPECT_EQ(message(path), "configuration " + path + ": gamma = 7 is outside [1e-05, 1]");
-  std::ofstream(path) << "gamma: 0.5\n";
+  std::ofstream(path) << "noise_to_signal_ratio: 0.5\n";
   EXPECT_EQ(load_config(path).pipeline.kernel.gamma, 0.5);
   std::remove(path.c_str());
 }

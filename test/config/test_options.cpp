@@ -39,12 +39,12 @@ TEST(Options, BlurFieldLimits) {
   expect_limits(&O::block_size_px, "block_size", {8, 10, 1024}, {7, 9, 65, 1026, 0, -64});
   expect_limits(&O::min_extent_px, "min_extent", {1.0, 20.0}, {0.999, 20.001, kNan});
   expect_limits(&O::max_extent_px, "max_extent", {3.0, 500.0}, {2.999, 500.001, kNan});
-  expect_limits(&O::max_bend_px, "max_bend", {0.0, 100.0}, {-0.001, 100.001, kNan});
+  expect_limits(&O::curved_path_threshold_px, "curved_path_threshold", {0.0, 100.0}, {-0.001, 100.001, kNan});
 }
 
 TEST(Options, ValidationLimitsAndThreshold) {
   using O = ValidationOptions;
-  expect_limits(&O::false_acceptance, "false_acceptance", {0.001, 0.5}, {0.0, 0.00099, 0.501, kNan});
+  expect_limits(&O::false_accept_rate, "false_accept_rate", {0.001, 0.5}, {0.0, 0.00099, 0.501, kNan});
   expect_limits(&O::tau, "tau", {0.0, 255.0}, {-0.001, 255.001, kNan});
   expect_limits(&O::tau_contrast, "tau_contrast", {0.0, 1000.0}, {-0.001, 1000.001, kNan});
   O options;
@@ -54,9 +54,9 @@ TEST(Options, ValidationLimitsAndThreshold) {
 }
 
 TEST(Options, KernelLimits) {
-  expect_limits(&KernelOptions::gamma, "gamma", {1e-5, 1.0}, {0.99e-5, 1.001, 0.0, -1.0, kNan});
-  expect_limits(&KernelOptions::length_factor, "kernel_length_factor", {2.0, 8.0}, {1.999, 8.001, kNan});
-  expect_limits(&KernelOptions::smoothing_px, "kernel_smoothing", {0.0, 5.0}, {-0.001, 5.001, kNan});
+  expect_limits(&FilterOptions::gamma, "noise_to_signal_ratio", {1e-5, 1.0}, {0.99e-5, 1.001, 0.0, -1.0, kNan});
+  expect_limits(&FilterOptions::length_factor, "kernel_length_factor", {2.0, 8.0}, {1.999, 8.001, kNan});
+  expect_limits(&FilterOptions::smoothing_px, "kernel_smoothing", {0.0, 5.0}, {-0.001, 5.001, kNan});
 }
 
 TEST(Options, SignificantBitsLimits) {
@@ -65,11 +65,11 @@ TEST(Options, SignificantBitsLimits) {
 
 TEST(Options, KeypointLimits) {
   using O = KeypointOptions;
-  expect_limits<O, std::string>(&O::detector, "detector", {"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"},
+  expect_limits<O, std::string>(&O::detector, "keypoint_detector", {"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"},
                                 {"", "sift", "SURF"});
-  expect_limits<O, std::string>(&O::descriptor, "descriptor", {"SIFT", "BRISK", "NONE"},
+  expect_limits<O, std::string>(&O::descriptor, "keypoint_descriptor", {"SIFT", "BRISK", "NONE"},
                                 {"", "GFTT", "AKAZE", "ORB"});  // the last two not with the detector SIFT
-  expect_limits(&O::max_features, "max_features", {1, 100000}, {0, -1, 100001});
+  expect_limits(&O::max_keypoints, "max_keypoints", {1, 100000}, {0, -1, 100001});
   expect_limits(&O::grid_cols, "grid_cols", {1, 64}, {0, 65});
   expect_limits(&O::grid_rows, "grid_rows", {1, 64}, {0, 65});
   O akaze;
@@ -78,7 +78,8 @@ TEST(Options, KeypointLimits) {
   O orb;
   orb.descriptor = "ORB";
   EXPECT_EQ(option_error([&] { orb.validate(); }),
-            "descriptor = \"ORB\" cannot describe the keypoints of detector = \"SIFT\", only those of ORB AKAZE BRISK "
+            "keypoint_descriptor = \"ORB\" cannot describe the keypoints of keypoint_detector = \"SIFT\", only those "
+            "of ORB AKAZE BRISK "
             "GFTT FAST");
   orb.detector = "FAST";
   EXPECT_NO_THROW(orb.validate());

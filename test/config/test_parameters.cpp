@@ -110,8 +110,8 @@ TEST(Parameters, EveryMemberHasARow) {
     EXPECT_EQ(parameters_of<ValidationOptions>().size(), count(a, b, c, d, e));
   }
   {
-    const auto& [a, b, c, d] = KernelOptions();
-    EXPECT_EQ(parameters_of<KernelOptions>().size(), count(a, b, c, d));
+    const auto& [a, b, c, d] = FilterOptions();
+    EXPECT_EQ(parameters_of<FilterOptions>().size(), count(a, b, c, d));
   }
   {
     const auto& [a, b] = NoiseModel();
@@ -166,15 +166,15 @@ TEST(Parameters, ComparisonsSeeEveryMember) {
   expect_comparison_sees_every_row(&PipelineOptions::blur_field);
   expect_comparison_sees_every_row(&PipelineOptions::kernel);
   expect_comparison_sees_every_row(&PipelineOptions::keypoints);
-  KernelOptions fourier;
-  fourier.gamma_rule = GammaRule::PAPER;
-  EXPECT_FALSE(fourier == KernelOptions());
+  FilterOptions fourier;
+  fourier.regularization = Regularization::PAPER;
+  EXPECT_FALSE(fourier == FilterOptions());
 }
 
 TEST(Parameters, AreOnlyGivenToTheirOwnStruct) {
-  EXPECT_THROW(find_parameter("gamma")->get(GyroOptions()), std::logic_error);
+  EXPECT_THROW(find_parameter("noise_to_signal_ratio")->get(GyroOptions()), std::logic_error);
   Config config;
-  EXPECT_THROW(find_parameter("gamma")->set(config, 1), std::bad_variant_access) << "an integer";
+  EXPECT_THROW(find_parameter("noise_to_signal_ratio")->set(config, 1), std::bad_variant_access) << "an integer";
 }
 
 // dynamic_reconfigure has four types.

@@ -216,7 +216,7 @@ class Calibrate(unittest.TestCase):
         self.assertEqual(report["rotation_from"], "as configured")
         self.assertAlmostEqual(keys["time_offset"], 0.123, delta=0.002)
         # What calibrate does not estimate is handed on, and what it does holds against the file.
-        self.assertEqual(keys["gamma"], 0.02)
+        self.assertEqual(keys["noise_to_signal_ratio"], 0.02)
         self.assertEqual(keys["calibration_file"], self.path("extrinsic.yaml"))
         self.assertEqual(keys["on_calibration_conflict"], "configured")
         self.deblur("in.bag")

@@ -80,7 +80,7 @@ TEST(OxfordNoise, IsEstimatedOnBlurredPhotographs) {
 
 TEST(OxfordPsnr, GainsThreeDecibels) {
   if (!std::filesystem::exists(image_path(kSets[0]))) GTEST_SKIP() << "no data at " << image_path(kSets[0]);
-  const KernelBank bank({});
+  const FilterBank bank({});
   const auto engine = make_engine("auto");  // as deblur_image does
   const auto print = [](const char* name, const Gain& sum, double count) {
     std::printf("%-10s %8.2f %8.2f %8.2f\n", name, sum.whole / count, sum.interior / count, sum.border / count);
@@ -147,7 +147,7 @@ TEST(OxfordPsnr, DeblurImageGivesTheSame) {
     const PixelLayout layout = in.channels() == 1 ? PixelLayout::GRAY : PixelLayout::BGR;
     FrameBlur field = uniform_blur_field(in.cols, in.rows, 30 * CV_PI / 180, 27, {});
     field = validate_blur_field(field, luminance8(in, layout), {});
-    deconvolve(in, layout, field, KernelBank({}), *make_engine("auto"), expected);
+    deconvolve(in, layout, field, FilterBank({}), *make_engine("auto"), expected);
     EXPECT_EQ(cv::norm(deblurred, expected, cv::NORM_INF), 0);
 
     std::vector<cv::Mat> restored;

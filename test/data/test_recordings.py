@@ -72,7 +72,7 @@ def through_nodelet(bag, parameters, recorded, folder, rate):
 
 class Recording(unittest.TestCase):
     FOLDER, FORMAT, MAKE_ARGUMENTS, CONFIG, MORE_CONFIG, BAG_ARGUMENTS = "", "", (), "", "", ()
-    # So slow that no frame has to wait for another: in a hurry bows are left alone, and overload lets frames pass.
+    # So slow that no frame has to wait for another: in a hurry curved paths are left alone, and overload lets frames pass.
     NODELET_RATE = 0.05
 
     @classmethod
@@ -127,7 +127,7 @@ class ShieldBurst(Recording):
     """Seven rolling-shutter frames with about 100 px of real blur, by the gyroscope alone."""
 
     FOLDER, FORMAT, CONFIG = "shield_burst", "shield", "shield_burst.yaml"
-    MORE_CONFIG = "motion_from_images: false\n"
+    MORE_CONFIG = "optical_flow: false\n"
     LARGEST_CENTER_EXTENT_PX, GAIN = 113, 1.5
     NODELET_RATE = 0.02  # SIFT takes longest
 
@@ -219,7 +219,7 @@ class PhoneSharp(Recording):
     """Frames of somebody who walks, without visible blur by rotation."""
 
     FOLDER, FORMAT, CONFIG = "phone_sharp", "frames", "phone_sharp.yaml"
-    MORE_CONFIG = "motion_from_images: false\n"
+    MORE_CONFIG = "optical_flow: false\n"
 
     @classmethod
     def make_arguments(cls):

@@ -133,7 +133,7 @@ TEST_F(BlockEngineTest, IsCalledForFramesWithNothingToFilterToo) {
   engine.filter(src_, {{0, 96}, {0, 64}, {{}}}, dst);
   EXPECT_TRUE(engine.blocks.empty());
   EXPECT_TRUE(equal(src_, dst));
-  EXPECT_TRUE(engine.slow_blocks().empty()) << "one method for all";
+  EXPECT_TRUE(engine.fallback_counts().empty()) << "one method for all";
 }
 
 }  // namespace

@@ -21,28 +21,28 @@ using test::random_image;
 constexpr double kAngle_rad = 0.4;  // far from an axis
 constexpr double kSlope = 0.42;
 
-/// As a path at uneven speed gives it: nobody knows its shape.
+/// As a path at non-uniform speed gives it: nobody knows its shape.
 LineKernel without_box(int taps) {
   LineKernel kernel;
   kernel.taps.assign(taps, 1.0f / static_cast<float>(taps));
   return kernel;
 }
 
-KernelOptions with_gamma(double gamma) {
-  KernelOptions options;
+FilterOptions with_gamma(double gamma) {
+  FilterOptions options;
   options.gamma = gamma;
   return options;
 }
 
-KernelOptions of_length(double factor) {
-  KernelOptions options;
+FilterOptions of_length(double factor) {
+  FilterOptions options;
   options.length_factor = factor;
   return options;
 }
 
 /// Kernels that are slow for one reason each, and of what depth.
 struct SlowCase {
-  SlowReason reason;
+  FallbackReason reason;
   LineKernel kernel;
   int depth;
   double angle_rad = kAngle_rad;
@@ -51,19 +51,19 @@ struct SlowCase {
 std::vector<SlowCase> slow_cases() {
   LineKernel zero;
   zero.taps.assign(9, 0.0f);
-  return {{SlowReason::ZERO_KERNEL, zero, CV_8U},
-          {SlowReason::SMALL_GAMMA, wiener_kernel(60, with_gamma(0.007)), CV_8U},
-          {SlowReason::DEEP_SHORT_BLUR, wiener_kernel(35.75, {}), CV_16U},
-          {SlowReason::DEEP_UNEVEN_BLUR, without_box(201), CV_16U, 0.1},
-          {SlowReason::LONG_SHORT_BLUR, wiener_kernel(33, of_length(8)), CV_8U}};
+  return {{FallbackReason::ZERO_KERNEL, zero, CV_8U},
+          {FallbackReason::SMALL_GAMMA, wiener_kernel(60, with_gamma(0.007)), CV_8U},
+          {FallbackReason::DEEP_SHORT_BLUR, wiener_kernel(35.75, {}), CV_16U},
+          {FallbackReason::DEEP_NONUNIFORM_BLUR, without_box(201), CV_16U, 0.1},
+          {FallbackReason::LONG_SHORT_BLUR, wiener_kernel(33, of_length(8)), CV_8U}};
 }
 
-TEST(SlowReason, IsGivenForEveryKernelThatNoFastMethodTakes) {
+TEST(FallbackReason, IsGivenForEveryKernelThatNoFastMethodTakes) {
   const std::vector<SlowCase> cases = slow_cases();
   ASSERT_EQ(static_cast<int>(cases.size()), kSlowReasons);
   std::set<std::string> words;
   for (const SlowCase& c : cases) {
-    EXPECT_EQ(slow_reason(c.kernel, std::tan(c.angle_rad), c.depth), c.reason) << in_words(c.reason);
+    EXPECT_EQ(fallback_reason(c.kernel, std::tan(c.angle_rad), c.depth), c.reason) << in_words(c.reason);
     words.insert(in_words(c.reason));
   }
   EXPECT_EQ(words.size(), cases.size()) << "reasons can be told apart";
@@ -71,64 +71,65 @@ TEST(SlowReason, IsGivenForEveryKernelThatNoFastMethodTakes) {
 }
 
 // The other side of each limit.
-TEST(SlowReason, IsNotGivenWhereAFastMethodServes) {
-  EXPECT_EQ(slow_reason(wiener_kernel(60, with_gamma(0.009)), kSlope, CV_8U), std::nullopt);
-  EXPECT_EQ(slow_reason(wiener_kernel(36, {}), kSlope, CV_16U), std::nullopt);
-  EXPECT_EQ(slow_reason(without_box(9), kSlope, CV_8U), std::nullopt);
+TEST(FallbackReason, IsNotGivenWhereAFastMethodServes) {
+  EXPECT_EQ(fallback_reason(wiener_kernel(60, with_gamma(0.009)), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(fallback_reason(wiener_kernel(36, {}), kSlope, CV_16U), std::nullopt);
+  EXPECT_EQ(fallback_reason(without_box(9), kSlope, CV_8U), std::nullopt);
   for (const int depth : {CV_8U, CV_16U}) {
-    EXPECT_EQ(slow_reason(without_box(145), kSlope, depth), std::nullopt);
-    EXPECT_EQ(slow_reason(without_box(259), kSlope, depth), std::nullopt);
-    EXPECT_EQ(slow_reason(without_box(4001), kSlope, depth), std::nullopt);
+    EXPECT_EQ(fallback_reason(without_box(145), kSlope, depth), std::nullopt);
+    EXPECT_EQ(fallback_reason(without_box(259), kSlope, depth), std::nullopt);
+    EXPECT_EQ(fallback_reason(without_box(4001), kSlope, depth), std::nullopt);
   }
-  EXPECT_EQ(slow_reason(wiener_kernel(32, of_length(8)), kSlope, CV_8U), std::nullopt);
-  EXPECT_EQ(slow_reason(wiener_kernel(500, of_length(8)), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(fallback_reason(wiener_kernel(32, of_length(8)), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(fallback_reason(wiener_kernel(500, of_length(8)), kSlope, CV_8U), std::nullopt);
   for (const double extent_px : {1.0, 5.0, 35.0, 36.0, 57.0, 130.0, 500.0}) {
-    EXPECT_EQ(slow_reason(wiener_kernel(extent_px, {}), kSlope, CV_8U), std::nullopt) << extent_px;
+    EXPECT_EQ(fallback_reason(wiener_kernel(extent_px, {}), kSlope, CV_8U), std::nullopt) << extent_px;
   }
 }
 
 // Beside an axis: not along it, where short tiles serve, nor further off.
-TEST(SlowReason, IsGivenForDeepUnevenBlurBesideAnAxisAlone) {
+TEST(FallbackReason, IsGivenForDeepNonuniformBlurBesideAnAxisAlone) {
   for (const double slope : {0.07, -0.07, 0.14, -0.14}) {
-    EXPECT_EQ(slow_reason(without_box(145), slope, CV_16U), SlowReason::DEEP_UNEVEN_BLUR) << slope;
-    EXPECT_EQ(slow_reason(without_box(145), slope, CV_8U), std::nullopt) << slope;
-    EXPECT_EQ(slow_reason(without_box(229), slope, CV_16U), std::nullopt) << slope << ", 57 px";
-    EXPECT_EQ(slow_reason(wiener_kernel(40, {}), slope, CV_16U), std::nullopt) << slope << ", even speed";
+    EXPECT_EQ(fallback_reason(without_box(145), slope, CV_16U), FallbackReason::DEEP_NONUNIFORM_BLUR) << slope;
+    EXPECT_EQ(fallback_reason(without_box(145), slope, CV_8U), std::nullopt) << slope;
+    EXPECT_EQ(fallback_reason(without_box(229), slope, CV_16U), std::nullopt) << slope << ", 57 px";
+    EXPECT_EQ(fallback_reason(wiener_kernel(40, {}), slope, CV_16U), std::nullopt) << slope << ", even speed";
   }
   for (const double slope : {0.0, 0.05, -0.05, 0.16, 1.0}) {
-    EXPECT_EQ(slow_reason(without_box(145), slope, CV_16U), std::nullopt) << slope;
+    EXPECT_EQ(fallback_reason(without_box(145), slope, CV_16U), std::nullopt) << slope;
   }
 }
 
-TEST(SlowReason, NamesItsLimits) {
-  EXPECT_EQ(in_words(SlowReason::DEEP_SHORT_BLUR), "16 bit and blur below 36 px");
-  EXPECT_EQ(in_words(SlowReason::DEEP_UNEVEN_BLUR), "16 bit and blur at uneven speed below 57 px beside an axis");
-  EXPECT_EQ(in_words(SlowReason::LONG_SHORT_BLUR), "more than 257 taps for blur below 36 px");
+TEST(FallbackReason, NamesItsLimits) {
+  EXPECT_EQ(in_words(FallbackReason::DEEP_SHORT_BLUR), "16 bit and blur below 36 px");
+  EXPECT_EQ(in_words(FallbackReason::DEEP_NONUNIFORM_BLUR),
+            "16 bit and blur at non-uniform speed below 57 px beside an axis");
+  EXPECT_EQ(in_words(FallbackReason::LONG_SHORT_BLUR), "more than 257 taps for blur below 36 px");
 }
 
 // A kernel whose taps cancel each other leaves too few bits to each, unless exact taps are enough.
-TEST(SlowReason, IsTheGainOfAKernelWithoutABox) {
+TEST(FallbackReason, IsTheGainOfAKernelWithoutABox) {
   const auto alternating = [](int taps, float gain) {
     LineKernel kernel;
     for (int i = 0; i < taps; ++i) kernel.taps.push_back((i % 2 == 0 ? gain : -gain) / static_cast<float>(taps));
     return kernel;
   };
-  EXPECT_EQ(slow_reason(alternating(301, 70), kSlope, CV_8U), std::nullopt);
-  EXPECT_EQ(slow_reason(alternating(301, 90), kSlope, CV_8U), SlowReason::SMALL_GAMMA);
-  EXPECT_EQ(slow_reason(alternating(201, 90), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(fallback_reason(alternating(301, 70), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(fallback_reason(alternating(301, 90), kSlope, CV_8U), FallbackReason::SMALL_GAMMA);
+  EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_8U), std::nullopt);
   EXPECT_FALSE(takes_lanes(alternating(201, 90), 0.5, CV_8U));
   EXPECT_TRUE(takes_lanes(alternating(201, 70), 0.5, CV_8U));
-  EXPECT_EQ(slow_reason(alternating(201, 90), kSlope, CV_16U), SlowReason::SMALL_GAMMA);
+  EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_16U), FallbackReason::SMALL_GAMMA);
 }
 
 TEST(CpuEngineSlowBlocks, AreCountedByReason) {
   const std::vector<SlowCase> cases = slow_cases();
   const LineKernel fast = wiener_kernel(90, {});
   CpuEngine engine(2);
-  EXPECT_EQ(engine.slow_blocks(), SlowBlocks{}) << "before the first image";
+  EXPECT_EQ(engine.fallback_counts(), FallbackCounts{}) << "before the first image";
   for (const int depth : {CV_8U, CV_16U}) {
     // Block i has the kernel of case i / 3, copied blocks and fast ones in between.
-    SlowBlocks expected;
+    FallbackCounts expected;
     const cv::Mat image = random_image(static_cast<int>(cases.size()) * 3 * 24, 20, depth, 3);
     const FilterGrid grid = test::make_grid(image.size(), 24, [&](int i) -> BlockFilter {
       const SlowCase& c = cases[i / 3];
@@ -139,12 +140,12 @@ TEST(CpuEngineSlowBlocks, AreCountedByReason) {
     });
     cv::Mat dst;
     engine.filter(image, grid, dst);
-    EXPECT_EQ(engine.slow_blocks(), expected);
+    EXPECT_EQ(engine.fallback_counts(), expected);
     ASSERT_EQ(expected.size(), depth == CV_8U ? 3u : 2u);
     for (const auto& [reason, count] : expected) EXPECT_EQ(count, 2u) << reason;
     // The next image starts from nothing.
     engine.filter(image, test::one_block(image.size(), 0.4, fast), dst);
-    EXPECT_EQ(engine.slow_blocks(), SlowBlocks{});
+    EXPECT_EQ(engine.fallback_counts(), FallbackCounts{});
   }
 }
 
@@ -154,9 +155,9 @@ TEST(CpuEngineSlowBlocks, AreNoneWhereNothingIsFiltered) {
   cv::Mat dst;
   const LineKernel kernel = without_box(9);
   engine.filter(image, test::one_block(image.size(), 0.4, kernel), dst);
-  EXPECT_EQ(engine.slow_blocks().size(), 1u);
+  EXPECT_EQ(engine.fallback_counts().size(), 1u);
   engine.filter(image, {{0, 40}, {0, 30}, {{}}}, dst);
-  EXPECT_EQ(engine.slow_blocks(), SlowBlocks{});
+  EXPECT_EQ(engine.fallback_counts(), FallbackCounts{});
 }
 
 }  // namespace

@@ -51,7 +51,7 @@ FrameBlur roll_field(int width_px, int height_px, double mean_extent_px) {
 class CpuEngineTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    kernels_ = find_block_kernels(GetParam());
+    kernels_ = find_block_simd(GetParam());
     if (kernels_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
   }
 
@@ -63,8 +63,8 @@ class CpuEngineTest : public testing::TestWithParam<const char*> {
     deconvolve(image, layout, field, *bank_, fast, actual);
   }
 
-  const BlockKernels* kernels_ = nullptr;
-  std::unique_ptr<KernelBank> bank_ = std::make_unique<KernelBank>(KernelOptions{});
+  const BlockSimd* kernels_ = nullptr;
+  std::unique_ptr<FilterBank> bank_ = std::make_unique<FilterBank>(FilterOptions{});
 };
 
 // Short kernels are exact but for the rounding of their weights to int16.
@@ -111,13 +111,13 @@ TEST_P(CpuEngineTest, LongKernelsStayCloseAndRestoreAsWell) {
 
 // Kernels of no known shape, along lines of any direction; only short ones in 16 bit beside an axis are left to the
 // float engine.
-TEST_P(CpuEngineTest, LongUnevenPathsStayCloseAndRestoreAsWell) {
-  const LinePath paths[] = {{-0.29f, -0.245f, -0.18f, -0.1f, 0, 0.125f, 0.275f, 0.45f, 0.71f},  // speeds up
-                            {0.9f, 0.7f, 0.5f, 0.25f, 0, -0.05f, -0.1f, -0.05f, 0}};            // turns back
+TEST_P(CpuEngineTest, LongNonuniformPathsStayCloseAndRestoreAsWell) {
+  const Path1d paths[] = {{-0.29f, -0.245f, -0.18f, -0.1f, 0, 0.125f, 0.275f, 0.45f, 0.71f},  // speeds up
+                          {0.9f, 0.7f, 0.5f, 0.25f, 0, -0.05f, -0.1f, -0.05f, 0}};            // turns back
   const cv::Mat sharp = test::textured_image(256, 192, 2);
-  for (const LinePath& path : paths) {
+  for (const Path1d& path : paths) {
     for (const double extent_px : {40.0, 50.0, 66.0, 105.0}) {
-      LinePath path_px = path;
+      Path1d path_px = path;
       for (float& place_px : path_px) place_px *= static_cast<float>(extent_px / extent_of(path));
       double pooled = 0;
       int angles = 0;
@@ -125,7 +125,7 @@ TEST_P(CpuEngineTest, LongUnevenPathsStayCloseAndRestoreAsWell) {
         const double angle_rad = degrees * CV_PI / 180;
         const cv::Mat blurred = test::expose(test::blur_along_path(sharp, angle_rad, path_px), 1, degrees);
         FrameBlur field = uniform_blur_field(256, 192, angle_rad, extent_px, wide_options());
-        for (BlockBlur& block : field.blocks) block.uneven_path_px = path_px;
+        for (BlockBlur& block : field.blocks) block.nonuniform_path_px = path_px;
         cv::Mat expected, actual;
         run(blurred, PixelLayout::GRAY, field, expected, actual);
         const double error = mean_square(expected, actual);
@@ -145,7 +145,7 @@ TEST_P(CpuEngineTest, LongUnevenPathsStayCloseAndRestoreAsWell) {
         const double deep_loss_db = psnr_db(mean_square(expected, sharp)) - psnr_db(mean_square(of_deep, sharp));
         EXPECT_LE(deep_loss_db, 0.1) << extent_px << " px, " << degrees << " deg, 16 bit";
         EXPECT_GE(psnr_db(mean_square(expected, of_deep)), 42) << extent_px << " px, " << degrees << " deg, 16 bit";
-        EXPECT_EQ(deconvolve(blurred, PixelLayout::GRAY, field, *bank_, fast, actual), SlowBlocks{});
+        EXPECT_EQ(deconvolve(blurred, PixelLayout::GRAY, field, *bank_, fast, actual), FallbackCounts{});
       }
       EXPECT_GE(psnr_db(pooled / angles), 45) << extent_px << " px";
     }
@@ -173,7 +173,7 @@ TEST_P(CpuEngineTest, StaysCloseNearAnAxis) {
 TEST_P(CpuEngineTest, FollowsTheFloatEngineAtAnyGamma) {
   const cv::Mat sharp = test::textured_image(200, 150, 7);
   for (const double gamma : {1e-5, 1e-3, 5e-3, 0.008, 0.1, 1.0}) {
-    bank_ = std::make_unique<KernelBank>(KernelOptions{gamma, gamma < 0.05 ? 4.0 : 8.0});
+    bank_ = std::make_unique<FilterBank>(FilterOptions{gamma, gamma < 0.05 ? 4.0 : 8.0});
     for (const double extent_px : {12.0, 35.5, 40.0, 90.0}) {
       const cv::Mat blurred = test::expose(test::blur_along_line(sharp, 0.3, extent_px), 1, 11);
       cv::Mat expected, actual;
@@ -185,12 +185,12 @@ TEST_P(CpuEngineTest, FollowsTheFloatEngineAtAnyGamma) {
 
 TEST_P(CpuEngineTest, FollowsTheFloatEngineWithAnyGammaRule) {
   const cv::Mat sharp = test::textured_image(200, 150, 8);
-  for (const GammaRule rule : {GammaRule::FIXED, GammaRule::PAPER}) {
+  for (const Regularization rule : {Regularization::FIXED, Regularization::PAPER}) {
     for (const double smoothing_px : {0.0, 0.7, 2.0}) {
-      KernelOptions options;
-      options.gamma_rule = rule;
+      FilterOptions options;
+      options.regularization = rule;
       options.smoothing_px = smoothing_px;
-      bank_ = std::make_unique<KernelBank>(options);
+      bank_ = std::make_unique<FilterBank>(options);
       for (const double extent_px : {12.0, 40.0, 90.0}) {
         const cv::Mat blurred = test::expose(test::blur_along_line(sharp, 0.3, extent_px), 1, 11);
         cv::Mat expected, actual;
@@ -252,7 +252,7 @@ TEST_P(CpuEngineTest, KeepsAConstantImageAndCopiesBlocksWithoutKernel) {
 }
 
 TEST_P(CpuEngineTest, GivesTheSameForAnyNumberOfThreadsAndOnReuse) {
-  const HelpAtOnce help_at_once;
+  const EagerHelpers eager_helpers;
   const cv::Mat image = test::textured_image(210, 140, 5);
   CpuEngine one(1, *kernels_), two(2, *kernels_);
   cv::Mat a, b, again;

@@ -12,10 +12,10 @@ namespace {
 TEST(MakeEngine, KnowsItsNames) {
   EXPECT_EQ(make_engine("float")->name(), "float");
   EXPECT_EQ(make_engine("cpu")->name().rfind("cpu-", 0), 0u);
-  EXPECT_EQ(make_engine("plane")->name(), "plane, " + make_engine("cpu")->name());
-  EXPECT_TRUE(make_engine("plane")->prefers_plane());
+  EXPECT_EQ(make_engine("fourier")->name(), "fourier, " + make_engine("cpu")->name());
+  EXPECT_TRUE(make_engine("fourier")->prefers_2d());
   EXPECT_NE(make_engine("auto", 1), nullptr);
-  EXPECT_FALSE(make_engine("auto")->prefers_plane());
+  EXPECT_FALSE(make_engine("auto")->prefers_2d());
   EXPECT_THROW(make_engine("gpu"), OptionError);
   EXPECT_THROW(make_engine("float", -1), OptionError);
 }
@@ -27,14 +27,14 @@ TEST(MakeEngine, ListsTheNamesItKnows) {
   } catch (const OptionError& error) {
     const std::string message = error.what();
     EXPECT_NE(message.find("\"abacus\""), std::string::npos) << message;
-    for (const char* name : {"auto", "cpu", "plane", "float", "opencl", "opencl:INDEX", "opencl:NAME"}) {
+    for (const char* name : {"auto", "cpu", "fourier", "float", "opencl", "opencl:INDEX", "opencl:NAME"}) {
       EXPECT_NE((message + ",").find(std::string(" ") + name + ","), std::string::npos) << name << " in " << message;
     }
   }
 }
 
 TEST(MakeEngine, TakesADeviceForOpenClAlone) {
-  for (const char* name : {"cpu:0", "plane:0", "float:0", "auto:0", "opencl:"})
+  for (const char* name : {"cpu:0", "fourier:0", "float:0", "auto:0", "opencl:"})
     EXPECT_THROW(make_engine(name), OptionError) << name;
 }
 

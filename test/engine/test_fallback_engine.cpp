@@ -28,7 +28,7 @@ class FailingEngine : public Engine {
   }
   std::string name() const override { return "failing"; }
   void prepare(const std::vector<const LineKernel*>&) override { ++*calls_; }
-  SlowBlocks slow_blocks() const override { return {{"the device is slow", 3}}; }
+  FallbackCounts fallback_counts() const override { return {{"the device is slow", 3}}; }
 
  private:
   int good_frames_;
@@ -91,9 +91,9 @@ TEST_F(FallbackEngineTest, LosesNoFrameWhenTheDeviceFailsInMidRun) {
 TEST_F(FallbackEngineTest, TellsTheSlowBlocksOfTheEngineInUse) {
   FallbackEngine engine = failing_after(1);
   EXPECT_TRUE(gives_the_right_frame(engine));
-  EXPECT_EQ(engine.slow_blocks(), (SlowBlocks{{"the device is slow", 3}}));
+  EXPECT_EQ(engine.fallback_counts(), (FallbackCounts{{"the device is slow", 3}}));
   EXPECT_TRUE(gives_the_right_frame(engine));
-  EXPECT_EQ(engine.slow_blocks(), SlowBlocks{}) << "of the engine behind it";
+  EXPECT_EQ(engine.fallback_counts(), FallbackCounts{}) << "of the engine behind it";
 }
 
 TEST_F(FallbackEngineTest, StartsWithoutTheDevice) {

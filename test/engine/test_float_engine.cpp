@@ -17,7 +17,7 @@ using test::equal;
 using test::random_image;
 
 /// A grid of blocks, each with its own angle and extent; every seventh is only copied.
-FilterGrid varied_blocks(int width, int height, int block_size, double max_extent, const KernelBank& bank) {
+FilterGrid varied_blocks(int width, int height, int block_size, double max_extent, const FilterBank& bank) {
   return test::make_grid({width, height}, block_size, [&](int i) -> BlockFilter {
     const double extent = 2 + std::fmod(3.7 * i, max_extent - 2);
     return {std::fmod(23.0 * i, 180) * CV_PI / 180, i % 7 == 3 ? nullptr : &bank.kernel(extent)};
@@ -33,7 +33,7 @@ class FloatEngineTest : public testing::TestWithParam<EngineCase> {};
 
 TEST_P(FloatEngineTest, MatchesTheDefinition) {
   const EngineCase& c = GetParam();
-  const KernelBank bank({});
+  const FilterBank bank({});
   const cv::Mat src = random_image(c.width, c.height, c.type, 7);
   const FilterGrid blocks = varied_blocks(c.width, c.height, c.block_size, c.max_extent, bank);
   cv::Mat dst;
@@ -57,8 +57,8 @@ INSTANTIATE_TEST_SUITE_P(Shapes, FloatEngineTest,
                                          EngineCase{1, 50, CV_16UC1, 64, 30}, EngineCase{50, 1, CV_8UC3, 64, 30}));
 
 TEST(FloatEngine, GivesTheSameForAnyNumberOfThreadsAndOnReuse) {
-  const HelpAtOnce help_at_once;
-  const KernelBank bank({});
+  const EagerHelpers eager_helpers;
+  const FilterBank bank({});
   const cv::Mat src = random_image(200, 150, CV_8UC1, 3);
   const FilterGrid blocks = varied_blocks(200, 150, 32, 50, bank);
   cv::Mat one, two, again;
@@ -75,7 +75,7 @@ TEST(FloatEngine, GivesTheSameForAnyNumberOfThreadsAndOnReuse) {
 }
 
 TEST(FloatEngine, WorksOnPartsOfLargerImages) {
-  const KernelBank bank({});
+  const FilterBank bank({});
   const cv::Mat whole = random_image(100, 80, CV_8UC1, 5);
   const cv::Mat src = whole(cv::Rect(11, 13, 70, 50));  // rows are not contiguous
   const FilterGrid blocks = varied_blocks(70, 50, 32, 20, bank);
@@ -86,7 +86,7 @@ TEST(FloatEngine, WorksOnPartsOfLargerImages) {
 }
 
 TEST(FloatEngine, KeepsAConstantImage) {
-  const KernelBank bank({});
+  const FilterBank bank({});
   const cv::Mat src(90, 100, CV_8UC1, cv::Scalar(173));
   cv::Mat dst;
   make_engine("float")->filter(src, varied_blocks(100, 90, 16, 100, bank), dst);

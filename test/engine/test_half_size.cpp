@@ -39,9 +39,9 @@ TEST(HalfSize, LeavesOfAWaveWhatIsSaid) {
   for (const auto& [fx, fy] :
        {std::pair(0.03, 0.0), std::pair(0.0, 0.12), std::pair(0.15, 0.2), std::pair(0.2, -0.1)}) {
     cv::Mat half;
-    halve(wave(size, fx, fy), 2, half);
+    downsample2x(wave(size, fx, fy), 2, half);
     ASSERT_EQ(half.size(), cv::Size(100, 80));
-    const double left = 30000 * left_by_halving(fx) * left_by_halving(fy);
+    const double left = 30000 * lowpass_response(fx) * lowpass_response(fy);
     for (int y = 3; y < half.rows - 3; ++y) {
       for (int x = 3; x < half.cols - 3; ++x) {
         const double expected = 32768 + left * std::cos(2 * CV_PI * (fx * (2 * x + 0.5) + fy * (2 * y + 0.5)));
@@ -54,9 +54,9 @@ TEST(HalfSize, LeavesOfAWaveWhatIsSaid) {
 // Of fine detail hardly anything comes back as coarse.
 TEST(HalfSize, KeepsOutWhatItCannotShow) {
   for (const double f : {0.3, 0.35, 0.4, 0.5}) {
-    EXPECT_LT(std::abs(left_by_halving(f)), 0.09 * left_by_halving(0.5 - f)) << f;
+    EXPECT_LT(std::abs(lowpass_response(f)), 0.09 * lowpass_response(0.5 - f)) << f;
   }
-  EXPECT_NEAR(left_by_halving(0), 1, 1e-6);
+  EXPECT_NEAR(lowpass_response(0), 1, 1e-6);
 }
 
 // A slow wave comes back with what is left of it twice, in any piece.
@@ -65,9 +65,9 @@ TEST(HalfSize, ComesBack) {
   const double fx = 0.05, fy = 0.04;
   const cv::Mat image = wave(size, fx, fy);
   cv::Mat half;
-  halve(image, 1, half);
+  downsample2x(image, 1, half);
   ASSERT_EQ(half.size(), cv::Size(61, 45));
-  const double left = std::pow(left_by_halving(fx) * left_by_halving(fy), 2);
+  const double left = std::pow(lowpass_response(fx) * lowpass_response(fy), 2);
   for (const cv::Rect& rect : {cv::Rect(20, 20, 70, 50), cv::Rect(21, 31, 1, 1), cv::Rect(33, 40, 8, 3)}) {
     const cv::Mat result = doubled(half, rect);
     for (int y = 0; y < rect.height; ++y) {
@@ -84,7 +84,7 @@ TEST(HalfSize, KeepsAConstantImageUpToItsEdges) {
   for (const cv::Size& size : {cv::Size(1, 1), cv::Size(2, 1), cv::Size(1, 5), cv::Size(7, 4), cv::Size(64, 33)}) {
     const cv::Mat image(size, CV_8UC1, cv::Scalar(201));
     cv::Mat half;
-    halve(image, 1, half);
+    downsample2x(image, 1, half);
     const cv::Mat result = doubled(half, cv::Rect({}, size));
     EXPECT_LT(cv::norm(result, cv::Mat(size, CV_32F, cv::Scalar(201)), cv::NORM_INF), 1e-3) << size;
   }
@@ -93,7 +93,7 @@ TEST(HalfSize, KeepsAConstantImageUpToItsEdges) {
 TEST(HalfSize, ComesBackInPiecesAsItDoesWhole) {
   for (const cv::Size& size : {cv::Size(37, 23), cv::Size(24, 9), cv::Size(3, 1)}) {
     cv::Mat half;
-    halve(test::textured_image(size.width, size.height, 4), 1, half);
+    downsample2x(test::textured_image(size.width, size.height, 4), 1, half);
     const cv::Mat whole = doubled(half, cv::Rect({}, size));
     for (int y = 0; y < size.height; y += 5) {
       for (int x = 0; x < size.width; x += 7) {
@@ -107,8 +107,8 @@ TEST(HalfSize, ComesBackInPiecesAsItDoesWhole) {
 TEST(HalfSize, DoesNotDependOnThreads) {
   const cv::Mat image = test::textured_image(301, 203, 4);
   cv::Mat alone, together;
-  halve(image, 1, alone);
-  halve(image, 4, together);
+  downsample2x(image, 1, alone);
+  downsample2x(image, 4, together);
   EXPECT_TRUE(test::equal(alone, together));
 }
 

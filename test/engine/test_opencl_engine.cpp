@@ -20,7 +20,7 @@ namespace {
 constexpr int kThreads = 2;
 
 /// Blocks with angles all around and extents near `extent_px`; every seventh has no kernel.
-FilterGrid varied_blocks(int width_px, int height_px, int block_px, double extent_px, const KernelBank& bank) {
+FilterGrid varied_blocks(int width_px, int height_px, int block_px, double extent_px, const FilterBank& bank) {
   return test::make_grid({width_px, height_px}, block_px, [&](int i) -> BlockFilter {
     const bool filtered = i % 7 != 6;
     const double angle_rad = (23 * i % 180) * CV_PI / 180;
@@ -64,7 +64,7 @@ class OpenClEngineTest : public testing::TestWithParam<OpenClTuning> {
 
   std::unique_ptr<OpenClEngine> engine_;
   FloatEngine float_{kThreads};
-  KernelBank bank_{KernelOptions{}};
+  FilterBank bank_{FilterOptions{}};
 };
 
 TEST_P(OpenClEngineTest, AgreesAtEveryAngleAndExtent) {

@@ -58,7 +58,7 @@ class SeamsTest : public testing::TestWithParam<const char*> {
   void SetUp() override {
     const std::string name = GetParam(), cpu = "cpu-";
     if (name.compare(0, cpu.size(), cpu) == 0) {
-      const BlockKernels* kernels = find_block_kernels(name.c_str() + cpu.size());
+      const BlockSimd* kernels = find_block_simd(name.c_str() + cpu.size());
       if (kernels == nullptr) GTEST_SKIP() << "this processor does not run " << name;
       engine_ = std::make_unique<CpuEngine>(kThreads, *kernels);
     } else {
@@ -76,12 +76,12 @@ class SeamsTest : public testing::TestWithParam<const char*> {
   }
 
   std::unique_ptr<Engine> engine_;
-  KernelBank bank_{KernelOptions{}};
+  FilterBank bank_{FilterOptions{}};
 };
 
 /// Mean gradient across the borders of blocks over that inside them, relative to the sharp image, where a camera rolled
 /// about the image centre.
-double seam_contrast(const cv::Mat& sharp, double mean_extent_px, const KernelBank& bank, Engine& engine) {
+double seam_contrast(const cv::Mat& sharp, double mean_extent_px, const FilterBank& bank, Engine& engine) {
   const test::Roll roll = test::Roll::about_center(sharp.cols, sharp.rows, mean_extent_px);
   const FrameBlur field = roll.field(sharp.cols, sharp.rows, wide_options());
   const cv::Mat blurred = test::expose(roll.blur(sharp), kNoiseGreyLevels, 3);
@@ -109,7 +109,7 @@ TEST_P(SeamsTest, AreNotSeenOnAPhotograph) {
 // Without this the two tests above might measure nothing.
 TEST(Seams, AreSeenWhereBlocksAreNotBlended) {
   const cv::Mat sharp = test::textured_image(512, 384, 21);
-  const KernelBank bank({});
+  const FilterBank bank({});
   const auto engine = make_engine("cpu", kThreads);
   UnblendedEngine unblended(*engine);
   for (const double extent_px : {15.0, 60.0}) {

@@ -56,7 +56,7 @@ TEST(AsBlurred, CountsDeblurredBlocksAsCopied) {
   const FrameBlur blurred = as_blurred(field);
   EXPECT_EQ(blurred.count(BlockStatus::DEBLURRED), 0u);
   EXPECT_EQ(blurred.blocks[1].status, BlockStatus::REJECTED);
-  EXPECT_EQ(blurred.blocks[0].shown_offset_px(), Eigen::Vector2d(1, 2));
+  EXPECT_EQ(blurred.blocks[0].apparent_offset_px(), Eigen::Vector2d(1, 2));
 }
 
 TEST(DeblurInFrequency, UndoesAPeriodicBlur) {
@@ -126,8 +126,8 @@ TEST(RestoreBeyondBorders, IsBetterThanWienerOnAPhotograph) {
     cv::GaussianBlur(image, out, cv::Size(), RestorationOptions().output_sigma_px);
     return out;
   };
-  KernelOptions paper;  // the taps that it iterates, on another length
-  paper.gamma_rule = GammaRule::PAPER;
+  FilterOptions paper;  // the taps that it iterates, on another length
+  paper.regularization = Regularization::PAPER;
   const cv::Mat truth = smooth(photograph(middle).clone());
   const cv::Mat wiener = smooth(deblur_in_space(blurred, kBlur, paper));
   const cv::Mat package = smooth(deblur_in_space(blurred, kBlur));

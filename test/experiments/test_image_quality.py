@@ -21,7 +21,7 @@ class Quick(QuickTest):
                              for part in (rows[:third], rows[third:-third], rows[-third:]))
         self.assertLess(low + 0.1, middle)
         self.assertLess(middle + 0.1, high)
-        self.assertIn("BAD", {row["verdict"] for row in rows})
+        self.assertIn("POOR", {row["grade"] for row in rows})
 
     def test_plot_is_drawn(self):
         self.check_drawn("image_quality.png")

@@ -18,7 +18,7 @@ from std_msgs.msg import Header
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "experiments" / "slam"))
-from judges import Lost, OpenVins, OpenVinsTracks, Recording, refined_motion, relative_motion  # noqa: E402
+from evaluators import Lost, OpenVins, OpenVinsTracks, Recording, refined_motion, relative_motion  # noqa: E402
 from trajectory import (Trajectory, absolute_error_m, aligned, angle_deg, common, relative_errors,  # noqa: E402
                         rotations)
 
@@ -198,7 +198,7 @@ class OpenVinsOnTracks(unittest.TestCase):
         reader = self.folder / "reader"
         reader.write_text(STAND_IN)
         reader.chmod(0o755)
-        with unittest.mock.patch("judges.built_reader", return_value=reader):
+        with unittest.mock.patch("evaluators.built_reader", return_value=reader):
             self.judge = OpenVinsTracks(self.folder, self.folder)
 
     def states(self, name, scale, until_s=20.0):

@@ -19,10 +19,10 @@
 #include <variant>
 #include <vector>
 
+#include "busy_processes.hpp"
 #include "engine/fallback_engine.hpp"
 #include "faults.hpp"
 #include "gyro_deblur/config.hpp"
-#include "neighbour_processes.hpp"
 #include "process_memory.hpp"
 #include "replay.hpp"
 #include "ros/image_conversion.hpp"
@@ -293,7 +293,7 @@ class Table {
     }
 
     {
-      // In real time: what frames become of, and no more. How long they take is in doc/reports/neighbours.md.
+      // In real time: what frames become of, and no more. How long they take is in doc/reports/contention.md.
       NeighbourProcesses busy;
       busy.start_busy(make_shared_counts());
       ReplayOptions all_cores = options_;

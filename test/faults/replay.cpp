@@ -26,7 +26,7 @@ bool is_mispredicted(const FrameOutput& output, double true_extent_px) {
   return std::abs(field.blocks[center].extent_px - true_extent_px) > kTolerancePx + kTolerance * true_extent_px;
 }
 
-/// Gives a message to the processor; images go through the ledger as messages of their own.
+/// Gives a message to the processor; images go through the frame_accounting as messages of their own.
 class Deliverer {
  public:
   Deliverer(const Recording& recording, Processor* processor) : recording_(recording), processor_(processor) {}
@@ -73,7 +73,7 @@ class Deliverer {
   const Recording& recording_;
   Processor* processor_;
   std::mutex mutex_;
-  Ledger ledger_;
+  FrameAccounting ledger_;
   struct Origin {
     std::size_t frame = 0;  // of the recording
     TimeNs arrival_ns = 0;
@@ -236,13 +236,13 @@ Config random_change(const Config& config, std::uint64_t seed) {
       changed.pipeline.validation.enabled = pick(0, 1) == 1;
       break;
     case 4:
-      changed.pipeline.keypoints.max_features = pick(1, 500);
+      changed.pipeline.keypoints.max_keypoints = pick(1, 500);
       break;
     case 5:
       changed.pipeline.keypoints.detector = pick(0, 1) == 1 ? "ORB" : "nonsense";
       break;
     default:
-      changed.pipeline.validation.false_acceptance = 0.01 * pick(0, 50);  // 0 is refused
+      changed.pipeline.validation.false_accept_rate = 0.01 * pick(0, 50);  // 0 is refused
       break;
   }
   return changed;

@@ -6,8 +6,8 @@
 #include <functional>
 #include <vector>
 
+#include "frame_accounting.hpp"
 #include "gyro_deblur/config.hpp"
-#include "ledger.hpp"
 #include "recording.hpp"
 
 namespace gyro_deblur::test {

@@ -1,5 +1,5 @@
 // Wrong units, sensors and clocks of a simulated camera: what is reported, what becomes of the frames, and that
-// drop_bad drops none that is good.
+// drop_poor drops none that is good.
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
@@ -52,11 +52,11 @@ class InputFaultsTest : public testing::Test {
   InputFaultsTest() {
     options_.config = load_known_config(std::string(GYRO_DEBLUR_SOURCE_DIR) + "/test/faults/config.yaml");
     options_.config.gyro.range_rad_s = 0;
-    options_.config.drop_bad = true;
+    options_.config.drop_poor = true;
   }
   void play(const std::vector<Delivery>& deliveries, const Recording& recording = fast()) {
     result_ = replay(recording, deliveries, options_);
-    EXPECT_EQ(result_.statistics.dropped_bad, 0u) << "drop_bad";
+    EXPECT_EQ(result_.statistics.dropped_bad, 0u) << "drop_poor";
     EXPECT_EQ(result_.statistics.frames_out, recording.frames());
   }
   std::string problem(const std::string& kind) const {

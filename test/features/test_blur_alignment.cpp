@@ -18,8 +18,8 @@ using View = SinusoidTexture::View;
 const cv::Size kSize(760, 760);
 
 /// Straight, at a speed that goes from nearly none to twice the mean.
-PlanePath accelerated_path(double extent_px, double angle_rad) {
-  PlanePath path_px;
+Path2d accelerated_path(double extent_px, double angle_rad) {
+  Path2d path_px;
   for (int k = 0; k < kPathInstants; ++k) {
     const double s = static_cast<double>(k) / (kPathInstants - 1), along = extent_px * (s * s - 0.25);
     path_px[k] = Eigen::Vector2d(along * std::cos(angle_rad), along * std::sin(angle_rad)).cast<float>();
@@ -27,7 +27,7 @@ PlanePath accelerated_path(double extent_px, double angle_rad) {
   return path_px;
 }
 
-PlanePath straight_path(double extent_px, double angle_rad) { return test::arc_path(extent_px, 0, angle_rad); }
+Path2d straight_path(double extent_px, double angle_rad) { return test::arc_path(extent_px, 0, angle_rad); }
 
 /// Turned by 3 degrees, 3 % nearer, a little sheared.
 Eigen::Matrix2d some_map() {
@@ -74,7 +74,7 @@ class BlurAlignmentTest : public testing::Test {
           truth_px = second_.at(first_.map.inverse() * (at_px - first_.shift_px)),
           start_px = truth_px + Eigen::Vector2d(rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0));
       const double sigma = std::hypot(noise, kRounding);
-      const PlanePath none = still_path();
+      const Path2d none = still_path();
       const auto found = aligner_.align(from, {at_px, knows_paths ? first_.path_px : none, sigma}, to,
                                         {start_px, knows_paths ? second_.path_px : none, sigma}, map, options_);
       if (!found) continue;
@@ -110,7 +110,7 @@ class BlurAlignmentTest : public testing::Test {
 
 struct PairOfPaths {
   const char* name;
-  PlanePath first_px, second_px;
+  Path2d first_px, second_px;
 };
 
 TEST_F(BlurAlignmentTest, WithoutNoiseTheMeanErrorIsBelowAHundredthOfAPixel) {

@@ -45,7 +45,8 @@ FrameBlur busy_field(double scatter_px_s, int block_px = 64) {
   FrameBlur field = plain_field(block_px);
   std::mt19937 rng(7);
   std::uniform_real_distribution<double> u(-1, 1);
-  const BlockStatus statuses[] = {BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED, BlockStatus::BENT};
+  const BlockStatus statuses[] = {BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED,
+                                  BlockStatus::TOO_CURVED};
   for (int i = 0; i < field.grid.size(); ++i) {
     BlockBlur& block = field.blocks[i];
     const Eigen::Vector2d at_px = field.grid.center(i);

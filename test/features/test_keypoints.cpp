@@ -21,11 +21,11 @@ const std::vector<std::string> kDescriptors = available_descriptors();
 /// Whether SIFT is expected: the build has it, unless this runs with the library that is built without.
 bool expect_sift() { return GYRO_DEBLUR_SIFT != 0 && std::getenv("GYRO_DEBLUR_WITHOUT_SIFT") == nullptr; }
 
-KeypointOptions options_of(const std::string& detector, const std::string& descriptor, int max_features = 200) {
+KeypointOptions options_of(const std::string& detector, const std::string& descriptor, int max_keypoints = 200) {
   KeypointOptions options;
   options.detector = detector;
   options.descriptor = descriptor;
-  options.max_features = max_features;
+  options.max_keypoints = max_keypoints;
   return options;
 }
 
@@ -45,9 +45,10 @@ TEST(FeatureExtractor, RunsEveryPairItAccepts) {
       SCOPED_TRACE(detector + " + " + descriptor);
       const KeypointOptions options = options_of(detector, descriptor);
       if (!is_accepted(detector, descriptor)) {
-        EXPECT_EQ(refusal(options).rfind("descriptor = \"" + descriptor + "\" cannot describe the keypoints of ", 0),
-                  0u);
-        EXPECT_NE(refusal(options).find("detector = \"" + detector + '"'), std::string::npos);
+        EXPECT_EQ(
+            refusal(options).rfind("keypoint_descriptor = \"" + descriptor + "\" cannot describe the keypoints of ", 0),
+            0u);
+        EXPECT_NE(refusal(options).find("keypoint_detector = \"" + detector + '"'), std::string::npos);
         EXPECT_THROW(FeatureExtractor{options}, OptionError);
         continue;
       }
@@ -187,7 +188,7 @@ TEST(FeatureExtractor, FindsACornerWhereItIs) {
 }
 
 /// Strong texture on the left quarter, faint texture elsewhere.
-cv::Mat uneven_image() {
+cv::Mat nonuniform_image() {
   const cv::Mat texture = test::textured_image(400, 200, 8);
   cv::Mat image;
   texture.convertTo(image, CV_8U, 0.25, 96);
@@ -202,7 +203,7 @@ std::vector<int> per_column(const Features& features, int cols) {
 }
 
 TEST(FeatureExtractor, SpreadsKeypointsOverTheGrid) {
-  const cv::Mat image = uneven_image();
+  const cv::Mat image = nonuniform_image();
   for (const std::string& detector :
        {std::string("GFTT"), std::string("FAST"), std::string("ORB"), std::string("BRISK")}) {
     KeypointOptions options = options_of(detector, "NONE", 80);
@@ -215,7 +216,7 @@ TEST(FeatureExtractor, SpreadsKeypointsOverTheGrid) {
 }
 
 TEST(FeatureExtractor, GivesUnusedSharesToTheStrongest) {
-  cv::Mat image = uneven_image();
+  cv::Mat image = nonuniform_image();
   image(cv::Rect(200, 0, 200, 200)).setTo(128);  // two of four cells are empty
   KeypointOptions options = options_of("FAST", "NONE", 81);
   options.grid_cols = 4;

@@ -156,7 +156,7 @@ TEST(PointCovariance, BlurAddsAlongItsLine) {
     EXPECT_GT(line.dot(left * line), 2 * line.dot(restored * line)) << extent_px;
     EXPECT_NEAR(line.dot(left * across), 0, 1e-6);
     for (const BlockStatus status :
-         {BlockStatus::SHARP, BlockStatus::TOO_LARGE, BlockStatus::BENT, BlockStatus::NOISY}) {
+         {BlockStatus::SHARP, BlockStatus::TOO_LARGE, BlockStatus::TOO_CURVED, BlockStatus::NOISY}) {
       EXPECT_TRUE(added(status).isApprox(left)) << to_string(status);
     }
     before = line.dot(restored * line);

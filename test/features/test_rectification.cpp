@@ -134,7 +134,7 @@ TEST(RectifyPointsByStatus, RejectedAndUncoveredBlocksAreLeftAlone) {
   const RowExposure exposure(0, kRows, timing(30 * kMs));
   const std::vector<Eigen::Vector2d> points{{100, 20}, {600, 400}};
   for (const BlockStatus status : {BlockStatus::SHARP, BlockStatus::DEBLURRED, BlockStatus::REJECTED,
-                                   BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO, BlockStatus::BENT}) {
+                                   BlockStatus::TOO_LARGE, BlockStatus::NO_GYRO, BlockStatus::TOO_CURVED}) {
     const auto result = rectify_points(points, field_of(status), camera, motion, exposure,
                                        exposure.reference_time(RectifyTo::MIDDLE_ROW));
     const bool moves = status != BlockStatus::REJECTED && status != BlockStatus::NO_GYRO;

@@ -18,7 +18,7 @@ struct Left {
 
 /// By summing the taps of the kernel itself.
 Left left_by(double extent_px, int doublings) {
-  const KernelBank bank{KernelOptions{kGamma, 8}};
+  const FilterBank bank{FilterOptions{kGamma, 8}};
   const LineKernel& kernel = bank.kernel(extent_px, doublings);
   Left left;
   for (const float tap : kernel.taps) left.noise += tap * tap;

@@ -17,7 +17,7 @@ namespace {
 class TwoScaleTapsTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_tap_loops(GetParam());
+    loops_ = find_tap_simd(GetParam());
     if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
   }
 
@@ -44,7 +44,7 @@ class TwoScaleTapsTest : public testing::TestWithParam<const char*> {
     return sum;
   }
 
-  const TapLoops* loops_ = nullptr;
+  const TapSimd* loops_ = nullptr;
   TwoScaleDesigns designs_;
 };
 
@@ -126,7 +126,7 @@ TEST_P(TwoScaleTapsTest, HaveTheCoarseWeightsInFixedPointToo) {
 
 TEST_P(TwoScaleTapsTest, HaveAllTheirShapesAhead) {
   for (const double length_factor : {2.0, 4.0, 8.0}) {
-    KernelOptions options;
+    FilterOptions options;
     options.length_factor = length_factor;
     std::set<TwoScaleShape> shapes;
     std::vector<LineKernel> kernels;
@@ -158,7 +158,7 @@ INSTANTIATE_TEST_SUITE_P(InstructionSets, TwoScaleTapsTest, testing::Values("bas
 
 // What the spline between nodes of one sample makes of the weights is the kernel, turned round.
 TEST(LaneTaps, MakeTheKernelAgain) {
-  const LinePath path_px{-35, -30, -24, -16, 0, 20, 45, 70, 90};
+  const Path1d path_px{-35, -30, -24, -16, 0, 20, 45, 70, 90};
   LineKernel of_path = wiener_kernel(path_px, {});
   LineKernel ramp;
   for (int i = 0; i < 81; ++i) ramp.taps.push_back(static_cast<float>(i) / 3240);

@@ -13,7 +13,7 @@
 #include "engine/cpu/cpu_engine.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "images.hpp"
-#include "plane_paths.hpp"
+#include "paths_2d.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {
@@ -25,17 +25,17 @@ using test::random_image;
 double radians(double degrees) { return degrees * CV_PI / 180; }
 
 // Asymmetric, so that a kernel turned round, or the box, shows.
-TEST(Deconvolve, FollowsAnUnevenPathInItsDirection) {
-  constexpr LinePath kPath{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15};
-  LinePath reversed;
+TEST(Deconvolve, FollowsAnNonuniformPathInItsDirection) {
+  constexpr Path1d kPath{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15};
+  Path1d reversed;
   for (int k = 0; k < kPathInstants; ++k) reversed[k] = -kPath[k];
   const cv::Mat sharp = test::textured_image(256, 192, 3);
   const cv::Rect inner(48, 48, 160, 96);
-  const KernelBank bank{KernelOptions{}};
-  const auto restored = [&](const cv::Mat& blurred, double angle_rad, const std::optional<LinePath>& path_px,
+  const FilterBank bank{FilterOptions{}};
+  const auto restored = [&](const cv::Mat& blurred, double angle_rad, const std::optional<Path1d>& path_px,
                             const std::string& engine) {
     FrameBlur field = uniform_blur_field(sharp.cols, sharp.rows, angle_rad, extent_of(kPath), {});
-    for (BlockBlur& block : field.blocks) block.uneven_path_px = path_px;
+    for (BlockBlur& block : field.blocks) block.nonuniform_path_px = path_px;
     cv::Mat dst;
     deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine(engine), dst);
     return test::psnr_db(dst(inner), sharp(inner));
@@ -53,7 +53,7 @@ TEST(Deconvolve, FollowsAnUnevenPathInItsDirection) {
 }
 
 /// A field of blocks that are all blurred along one path.
-FrameBlur field_along(cv::Size size, const PlanePath& path_px) {
+FrameBlur field_along(cv::Size size, const Path2d& path_px) {
   std::array<Eigen::Vector2d, kPathInstants> places_px;
   for (int k = 0; k < kPathInstants; ++k) places_px[k] = path_px[k].cast<double>();
   FrameBlur field = uniform_blur_field(size.width, size.height, 0, 10, {});
@@ -64,12 +64,12 @@ FrameBlur field_along(cv::Size size, const PlanePath& path_px) {
 TEST(Deconvolve, UndoesBentPaths) {
   const cv::Mat sharp = test::textured_image(256, 192, 3);
   const cv::Rect inner(48, 48, 160, 96);
-  const KernelBank bank{KernelOptions{}};
-  const PlanePath path_px = test::arc_path(24, 8, 0.6);
+  const FilterBank bank{FilterOptions{}};
+  const Path2d path_px = test::arc_path(24, 8, 0.6);
   const FrameBlur field = field_along(sharp.size(), path_px);
   ASSERT_EQ(field.count(BlockStatus::DEBLURRED), field.blocks.size());
-  const cv::Mat blurred = test::expose(test::blur_in_plane(sharp, path_px), 1, 5);
-  for (const char* engine : {"float", "cpu", "opencl", "plane"}) {
+  const cv::Mat blurred = test::expose(test::blur_in_2d(sharp, path_px), 1, 5);
+  for (const char* engine : {"float", "cpu", "opencl", "fourier"}) {
     cv::Mat dst;
     deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine(engine), dst);
     EXPECT_GT(test::psnr_db(dst(inner), sharp(inner)), test::psnr_db(blurred(inner), sharp(inner)) + 6) << engine;
@@ -79,11 +79,11 @@ TEST(Deconvolve, UndoesBentPaths) {
 // The planes of a mosaic have half the path, whichever filter undoes it.
 TEST(Deconvolve, UndoesPathsInThePlanesOfAMosaic) {
   const cv::Mat sharp = test::textured_image(128, 96, 3);
-  const KernelBank bank{KernelOptions{}};
-  const PlanePath of_plane_px = test::arc_path(12, 4, 0.6);
-  PlanePath path_px = of_plane_px;
+  const FilterBank bank{FilterOptions{}};
+  const Path2d of_plane_px = test::arc_path(12, 4, 0.6);
+  Path2d path_px = of_plane_px;
   for (Eigen::Vector2f& place_px : path_px) place_px *= 2;
-  const cv::Mat blurred = test::expose(test::blur_in_plane(sharp, of_plane_px), 1, 5);
+  const cv::Mat blurred = test::expose(test::blur_in_2d(sharp, of_plane_px), 1, 5);
   cv::Mat mosaic, dst, plane(sharp.size(), CV_8U);
   cv::resize(blurred, mosaic, sharp.size() * 2, 0, 0, cv::INTER_NEAREST);
   deconvolve(mosaic, PixelLayout::BAYER_RGGB, field_along(mosaic.size(), path_px), bank, *make_engine("cpu"), dst);
@@ -96,14 +96,14 @@ TEST(Deconvolve, UndoesPathsInThePlanesOfAMosaic) {
 TEST(Deconvolve, LeavesAllBlocksToAnEngineForThePlane) {
   const cv::Mat sharp = test::textured_image(256, 192, 3);
   const cv::Rect inner(48, 48, 160, 96);
-  const KernelBank bank{KernelOptions{}};
+  const FilterBank bank{FilterOptions{}};
   constexpr double kAngleRad = 0.6;
-  for (const bool uneven : {false, true}) {
-    const LinePath path_px =
-        uneven ? LinePath{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15} : LinePath{-8, -6, -4, -2, 0, 2, 4, 6, 8};
+  for (const bool nonuniform : {false, true}) {
+    const Path1d path_px =
+        nonuniform ? Path1d{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15} : Path1d{-8, -6, -4, -2, 0, 2, 4, 6, 8};
     FrameBlur field = uniform_blur_field(sharp.cols, sharp.rows, kAngleRad, extent_of(path_px), {});
-    if (uneven) {
-      for (BlockBlur& block : field.blocks) block.uneven_path_px = path_px;
+    if (nonuniform) {
+      for (BlockBlur& block : field.blocks) block.nonuniform_path_px = path_px;
     }
     const FilterGrid grid = make_filter_grid(field, bank, 1, true);
     for (const BlockFilter& block : grid.blocks) {
@@ -111,10 +111,10 @@ TEST(Deconvolve, LeavesAllBlocksToAnEngineForThePlane) {
       EXPECT_NE(block.inverse, nullptr);
     }
     const cv::Mat blurred = test::expose(test::blur_along_path(sharp, kAngleRad, path_px), 1, 5);
-    cv::Mat in_plane, along_line;
-    deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine("plane"), in_plane);
+    cv::Mat in_2d, along_line;
+    deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine("fourier"), in_2d);
     deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine("cpu"), along_line);
-    EXPECT_GT(test::psnr_db(in_plane(inner), sharp(inner)), test::psnr_db(along_line(inner), sharp(inner)));
+    EXPECT_GT(test::psnr_db(in_2d(inner), sharp(inner)), test::psnr_db(along_line(inner), sharp(inner)));
   }
 }
 
@@ -136,19 +136,19 @@ TEST(Deconvolve, ShowsAPointWhereItsBlockSays) {
     for (const double share : {0.9, 1.3}) {  // of what still counts as even
       const double gain_px = share * 2 * even_path_px(extent_px);
       std::array<Eigen::Vector2d, kPathInstants> path_px;
-      LinePath along_px;
+      Path1d along_px;
       for (int k = 0; k < kPathInstants; ++k) {
         const double t = k / (kPathInstants - 1.0) - 0.5;
         along_px[k] = static_cast<float>(extent_px * t + 4 * gain_px * t * t);
         path_px[k] = along_px[k] * line;
       }
       const BlockBlur blur = classify_path(path_px, {});
-      ASSERT_EQ(blur.uneven_path_px.has_value(), share > 1);
+      ASSERT_EQ(blur.nonuniform_path_px.has_value(), share > 1);
       FrameBlur field = uniform_blur_field(kSide, kSide, angle_rad, extent_px, {});
       field.blocks.assign(field.blocks.size(), blur);
       cv::Mat blurred, restored;
       test::blur_along_path(blob, angle_rad, along_px).convertTo(blurred, CV_8U);
-      const KernelBank bank{KernelOptions{}};
+      const FilterBank bank{FilterOptions{}};
       deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine("cpu"), restored);
       // The peak of what is left of the blob at its own size, between pixels along the line.
       cv::Mat smooth;
@@ -156,7 +156,7 @@ TEST(Deconvolve, ShowsAPointWhereItsBlockSays) {
       cv::GaussianBlur(smooth, smooth, {}, kSigmaPx);
       cv::Point peak;
       cv::minMaxLoc(smooth, nullptr, nullptr, nullptr, &peak);
-      const Eigen::Vector2d shown = blur.shown_offset_px();
+      const Eigen::Vector2d shown = blur.apparent_offset_px();
       EXPECT_LT(std::hypot(peak.x - center.x - shown.x(), peak.y - center.y - shown.y()), 1.0)
           << extent_px << ' ' << share << ": found " << peak.x - center.x << ", " << peak.y - center.y << ", expected "
           << shown.transpose();
@@ -168,17 +168,18 @@ FrameBlur field_of(int width, int height, double degrees, double extent) {
   return uniform_blur_field(width, height, radians(degrees), extent, {});
 }
 
-/// What weigh_noise() and deconvolve() make of an image with noise.
+/// What adapt_regularization() and deconvolve() make of an image with noise.
 struct Weighed {
   FrameBlur field;
   cv::Mat image;
 };
-Weighed weigh_and_deconvolve(const cv::Mat& blurred, FrameBlur field, std::optional<double> noise, GammaRule rule) {
-  KernelOptions options;
-  options.gamma_rule = rule;
-  const KernelBank bank(options);
+Weighed weigh_and_deconvolve(const cv::Mat& blurred, FrameBlur field, std::optional<double> noise,
+                             Regularization rule) {
+  FilterOptions options;
+  options.regularization = rule;
+  const FilterBank bank(options);
   field.noise = noise;
-  weigh_noise(blurred, bank, field);
+  adapt_regularization(blurred, bank, field);
   Weighed weighed{field, {}};
   deconvolve(blurred, PixelLayout::GRAY, field, bank, *make_engine("cpu"), weighed.image);
   return weighed;
@@ -196,15 +197,15 @@ TEST(WeighNoise, GainsInLowLightWhereGammaAsItIsLoses) {
       const cv::Mat sharp = light(inner);
       const cv::Mat blurred = test::expose(test::blur_along_line(light, 0.6, extent_px)(inner), noise, 5);
       const FrameBlur field = uniform_blur_field(blurred.cols, blurred.rows, 0.6, extent_px, {});
-      const auto gain_db = [&](GammaRule rule) {
+      const auto gain_db = [&](Regularization rule) {
         return test::psnr_db(weigh_and_deconvolve(blurred, field, noise, rule).image, sharp) -
                test::psnr_db(blurred, sharp);
       };
       if (contrast < 1) {
-        EXPECT_LT(gain_db(GammaRule::FIXED), 0) << extent_px;
-        EXPECT_GT(gain_db(GammaRule::NOISE), 0.5) << extent_px;
+        EXPECT_LT(gain_db(Regularization::FIXED), 0) << extent_px;
+        EXPECT_GT(gain_db(Regularization::NOISE), 0.5) << extent_px;
       } else {
-        EXPECT_NEAR(gain_db(GammaRule::NOISE), gain_db(GammaRule::FIXED), 0.1) << extent_px;
+        EXPECT_NEAR(gain_db(Regularization::NOISE), gain_db(Regularization::FIXED), 0.1) << extent_px;
       }
     }
   }
@@ -220,10 +221,10 @@ TEST(WeighNoise, SaysWhatFilteringMakesOfNoise) {
     const cv::Mat clean = test::expose(test::blur_along_line(wide, 0, extent_px), 0, 5),
                   noisy = test::expose(test::blur_along_line(wide, 0, extent_px), kNoise, 5);
     const FrameBlur field = uniform_blur_field(noisy.cols, noisy.rows, 0, extent_px, {});
-    const KernelBank bank{KernelOptions{}};
+    const FilterBank bank{FilterOptions{}};
     FrameBlur weighed = field;
     weighed.noise = kNoise;
-    weigh_noise(noisy, bank, weighed);
+    adapt_regularization(noisy, bank, weighed);
     cv::Mat of_clean, of_noisy, difference;
     deconvolve(clean, PixelLayout::GRAY, weighed, bank, *make_engine("cpu"), of_clean);
     deconvolve(noisy, PixelLayout::GRAY, weighed, bank, *make_engine("cpu"), of_noisy);
@@ -249,7 +250,7 @@ TEST(WeighNoise, LeavesAloneWhatItWouldSpoilAndDoesNotGrainWhatIsFlat) {
   for (const double extent_px : {3.5, 20.0}) {
     const cv::Mat blurred = test::expose(test::blur_along_line(light, 0, extent_px), kNoise, 6);
     const FrameBlur field = uniform_blur_field(512, 256, 0, extent_px, {});
-    const Weighed weighed = weigh_and_deconvolve(blurred, field, kNoise, GammaRule::NOISE);
+    const Weighed weighed = weigh_and_deconvolve(blurred, field, kNoise, Regularization::NOISE);
     const cv::Rect flat(320, 0, 192, 256);
     cv::Scalar mean, before, after;
     cv::meanStdDev(blurred(flat), mean, before);
@@ -265,7 +266,7 @@ TEST(WeighNoise, LeavesAloneWhatItWouldSpoilAndDoesNotGrainWhatIsFlat) {
         EXPECT_TRUE(equal(weighed.image(rect), blurred(rect)));
       }
     }
-    cv::meanStdDev(weigh_and_deconvolve(blurred, field, kNoise, GammaRule::FIXED).image(flat), mean, after);
+    cv::meanStdDev(weigh_and_deconvolve(blurred, field, kNoise, Regularization::FIXED).image(flat), mean, after);
     EXPECT_GT(after[0], 2 * before[0]) << "gamma as it is grains it, " << extent_px;
   }
 }
@@ -273,25 +274,25 @@ TEST(WeighNoise, LeavesAloneWhatItWouldSpoilAndDoesNotGrainWhatIsFlat) {
 TEST(WeighNoise, DoesNothingByOtherRulesOrWhereNoiseIsNotKnown) {
   const cv::Mat blurred = random_image(256, 192, CV_8UC1, 4);
   const FrameBlur field = uniform_blur_field(256, 192, 1, 12, {});
-  const auto is_left = [&](std::optional<double> noise, GammaRule rule) {
+  const auto is_left = [&](std::optional<double> noise, Regularization rule) {
     const Weighed weighed = weigh_and_deconvolve(blurred, field, noise, rule);
     return std::all_of(weighed.field.blocks.begin(), weighed.field.blocks.end(), [](const BlockBlur& block) {
       return block.status == BlockStatus::DEBLURRED && block.noise_to_texture == 0;
     });
   };
-  EXPECT_TRUE(is_left(std::nullopt, GammaRule::NOISE));
-  EXPECT_TRUE(is_left(9, GammaRule::FIXED));
-  EXPECT_TRUE(is_left(9, GammaRule::PAPER));
-  EXPECT_FALSE(is_left(9, GammaRule::NOISE));
-  const KernelBank bank{KernelOptions{}};
+  EXPECT_TRUE(is_left(std::nullopt, Regularization::NOISE));
+  EXPECT_TRUE(is_left(9, Regularization::FIXED));
+  EXPECT_TRUE(is_left(9, Regularization::PAPER));
+  EXPECT_FALSE(is_left(9, Regularization::NOISE));
+  const FilterBank bank{FilterOptions{}};
   FrameBlur copy = field;
   copy.noise = 1;
-  EXPECT_THROW(weigh_noise(cv::Mat(192, 256, CV_16UC1), bank, copy), std::invalid_argument);
-  EXPECT_THROW(weigh_noise(cv::Mat(191, 256, CV_8UC1), bank, copy), std::invalid_argument);
+  EXPECT_THROW(adapt_regularization(cv::Mat(192, 256, CV_16UC1), bank, copy), std::invalid_argument);
+  EXPECT_THROW(adapt_regularization(cv::Mat(191, 256, CV_8UC1), bank, copy), std::invalid_argument);
 }
 
 TEST(Deconvolve, RestoresAnExactlyBlurredImage) {
-  const KernelBank bank({});
+  const FilterBank bank({});
   const auto engine = make_engine("float");
   const cv::Mat sharp = test::textured_image(400, 300, 11);
   const cv::Rect inner(32, 32, 336, 236);  // so that the blurred image has a real surrounding
@@ -310,7 +311,7 @@ TEST(Deconvolve, RestoresAnExactlyBlurredImage) {
 }
 
 TEST(Deconvolve, DoesNotShiftTheImage) {
-  const KernelBank bank({});
+  const FilterBank bank({});
   const auto engine = make_engine("float");
   cv::Mat sharp(101, 101, CV_8UC1, cv::Scalar(20));
   cv::rectangle(sharp, cv::Rect(46, 46, 9, 9), cv::Scalar(220), cv::FILLED);  // centred on (50, 50)
@@ -326,7 +327,7 @@ TEST(Deconvolve, DoesNotShiftTheImage) {
 
 TEST(Deconvolve, LeavesNoSeamsWhereBlocksMeet) {
   // Neighbouring blocks with the same blur must give what one large block gives.
-  const KernelBank bank({});
+  const FilterBank bank({});
   const auto engine = make_engine("float");
   const cv::Mat image = random_image(150, 130, CV_8UC1, 2);
   BlurFieldOptions small, large;
@@ -339,7 +340,7 @@ TEST(Deconvolve, LeavesNoSeamsWhereBlocksMeet) {
 }
 
 TEST(Deconvolve, CopiesWhatIsNotToBeDeblurred) {
-  const KernelBank bank({});
+  const FilterBank bank({});
   const auto engine = make_engine("float");
   const cv::Mat image = random_image(200, 100, CV_16UC3, 2);
   FrameBlur field = field_of(200, 100, 20, 15);
@@ -359,7 +360,7 @@ TEST(Deconvolve, CopiesWhatIsNotToBeDeblurred) {
 }
 
 TEST(Deconvolve, CopiesAlphaAndFiltersColoursAlike) {
-  const KernelBank bank({});
+  const FilterBank bank({});
   const auto engine = make_engine("float");
   const cv::Mat image = random_image(90, 70, CV_8UC4, 2);
   const FrameBlur field = field_of(90, 70, 120, 9);
@@ -380,29 +381,29 @@ TEST(Deconvolve, CopiesAlphaAndFiltersColoursAlike) {
 }
 
 TEST(Deconvolve, FiltersBayerPlanesWithHalfTheExtent) {
-  const KernelBank bank({});
+  const FilterBank bank({});
   const auto engine = make_engine("float");
-  constexpr LinePath kPath{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15};
-  LinePath half_path = kPath;
+  constexpr Path1d kPath{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15};
+  Path1d half_path = kPath;
   for (float& place_px : half_path) place_px /= 2;
-  const auto blur_field = [](const cv::Size& size, double extent_px, const std::optional<LinePath>& path_px) {
+  const auto blur_field = [](const cv::Size& size, double extent_px, const std::optional<Path1d>& path_px) {
     BlurFieldOptions options;
     options.block_size_px = 1024;
     FrameBlur field = uniform_blur_field(size.width, size.height, 0.5, extent_px, options);
-    field.blocks[0].uneven_path_px = path_px;
+    field.blocks[0].nonuniform_path_px = path_px;
     return field;
   };
   struct Case {
     cv::Size size;
-    bool uneven;
+    bool nonuniform;
   };
   for (const Case& of :
        {Case{{128, 128}, false}, Case{{131, 97}, false}, Case{{129, 65}, false}, Case{{131, 97}, true}}) {
     const cv::Size size = of.size;
-    const bool uneven = of.uneven;
+    const bool nonuniform = of.nonuniform;
     for (const int type : {CV_8UC1, CV_16UC1}) {
       const cv::Mat mosaic = random_image(size.width, size.height, type, 6);
-      const FrameBlur field = blur_field(size, 21, uneven ? std::optional(kPath) : std::nullopt);
+      const FrameBlur field = blur_field(size, 21, nonuniform ? std::optional(kPath) : std::nullopt);
       cv::Mat dst;
       deconvolve(mosaic, PixelLayout::BAYER_GRBG, field, bank, *engine, dst);
       for (int py = 0; py < 2; ++py) {
@@ -419,9 +420,9 @@ TEST(Deconvolve, FiltersBayerPlanesWithHalfTheExtent) {
           const cv::Mat plane = plane_of(mosaic);
           cv::Mat expected;
           deconvolve(plane, PixelLayout::GRAY,
-                     blur_field(plane.size(), 10.5, uneven ? std::optional(half_path) : std::nullopt), bank, *engine,
-                     expected);
-          EXPECT_TRUE(equal(expected, plane_of(dst))) << px << py << uneven;
+                     blur_field(plane.size(), 10.5, nonuniform ? std::optional(half_path) : std::nullopt), bank,
+                     *engine, expected);
+          EXPECT_TRUE(equal(expected, plane_of(dst))) << px << py << nonuniform;
         }
       }
     }
@@ -429,7 +430,7 @@ TEST(Deconvolve, FiltersBayerPlanesWithHalfTheExtent) {
 }
 
 TEST(Deconvolve, HandlesBayerBlocksAndTinyMosaics) {
-  const KernelBank bank({});
+  const FilterBank bank({});
   const auto engine = make_engine("float");
   cv::Mat dst;
   // Several blocks give what one gives.
@@ -456,7 +457,7 @@ TEST(Deconvolve, HandlesBayerBlocksAndTinyMosaics) {
 
 // 16 bit and a short blur is slow on the cpu engine, also where the extent is halved on the planes of a mosaic.
 TEST(Deconvolve, TellsHowManyBlocksWereSlow) {
-  const KernelBank bank({});
+  const FilterBank bank({});
   const auto engine = make_engine("cpu", 1);
   cv::Mat dst;
   const auto slow = [&](int type, PixelLayout layout, double extent_px) {
@@ -468,27 +469,28 @@ TEST(Deconvolve, TellsHowManyBlocksWereSlow) {
                                                       {CV_16UC3, PixelLayout::BGR, 35.0},
                                                       {CV_16UC4, PixelLayout::RGBA, 35.0},
                                                       {CV_16UC1, PixelLayout::BAYER_RGGB, 70.0}}) {
-    const SlowBlocks short_blur = slow(type, layout, longest_slow_px);
+    const FallbackCounts short_blur = slow(type, layout, longest_slow_px);
     ASSERT_EQ(short_blur.size(), 1u) << type;
     EXPECT_EQ(short_blur.begin()->first.rfind("16 bit", 0), 0u) << short_blur.begin()->first;
     EXPECT_EQ(short_blur.begin()->second, 7u) << "each block once, whatever it has of channels or planes";
-    EXPECT_EQ(slow(type, layout, longest_slow_px + 3), SlowBlocks{}) << type;
+    EXPECT_EQ(slow(type, layout, longest_slow_px + 3), FallbackCounts{}) << type;
   }
-  EXPECT_EQ(slow(CV_8UC1, PixelLayout::GRAY, 20), SlowBlocks{});
+  EXPECT_EQ(slow(CV_8UC1, PixelLayout::GRAY, 20), FallbackCounts{});
   FrameBlur sharp = field_of(200, 100, 20, 20);
   for (BlockBlur& block : sharp.blocks) block.status = BlockStatus::SHARP;
-  EXPECT_EQ(deconvolve(random_image(200, 100, CV_16UC1, 2), PixelLayout::GRAY, sharp, bank, *engine, dst), SlowBlocks{})
+  EXPECT_EQ(deconvolve(random_image(200, 100, CV_16UC1, 2), PixelLayout::GRAY, sharp, bank, *engine, dst),
+            FallbackCounts{})
       << "nothing of the image before";
 }
 
 TEST(KeepLarger, TakesTheLargerNumberOfEachReason) {
-  SlowBlocks all{{"a", 3}, {"b", 2}};
+  FallbackCounts all{{"a", 3}, {"b", 2}};
   keep_larger({{"b", 5}, {"a", 1}, {"c", 4}}, all);
-  EXPECT_EQ(all, (SlowBlocks{{"a", 3}, {"b", 5}, {"c", 4}}));
+  EXPECT_EQ(all, (FallbackCounts{{"a", 3}, {"b", 5}, {"c", 4}}));
 }
 
 TEST(Deconvolve, RefusesWhatDoesNotFit) {
-  const KernelBank bank({});
+  const FilterBank bank({});
   const auto engine = make_engine("float");
   cv::Mat dst;
   EXPECT_THROW(
@@ -502,7 +504,7 @@ TEST(Deconvolve, RefusesWhatDoesNotFit) {
 // What is made ahead is all that frames need, at any angle and in the planes of a mosaic, and no more than that is
 // kept.
 TEST(PrepareDeconvolution, LeavesNothingToMakeForAFrame) {
-  const KernelBank bank{KernelOptions{}};
+  const FilterBank bank{FilterOptions{}};
   CpuEngine engine(2);
   BlurFieldOptions options;
   const auto designs_for = [&](double max_extent_px) {

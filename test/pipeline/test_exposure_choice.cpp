@@ -147,7 +147,7 @@ TEST_F(Choice, WhatIsSettledStaysAndCountsOnce) {
   ExposurePlan plan = choice_.plan({}, kPeriod);
   plan.origin = ExposureOrigin::ASSUMED;
   plan.exposure_ns = 7 * kMs;
-  plan.settled = true;
+  plan.decided = true;
   const ChosenExposure chosen = choice_.decide(stamp_ns_, plan, ExposureEstimate{2.5, kStddev}, kBrightness);
   EXPECT_EQ(chosen.origin, ExposureOrigin::ASSUMED);
   EXPECT_EQ(chosen.exposure_ns, 7 * kMs);

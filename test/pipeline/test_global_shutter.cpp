@@ -36,7 +36,7 @@ RowExposure exposure(TimeNs readout_ns) {
 /// Nothing is taken for blurred, nor to be moved but by the gyroscope: images are drawn sharp.
 PipelineOptions options(ImageBorder border = ImageBorder::BLACK, bool deblurs = false) {
   PipelineOptions o;
-  o.motion_from_images = false;
+  o.optical_flow = false;
   o.validation.enabled = false;
   if (!deblurs) {
     o.blur_field.min_extent_px = 20;

@@ -39,7 +39,7 @@ RowExposure global_shutter() {
 PipelineOptions options() {
   PipelineOptions o;
   o.keypoints.detector = o.keypoints.descriptor = "ORB";
-  o.keypoints.max_features = 300;
+  o.keypoints.max_keypoints = 300;
   return o;
 }
 
@@ -78,9 +78,9 @@ TEST(Pipeline, FrameThatIsStoppedIsItsField) {
 
 // By rule FIXED as by rule NOISE; longer blur is less certain, of the same corners or others.
 TEST(Pipeline, SaysHowExactlyKeypointsArePlaced) {
-  for (const GammaRule rule : {GammaRule::NOISE, GammaRule::FIXED}) {
+  for (const Regularization rule : {Regularization::NOISE, Regularization::FIXED}) {
     PipelineOptions fixed = options();
-    fixed.kernel.gamma_rule = rule;
+    fixed.kernel.regularization = rule;
     Pipeline p(fixed);
     p.set_calibration(test::small_camera());
     double before_px2 = 0;
@@ -149,11 +149,11 @@ TEST(Pipeline, LeavesBowsAloneInAHurry) {
   PipelineRequest request;
   const PipelineResult with_time = p.process(blurred, PixelLayout::GRAY, motion, global_shutter(), request);
   EXPECT_GT(with_time.field.count(BlockStatus::DEBLURRED), 15u) << "of 20";
-  EXPECT_EQ(with_time.field.count(BlockStatus::BENT), 0u);
+  EXPECT_EQ(with_time.field.count(BlockStatus::TOO_CURVED), 0u);
   EXPECT_FALSE(with_time.image.empty());
-  request.in_a_hurry = true;
+  request.behind_camera_rate = true;
   const PipelineResult hurried = p.process(blurred, PixelLayout::GRAY, motion, global_shutter(), request);
-  EXPECT_EQ(hurried.field.count(BlockStatus::BENT), with_time.field.count(BlockStatus::DEBLURRED));
+  EXPECT_EQ(hurried.field.count(BlockStatus::TOO_CURVED), with_time.field.count(BlockStatus::DEBLURRED));
   EXPECT_TRUE(hurried.image.empty());
   // Lines are filtered as ever.
   EXPECT_GE(p.process(blurred, PixelLayout::GRAY, pan(rate_for(25)), global_shutter(), request)
@@ -195,9 +195,9 @@ TEST(Pipeline, TellsHowManyBlocksWereSlow) {
   const PipelineResult both = process(deep, {});
   const std::size_t deblurred = both.field.count(BlockStatus::DEBLURRED);
   ASSERT_GT(deblurred, 0u);
-  EXPECT_EQ(both.slow_blocks, (SlowBlocks{{"16 bit and blur below 36 px", deblurred}}));
-  EXPECT_EQ(process(deep, keypoints).slow_blocks, SlowBlocks{});
-  EXPECT_EQ(process(blurred_image(15), {}).slow_blocks, SlowBlocks{});
+  EXPECT_EQ(both.fallback_counts, (FallbackCounts{{"16 bit and blur below 36 px", deblurred}}));
+  EXPECT_EQ(process(deep, keypoints).fallback_counts, FallbackCounts{});
+  EXPECT_EQ(process(blurred_image(15), {}).fallback_counts, FallbackCounts{});
 }
 
 // What OpenCV 4.2 lacks, and the default.
@@ -219,7 +219,7 @@ TEST(Pipeline, DetectorThatIsMissingCostsKeypointsAlone) {
   for (const PipelineResult* each : {&result, &raw}) {
     EXPECT_EQ(each->features.keypoints.size() > 100, has_sift);
     EXPECT_EQ(each->features.keypoints.empty(), !has_sift);
-    EXPECT_EQ(each->keypoints_text.find("detector = SIFT: OpenCV ") == 0, !has_sift) << each->keypoints_text;
+    EXPECT_EQ(each->keypoints_text.find("keypoint_detector = SIFT: OpenCV ") == 0, !has_sift) << each->keypoints_text;
     EXPECT_EQ(each->keypoints_text.empty(), has_sift);
   }
   PipelineRequest image;
@@ -430,7 +430,7 @@ TEST(Pipeline, TakesNewOptions) {
   changed.kernel.gamma = 0.1;
   changed.blur_field.block_size_px = 32;
   changed.validation.enabled = false;
-  changed.keypoints.max_features = 20;
+  changed.keypoints.max_keypoints = 20;
   changed.rectify_to = RectifyTo::STAMP;
   p.set_options(changed);
   const PipelineResult after = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
@@ -440,7 +440,7 @@ TEST(Pipeline, TakesNewOptions) {
   EXPECT_LE(after.features.keypoints.size(), 20u);
   EXPECT_EQ(after.reference_ns, kStampNs);
   changed = options();
-  changed.kernel.gamma_rule = GammaRule::PAPER;
+  changed.kernel.regularization = Regularization::PAPER;
   p.set_options(changed);
   EXPECT_FALSE(
       equal(before.image, p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image));
@@ -607,8 +607,8 @@ TEST(Pipeline, PreparesItsEngineForTheOptions) {
   const Extents halves_too(3, 40);
   EXPECT_EQ(prepared, std::vector<Extents>{halves_too});
   o.validation.tau = 9;
-  o.keypoints.max_features = 100;
-  o.blur_field.max_bend_px = 3;
+  o.keypoints.max_keypoints = 100;
+  o.blur_field.curved_path_threshold_px = 3;
   p.set_options(o);
   EXPECT_EQ(prepared.size(), 1u) << "nothing that kernels depend on";
   o.kernel.gamma = 0.02;

@@ -105,7 +105,7 @@ PipelineOptions options() {
   PipelineOptions o;
   o.blur_field.block_size_px = 32;
   o.keypoints.detector = o.keypoints.descriptor = "ORB";
-  o.keypoints.max_features = 400;
+  o.keypoints.max_keypoints = 400;
   return o;
 }
 
@@ -168,7 +168,7 @@ TEST(StaticRim, IsFoundAndLeftAloneWithoutAMask) {
     SCOPED_TRACE(each.name);
     PipelineOptions trusting = options();
     trusting.validation.enabled = false;
-    trusting.motion_from_images = false;
+    trusting.optical_flow = false;
     for (const PipelineOptions& with : {options(), trusting}) {
       const auto [first, last] = process(each.add, {}, with);
       EXPECT_EQ(first.result.static_share, 0) << "nobody can know yet";
@@ -195,9 +195,9 @@ TEST(StaticRim, MaskedPixelsLeaveAsTheyCame) {
     const PixelMask mask(each.used);
     PipelineOptions trusting = options();
     trusting.validation.enabled = false;
-    PipelineOptions in_plane = trusting;
-    in_plane.engine = "plane";
-    for (const PipelineOptions& with : {options(), trusting, in_plane}) {
+    PipelineOptions in_2d = trusting;
+    in_2d.engine = "fourier";
+    for (const PipelineOptions& with : {options(), trusting, in_2d}) {
       const auto [first, last] = process(each.add, mask, with);
       for (const Seen* seen : {&first, &last}) {
         const FrameBlur& field = seen->result.field;

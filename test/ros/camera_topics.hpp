@@ -87,10 +87,10 @@ class CameraTopicsTest : public testing::Test {
     set("R_cam_imu", std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, 1});
     set("block_size", 32);
     set("validate", false);
-    set("motion_from_images", false);
-    set("detector", std::string("FAST"));
-    set("descriptor", std::string("ORB"));
-    set("gyro_timeout", kLongTimeoutS);
+    set("optical_flow", false);
+    set("keypoint_detector", std::string("FAST"));
+    set("keypoint_descriptor", std::string("ORB"));
+    set("input_timeout", kLongTimeoutS);
     set("frame_queue_size", 100);
   }
 

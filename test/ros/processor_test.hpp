@@ -76,7 +76,7 @@ class ProcessorTest : public testing::Test {
     });
   }
   void time_out() {
-    now_ns_ += config_.gyro_timeout_ns;
+    now_ns_ += config_.input_timeout_ns;
     advance();
   }
   std::size_t logged(const std::string& part) const {
@@ -96,8 +96,8 @@ class ProcessorTest : public testing::Test {
     EXPECT_TRUE(output.blur_field->status.empty());
     ASSERT_NE(output.quality, nullptr);
     EXPECT_EQ(output.quality->header.stamp, output.input->header.stamp);
-    if (reason != PassThroughReason::PARTNER) {
-      EXPECT_EQ(output.quality->verdict, ImageQuality::UNKNOWN);
+    if (reason != PassThroughReason::STEREO_PARTNER) {
+      EXPECT_EQ(output.quality->grade, ImageQuality::UNKNOWN);
       EXPECT_LT(output.quality->score, 0);
       EXPECT_EQ(output.quality->no_gyro, 1);
     }
@@ -117,7 +117,7 @@ class ProcessorTest : public testing::Test {
     EXPECT_EQ(output.image->encoding, output.input->encoding);
     EXPECT_EQ(output.image->width, output.input->width);
     EXPECT_EQ(output.image->height, output.input->height);
-    EXPECT_EQ(output.quality->verdict, ImageQuality::DEBLURRED);
+    EXPECT_EQ(output.quality->grade, ImageQuality::DEBLURRED);
     ASSERT_TRUE(output.field);
     EXPECT_EQ(output.field->count(BlockStatus::DEBLURRED), output.field->blocks.size());
   }

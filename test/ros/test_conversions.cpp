@@ -290,7 +290,7 @@ TEST(BlurField, ConstantsEqualTheCores) {
   EXPECT_EQ(BlurField::REJECTED, static_cast<int>(BlockStatus::REJECTED));
   EXPECT_EQ(BlurField::TOO_LARGE, static_cast<int>(BlockStatus::TOO_LARGE));
   EXPECT_EQ(BlurField::NO_GYRO, static_cast<int>(BlockStatus::NO_GYRO));
-  EXPECT_EQ(BlurField::BENT, static_cast<int>(BlockStatus::BENT));
+  EXPECT_EQ(BlurField::TOO_CURVED, static_cast<int>(BlockStatus::TOO_CURVED));
   EXPECT_EQ(BlurField::NOISY, static_cast<int>(BlockStatus::NOISY));
   EXPECT_EQ(BlurField::MASKED, static_cast<int>(BlockStatus::MASKED));
   EXPECT_EQ(BlurField::STATIC_EDGE, static_cast<int>(BlockStatus::STATIC_EDGE));
@@ -307,7 +307,7 @@ TEST(BlurField, ConstantsEqualTheCores) {
       {BlurField::REASON_TIME_JUMP, PassThroughReason::TIME_JUMP},
       {BlurField::REASON_INTERNAL_ERROR, PassThroughReason::INTERNAL_ERROR},
       {BlurField::REASON_GYRO_SATURATED, PassThroughReason::GYRO_SATURATED},
-      {BlurField::REASON_PARTNER, PassThroughReason::PARTNER},
+      {BlurField::REASON_STEREO_PARTNER, PassThroughReason::STEREO_PARTNER},
       {BlurField::REASON_NO_STAMP, PassThroughReason::NO_STAMP}};
   for (const auto& [constant, reason] : reasons) EXPECT_EQ(constant, static_cast<int>(reason)) << to_string(reason);
 }
@@ -420,7 +420,7 @@ TEST(Extrinsic, TakesImuToCameraCoordinates) {
 
 TEST(Parameters, KeepTheirTypes) {
   XmlRpc::XmlRpcValue values;
-  values["gamma"] = 0.05;
+  values["noise_to_signal_ratio"] = 0.05;
   values["block_size"] = 32;
   values["validate"] = false;
   values["detector"] = std::string("ORB");
@@ -434,12 +434,12 @@ TEST(Parameters, KeepTheirTypes) {
   EXPECT_FALSE(config.pipeline.validation.enabled);
   EXPECT_EQ(config.pipeline.keypoints.detector, "ORB");
   EXPECT_EQ(config.gyro.bias_rad_s, Eigen::Vector3d(0.5, 0, -0.5));
-  values["gamma"] = std::string("5e-2");
+  values["noise_to_signal_ratio"] = std::string("5e-2");
   EXPECT_EQ(parse_config(to_yaml(values)).pipeline.kernel.gamma, 0.05);
-  values["gamma"] = std::string("0.05 px");
-  EXPECT_TRUE(has(error_of([&] { parse_config(to_yaml(values)); }), "gamma"));
-  values["gamma"] = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_TRUE(has(error_of([&] { parse_config(to_yaml(values)); }), "gamma"));
+  values["noise_to_signal_ratio"] = std::string("0.05 px");
+  EXPECT_TRUE(has(error_of([&] { parse_config(to_yaml(values)); }), "noise_to_signal_ratio"));
+  values["noise_to_signal_ratio"] = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_TRUE(has(error_of([&] { parse_config(to_yaml(values)); }), "noise_to_signal_ratio"));
 }
 
 TEST(Parameters, BecomeYamlThatReadsTheSame) {
@@ -545,14 +545,14 @@ TEST(Names, OfVerdictsAgreeWithTheMessage) {
   std::ifstream file(GYRO_DEBLUR_SOURCE_DIR "/msg/ImageQuality.msg");
   ASSERT_TRUE(file);
   const std::regex constant(R"(^uint8 ([A-Z_]+)=(\d+).*)");
-  int verdicts = 0;
+  int grades = 0;
   for (std::string line; std::getline(file, line);) {
     std::smatch match;
     if (!std::regex_match(line, match, constant)) continue;
-    EXPECT_EQ(to_string(static_cast<QualityVerdict>(std::stoi(match[2]))), match[1].str());
-    ++verdicts;
+    EXPECT_EQ(to_string(static_cast<QualityGrade>(std::stoi(match[2]))), match[1].str());
+    ++grades;
   }
-  EXPECT_EQ(verdicts, 5);
+  EXPECT_EQ(grades, 5);
 }
 
 TEST(Names, AgreeWithTheMessage) {

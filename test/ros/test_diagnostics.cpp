@@ -91,7 +91,7 @@ TEST_F(DiagnosticReportTest, MessagesThatAreNotSentWarnOnce) {
 }
 
 TEST_F(DiagnosticReportTest, KeypointsThatCannotBeFoundAreAnError) {
-  statistics_.keypoints_text = "detector = SIFT: OpenCV 4.2.0 has none";
+  statistics_.keypoints_text = "keypoint_detector = SIFT: OpenCV 4.2.0 has none";
   fill();
   EXPECT_EQ(level_, DiagnosticStatus::ERROR);
   EXPECT_NE(summary_.find("no keypoints: detector = SIFT: OpenCV 4.2.0 has none"), std::string::npos) << summary_;
@@ -103,25 +103,25 @@ TEST_F(DiagnosticReportTest, KeypointsThatCannotBeFoundAreAnError) {
 TEST_F(DiagnosticReportTest, VerdictsAndScoresAreThoseOfThePeriod) {
   auto values = fill();
   EXPECT_EQ(values.count("score of images, mean"), 0u);
-  EXPECT_EQ(values["images dropped, BAD"], "0");
+  EXPECT_EQ(values["images dropped, POOR"], "0");
   FrameOutput output;
   output.quality = boost::make_shared<ImageQuality>();
-  for (const auto& [verdict, score] : {std::pair{ImageQuality::DEBLURRED, 0.5f},
-                                       {ImageQuality::DEBLURRED, 0.75f},
-                                       {ImageQuality::BAD, 0.1f},
-                                       {ImageQuality::UNKNOWN, -1.f}}) {
-    output.quality->verdict = verdict;
+  for (const auto& [grade, score] : {std::pair{ImageQuality::DEBLURRED, 0.5f},
+                                     {ImageQuality::DEBLURRED, 0.75f},
+                                     {ImageQuality::POOR, 0.1f},
+                                     {ImageQuality::UNKNOWN, -1.f}}) {
+    output.quality->grade = grade;
     output.quality->score = score;
     report_.add(output);
   }
   values = fill();
   EXPECT_EQ(values["images, DEBLURRED [%]"], "50");
-  EXPECT_EQ(values["images, BAD [%]"], "25");
+  EXPECT_EQ(values["images, POOR [%]"], "25");
   EXPECT_EQ(values["images, UNKNOWN [%]"], "25");
   EXPECT_EQ(values.count("images, SHARP [%]"), 0u);
   EXPECT_EQ(values["score of images, mean"], "0.45") << "of those that have one";
-  EXPECT_EQ(fill().count("images, BAD [%]"), 0u) << "none since";
-  EXPECT_EQ(level_, DiagnosticStatus::OK) << "BAD images alone are no fault";
+  EXPECT_EQ(fill().count("images, POOR [%]"), 0u) << "none since";
+  EXPECT_EQ(level_, DiagnosticStatus::OK) << "POOR images alone are no fault";
 }
 
 TEST_F(DiagnosticReportTest, DroppedImagesWarnWithTheParameter) {
@@ -130,10 +130,10 @@ TEST_F(DiagnosticReportTest, DroppedImagesWarnWithTheParameter) {
   statistics_.count(output);
   statistics_.count(output);
   EXPECT_EQ(statistics_.frames_out, 0u);
-  EXPECT_EQ(fill()["images dropped, BAD"], "2");
+  EXPECT_EQ(fill()["images dropped, POOR"], "2");
   EXPECT_EQ(level_, DiagnosticStatus::WARN);
-  EXPECT_NE(summary_.find("2 images dropped by drop_bad"), std::string::npos) << summary_;
-  EXPECT_EQ(fill()["images dropped, BAD"], "2");
+  EXPECT_NE(summary_.find("2 images dropped by drop_poor"), std::string::npos) << summary_;
+  EXPECT_EQ(fill()["images dropped, POOR"], "2");
   EXPECT_EQ(level_, DiagnosticStatus::OK) << "none since";
 }
 
@@ -169,7 +169,7 @@ TEST_F(DiagnosticReportTest, ExposureIsAdvisedForFastFramesOfThePeriod) {
   terms.speed_px_s = 20'000;
   fast.exposure_terms = terms;
   for (int i = 0; i < 100; ++i) report_.add(fast);
-  EXPECT_EQ(fill()["longest exposure that is undone well [ms]"].rfind("none: BAD at any", 0), 0u);
+  EXPECT_EQ(fill()["longest exposure that is undone well [ms]"].rfind("none: POOR at any", 0), 0u);
 }
 
 TEST_F(DiagnosticReportTest, MostlyRejectedBlocksWarn) {
@@ -184,17 +184,17 @@ TEST_F(DiagnosticReportTest, MostlyRejectedBlocksWarn) {
 
 TEST_F(DiagnosticReportTest, BlocksThatLeftTheFastPathAreCountedByReason) {
   EXPECT_EQ(fill().count("blocks on the float engine, gain"), 0u);
-  statistics_.slow_blocks = {{"gain", 7}, {"length", 2}};
+  statistics_.fallback_counts = {{"gain", 7}, {"length", 2}};
   auto values = fill();
   EXPECT_EQ(values["blocks on the float engine, gain"], "7");
   EXPECT_EQ(values["blocks on the float engine, length"], "2");
 }
 
 TEST_F(DiagnosticReportTest, ConfigurationThatCannotBeUsedIsAnError) {
-  statistics_.configuration_error = "gamma = -1 is outside [1e-05, 1]";
+  statistics_.configuration_error = "noise_to_signal_ratio = -1 is outside [1e-05, 1]";
   EXPECT_EQ(fill()["engine"], "none");
   EXPECT_EQ(level_, DiagnosticStatus::ERROR);
-  EXPECT_EQ(summary_, "gamma = -1 is outside [1e-05, 1]");
+  EXPECT_EQ(summary_, "noise_to_signal_ratio = -1 is outside [1e-05, 1]");
 }
 
 TEST_F(DiagnosticReportTest, GyroscopeBufferAndItsAge) {
@@ -224,7 +224,7 @@ TEST_F(DiagnosticReportTest, TimesAreThoseOfThePeriod) {
   EXPECT_EQ(fill().count("waiting mean [ms]"), 0u);
 }
 
-TEST_F(DiagnosticReportTest, MotionFromImagesIsCountedAndItsSizeTold) {
+TEST_F(DiagnosticReportTest, OpticalFlowIsCountedAndItsSizeTold) {
   auto values = fill();
   EXPECT_EQ(values["blocks with motion from images"], "0");
   EXPECT_EQ(values.count("motion from images, median [px]"), 0u);
@@ -275,14 +275,14 @@ TEST_F(DiagnosticReportTest, AnErrorOfTheGyroscopeWarnsWithTheRemedy) {
 TEST(OutputStatistics, AddsUpWhatLeaves) {
   OutputStatistics statistics;
   FrameOutput output;
-  output.slow_blocks = {{"gain", 3}};
+  output.fallback_counts = {{"gain", 3}};
   statistics.count(output);
-  output.slow_blocks = {{"gain", 2}, {"length", 1}};
+  output.fallback_counts = {{"gain", 2}, {"length", 1}};
   output.reason = PassThroughReason::NO_GYRO;
   statistics.count(output);
   EXPECT_EQ(statistics.frames_out, 2u);
   EXPECT_EQ(statistics.passed_through, (std::map<PassThroughReason, std::size_t>{{PassThroughReason::NO_GYRO, 1}}));
-  EXPECT_EQ(statistics.slow_blocks, (std::map<std::string, std::size_t>{{"gain", 5}, {"length", 1}}));
+  EXPECT_EQ(statistics.fallback_counts, (std::map<std::string, std::size_t>{{"gain", 5}, {"length", 1}}));
 }
 
 }  // namespace

@@ -19,7 +19,7 @@ TEST(FrameQueue, FirstInFirstOut) {
   for (const TimeNs stamp_ns : {5, 3, 9}) {
     const PendingFrame out = queue.pop();
     EXPECT_EQ(out.stamp_ns, stamp_ns);
-    EXPECT_EQ(out.verdict, PassThroughReason::NONE);
+    EXPECT_EQ(out.pass_through_reason, PassThroughReason::NONE);
   }
   EXPECT_TRUE(queue.empty());
 }
@@ -34,20 +34,20 @@ TEST(FrameQueue, OldestBeyondTheCapacityAreSettledAndStillLeave) {
   for (TimeNs stamp_ns = 1; stamp_ns <= 4; ++stamp_ns) {
     const PendingFrame out = queue.pop();
     EXPECT_EQ(out.stamp_ns, stamp_ns);
-    EXPECT_EQ(out.verdict, stamp_ns <= 2 ? PassThroughReason::OVERLOAD : PassThroughReason::NONE);
-    EXPECT_EQ(out.verdict_text.find("frame_queue_size = 2") != std::string::npos, stamp_ns <= 2);
+    EXPECT_EQ(out.pass_through_reason, stamp_ns <= 2 ? PassThroughReason::OVERLOAD : PassThroughReason::NONE);
+    EXPECT_EQ(out.pass_through_text.find("frame_queue_size = 2") != std::string::npos, stamp_ns <= 2);
   }
 }
 
 TEST(FrameQueue, SettlingKeepsEarlierVerdicts) {
   FrameQueue queue(2);
   PendingFrame bad = frame(1);
-  bad.settle(PassThroughReason::BAD_IMAGE, "empty");
+  bad.pass_through(PassThroughReason::BAD_IMAGE, "empty");
   queue.push(bad);
   queue.push(frame(2));
-  queue.settle_all(PassThroughReason::TIME_JUMP, "back");
-  EXPECT_EQ(queue.pop().verdict, PassThroughReason::BAD_IMAGE);
-  EXPECT_EQ(queue.pop().verdict, PassThroughReason::TIME_JUMP);
+  queue.pass_through_all(PassThroughReason::TIME_JUMP, "back");
+  EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::BAD_IMAGE);
+  EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::TIME_JUMP);
 }
 
 TEST(FrameQueue, FramePutBackIsTheForemostAgain) {
@@ -62,7 +62,7 @@ TEST(FrameQueue, FramePutBackIsTheForemostAgain) {
 TEST(FrameQueue, SettledFramesNeedNoRoom) {
   FrameQueue queue(1);
   PendingFrame bad = frame(1);
-  bad.settle(PassThroughReason::BAD_IMAGE, "empty");
+  bad.pass_through(PassThroughReason::BAD_IMAGE, "empty");
   queue.push(bad);
   EXPECT_EQ(queue.push(frame(2)), 0u);
 }

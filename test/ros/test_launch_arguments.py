@@ -16,7 +16,7 @@ from sensor_msgs.msg import CompressedImage, Image
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 LAUNCH = ROOT / "launch"
-SCRIPT = ROOT / "scripts" / "play_through.py"
+SCRIPT = ROOT / "scripts" / "play_bag.py"
 CONFIG = "config:=%s" % (ROOT / "config" / "default.yaml")
 NO_INDEX = 0  # of a bag that was not closed: its header says that the index begins there
 
@@ -101,7 +101,7 @@ class Transport(Bags):
 
 
 class WrongBags(Bags):
-    """play_through.py ends with one line, before it asks for a master."""
+    """play_bag.py ends with one line, before it asks for a master."""
 
     def refused(self, path):
         result = subprocess.run([sys.executable, str(SCRIPT), str(path)], stdout=subprocess.PIPE,

@@ -375,7 +375,7 @@ TEST_F(NodeletTest, RejectedBlocksAreAWarning) {
 }
 
 TEST_F(NodeletTest, MissingImuPassesThroughWithItsReason) {
-  set("gyro_timeout", kShortTimeoutS);
+  set("input_timeout", kShortTimeoutS);
   start();
   Diagnostics diagnostics(name_, &mailbox_);
   const auto input = publish_frame(kStart);
@@ -459,11 +459,11 @@ TEST_F(NodeletTest, QualityAndTrustMaskComeWithEveryFrame) {
   expect_frames(1);
   ASSERT_TRUE(mailbox_.wait([&] { return !qualities.empty() && !masks.empty(); }));
   EXPECT_EQ(qualities[0]->header.stamp, images_[0]->header.stamp);
-  EXPECT_EQ(qualities[0]->verdict, ImageQuality::DEBLURRED);
+  EXPECT_EQ(qualities[0]->grade, ImageQuality::DEBLURRED);
   EXPECT_EQ(qualities[0]->deblurred, 1.f);
   EXPECT_GT(qualities[0]->score, 0.25f);
   EXPECT_GT(qualities[0]->extent_median, 3.f);
-  EXPECT_EQ(qualities[0]->left_p95, 0.f);
+  EXPECT_EQ(qualities[0]->residual_extent_p95, 0.f);
   EXPECT_EQ(masks[0]->header.stamp, images_[0]->header.stamp);
   EXPECT_EQ(masks[0]->header.frame_id, kCameraFrame);
   EXPECT_EQ(masks[0]->encoding, "mono8");
@@ -539,19 +539,19 @@ auto value_of(const List& list, const std::string& key) {
 }
 
 TEST_F(NodeletTest, BadParameterPassesFramesThroughUntilItIsMended) {
-  set("gamma", -1.0);
+  set("noise_to_signal_ratio", -1.0);
   start();
-  EXPECT_TRUE(wait_for_log("gamma = -1"));
+  EXPECT_TRUE(wait_for_log("noise_to_signal_ratio = -1"));
   publish_imu(kStart - 50 * kMs, kStart + 500 * kMs);
   const auto first = publish_frame(kStart);
   expect_frames(1);
   expect_reason(0, PassThroughReason::BAD_CONFIGURATION);
-  EXPECT_NE(fields_[0]->reason_text.find("gamma = -1"), std::string::npos) << fields_[0]->reason_text;
+  EXPECT_NE(fields_[0]->reason_text.find("noise_to_signal_ratio = -1"), std::string::npos) << fields_[0]->reason_text;
   EXPECT_NE(fields_[0]->reason_text.find("1e-05"), std::string::npos) << "the range: " << fields_[0]->reason_text;
   expect_identical(0, *first);
 
-  const auto config = reconfigure(name_, with_double("gamma", 0.02));
-  EXPECT_EQ(value_of(config.doubles, "gamma"), 0.02);
+  const auto config = reconfigure(name_, with_double("noise_to_signal_ratio", 0.02));
+  EXPECT_EQ(value_of(config.doubles, "noise_to_signal_ratio"), 0.02);
   EXPECT_EQ(value_of(config.ints, "block_size"), 32);
   const auto second = publish_frame(kStart + 33 * kMs);
   expect_frames(2);
@@ -559,9 +559,9 @@ TEST_F(NodeletTest, BadParameterPassesFramesThroughUntilItIsMended) {
 }
 
 TEST_F(NodeletTest, RefusedParameterIsStillRefusedAfterReloading) {
-  set("gamma", 5.0);
+  set("noise_to_signal_ratio", 5.0);
   load();
-  EXPECT_TRUE(wait_for_log("gamma = 5"));
+  EXPECT_TRUE(wait_for_log("noise_to_signal_ratio = 5"));
   unload();
   double gamma = 0;
   EXPECT_TRUE(nh_.getParam(name_ + "/gamma", gamma));
@@ -692,8 +692,8 @@ TEST_F(NodeletTest, CameraInfoOfEveryHabitServes) {
       {"no size", [](sensor_msgs::CameraInfo* info) { info->width = info->height = 0; },
        "camera_info has width and height 0"},
   };
-  set("gyro_timeout", kShortTimeoutS);
-  set("drop_bad", true);
+  set("input_timeout", kShortTimeoutS);
+  set("drop_poor", true);
   constexpr std::size_t kFrames = 8;
   for (const InfoHabit& habit : habits) {
     SCOPED_TRACE(habit.name);
@@ -727,7 +727,7 @@ TEST_F(NodeletTest, CameraInfoOfEveryHabitServes) {
 }
 
 TEST_F(NodeletTest, ImagesWithoutAStampPassInTheirTurn) {
-  set("drop_bad", true);
+  set("drop_poor", true);
   start();
   Diagnostics diagnostics(name_, &mailbox_);
   publish_imu(kStart - 50 * kMs, kStart + 2 * kSecond);
@@ -826,26 +826,26 @@ TEST_F(NodeletTest, BadImagesAreDroppedWhereTheUserSaysSo) {
   publish_imu(kStart - 50 * kMs, kStart + kSecond, 3.0);
   publish_frame(kStart);
   expect_frames(1);
-  dynamic_reconfigure::Config drop_bad;
-  drop_bad.bools.resize(1);
-  drop_bad.bools[0].name = "drop_bad";
-  drop_bad.bools[0].value = true;
-  reconfigure(name_, drop_bad);
+  dynamic_reconfigure::Config drop_poor;
+  drop_poor.bools.resize(1);
+  drop_poor.bools[0].name = "drop_poor";
+  drop_poor.bools[0].value = true;
+  reconfigure(name_, drop_poor);
   // Without listeners of image_quality.
   const auto bad = publish_frame(kStart + 33 * kMs);
   ASSERT_TRUE(mailbox_.wait([&] { return fields_.size() == 2; }));
   EXPECT_EQ(fields_[1]->header.stamp, bad->header.stamp);
   EXPECT_EQ(fields_[1]->reason, BlurField::REASON_NONE);
-  EXPECT_NE(fields_[1]->reason_text.find("drop_bad: "), std::string::npos) << fields_[1]->reason_text;
+  EXPECT_NE(fields_[1]->reason_text.find("drop_poor: "), std::string::npos) << fields_[1]->reason_text;
   // All in one report: the next one warns no more.
   EXPECT_TRUE(mailbox_.wait([&] {
-    const auto dropped = diagnostics.values.find("images dropped, BAD");
+    const auto dropped = diagnostics.values.find("images dropped, POOR");
     return dropped != diagnostics.values.end() && dropped->second == "1" &&
            diagnostics.level == diagnostic_msgs::DiagnosticStatus::WARN &&
-           diagnostics.message.find("1 images dropped by drop_bad") != std::string::npos;
+           diagnostics.message.find("1 images dropped by drop_poor") != std::string::npos;
   }));
-  drop_bad.bools[0].value = false;
-  reconfigure(name_, drop_bad);
+  drop_poor.bools[0].value = false;
+  reconfigure(name_, drop_poor);
   const auto next = publish_frame(kStart + 66 * kMs);
   expect_frames_but_dropped(3, 2);
   EXPECT_EQ(images_[1]->header.stamp, next->header.stamp);
@@ -856,7 +856,8 @@ TEST_F(NodeletTest, RefusedChangeRestoresTheFormerValues) {
   start();
   publish_imu(kStart - 50 * kMs, kStart + kSecond);
   EXPECT_EQ(value_of(reconfigure(name_, with_int("block_size", 33)).ints, "block_size"), 32);
-  EXPECT_EQ(value_of(reconfigure(name_, with_string("detector", "nonsense")).strs, "detector"), "FAST");
+  EXPECT_EQ(value_of(reconfigure(name_, with_string("keypoint_detector", "nonsense")).strs, "keypoint_detector"),
+            "FAST");
   EXPECT_TRUE(wait_for_log("block_size = 33"));
   EXPECT_TRUE(wait_for_log("nonsense"));
   const auto input = publish_frame(kStart);
@@ -866,7 +867,7 @@ TEST_F(NodeletTest, RefusedChangeRestoresTheFormerValues) {
 }
 
 TEST_F(NodeletTest, ExposureFromMessageElseParameterElseNone) {
-  set("gyro_timeout", kShortTimeoutS);
+  set("input_timeout", kShortTimeoutS);
   start();
   publish_imu(kStart - 50 * kMs, kStart + kSecond);
   publish_frame(kStart);
@@ -939,7 +940,7 @@ TEST_P(DriverExposureTest, DrivesTheNodeletAndTheBagToolAlike) {
 
   std::ofstream(path("config.yaml")) << "exposure_time: 0\nreadout_time: " << to_seconds(kReadout)
                                      << "\nR_cam_imu: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nblock_size: 32\nvalidate: false\n"
-                                        "detector: FAST\ndescriptor: ORB\nexposure_source: "
+                                        "keypoint_detector: FAST\nkeypoint_descriptor: ORB\nexposure_source: "
                                      << driver.source << "\nexposure_field: '" << driver.field << "'\n";
   const ProgramResult result = run_program({DEBLUR_BAG, path("in.bag"), path("out.bag"), "--config",
                                             path("config.yaml"), "--exposure-topic", ns_ + "/exposure"});
@@ -989,7 +990,7 @@ INSTANTIATE_TEST_SUITE_P(
 
 TEST_F(NodeletTest, NoExposureTime) {
   set("exposure_time", 0.0);
-  set("gyro_timeout", kShortTimeoutS);
+  set("input_timeout", kShortTimeoutS);
   start();
   publish_imu(kStart - 50 * kMs, kStart + kSecond);
   const auto input = publish_frame(kStart);
@@ -1064,7 +1065,7 @@ TEST_F(NodeletTest, TransformMayComeLater) {
 
 TEST_F(NodeletTest, NoTransformPassesThroughWithItsReason) {
   nh_.deleteParam(name_ + "/R_cam_imu");
-  set("gyro_timeout", kShortTimeoutS);
+  set("input_timeout", kShortTimeoutS);
   start();
   publish_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   const auto input = publish_frame(kStart);
@@ -1087,13 +1088,13 @@ TEST_F(NodeletTest, TimeGoingBackwardsIsOneMessageAndFramesKeepComing) {
   }
   ASSERT_TRUE(mailbox_.wait([this] { return count_log("time went backwards") >= 2; }));
   // Logging keeps its order: after this line all earlier ones have come.
-  reconfigure(name_, with_string("detector", "nonsense"));
+  reconfigure(name_, with_string("keypoint_detector", "nonsense"));
   ASSERT_TRUE(wait_for_log("nonsense"));
   EXPECT_EQ(count_log("time went backwards"), 2u);
 }
 
 TEST_F(NodeletTest, CameraInfoAbsentOrUnusable) {
-  set("gyro_timeout", kShortTimeoutS);
+  set("input_timeout", kShortTimeoutS);
   start();
   publish_imu(kStart - 50 * kMs, kStart + kSecond);
   std::vector<sensor_msgs::ImagePtr> inputs;
@@ -1352,7 +1353,7 @@ class UnknownCalibrationTest : public NodeletTest {
     for (const char* key : {"R_cam_imu", "readout_time"}) nh_.deleteParam(name_ + "/" + key);
     set("exposure_time", to_seconds(TurningCamera::kShownFor));
     // Images that wait for a transform leave one after the other.
-    set("gyro_timeout", 0.02);
+    set("input_timeout", 0.02);
   }
 
   /// Plays images until the condition holds.
@@ -1427,7 +1428,7 @@ TEST_F(UnknownCalibrationTest, WrongRotationIsNamedAndKept) {
 }
 
 TEST_F(NodeletTest, UnloadsAndReloadsWhileFramesFlow) {
-  set("gyro_timeout", kShortTimeoutS);
+  set("input_timeout", kShortTimeoutS);
   std::mutex mutex;
   bool stop = false;
   std::thread camera([&] {

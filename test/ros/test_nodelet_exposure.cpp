@@ -34,7 +34,7 @@ class NodeletExposureTest : public CameraTopicsTest {
   NodeletExposureTest() : CameraTopicsTest("/exposure", 1000) {
     const ShutterTiming timing = camera_.simulator().scene().timing(0);
     set("readout_time", to_seconds(timing.readout_ns));
-    set("motion_from_images", true);
+    set("optical_flow", true);
     set("validate", true);
     set("exposure_time", std::string());
     image_subscriber_ = nh_.subscribe<sensor_msgs::Image>(

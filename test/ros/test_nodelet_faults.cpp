@@ -121,7 +121,7 @@ TEST_F(NodeletFaultTest, ParametersChangeAt50Hz) {
     for (int i = 0; !stop; ++i) {
       dynamic_reconfigure::Reconfigure change;
       change.request.config.doubles.resize(1);
-      change.request.config.doubles[0].name = "gamma";
+      change.request.config.doubles[0].name = "noise_to_signal_ratio";
       change.request.config.doubles[0].value = 0.001 * (1 + i % 20);
       change.request.config.ints.resize(1);
       change.request.config.ints[0].name = "block_size";
@@ -310,7 +310,7 @@ class StereoTest : public NodeletFaultTest {
           [this, &camera](const BlurFieldConstPtr& field) { mailbox_.put([&] { camera.fields.push_back(field); }); });
       name_ = camera.ns + "/deblur";
       set_camera_parameters();
-      set("stereo_patience", kLongTimeoutS);
+      set("stereo_sync_timeout", kLongTimeoutS);
     }
   }
 
@@ -403,8 +403,8 @@ TEST_F(StereoTest, OneCameraGoesOnWhenTheOtherIsUnloaded) {
 
 TEST_F(StereoTest, TimeJumpOfTheImuIsOneForEachCamera) {
   for (const std::size_t i : {0u, 1u}) ASSERT_NO_FATAL_FAILURE(load(i));
-  constexpr std::size_t kLoops = 3, kImages = 3;
-  for (std::size_t loop = 0; loop < kLoops; ++loop) {
+  constexpr std::size_t kSimd = 3, kImages = 3;
+  for (std::size_t loop = 0; loop < kSimd; ++loop) {
     const TimeNs end_ns = kStart + kSecond + static_cast<TimeNs>(loop) * kSecond;
     publish_imu(kStart - 50 * kMs, end_ns);
     // The second one leaves only when samples of this loop have come: no loop before has any as late.
@@ -415,9 +415,9 @@ TEST_F(StereoTest, TimeJumpOfTheImuIsOneForEachCamera) {
     for (const std::size_t i : {0u, 1u}) ASSERT_TRUE(wait_for(i, kImages * (loop + 1))) << "camera " << i;
   }
   for (const std::size_t i : {0u, 1u}) {
-    EXPECT_EQ(cameras_[i].images.size(), kImages * kLoops);
+    EXPECT_EQ(cameras_[i].images.size(), kImages * kSimd);
     // The first two of a loop may overtake the samples that show it.
-    for (std::size_t k = 2; k < kImages * kLoops; k += kImages) {
+    for (std::size_t k = 2; k < kImages * kSimd; k += kImages) {
       EXPECT_EQ(cameras_[i].fields[k]->reason, BlurField::REASON_NONE) << cameras_[i].fields[k]->reason_text;
     }
     unload(i);
@@ -502,7 +502,7 @@ TEST_F(StereoPairTest, BothPassThroughWhenOneIsOverloaded) {
   ASSERT_NO_FATAL_FAILURE(overload());
   expect_pairs(8, 0);
   for (std::size_t k = 0; k < 7; ++k) {
-    EXPECT_EQ(cameras_[0].fields[k]->reason, BlurField::REASON_PARTNER);
+    EXPECT_EQ(cameras_[0].fields[k]->reason, BlurField::REASON_STEREO_PARTNER);
     EXPECT_NE(
         cameras_[0].fields[k]->reason_text.find(cameras_[1].ns + "/image_raw passes this image through: OVERLOAD"),
         std::string::npos)
@@ -513,7 +513,7 @@ TEST_F(StereoPairTest, BothPassThroughWhenOneIsOverloaded) {
 }
 
 TEST_F(StereoPairTest, EachOnItsOwnWhenOneIsOverloaded) {
-  for (const std::size_t i : {0u, 1u}) set(i, "stereo_patience", 0.0);
+  for (const std::size_t i : {0u, 1u}) set(i, "stereo_sync_timeout", 0.0);
   ASSERT_NO_FATAL_FAILURE(overload());
   expect_pairs(8, 7);
 }
@@ -521,18 +521,18 @@ TEST_F(StereoPairTest, EachOnItsOwnWhenOneIsOverloaded) {
 TEST_F(StereoPairTest, BothStayBlurredWhenValidationRejectsTheWholeOfOne) {
   ASSERT_NO_FATAL_FAILURE(see_a_wall());
   expect_pairs(9, 0);
-  for (std::size_t k = 1; k < 9; ++k) EXPECT_EQ(cameras_[0].fields[k]->reason, BlurField::REASON_PARTNER);
+  for (std::size_t k = 1; k < 9; ++k) EXPECT_EQ(cameras_[0].fields[k]->reason, BlurField::REASON_STEREO_PARTNER);
 }
 
 TEST_F(StereoPairTest, EachOnItsOwnWhenValidationRejectsTheWholeOfOne) {
-  for (const std::size_t i : {0u, 1u}) set(i, "stereo_patience", 0.0);
+  for (const std::size_t i : {0u, 1u}) set(i, "stereo_sync_timeout", 0.0);
   ASSERT_NO_FATAL_FAILURE(see_a_wall());
   expect_pairs(9, 8);
 }
 
 TEST_F(StereoPairTest, BadImageTakesItsPartnerAlongWhereBothDropThem) {
   for (const std::size_t i : {0u, 1u}) {
-    set(i, "drop_bad", true);
+    set(i, "drop_poor", true);
     if (i == 1) set(i, "max_extent", 3.0);  // nothing of it is undone
     ASSERT_NO_FATAL_FAILURE(load(i));
   }
@@ -548,10 +548,10 @@ TEST_F(StereoPairTest, BadImageTakesItsPartnerAlongWhereBothDropThem) {
     publish_imu(k == 1 ? kStart - 50 * kMs : stamp_ns + kImuPeriod, stamp_ns + kPeriod, 3.0);
     for (const Camera& camera : cameras_) {
       ASSERT_TRUE(mailbox_.wait([&] { return camera.fields.size() == k + 1; })) << camera.ns << ", pair " << k;
-      // Of the second one nothing is undone, so that the first one is left, too: both are BAD.
+      // Of the second one nothing is undone, so that the first one is left, too: both are POOR.
       const std::string& text = camera.fields[k]->reason_text;
-      EXPECT_EQ(text.find("drop_bad: the image of "), 0u) << text;
-      EXPECT_NE(text.find("/image_raw is BAD"), std::string::npos) << text;
+      EXPECT_EQ(text.find("drop_poor: the image of "), 0u) << text;
+      EXPECT_NE(text.find("/image_raw is POOR"), std::string::npos) << text;
     }
   }
   EXPECT_EQ(cameras_[0].fields[1]->status[0], BlurField::REJECTED) << "its partner keeps it from being deblurred";

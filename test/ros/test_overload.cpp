@@ -68,10 +68,11 @@ TEST(OverloadRule, SlownessThatIsOverIsForgotten) {
 }
 
 TEST(OverloadRule, AFrameHurriesBeforeAnyIsPassedOver) {
-  EXPECT_TRUE(OverloadRule::is_in_a_hurry(kPeriod + 1, 0, 1, kPeriod));
-  EXPECT_FALSE(OverloadRule::is_in_a_hurry(kPeriod, 0, 1, kPeriod)) << "as long as the frame before explains";
-  EXPECT_FALSE(OverloadRule::is_in_a_hurry(kPeriod * 5, 0, 0, kPeriod)) << "the newest";
-  EXPECT_FALSE(OverloadRule::is_in_a_hurry(kPeriod * 5, 0, 5, std::nullopt)) << "nobody knows the camera's rate";
+  EXPECT_TRUE(OverloadRule::is_behind_camera_rate(kPeriod + 1, 0, 1, kPeriod));
+  EXPECT_FALSE(OverloadRule::is_behind_camera_rate(kPeriod, 0, 1, kPeriod)) << "as long as the frame before explains";
+  EXPECT_FALSE(OverloadRule::is_behind_camera_rate(kPeriod * 5, 0, 0, kPeriod)) << "the newest";
+  EXPECT_FALSE(OverloadRule::is_behind_camera_rate(kPeriod * 5, 0, 5, std::nullopt))
+      << "nobody knows the camera's rate";
 }
 
 }  // namespace

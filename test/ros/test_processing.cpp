@@ -26,7 +26,7 @@ TEST_F(ProcessingTest, RefusedFrameLeavesAsItCameAndIsStillTracked) {
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   add_frame(kStart);
   advance();
-  expect_passed_through(0, PassThroughReason::PARTNER, "/cam1 says no");
+  expect_passed_through(0, PassThroughReason::STEREO_PARTNER, "/cam1 says no");
   ASSERT_NE(outputs_[0].tracks, nullptr);
   EXPECT_FALSE(outputs_[0].keypoints->keypoints.empty());
   for (const Keypoint& keypoint : outputs_[0].keypoints->keypoints) {
@@ -54,17 +54,17 @@ class DropBadTest : public ProcessingTest {
     for (const TimeNs stamp_ns : {kStart, kSecondFrame, kStart + 400 * kMs}) add_frame(stamp_ns);
     advance();
     ASSERT_EQ(outputs_.size(), 3u);
-    EXPECT_EQ(outputs_[1].quality->verdict, ImageQuality::BAD) << outputs_[1].quality->score;
+    EXPECT_EQ(outputs_[1].quality->grade, ImageQuality::POOR) << outputs_[1].quality->score;
     for (const std::size_t i : {0u, 2u}) {
       EXPECT_EQ(outputs_[i].image, outputs_[i].input);
-      EXPECT_EQ(outputs_[i].quality->verdict, ImageQuality::SHARP);
+      EXPECT_EQ(outputs_[i].quality->grade, ImageQuality::SHARP);
     }
   }
   static constexpr TimeNs kSecondFrame = kStart + 200 * kMs;
 };
 
 TEST_F(DropBadTest, BadFrameIsKeptFromLeavingAndCounted) {
-  config_.drop_bad = true;
+  config_.drop_poor = true;
   ASSERT_NO_FATAL_FAILURE(run());
   const FrameOutput& bad = outputs_[1];
   EXPECT_TRUE(bad.dropped && !outputs_[0].dropped && !outputs_[2].dropped);
@@ -76,7 +76,7 @@ TEST_F(DropBadTest, BadFrameIsKeptFromLeavingAndCounted) {
   EXPECT_EQ(bad.global_shutter_info, nullptr);
   EXPECT_STREQ(to_string(bad.reason), "NONE");
   EXPECT_EQ(bad.blur_field->status, std::vector<std::uint8_t>(bad.field->blocks.size(), BlurField::TOO_LARGE));
-  EXPECT_EQ(bad.blur_field->reason_text.rfind("drop_bad: BAD, with a score of 0.", 0), 0u) << bad.reason_text;
+  EXPECT_EQ(bad.blur_field->reason_text.rfind("drop_poor: POOR, with a score of 0.", 0), 0u) << bad.reason_text;
   EXPECT_EQ(bad.quality->header.stamp, bad.input->header.stamp);
   EXPECT_NE(bad.trust_mask, nullptr);
   EXPECT_NE(bad.overlay, nullptr);
@@ -85,7 +85,7 @@ TEST_F(DropBadTest, BadFrameIsKeptFromLeavingAndCounted) {
   EXPECT_EQ(processor_.statistics().frames_out, 2u);
   EXPECT_EQ(processor_.statistics().frames_in, 3u);
   EXPECT_TRUE(processor_.statistics().passed_through.empty());
-  EXPECT_EQ(logged("is not published: drop_bad: BAD"), 1u);
+  EXPECT_EQ(logged("is not published: drop_poor: POOR"), 1u);
   // Only corners that have been seen before have a point: the third frame's are those of the first.
   EXPECT_TRUE(outputs_[0].tracks->points.empty());
   ASSERT_NE(outputs_[2].tracks, nullptr);
@@ -103,7 +103,7 @@ TEST_F(DropBadTest, BadFrameLeavesByDefault) {
 }
 
 TEST_F(DropBadTest, BadFrameIsDroppedBeforeWorkIsLostOnIt) {
-  config_.drop_bad = true;
+  config_.drop_poor = true;
   config_.pipeline.blur_field.max_extent_px = 500;
   configure();
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs, 22);
@@ -117,7 +117,7 @@ TEST_F(DropBadTest, BadFrameIsDroppedBeforeWorkIsLostOnIt) {
 }
 
 TEST_F(DropBadTest, WhatIsNotKnownToBeBadLeaves) {
-  config_.drop_bad = true;
+  config_.drop_poor = true;
   configure();
   add_frame(kStart);  // without a gyroscope
   time_out();
@@ -418,8 +418,8 @@ TEST_F(ProcessingTest, BlocksThatLeaveTheFastPathAreCountedByReason) {
   add_frame(kStart);
   advance();
   expect_deblurred(0);
-  EXPECT_TRUE(outputs_[0].slow_blocks.empty());
-  EXPECT_TRUE(processor_.statistics().slow_blocks.empty());
+  EXPECT_TRUE(outputs_[0].fallback_counts.empty());
+  EXPECT_TRUE(processor_.statistics().fallback_counts.empty());
   for (int i = 1; i <= 2; ++i) {
     processor_.add_image(image_message(kStart + i * 80 * kMs, "mono16"));
     processor_.add_camera_info(camera_info(kStart + i * 80 * kMs));
@@ -427,11 +427,11 @@ TEST_F(ProcessingTest, BlocksThatLeaveTheFastPathAreCountedByReason) {
   advance();
   expect_deblurred(2);
   const std::size_t blocks = outputs_[2].field->blocks.size();
-  ASSERT_EQ(outputs_[2].slow_blocks.size(), 1u);
-  const auto& [reason, count] = *outputs_[2].slow_blocks.begin();
+  ASSERT_EQ(outputs_[2].fallback_counts.size(), 1u);
+  const auto& [reason, count] = *outputs_[2].fallback_counts.begin();
   EXPECT_EQ(reason.rfind("16 bit and blur below", 0), 0u) << reason;
   EXPECT_EQ(count, blocks);
-  EXPECT_EQ(processor_.statistics().slow_blocks, (SlowBlocks{{reason, 2 * blocks}})) << "since the start";
+  EXPECT_EQ(processor_.statistics().fallback_counts, (FallbackCounts{{reason, 2 * blocks}})) << "since the start";
 }
 
 TEST_F(ProcessingTest, TwelveBitsOfSixteenAreSaidOnceAndKept) {

@@ -131,13 +131,13 @@ TEST_F(PacedProcessorTest, WhoeverLetsEverythingOutHasTime) {
 }
 
 TEST_F(ProcessorTest, BadConfigurationPassesFramesThroughUntilItIsMended) {
-  processor_.set_config_error("gamma = -1 is outside [1e-05, 1]");
+  processor_.set_config_error("noise_to_signal_ratio = -1 is outside [1e-05, 1]");
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   add_frame(kStart);
   advance();
-  expect_passed_through(0, PassThroughReason::BAD_CONFIGURATION, "gamma = -1");
-  EXPECT_EQ(logged("gamma = -1"), 1u);
-  EXPECT_EQ(processor_.statistics().configuration_error, "gamma = -1 is outside [1e-05, 1]");
+  expect_passed_through(0, PassThroughReason::BAD_CONFIGURATION, "noise_to_signal_ratio = -1");
+  EXPECT_EQ(logged("noise_to_signal_ratio = -1"), 1u);
+  EXPECT_EQ(processor_.statistics().configuration_error, "noise_to_signal_ratio = -1 is outside [1e-05, 1]");
   configure();
   add_frame(kStart + kMs);
   advance();
@@ -210,7 +210,7 @@ TEST_F(ProcessorTest, ManyChangesOfParametersMakeNoNewEngine) {
   add_frame(kStart);
   for (int i = 0; i < 100; ++i) {
     config_.pipeline.kernel.gamma = 0.001 * (1 + i);
-    config_.pipeline.keypoints.max_features = 100 + i % 7;
+    config_.pipeline.keypoints.max_keypoints = 100 + i % 7;
     configure();
   }
   config_.pipeline.blur_field.block_size_px = 64;
@@ -257,7 +257,7 @@ TEST_F(ProcessorTest, CamerasShareASourceAndKeepWhatIsTheirOwn) {
     for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod) {
       const sensor_msgs::Imu imu = imu_message(t_ns, kFastRadS);
       if (!source->add(imu)) continue;  // nobody is told, as SharedImu does it
-      for (Processor* camera : {&left, &right}) camera->notice_imu();
+      for (Processor* camera : {&left, &right}) camera->on_imu_sample();
     }
   };
   const auto show = [](Processor* camera, TimeNs stamp_ns) {
@@ -315,7 +315,7 @@ TEST_F(ProcessorTest, ThreadsMayFeedItAtOnce) {
   constexpr TimeNs kPeriod = kExposure;
   const TimeNs last_imu_ns = kStart + kFrames * kPeriod + kFrameDuration;
   config_.frame_queue_size = kFrames;
-  config_.gyro_timeout_ns = 10 * kSecond;
+  config_.input_timeout_ns = 10 * kSecond;
   configure();
   std::thread imu([&] { add_imu(kStart - 50 * kMs, last_imu_ns); });
   std::thread infos([&] {

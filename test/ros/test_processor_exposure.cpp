@@ -35,7 +35,7 @@ class ProcessorExposureTest : public ProcessorTest {
     now_ns_ = camera().simulator().scene().start_ns;
     config_.shutter = camera().simulator().scene().timing(0);
     config_.shutter.exposure_ns = 0;
-    config_.pipeline.motion_from_images = true;
+    config_.pipeline.optical_flow = true;
     config_.pipeline.validation.enabled = true;
     configure();
   }

@@ -98,7 +98,7 @@ TEST_F(ProcessorGlobalShutterTest, WhatPassesThroughKeepsItsStamp) {
   add_imu(kStart + 700 * kMs, kStart + 900 * kMs);
   add_frame(kStart + 800 * kMs);
   advance();
-  expect_passed_through(2, PassThroughReason::PARTNER, "/cam1 says no");
+  expect_passed_through(2, PassThroughReason::STEREO_PARTNER, "/cam1 says no");
   expect_unmoved(2);
 }
 

@@ -38,7 +38,7 @@ motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}
   }
 
   void SetUp() override {
-    config_.pipeline.motion_from_images = true;
+    config_.pipeline.optical_flow = true;
     configure();
   }
 
@@ -234,7 +234,7 @@ TEST_F(ProcessorImagesTest, SeesMotionAfterSomebodyHasCeasedToListenToTracks) {
 }
 
 TEST_F(ProcessorTest, AnImageThatMayBeAtRestIsNotTouchedByImagesAlone) {
-  config_.pipeline.motion_from_images = true;
+  config_.pipeline.optical_flow = true;
   configure();
   for (int i = 0; i < 3; ++i) add_frame(kStart + i * 50 * kMs);
   now_ns_ += 200 * kMs;

@@ -224,7 +224,7 @@ TEST_F(RepeatedPictures, MessageThatComesTwiceIsTheSamePicture) {
 TEST_F(RepeatedPictures, NothingGoodIsDroppedAndRepetitionsGoWithTheirPicture) {
   for (const double largest_px : {50.0, 5.0}) {
     Player clean_player(handheld());
-    clean_player.config.drop_bad = true;
+    clean_player.config.drop_poor = true;
     clean_player.config.pipeline.blur_field.max_extent_px = largest_px;
     const std::vector<FrameOutput>& without = clean_player.play(handheld().every_picture());
     const auto dropped = [&](int picture) { return without[static_cast<std::size_t>(picture)].dropped; };
@@ -262,7 +262,7 @@ TEST_F(RepeatedPictures, FrozenCameraKeepsItsPictureAndRecoversWithTheFirstNewOn
   const auto later = [](int i) { return i > kBack; };
   // The first one has no picture to be followed from: it goes by the gyroscope, as the first of all.
   Player by_gyroscope(handheld());
-  by_gyroscope.config.pipeline.motion_from_images = false;
+  by_gyroscope.config.pipeline.optical_flow = false;
   by_gyroscope.play(shots);
   EXPECT_NEAR(psnr_db(handheld(), shots, outputs, first), psnr_db(handheld(), shots, by_gyroscope.outputs, first),
               1e-9);
@@ -292,7 +292,7 @@ TEST_F(RepeatedPictures, CameraThatDropsToHalfItsRate) {
     if (i < 10 || i % 2 == 0) shots.push_back(handheld().shot(i));
   }
   Player player(handheld()), by_gyroscope(handheld());
-  by_gyroscope.config.pipeline.motion_from_images = false;
+  by_gyroscope.config.pipeline.optical_flow = false;
   const auto slow = [](int i) { return i >= 10 && i % 2 == 0; };
   const double by_both_db = psnr_db(handheld(), shots, player.play(shots), slow);
   EXPECT_GT(by_both_db, psnr_db(handheld(), shots, by_gyroscope.play(shots), slow) - kToleranceDb);
@@ -313,7 +313,7 @@ class Cut : public RepeatedPictures {
     for (std::size_t i = kCut; i < shots.size(); ++i) shots[i].pixels = change(shots[i].pixels);
     const auto db_of = [&](bool by_images) {
       Player player(handheld());
-      player.config.pipeline.motion_from_images = by_images;
+      player.config.pipeline.optical_flow = by_images;
       const std::vector<FrameOutput>& outputs = player.play(shots);
       double sum_db = 0;
       for (const int i : {kCut, kCut + 1}) {
@@ -361,7 +361,7 @@ TEST_F(RepeatedPictures, SceneAtRestWithoutNoiseStaysAsItIs) {
   }
   for (int i = 1; i < handheld().frames(); ++i) shots.push_back(handheld().shot(i));
   Player player(handheld());
-  player.config.drop_bad = true;
+  player.config.drop_poor = true;
   player.at_rest_until_ns = handheld().simulator().stamp(0) + HandheldCamera::kPeriodNs / 2;
   const std::vector<FrameOutput>& outputs = player.play(shots);
   for (int i = 0; i < kAtRest; ++i) EXPECT_EQ(outputs[static_cast<std::size_t>(i)].image, outputs[i].input) << i;
@@ -412,7 +412,7 @@ TEST_F(RepeatedPictures, ChangedParametersHoldForRepetitions) {
   player.play({shots.begin(), shots.begin() + 12});
   const auto before = player.outputs.back().image->data;
   player.outputs.clear();
-  player.config.pipeline.kernel.gamma_rule = GammaRule::FIXED;
+  player.config.pipeline.kernel.regularization = Regularization::FIXED;
   player.config.pipeline.kernel.gamma = 0.5;
   player.play({handheld().repetition(5, HandheldCamera::kPeriodNs)});
   EXPECT_FALSE(player.outputs.back().image->data == before);
@@ -426,13 +426,13 @@ TEST_F(RepeatedPictures, StereoPartnersOfRepetitionsAreDeblurred) {
     right.push_back(handheld().shot(i));
     left.push_back(i % 2 == 0 ? handheld().shot(i) : handheld().repetition(i - 1, HandheldCamera::kPeriodNs));
   }
-  for (const bool drop_bad : {false, true}) {
+  for (const bool drop_poor : {false, true}) {
     std::vector<std::unique_ptr<Player>> players;
     for (const char* name : {"/left", "/right"}) {
       players.push_back(
           std::make_unique<Player>(handheld(), FrameRequest{true, false}, std::make_shared<StereoCamera>(rig, name)));
-      players.back()->config.stereo_patience_ns = 10 * kSecond;  // longer than any frame takes
-      players.back()->config.drop_bad = drop_bad;
+      players.back()->config.stereo_sync_timeout_ns = 10 * kSecond;  // longer than any frame takes
+      players.back()->config.drop_poor = drop_poor;
     }
     auto other = std::async(std::launch::async, [&] { players[1]->play(right); });
     players[0]->play(left);

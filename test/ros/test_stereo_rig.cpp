@@ -96,7 +96,7 @@ TEST_F(StereoRigTest, ImageThatStaysBlurredTakesItsPartnerAlongAndOneThatIsSharp
   announce(2 * kPeriod);
   EXPECT_EQ(camera(1).decide(2 * kPeriod, sharp()), "");
   EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred()), "");
-  for (const BlockStatus status : {BlockStatus::TOO_LARGE, BlockStatus::BENT, BlockStatus::NO_GYRO}) {
+  for (const BlockStatus status : {BlockStatus::TOO_LARGE, BlockStatus::TOO_CURVED, BlockStatus::NO_GYRO}) {
     const TimeNs stamp_ns = (3 + static_cast<int>(status)) * kPeriod;
     announce(stamp_ns);
     camera(1).decide(stamp_ns, field({BlockStatus::SHARP, status}));
@@ -256,8 +256,8 @@ TEST_F(StereoRigTest, RecordingThatIsPlayedAgainIsDecidedAnew) {
 class DroppingRigTest : public StereoRigTest {
  protected:
   static DropTerms fine() { return {true, "", ""}; }
-  static DropTerms bad() { return {true, "BAD", "BAD"}; }
-  static DropTerms bad_if_left() { return {true, "", "BAD"}; }
+  static DropTerms bad() { return {true, "POOR", "POOR"}; }
+  static DropTerms bad_if_left() { return {true, "", "POOR"}; }
   std::future<FrameDecision> decide_drop(std::size_t i, TimeNs stamp_ns, const FrameBlur& field,
                                          const DropTerms& drop) {
     return std::async(std::launch::async, [this, i, stamp_ns, field, drop] {
@@ -282,7 +282,7 @@ TEST_F(DroppingRigTest, BothAreDroppedWhereOneIsBad) {
   for (const FrameBlur& partner : {blurred(), sharp(), rejected()}) {
     for (const FrameBlur& field : {blurred(), rejected()}) {
       for (const FrameDecision& decision : decide_both(field, bad(), partner, fine())) {
-        EXPECT_EQ(decision.drop, "the image of /cam0 is BAD");
+        EXPECT_EQ(decision.drop, "the image of /cam0 is POOR");
       }
     }
     for (const FrameDecision& decision : decide_both(blurred(), fine(), partner, fine())) {
@@ -297,7 +297,7 @@ TEST_F(DroppingRigTest, WhetherItIsBadGoesByWhatBecomesOfIt) {
     EXPECT_EQ(decision.drop + decision.refusal, "");
   }
   for (const FrameDecision& decision : decide_both(blurred(), bad_if_left(), rejected(), fine())) {
-    EXPECT_EQ(decision.drop, "the image of /cam0 is BAD") << "its partner keeps it from being deblurred";
+    EXPECT_EQ(decision.drop, "the image of /cam0 is POOR") << "its partner keeps it from being deblurred";
   }
 }
 
@@ -347,9 +347,9 @@ TEST_F(DroppingRigTest, CameraThatDropsNoneLosesNone) {
 TEST_F(DroppingRigTest, AloneItGoesByItself) {
   make(kEndless, 1);
   camera(0).announce(kPeriod);
-  EXPECT_EQ(camera(0).decide(kPeriod, blurred(), bad()).drop, "the image of /cam0 is BAD");
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred(), bad()).drop, "the image of /cam0 is POOR");
   camera(0).set_patience(0);
-  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred(), bad()).drop, "BAD");
+  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred(), bad()).drop, "POOR");
 }
 
 TEST_F(StereoRigTest, CamerasOfOneImuMeet) {

@@ -5,15 +5,15 @@
 namespace gyro_deblur {
 namespace {
 
-using Verdict = TimeJumpDetector::Verdict;
+using Result = TimeJumpDetector::Result;
 constexpr TimeNs kThreshold = 500;
 
 TEST(TimeJumpDetector, SmallStepsBackAreNotAReset) {
   TimeJumpDetector detector(kThreshold);
-  EXPECT_EQ(detector.update(Stream::IMU, 10'000), Verdict::FORWARD);
-  EXPECT_EQ(detector.update(Stream::IMU, 9'500), Verdict::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMU, 10'000), Result::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMU, 9'500), Result::FORWARD);
   EXPECT_EQ(detector.newest_ns(Stream::IMU), 10'000);
-  EXPECT_EQ(detector.update(Stream::IMU, 9'499), Verdict::JUMP);
+  EXPECT_EQ(detector.update(Stream::IMU, 9'499), Result::JUMP);
   EXPECT_EQ(detector.newest_ns(Stream::IMU), 9'499);
 }
 
@@ -21,29 +21,29 @@ TEST(TimeJumpDetector, OtherStreamsFollowWithoutTellingAgain) {
   TimeJumpDetector detector(kThreshold);
   detector.update(Stream::IMU, 10'000);
   detector.update(Stream::IMAGE, 10'000);
-  EXPECT_EQ(detector.update(Stream::IMU, 0), Verdict::JUMP);
+  EXPECT_EQ(detector.update(Stream::IMU, 0), Result::JUMP);
   EXPECT_TRUE(detector.is_stale(Stream::IMAGE));
-  EXPECT_EQ(detector.update(Stream::IMAGE, 10'100), Verdict::FORWARD) << "still on its way from before";
-  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Verdict::FOLLOWS);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 10'100), Result::FORWARD) << "still on its way from before";
+  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Result::FOLLOWS);
   EXPECT_FALSE(detector.is_stale(Stream::IMAGE));
-  EXPECT_EQ(detector.update(Stream::IMAGE, 10'000), Verdict::FORWARD);
-  EXPECT_EQ(detector.update(Stream::IMAGE, 10'030), Verdict::FORWARD);
-  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Verdict::JUMP) << "the second reset is news again";
+  EXPECT_EQ(detector.update(Stream::IMAGE, 10'000), Result::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 10'030), Result::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Result::JUMP) << "the second reset is news again";
 }
 
 TEST(TimeJumpDetector, LateCameraInfoAndExposureAreNoReset) {
   TimeJumpDetector detector(kThreshold);
   for (const Stream stream : {Stream::CAMERA_INFO, Stream::EXPOSURE}) {
     detector.update(stream, 10'000);
-    EXPECT_EQ(detector.update(stream, 0), Verdict::FORWARD);
-    EXPECT_EQ(detector.update(stream, 10'030), Verdict::FORWARD);
+    EXPECT_EQ(detector.update(stream, 0), Result::FORWARD);
+    EXPECT_EQ(detector.update(stream, 10'030), Result::FORWARD);
   }
 }
 
 TEST(TimeJumpDetector, StreamThatStartsLaterIsNotExpectedToFollow) {
   TimeJumpDetector detector(kThreshold);
   detector.update(Stream::IMU, 10'000);
-  EXPECT_EQ(detector.update(Stream::IMU, 0), Verdict::JUMP);
+  EXPECT_EQ(detector.update(Stream::IMU, 0), Result::JUMP);
   EXPECT_FALSE(detector.is_stale(Stream::IMAGE));
 }
 
@@ -51,44 +51,43 @@ TEST(TimeJumpDetector, StreamThatGoesOnIsNotExpectedToFollowForever) {
   TimeJumpDetector detector(kThreshold);
   detector.update(Stream::IMAGE, 10'000);
   detector.update(Stream::IMU, 10'000);
-  EXPECT_EQ(detector.update(Stream::IMU, 0), Verdict::JUMP);
-  for (int i = 0; i < 100; ++i) EXPECT_EQ(detector.update(Stream::IMAGE, 10'000 + i), Verdict::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMU, 0), Result::JUMP);
+  for (int i = 0; i < 100; ++i) EXPECT_EQ(detector.update(Stream::IMAGE, 10'000 + i), Result::FORWARD);
   EXPECT_FALSE(detector.is_stale(Stream::IMAGE));
-  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Verdict::JUMP);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Result::JUMP);
 }
 
 TEST(TimeJumpDetector, OwnerCanTellOfAReset) {
   TimeJumpDetector detector(kThreshold);
   detector.update(Stream::IMU, 400);
-  EXPECT_EQ(detector.went_back(Stream::IMU, 100), Verdict::JUMP);
+  EXPECT_EQ(detector.went_back(Stream::IMU, 100), Result::JUMP);
   EXPECT_EQ(detector.newest_ns(Stream::IMU), 100);
 }
 
 TEST(TimeJumpDetector, OneStampFarAheadIsNotBelieved) {
   TimeJumpDetector detector(kThreshold);
   detector.update(Stream::IMAGE, 10'000);
-  EXPECT_EQ(detector.update(Stream::IMAGE, 90'000), Verdict::FORWARD);
-  EXPECT_EQ(detector.update(Stream::IMAGE, 10'030), Verdict::FORWARD)
-      << "the stamp before was wrong, nothing was reset";
+  EXPECT_EQ(detector.update(Stream::IMAGE, 90'000), Result::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 10'030), Result::FORWARD) << "the stamp before was wrong, nothing was reset";
   EXPECT_EQ(detector.newest_ns(Stream::IMAGE), 10'030);
-  EXPECT_EQ(detector.update(Stream::IMAGE, 9'000), Verdict::JUMP);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 9'000), Result::JUMP);
 }
 
 TEST(TimeJumpDetector, StreamThatWentAheadCanGoBack) {
   TimeJumpDetector detector(kThreshold);
   detector.update(Stream::IMAGE, 10'000);
-  EXPECT_EQ(detector.update(Stream::IMAGE, 90'000), Verdict::FORWARD);
-  EXPECT_EQ(detector.update(Stream::IMAGE, 90'030), Verdict::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 90'000), Result::FORWARD);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 90'030), Result::FORWARD);
   EXPECT_EQ(detector.newest_ns(Stream::IMAGE), 90'030);
-  EXPECT_EQ(detector.update(Stream::IMAGE, 10'000), Verdict::JUMP);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 10'000), Result::JUMP);
 }
 
 TEST(TimeJumpDetector, SlowStreamIsFollowed) {
   TimeJumpDetector detector(kThreshold);
   for (TimeNs t_ns = 0; t_ns <= 100'000; t_ns += 10'000) {
-    EXPECT_EQ(detector.update(Stream::IMAGE, t_ns), Verdict::FORWARD);
+    EXPECT_EQ(detector.update(Stream::IMAGE, t_ns), Result::FORWARD);
   }
-  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Verdict::JUMP);
+  EXPECT_EQ(detector.update(Stream::IMAGE, 0), Result::JUMP);
 }
 
 TEST(EpochCounter, StepBackThatWasMadeUpForIsForgotten) {

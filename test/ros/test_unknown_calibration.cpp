@@ -61,11 +61,11 @@ class UnknownCalibration : public testing::Test {
   /// Frames [from, to) go in and come out.
   void play(int from, int to) {
     for (int i = from; i < to; ++i) {
-      now_ns_ = camera().stamp(i) + config_.gyro_timeout_ns;
+      now_ns_ = camera().stamp(i) + config_.input_timeout_ns;
       for (const sensor_msgs::Imu& imu : camera().samples_before(i)) processor_->add_imu(imu);
       processor_->add_image(camera().image(i));
       processor_->add_camera_info(camera().info(i));
-      now_ns_ += config_.gyro_timeout_ns;
+      now_ns_ += config_.input_timeout_ns;
       processor_->advance([this](FrameOutput&& output) {
         outputs_.push_back(std::move(output));
         return true;

@@ -68,7 +68,7 @@ class InstalledFiles(unittest.TestCase):
     def test_tools_and_scripts_with_what_they_import(self):
         self.assert_installed("lib/gyro_deblur/" + name for name in TOOLS)
         scripts = [name for name in self.files if name.startswith("lib/gyro_deblur/") and name.endswith(".py")]
-        self.assertIn("lib/gyro_deblur/play_through.py", scripts)
+        self.assertIn("lib/gyro_deblur/play_bag.py", scripts)
         self.assertIn("lib/gyro_deblur/setup", self.files)
         for script in scripts + ["lib/gyro_deblur/setup"]:
             self.assert_installed("lib/gyro_deblur/" + name

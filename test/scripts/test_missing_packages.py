@@ -15,9 +15,9 @@ SCRIPTS = ROOT / "scripts"
 sys.path.insert(0, str(SCRIPTS))
 import missing_packages  # noqa: E402
 
-REPORTS = ("bag_transport.py", "benchmark_report.py", "neighbours_report.py", "play_through.py", "plot_calibration.py",
+REPORTS = ("bag_transport.py", "benchmark_report.py", "contention_report.py", "play_bag.py", "plot_calibration.py",
            "report.py", "setup", "soak_plot.py", "stereo_latency.py")
-EXPERIMENTS = ("image_quality.py", "motion_from_images.py", "point_covariance.py", "real_world.py", "reconstruction.py",
+EXPERIMENTS = ("image_quality.py", "optical_flow.py", "point_covariance.py", "real_world.py", "reconstruction.py",
                "report_experiments.py")
 
 

@@ -130,7 +130,7 @@ class Programs(unittest.TestCase):
     """As a user runs them."""
 
     def test_bad_json_is_one_line_and_status_1(self):
-        for program in ("benchmark_report.py", "neighbours_report.py", "plot_calibration.py", "soak_plot.py"):
+        for program in ("benchmark_report.py", "contention_report.py", "plot_calibration.py", "soak_plot.py"):
             command = [sys.executable, ROOT / "scripts" / program, "in.json"]
             if program != "benchmark_report.py":
                 command.append("out.png")

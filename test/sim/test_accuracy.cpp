@@ -139,7 +139,7 @@ Errors measure(const Simulator& simulator, const Signs& signs) {
     }
     std::vector<Eigen::Vector2d> shown;
     for (const Eigen::Vector2d& point : points) {
-      shown.push_back(point + field.blocks[field.grid.index_at(point.x(), point.y())].shown_offset_px());
+      shown.push_back(point + field.blocks[field.grid.index_at(point.x(), point.y())].apparent_offset_px());
     }
     // The instant that the truth is asked for is the true one: a wrong readout must not move the goal with it.
     const TimeNs reference = simulator.reference_time(i);
@@ -236,7 +236,7 @@ Detected measure_detected(const Footage& footage, const std::string& detector, c
   PipelineOptions options;
   options.keypoints.detector = detector;
   options.keypoints.descriptor = "NONE";
-  options.keypoints.max_features = 300;
+  options.keypoints.max_keypoints = 300;
   const Simulator& simulator = footage.simulator;
   Pipeline pipeline(options);
   pipeline.set_calibration(simulator.camera().calibration());
@@ -254,7 +254,7 @@ Detected measure_detected(const Footage& footage, const std::string& detector, c
     for (std::size_t k = 0; k < found.size(); ++k) {
       if (!result.points[k].deblurred || !result.points[k].rectified) continue;
       const BlockBlur& block = result.field.blocks[result.field.grid.index_at(found[k].pt.x, found[k].pt.y)];
-      const Eigen::Vector2d offset = block.shown_offset_px();
+      const Eigen::Vector2d offset = block.apparent_offset_px();
       cv::Point2f true_at = found[k].pt - cv::Point2f(offset.x(), offset.y());
       if (goal == Goal::SHARP_IMAGE) {
         if (sharp.empty()) continue;
@@ -340,7 +340,7 @@ TEST(Orbit, TheImagesAddTranslationAndNoSharpBlockIsDeblurred) {
   Simulator simulator(sim::load_scene(std::string(GYRO_DEBLUR_SOURCE_DIR) + "/config/scenes/orbit.yaml"));
   const RotationTrack track = track_of(simulator, {});
   PipelineOptions by_rotation;
-  by_rotation.motion_from_images = false;
+  by_rotation.optical_flow = false;
   Pipeline pipeline{PipelineOptions{}}, rotation_pipeline{by_rotation};
   pipeline.set_calibration(simulator.camera().calibration());
   rotation_pipeline.set_calibration(simulator.camera().calibration());

@@ -10,7 +10,7 @@
 #include <opencv2/core.hpp>
 
 #include "features/blur_alignment.hpp"
-#include "plane_paths.hpp"
+#include "paths_2d.hpp"
 
 namespace gyro_deblur::test {
 
@@ -32,7 +32,7 @@ class SinusoidTexture {
   struct View {
     Eigen::Matrix2d map = Eigen::Matrix2d::Identity();
     Eigen::Vector2d shift_px = Eigen::Vector2d::Zero();
-    PlanePath path_px = still_path();
+    Path2d path_px = still_path();
     Eigen::Vector2d at(const Eigen::Vector2d& texture_px) const { return map * texture_px + shift_px; }
   };
 

@@ -9,7 +9,7 @@
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "gyro_deblur/kernel_bank.hpp"
+#include "gyro_deblur/filter_bank.hpp"
 
 namespace gyro_deblur::test {
 
@@ -17,7 +17,7 @@ namespace gyro_deblur::test {
 /// Returns CV_64F of the image's size. The border is mirrored: crop reach_px / 2 and a few pixels more where the
 /// scene's edge matters.
 template <typename Transfer>
-cv::Mat filter_in_plane(const cv::Mat& image, double reach_px, const Transfer& transfer) {
+cv::Mat filter_in_2d(const cv::Mat& image, double reach_px, const Transfer& transfer) {
   const int pad = static_cast<int>(std::ceil(reach_px)) + 32;
   const int cols = cv::getOptimalDFTSize(image.cols + 2 * pad), rows = cv::getOptimalDFTSize(image.rows + 2 * pad);
   cv::Mat real, padded, spectrum, blurred;
@@ -41,7 +41,7 @@ cv::Mat filter_in_plane(const cv::Mat& image, double reach_px, const Transfer& t
 template <typename Transfer>
 cv::Mat filter_along_line(const cv::Mat& image, double angle_rad, double reach_px, const Transfer& transfer) {
   const double dx = std::cos(angle_rad), dy = std::sin(angle_rad);
-  return filter_in_plane(image, reach_px, [&](double fx, double fy) { return transfer(fx * dx + fy * dy); });
+  return filter_in_2d(image, reach_px, [&](double fx, double fy) { return transfer(fx * dx + fy * dy); });
 }
 
 inline double sinc(double x) { return std::abs(x) < 1e-9 ? 1.0 : std::sin(x) / x; }
@@ -51,8 +51,8 @@ inline cv::Mat blur_along_line(const cv::Mat& image, double angle_rad, double ex
   return filter_along_line(image, angle_rad, extent_px, [=](double f) { return sinc(CV_PI * extent_px * f); });
 }
 
-/// The blur of a straight motion at uneven speed, to sub-pixel accuracy; see filter_along_line.
-inline cv::Mat blur_along_path(const cv::Mat& image, double angle_rad, const LinePath& path_px) {
+/// The blur of a straight motion at non-uniform speed, to sub-pixel accuracy; see filter_along_line.
+inline cv::Mat blur_along_path(const cv::Mat& image, double angle_rad, const Path1d& path_px) {
   return filter_along_line(image, angle_rad, extent_of(path_px), [&](double f) {
     std::complex<double> sum = 0;
     for (int k = 0; k + 1 < kPathInstants; ++k) {

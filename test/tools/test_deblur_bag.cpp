@@ -51,7 +51,7 @@ class DeblurBagTest : public testing::Test {
   void write_config(const std::string& more) {
     std::ofstream(path("config.yaml"))
         << "exposure_time: 0.03\nreadout_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\n"
-           "block_size: 32\nvalidate: false\nmotion_from_images: false\ndetector: FAST\ndescriptor: ORB\n"
+           "block_size: 32\nvalidate: false\noptical_flow: false\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n"
         << more;
   }
 
@@ -183,7 +183,7 @@ TEST_F(DeblurBagTest, WhatCannotBeDecodedIsLeftOutAndMovesNothingElse) {
     if (i == 1) std::fill(image->data.begin(), image->data.end(), 7);
     if (i == 3) image->data.resize(image->data.size() / 2);
   });
-  write_config("drop_bad: true\n");
+  write_config("drop_poor: true\n");
   const ProgramResult result = run();
   ASSERT_EQ(result.exit_code, 0) << result.output;
   EXPECT_NE(result.output.find("1 more left out: they could not be decoded"), std::string::npos) << result.output;
@@ -218,7 +218,7 @@ TEST_F(DeblurBagTest, WhatCannotBeDecodedIsLeftOutAndMovesNothingElse) {
 
 TEST_F(DeblurBagTest, ImagesWithoutAStampPassInTheirTurn) {
   write_bag(kFastRadS);
-  write_config("drop_bad: true\n");
+  write_config("drop_poor: true\n");
   ASSERT_EQ(run().exit_code, 0);
   const auto expected = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
   change_messages<sensor_msgs::Image>([](sensor_msgs::Image* image, int i) {
@@ -286,7 +286,7 @@ TEST_F(DeblurBagTest, CameraInfoOfEveryHabitServes) {
   for (const InfoHabit& habit : habits) {
     SCOPED_TRACE(habit.name);
     write_bag(kFastRadS);
-    write_config(std::string("drop_bad: true\n") + (habit.with_file ? "calibration_file: camchain.yaml\n" : ""));
+    write_config(std::string("drop_poor: true\n") + (habit.with_file ? "calibration_file: camchain.yaml\n" : ""));
     change_messages<sensor_msgs::CameraInfo>(habit.change);
     const ProgramResult result = run();
     ASSERT_EQ(result.exit_code, 0) << result.output;
@@ -327,7 +327,7 @@ TEST_F(DeblurBagTest, SliceUsesTheCameraInfoFromLongBeforeIt) {
 }
 
 TEST_F(DeblurBagTest, EncodingStaysThatOfTheInput) {
-  write_config("drop_bad: true\n");
+  write_config("drop_poor: true\n");
   for (const char* encoding : {"8UC3", "yuv422", "yuv422_yuy2", "16UC1", "8UC4"}) {
     SCOPED_TRACE(encoding);
     const bool known = std::string(encoding) != "8UC4";
@@ -461,7 +461,7 @@ TEST_F(DeblurBagTest, MaskOfTheBagIsUsed) {
   std::vector<float> expected(kFrames, 0.5f);
   expected.front() = expected.back() = 0;  // the last one has no samples
   EXPECT_EQ(masked_parts({}), expected);
-  write_config("gyro_buffer_duration: 0.11\ngyro_timeout: 0.03\n");
+  write_config("gyro_buffer_duration: 0.11\ninput_timeout: 0.03\n");
   EXPECT_EQ(masked_parts({"--start", "2.25"}), (std::vector<float>{0.5f, 0}));
   ASSERT_TRUE(cv::imwrite(path("all.png"), cv::Mat(kHeight, kWidth, CV_8UC1, cv::Scalar(255))));
   EXPECT_EQ(masked_parts({"--mask", path("all.png")}), std::vector<float>(kFrames, 0));
@@ -501,7 +501,7 @@ TEST_F(DeblurBagTest, EveryFrameComesOutInOrderWithItsReason) {
 
 TEST_F(DeblurBagTest, BadImagesAreLeftOutWhereTheUserSaysSo) {
   write_bag(3.0);  // 18 px
-  write_config("max_extent: 5\ndrop_bad: true\n");
+  write_config("max_extent: 5\ndrop_poor: true\n");
   const ProgramResult result = run({"--tracks", "--global-shutter"});
   ASSERT_EQ(result.exit_code, 0) << result.output;
   // The gyroscope does not cover the last one: nobody knows whether it is bad.
@@ -516,16 +516,16 @@ TEST_F(DeblurBagTest, BadImagesAreLeftOutWhereTheUserSaysSo) {
   EXPECT_EQ(read<BlurField>("out.bag", "/cam/blur_field").size(), std::size_t{kFrames});
   const auto qualities = read<ImageQuality>("out.bag", "/cam/image_quality");
   ASSERT_EQ(qualities.size(), std::size_t{kFrames});
-  EXPECT_EQ(qualities[0]->verdict, ImageQuality::BAD);
-  EXPECT_EQ(qualities[kFrames - 1]->verdict, ImageQuality::UNKNOWN);
+  EXPECT_EQ(qualities[0]->grade, ImageQuality::POOR);
+  EXPECT_EQ(qualities[kFrames - 1]->grade, ImageQuality::UNKNOWN);
   const nlohmann::json json = report();
   EXPECT_EQ(json["frames_in"], kFrames);
   EXPECT_EQ(json["frames_out"], 1);
   EXPECT_EQ(json["dropped_bad"], kFrames - 1);
   EXPECT_EQ(json["frames"][0]["dropped"], true);
-  EXPECT_EQ(json["frames"][0]["reason_text"].get<std::string>().rfind("drop_bad: BAD", 0), 0u);
+  EXPECT_EQ(json["frames"][0]["reason_text"].get<std::string>().rfind("drop_poor: POOR", 0), 0u);
   EXPECT_EQ(json["frames"][kFrames - 1]["dropped"], false);
-  EXPECT_NE(result.output.find("1 frames of /cam/image_raw, 1 passed through (NO_GYRO), 4 more dropped as BAD"),
+  EXPECT_NE(result.output.find("1 frames of /cam/image_raw, 1 passed through (NO_GYRO), 4 more dropped as POOR"),
             std::string::npos)
       << result.output;
 }
@@ -601,10 +601,11 @@ TEST_F(DeblurBagTest, SliceUsesTheExposureSettingFromBeforeIt) {
     bag.write("/cam/driver", to_ros_time(kStart + 260 * kMs), setting(20000));
   }
   // Without a setting frames could not be deblurred; what is read before a slice ends long after the first ones.
-  std::ofstream(path("config.yaml")) << "exposure_time: 0\nreadout_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\n"
-                                        "block_size: 32\nvalidate: false\ndetector: FAST\ndescriptor: ORB\n"
-                                        "gyro_buffer_duration: 1\nexposure_source: dynamic_reconfigure_us\n"
-                                        "exposure_field: exposure_us\n";
+  std::ofstream(path("config.yaml"))
+      << "exposure_time: 0\nreadout_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\n"
+         "block_size: 32\nvalidate: false\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n"
+         "gyro_buffer_duration: 1\nexposure_source: dynamic_reconfigure_us\n"
+         "exposure_field: exposure_us\n";
   const std::vector<std::string> driver{"--exposure-topic", "/cam/driver"};
   ASSERT_EQ(run(driver).exit_code, 0);
   const nlohmann::json whole = report()["frames"];
@@ -698,8 +699,9 @@ TEST_F(DeblurBagTest, BiasAtRestMakesFramesBitIdentical) {
 TEST_F(DeblurBagTest, MemoryGrowsByNoRecordOfFrames) {
   constexpr int kSide = 16;
   constexpr TimeNs kPeriod = 10 * kMs;
-  std::ofstream(path("config.yaml")) << "exposure_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\nblock_size: 8\n"
-                                        "threads: 1\nvalidate: false\ndetector: FAST\ndescriptor: ORB\n";
+  std::ofstream(path("config.yaml"))
+      << "exposure_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\nblock_size: 8\n"
+         "threads: 1\nvalidate: false\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n";
   const auto peak_kib = [&](int frames, const std::vector<std::string>& arguments) {
     {
       rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Write);
@@ -727,7 +729,8 @@ TEST_F(DeblurBagTest, MemoryGrowsByNoRecordOfFrames) {
 }
 
 TEST_F(DeblurBagTest, StaticTransformOfTheBagIsUsed) {
-  std::ofstream(path("config.yaml")) << "exposure_time: 0.03\nvalidate: false\ndetector: FAST\ndescriptor: ORB\n";
+  std::ofstream(path("config.yaml"))
+      << "exposure_time: 0.03\nvalidate: false\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n";
   write_bag(kFastRadS);
   ASSERT_EQ(run().exit_code, 0);
   EXPECT_EQ(report()["passed_through"]["NO_EXTRINSIC"], kFrames);
@@ -824,8 +827,8 @@ TEST_F(DeblurBagTest, UnreadableFiles) {
   write_bag(kFastRadS);
   fs::remove(path("config.yaml"));
   expect_error(run(), {"config.yaml"});
-  write_config("gamma: 7\n");
-  expect_error(run(), {"gamma = 7"});
+  write_config("noise_to_signal_ratio: 7\n");
+  expect_error(run(), {"noise_to_signal_ratio = 7"});
 }
 
 TEST_F(DeblurBagTest, InputIsNotOverwritten) {

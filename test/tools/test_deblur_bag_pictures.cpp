@@ -75,9 +75,9 @@ class DeblurBagPictures : public testing::Test {
   fs::path directory_;
 };
 
-// With drop_bad nothing is left out that is not in a bag without repetitions: here nothing.
+// With drop_poor nothing is left out that is not in a bag without repetitions: here nothing.
 TEST_F(DeblurBagPictures, RepetitionsCostNothingAndAreReportedAtTheEnd) {
-  for (const std::string more : {"", "drop_bad: true\n"}) {
+  for (const std::string more : {"", "drop_poor: true\n"}) {
     const Run clean = run(camera().every_picture(), more);
     EXPECT_EQ(clean.said.find("repeat"), std::string::npos) << clean.said;
     EXPECT_TRUE(clean.report["input_problems"].empty());

@@ -135,7 +135,7 @@ TEST_F(DeblurImage, KeepsTheTypeOfTheImage) {
     const PixelLayout layouts[] = {PixelLayout::GRAY, PixelLayout::GRAY, PixelLayout::BGR, PixelLayout::BGRA};
     cv::Mat expected;
     deconvolve(image, layouts[image.channels() - 1], uniform_blur_field(80, 60, -20 * CV_PI / 180, 9, {}),
-               KernelBank({}), *make_engine("auto"), expected);
+               FilterBank({}), *make_engine("auto"), expected);
     EXPECT_EQ(cv::norm(out, expected, cv::NORM_INF), 0);
   }
 }

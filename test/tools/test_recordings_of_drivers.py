@@ -26,7 +26,7 @@ IMU_PERIOD_S = 0.005
 EXPOSURE_S, READOUT_S = 0.02, 0.01
 RATE_RAD_S = 2.0
 CONFIG = ("exposure_time: %g\nreadout_time: %g\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\nblock_size: 32\nvalidate: false\n"
-          "motion_from_images: false\ndetector: FAST\ndescriptor: ORB\n" % (EXPOSURE_S, READOUT_S))
+          "optical_flow: false\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n" % (EXPOSURE_S, READOUT_S))
 
 
 def time_of(seconds):

@@ -5,7 +5,7 @@
 
 #include <opencv2/core.hpp>
 
-#include "engine/cpu/block_kernels.hpp"
+#include "engine/cpu/block_simd.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -27,7 +27,7 @@ constexpr double kMaxShortTileSlope = 0.08;
 
 // From here to kNearAxisSlope short kernels without a box come to below 42 dB on lanes (41.6 dB at 50 px and 4
 // degrees).
-constexpr double kMinDeepUnevenSlope = 0.06;
+constexpr double kMinDeepNonuniformSlope = 0.06;
 constexpr double kMaxLaneDriftPx = 0.2;
 constexpr int kMinTileRows = 9;
 // Box and smooth rest cancel each other from this gain (1 / gamma) down to one, so that their errors grow with it: 0.7
@@ -58,7 +58,7 @@ double extent_of(const LineKernel& kernel) {
 /// float engine were seen at 50 px and 5 degrees; with those of 5 rows, 43.8 dB, 16 bit take longer than in the float
 /// engine.
 bool peaks_show(const LineKernel& kernel, double slope) {
-  return !has_box(kernel) && std::abs(slope) > kMinDeepUnevenSlope && std::abs(slope) < kNearAxisSlope &&
+  return !has_box(kernel) && std::abs(slope) > kMinDeepNonuniformSlope && std::abs(slope) < kNearAxisSlope &&
          extent_of(kernel) < kMinTwoScaleExtentNearAxisPx;
 }
 
@@ -72,34 +72,34 @@ bool gain_is_small(const LineKernel& kernel) {
 
 }  // namespace
 
-std::string in_words(SlowReason reason) {
+std::string in_words(FallbackReason reason) {
   const std::string too_short = "blur below " + std::to_string(kMinTwoScaleExtentPx) + " px";
   switch (reason) {
-    case SlowReason::ZERO_KERNEL:
+    case FallbackReason::ZERO_KERNEL:
       return "a kernel of zeros";
-    case SlowReason::SMALL_GAMMA:
+    case FallbackReason::SMALL_GAMMA:
       return "gamma too small for the fast methods";
-    case SlowReason::DEEP_SHORT_BLUR:
+    case FallbackReason::DEEP_SHORT_BLUR:
       return "16 bit and " + too_short;
-    case SlowReason::DEEP_UNEVEN_BLUR:
-      return "16 bit and blur at uneven speed below " + std::to_string(static_cast<int>(kMinTwoScaleExtentNearAxisPx)) +
-             " px beside an axis";
-    case SlowReason::LONG_SHORT_BLUR:
+    case FallbackReason::DEEP_NONUNIFORM_BLUR:
+      return "16 bit and blur at non-uniform speed below " +
+             std::to_string(static_cast<int>(kMinTwoScaleExtentNearAxisPx)) + " px beside an axis";
+    case FallbackReason::LONG_SHORT_BLUR:
       return "more than " + std::to_string(2 * kMaxExactRadius + 1) + " taps for " + too_short;
   }
   return "";
 }
 
-std::optional<SlowReason> slow_reason(const LineKernel& kernel, double slope, int depth) {
+std::optional<FallbackReason> fallback_reason(const LineKernel& kernel, double slope, int depth) {
   const bool is_zero = std::all_of(kernel.taps.begin(), kernel.taps.end(), [](float tap) { return tap == 0; });
-  if (is_zero) return SlowReason::ZERO_KERNEL;
-  if (has_box(kernel) && !gain_is_small(kernel)) return SlowReason::SMALL_GAMMA;
+  if (is_zero) return FallbackReason::ZERO_KERNEL;
+  if (has_box(kernel) && !gain_is_small(kernel)) return FallbackReason::SMALL_GAMMA;
   if (exact_is_possible(kernel, depth)) return std::nullopt;
   if (extent_of(kernel) < kMinTwoScaleExtentPx) {
-    return depth == CV_8U ? SlowReason::LONG_SHORT_BLUR : SlowReason::DEEP_SHORT_BLUR;
+    return depth == CV_8U ? FallbackReason::LONG_SHORT_BLUR : FallbackReason::DEEP_SHORT_BLUR;
   }
-  if (depth == CV_16U && peaks_show(kernel, slope)) return SlowReason::DEEP_UNEVEN_BLUR;
-  return gain_is_small(kernel) ? std::nullopt : std::optional(SlowReason::SMALL_GAMMA);
+  if (depth == CV_16U && peaks_show(kernel, slope)) return FallbackReason::DEEP_NONUNIFORM_BLUR;
+  return gain_is_small(kernel) ? std::nullopt : std::optional(FallbackReason::SMALL_GAMMA);
 }
 
 bool takes_lanes(const LineKernel& kernel, double slope, int depth) {

@@ -6,27 +6,27 @@
 #include <optional>
 #include <string>
 
-#include "gyro_deblur/kernel_bank.hpp"
+#include "gyro_deblur/filter_bank.hpp"
 
 namespace gyro_deblur {
 
 /// Why a block is left to the float engine.
-enum class SlowReason {
-  ZERO_KERNEL,       ///< nothing to scale fixed-point weights by
-  SMALL_GAMMA,       ///< weights so large that they cancel each other too well
-  DEEP_SHORT_BLUR,   ///< exact taps are for 8 bit, and the blur is too short for lanes
-  DEEP_UNEVEN_BLUR,  ///< exact taps are for 8 bit, and lanes beside an axis are not close enough
-  LONG_SHORT_BLUR    ///< too many taps, and the blur is too short for lanes
+enum class FallbackReason {
+  ZERO_KERNEL,           ///< nothing to scale fixed-point weights by
+  SMALL_GAMMA,           ///< weights so large that they cancel each other too well
+  DEEP_SHORT_BLUR,       ///< exact taps are for 8 bit, and the blur is too short for lanes
+  DEEP_NONUNIFORM_BLUR,  ///< exact taps are for 8 bit, and lanes beside an axis are not close enough
+  LONG_SHORT_BLUR        ///< too many taps, and the blur is too short for lanes
 };
 constexpr int kSlowReasons = 5;
 
 /// In words, for diagnostics.
-std::string in_words(SlowReason reason);
+std::string in_words(FallbackReason reason);
 
 /// Nothing where a fast method serves.
 /// @param slope  of the line along its major axis, [-1, 1]
 /// @param depth  CV_8U or CV_16U
-std::optional<SlowReason> slow_reason(const LineKernel& kernel, double slope, int depth);
+std::optional<FallbackReason> fallback_reason(const LineKernel& kernel, double slope, int depth);
 
 /// Where a fast method serves: whether it is lanes rather than exact taps.
 bool takes_lanes(const LineKernel& kernel, double slope, int depth);

@@ -26,15 +26,15 @@ void for_each_part(int begin, int end, int longest, const Work& work) {
 
 }  // namespace
 
-CpuEngine::CpuEngine(int threads, const BlockKernels& kernels)
-    : BlockEngine(threads), kernels_(kernels), tap_loops_(*find_tap_loops(kernels.name)), float_(threads) {}
+CpuEngine::CpuEngine(int threads, const BlockSimd& kernels)
+    : BlockEngine(threads), kernels_(kernels), tap_loops_(*find_tap_simd(kernels.name)), float_(threads) {}
 
 std::string CpuEngine::name() const { return std::string("cpu-") + kernels_.name; }
 
-SlowBlocks CpuEngine::slow_blocks() const {
-  SlowBlocks blocks;
+FallbackCounts CpuEngine::fallback_counts() const {
+  FallbackCounts blocks;
   for (int i = 0; i < kSlowReasons; ++i) {
-    if (slow_counts_[i] > 0) blocks[in_words(static_cast<SlowReason>(i))] = slow_counts_[i];
+    if (slow_counts_[i] > 0) blocks[in_words(static_cast<FallbackReason>(i))] = slow_counts_[i];
   }
   return blocks;
 }
@@ -53,7 +53,7 @@ void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.major_is_y = line.major_is_y;
   plan.slope = line.slope;
   plan.max_rows = kMaxTileSide;
-  plan.slow = slow_reason(kernel, line.slope, depth);
+  plan.slow = fallback_reason(kernel, line.slope, depth);
   if (plan.slow) return;
   plan.lanes = takes_lanes(kernel, line.slope, depth);
   if (plan.lanes) {
@@ -72,7 +72,7 @@ void CpuEngine::plan_blocks(const FilterGrid& grid, const std::vector<int>& bloc
   const int count = static_cast<int>(blocks.size());
   plans_.resize(std::max(plans_.size(), blocks.size()));
   constexpr int kBlocksAtATime = 8;
-  run_parallel(count, threads(), kBlocksAtATime, [&](int i) { plan_block(grid.blocks[blocks[i]], depth, plans_[i]); });
+  parallel_for(count, threads(), kBlocksAtATime, [&](int i) { plan_block(grid.blocks[blocks[i]], depth, plans_[i]); });
   slow_counts_.fill(0);
   left_to_float_.clear();
   for (int i = 0; i < count; ++i) {
@@ -142,7 +142,7 @@ void CpuEngine::run_tiles(const cv::Mat& plane, int pad, int channel, PlaneBuffe
   if (!tiles_.front().plan->major_is_y) transposed = transposed_plane(plane, pad, threads(), buffers.transposed);
   const int tile_count = static_cast<int>(tiles_.size());
   constexpr int kTilesAtATime = 8;
-  run_parallel(tile_count, static_cast<int>(scratch_.size()), kTilesAtATime, [&](int i, int thread) {
+  parallel_for(tile_count, static_cast<int>(scratch_.size()), kTilesAtATime, [&](int i, int thread) {
     const Tile& tile = tiles_[i];
     const bool major_is_y = tile.plan->major_is_y;
     alignas(kAlignBytes) Pixel line_order[kMaxTileSide * kTileStride];

@@ -9,12 +9,12 @@
 #include <vector>
 
 #include "engine/block_engine.hpp"
-#include "engine/cpu/block_kernels.hpp"
 #include "engine/cpu/block_method.hpp"
+#include "engine/cpu/block_simd.hpp"
 #include "engine/cpu/line_order.hpp"
 #include "engine/float/float_engine.hpp"
 #include "inverse/exact_taps.hpp"
-#include "inverse/tap_loops.hpp"
+#include "inverse/tap_simd.hpp"
 #include "inverse/two_scale_taps.hpp"
 
 namespace gyro_deblur {
@@ -22,9 +22,9 @@ namespace gyro_deblur {
 /// Filters every block with the method that block_method.hpp chooses for it. Keeps its buffers between frames.
 class CpuEngine : public BlockEngine {
  public:
-  /// @param threads  at most, >= 0; 0: one for each core, see run_parts
+  /// @param threads  at most, >= 0; 0: one for each core, see parallel_for_ranges
   /// @param kernels  inner loops of one instruction set
-  explicit CpuEngine(int threads, const BlockKernels& kernels = best_block_kernels());
+  explicit CpuEngine(int threads, const BlockSimd& kernels = best_block_simd());
 
   /// "cpu-" and the instruction set.
   std::string name() const override;
@@ -34,7 +34,7 @@ class CpuEngine : public BlockEngine {
   std::size_t prepared_designs() const { return designs_.size(); }
 
   /// Blocks that were left to the float engine.
-  SlowBlocks slow_blocks() const override;
+  FallbackCounts fallback_counts() const override;
 
  protected:
   void filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, SeamBlender& seams,
@@ -43,8 +43,8 @@ class CpuEngine : public BlockEngine {
  private:
   /// What is the same for all tiles of a block.
   struct Plan {
-    std::optional<SlowReason> slow;  // set: the float engine's, and what follows does not matter
-    bool lanes = false;              // two_scale rather than exact
+    std::optional<FallbackReason> slow;  // set: the float engine's, and what follows does not matter
+    bool lanes = false;                  // two_scale rather than exact
     bool major_is_y = true;
     double slope = 0;
     int max_rows = 0;  // of a tile, along the major axis
@@ -72,13 +72,13 @@ class CpuEngine : public BlockEngine {
   void run_tiles(const cv::Mat& plane, int pad, int channel, PlaneBuffers<Pixel>& buffers, SeamBlender& seams,
                  cv::Mat& dst);
 
-  const BlockKernels& kernels_;
-  const TapLoops& tap_loops_;
+  const BlockSimd& kernels_;
+  const TapSimd& tap_loops_;
   FloatEngine float_;
   TwoScaleDesigns designs_;
   std::vector<Plan> plans_;
   std::vector<Tile> tiles_;
-  std::array<std::size_t, kSlowReasons> slow_counts_{};  // by SlowReason
+  std::array<std::size_t, kSlowReasons> slow_counts_{};  // by FallbackReason
   std::vector<int> left_to_float_;                       // blocks
   PlaneBuffers<std::uint8_t> buffers8_;
   PlaneBuffers<std::uint16_t> buffers16_;

@@ -115,7 +115,7 @@ SourcePlane<Pixel> upright_plane(const cv::Mat& channel, int pad, int threads, s
   const std::ptrdiff_t stride = reserve_rows(channel.rows, 4 * pad, edges);
   const int cols = channel.cols, copied = std::min(pad, cols);
   constexpr int kRowsAtATime = 32;
-  run_parallel(channel.rows, threads, kRowsAtATime, [&](int y) {
+  parallel_for(channel.rows, threads, kRowsAtATime, [&](int y) {
     const Pixel *from = channel.ptr<Pixel>(y), first = from[0], last = from[cols - 1];
     Pixel* to = std::fill_n(edges.data() + y * stride, pad, first);
     to = std::fill_n(std::copy_n(from, copied, to), pad - copied, last);
@@ -129,7 +129,7 @@ template <typename Pixel>
 SourcePlane<Pixel> transposed_plane(const cv::Mat& channel, int pad, int threads, std::vector<Pixel>& storage) {
   const std::ptrdiff_t stride = reserve_rows(channel.cols, channel.rows + 2 * pad, storage);
   constexpr int kBand = 64;  // columns of the channel that one thread transposes at a time
-  run_parallel((channel.cols + kBand - 1) / kBand, threads, 1, [&](int i_band) {
+  parallel_for((channel.cols + kBand - 1) / kBand, threads, 1, [&](int i_band) {
     const int x = i_band * kBand;
     const int band = std::min(kBand, channel.cols - x);
     transpose(channel.ptr<Pixel>(0) + x, channel.step1(), channel.rows, band, storage.data() + x * stride + pad,

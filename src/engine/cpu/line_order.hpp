@@ -7,7 +7,7 @@
 
 #include <opencv2/core.hpp>
 
-#include "engine/cpu/block_kernels.hpp"
+#include "engine/cpu/block_simd.hpp"
 #include "engine/seam_blender.hpp"
 
 namespace gyro_deblur {

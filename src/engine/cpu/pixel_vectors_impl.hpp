@@ -2,7 +2,7 @@
 #pragma once
 
 #include "base/vectors_impl.hpp"
-#include "engine/cpu/block_kernels.hpp"
+#include "engine/cpu/block_simd.hpp"
 
 namespace gyro_deblur {
 namespace GYRO_DEBLUR_ISA {

@@ -106,7 +106,7 @@ void FloatEngine::load_channel(const cv::Mat& src, int channel) {
   const int channels = src.channels();
   const int rows = src.rows + 2 * pad_y_;
   constexpr int kRowsAtATime = 16;
-  run_parallel(rows, threads(), kRowsAtATime, [&](int y) {
+  parallel_for(rows, threads(), kRowsAtATime, [&](int y) {
     const Pixel* from = src.ptr<Pixel>(std::clamp(y - pad_y_, 0, src.rows - 1)) + channel;
     float* to = padded_.data() + y * stride_;
     std::fill_n(to, pad_x_, static_cast<float>(from[0]));
@@ -135,7 +135,7 @@ void FloatEngine::filter_as(const cv::Mat& src, const FilterGrid& grid, const st
                             SeamBlender& seams, cv::Mat& dst) {
   const int count = static_cast<int>(blocks.size());
   taps_.resize(std::max(taps_.size(), blocks.size()));
-  run_parallel(count, threads(), 1, [&](int i) {
+  parallel_for(count, threads(), 1, [&](int i) {
     const BlockFilter& block = grid.blocks[blocks[i]];
     taps_[i] = rotate_kernel(*block.kernel, block.angle_rad);
   });
@@ -149,7 +149,7 @@ void FloatEngine::filter_as(const cv::Mat& src, const FilterGrid& grid, const st
   std::vector<Scratch> scratch(most_threads);
   for (int channel = 0; channel < src.channels(); ++channel) {
     load_channel<Pixel>(src, channel);
-    run_parallel(count, most_threads, 1, [&](int i, int thread) {
+    parallel_for(count, most_threads, 1, [&](int i, int thread) {
       auto& [offsets, result] = scratch[thread];
       offsets.clear();
       for (const KernelTap& tap : taps_[i]) {

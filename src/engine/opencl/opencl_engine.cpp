@@ -225,7 +225,7 @@ void OpenClEngine::Impl::plan(const cv::Mat& src, const FilterGrid& grid, const 
                               const SeamBlender& seams) {
   const int count = static_cast<int>(blocks.size());
   lines_.resize(std::max(lines_.size(), blocks.size()));
-  run_parallel(count, threads, 1, [&](int i) {
+  parallel_for(count, threads, 1, [&](int i) {
     const BlockFilter& block = grid.blocks[blocks[i]];
     make_line_steps(*block.kernel, direction_of(block.angle_rad), lines_[i]);
   });
@@ -319,7 +319,7 @@ void OpenClEngine::Impl::store_results(const std::vector<int>& blocks, const voi
                                        SeamBlender& seams, cv::Mat& dst) {
   const int count = static_cast<int>(blocks.size());
   constexpr int kBlocksAtATime = 8;
-  run_parallel(count, threads, kBlocksAtATime,
+  parallel_for(count, threads, kBlocksAtATime,
                [&](int i) { seams.store(blocks[i], static_cast<const Pixel*>(results) + result_starts_[i], dst); });
 }
 

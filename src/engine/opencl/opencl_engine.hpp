@@ -34,7 +34,7 @@ class OpenClEngine : public BlockEngine {
  public:
   /// @param device   an index into opencl_devices(), a part of a name there in any case, or empty: the first GPU, else
   ///                 the first device
-  /// @param threads  that prepare the taps at most, >= 0; 0: one for each core, see run_parts
+  /// @param threads  that prepare the taps at most, >= 0; 0: one for each core, see parallel_for_ranges
   /// Throws DeviceError when there is no such device or it cannot build the program.
   OpenClEngine(const std::string& device, int threads, OpenClTuning tuning = OpenClTuning::DEVICE);
   ~OpenClEngine() override;

@@ -1,0 +1,98 @@
+// Wiener inverses of blur along a line (paper section IV-A); those of the box, one per extent.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <vector>
+
+#include "gyro_deblur/options.hpp"
+#include "gyro_deblur/path_1d.hpp"
+
+namespace gyro_deblur {
+
+class ExpectedErrors;
+
+/// A symmetric or general 1-D kernel, sampled at unit steps along a line: tap i acts at position i - taps.size() / 2.
+/// taps.size() is odd.
+struct LineKernel {
+  std::vector<float> taps;
+
+  /// Where the kernel jumps, for engines that make use of it: taps are symmetric, box_height inside a centred box of
+  /// box_extent_px (its edges weighted by coverage) plus a rest that is smooth up to the last tap. Below
+  /// kConstantRatioExtentPx the jump is spread over some pixels. 0: not known to have this shape.
+  double box_extent_px = 0;
+  double box_height = 0;
+
+  int radius() const { return static_cast<int>(taps.size() / 2); }
+};
+
+/// Extents [px] for which there are Wiener kernels: a box below one pixel is no blur.
+constexpr double kMinKernelExtentPx = 1.0;
+constexpr double kMaxKernelExtentPx = 500.0;
+
+/// From this extent [px] on Regularization::FIXED takes the noise-to-signal ratio for constant, as the paper
+/// does. A ratio that falls towards low frequencies restores more of longer blur as well (0.1 to 0.4 dB), but amplifies
+/// what is wrong with the estimate there, which is the larger the longer the blur: with 100 px instead keypoints of the
+/// real-world table (doc/reports/experiments_real_world.md) repeat 5 % less often.
+constexpr double kConstantRatioExtentPx = 36.0;
+
+/// s of Regularization::FIXED: from 1 without blur down to 0 at kConstantRatioExtentPx.
+double spectral_share(double extent_px);
+
+/// Spatial Wiener inverse of the box blur on length_factor * extent_px + 6 * smoothing_px taps (next odd), by
+/// options.regularization, scaled to unit sum because the filter's gain is less than that. Throws OptionError for bad
+/// options or extent_px outside [kMinKernelExtentPx, kMaxKernelExtentPx].
+LineKernel wiener_kernel(double extent_px, const FilterOptions& options);
+
+/// The same for a point that runs along its line at non-uniform speed; on more taps where the path reaches farther from
+/// its middle in time. Throws OptionError as above.
+LineKernel wiener_kernel(const Path1d& path_px, const FilterOptions& options);
+
+/// The options with gamma doubled so often, but at most 1.
+FilterOptions with_doubled_gamma(FilterOptions options, int doublings);
+
+/// What to filter a block with, and what is expected of it.
+struct FilterChoice {
+  int gamma_doublings = 0;
+  /// Of the error that blur makes, the share that is expected to be removed, less what is added of noise; at most 1.
+  /// Below 0 filtering does harm. Noise that is smoothed away counts for nothing.
+  double gain = 1;
+  /// Variance of white noise after filtering over that before: the integral over f of |W|^2, see FilterBank::choose().
+  double noise_gain = 1;
+};
+
+/// Kernels by extent in steps of kExtentStepPx, and by gamma, computed on first use and kept. Thread-safe.
+class FilterBank {
+ public:
+  /// A quarter pixel: the extent is then wrong by at most 1/8 px.
+  static constexpr double kExtentStepPx = 0.25;
+
+  /// Throws OptionError for bad options.
+  explicit FilterBank(const FilterOptions& options);
+  ~FilterBank();
+
+  /// The kernel for the nearest multiple of kExtentStepPx. Valid as long as the bank.
+  /// @param gamma_doublings  how often options().gamma is to be doubled, >= 0; it ends at 1
+  const LineKernel& kernel(double extent_px, int gamma_doublings = 0) const;
+
+  /// The least expected error of a block whose texture has the power c / f^2 at f cycles/px along the line (D. J.
+  /// Field, J. Opt. Soc. Am. A 4 (12), 1987), and white noise of the variance v: with H the box's transform and W the
+  /// filter's, the integral over f of c |1 - W H|^2 / f^2 + v |W|^2, for each doubling of gamma.
+  /// @param noise_to_texture  v / c [cycles^2/px^2], >= 0
+  FilterChoice choose(double extent_px, double noise_to_texture) const;
+
+  /// The most doublings that choose() gives.
+  int max_doublings() const;
+
+  std::size_t size() const;  ///< kernels made so far
+
+  const FilterOptions& options() const { return options_; }
+
+ private:
+  class Kernels;
+  FilterOptions options_;
+  std::unique_ptr<Kernels> kernels_;
+  std::unique_ptr<const ExpectedErrors> errors_;
+};
+
+}  // namespace gyro_deblur

@@ -1,0 +1,262 @@
+#!/usr/bin/env bash
+# Extended tests, in build/extended_tests: every test of the package itself, nodelets included, under AddressSanitizer and
+# UndefinedBehaviorSanitizer, those of what works with threads under ThreadSanitizer, the fuzz targets for a minute each,
+# the soak for ten minutes of simulated time, and the long tests (test/long_tests.txt). Fails when one of them finds
+# something, or a test hangs. --quick, as in continuous integration: the tests of test/sanitized_tests.txt, fuzzers for
+# 10 s each, the soak for a minute, no long tests.
+#
+#   scripts/extended_tests.sh [--quick] [--within MINUTES] [--only asan|tsan|fuzz|soak|long]...
+#
+#   --within MINUTES  after that time a build is broken off and no test or fuzzer begun; the status is 77 then, unless
+#                     something has failed. The next run goes on where this ended.
+set -euo pipefail
+# shellcheck source=scripts/common.sh
+source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
+cd "${GYRO_DEBLUR_ROOT}"
+
+fuzz_s=60
+soak_s=600
+minutes=0
+quick=false
+only=()
+while (($# > 0)); do
+  case "$1" in
+    --quick)
+      quick=true
+      fuzz_s=10
+      soak_s=60
+      ;;
+    --within)
+      [[ "${2:-}" =~ ^[1-9][0-9]*$ ]] || fail "--within takes a number of minutes"
+      minutes="$2"
+      shift
+      ;;
+    --only)
+      [[ "${2:-}" =~ ^(asan|tsan|fuzz|soak|long)$ ]] || fail "--only takes asan, tsan, fuzz, soak or long"
+      only+=("$2")
+      shift
+      ;;
+    *) fail "unknown argument $1; see --help" ;;
+  esac
+  shift
+done
+if ((${#only[@]} == 0)); then
+  only=(asan tsan fuzz soak)
+  "${quick}" || only+=(long)
+fi
+wanted() { [[ " ${only[*]} " == *" $1 "* ]]; }
+readonly STEPS=$((1 + ${#only[@]}))
+# As of a skipped test of ctest's.
+readonly NOT_DONE=77
+# The slowest tests under AddressSanitizer, of the timing and of the engine, take six to nine minutes beside another one
+# on two cores, and fourteen beside two more. What takes twice as long waits for something that does not come.
+readonly TEST_LIMIT_S=1800
+deadline=$((minutes > 0 ? EPOCHSECONDS + 60 * minutes : 0))
+readonly deadline
+out_of_time() { ((deadline > 0 && EPOCHSECONDS >= deadline)); }
+
+end_when_out_of_time() {
+  if out_of_time; then
+    say "not done within ${minutes} minutes"
+    exit ${NOT_DONE}
+  fi
+}
+
+step ${STEPS} "Packages"
+scripts/install_dependencies.sh build extended
+source_system_ros
+
+export ASAN_OPTIONS=detect_leaks=1:strict_string_checks=1:allocator_may_return_null=1
+export UBSAN_OPTIONS=print_stacktrace=1
+export LSAN_OPTIONS="suppressions=${GYRO_DEBLUR_ROOT}/scripts/lsan.supp:print_suppressions=0"
+# Libraries of others are not instrumented: what happens inside them is left out.
+export TSAN_OPTIONS=halt_on_error=1:second_deadlock_stack=1:ignore_noninstrumented_modules=1
+
+# configure FOLDER ARGUMENTS...
+configure() {
+  local folder="$1"
+  shift
+  local launcher=()
+  if command -v ccache > /dev/null; then
+    launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
+  fi
+  mkdir -p "${folder}"
+  cmake -S . -B "${folder}" "${launcher[@]}" -DGYRO_DEBLUR_FAST_BUILD=ON -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O2 -g1" \
+    -DCMAKE_CXX_COMPILER=clang++ -DPYTHON_EXECUTABLE=/usr/bin/python3 -DPython3_EXECUTABLE=/usr/bin/python3 "$@" \
+    > "${folder}/configure.log" 2>&1 || { cat "${folder}/configure.log" >&2; fail "cmake failed"; }
+}
+
+# make_targets FOLDER TARGETS...
+make_targets() {
+  local folder="$1" now="${EPOCHSECONDS}" begin="${SECONDS}" limit=()
+  shift
+  end_when_out_of_time
+  if ((deadline > now)); then
+    limit=(timeout --kill-after=10 $((deadline - now)))
+  fi
+  "${limit[@]}" cmake --build "${folder}" --parallel "$(build_jobs)" --target "$@" > "${folder}/build.log" 2>&1 || {
+    end_when_out_of_time
+    tail -n 40 "${folder}/build.log" >&2
+    fail "the build failed; its log is ${folder}/build.log"
+  }
+  say "built, $((SECONDS - begin)) s"
+}
+
+# limited LOG COMMAND...: runs it, with its output in LOG; says so when it fails, or hangs.
+limited() {
+  local log="$1" begin="${EPOCHSECONDS}"
+  local name="${2##*/}"
+  shift
+  # In the foreground, so that an interrupt from the keyboard reaches it.
+  timeout --foreground --kill-after=10 "${TEST_LIMIT_S}" "$@" > "${log}" 2>&1 && return
+  tail -n 60 "${log}" >&2
+  if ((EPOCHSECONDS - begin >= TEST_LIMIT_S)); then
+    echo "error: ${name} hangs, has not ended within ${TEST_LIMIT_S} s; its log is ${log}" >&2
+  else
+    echo "error: ${name} failed; its log is ${log}" >&2
+  fi
+  return 1
+}
+
+# run_test FOLDER BINARY: leaves no log when the time is over before it begins.
+run_test() {
+  rm -f "$1/$2.log"
+  out_of_time || limited "$1/$2.log" "$1/devel/lib/gyro_deblur/$2"
+}
+# For the shells that xargs starts.
+export TEST_LIMIT_S deadline
+export -f out_of_time limited run_test
+
+# run_tests FOLDER BINARIES...: each as one process, as many at a time as there are cores; prints how many cases passed.
+run_tests() {
+  local folder="$1" name passed total=0 begin="${SECONDS}"
+  shift
+  # A failure does not stop the others: xargs ends with it when all have ended.
+  # shellcheck disable=SC2016
+  printf '%s\n' "$@" | xargs -P "$(nproc)" -I{} bash -c 'run_test "$@"' bash "${folder}" {} ||
+    fail "some of the tests failed: see above"
+  for name in "$@"; do
+    [[ -f "${folder}/${name}.log" ]] || end_when_out_of_time
+    passed="$(sed -n 's/^\[  PASSED  \] \([0-9]*\) test.*/\1/p' "${folder}/${name}.log")"
+    [[ -n "${passed}" ]] || fail "${name} said nothing of its tests; its log is ${folder}/${name}.log"
+    total=$((total + passed))
+    say "${name}: ${passed} cases clean"
+  done
+  say "${total} cases in $# binaries clean, $((SECONDS - begin)) s"
+}
+
+# run_nodelet_test FOLDER [ARGUMENTS...]: the nodelets, which test_nodelet_faults loads into itself, so that they are
+# watched as it is, beside a master of their own.
+run_nodelet_test() {
+  local folder="$1" port master status=0 log="$1/test_nodelet_faults.log" passed begin="${SECONDS}"
+  shift
+  end_when_out_of_time
+  port="$(/usr/bin/python3 -c 'import socket; s = socket.socket(); s.bind(("localhost", 0)); print(s.getsockname()[1])')"
+  (
+    export ROS_MASTER_URI="http://localhost:${port}" ROS_HOSTNAME=localhost ROS_LOG_DIR="${folder}/ros_log"
+    mkdir -p "${ROS_LOG_DIR}"
+    roscore -p "${port}" > "${folder}/roscore.log" 2>&1 < /dev/null &
+    master=$!
+    trap 'kill -INT "${master}" 2> /dev/null; wait "${master}"' EXIT
+    # Where pluginlib finds this folder's nodelets. roscpp waits for the master.
+    limited "${log}" "${folder}/devel/env.sh" "${folder}/devel/lib/gyro_deblur/test_nodelet_faults" "$@"
+  ) || status=$?
+  ((status == 0)) || exit "${status}"
+  passed="$(sed -n 's/^\[  PASSED  \] \([0-9]*\) test.*/\1/p' "${log}")"
+  [[ -n "${passed}" ]] || fail "test_nodelet_faults said nothing of its tests; its log is ${log}"
+  say "test_nodelet_faults, nodelets in their manager's process: ${passed} cases clean, $((SECONDS - begin)) s"
+}
+
+# want_leaks FOLDER: fails when leaks of the package's own in parallel loops are not reported.
+want_leaks() {
+  local log="$1/leak_in_parallel.log" found
+  "$1/devel/lib/gyro_deblur/leak_in_parallel" > "${log}" 2>&1 && fail "leaks in a parallel loop are not reported"
+  found="$(sed -n 's/^SUMMARY: .* leaked in \([0-9]*\) allocation(s).*/\1/p' "${log}")"
+  # Of 100; the address of the last one of each thread may lie about somewhere.
+  ((${found:-0} >= 90)) || fail "of 100 leaks in a parallel loop ${found:-none} are reported; see ${log}"
+  say "leak_in_parallel: ${found} of 100 leaks reported, as it has to be"
+}
+
+command -v clang++ > /dev/null || fail "there is no clang++"
+asan_folder="${GYRO_DEBLUR_BUILD}/extended_tests/asan"
+fuzzers=(config_yaml calibration_yaml bag_messages image_header exposure)
+if wanted asan || wanted fuzz; then
+  configure "${asan_folder}" -DGYRO_DEBLUR_FUZZERS=ON -DGYRO_DEBLUR_SANITIZE=address,undefined,float-cast-overflow
+fi
+
+# What the package's tests are: a new one is among them, other than those of recorded data and of experiments. Those of
+# a nodelet want a master, and only one of them loads it into its own process. Those of deblur_bag start it on bags, whose
+# messages the fuzz target bag_messages goes through.
+mapfile -t test_sources < <(printf '%s\n' test/*/test_*.cpp |
+  grep -v -E '^test/(data|experiments)/|/test_(nodelet|nodelet_faults|deblur_bag|deblur_bag_pictures)\.cpp$')
+asan_tests=() tsan_tests=()
+while read -r name sanitizers; do
+  [[ " ${sanitizers} " != *" asan "* ]] || asan_tests+=("${name}")
+  [[ " ${sanitizers} " != *" tsan "* ]] || tsan_tests+=("${name}")
+done < <(grep -v -E '^ *(#|$)' test/sanitized_tests.txt)
+if ! "${quick}"; then
+  mapfile -t asan_tests < <(basename -s .cpp "${test_sources[@]}")
+  # And each test that has threads of its own.
+  mapfile -t tsan_tests < <({
+    printf '%s\n' "${tsan_tests[@]}"
+    grep -l '#include <thread>' "${test_sources[@]}" | xargs basename -s .cpp
+  } | sort -u)
+fi
+
+if wanted asan; then
+  step ${STEPS} "AddressSanitizer and UndefinedBehaviorSanitizer: ${#asan_tests[@]} tests, nodelets"
+  make_targets "${asan_folder}" "${asan_tests[@]}" leak_in_parallel test_nodelet_faults
+  want_leaks "${asan_folder}"
+  run_tests "${asan_folder}" "${asan_tests[@]}"
+  # --quick leaves the 200 reloads, three quarters of the time, to ThreadSanitizer.
+  chosen=()
+  "${quick}" && chosen=(--gtest_filter='-*TwoHundredReloads*')
+  run_nodelet_test "${asan_folder}" "${chosen[@]}"
+fi
+
+if wanted tsan; then
+  step ${STEPS} "ThreadSanitizer: ${#tsan_tests[@]} tests, fault table, nodelets"
+  tsan_folder="${GYRO_DEBLUR_BUILD}/extended_tests/tsan"
+  configure "${tsan_folder}" -DGYRO_DEBLUR_SANITIZE=thread
+  make_targets "${tsan_folder}" "${tsan_tests[@]}" fault_table test_nodelet_faults
+  run_tests "${tsan_folder}" "${tsan_tests[@]}"
+  end_when_out_of_time
+  limited "${tsan_folder}/fault_table.log" "${tsan_folder}/devel/lib/gyro_deblur/fault_table" --seconds 1 --reloads 5 \
+    --quiet || exit 1
+  run_nodelet_test "${tsan_folder}"
+  say "fault_table, with a thread for each stream: clean"
+fi
+
+if wanted fuzz; then
+  step ${STEPS} "libFuzzer: ${fuzz_s} s for each target"
+  make_targets "${asan_folder}" "${fuzzers[@]/#/fuzz_}"
+  for name in "${fuzzers[@]}"; do
+    end_when_out_of_time
+    found="${GYRO_DEBLUR_BUILD}/extended_tests/corpus/${name}"
+    log="${asan_folder}/fuzz_${name}.log"
+    mkdir -p "${found}"
+    # The corpus in the repository is read; what is new goes into the build folder.
+    (cd "${asan_folder}" && "devel/lib/gyro_deblur/fuzz_${name}" -max_total_time="${fuzz_s}" -timeout=20 \
+      -rss_limit_mb=3000 -malloc_limit_mb=2000 -max_len=4096 -print_final_stats=1 \
+      -artifact_prefix="${GYRO_DEBLUR_BUILD}/extended_tests/found_${name}_" \
+      "${found}" "${GYRO_DEBLUR_ROOT}/fuzz/corpus/${name}") > "${log}" 2>&1 ||
+      { tail -n 60 "${log}" >&2; fail "fuzz_${name} found something; its log is ${log}"; }
+    say "${name}: $(sed -n 's/^stat::number_of_executed_units: *//p' "${log}") inputs, clean"
+  done
+fi
+
+if wanted soak; then
+  step ${STEPS} "Soak: ${soak_s} s of simulated time"
+  scripts/build.sh --target soak
+  results="${GYRO_DEBLUR_BUILD}/extended_tests"
+  mkdir -p "${results}"
+  "${GYRO_DEBLUR_BUILD}/devel/lib/gyro_deblur/soak" --seconds "${soak_s}" --json "${results}/soak.json"
+  /usr/bin/python3 scripts/soak_plot.py "${results}/soak.json" "${results}/soak.png"
+  say "plot: ${results}/soak.png"
+fi
+
+if wanted long; then
+  step ${STEPS} "Long tests"
+  scripts/build.sh
+  (source_devel_space && cd "${GYRO_DEBLUR_BUILD}" && ctest --output-on-failure --no-tests=error --parallel "$(nproc)" -R "$(long_tests)")
+fi

@@ -1,0 +1,454 @@
+#include "engine/fourier_filter.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+
+#include "base/parallel.hpp"
+#include "engine/half_size.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+// Longest side of a cell [px]: that of usual blocks.
+constexpr int kMaxCellPx = 64;
+
+// What a tile has beside its window, by the path's extent. On four photographs of the Oxford sets, noise of 2 grey
+// levels, arcs of 25 / 60 px, 1, 2 and 4 restore 25.13 / 21.53, 25.19 / 21.73 and 25.20 / 21.81 dB; of hand-shake at
+// 1080p 1.5 restores 0.1 dB less than 2, has the same matches, and takes four fifths of the time.
+constexpr float kAroundExtents = 1.5;
+static_assert(2 * kMaxCellPx + kAroundExtents * kMax2dExtentPx <= kMaxFourierSize, "paths of fields have their tiles");
+
+// Of the one step towards an image outside that fits. In the same measurements whole images of 576x480 gain 0.23 / 0.30
+// dB; 1.7 and 3.5 gain 0.20 / 0.26 and 0.21 / 0.24, eight steps of 1.7 0.38 / 0.51.
+constexpr float kOverRelaxation = 2.5f;
+
+// At half the size, what is restored falls off between these [cycles/px]; beyond, halving mixes it with other
+// frequencies.
+constexpr double kFallsFrom = 0.16, kEndsAt = 0.24;
+// Half the size serves where at kEndsAt a straight run of this extent leaves less of a wave's power, on the mean, than
+// this share of WienerInverse2d's ratio there. Of hand-shake at 1080p (the frames of experiments/hand_shake) with noise
+// of 0.5, 1, 2 and 4 grey levels, what lies above 0.2 cycles/px is worth 0.3, 0.2, 0.05 and -0.2 dB at 26 px, and 0.1,
+// 0.1, 0 and -0.1 dB at 63 px.
+constexpr double kHalvedBelow = 0.035;
+
+/// From 0 to 1 in `length` steps as the square of a sine. `ramp` is one of these already.
+void make_ramp(int length, std::vector<float>& ramp) {
+  if (static_cast<int>(ramp.size()) == length) return;
+  ramp.resize(length);
+  for (int i = 0; i < length; ++i) {
+    const double s = std::sin(0.5 * CV_PI * (i + 0.5) / length);
+    ramp[i] = static_cast<float>(s * s);
+  }
+}
+
+bool noise_hides_fine_detail(const WienerInverse2d& inverse) {
+  const double radians = CV_PI * kEndsAt * extent_of(inverse.path_px).maxCoeff();
+  const double ratio = inverse.noise_to_signal + inverse.noise_rise_px2 * kEndsAt * kEndsAt;
+  return 0.5 < kHalvedBelow * ratio * radians * radians;
+}
+
+WienerInverse2d at_half_size(WienerInverse2d inverse) {
+  for (Eigen::Vector2f& place_px : inverse.path_px) place_px *= 0.5f;
+  inverse.noise_rise_px2 *= 0.25f;
+  return inverse;
+}
+
+}  // namespace
+
+FourierFilter::FourierFilter(const FourierSimd& loops) : loops_(loops) {}
+
+void FourierFilter::cut(const std::vector<int>& borders, Axis& axis) {
+  std::vector<int> of_cells = {0};
+  axis.length = borders.back();
+  axis.first_of_block = {0};
+  for (std::size_t block = 1; block < borders.size(); ++block) {
+    const int begin = borders[block - 1], length = borders[block] - begin;
+    const int parts = (length + kMaxCellPx - 1) / kMaxCellPx;
+    for (int i = 1; i <= parts; ++i) of_cells.push_back(begin + length * i / parts);
+    axis.first_of_block.push_back(axis.first_of_block.back() + parts);
+  }
+  const int cells = axis.first_of_block.back();
+  const auto length_of = [&](int cell) { return of_cells[cell + 1] - of_cells[cell]; };
+  // Half of what the windows before and behind a border share.
+  const auto half_at = [&](int border) {
+    return border == 0 || border == cells ? 0 : std::min(length_of(border - 1), length_of(border)) / 2;
+  };
+  axis.window_begins.resize(cells);
+  axis.weights.resize(cells);
+  std::vector<float> ramp;
+  for (int cell = 0; cell < cells; ++cell) {
+    const int before = half_at(cell), behind = half_at(cell + 1);
+    axis.window_begins[cell] = of_cells[cell] - before;
+    std::vector<float>& weights = axis.weights[cell];
+    weights.assign(before + length_of(cell) + behind, 1.0f);
+    make_ramp(2 * before, ramp);
+    std::copy(ramp.begin(), ramp.end(), weights.begin());
+    make_ramp(2 * behind, ramp);
+    std::copy(ramp.begin(), ramp.end(), weights.rbegin());
+  }
+}
+
+void FourierFilter::downsample2x_axis(const Axis& whole, Axis& half) {
+  half.length = (whole.length + 1) / 2;
+  half.first_of_block = whole.first_of_block;
+  half.window_begins.resize(whole.window_begins.size());
+  half.weights.resize(whole.weights.size());
+  for (std::size_t cell = 0; cell < whole.weights.size(); ++cell) {
+    const std::vector<float>& weights = whole.weights[cell];
+    const int begin = whole.window_begins[cell], end = begin + static_cast<int>(weights.size());
+    const auto weight_at = [&](int at) { return at < begin || at >= end ? 0 : weights[at - begin]; };
+    half.window_begins[cell] = begin / 2;
+    half.weights[cell].clear();
+    for (int at = begin / 2 * 2; at < end; at += 2) {
+      const float second = at + 1 < whole.length ? weight_at(at + 1) : weight_at(at);
+      half.weights[cell].push_back(0.5f * (weight_at(at) + second));
+    }
+  }
+}
+
+void FourierFilter::add_cell(int col, int row, int block, const Eigen::Vector2f& extent_px, int channels,
+                             int level_index) {
+  Level& level = levels_[level_index];
+  const cv::Rect window(level.across.window_begins[col], level.down.window_begins[row],
+                        static_cast<int>(level.across.weights[col].size()),
+                        static_cast<int>(level.down.weights[row].size()));
+  const auto length_of_tile = [&](int in_window, float extent) {
+    const float length = static_cast<float>(in_window) + std::ceil(kAroundExtents * extent);
+    const int size = fourier_size(static_cast<int>(std::min<float>(length, kMaxFourierSize)));
+    if (level.plans.count(size) == 0) level.plans.emplace(size, make_plan(size, loops_.largest_radix, level_index));
+    return size;
+  };
+  const cv::Size tile(length_of_tile(window.width, extent_px.x()), length_of_tile(window.height, extent_px.y()));
+  const bool at_the_end = (window & cv::Rect(1, 1, level.across.length - 2, level.down.length - 2)) != window;
+  level.cell_at[static_cast<std::ptrdiff_t>(row) * level.across.cells() + col] = static_cast<int>(level.cells.size());
+  level.cells.push_back({col, row, block, window, tile, at_the_end, result_count_});
+  result_count_ += static_cast<std::size_t>(window.area()) * channels;
+}
+
+void FourierFilter::make_tiles(const FilterGrid& grid, const std::vector<int>& blocks, int channels) {
+  Level& whole = levels_[WHOLE];
+  cut(grid.x, whole.across);
+  cut(grid.y, whole.down);
+  downsample2x_axis(whole.across, levels_[HALF].across);
+  downsample2x_axis(whole.down, levels_[HALF].down);
+  for (Level& level : levels_) {
+    level.cells.clear();
+    level.cell_at.assign(static_cast<std::size_t>(whole.across.cells()) * whole.down.cells(), -1);
+  }
+  result_count_ = 0;
+  for (const int block : blocks) {
+    const int block_col = block % grid.cols(), block_row = block / grid.cols();
+    const Eigen::Vector2f extent_px = extent_of(grid.blocks[block].inverse->path_px);
+    const int level = noise_hides_fine_detail(*grid.blocks[block].inverse) ? HALF : WHOLE;
+    for (int row = whole.down.first_of_block[block_row]; row < whole.down.first_of_block[block_row + 1]; ++row) {
+      for (int col = whole.across.first_of_block[block_col]; col < whole.across.first_of_block[block_col + 1]; ++col) {
+        add_cell(col, row, block, level == HALF ? 0.5f * extent_px : extent_px, channels, level);
+      }
+    }
+  }
+  if (results_.size() < result_count_) {
+    results_ = {};  // or they would be copied
+    results_.resize(result_count_);
+  }
+}
+
+FourierFilter::Plan FourierFilter::make_plan(int size, int largest_radix, int level) {
+  Plan plan{FourierPlan(size, largest_radix), {}};
+  plan.band.gain.assign(size / 2, 1.0f);
+  plan.band.again.assign(size / 2, 1.0f);
+  for (int k = 0; level == HALF && k < size / 2; ++k) {
+    const double f = 0.5 * k / size, left = lowpass_response(f);
+    const double s = std::sin(0.5 * CV_PI * std::clamp((kEndsAt - f) / (kEndsAt - kFallsFrom), 0.0, 1.0));
+    plan.band.again[k] = static_cast<float>(s * s);
+    plan.band.gain[k] = static_cast<float>(s * s / (left * left));
+  }
+  return plan;
+}
+
+void FourierFilter::prepare_images(const cv::Mat& src, int threads) {
+  Level &whole = levels_[WHOLE], &half = levels_[HALF];
+  if (src.channels() > 1) {
+    cv::split(src, planes_);
+    whole.images.assign(planes_.begin(), planes_.end());
+  } else {
+    whole.images.assign(1, src);
+  }
+  half.images.resize(whole.images.size());
+  for (std::size_t channel = 0; channel < whole.images.size() && !half.cells.empty(); ++channel) {
+    downsample2x(whole.images[channel], threads, half.images[channel]);
+  }
+}
+
+float* FourierFilter::floats_in(std::vector<CacheLine>& lines, int count) {
+  constexpr int kLineFloats = sizeof(CacheLine) / sizeof(float);
+  lines.resize(std::max<std::size_t>(lines.size(), count / kLineFloats));
+  return lines.data()->floats;
+}
+
+template <typename Pixel>
+void FourierFilter::load_tile(const cv::Mat& image, const Cell& cell, Scratch& scratch, float* tile) {
+  const cv::Rect& window = cell.window;
+  const int cols = cell.tile.width, rows = cell.tile.height, stride = fourier_stride(cols);
+  // The image as far as the tile looks before and behind the window; its edges go on.
+  const int first = window.width - cols, count = cols - first, begin_x = window.x + first;
+  const int inside = std::clamp(-begin_x, 0, count - 1), end = std::clamp(image.cols - begin_x, inside + 1, count);
+  scratch.edge.resize(std::max<std::size_t>(scratch.edge.size(), count));
+  const auto fade = [&](const auto* from, float* to) {
+#pragma omp simd
+    for (int x = 0; x < window.width; ++x) to[x] = from[x];
+    const float* weights = scratch.fade_x.data();
+#pragma omp simd
+    for (int x = window.width; x < cols; ++x) {
+      const float behind = from[x], before = from[x - cols];
+      to[x] = behind + weights[x - window.width] * (before - behind);
+    }
+  };
+  const auto load_row = [&](int y, float* to) {
+    const Pixel* row = image.ptr<Pixel>(std::clamp(window.y + y, 0, image.rows - 1));
+    if (inside == 0 && end == count) return fade(row + window.x, to);
+    float* edge = scratch.edge.data();
+    std::fill(edge, edge + inside, static_cast<float>(row[0]));
+#pragma omp simd
+    for (int x = inside; x < end; ++x) edge[x] = row[begin_x + x];
+    std::fill(edge + end, edge + count, static_cast<float>(row[image.cols - 1]));
+    fade(edge - first, to);
+  };
+  for (int y = 0; y < rows; ++y) {
+    float* to = tile + y * stride;
+    load_row(y, to);
+    if (y < window.height) continue;
+    load_row(y - rows, scratch.row.data());
+    const float weight = scratch.fade_y[y - window.height];
+#pragma omp simd
+    for (int x = 0; x < cols; ++x) to[x] += weight * (scratch.row[x] - to[x]);
+  }
+}
+
+void FourierFilter::continue_tile(const Level& level, const Cell& cell, const FourierTile& plan, Scratch& scratch,
+                                  float* tile) const {
+  const int cols = cell.tile.width, rows = cell.tile.height, stride = fourier_stride(cols);
+  // Share of the image in what a tile has at an element, along one axis.
+  const auto find_inside = [](int begin, int length, int size, int image, const std::vector<float>& fade,
+                              std::vector<float>& inside) {
+    inside.assign(size, 1.0f);
+    for (int i = length; i < size; ++i) {
+      const float before = fade[i - length];
+      inside[i] = (begin + i < image ? 1 - before : 0) + (begin + i - size >= 0 ? before : 0);
+    }
+  };
+  const cv::Rect& window = cell.window;
+  find_inside(window.x, window.width, cols, level.across.length, scratch.fade_x, scratch.inside_x);
+  find_inside(window.y, window.height, rows, level.down.length, scratch.fade_y, scratch.inside_y);
+  float* continued = floats_in(scratch.continued, rows * stride);
+  float* transform = floats_in(scratch.transform, fourier_scratch(std::max(cols, rows)));
+  float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * cols);
+  std::copy_n(tile, rows * stride, continued);
+  loops_.transform_columns(plan, continued, transform);
+  for (int row = 0; row < rows / 2; row += loops_.lanes) {
+    scratch.gain.reblur_gain(row, gain);
+    loops_.filter_rows(plan, row, gain, 0, cols, continued, transform);
+  }
+  loops_.restore_columns(plan, 0, cols, continued, transform);
+  for (int y = 0; y < rows; ++y) {
+    const float *inside_x = scratch.inside_x.data(), *from = continued + y * stride;
+    const float inside_y = scratch.inside_y[y];
+    float* to = tile + y * stride;
+#pragma omp simd
+    for (int x = 0; x < cols; ++x) to[x] += kOverRelaxation * (1 - inside_x[x] * inside_y) * (from[x] - to[x]);
+  }
+}
+
+template <typename Pixel>
+void FourierFilter::filter_cell(const Cell& cell, const WienerInverse2d& inverse, const Level& level,
+                                Scratch& scratch) {
+  const Plan &plan_across = level.plans.at(cell.tile.width), &plan_down = level.plans.at(cell.tile.height);
+  const FourierTile plan{plan_across.transform.stages(), plan_down.transform.stages()};
+  const cv::Rect& window = cell.window;
+  const int cols = cell.tile.width, rows = cell.tile.height, stride = fourier_stride(cols);
+  const int channels = static_cast<int>(level.images.size());
+  float* tiles = floats_in(scratch.tiles, channels * rows * stride);
+  float* transform = floats_in(scratch.transform, fourier_scratch(std::max(cols, rows)));
+  float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * cols);
+  scratch.row.resize(std::max<std::size_t>(scratch.row.size(), cols));
+  make_ramp(cols - window.width, scratch.fade_x);
+  make_ramp(rows - window.height, scratch.fade_y);
+  scratch.gain.set(inverse, plan, plan_across.band, plan_down.band);
+  for (int channel = 0; channel < channels; ++channel) {
+    float* tile = tiles + channel * rows * stride;
+    load_tile<Pixel>(level.images[channel], cell, scratch, tile);
+    if (cell.at_the_end) continue_tile(level, cell, plan, scratch, tile);
+    loops_.transform_columns(plan, tile, transform);
+  }
+  for (int row = 0; row < rows / 2; row += loops_.lanes) {
+    scratch.gain.rows(row, gain);
+    for (int channel = 0; channel < channels; ++channel) {
+      loops_.filter_rows(plan, row, gain, 0, window.width, tiles + channel * rows * stride, transform);
+    }
+  }
+  const float *weights_x = level.across.weights[cell.col].data(), *weights_y = level.down.weights[cell.row].data();
+  float* to = results_.data() + cell.result;
+  for (int channel = 0; channel < channels; ++channel) {
+    float* tile = tiles + channel * rows * stride;
+    loops_.restore_columns(plan, 0, window.width, tile, transform);
+    for (int y = 0; y < window.height; ++y, to += window.width) {
+      const float *from = tile + y * stride, weight_y = weights_y[y];
+#pragma omp simd
+      for (int x = 0; x < window.width; ++x) to[x] = from[x] * (weights_x[x] * weight_y);
+    }
+  }
+}
+
+void FourierFilter::find_part(int level_index, const FilterGrid& grid, int block, const cv::Rect& rect,
+                              Part& part) const {
+  const Level& level = levels_[level_index];
+  const cv::Rect pixels = level_index == HALF ? needed_of_half(rect, {level.across.length, level.down.length}) : rect;
+  const auto along = [](const Axis& axis, int of_block, int begin_px, int end_px) {
+    cv::Range cells(axis.first_of_block[of_block], axis.first_of_block[of_block + 1]);
+    while (cells.start > 0 && axis.window_end(cells.start - 1) > begin_px) --cells.start;
+    while (cells.end < axis.cells() && axis.window_begins[cells.end] < end_px) ++cells.end;
+    return cells;
+  };
+  const cv::Range cols = along(level.across, block % grid.cols(), pixels.x, pixels.br().x);
+  const cv::Range rows = along(level.down, block / grid.cols(), pixels.y, pixels.br().y);
+  part.pixels = pixels;
+  part.cells.clear();
+  part.has_all = true;
+  for (int row = rows.start; row < rows.end; ++row) {
+    const int* cells = level.cell_at.data() + static_cast<std::ptrdiff_t>(row) * level.across.cells();
+    for (int col = cols.start; col < cols.end; ++col) {
+      if (cells[col] < 0) {
+        part.has_all = false;
+      } else if (!(level.cells[cells[col]].window & pixels).empty()) {
+        part.cells.push_back(cells[col]);
+      }
+    }
+  }
+}
+
+void FourierFilter::overlap_add(int level_index, const Part& part, const cv::Rect& rect, std::optional<int> channel,
+                                Scratch& scratch, std::vector<float>& sums) const {
+  const Level& level = levels_[level_index];
+  std::vector<float>& to = level_index == HALF ? scratch.halves : sums;
+  to.assign(static_cast<std::size_t>(part.pixels.area()), 0);
+  for (const int index : part.cells) {
+    const Cell& cell = level.cells[index];
+    const cv::Rect both = cell.window & part.pixels;
+    const cv::Point in_window = both.tl() - cell.window.tl(), in_part = both.tl() - part.pixels.tl();
+    const float* weights_x = level.across.weights[cell.col].data() + in_window.x;
+    const float* weights_y = level.down.weights[cell.row].data() + in_window.y;
+    const float* results =
+        results_.data() + cell.result + in_window.x +
+        (static_cast<std::ptrdiff_t>(channel.value_or(0)) * cell.window.height + in_window.y) * cell.window.width;
+    float* sum = to.data() + static_cast<std::ptrdiff_t>(in_part.y) * part.pixels.width + in_part.x;
+    for (int y = 0; y < both.height; ++y, sum += part.pixels.width, results += cell.window.width) {
+      if (channel) {
+#pragma omp simd
+        for (int x = 0; x < both.width; ++x) sum[x] += results[x];
+      } else {
+#pragma omp simd
+        for (int x = 0; x < both.width; ++x) sum[x] += weights_x[x] * weights_y[y];
+      }
+    }
+  }
+  if (level_index == WHOLE) return;
+  sums.resize(static_cast<std::size_t>(rect.area()));
+  double_size(part.pixels, to.data(), rect, scratch.of_doubling, sums.data());
+}
+
+template <typename Pixel>
+void FourierFilter::write_block(int block, const FilterGrid& grid, SeamBlender& seams, Scratch& scratch,
+                                cv::Mat& dst) const {
+  constexpr float kMax = std::numeric_limits<Pixel>::max();
+  const int channels = dst.channels();
+  for (const SeamBlender::Part<Pixel>& piece : seams.parts<Pixel>(block, dst)) {
+    const cv::Rect& rect = piece.rect;
+    if (rect.empty()) continue;
+    const std::size_t area = static_cast<std::size_t>(rect.area());
+    Part(&parts)[LEVELS] = scratch.parts;
+    for (const int level : {WHOLE, HALF}) find_part(level, grid, block, rect, parts[level]);
+    const bool is_mixed = !parts[WHOLE].cells.empty() && !parts[HALF].cells.empty();
+    const int first = parts[WHOLE].cells.empty() ? HALF : WHOLE;
+    // Weights of all cells at one size sum up to 1.
+    const bool has_weights = is_mixed || !parts[first].has_all;
+    for (const int level : {WHOLE, HALF}) {
+      if (has_weights && !parts[level].cells.empty()) {
+        overlap_add(level, parts[level], rect, {}, scratch, scratch.weights[level]);
+      }
+    }
+    for (int channel = 0; channel < channels; ++channel) {
+      for (const int level : {WHOLE, HALF}) {
+        if (!parts[level].cells.empty()) {
+          overlap_add(level, parts[level], rect, channel, scratch, scratch.values[level]);
+        }
+      }
+      float* values = scratch.values[first].data();
+      const float* weights = scratch.weights[first].data();
+      if (is_mixed) {
+        const float *halves = scratch.values[HALF].data(), *weights_of_halves = scratch.weights[HALF].data();
+        for (std::size_t i = 0; i < area; ++i) {
+          // The low pass leaves a little beyond a window, and less than nothing for its weight.
+          const bool has_half = weights_of_halves[i] > 0 || weights[i] <= 0;
+          values[i] = (values[i] + (has_half ? halves[i] : 0)) / (weights[i] + (has_half ? weights_of_halves[i] : 0));
+        }
+      } else if (has_weights) {
+#pragma omp simd
+        for (std::size_t i = 0; i < area; ++i) values[i] /= weights[i];
+      }
+      // In steps that vectorise each: float clipped, float to int, int to pixel.
+      scratch.whole_numbers.resize(area);
+      int* numbers = scratch.whole_numbers.data();
+#pragma omp simd
+      for (std::size_t i = 0; i < area; ++i) {
+        const float positive = values[i] > 0 ? values[i] : 0;  // nor is it NaN
+        numbers[i] = static_cast<int>((positive < kMax ? positive : kMax) + 0.5f);
+      }
+      for (int y = 0; y < rect.height; ++y, numbers += rect.width) {
+        Pixel* to = piece.to + y * piece.stride + channel;
+        if (channels == 1) {
+#pragma omp simd
+          for (int x = 0; x < rect.width; ++x) to[x] = static_cast<Pixel>(numbers[x]);
+        } else {
+          for (int x = 0; x < rect.width; ++x) to[x * channels] = static_cast<Pixel>(numbers[x]);
+        }
+      }
+    }
+  }
+}
+
+template <typename Pixel>
+void FourierFilter::filter_as(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
+                              SeamBlender& seams, cv::Mat& dst) {
+  make_tiles(grid, blocks, src.channels());
+  prepare_images(src, threads);
+  const WienerGain2dSimd& gain_simd = *find_wiener_gain_2d_simd(loops_.name);
+  while (static_cast<int>(scratch_.size()) < threads) scratch_.emplace_back(gain_simd);
+  const std::vector<Cell>&of_whole = levels_[WHOLE].cells, &of_half = levels_[HALF].cells;
+  const int wholes = static_cast<int>(of_whole.size()), halves = static_cast<int>(of_half.size());
+  parallel_for(wholes + halves, threads, 1, [&](int i, int thread) {
+    if (i < wholes) {
+      const WienerInverse2d& inverse = *grid.blocks[of_whole[i].block].inverse;
+      filter_cell<Pixel>(of_whole[i], inverse, levels_[WHOLE], scratch_[thread]);
+    } else {
+      const Cell& cell = of_half[i - wholes];
+      filter_cell<float>(cell, at_half_size(*grid.blocks[cell.block].inverse), levels_[HALF], scratch_[thread]);
+    }
+  });
+  constexpr int kBlocksAtATime = 4;
+  parallel_for(static_cast<int>(blocks.size()), threads, kBlocksAtATime,
+               [&](int i, int thread) { write_block<Pixel>(blocks[i], grid, seams, scratch_[thread], dst); });
+  levels_[WHOLE].images.clear();  // `src` belongs to the caller
+}
+
+void FourierFilter::filter(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
+                           SeamBlender& seams, cv::Mat& dst) {
+  if (blocks.empty()) return;
+  if (src.depth() == CV_8U) {
+    filter_as<std::uint8_t>(src, grid, blocks, threads, seams, dst);
+  } else {
+    filter_as<std::uint16_t>(src, grid, blocks, threads, seams, dst);
+  }
+}
+
+}  // namespace gyro_deblur

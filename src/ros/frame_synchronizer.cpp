@@ -1,0 +1,402 @@
+#include "ros/frame_synchronizer.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include <boost/make_shared.hpp>
+
+#include "gyro_deblur/feature_tracker.hpp"
+#include "ros/calibration_conversion.hpp"
+#include "ros/exposure_check.hpp"
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+/// Which of the samples that a frame needs are missing. What came after them is not mentioned: that depends on how fast
+/// messages arrive, and the same recording shall give the same text.
+std::string coverage_text(const TimeRange& needed, const std::optional<TimeRange>& available,
+                          const GyroOptions& options) {
+  std::string text = "frame needs gyroscope samples from " + seconds_text(needed.begin_ns) + " to " +
+                     seconds_text(needed.end_ns) + " s of the IMU clock, ";
+  if (!available) return text + "there are none";
+  const bool begins_late = available->begin_ns > needed.begin_ns, ends_early = available->end_ns < needed.end_ns;
+  if (begins_late) text += "the oldest is of " + seconds_text(available->begin_ns) + " s";
+  if (ends_early) text += (begins_late ? ", " : "") + ("the newest of " + seconds_text(available->end_ns) + " s");
+  if (begins_late || ends_early) return text;
+  return text + "some of which are farther apart than max_gyro_gap = " + seconds_text(options.max_gap_ns) + " s";
+}
+
+Readiness wait_for(Awaited awaited, PendingFrame* frame) {
+  frame->awaits = awaited;
+  return Readiness::WAITS;
+}
+
+Readiness pass_through(PendingFrame* frame, PassThroughReason reason, const std::string& text) {
+  frame->pass_through(reason, text);
+  return Readiness::PASS_THROUGH;
+}
+
+void take_times(const Exposure& message, ShutterTiming* timing) {
+  timing->exposure_ns = message.exposure_time.toNSec();
+  if (!message.readout_time.isZero()) timing->readout_ns = message.readout_time.toNSec();
+}
+
+/// The calibration by the camera_info that was found. Throws OptionError when it cannot be used, or contradicts the
+/// file.
+void set_calibration(const Config& config, PendingFrame* frame) {
+  const int width_px = static_cast<int>(frame->image->width), height_px = static_cast<int>(frame->image->height);
+  if (!config.calibration || !config.calibration->camera) {
+    frame->calibration = to_calibration(*frame->info, width_px, height_px, config.rectified_input);
+    return;
+  }
+  // The file describes the whole sensor; camera_info says which part of it the image shows.
+  const auto by_file = [&] { return to_calibration(*config.calibration->camera, *frame->info, width_px, height_px); };
+  if (!frame->described_by_topic) {
+    frame->calibration = by_file();
+    return;
+  }
+  const bool file_holds = config.on_calibration_conflict == OnCalibrationConflict::CONFIGURED ||
+                          is_uncalibrated(*frame->info) || lacks_lens(*frame->info);
+  if (file_holds && !config.rectified_input) {
+    frame->calibration = by_file();
+    return;
+  }
+  frame->calibration = to_calibration(*frame->info, width_px, height_px, config.rectified_input);
+  // P and R of a rectified image have no counterpart in the file.
+  if (!config.rectified_input) {
+    require_agreement(*frame->calibration, "camera_info", by_file(), config.calibration->origin);
+  }
+}
+
+/// The time that the frame itself needs samples for, IMU clock, where it was exposed so long.
+TimeRange own_range(const Config& config, const SynchronizedFrame& synchronized, TimeNs exposure_ns) {
+  const RowExposure exposure = synchronized.exposure->with_exposure(exposure_ns);
+  const TimeNs reference_ns = exposure.reference_time(config.pipeline.rectify_to);
+  const TimeRange frame_cam = exposure.frame();
+  const TimeNs offset_ns = synchronized.gyro.time_offset_ns;
+  return {std::min(frame_cam.begin_ns, reference_ns) + offset_ns, std::max(frame_cam.end_ns, reference_ns) + offset_ns};
+}
+
+/// The same, however long it may turn out to have been exposed.
+TimeRange longest_range(const Config& config, const SynchronizedFrame& synchronized) {
+  const TimeRange planned = own_range(config, synchronized, synchronized.plan.exposure_ns),
+                  longest = own_range(config, synchronized, synchronized.plan.longest_ns);
+  return {std::min(planned.begin_ns, longest.begin_ns), std::max(planned.end_ns, longest.end_ns)};
+}
+
+/// Marks the samples that GyroBuffer::window would give for `own` alone.
+void mark_own(const TimeRange& own, SynchronizedFrame* synchronized) {
+  const std::vector<GyroSample>& samples = synchronized->samples;
+  auto begin = std::partition_point(samples.begin(), samples.end(),
+                                    [&own](const GyroSample& sample) { return sample.t_ns < own.begin_ns; });
+  auto end = std::partition_point(begin, samples.end(),
+                                  [&own](const GyroSample& sample) { return sample.t_ns <= own.end_ns; });
+  if (begin != samples.begin()) --begin;
+  if (end != samples.end()) ++end;
+  synchronized->own_begin = static_cast<std::size_t>(begin - samples.begin());
+  synchronized->own_end = static_cast<std::size_t>(end - samples.begin());
+}
+
+}  // namespace
+
+FrameSynchronizer::FrameSynchronizer(const InputBuffers& input_buffers, Extrinsic extrinsic, ThrottledLog* log,
+                                     InputProblems* problems)
+    : input_buffers_(input_buffers), extrinsic_(std::move(extrinsic)), log_(*log), problems_(*problems) {}
+
+Readiness FrameSynchronizer::assemble(const Context& context, PendingFrame* frame,
+                                      SynchronizedFrame* synchronized) const {
+  synchronized->options = context.config.pipeline;
+  synchronized->tracker_options = context.config.tracker;
+  synchronized->rectified_input = context.config.rectified_input;
+  synchronized->drop_poor = context.config.drop_poor;
+  const Readiness readiness = find_all(context, frame, synchronized);
+  if (readiness == Readiness::READY && !(frame->picture && frame->picture->motion)) {
+    collect(context, synchronized);
+    if (frame->picture) frame->picture->motion = *synchronized;
+  }
+  return readiness;
+}
+
+Readiness FrameSynchronizer::is_ready(const Context& context, PendingFrame* frame) const {
+  SynchronizedFrame unused;
+  return find_all(context, frame, &unused);
+}
+
+Readiness FrameSynchronizer::find_all(const Context& context, PendingFrame* frame,
+                                      SynchronizedFrame* synchronized) const {
+  frame->awaits = Awaited::NOTHING;
+  if (frame->pass_through_reason != PassThroughReason::NONE) return Readiness::PASS_THROUGH;
+  Readiness readiness = Readiness::READY;
+  // A frame that goes by the file, and still waits, goes by its camera_info as soon as that has come.
+  if (!frame->described_by_topic) readiness = find_calibration(context, frame);
+  if (readiness == Readiness::READY && frame->picture && frame->picture->motion) {
+    static_cast<PictureMotion&>(*synchronized) = *frame->picture->motion;
+    return Readiness::READY;
+  }
+  if (readiness == Readiness::READY) readiness = find_exposure(context, frame, synchronized);
+  if (readiness == Readiness::READY) readiness = find_motion(context, frame, synchronized);
+  return readiness;
+}
+
+const sensor_msgs::CameraInfoConstPtr* FrameSynchronizer::find_other(TimeNs stamp_ns, bool give_up) const {
+  const InputBuffers::CameraInfos& infos = input_buffers_.infos();
+  if (is_unset(stamp_ns)) return infos.find_newest();
+  const sensor_msgs::CameraInfoConstPtr* other = infos.find_if_neighbours_agree(stamp_ns);
+  if (other == nullptr && give_up) other = infos.find_last_unchanged(stamp_ns);
+  if (other == nullptr && give_up) other = infos.find_standing(stamp_ns);
+  return other;
+}
+
+sensor_msgs::CameraInfoConstPtr FrameSynchronizer::substitute(const PendingFrame& frame, bool give_up) const {
+  const sensor_msgs::CameraInfoConstPtr* other = find_other(frame.stamp_ns, give_up);
+  if (other == nullptr || !describes_size(**other, frame.image->width, frame.image->height)) return nullptr;
+  auto info = boost::make_shared<sensor_msgs::CameraInfo>(**other);
+  info->header.stamp = frame.image->header.stamp;
+  return info;
+}
+
+std::string FrameSynchronizer::missing_info_text(const PendingFrame& frame) const {
+  const std::string text = "no camera_info with the image's stamp " + seconds_text(frame.stamp_ns) + " s";
+  const InputBuffers::CameraInfos& infos = input_buffers_.infos();
+  if (!infos.seen()) return text + ", nor any other";
+  if (const sensor_msgs::CameraInfoConstPtr* other = find_other(frame.stamp_ns, true)) {
+    return text + ", and the one that would serve describes an image of another size than " +
+           size_text(frame.image->width, frame.image->height) + " px: its size is " +
+           size_text((*other)->width, (*other)->height) + ", its region of interest " +
+           size_text((*other)->roi.width, (*other)->roi.height);
+  }
+  switch (infos.near(frame.stamp_ns)) {
+    case 0:
+      return text + ", and none within 1 s of it";
+    case 1:
+      return text + ", and a single one within 1 s of it, which may be of another region";
+    default:
+      return text + ", and those within 1 s of it differ from each other";
+  }
+}
+
+sensor_msgs::CameraInfoConstPtr FrameSynchronizer::best_info(const PendingFrame& frame) const {
+  if (frame.info) return frame.info;
+  if (const sensor_msgs::CameraInfoConstPtr* own = input_buffers_.infos().find(frame.stamp_ns)) return *own;
+  return substitute(frame, true);
+}
+
+Readiness FrameSynchronizer::find_calibration(const Context& context, PendingFrame* frame) const {
+  const Config& config = context.config;
+  const std::optional<CameraCalibration> file =
+      config.calibration ? config.calibration->camera : std::optional<CameraCalibration>();
+  const InputBuffers::CameraInfos& infos = input_buffers_.infos();
+  const bool overtaken = infos.later(frame->stamp_ns) >= InputBuffers::CameraInfos::kOvertaking;
+  const bool give_up = context.timed_out || !infos.awaited() || overtaken;
+  // Only camera_info can tell which part of the sensor an image of another size shows.
+  const bool file_fits = file && file->width_px == static_cast<int>(frame->image->width) &&
+                         file->height_px == static_cast<int>(frame->image->height);
+  if (const sensor_msgs::CameraInfoConstPtr* info = infos.find(frame->stamp_ns)) {
+    frame->info = *info;
+    frame->described_by_topic = true;
+  } else if (frame->calibration) {
+    return Readiness::READY;  // the file's, from before anybody sent camera_info
+  } else if (const sensor_msgs::CameraInfoConstPtr other = substitute(*frame, give_up)) {
+    frame->info = other;
+    frame->described_by_topic = true;
+  } else if (file && !config.rectified_input && ((!infos.seen() && file_fits) || give_up)) {
+    auto described = boost::make_shared<sensor_msgs::CameraInfo>(camera_info_message(*file));
+    described->header = frame->image->header;
+    frame->info = described;
+  } else if (give_up) {
+    return pass_through(frame, PassThroughReason::NO_CALIBRATION, missing_info_text(*frame));
+  } else {
+    return wait_for(Awaited::CAMERA_INFO, frame);
+  }
+  try {
+    set_calibration(config, frame);
+  } catch (const OptionError& error) {
+    frame->calibration.reset();
+    return pass_through(frame, PassThroughReason::NO_CALIBRATION, error.what());
+  }
+  return Readiness::READY;
+}
+
+Readiness FrameSynchronizer::find_timing(const Context& context, PendingFrame* frame, ShutterTiming* timing,
+                                         std::string* source) const {
+  const Config& config = context.config;
+  const TimeNs stamp_ns = frame->picture_ns();  // an image that repeats a picture has its exposure
+  *timing = config.shutter;
+  timing->readout_ns = region_readout_ns(timing->readout_ns, *frame->info);
+  const InputBuffers::Exposures& exposures = input_buffers_.exposures();
+  const auto is_known = [](const Exposure* message) { return message && !message->exposure_time.isZero(); };
+  const auto take = [&](const Exposure& message) {
+    take_times(message, timing);
+    *source = kMessageExposure;
+    return Readiness::READY;
+  };
+  const Exposure* own = exposures.find(stamp_ns);
+  if (is_known(own)) return take(*own);
+  if (own && !own->readout_time.isZero()) timing->readout_ns = own->readout_time.toNSec();
+  const std::optional<TimeNs> setting_ns = input_buffers_.exposure_setting_ns();
+  if (setting_ns.value_or(0) != 0) {
+    timing->exposure_ns = *setting_ns;
+    *source = kSettingExposure;
+    return Readiness::READY;
+  }
+  const Exposure* neighbour = exposures.find_if_neighbours_agree(stamp_ns);
+  if (is_known(neighbour)) return take(*neighbour);
+  // Exposures change all the time, so that this is what a lost one costs: two frame periods.
+  constexpr std::size_t kOvertaking = 2;
+  bool waits = !context.timed_out && exposures.later(stamp_ns) < kOvertaking;
+  const bool expected = input_buffers_.exposure_expected();
+  if (own) {
+    // Of a driver that does not know yet, no neighbour knows either.
+    waits = waits && (timing->exposure_ns == 0 || is_known(exposures.find_before(stamp_ns, 0)));
+  } else {
+    waits = waits && expected && exposures.awaited() && !setting_ns;
+  }
+  if (waits) return wait_for(Awaited::EXPOSURE, frame);
+  const TimeNs oldest_ns = stamp_ns - config.exposure_max_age_ns;
+  const Exposure* before = exposures.find_before(stamp_ns, oldest_ns);
+  if (is_known(before)) return take(*before);
+  *source = kParameterExposure;
+  if (timing->exposure_ns > 0 && !own && expected && exposures.awaited() && !setting_ns) {
+    log_(LogLevel::WARNING, "exposure message missing",
+         "no exposure message with the image's stamp " + seconds_text(stamp_ns) +
+             " s: using parameter exposure_time = " + seconds_text(timing->exposure_ns) + " s");
+  }
+  return Readiness::READY;
+}
+
+Readiness FrameSynchronizer::find_exposure(const Context& context, PendingFrame* frame,
+                                           SynchronizedFrame* synchronized) const {
+  ShutterTiming timing;
+  std::string source;
+  const Readiness readiness = find_timing(context, frame, &timing, &source);
+  if (readiness != Readiness::READY) return readiness;
+  synchronized->readout_by_message =
+      timing.readout_ns != region_readout_ns(context.config.shutter.readout_ns, *frame->info);
+  if (plan_exposure(context, timing.exposure_ns, source, frame, &synchronized->plan) == Readiness::PASS_THROUGH) {
+    return Readiness::PASS_THROUGH;
+  }
+  timing.exposure_ns = synchronized->plan.exposure_ns;
+  try {
+    input_buffers_.frame_period().require_plausible_readout("readout_time", timing.readout_ns);
+  } catch (const OptionError& error) {
+    problems_.report("readout_time", error.what());
+    return pass_through(frame, PassThroughReason::BAD_CONFIGURATION, error.what());
+  }
+  problems_.resolve("readout_time");
+  try {
+    synchronized->exposure.emplace(frame->picture_ns(), static_cast<int>(frame->image->height), timing);
+  } catch (const OptionError& error) {
+    return pass_through(frame, PassThroughReason::NO_EXPOSURE_TIME, error.what());
+  }
+  return Readiness::READY;
+}
+
+Readiness FrameSynchronizer::plan_exposure(const Context& context, TimeNs given_ns, const std::string& source,
+                                           PendingFrame* frame, ExposurePlan* plan) const {
+  const FramePeriod& period = input_buffers_.frame_period();
+  const bool from_parameter = source == kParameterExposure;
+  std::optional<GivenExposure> given;
+  if (given_ns != 0) {
+    given = GivenExposure{from_parameter               ? ExposureOrigin::PARAMETER
+                          : source == kSettingExposure ? ExposureOrigin::SETTING
+                                                       : ExposureOrigin::MESSAGE,
+                          given_ns};
+    if (const std::optional<std::string> fault = exposure_fault(source, given_ns, period)) {
+      // Reported when it came.
+      if (!from_parameter) return pass_through(frame, PassThroughReason::NO_EXPOSURE_TIME, *fault);
+      if (context.config.on_exposure_conflict == OnExposureConflict::CONFIGURED) {
+        return pass_through(frame, PassThroughReason::BAD_CONFIGURATION, *fault);
+      }
+      given.reset();
+    }
+  }
+  *plan = context.exposures.plan(given, period.get());
+  return Readiness::READY;
+}
+
+Readiness FrameSynchronizer::find_extrinsic(const Context& context, PendingFrame* frame, PictureMotion* motion) const {
+  const Config& config = context.config;
+  const std::string& camera_frame = frame->image->header.frame_id;
+  const std::string imu_frame = input_buffers_.imu_frame();
+  const bool ask_tf = !config.R_cam_imu || config.on_calibration_conflict == OnCalibrationConflict::ERROR;
+  std::optional<Eigen::Matrix3d> from_tf;
+  if (ask_tf && extrinsic_) from_tf = extrinsic_(camera_frame, imu_frame);
+  if (config.R_cam_imu) {
+    motion->R_cam_imu = *config.R_cam_imu;
+    try {
+      if (from_tf) {
+        const bool from_file = config.calibration && config.calibration->R_cam_imu;
+        require_agreement(*config.R_cam_imu, from_file ? config.calibration->origin : "parameter R_cam_imu", *from_tf,
+                          "tf");
+      }
+    } catch (const OptionError& error) {
+      return pass_through(frame, PassThroughReason::NO_EXTRINSIC, error.what());
+    }
+    return Readiness::READY;
+  }
+  if (from_tf || context.R_cam_imu) {
+    frame->missing_extrinsic.clear();
+    problems_.resolve(kNoExtrinsic);
+    motion->R_cam_imu = from_tf ? *from_tf : *context.R_cam_imu;
+    motion->R_by_tf = from_tf.has_value();
+    return Readiness::READY;
+  }
+  if (motion->without_gyro && goes_without_imu(context.config)) return Readiness::READY;  // nothing to rotate
+  const std::string missing =
+      "no transform from IMU frame \"" + imu_frame + "\" to camera frame \"" + camera_frame +
+      "\", and no parameter R_cam_imu: set it, or publish a static transform; not estimated from images yet: " +
+      context.missing_rotation;
+  if (context.timed_out) {
+    problems_.report(kNoExtrinsic, missing);
+    return pass_through(frame, PassThroughReason::NO_EXTRINSIC, missing);
+  }
+  frame->missing_extrinsic = missing;
+  return wait_for(Awaited::TRANSFORM, frame);
+}
+
+Readiness FrameSynchronizer::find_motion(const Context& context, PendingFrame* frame,
+                                         SynchronizedFrame* synchronized) const {
+  synchronized->gyro = context.config.gyro;
+  if (context.bias_rad_s) synchronized->gyro.bias_rad_s = *context.bias_rad_s;
+  const TimeRange own = longest_range(context.config, *synchronized);
+  const TimeRange available = input_buffers_.gyro().available();
+  const bool empty = available.empty();
+  const bool by_flow = goes_without_imu(context.config);
+  const bool silent = input_buffers_.imu_is_silent(own.begin_ns);
+  if (!context.timed_out && !(by_flow && silent)) {
+    if (empty || available.end_ns < own.end_ns) return wait_for(Awaited::IMU, frame);
+    // After a jump late samples of the old epoch say nothing about frames of the new one.
+    if (input_buffers_.imu_is_stale() && own.end_ns < available.begin_ns) return wait_for(Awaited::IMU, frame);
+  }
+  synchronized->without_gyro = empty || silent;
+  if (empty && by_flow) return Readiness::READY;
+  if (empty) {  // nor is the IMU's frame known then
+    return pass_through(frame, PassThroughReason::NO_GYRO, coverage_text(own, std::nullopt, synchronized->gyro));
+  }
+  return find_extrinsic(context, frame, synchronized);
+}
+
+void FrameSynchronizer::collect(const Context& context, SynchronizedFrame* synchronized) const {
+  const Config& config = context.config;
+  const GyroReader& reader = input_buffers_.gyro();
+  const TimeRange own = own_range(config, *synchronized, synchronized->plan.exposure_ns),
+                  available = reader.available();
+  synchronized->coverage_text =
+      coverage_text(own, available.empty() ? std::nullopt : std::optional(available), synchronized->gyro);
+  const TimeRange frame_cam = synchronized->exposure->frame();
+  TimeRange all = longest_range(config, *synchronized);
+  const auto reach = [&all, synchronized](TimeNs camera_ns) {
+    const TimeNs imu_ns = camera_ns + synchronized->gyro.time_offset_ns;
+    all = {std::min(all.begin_ns, imu_ns), std::max(all.end_ns, imu_ns)};
+  };
+  for (const std::optional<TimeRange>& followed_cam : context.followed_cam) {
+    if (!followed_cam) continue;
+    const TimeNs since_ns = frame_cam.begin_ns - followed_cam->begin_ns;
+    if (since_ns > 0 && since_ns <= kLongestTrackBreakNs) reach(followed_cam->begin_ns);
+  }
+  synchronized->samples = reader.window(all);
+  mark_own(own, synchronized);
+}
+
+}  // namespace gyro_deblur

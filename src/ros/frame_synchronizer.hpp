@@ -1,0 +1,117 @@
+// Brings together what belongs to a frame: calibration, exposure, gyroscope samples, extrinsic.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include "gyro_deblur/config.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/pipeline.hpp"
+#include "gyro_deblur/pixel_mask.hpp"
+#include "pipeline/exposure_choice.hpp"
+#include "ros/frame_queue.hpp"
+#include "ros/input_buffers.hpp"
+#include "ros/input_problems.hpp"
+#include "ros/throttled_log.hpp"
+
+namespace gyro_deblur {
+
+/// A frame with all that processing it takes; copies, so that it needs no lock. The motion is that of its picture, but
+/// for a frame that passes through.
+struct SynchronizedFrame : PictureMotion {
+  PendingFrame frame;
+  std::shared_ptr<Pipeline> pipeline;  ///< null while the configuration cannot be used
+  PipelineOptions options;
+  TrackerOptions tracker_options;
+  bool rectified_input = false;
+  bool drop_poor = false;
+  /// The exposure's readout time is of a message, and not the configuration's.
+  bool readout_by_message = false;
+  bool behind_camera_rate = false;  ///< see OverloadRule::is_behind_camera_rate()
+  PixelMask mask;                   ///< empty, or of the image's size
+  int configuration = 0;            ///< number of the one that `options` are of
+  /// The camera sends pictures again: what is made of this one is kept for them.
+  bool pictures_repeat = false;
+};
+
+/// What a frame can do.
+enum class Readiness {
+  WAITS,         ///< for messages that may still come
+  PASS_THROUGH,  ///< it is published unchanged, PendingFrame::pass_through_reason says why
+  READY,         ///< it has what belongs to it
+};
+
+/// Finds in the input buffers what belongs to a frame. Its owner serialises access.
+class FrameSynchronizer {
+ public:
+  /// R_cam_imu for (camera frame, IMU frame), where tf has it.
+  using Extrinsic = std::function<std::optional<Eigen::Matrix3d>(const std::string&, const std::string&)>;
+
+  /// What holds for a frame apart from messages.
+  struct Context {
+    const Config& config;
+    const ExposureChoice& exposures;
+    std::optional<Eigen::Vector3d> bias_rad_s;  ///< in place of the configured one
+    /// Exposures of the images that corners are followed from: by the tracker, and for the motion of blocks. They
+    /// differ where nobody listens to tracks.
+    std::array<std::optional<TimeRange>, 2> followed_cam;
+    bool timed_out = false;  ///< nothing is waited for any longer
+    /// By the images, used where neither the configuration nor tf has it; nothing with the reason.
+    std::optional<Eigen::Matrix3d> R_cam_imu = {};
+    std::string missing_rotation = {};
+  };
+
+  /// @param extrinsic  may be absent; input_buffers, log and problems have to outlive this
+  FrameSynchronizer(const InputBuffers& input_buffers, Extrinsic extrinsic, ThrottledLog* log, InputProblems* problems);
+
+  /// Records in `frame` what was found and whether it passes through, in `synchronized` everything but the frame.
+  Readiness assemble(const Context& context, PendingFrame* frame, SynchronizedFrame* synchronized) const;
+
+  /// The same without collecting anything: cheap enough for every message.
+  Readiness is_ready(const Context& context, PendingFrame* frame) const;
+
+  /// The frame's own camera_info, or a copy of its neighbours' where that is lost; null when there is none, or none of
+  /// its neighbours' describes an image of this size.
+  sensor_msgs::CameraInfoConstPtr best_info(const PendingFrame& frame) const;
+
+ private:
+  /// The camera_info of another image, or of all, that stands for the one of this stamp; null when there is none.
+  /// @param give_up  the last one will do: none that is newer is waited for
+  const sensor_msgs::CameraInfoConstPtr* find_other(TimeNs stamp_ns, bool give_up) const;
+  /// The same with this image's stamp, where it describes an image of its size; else null.
+  sensor_msgs::CameraInfoConstPtr substitute(const PendingFrame& frame, bool give_up) const;
+  /// Why there is no camera_info for the frame. Precondition: there is none.
+  std::string missing_info_text(const PendingFrame& frame) const;
+  Readiness find_all(const Context& context, PendingFrame* frame, SynchronizedFrame* synchronized) const;
+  /// The frame's camera_info and calibration, from the topic or the calibration file.
+  Readiness find_calibration(const Context& context, PendingFrame* frame) const;
+  Readiness find_exposure(const Context& context, PendingFrame* frame, SynchronizedFrame* synchronized) const;
+  /// Exposure and readout time from a message, a setting or the parameters.
+  /// @param source  what the exposure time is of, for messages
+  Readiness find_timing(const Context& context, PendingFrame* frame, ShutterTiming* timing, std::string* source) const;
+  /// The exposure time assumed until the blur has been examined.
+  /// @param given  the exposure time of a message, a setting or the parameter; 0: not known
+  /// @param source  of find_timing()
+  Readiness plan_exposure(const Context& context, TimeNs given_ns, const std::string& source, PendingFrame* frame,
+                          ExposurePlan* plan) const;
+  /// The rotation from the parameters, the calibration file, tf or the images.
+  Readiness find_extrinsic(const Context& context, PendingFrame* frame, PictureMotion* motion) const;
+  /// Gyroscope samples up to the frame's end, and how the sensors are mounted. Precondition: the exposure is known.
+  Readiness find_motion(const Context& context, PendingFrame* frame, SynchronizedFrame* synchronized) const;
+  /// Precondition: the frame is ready.
+  void collect(const Context& context, SynchronizedFrame* synchronized) const;
+
+  const InputBuffers& input_buffers_;
+  const Extrinsic extrinsic_;
+  ThrottledLog& log_;
+  InputProblems& problems_;
+};
+
+}  // namespace gyro_deblur

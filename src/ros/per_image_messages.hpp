@@ -1,0 +1,176 @@
+// Messages that come with every image, under its stamp: camera_info, exposures. They may be lost, late, or absent.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <deque>
+#include <optional>
+#include <utility>
+
+#include "gyro_deblur/time.hpp"
+#include "ros/stamped_store.hpp"
+
+namespace gyro_deblur {
+
+/// Whether images find what belongs to them, image after image: a stream that has been silent for some images in a row
+/// is no longer waited for, until it comes again. Not thread-safe.
+class StreamLiveness {
+ public:
+  /// So many images in a row without end the waiting, so many with bring it back. A stream that comes with one image in
+  /// three still costs less latency than it brings; one that comes with fewer images never comes with two in a row.
+  static constexpr std::size_t kMissesEndWaiting = 3, kHitsBringItBack = 2;
+
+  /// An image has come; `there`: before it, what belongs to it.
+  void expect(TimeNs stamp_ns, TimeNs now_ns, bool there) { undecided_.push_back({stamp_ns, now_ns, there}); }
+
+  void came(TimeNs stamp_ns) {
+    for (Image& image : undecided_) image.there = image.there || image.stamp_ns == stamp_ns;
+  }
+
+  /// Decides over images, oldest first: those without have missed it when it is `lost(stamp_ns)`, or they have waited
+  /// for `timeout_ns`.
+  /// @return whether it is waited for from now on, where that has changed
+  template <typename Lost>
+  std::optional<bool> update(TimeNs now_ns, TimeNs timeout_ns, Lost lost) {
+    const bool before = awaited_;
+    for (; !undecided_.empty(); undecided_.pop_front()) {
+      Image& image = undecided_.front();
+      // A clock that starts, or is set back: waiting starts anew.
+      if (image.arrival_ns == 0 || image.arrival_ns > now_ns) image.arrival_ns = now_ns;
+      if (!image.there && now_ns - image.arrival_ns < timeout_ns && !lost(image.stamp_ns)) break;
+      hits_ = image.there ? hits_ + 1 : 0;
+      misses_ = image.there ? 0 : misses_ + 1;
+      if (misses_ >= kMissesEndWaiting) awaited_ = false;
+      if (hits_ >= kHitsBringItBack) awaited_ = is_per_image_ = true;
+    }
+    return awaited_ == before ? std::nullopt : std::optional<bool>(awaited_);
+  }
+
+  bool awaited() const { return awaited_; }
+  /// Two images in a row have had theirs, so that the stream is one of single images.
+  bool is_per_image() const { return is_per_image_; }
+  void clear() { *this = {}; }
+
+ private:
+  struct Image {
+    TimeNs stamp_ns, arrival_ns;
+    bool there;
+  };
+  std::deque<Image> undecided_;  // in order of arrival
+  std::size_t hits_ = 0, misses_ = 0;
+  bool awaited_ = true, is_per_image_ = false;
+};
+
+/// The newest messages of such a stream, and what stands for one that is lost. Not thread-safe.
+/// @tparam Same  says whether two messages differ in nothing but the stamp
+template <typename T, typename Same>
+class PerImageMessages {
+ public:
+  /// A message that is out of order comes behind the next two (a driver with a few threads); behind more than these it
+  /// is taken as lost.
+  static constexpr std::size_t kOvertaking = 3;
+
+  void add(TimeNs stamp_ns, T value, std::size_t capacity) {
+    // Whoever begins to speak is waited for at once.
+    if (!seen_stamped_) attendance_.clear();
+    seen_ = seen_stamped_ = true;
+    take_newest(value);
+    store_.add(stamp_ns, std::move(value), capacity);
+    attendance_.came(stamp_ns);
+  }
+  /// A message whose stamp has not been set.
+  void add_unstamped(T value) {
+    seen_ = true;
+    take_newest(std::move(value));
+  }
+
+  /// An image has come that has to have one.
+  void expect(TimeNs stamp_ns, TimeNs now_ns) {
+    if (has_no_stamps()) return;
+    attendance_.expect(stamp_ns, now_ns, find(stamp_ns) != nullptr);
+  }
+  /// To be called as time passes, see StreamLiveness::update.
+  std::optional<bool> update(TimeNs now_ns, TimeNs timeout_ns) {
+    return attendance_.update(now_ns, timeout_ns, [this](TimeNs stamp_ns) { return later(stamp_ns) >= kOvertaking; });
+  }
+  /// False: so many images had to do without that none waits any more, or there are no stamps to wait for.
+  bool awaited() const { return attendance_.awaited() && !has_no_stamps(); }
+  bool seen() const { return seen_; }
+
+  const T* find(TimeNs stamp_ns) const { return store_.find(stamp_ns); }
+  const T* find_before(TimeNs stamp_ns, TimeNs oldest_ns) const { return store_.find_before(stamp_ns, oldest_ns); }
+
+  /// How many have come for later stamps.
+  std::size_t later(TimeNs stamp_ns) const { return store_.around(stamp_ns, 0, kReachNs).later; }
+
+  /// Once a later one has come, the stamp's own is lost or out of order; either way it is this one, where its
+  /// neighbours agree. Null: not known, or they differ.
+  const T* find_if_neighbours_agree(TimeNs stamp_ns) const {
+    const Around around = store_.around(stamp_ns, kReachNs, kReachNs);
+    const T* other = around.before != nullptr ? around.before : around.after_that;
+    return around.after != nullptr && other != nullptr && Same()(*around.after, *other) ? around.after : nullptr;
+  }
+  /// The last before the stamp, where none came after it and nothing changed before; else null.
+  const T* find_last_unchanged(TimeNs stamp_ns) const {
+    const Around around = store_.around(stamp_ns, stamp_ns, kReachNs);
+    if (around.after != nullptr || around.before == nullptr || around.before_that == nullptr) return nullptr;
+    return Same()(*around.before, *around.before_that) ? around.before : nullptr;
+  }
+
+  /// Messages that do not come with single images (latched ones, seldom ones, ones without a stamp) hold from one to
+  /// the next: the newest to come. Null where they do, or where so many have come after the stamp that its own is lost.
+  const T* find_standing(TimeNs stamp_ns) const {
+    return newest_ && !attendance_.is_per_image() && later(stamp_ns) < kOvertaking ? &*newest_ : nullptr;
+  }
+  /// For an image without a stamp: the newest to come, if it is as the one before, or holds for all. Else null.
+  const T* find_newest() const {
+    return newest_ && (newest_is_as_before_ || !attendance_.is_per_image()) ? &*newest_ : nullptr;
+  }
+  /// How many have come for other stamps that are near enough to say something.
+  std::size_t near(TimeNs stamp_ns) const {
+    const Around around = store_.around(stamp_ns, kReachNs, kReachNs);
+    return around.later + (around.before != nullptr) + (around.before_that != nullptr);
+  }
+
+  /// As after the start; one that holds from one to the next is not sent again, and stays.
+  void reset() {
+    std::optional<T> standing = attendance_.is_per_image() ? std::nullopt : std::move(newest_);
+    const bool had_stamps = standing && seen_stamped_;
+    *this = {};
+    newest_ = std::move(standing);
+    seen_ = newest_.has_value();
+    seen_stamped_ = had_stamps;
+  }
+  /// See StampedStore; what belongs to an image is judged by the new epoch alone.
+  void clear() {
+    store_.clear();
+    begin_epoch();
+  }
+  void clear_old_epoch() {
+    store_.clear_old_epoch();
+    begin_epoch();
+  }
+
+ private:
+  using Around = typename StampedStore<T>::Around;
+  /// Farther apart, messages say nothing about each other: a stamp may be wrong, or be of another epoch.
+  static constexpr TimeNs kReachNs = 1'000'000'000;
+
+  bool has_no_stamps() const { return seen_ && !seen_stamped_; }
+  void take_newest(T value) {
+    newest_is_as_before_ = newest_ && Same()(*newest_, value);
+    newest_ = std::move(value);
+  }
+  void begin_epoch() {
+    if (attendance_.is_per_image()) newest_.reset();
+    attendance_.clear();
+  }
+
+  StampedStore<T> store_;
+  StreamLiveness attendance_;
+  std::optional<T> newest_;           // to come
+  bool newest_is_as_before_ = false;  // the one that came before it is like it
+  bool seen_ = false, seen_stamped_ = false;
+};
+
+}  // namespace gyro_deblur
