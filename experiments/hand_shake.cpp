@@ -246,7 +246,7 @@ std::array<std::unique_ptr<Pipeline>, kKinds.size()> pipelines_for(const Shot& s
     if (kind == PACKAGE) options.blur_field.curved_path_threshold_px = curved_path_threshold_px;
     if (kind == STRAIGHT) {
       options.kernel.regularization = Regularization::FIXED;
-      options.validation.rule = ValidationRule::PAPER;
+      options.validation.rule = ValidationRule::GRADIENT;
     }
     if (kind == FOURIER) {
       options.engine = "fourier";

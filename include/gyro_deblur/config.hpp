@@ -57,7 +57,8 @@ struct ExposureSource {
 };
 
 /// Every parameter; doc/guides/parameters.md has the keys and their ranges. Each member has one row in
-/// src/config/parameters.cpp, except for `given` and for what is read from calibration files.
+/// src/config/parameters.cpp, except for `given` and for what is read from calibration files. Constants as in
+/// options.hpp.
 struct Config {
   PipelineOptions pipeline;
   GyroOptions gyro;
@@ -77,9 +78,9 @@ struct Config {
   OnCalibrationConflict on_calibration_conflict = OnCalibrationConflict::ERROR;
   TimeNs input_timeout_ns = 500'000'000;  ///< how long a frame waits for gyroscope, exposure and tf
   int frame_queue_size = 30;              ///< frames that may wait
-  TimeNs bias_window_ns = 1'000'000'000;  ///< of ~estimate_gyro_bias
+  TimeNs bias_window_ns = 1'000'000'000;  ///< constant: samples that ~estimate_gyro_bias averages
   double bias_max_stddev_rad_s = 0.05;    ///< of single samples at rest
-  TimeNs time_jump_ns = 500'000'000;      ///< a stamp that goes back by more is a clock reset
+  TimeNs time_jump_ns = 500'000'000;      ///< constant: a stamp that goes back by more is a clock reset
   /// How long an image waits until the other one of its stereo pair is decided on; 0: each camera on its own.
   TimeNs stereo_sync_timeout_ns = 100'000'000;
   bool drop_poor = false;  ///< images of grade POOR are not published, see QualityGrade
@@ -101,8 +102,8 @@ Config parse_config(const std::string& yaml, std::vector<std::string>* unknown =
 /// it cannot be read or parsed.
 Config load_config(const std::string& path, std::vector<std::string>* unknown = nullptr);
 
-/// What to tell of a key that is not known: "KEY is not known, ignored", and its present name where it has been
-/// renamed.
+/// What to tell of a key that is not known: "KEY is not known, ignored", its present name where it has been renamed or
+/// merged, or the value that holds where it has become a constant.
 std::string unknown_key_message(const std::string& key);
 
 }  // namespace gyro_deblur

@@ -1,5 +1,6 @@
-// Parameters of the algorithm and their defaults. Each has one row in src/config/parameters.cpp, which says what it is
-// called, what values it takes and whether it may change while running; doc/guides/parameters.md prints them.
+// Parameters and constants of the algorithm. Each has one row in src/config/parameters.cpp with its key, allowed
+// values, and whether it may change while running. doc/guides/parameters.md prints the parameters. A constant has the
+// same value in every configuration; tests and experiments set its member.
 #pragma once
 
 #include <string>
@@ -13,52 +14,48 @@ namespace gyro_deblur {
 
 /// Blur field and its division into blocks (paper section IV).
 struct BlurFieldOptions {
-  int block_size_px = 64;  ///< a multiple of 2 so that Bayer planes divide into the same blocks
+  int block_size_px = 64;  ///< a multiple of 2 so that Bayer planes divide alike
   /// Smaller blur is left alone. The paper's kernels start at 2 px; the filter gains 2.6 dB at 2.25 px with
   /// noise of 1 grey level and loses 0.3 dB with noise of 4, at 3 px it gains 3.4 and 0.9 dB
   /// (doc/reports/experiments.md).
   double min_extent_px = 3.0;
   double max_extent_px = 150.0;  ///< >= min_extent_px; larger blur is TOO_LARGE
   /// How far the path within the exposure may lie to either side of a straight line, less 2 % of the extent
-  /// (kStraightPathShare); more is undone by the 2-D filter, which takes three times as long. At 0.1 px the box along
-  /// the line restores 2.4, 2.3, 2.4, 2.4, 2.0, 1.9 and 1.7 dB less than the inverse of the whole path, for extents of
-  /// 5, 10, 20, 40, 60, 90 and 120 px, on Oxford images with noise of 1.5 grey levels, at 1.5 px 9.7 to 2.6 dB less; on
-  /// a straight line 1.4 to 0.1 dB less. Of a recorded shake of 30 ms and 20 px (doc/reports/hand_shake.md) 1.5, 0.8
-  /// and 0.1 px leave 26, 48 and 68 % of the blocks to the 2-D filter, and 332, 389 and 398 SIFT matches with a sharp
-  /// frame, of 225 where what is curved stays as it is.
+  /// (kStraightPathShare); more is undone in the plane, which takes three times as long. At 0.1 px the box along the
+  /// line restores 2.4, 2.3, 2.4, 2.4, 2.0, 1.9 and 1.7 dB less than the inverse of the whole path, for extents of 5,
+  /// 10, 20, 40, 60, 90 and 120 px, on Oxford images with noise of 1.5 grey levels, at 1.5 px 9.7 to 2.6 dB less; on a
+  /// straight line 1.4 to 0.1 dB less. Of a recorded shake of 30 ms and 20 px (doc/reports/hand_shake.md) 1.5, 0.8 and
+  /// 0.1 px leave 26, 48 and 68 % of the blocks to the plane, and 332, 389 and 398 SIFT matches with a sharp frame, of
+  /// 225 where what is curved stays as it is.
   double curved_path_threshold_px = 0.8;
 
   void validate() const;  ///< throws OptionError
 };
 
-/// How a block's predicted blur is checked against its pixels.
+/// How a block is compared with its predicted blur.
 enum class ValidationRule {
-  /// Whether its power spectrum fits the predicted blur better than less blur, see BlurLikelihood: robust to noise, low
-  /// contrast, hot pixels and saturation, and told by neighbours and frame where the block has too little texture. Of
-  /// blur below 5 px a spectrum tells little, and the paper's rule is asked too.
+  /// The block's power spectrum has to fit the predicted blur better than less blur, see BlurLikelihood. Noise, low
+  /// contrast, hot pixels and saturation do not deceive it. Blocks with little texture follow their neighbours and the
+  /// frame. A spectrum tells little about blur below 5 px: there GRADIENT has to agree.
   LIKELIHOOD,
-  /// Whether its strongest gradient along the motion is below tau(r) = tau + tau_contrast / r (paper section III-D). A
-  /// box of extent r cannot leave more than contrast / r grey levels a pixel, so the threshold falls with the extent;
-  /// tau alone (tau_contrast = 0) is the paper's constant threshold.
-  PAPER
+  /// The strongest gradient along the motion may be at most tau(r) = tau + tau_contrast / r (paper section III-D). A
+  /// box of extent r cannot leave more than contrast / r grey levels a pixel, so the threshold falls with the extent.
+  /// The paper's threshold is constant: tau_contrast = 0.
+  GRADIENT,
+  NONE  ///< no block is rejected
 };
 
 /// Blur validation (paper section III-D). Grey levels are those of an 8-bit image; 16-bit images are scaled by their
 /// significant bits.
 struct ValidationOptions {
-  bool enabled = true;
   ValidationRule rule = ValidationRule::LIKELIHOOD;
-  /// Of blocks blurred by a third of what is predicted, how many may be accepted; of sharp ones it is two thirds as
-  /// many. Measured over 18 photographs (experiments/validation.cpp), extents of 5 to 40 px, noise of 1 to 8 grey
-  /// levels and contrasts of both 1 and .35; of truly blurred blocks .1 accepts 99 %, .02 89 %, .01 81 %. Recorded
-  /// blur is a fifth longer than predicted at times (shield_burst, frame 3): .1 accepts 93 % of that, .07 88 %.
-  /// Up to .052 blocks of which nothing is known are rejected, above they are accepted.
+  /// Constant: share of blocks blurred by a third of what is predicted that LIKELIHOOD may accept. Recorded blur is a
+  /// fifth longer than predicted at times, and less than 0.1 rejects it (doc/reports/validation.md). Up to 0.052 blocks
+  /// of which nothing is known are rejected, above they are accepted.
   double false_accept_rate = 0.1;
-  /// The paper's rule. The defaults accept at least 98.6 % of truly blurred 64 px blocks at every extent from 5 to 90
-  /// px (first images of the Oxford sets, noise up to 2 grey levels) and reject 68 / 86 / 94 / 97 / 97 % of sharp ones
-  /// at 5 / 10 / 20 / 40 / 90 px.
-  double tau = 6.0;             ///< grey levels / px: what noise and compression may add
-  double tau_contrast = 200.0;  ///< grey levels: step that the scene may contain
+  /// Constants of GRADIENT: they accept 98.6 % of truly blurred blocks at every extent (doc/reports/validation.md).
+  double tau = 6.0;             ///< [grey levels / px] that noise and compression may add
+  double tau_contrast = 200.0;  ///< [grey levels] of a step that the scene may contain
 
   double threshold(double extent_px) const { return tau + tau_contrast / extent_px; }
   void validate() const;  ///< throws OptionError
@@ -84,23 +81,24 @@ enum class Regularization {
 
 /// Wiener kernels (paper section IV-A).
 struct FilterOptions {
-  double gamma = 0.01;         ///< noise-to-signal ratio of the Wiener filter at 1/6 cycles/px, at least
-  double length_factor = 4.0;  ///< length of the inverse kernel in extents
-  /// Standard deviation of a Gaussian that the inverse is smoothed with along the line. Where the blur has left
-  /// less than the noise, at the finest detail first, it leaves out what would be noise and ringing. Above 0 the
-  /// kernels have no jumps at places that are known, which the fast engine makes use of: extents above 36 px are then
-  /// filtered tap by tap.
+  double gamma = 0.01;  ///< noise-to-signal ratio of the Wiener filter at 1/6 cycles/px, at least
+  /// Constant: length of the inverse kernel in extents. 8 restores at most 0.5 dB more at twice the cost
+  /// (doc/reports/experiments.md).
+  double length_factor = 4.0;
+  /// Constant: standard deviation of a Gaussian that smooths the inverse along the line. Smoothing moves deblurred
+  /// images away from sharp ones (doc/reports/experiments_real_world.md). Above 0 the kernels have no jumps at known
+  /// places, so that long extents are filtered tap by tap.
   double smoothing_px = 0.0;
   Regularization regularization = Regularization::NOISE;
 
   void validate() const;  ///< throws OptionError
 };
 
-/// Noise of the camera's images, by its sensor's model: the variance is read_noise^2 + noise_gain * grey level. Grey
-/// levels are those of an 8-bit image.
+/// Noise of a sensor: the variance is read_noise^2 + noise_gain * grey level, in grey levels of an 8-bit image. Both
+/// are constants, 0: the noise is estimated from each image, which also follows a camera's automatic gain.
 struct NoiseModel {
-  double read_noise = 0;  ///< [grey levels]; both 0: noise is estimated from each image
-  double noise_gain = 0;  ///< [grey levels], of light's own noise
+  double read_noise = 0;  ///< standard deviation at grey level 0
+  double noise_gain = 0;  ///< increase of the variance per grey level (photon noise)
 
   bool is_known() const { return read_noise > 0 || noise_gain > 0; }
   void validate() const;  ///< throws OptionError
@@ -112,23 +110,23 @@ struct KeypointOptions {
   /// SIFT, ORB (not of SIFT's keypoints), AKAZE (of AKAZE's alone), BRISK or NONE
   std::string descriptor = "SIFT";
   int max_keypoints = 1000;  ///< strongest by response
-  int grid_cols = 1;         ///< with more than one cell the limit is shared evenly among cells
-  int grid_rows = 1;
+  int grid = 1;              ///< the cells of a grid of that many columns and rows share the limit evenly
 
   void validate() const;  ///< throws OptionError
 };
 
-/// Tracking of corners. The defaults are those of VINS-Mono's tracker for 752 x 480 px.
+/// Tracking of corners. The values are those of VINS-Mono's tracker for 752 x 480 px, apart from border_px.
 struct TrackerOptions {
   int max_tracks = 150;
-  /// How far from the image's edge corners are started, a quarter of the image's height or width at most.
-  /// Nearer to it a shake takes most of them out again within a few images. Tracks are followed to the edge itself.
+  /// Constant: distance from the image's edge within which no track starts, at most a quarter of the image's height or
+  /// width. Nearer to the edge a shake ends most tracks within a few images (doc/reports/slam.md). Tracks are followed
+  /// to the edge itself.
   int border_px = 32;
   double min_distance_px = 30;     ///< between two tracks
-  double max_round_trip_px = 1.0;  ///< how far from its start a corner may end up when tracked back
-  double max_epipolar_px = 1.0;    ///< distance from the epipolar line
-  int window_px = 21;              ///< odd: side of the patch that is compared
-  int levels = 3;                  ///< halvings of the image
+  double max_round_trip_px = 1.0;  ///< constant: how far from its start a corner may end up when tracked back
+  double max_epipolar_px = 1.0;    ///< constant: distance from the epipolar line
+  int window_px = 21;              ///< constant, odd: side of the patch that is compared
+  int levels = 3;                  ///< constant: halvings of the image
 
   void validate() const;  ///< throws OptionError
 };
@@ -152,7 +150,7 @@ enum class OnExposureConflict {
 struct GyroOptions {
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< subtracted once, in RotationTrack
   TimeNs time_offset_ns = 0;                             ///< t_imu = t_cam + time_offset
-  TimeNs buffer_ns = 5'000'000'000;                      ///< how much is kept
+  TimeNs buffer_ns = 5'000'000'000;                      ///< constant: samples kept, for images that arrive late
   TimeNs max_gap_ns = 50'000'000;                        ///< a longer hole between samples is not integrated across
   /// What the sensor can measure on each axis, before the bias is subtracted; 0: not known. A sample
   /// that reaches it tells no rate, see is_saturated.
@@ -173,10 +171,10 @@ struct PipelineOptions {
   /// it is silent; "always", also at its gaps and where it is saturated; "never".
   std::string flow_without_gyro = "absent";
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
-  ImageBorder global_shutter_border = ImageBorder::BLACK;
-  std::string engine = "auto";  ///< see make_engine
-  int threads = 0;              ///< of this package's loops, at most; 0: one for each core
-  int significant_bits = 0;     ///< of 16-bit images, 8 to 16; 0: guessed, see BitDepth
+  ImageBorder global_shutter_border = ImageBorder::BLACK;  ///< constant: shows where the image ends
+  std::string engine = "auto";                             ///< see make_engine
+  int threads = 0;                                         ///< of this package's loops, at most; 0: one for each core
+  int significant_bits = 0;                                ///< of 16-bit images, 8 to 16; 0: guessed, see BitDepth
 
   void validate() const;  ///< throws OptionError
 };

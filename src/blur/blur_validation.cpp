@@ -157,8 +157,8 @@ FrameBlur validate_blur_field(const FrameBlur& field, const cv::Mat& luminance, 
     throw std::invalid_argument("validation needs 8-bit luminance of the blur field's size, " +
                                 std::to_string(field.grid.width_px()) + "x" + std::to_string(field.grid.height_px()));
   }
-  if (!options.enabled) return field;
-  return options.rule == ValidationRule::PAPER
+  if (options.rule == ValidationRule::NONE) return field;
+  return options.rule == ValidationRule::GRADIENT
              ? validate_by_gradient(field, luminance, options, threads)
              : validate_by_likelihood(field, luminance, options, threads, noise_grey_levels);
 }

@@ -5,6 +5,7 @@
 #include <map>
 #include <set>
 #include <sstream>
+#include <stdexcept>
 #include <type_traits>
 
 #include <yaml-cpp/yaml.h>
@@ -191,11 +192,37 @@ Config load_config(const std::string& path, std::vector<std::string>* unknown) {
   }
 }
 
+namespace {
+
+std::string to_text(int value) { return std::to_string(value); }
+std::string to_text(double value) {
+  std::ostringstream text;
+  text << value;
+  return text.str();
+}
+std::string to_text(TimeNs value_ns) { return to_text(to_seconds(value_ns)); }
+std::string to_text(const Choice& value) { return value.name; }
+template <typename T>
+std::string to_text(const T&) {
+  throw std::logic_error("no constant has this type");
+}
+
+/// The value of a constant with its unit.
+std::string value_of(const Parameter& constant) {
+  const std::string value = std::visit([](const auto& v) { return to_text(v); }, constant.standard());
+  return value + (constant.limits && *constant.limits->unit != '\0' ? std::string(" ") + constant.limits->unit : "");
+}
+
+}  // namespace
+
 std::string unknown_key_message(const std::string& key) {
   static const std::string kSeenByImages = "optical_flow sees translation without it";
   static const std::map<std::string, std::string> kFormer{
       {"backend", "it is now called engine"},
       {"bridge_gyro_gaps", "it is now called flow_without_gyro, and true is now always"},
+      {"validate", "it is now part of validation, and false is now validation: none"},
+      {"grid_cols", "columns and rows are now keypoint_grid"},
+      {"grid_rows", "columns and rows are now keypoint_grid"},
       {"scene_depth", kSeenByImages},
       {"scene_depth_max_age", kSeenByImages},
       {"odometry_max_age", kSeenByImages},
@@ -205,6 +232,9 @@ std::string unknown_key_message(const std::string& key) {
       {"odometry_clock", kSeenByImages},
       {"odometry_twist_frame", kSeenByImages},
       {"p_cam_imu", kSeenByImages}};
+  if (const Parameter* constant = find_constant(key)) {
+    return key + " is no parameter any more: it is " + value_of(*constant);
+  }
   const auto former = kFormer.find(key);
   return key + " is not known, ignored" + (former == kFormer.end() ? "" : ": " + former->second);
 }

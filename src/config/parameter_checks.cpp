@@ -118,7 +118,7 @@ void TrackerOptions::validate() const {
   check_parameters(*this);
   if (window_px % 2 == 0) {
     throw OptionError("track_window = " + std::to_string(window_px) + " is even; allowed are odd sizes in " +
-                      to_string(*find_parameter("track_window")->limits));
+                      to_string(*find_constant("track_window")->limits));
   }
 }
 

@@ -1,6 +1,6 @@
 #include "config/parameters.hpp"
 
-#include <map>
+#include <algorithm>
 #include <utility>
 
 namespace gyro_deblur {
@@ -64,8 +64,8 @@ Limits above(double min, double max, const char* unit = "") { return {min, max, 
 
 OneOf one_of(std::vector<std::string> names) { return {std::move(names)}; }
 
-// The table: one row a parameter, of its key, member, limits with unit, text, and whether it may change while running.
-// The order is that of the documents.
+// The table: one row for each parameter, with key, member, limits and unit, text, and whether it may change while
+// running. The order is that of the documents.
 
 using Blur = BlurFieldOptions;
 using Validation = ValidationOptions;
@@ -77,15 +77,18 @@ using Shutter = ShutterTiming;
 
 ParameterGroup calibration_files() {
   return {"calibration files",
-          "Kalibr's camchain-imucam.yaml (also OpenVINS'), EuRoC's sensor.yaml, VINS' configuration, Basalt's JSON or "
-          "camera_calibration's YAML, as they are; one path or a list. What a file says need not be set below; where "
-          "both say something they have to agree.",
+          "Formats: Kalibr's camchain-imucam.yaml (also used by OpenVINS), EuRoC's sensor.yaml, the configuration of "
+          "VINS-Mono and VINS-Fusion, Basalt's JSON, camera_calibration's YAML. Values of a file need no key below. "
+          "Where file and key give the same value, both have to agree.",
           {
               {"calibration_file", &Config::calibration_files,
-               "relative to the configuration file, for the nodelet absolute; '': none"},
-              {"calibration_camera", &Config::calibration_camera, "cam0, cam1, ...: which of a file's cameras"},
+               "Path of a calibration file, or a list of paths, relative to the configuration file. The nodelet needs "
+               "absolute paths. '': none."},
+              {"calibration_camera", &Config::calibration_camera,
+               "Name of the camera within the calibration file: cam0, cam1, ..."},
               {"on_calibration_conflict", &Config::on_calibration_conflict,
-               "frames whose camera_info or tf contradict file or parameters pass through, or go by the latter"},
+               "What happens when camera_info or tf contradict the parameters or the calibration file. error: frames "
+               "are passed through unchanged. configured: parameters and file are used."},
           }};
 }
 
@@ -95,27 +98,31 @@ ParameterGroup camera_timing() {
       "",
       {
           Parameter("exposure_time", &Shutter::exposure_ns, above(0, 1, "s"),
-                    "of each row, of images without an exposure message; '': not known, it is estimated from the "
-                    "images' blur")
+                    "Exposure time of each row, used for images without an exposure message. '': it is estimated from "
+                    "the blur of the images.")
               .may_be_empty(&GivenNumbers::exposure_time),
           {"exposure_source", &Config::exposure_source,
-           "what the exposure topic has: gyro_deblur/Exposure or a RealSense's metadata, as recognised by their type; "
-           "gyro_deblur/Exposure; any message with exposure_field, in that unit; a RealSense's metadata "
-           "(exposure_field: actual_exposure unless given; infrared in us, colour in 100us); or a driver's "
-           "parameter_updates with the parameter exposure_field"},
+           "Content of the exposure topic. auto: gyro_deblur/Exposure or RealSense metadata, recognised by the message "
+           "type. message: gyro_deblur/Exposure. field_UNIT: the field exposure_field of any message. "
+           "realsense_metadata_UNIT: RealSense metadata (us for infrared, 100us for colour cameras); exposure_field is "
+           "actual_exposure unless set. dynamic_reconfigure_UNIT: the parameter exposure_field of a driver's "
+           "parameter_updates."},
           {"on_exposure_conflict", &Config::on_exposure_conflict,
-           "when the blur contradicts an exposure time for 2 s: the images' estimate replaces exposure_time, messages "
-           "are kept; or both are kept. The contradiction is reported in either case"},
-          {"exposure_field", &ExposureSource::field, "e.g. exposure_time, exposures[0].shutterms"},
+           "What happens when the blur contradicts an exposure time for 2 s. images: the estimate from the images "
+           "replaces "
+           "exposure_time, but not exposure messages. configured: the given time stays in use. Both report it."},
+          {"exposure_field", &ExposureSource::field,
+           "Field or parameter that holds the exposure time, for example exposure_time or exposures[0].shutterms."},
           {"exposure_max_age", &Config::exposure_max_age_ns, within(0, 60, "s"),
-           "how long the last exposure serves images without their own; 0: not at all"},
+           "How long the last exposure message is used for images that have none of their own. 0: never."},
           Parameter("readout_time", &Shutter::readout_ns, within(-1, 1, "s"),
-                    "first to last row; 0: global shutter, negative: bottom row first; '': not known, see "
-                    "self_calibration")
+                    "Time from the first to the last row. 0: global shutter. Negative: the bottom row comes first. '': "
+                    "not known, see self_calibration.")
               .may_be_empty(&GivenNumbers::readout_time),
-          {"stamp_row", &Shutter::stamp_row, "the image row that the stamp refers to"},
-          {"stamp_phase", &Shutter::stamp_phase, "the instant of that row's exposure"},
-          {"rectified_input", &Config::rectified_input, "true: the image is undistorted, camera_info's P and R hold"},
+          {"stamp_row", &Shutter::stamp_row, "Image row that the stamp refers to."},
+          {"stamp_phase", &Shutter::stamp_phase, "Instant of that row's exposure that the stamp refers to."},
+          {"rectified_input", &Config::rectified_input,
+           "true: the images are rectified, and P and R of camera_info describe them. false: D and K describe them."},
       }};
 }
 
@@ -124,54 +131,51 @@ ParameterGroup image() {
           "",
           {
               {"significant_bits", &PipelineOptions::significant_bits, within(0, 16),
-               "of 16-bit images, 8 to 16; 0: the fewest of 10, 12, 14, 16 that hold all pixels so far", RUNNING},
-              {"read_noise", &NoiseModel::read_noise, within(0, 50, "grey levels"),
-               "of the sensor, standard deviation at 8 bits; 0 and noise_gain 0: estimated from each image", RUNNING},
-              {"noise_gain", &NoiseModel::noise_gain, within(0, 10, "grey levels"),
-               "of the sensor: what a grey level more adds to the noise's variance", RUNNING},
+               "Bits of a 16-bit image that hold data, 8 to 16. 0: the fewest of 10, 12, 14 and 16 that have held "
+               "every pixel so far.",
+               RUNNING},
               {"mask", &Config::mask_file,
-               "PNG or PGM file, mono8, of the image's size: pixels of 0 (a lens's rim, a part of the vehicle) are not "
-               "deblurred, followed or described; relative as calibration_file, '': none; the topic mask replaces it"},
-              {"global_shutter_border", &PipelineOptions::global_shutter_border,
-               "what the global-shutter image has where the image ends: nothing, or the nearest pixel"},
+               "PNG or PGM file (mono8, as large as the images). Pixels of 0, such as a lens rim or a part of the "
+               "vehicle, are not deblurred, tracked or described. Relative paths as in calibration_file. The topic "
+               "mask replaces the file. '': none."},
           }};
 }
 
 ParameterGroup gyroscope() {
-  return {"gyroscope",
-          "",
-          {
-              // One clock may count from 1970 and the other from when it was switched on. ros::Time ends after 4.3e9 s,
-              // a sum of both fits into 64 bits of nanoseconds.
-              Parameter("time_offset", &Gyro::time_offset_ns, within(-4e9, 4e9, "s"),
-                        "t_imu = t_cam + time_offset; Kalibr's: see doc/guides/calibration.md; '': not known, see "
-                        "self_calibration")
-                  .may_be_empty(&GivenNumbers::time_offset),
-              {"R_cam_imu", &Config::R_cam_imu,
-               "rotation from IMU to camera coordinates (Kalibr's T_cam_imu), by rows; []: from tf, else see "
-               "self_calibration"},
-              Parameter("gyro_bias", &Gyro::bias_rad_s, within(-1, 1, "rad/s"),
-                        "subtracted from the rates; '': not known, see self_calibration")
-                  .may_be_empty(&GivenNumbers::gyro_bias),
-              {"self_calibration", &Config::self_calibration,
-               "readout_time, time_offset, R_cam_imu and gyro_bias that are empty are estimated from the images, and "
-               "used once they are sure; those that are given, 0 included, are kept, and reported where the images "
-               "contradict them; or neither"},
-              {"gyro_buffer_duration", &Gyro::buffer_ns, above(0.1, 60, "s"), "samples kept"},
-              {"max_gyro_gap", &Gyro::max_gap_ns, within(0.001, 1, "s"),
-               "longer holes between samples are not integrated across"},
-              // Up to the fastest sensors, 20000 degrees/s.
-              {"gyro_range", &Gyro::range_rad_s, within(0, 400, "rad/s"),
-               "the sensor's range on each axis (2000 degrees/s: 34.9); samples at it are saturated and not integrated "
-               "across; 0: not known, nothing is checked"},
-              {"input_timeout", &Config::input_timeout_ns, within(0, 10, "s"),
-               "how long a frame waits for gyroscope, exposure and tf"},
-              {"frame_queue_size", &Config::frame_queue_size, within(1, 1000), "frames that may wait"},
-              {"bias_window", &Config::bias_window_ns, within(0.1, 10, "s"), "averaged by ~estimate_gyro_bias"},
-              {"bias_max_stddev", &Config::bias_max_stddev_rad_s, above(0, 1, "rad/s"), "more scatter is not rest"},
-              {"time_jump_threshold", &Config::time_jump_ns, within(0.01, 10, "s"),
-               "a stamp that goes back by more is a clock reset"},
-          }};
+  return {
+      "gyroscope",
+      "",
+      {
+          // One clock may count from 1970 and the other from when it was switched on. ros::Time ends after 4.3e9 s,
+          // a sum of both fits into 64 bits of nanoseconds.
+          Parameter("time_offset", &Gyro::time_offset_ns, within(-4e9, 4e9, "s"),
+                    "Offset of the clocks: t_imu = t_cam + time_offset. For Kalibr's value see "
+                    "doc/guides/calibration.md. '': not known, see self_calibration.")
+              .may_be_empty(&GivenNumbers::time_offset),
+          {"R_cam_imu", &Config::R_cam_imu,
+           "Rotation from IMU to camera coordinates (of Kalibr's T_cam_imu), row by row. []: taken from tf, otherwise "
+           "see self_calibration."},
+          Parameter("gyro_bias", &Gyro::bias_rad_s, within(-1, 1, "rad/s"),
+                    "Bias that is subtracted from the angular rates. '': not known, see self_calibration.")
+              .may_be_empty(&GivenNumbers::gyro_bias),
+          {"self_calibration", &Config::self_calibration,
+           "auto: the images give readout_time, time_offset, R_cam_imu and gyro_bias where these are empty; an "
+           "estimate is used once it is certain. Values that are set, 0 included, stay in use, and a contradiction is "
+           "reported. never: nothing is estimated or compared."},
+          {"max_gyro_gap", &Gyro::max_gap_ns, within(0.001, 1, "s"),
+           "Longest gap between gyroscope samples that is integrated across. The gyroscope does not cover frames with "
+           "a longer one."},
+          // Up to the fastest sensors, 20000 degrees/s.
+          {"gyro_range", &Gyro::range_rad_s, within(0, 400, "rad/s"),
+           "Range of the gyroscope on each axis (2000 degrees/s: 34.9). A sample that reaches it is saturated, and the "
+           "gyroscope does not cover its frame. 0: not known, nothing is checked."},
+          {"input_timeout", &Config::input_timeout_ns, within(0, 10, "s"),
+           "Longest time that a frame waits for gyroscope samples, exposure and tf."},
+          {"frame_queue_size", &Config::frame_queue_size, within(1, 1000),
+           "Most frames that wait for other messages. When more arrive, the oldest is passed through unchanged."},
+          {"bias_max_stddev", &Config::bias_max_stddev_rad_s, above(0, 1, "rad/s"),
+           "Largest standard deviation of the rates at which ~estimate_gyro_bias takes the sensor to be at rest."},
+      }};
 }
 
 ParameterGroup stereo() {
@@ -179,8 +183,8 @@ ParameterGroup stereo() {
           "",
           {
               {"stereo_sync_timeout", &Config::stereo_sync_timeout_ns, within(0, 10, "s"),
-               "of the cameras in one process with the same IMU both images of a stamp are deblurred, or neither: how "
-               "long one waits for the other to be decided on; 0: each on its own"},
+               "Longest time that an image waits for the other image of its stereo pair. Cameras in one process that "
+               "share an IMU deblur both images of a pair or neither. 0: each camera on its own."},
           }};
 }
 
@@ -189,8 +193,8 @@ ParameterGroup image_quality() {
           "",
           {
               {"drop_poor", &Config::drop_poor,
-               "true: an image of grade POOR, and what was found in it, is not published, the one exception to "
-               "one image out for every image in",
+               "true: an image with the verdict POOR is not published, nor its keypoints and tracks. false: one image "
+               "is published for every image received.",
                RUNNING},
           }};
 }
@@ -199,61 +203,61 @@ ParameterGroup blur_field() {
   return {"blur field",
           "",
           {
-              {"block_size", &Blur::block_size_px, within(8, 1024, "px"), "even; the side of a block", RUNNING},
-              {"min_extent", &Blur::min_extent_px, within(1, 20, "px"), "smaller blur is left alone", RUNNING},
+              {"block_size", &Blur::block_size_px, within(8, 1024, "px"),
+               "Side of a block, an even number. All pixels of a block are deblurred with one blur.", RUNNING},
+              {"min_extent", &Blur::min_extent_px, within(1, 20, "px"),
+               "A block is passed through unchanged if its blur is shorter, or could be once the uncertainty of its "
+               "velocity is taken into account.",
+               RUNNING},
               {"max_extent", &Blur::max_extent_px, within(1, 500, "px"),
-               "at least min_extent; larger blur is left alone", RUNNING},
+               "Blocks with a longer blur are passed through unchanged. At least min_extent.", RUNNING},
               {"curved_path_threshold", &Blur::curved_path_threshold_px, within(0, 100, "px"),
-               "blur off a line by more than this and 2 % of its length is undone in the plane, which takes longer",
+               "Distance of a path from a straight line, beyond 2 % of its length, up to which it counts as straight. "
+               "Curved blur gets 2-D filters, which take about three times as long as 1-D filters.",
                RUNNING},
               {"optical_flow", &PipelineOptions::optical_flow,
-               "what the gyroscope does not know of the motion is taken from corners followed between images", RUNNING},
+               "true: optical flow between images adds the motion that the gyroscope does not measure, for example "
+               "translation. false: the blur follows from the rotation alone.",
+               RUNNING},
               {"flow_without_gyro", &PipelineOptions::flow_without_gyro, one_of({"absent", "always", "never"}),
-               "which frames that the gyroscope does not cover go by those corners alone: those of a camera whose IMU "
-               "is absent or silent; also those at gaps and of saturated samples; or none",
+               "Which frames that the gyroscope does not cover are deblurred by optical flow alone. absent: those of a "
+               "camera whose IMU is absent or silent. always: also those at gaps and saturated samples. never: none.",
                RUNNING},
           }};
 }
 
 ParameterGroup wiener_filter() {
-  return {
-      "Wiener filter",
-      "",
-      {
-          {"noise_to_signal_ratio", &Kernel::gamma, within(1e-5, 1), "noise-to-signal ratio at 1/6 cycles/px", RUNNING},
-          {"regularization", &Kernel::regularization,
-           "noise: gamma rises with noise over texture, and blocks that noise would spoil are left alone; fixed: "
-           "gamma as it is; paper: the paper's taps, with gamma at every frequency"},
-          {"kernel_length_factor", &Kernel::length_factor, within(2, 8), "length of the inverse kernel in extents"},
-          {"kernel_smoothing", &Kernel::smoothing_px, within(0, 5, "px"),
-           "Gaussian along the motion that the inverse is smoothed with"},
-          {"engine", &PipelineOptions::engine,
-           "cpu; fourier (the inverse of the whole path for all blocks); float; opencl (first GPU, else first "
-           "device), opencl:INDEX or opencl:NAME (part of the name), "
-           "which cpu replaces where the device is absent or fails, with one warning; auto: cpu"},
-          {"threads", &PipelineOptions::threads, within(0, 256),
-           "of validation, kernels and engine, at most; 0: one for each core to run on"},
-      }};
+  return {"Wiener filter",
+          "",
+          {
+              {"noise_to_signal_ratio", &Kernel::gamma, within(1e-5, 1),
+               "Noise-to-signal ratio of the filter at 1/6 cycles/px. A larger value amplifies less noise and restores "
+               "less detail.",
+               RUNNING},
+              {"regularization", &Kernel::regularization,
+               "How gamma is used. noise: it rises with the noise of a block over its texture, and blocks that noise "
+               "would spoil are passed through unchanged. fixed: as set. paper: as set and the same at every "
+               "frequency, as in the paper."},
+              {"engine", &PipelineOptions::engine,
+               "Implementation of the filters. auto: cpu. cpu: 1-D filters for straight blur, 2-D filters for curved "
+               "blur. plane: 2-D filters for all blocks. float: like cpu, in floating point. opencl: the first GPU, "
+               "otherwise the first device. opencl:INDEX, opencl:NAME (part of the name): that device. Where a device "
+               "is absent or fails, cpu replaces it with one warning."},
+              {"threads", &PipelineOptions::threads, within(0, 256),
+               "Most threads of validation, filter design and engine. 0: one for each available core."},
+          }};
 }
 
 ParameterGroup validation() {
-  return {
-      "validation",
-      "By likelihood a block is rejected when its image fits less blur better than the predicted one, by the paper's "
-      "rule, which blocks with blur below 5 px have to meet too, when its gradient along the motion exceeds tau + "
-      "tau_contrast / extent.",
-      {
-          {"validate", &Validation::enabled, "true: blocks whose image contradicts the predicted blur are rejected",
-           RUNNING},
-          {"validation", &Validation::rule,
-           "what they are rejected by: how likely their power spectrum is, or the paper's gradient"},
-          {"false_accept_rate", &Validation::false_accept_rate, within(0.001, 0.5),
-           "likelihood: share of blocks blurred by a third of what is predicted that may be accepted", RUNNING},
-          {"tau", &Validation::tau, within(0, 255, "grey levels / px"),
-           "paper, and blur below 5 px: gradient that is always allowed", RUNNING},
-          {"tau_contrast", &Validation::tau_contrast, within(0, 1000, "grey levels"),
-           "paper, and blur below 5 px: plus this over the extent", RUNNING},
-      }};
+  return {"validation",
+          "",
+          {
+              {"validation", &Validation::rule,
+               "How a block is compared with its predicted blur. A block that contradicts it is passed through "
+               "unchanged. likelihood: by its power spectrum, which resists noise. gradient: by its strongest gradient "
+               "along the motion, as in the paper. none: not at all.",
+               RUNNING},
+          }};
 }
 
 ParameterGroup keypoints() {
@@ -261,34 +265,66 @@ ParameterGroup keypoints() {
           "",
           {
               {"keypoint_detector", &Keypoints::detector, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"}),
-               "finds keypoints", RUNNING},
+               "Detector of the keypoints.", RUNNING},
               {"keypoint_descriptor", &Keypoints::descriptor, one_of({"SIFT", "ORB", "AKAZE", "BRISK", "NONE"}),
-               "describes them; AKAZE only with keypoint_detector AKAZE, ORB not with SIFT", RUNNING},
+               "Descriptor of the keypoints. AKAZE needs detector AKAZE, ORB any detector but SIFT. NONE: no "
+               "descriptors.",
+               RUNNING},
               {"max_keypoints", &Keypoints::max_keypoints, within(1, 100000),
-               "keypoints that are kept, strongest first", RUNNING},
-              {"grid_cols", &Keypoints::grid_cols, within(1, 64),
-               "columns of the grid over which the limit is shared evenly", RUNNING},
-              {"grid_rows", &Keypoints::grid_rows, within(1, 64), "rows of that grid", RUNNING},
+               "Most keypoints of an image. The strongest are kept.", RUNNING},
+              {"keypoint_grid", &Keypoints::grid, within(1, 64),
+               "Columns, and rows, of the grid whose cells share max_keypoints evenly. 1: the strongest of the whole "
+               "image.",
+               RUNNING},
               {"rectify_to", &PipelineOptions::rectify_to,
-               "the instant at which rectified points and the global-shutter image hold"},
+               "Instant at which rectified keypoints and the global-shutter image hold."},
           }};
 }
 
 ParameterGroup feature_tracks() {
+  return {"feature tracks",
+          "",
+          {
+              {"max_tracks", &Tracker::max_tracks, within(8, 10000), "Most corners that are tracked."},
+              {"track_min_distance", &Tracker::min_distance_px, within(2, 500, "px"),
+               "Smallest distance between two tracks. A smaller value allows more tracks where there is texture."},
+          }};
+}
+
+/// What one value serves everywhere. Tests and experiments set these members; the texts are the reasons.
+std::vector<Parameter> make_constants() {
   return {
-      "feature tracks",
-      "",
-      {
-          {"max_tracks", &Tracker::max_tracks, within(8, 10000), "corners that are followed"},
-          {"track_min_distance", &Tracker::min_distance_px, within(2, 500, "px"), "between two tracks"},
-          {"track_border", &Tracker::border_px, within(0, 500, "px"),
-           "from the image's edge; corners that start nearer are soon shaken out again"},
-          {"track_max_round_trip", &Tracker::max_round_trip_px, within(0.05, 10, "px"),
-           "how far from its start a corner may end up when tracked back"},
-          {"track_max_epipolar", &Tracker::max_epipolar_px, within(0.1, 20, "px"), "distance from the epipolar line"},
-          {"track_window", &Tracker::window_px, within(5, 101, "px"), "odd; the side of the patch that is compared"},
-          {"track_levels", &Tracker::levels, within(0, 6), "halvings of the image"},
-      }};
+      {"tau", &Validation::tau, within(0, 255, "grey levels / px"),
+       "With tau_contrast it accepts 98.6 % of truly blurred blocks at every extent (doc/reports/validation.md)."},
+      {"tau_contrast", &Validation::tau_contrast, within(0, 1000, "grey levels"), "As for tau."},
+      {"false_accept_rate", &Validation::false_accept_rate, within(0.001, 0.5),
+       "Less rejects recorded blur that is longer than predicted (doc/reports/validation.md)."},
+      {"kernel_length_factor", &Kernel::length_factor, within(2, 8),
+       "8 restores at most 0.5 dB more at twice the cost (doc/reports/experiments.md)."},
+      {"kernel_smoothing", &Kernel::smoothing_px, within(0, 5, "px"),
+       "Smoothing moves deblurred images away from sharp ones (doc/reports/experiments_real_world.md)."},
+      {"read_noise", &NoiseModel::read_noise, within(0, 50, "grey levels"),
+       "0: the noise is estimated from each image, also where the gain changes (doc/reports/experiments.md)."},
+      {"noise_gain", &NoiseModel::noise_gain, within(0, 10, "grey levels"), "As for read_noise."},
+      {"global_shutter_border", &PipelineOptions::global_shutter_border,
+       "Black shows where the image ends, and the trust mask marks it."},
+      {"gyro_buffer_duration", &Gyro::buffer_ns, above(0.1, 60, "s"), "Longer than any camera's latency."},
+      {"bias_window", &Config::bias_window_ns, within(0.1, 10, "s"), "200 samples of a slow IMU, and no long wait."},
+      {"time_jump_threshold", &Config::time_jump_ns, within(0.01, 10, "s"),
+       "More than stamps of one clock are out of order, less than a bag that is played again goes back."},
+      {"track_border", &Tracker::border_px, within(0, 500, "px"),
+       "Nearer to the edge a shake takes most corners out again within a few images (doc/reports/slam.md)."},
+      {"track_max_round_trip", &Tracker::max_round_trip_px, within(0.05, 10, "px"), "As in VINS-Mono's tracker."},
+      {"track_max_epipolar", &Tracker::max_epipolar_px, within(0.1, 20, "px"), "As in VINS-Mono's tracker."},
+      {"track_window", &Tracker::window_px, within(5, 101, "px"), "As in VINS-Mono's tracker."},
+      {"track_levels", &Tracker::levels, within(0, 6), "As in VINS-Mono's tracker."},
+  };
+}
+
+/// The row with that key, or null.
+const Parameter* find(const std::vector<Parameter>& rows, const std::string& key) {
+  const auto found = std::find_if(rows.begin(), rows.end(), [&](const Parameter& row) { return row.key == key; });
+  return found == rows.end() ? nullptr : &*found;
 }
 
 }  // namespace
@@ -300,16 +336,18 @@ const std::vector<ParameterGroup>& parameter_groups() {
   return kGroups;
 }
 
-const Parameter* find_parameter(const std::string& key) {
-  static const std::map<std::string, const Parameter*> kByKey = [] {
-    std::map<std::string, const Parameter*> by_key;
-    for (const ParameterGroup& group : parameter_groups()) {
-      for (const Parameter& parameter : group.parameters) by_key.emplace(parameter.key, &parameter);
-    }
-    return by_key;
-  }();
-  const auto found = kByKey.find(key);
-  return found == kByKey.end() ? nullptr : found->second;
+const std::vector<Parameter>& constants() {
+  static const std::vector<Parameter> kConstants = make_constants();
+  return kConstants;
 }
+
+const Parameter* find_parameter(const std::string& key) {
+  for (const ParameterGroup& group : parameter_groups()) {
+    if (const Parameter* row = find(group.parameters, key)) return row;
+  }
+  return nullptr;
+}
+
+const Parameter* find_constant(const std::string& key) { return find(constants(), key); }
 
 }  // namespace gyro_deblur

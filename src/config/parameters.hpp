@@ -1,5 +1,6 @@
-// The table of parameters: what each is called, which member it sets, what it may be and what it is for. Readers, range
-// checks, comparisons, cfg/Deblur.cfg, config/default.yaml and the table of doc/guides/parameters.md come from it.
+// The table of parameters: key, member, allowed values and text of each. Readers, range checks, comparisons,
+// cfg/Deblur.cfg, config/default.yaml and the table of doc/guides/parameters.md come from it. Constants are members
+// with the same checks and comparisons that no configuration sets.
 #pragma once
 
 #include <algorithm>
@@ -40,7 +41,7 @@ class Parameter {
   std::string key;
   std::optional<Limits> limits;      ///< of numbers
   std::vector<std::string> choices;  ///< of enumerations, and of strings that must be one of these; else empty
-  std::string text;                  ///< what it is for, in plain text without a full stop at its end
+  std::string text;                  ///< plain sentences: what it is, and what other values do; of a constant: why
   Change change;
 
   /// The value in the struct whose member it is, or in a whole configuration.
@@ -105,10 +106,15 @@ struct ParameterGroup {
 /// All parameters in the order of the documents.
 const std::vector<ParameterGroup>& parameter_groups();
 
-/// The row of a key, or null.
-const Parameter* find_parameter(const std::string& key);
+/// Members that are no parameters, by the keys that error messages name.
+const std::vector<Parameter>& constants();
 
-/// The rows of the members of `Options`.
+/// The row of a parameter's key, or null.
+const Parameter* find_parameter(const std::string& key);
+/// The row of a constant's key, or null.
+const Parameter* find_constant(const std::string& key);
+
+/// The rows of the members of `Options`, parameters and constants.
 template <typename Options>
 const std::vector<const Parameter*>& parameters_of() {
   static const std::vector<const Parameter*> kParameters = [] {
@@ -117,6 +123,9 @@ const std::vector<const Parameter*>& parameters_of() {
       for (const Parameter& parameter : group.parameters) {
         if (parameter.is_member_of<Options>()) parameters.push_back(&parameter);
       }
+    }
+    for (const Parameter& constant : constants()) {
+      if (constant.is_member_of<Options>()) parameters.push_back(&constant);
     }
     return parameters;
   }();

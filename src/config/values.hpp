@@ -63,7 +63,8 @@ inline const Names<Regularization>& names_of(Regularization) {
 
 inline const Names<ValidationRule>& names_of(ValidationRule) {
   static const Names<ValidationRule> kNames{{"likelihood", ValidationRule::LIKELIHOOD},
-                                            {"paper", ValidationRule::PAPER}};
+                                            {"gradient", ValidationRule::GRADIENT},
+                                            {"none", ValidationRule::NONE}};
   return kNames;
 }
 

@@ -81,16 +81,16 @@ std::vector<cv::KeyPoint> select(const std::vector<cv::KeyPoint>& sorted, const 
                                  const KeypointOptions& options) {
   const std::size_t limit = static_cast<std::size_t>(options.max_keypoints);
   if (sorted.size() <= limit) return sorted;
-  const int cells = options.grid_cols * options.grid_rows;
+  const int cells = options.grid * options.grid;
   const int share = options.max_keypoints / cells;
   std::vector<int> taken(cells, 0);
   std::vector<bool> keep(sorted.size(), false);
   std::size_t kept = 0;
   for (std::size_t i = 0; i < sorted.size(); ++i) {
     const cv::Point2f& at = sorted[i].pt;
-    const int col = std::clamp(static_cast<int>(at.x * options.grid_cols / size.width), 0, options.grid_cols - 1);
-    const int row = std::clamp(static_cast<int>(at.y * options.grid_rows / size.height), 0, options.grid_rows - 1);
-    int& in_cell = taken[row * options.grid_cols + col];
+    const int col = std::clamp(static_cast<int>(at.x * options.grid / size.width), 0, options.grid - 1);
+    const int row = std::clamp(static_cast<int>(at.y * options.grid / size.height), 0, options.grid - 1);
+    int& in_cell = taken[row * options.grid + col];
     if (in_cell >= share) continue;
     ++in_cell;
     keep[i] = true;
@@ -162,7 +162,7 @@ double corner_radius_px(const cv::KeyPoint& keypoint, const std::string& detecto
 
 FeatureExtractor::FeatureExtractor(const KeypointOptions& options) : options_(options) {
   options_.validate();
-  const bool has_grid = options_.grid_cols * options_.grid_rows > 1;
+  const bool has_grid = options_.grid > 1;
   detector_ = require_feature("keypoint_detector", options_.detector, has_grid ? kEverything : options_.max_keypoints);
   if (options_.descriptor == options_.detector) {
     descriptor_ = detector_;

@@ -281,7 +281,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
     if (request.luminance) result.luminance = luminance;
     return result;
   }
-  if (options_.validation.enabled && result.field.count(BlockStatus::DEBLURRED) > 0) {
+  if (options_.validation.rule != ValidationRule::NONE && result.field.count(BlockStatus::DEBLURRED) > 0) {
     const Stopwatch watch;
     if (luminance.empty()) luminance = luminance8(image, layout, result.significant_bits);
     result.field = validate_blur_field(result.field, luminance, options_.validation, options_.threads,

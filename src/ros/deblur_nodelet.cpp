@@ -218,7 +218,7 @@ std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
   for (const std::string& key : unknown) {
     // Namespaces below the node belong to others, to plugins of image_transport for example.
     if (given_parameters_[key].getType() != XmlRpc::XmlRpcValue::TypeStruct) {
-      NODELET_WARN_STREAM("parameter ~" << unknown_key_message(key));
+      NODELET_WARN_STREAM('~' << unknown_key_message(key));
     }
   }
   return config;

@@ -14,8 +14,8 @@ std::optional<Eigen::Vector3d> estimate_bias(const GyroReader& gyro, const Confi
   if (!available.empty()) samples = gyro.window({available.end_ns - config.bias_window_ns, available.end_ns});
   const double span_s = samples.empty() ? 0 : to_seconds(samples.back().t_ns - samples.front().t_ns);
   if (span_s < kMinCoverage * to_seconds(config.bias_window_ns)) {
-    *text = "gyroscope samples span " + std::to_string(span_s) +
-            " s, bias_window = " + std::to_string(to_seconds(config.bias_window_ns)) + " s is needed";
+    *text = "gyroscope samples span " + std::to_string(span_s) + " s, " +
+            std::to_string(kMinCoverage * to_seconds(config.bias_window_ns)) + " s are needed: call again later";
     return std::nullopt;
   }
   const std::optional<BiasEstimate> estimate =

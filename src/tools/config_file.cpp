@@ -10,7 +10,7 @@ Config read_config(const std::string& tool, const std::string& path) {
   Config config = load_config(path, &unknown);
   for (const std::string& key : unknown) {
     if (key == "image_transport") continue;  // of the nodelet; a bag's messages say by their type how to read them
-    std::cerr << tool << ": " << path << ": key " << unknown_key_message(key) << '\n';
+    std::cerr << tool << ": " << path << ": " << unknown_key_message(key) << '\n';
   }
   return config;
 }

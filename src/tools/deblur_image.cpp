@@ -257,7 +257,7 @@ int main_of(int argc, char** argv) {
                  "of a 16-bit image, 8 to 16; 0: the fewest of 10, 12, 14, 16 that hold all its pixels")
       .show_default();
   app.add_flag(
-      "--no-validation", [&] { arguments.validation.enabled = false; },
+      "--no-validation", [&] { arguments.validation.rule = ValidationRule::NONE; },
       "deblur blocks even where the image contradicts the blur");
   app.add_option("--mask", arguments.mask,
                  "PNG or PGM of the image's size, 0 where a pixel does not show the scene: it stays as it is");

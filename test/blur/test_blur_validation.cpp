@@ -17,7 +17,7 @@ ValidationOptions by(ValidationRule rule) {
   options.rule = rule;
   return options;
 }
-const ValidationOptions kPaper = by(ValidationRule::PAPER);
+const ValidationOptions kGradient = by(ValidationRule::GRADIENT);
 
 /// A plane that rises by `slope` grey levels a pixel in direction `angle`, 128 in the middle.
 cv::Mat ramp(double angle_rad, double slope) {
@@ -72,7 +72,7 @@ TEST(MaxGradientAlong, AgreesWithSobelOverTheWholeImage) {
 }
 
 class ValidationRules : public testing::TestWithParam<ValidationRule> {};
-INSTANTIATE_TEST_SUITE_P(Both, ValidationRules, testing::Values(ValidationRule::LIKELIHOOD, ValidationRule::PAPER));
+INSTANTIATE_TEST_SUITE_P(Both, ValidationRules, testing::Values(ValidationRule::LIKELIHOOD, ValidationRule::GRADIENT));
 
 TEST_P(ValidationRules, AcceptTrueBlurAndRejectSharpBlocks) {
   const cv::Mat sharp = test::textured_image(640, 512, 21);
@@ -91,7 +91,7 @@ TEST_P(ValidationRules, AcceptTrueBlurAndRejectSharpBlocks) {
 TEST(ValidateBlurField, UsesAThresholdThatFallsWithTheExtent) {
   const cv::Mat image = ramp(0, 3);
   FrameBlur field = uniform_blur_field(64, 64, 0, 10, {});
-  ValidationOptions options = kPaper;
+  ValidationOptions options = kGradient;
   options.tau = 2;
   options.tau_contrast = 11;  // 3.1 at 10 px, 2.9 at 12.2 px
   EXPECT_EQ(validate_blur_field(field, image, options).blocks[0].status, BlockStatus::DEBLURRED);
@@ -132,7 +132,7 @@ TEST(ValidateBlurField, TouchesOnlyBlocksThatWouldBeDeblurred) {
   const BlockStatus statuses[] = {BlockStatus::SHARP, BlockStatus::REJECTED, BlockStatus::TOO_LARGE,
                                   BlockStatus::NO_GYRO, BlockStatus::DEBLURRED};
   for (std::size_t i = 0; i < field.blocks.size(); ++i) field.blocks[i].status = statuses[i % 5];
-  const FrameBlur validated = validate_blur_field(field, noise, kPaper);
+  const FrameBlur validated = validate_blur_field(field, noise, kGradient);
   EXPECT_EQ(validated.exposure_ns, 7);
   for (std::size_t i = 0; i < field.blocks.size(); ++i) {
     EXPECT_EQ(validated.blocks[i].status, i % 5 == 4 ? BlockStatus::REJECTED : statuses[i % 5]);
@@ -155,7 +155,7 @@ TEST(ValidateBlurField, ByThePaperABlockWithoutTextureFollowsItsNeighbours) {
   cv::Mat image = grey_beside_noise(4);
 
   image(cv::Rect(6 * 64 - 8, 5 * 64 - 8, 80, 80)) = 128;  // nothing in the block itself does
-  const FrameBlur validated = validate_blur_field(field, image, kPaper);
+  const FrameBlur validated = validate_blur_field(field, image, kGradient);
   for (int i = 0; i < field.grid.size(); ++i) {
     // The border between the halves stays where it is, its corners included: no side outvotes the other.
     const int col = i % 8;
@@ -166,9 +166,9 @@ TEST(ValidateBlurField, ByThePaperABlockWithoutTextureFollowsItsNeighbours) {
 TEST(ValidateBlurField, ByThePaperAFrameWhosePredictionsHardlyEverHoldIsLeftAlone) {
   const FrameBlur field = uniform_blur_field(512, 512, 0, 10, {});
   // One grey column of eight, and two.
-  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(1), kPaper).count(BlockStatus::DEBLURRED), 0u);
-  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(2), kPaper).count(BlockStatus::DEBLURRED), 16u);
-  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(8), kPaper).count(BlockStatus::DEBLURRED), 64u);
+  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(1), kGradient).count(BlockStatus::DEBLURRED), 0u);
+  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(2), kGradient).count(BlockStatus::DEBLURRED), 16u);
+  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(8), kGradient).count(BlockStatus::DEBLURRED), 64u);
 }
 
 TEST(ValidateBlurField, RefusesImagesThatDoNotFit) {

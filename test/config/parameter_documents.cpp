@@ -70,13 +70,16 @@ std::string range_of(const Parameter& parameter) {
   return (each ? "each " : "") + to_string(limits);
 }
 
-/// Unit, range or choices, and text.
+/// Text, choices that it does not explain, range and unit.
 std::string comment_of(const Parameter& p) {
-  std::string text;
-  if (p.limits && *p.limits->unit != '\0') text += std::string("[") + p.limits->unit + "] ";
-  if (p.limits) text += range_of(p) + ", ";
-  if (!p.choices.empty()) text += enumeration(p.choices) + ": ";
-  return text + p.text;
+  std::string text = p.text;
+  const bool explained = std::all_of(p.choices.begin(), p.choices.end(), [&](const std::string& choice) {
+    return text.find(choice + ": ") != std::string::npos;
+  });
+  if (!explained) text += " One of " + enumeration(p.choices) + ".";
+  if (p.limits) text += " Allowed: " + range_of(p);
+  if (p.limits && *p.limits->unit != '\0') text += std::string(" ") + p.limits->unit;
+  return text + (p.limits ? "." : "");
 }
 
 /// Lines of at most kColumns, each after "# ".

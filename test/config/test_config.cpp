@@ -57,15 +57,14 @@ std::string dump(const Config& c) {
     << "\nflow_without_gyro " << c.pipeline.flow_without_gyro << "\ngamma " << c.pipeline.kernel.gamma
     << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing " << c.pipeline.kernel.smoothing_px
     << "\nregularization " << static_cast<int>(c.pipeline.kernel.regularization) << "\nnoise "
-    << c.pipeline.noise.read_noise << ' ' << c.pipeline.noise.noise_gain << "\nvalidate "
-    << c.pipeline.validation.enabled << "\nvalidation " << static_cast<int>(c.pipeline.validation.rule) << ' '
-    << c.pipeline.validation.false_accept_rate << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
-    << c.pipeline.validation.tau_contrast << "\nkeypoint_detector " << c.pipeline.keypoints.detector
-    << "\nkeypoint_descriptor " << c.pipeline.keypoints.descriptor << "\nmax_keypoints "
-    << c.pipeline.keypoints.max_keypoints << "\ngrid " << c.pipeline.keypoints.grid_cols << ' '
-    << c.pipeline.keypoints.grid_rows << "\ntracker " << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' '
-    << c.tracker.border_px << ' ' << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' '
-    << c.tracker.window_px << ' ' << c.tracker.levels;
+    << c.pipeline.noise.read_noise << ' ' << c.pipeline.noise.noise_gain << "\nvalidation "
+    << static_cast<int>(c.pipeline.validation.rule) << ' ' << c.pipeline.validation.false_accept_rate << "\ntau "
+    << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\nkeypoint_detector "
+    << c.pipeline.keypoints.detector << "\nkeypoint_descriptor " << c.pipeline.keypoints.descriptor
+    << "\nmax_keypoints " << c.pipeline.keypoints.max_keypoints << "\ngrid " << c.pipeline.keypoints.grid
+    << "\ntracker " << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' '
+    << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' '
+    << c.tracker.levels;
   return s.str();
 }
 
@@ -88,25 +87,16 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"R_cam_imu", "[0, -1, 0, -1, 0, 0, 0, 0, -1]"},
       {"gyro_bias", "[-0.002, 0.021, 0.078]"},
       {"self_calibration", "never"},
-      {"gyro_buffer_duration", "10"},
       {"max_gyro_gap", "0.02"},
       {"gyro_range", "34.9066"},
       {"input_timeout", "0"},
       {"frame_queue_size", "3"},
       {"stereo_sync_timeout", "0.25"},
       {"drop_poor", "true"},
-      {"bias_window", "2"},
       {"bias_max_stddev", "0.1"},
-      {"time_jump_threshold", "1"},
       {"max_tracks", "300"},
       {"track_min_distance", "20"},
-      {"track_border", "20"},
-      {"track_max_round_trip", "0.5"},
-      {"track_max_epipolar", "2"},
-      {"track_window", "31"},
-      {"track_levels", "4"},
       {"rectify_to", "stamp"},
-      {"global_shutter_border", "replicate"},
       {"engine", "float"},
       {"threads", "2"},
       {"significant_bits", "12"},
@@ -117,21 +107,12 @@ const std::vector<std::pair<std::string, std::string>>& other_values() {
       {"optical_flow", "false"},
       {"flow_without_gyro", "always"},
       {"noise_to_signal_ratio", "1e-3"},
-      {"kernel_length_factor", "6"},
-      {"kernel_smoothing", "1.5"},
       {"regularization", "paper"},
-      {"read_noise", "2.5"},
-      {"noise_gain", "0.1"},
-      {"validate", "false"},
-      {"validation", "paper"},
-      {"false_accept_rate", "0.01"},
-      {"tau", "12"},
-      {"tau_contrast", "0"},
+      {"validation", "gradient"},
       {"keypoint_detector", "ORB"},
       {"keypoint_descriptor", "BRISK"},
       {"max_keypoints", "500"},
-      {"grid_cols", "8"},
-      {"grid_rows", "6"},
+      {"keypoint_grid", "6"},
   };
   return kValues;
 }
@@ -166,14 +147,11 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ((*c.R_cam_imu)(0, 1), -1);
   EXPECT_EQ((*c.R_cam_imu)(2, 2), -1);
   EXPECT_EQ(c.gyro.bias_rad_s, Eigen::Vector3d(-0.002, 0.021, 0.078));
-  EXPECT_EQ(c.gyro.buffer_ns, 10'000 * kMs);
   EXPECT_EQ(c.gyro.max_gap_ns, 20 * kMs);
   EXPECT_DOUBLE_EQ(c.gyro.range_rad_s, 34.9066);
   EXPECT_EQ(c.input_timeout_ns, 0);
   EXPECT_EQ(c.frame_queue_size, 3);
-  EXPECT_EQ(c.bias_window_ns, 2000 * kMs);
   EXPECT_EQ(c.bias_max_stddev_rad_s, 0.1);
-  EXPECT_EQ(c.time_jump_ns, 1000 * kMs);
   EXPECT_EQ(c.pipeline.rectify_to, RectifyTo::STAMP);
   EXPECT_EQ(c.pipeline.engine, "float");
   EXPECT_EQ(c.pipeline.threads, 2);
@@ -188,21 +166,12 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
             "flow_without_gyro = \"always\" needs optical_flow = true, which is false");
   EXPECT_EQ(error_of("optical_flow: false"), "") << "nothing is asked for that needs it";
   EXPECT_EQ(c.pipeline.kernel.gamma, 1e-3);
-  EXPECT_EQ(c.pipeline.kernel.length_factor, 6);
-  EXPECT_EQ(c.pipeline.kernel.smoothing_px, 1.5);
   EXPECT_EQ(c.pipeline.kernel.regularization, Regularization::PAPER);
-  EXPECT_EQ(c.pipeline.noise.read_noise, 2.5);
-  EXPECT_EQ(c.pipeline.noise.noise_gain, 0.1);
-  EXPECT_FALSE(c.pipeline.validation.enabled);
-  EXPECT_EQ(c.pipeline.validation.rule, ValidationRule::PAPER);
-  EXPECT_EQ(c.pipeline.validation.false_accept_rate, 0.01);
-  EXPECT_EQ(c.pipeline.validation.tau, 12);
-  EXPECT_EQ(c.pipeline.validation.tau_contrast, 0);
+  EXPECT_EQ(c.pipeline.validation.rule, ValidationRule::GRADIENT);
   EXPECT_EQ(c.pipeline.keypoints.detector, "ORB");
   EXPECT_EQ(c.pipeline.keypoints.descriptor, "BRISK");
   EXPECT_EQ(c.pipeline.keypoints.max_keypoints, 500);
-  EXPECT_EQ(c.pipeline.keypoints.grid_cols, 8);
-  EXPECT_EQ(c.pipeline.keypoints.grid_rows, 6);
+  EXPECT_EQ(c.pipeline.keypoints.grid, 6);
 }
 
 TEST(ParseConfig, TheExtrinsicMayBeNestedOrAbsent) {
@@ -239,6 +208,8 @@ TEST(ParseConfig, EnumerationsTakeEveryName) {
   EXPECT_EQ(parse("stamp_row: middle").shutter.stamp_row, StampRow::MIDDLE);
   EXPECT_EQ(parse("stamp_phase: start").shutter.stamp_phase, StampPhase::START);
   EXPECT_EQ(parse("stamp_phase: middle").shutter.stamp_phase, StampPhase::MIDDLE);
+  EXPECT_EQ(parse("validation: likelihood").pipeline.validation.rule, ValidationRule::LIKELIHOOD);
+  EXPECT_EQ(parse("validation: none").pipeline.validation.rule, ValidationRule::NONE);
   EXPECT_EQ(parse("regularization: noise").pipeline.kernel.regularization, Regularization::NOISE);
   EXPECT_EQ(parse("regularization: fixed").pipeline.kernel.regularization, Regularization::FIXED);
   EXPECT_EQ(parse("rectify_to: middle_row").pipeline.rectify_to, RectifyTo::MIDDLE_ROW);
@@ -258,6 +229,32 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
   EXPECT_NE(unknown_key_message("odometry_clock").find("optical_flow"), std::string::npos);
 }
 
+TEST(ParseConfig, TellsOfFormerParameters) {
+  const std::vector<std::pair<std::string, std::string>> constants{
+      {"tau", "6 grey levels / px"},    {"tau_contrast", "200 grey levels"},
+      {"false_accept_rate", "0.1"},     {"kernel_length_factor", "4"},
+      {"kernel_smoothing", "0 px"},     {"read_noise", "0 grey levels"},
+      {"noise_gain", "0 grey levels"},  {"global_shutter_border", "black"},
+      {"gyro_buffer_duration", "5 s"},  {"bias_window", "1 s"},
+      {"time_jump_threshold", "0.5 s"}, {"track_border", "32 px"},
+      {"track_max_round_trip", "1 px"}, {"track_max_epipolar", "1 px"},
+      {"track_window", "21 px"},        {"track_levels", "3"}};
+  for (const auto& [key, value] : constants) {
+    std::vector<std::string> unknown;
+    EXPECT_EQ(dump(parse(key + ": 7", &unknown)), dump(Config{})) << key << " changed something";
+    EXPECT_EQ(unknown, std::vector<std::string>{key});
+    EXPECT_EQ(unknown_key_message(key), key + " is no parameter any more: it is " + value);
+  }
+  const std::vector<std::pair<std::string, std::string>> merged{
+      {"validate", "validation"}, {"grid_cols", "keypoint_grid"}, {"grid_rows", "keypoint_grid"}};
+  for (const auto& [key, present] : merged) {
+    std::vector<std::string> unknown;
+    parse(key + ": 1", &unknown);
+    EXPECT_EQ(unknown, std::vector<std::string>{key});
+    EXPECT_NE(unknown_key_message(key).find(present), std::string::npos) << unknown_key_message(key);
+  }
+}
+
 // rosparam's YAML 1.1 makes a string of 2e-2 and of y, and a launch file's <param> makes one of a list.
 TEST(ParseConfig, TakesStringsThatAreEntirelyValues) {
   EXPECT_EQ(parse("exposure_time: \"2e-2\"").shutter.exposure_ns, 20 * kMs);
@@ -266,7 +263,7 @@ TEST(ParseConfig, TakesStringsThatAreEntirelyValues) {
     EXPECT_EQ(parse(std::string("frame_queue_size: ") + integer).frame_queue_size, 100) << integer;
   }
   for (const char* off : {"false", "\"false\"", "\"no\"", "\"n\"", "\"off\"", "\"False\""}) {
-    EXPECT_FALSE(parse(std::string("validate: ") + off).pipeline.validation.enabled) << off;
+    EXPECT_FALSE(parse(std::string("optical_flow: ") + off).pipeline.optical_flow) << off;
   }
   EXPECT_TRUE(parse("drop_poor: \"y\"").drop_poor);
   EXPECT_EQ(parse("max_extent: 100").pipeline.blur_field.max_extent_px, 100) << "an integer for a double";
@@ -295,7 +292,7 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("noise_to_signal_ratio: \"0.01 px\"", "noise_to_signal_ratio = \"0.01 px\" is not a finite number");
   expect("noise_to_signal_ratio: \"\"", "noise_to_signal_ratio = \"\" is not a finite number");
   expect("block_size: \"64.5\"", "block_size = \"64.5\" is not an integer");
-  expect("validate: \"1\"", "validate = \"1\" is not true or false");
+  expect("drop_poor: \"1\"", "drop_poor = \"1\" is not true or false");
   expect("gyro_bias: \"[0, 0]\"", "gyro_bias = [0, 0] is not a list of 3 finite numbers");
   expect("gyro_bias: \"[0, 0\"", "gyro_bias = \"[0, 0\" is not a list of 3 finite numbers");
   expect("noise_to_signal_ratio: [0.01]", "noise_to_signal_ratio = [0.01] is not a finite number");
@@ -305,7 +302,9 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("exposure_time: 1e300", "exposure_time = 1e+300 is outside");
   expect("block_size: 64.5", "block_size = 64.5 is not an integer");
   expect("block_size: 99999999999", "block_size = 99999999999 is not an integer");
-  expect("validate: 1", "validate = 1 is not true or false");
+  expect("drop_poor: 1", "drop_poor = 1 is not true or false");
+  expect("validation: paper", "validation = paper is not one of likelihood gradient none");
+  expect("validation: false", "validation = false is not one of likelihood gradient none");
   expect("keypoint_detector: [SIFT]", "keypoint_detector = [SIFT] is not a string");
   expect("keypoint_detector: SURF", "keypoint_detector = \"SURF\" is not one of SIFT ORB");
   expect("stamp_row: top", "stamp_row = top is not one of first middle last");
@@ -344,16 +343,13 @@ TEST(ParseConfig, RefusesValuesOutOfRange) {
       {"exposure_time", {"0", "1e-9", "1"}, {"-0.001", "1.001"}},
       {"readout_time", {"-1", "1"}, {"-1.001", "1.001"}},
       {"time_offset", {"-4e9", "4e9"}, {"-4000000001", "4000000001"}},
-      {"gyro_buffer_duration", {"0.101", "60"}, {"0.1", "60.001"}},
       {"max_gyro_gap", {"0.001", "1"}, {"0.0009", "1.001"}},
       {"gyro_range", {"0", "400"}, {"-0.001", "2000"}},
       {"input_timeout", {"0", "10"}, {"-0.001", "10.001"}},
       {"frame_queue_size", {"1", "1000"}, {"0", "1001"}},
-      {"bias_window", {"0.1", "10"}, {"0.0999", "10.001"}},
       {"bias_max_stddev", {"1e-9", "1"}, {"0", "-1", "1.001"}},
-      {"time_jump_threshold", {"0.01", "10"}, {"0.00999", "10.001"}},
       {"threads", {"0", "256"}, {"-1", "257"}},
-      {"kernel_length_factor", {"2", "8"}, {"1.999", "8.001"}},
+      {"keypoint_grid", {"1", "64"}, {"0", "65"}},
       {"gyro_bias", {"[1, -1, 0]"}, {"[1.001, 0, 0]", "[0, 0, -1.001]"}},
   };
   for (const Limits& limit : limits) {

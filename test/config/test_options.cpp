@@ -8,6 +8,7 @@
 
 #include <gtest/gtest.h>
 
+#include "gyro_deblur/config.hpp"
 #include "option_error_text.hpp"
 
 namespace gyro_deblur {
@@ -59,6 +60,28 @@ TEST(Options, KernelLimits) {
   expect_limits(&FilterOptions::smoothing_px, "kernel_smoothing", {0.0, 5.0}, {-0.001, 5.001, kNan});
 }
 
+TEST(Options, NoiseLimits) {
+  expect_limits(&NoiseModel::read_noise, "read_noise", {0.0, 50.0}, {-0.001, 50.001, kNan});
+  expect_limits(&NoiseModel::noise_gain, "noise_gain", {0.0, 10.0}, {-0.001, 10.001, kNan});
+}
+
+TEST(Options, TrackerLimits) {
+  using O = TrackerOptions;
+  expect_limits(&O::max_tracks, "max_tracks", {8, 10000}, {7, 10001});
+  expect_limits(&O::min_distance_px, "track_min_distance", {2.0, 500.0}, {1.999, 500.001, kNan});
+  expect_limits(&O::border_px, "track_border", {0, 500}, {-1, 501});
+  expect_limits(&O::max_round_trip_px, "track_max_round_trip", {0.05, 10.0}, {0.0499, 10.001, kNan});
+  expect_limits(&O::max_epipolar_px, "track_max_epipolar", {0.1, 20.0}, {0.0999, 20.001, kNan});
+  expect_limits(&O::window_px, "track_window", {5, 21, 101}, {3, 20, 103});
+  expect_limits(&O::levels, "track_levels", {0, 6}, {-1, 7});
+}
+
+TEST(Options, LimitsOfConstantsOfAConfiguration) {
+  const TimeNs ms = 1'000'000, s = 1000 * ms;
+  expect_limits(&Config::bias_window_ns, "bias_window", {100 * ms, 10 * s}, {100 * ms - 1, 10 * s + 1, TimeNs{0}});
+  expect_limits(&Config::time_jump_ns, "time_jump_threshold", {10 * ms, 10 * s}, {10 * ms - 1, 10 * s + 1});
+}
+
 TEST(Options, SignificantBitsLimits) {
   expect_limits(&PipelineOptions::significant_bits, "significant_bits", {0, 8, 16}, {-1, 1, 7, 17});
 }
@@ -70,8 +93,7 @@ TEST(Options, KeypointLimits) {
   expect_limits<O, std::string>(&O::descriptor, "keypoint_descriptor", {"SIFT", "BRISK", "NONE"},
                                 {"", "GFTT", "AKAZE", "ORB"});  // the last two not with the detector SIFT
   expect_limits(&O::max_keypoints, "max_keypoints", {1, 100000}, {0, -1, 100001});
-  expect_limits(&O::grid_cols, "grid_cols", {1, 64}, {0, 65});
-  expect_limits(&O::grid_rows, "grid_rows", {1, 64}, {0, 65});
+  expect_limits(&O::grid, "keypoint_grid", {1, 64}, {0, 65});
   O akaze;
   akaze.detector = akaze.descriptor = "AKAZE";
   EXPECT_NO_THROW(akaze.validate());

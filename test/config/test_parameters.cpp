@@ -16,12 +16,14 @@
 namespace gyro_deblur {
 namespace {
 
-std::vector<const Parameter*> all_parameters() {
-  std::vector<const Parameter*> parameters;
+/// Parameters and constants.
+std::vector<const Parameter*> all_rows() {
+  std::vector<const Parameter*> rows;
   for (const ParameterGroup& group : parameter_groups()) {
-    for (const Parameter& parameter : group.parameters) parameters.push_back(&parameter);
+    for (const Parameter& parameter : group.parameters) rows.push_back(&parameter);
   }
-  return parameters;
+  for (const Parameter& constant : constants()) rows.push_back(&constant);
+  return rows;
 }
 
 /// A value of the row's type that is not the default.
@@ -49,43 +51,54 @@ TEST(Parameters, RowsAreComplete) {
     EXPECT_FALSE(group.name.empty());
     for (const Parameter& p : group.parameters) {
       SCOPED_TRACE(p.key);
-      EXPECT_TRUE(keys.insert(p.key).second) << "a second time";
-      EXPECT_TRUE(std::regex_match(p.key, std::regex("[A-Za-z][A-Za-z0-9_]*")));
-      EXPECT_TRUE(std::regex_match(p.text, std::regex("[^\"\\n]*[^\"\\n. ]"))) << p.text;
-      const Value value = p.standard();
-      const bool is_time = std::holds_alternative<TimeNs>(value);
-      const bool is_number = std::holds_alternative<int>(value) || std::holds_alternative<double>(value) || is_time ||
-                             std::holds_alternative<Eigen::Vector3d>(value);
-      EXPECT_EQ(p.limits.has_value(), is_number);
-      if (p.limits) {
-        EXPECT_LT(p.limits->min, p.limits->max);
-      }
-      if (is_time) {
-        EXPECT_STREQ(p.limits->unit, "s");
-      }
-      if (std::holds_alternative<Choice>(value)) {
-        EXPECT_GE(p.choices.size(), 2u);
-      }
       EXPECT_EQ(find_parameter(p.key), &p);
-      // An exposure of 0 is one that is not known.
-      if (p.key != "exposure_time") {
-        EXPECT_NO_THROW(p.check(value));
-      }
-      EXPECT_NO_THROW(p.check(other_value(p)));
+      EXPECT_EQ(find_constant(p.key), nullptr);
     }
+  }
+  for (const Parameter& p : constants()) {
+    SCOPED_TRACE(p.key);
+    EXPECT_EQ(find_constant(p.key), &p);
+    EXPECT_EQ(find_parameter(p.key), nullptr);
+    EXPECT_EQ(p.change, Change::AT_START);
+  }
+  for (const Parameter* row : all_rows()) {
+    const Parameter& p = *row;
+    SCOPED_TRACE(p.key);
+    EXPECT_TRUE(keys.insert(p.key).second) << "a second time";
+    EXPECT_TRUE(std::regex_match(p.key, std::regex("[A-Za-z][A-Za-z0-9_]*")));
+    EXPECT_TRUE(std::regex_match(p.text, std::regex("[^\"\\n]*[^\"\\n ]\\."))) << p.text;
+    const Value value = p.standard();
+    const bool is_time = std::holds_alternative<TimeNs>(value);
+    const bool is_number = std::holds_alternative<int>(value) || std::holds_alternative<double>(value) || is_time ||
+                           std::holds_alternative<Eigen::Vector3d>(value);
+    EXPECT_EQ(p.limits.has_value(), is_number);
+    if (p.limits) {
+      EXPECT_LT(p.limits->min, p.limits->max);
+    }
+    if (is_time) {
+      EXPECT_STREQ(p.limits->unit, "s");
+    }
+    if (std::holds_alternative<Choice>(value)) {
+      EXPECT_GE(p.choices.size(), 2u);
+    }
+    // An exposure of 0 is one that is not known.
+    if (p.key != "exposure_time") {
+      EXPECT_NO_THROW(p.check(value));
+    }
+    EXPECT_NO_THROW(p.check(other_value(p)));
   }
   EXPECT_EQ(find_parameter("gama"), nullptr);
 }
 
 TEST(Parameters, EachSetsItsOwnMember) {
-  for (const Parameter* p : all_parameters()) {
+  for (const Parameter* p : all_rows()) {
     SCOPED_TRACE(p->key);
     const Value value = other_value(*p);
     ASSERT_FALSE(value == p->standard());
     Config config;
     p->set(config, value);
     EXPECT_TRUE(p->get(config) == value);
-    for (const Parameter* other : all_parameters()) {
+    for (const Parameter* other : all_rows()) {
       if (other != p) {
         EXPECT_TRUE(other->get(config) == other->standard()) << other->key;
       }
@@ -106,8 +119,8 @@ TEST(Parameters, EveryMemberHasARow) {
     EXPECT_EQ(parameters_of<BlurFieldOptions>().size(), count(a, b, c, d));
   }
   {
-    const auto& [a, b, c, d, e] = ValidationOptions();
-    EXPECT_EQ(parameters_of<ValidationOptions>().size(), count(a, b, c, d, e));
+    const auto& [a, b, c, d] = ValidationOptions();
+    EXPECT_EQ(parameters_of<ValidationOptions>().size(), count(a, b, c, d));
   }
   {
     const auto& [a, b, c, d] = FilterOptions();
@@ -118,8 +131,8 @@ TEST(Parameters, EveryMemberHasARow) {
     EXPECT_EQ(parameters_of<NoiseModel>().size(), count(a, b));
   }
   {
-    const auto& [a, b, c, d, e] = KeypointOptions();
-    EXPECT_EQ(parameters_of<KeypointOptions>().size(), count(a, b, c, d, e));
+    const auto& [a, b, c, d] = KeypointOptions();
+    EXPECT_EQ(parameters_of<KeypointOptions>().size(), count(a, b, c, d));
   }
   {
     const auto& [a, b, c, d, e, f, g] = TrackerOptions();
@@ -177,19 +190,21 @@ TEST(Parameters, AreOnlyGivenToTheirOwnStruct) {
   EXPECT_THROW(find_parameter("noise_to_signal_ratio")->set(config, 1), std::bad_variant_access) << "an integer";
 }
 
-// dynamic_reconfigure has four types.
+// dynamic_reconfigure has four types. An enumerator is a string.
 TEST(Parameters, ThatMayChangeHaveATypeOfDynamicReconfigure) {
   std::size_t changing = 0;
-  for (const Parameter* p : all_parameters()) {
+  for (const Parameter* p : all_rows()) {
     if (p->change != Change::WHILE_RUNNING) continue;
     ++changing;
     const Value value = p->standard();
     EXPECT_TRUE(std::holds_alternative<bool>(value) || std::holds_alternative<int>(value) ||
-                std::holds_alternative<double>(value) || std::holds_alternative<std::string>(value))
+                std::holds_alternative<double>(value) || std::holds_alternative<std::string>(value) ||
+                std::holds_alternative<Choice>(value))
         << p->key;
     if (p->limits) {
       EXPECT_FALSE(p->limits->above) << p->key << ": its ranges are closed";
     }
+    EXPECT_EQ(p->text.find('\''), std::string::npos) << p->key << ": its descriptions have no quotes";
   }
   EXPECT_GE(changing, 12u);
 }

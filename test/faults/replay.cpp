@@ -233,7 +233,7 @@ Config random_change(const Config& config, std::uint64_t seed) {
       changed.pipeline.blur_field.min_extent_px = pick(0, 5);  // 0 is refused
       break;
     case 3:
-      changed.pipeline.validation.enabled = pick(0, 1) == 1;
+      changed.pipeline.validation.rule = pick(0, 1) == 1 ? ValidationRule::LIKELIHOOD : ValidationRule::NONE;
       break;
     case 4:
       changed.pipeline.keypoints.max_keypoints = pick(1, 500);

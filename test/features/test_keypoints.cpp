@@ -209,7 +209,7 @@ TEST(FeatureExtractor, SpreadsKeypointsOverTheGrid) {
     KeypointOptions options = options_of(detector, "NONE", 80);
     const std::vector<int> without = per_column(FeatureExtractor(options).extract(image), 4);
     EXPECT_GT(without[0], 50) << detector << ": the strong quarter takes most";
-    options.grid_cols = 4;
+    options.grid = 4;
     const std::vector<int> with = per_column(FeatureExtractor(options).extract(image), 4);
     for (const int count : with) EXPECT_EQ(count, 20) << detector;
   }
@@ -219,7 +219,7 @@ TEST(FeatureExtractor, GivesUnusedSharesToTheStrongest) {
   cv::Mat image = nonuniform_image();
   image(cv::Rect(200, 0, 200, 200)).setTo(128);  // two of four cells are empty
   KeypointOptions options = options_of("FAST", "NONE", 81);
-  options.grid_cols = 4;
+  options.grid = 4;
   const Features features = FeatureExtractor(options).extract(image);
   EXPECT_EQ(features.keypoints.size(), 81u);
   const std::vector<int> counts = per_column(features, 4);

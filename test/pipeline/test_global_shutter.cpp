@@ -37,7 +37,7 @@ RowExposure exposure(TimeNs readout_ns) {
 PipelineOptions options(ImageBorder border = ImageBorder::BLACK, bool deblurs = false) {
   PipelineOptions o;
   o.optical_flow = false;
-  o.validation.enabled = false;
+  o.validation.rule = ValidationRule::NONE;
   if (!deblurs) {
     o.blur_field.min_extent_px = 20;
     o.blur_field.max_extent_px = 30;

@@ -134,7 +134,7 @@ TEST(Pipeline, SharpensABlurredFrame) {
 
 TEST(Pipeline, LeavesBowsAloneInAHurry) {
   PipelineOptions trusting = options();
-  trusting.validation.enabled = false;
+  trusting.validation.rule = ValidationRule::NONE;
   Pipeline p(trusting);
   p.set_calibration(test::small_camera());
   // Half a period within the exposure: a bow of 8 px.
@@ -182,7 +182,7 @@ TEST(Pipeline, TellsTheNoise) {
 TEST(Pipeline, TellsHowManyBlocksWereSlow) {
   PipelineOptions on_the_processor = options();
   on_the_processor.engine = "cpu";
-  on_the_processor.validation.enabled = false;
+  on_the_processor.validation.rule = ValidationRule::NONE;
   Pipeline p(on_the_processor);
   p.set_calibration(test::small_camera());
   cv::Mat deep;
@@ -429,7 +429,7 @@ TEST(Pipeline, TakesNewOptions) {
   PipelineOptions changed = options();
   changed.kernel.gamma = 0.1;
   changed.blur_field.block_size_px = 32;
-  changed.validation.enabled = false;
+  changed.validation.rule = ValidationRule::NONE;
   changed.keypoints.max_keypoints = 20;
   changed.rectify_to = RectifyTo::STAMP;
   p.set_options(changed);

@@ -167,7 +167,7 @@ TEST(StaticRim, IsFoundAndLeftAloneWithoutAMask) {
   for (const Case& each : cases()) {
     SCOPED_TRACE(each.name);
     PipelineOptions trusting = options();
-    trusting.validation.enabled = false;
+    trusting.validation.rule = ValidationRule::NONE;
     trusting.optical_flow = false;
     for (const PipelineOptions& with : {options(), trusting}) {
       const auto [first, last] = process(each.add, {}, with);
@@ -180,7 +180,7 @@ TEST(StaticRim, IsFoundAndLeftAloneWithoutAMask) {
       EXPECT_GT(last.result.field.count(BlockStatus::DEBLURRED), 30u) << "the rest is deblurred";
       EXPECT_LT(ringing(last, each.used), 0.5);
       EXPECT_LE(corners_at_edge(last.output(), each.used), corners_at_edge(last.input, each.used));
-      if (!with.validation.enabled) {
+      if (with.validation.rule == ValidationRule::NONE) {
         // What it comes to otherwise.
         EXPECT_GT(ringing(first, each.used), 10);
         EXPECT_GT(corners_at_edge(first.output(), each.used), 1.5 * corners_at_edge(first.input, each.used));
@@ -194,7 +194,7 @@ TEST(StaticRim, MaskedPixelsLeaveAsTheyCame) {
     SCOPED_TRACE(each.name);
     const PixelMask mask(each.used);
     PipelineOptions trusting = options();
-    trusting.validation.enabled = false;
+    trusting.validation.rule = ValidationRule::NONE;
     PipelineOptions in_2d = trusting;
     in_2d.engine = "fourier";
     for (const PipelineOptions& with : {options(), trusting, in_2d}) {

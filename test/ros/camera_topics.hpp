@@ -86,7 +86,7 @@ class CameraTopicsTest : public testing::Test {
     set("readout_time", to_seconds(kReadout));
     set("R_cam_imu", std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, 1});
     set("block_size", 32);
-    set("validate", false);
+    set("validation", std::string("none"));
     set("optical_flow", false);
     set("keypoint_detector", std::string("FAST"));
     set("keypoint_descriptor", std::string("ORB"));

@@ -91,7 +91,7 @@ inline Config test_config() {
   config.shutter.readout_ns = kReadout;
   config.R_cam_imu = Eigen::Matrix3d::Identity();
   config.pipeline.blur_field.block_size_px = 32;
-  config.pipeline.validation.enabled = false;
+  config.pipeline.validation.rule = ValidationRule::NONE;
   config.pipeline.optical_flow = false;
   config.pipeline.keypoints.detector = "FAST";
   config.pipeline.keypoints.descriptor = "ORB";

@@ -422,7 +422,8 @@ TEST(Parameters, KeepTheirTypes) {
   XmlRpc::XmlRpcValue values;
   values["noise_to_signal_ratio"] = 0.05;
   values["block_size"] = 32;
-  values["validate"] = false;
+  values["drop_poor"] = true;
+  values["validation"] = std::string("none");
   values["detector"] = std::string("ORB");
   values["descriptor"] = std::string("ORB");
   values["gyro_bias"][0] = 0.5;
@@ -431,7 +432,8 @@ TEST(Parameters, KeepTheirTypes) {
   Config config = parse_config(to_yaml(values));
   EXPECT_EQ(config.pipeline.kernel.gamma, 0.05);
   EXPECT_EQ(config.pipeline.blur_field.block_size_px, 32);
-  EXPECT_FALSE(config.pipeline.validation.enabled);
+  EXPECT_TRUE(config.drop_poor);
+  EXPECT_EQ(config.pipeline.validation.rule, ValidationRule::NONE);
   EXPECT_EQ(config.pipeline.keypoints.detector, "ORB");
   EXPECT_EQ(config.gyro.bias_rad_s, Eigen::Vector3d(0.5, 0, -0.5));
   values["noise_to_signal_ratio"] = std::string("5e-2");
@@ -446,13 +448,13 @@ TEST(Parameters, BecomeYamlThatReadsTheSame) {
   XmlRpc::XmlRpcValue values;
   values["engine"] = std::string("opencl:\"a\\b\" #1: {é}\n\t\x01");
   values["calibration_camera"] = std::string("7");
-  values["tau"] = 0.1 + 0.2;
+  values["noise_to_signal_ratio"] = 0.1 + 0.2;
   values["namespace of others"]["a"] = std::string("x");
   std::vector<std::string> unknown;
   const Config config = parse_config(to_yaml(values), &unknown);
   EXPECT_EQ(config.pipeline.engine, static_cast<std::string>(values["engine"]));
   EXPECT_EQ(config.calibration_camera, "7");
-  EXPECT_EQ(config.pipeline.validation.tau, 0.1 + 0.2);
+  EXPECT_EQ(config.pipeline.kernel.gamma, 0.1 + 0.2);
   EXPECT_EQ(unknown, std::vector<std::string>{"namespace of others"});
   XmlRpc::XmlRpcValue nothing, infinite(-std::numeric_limits<double>::infinity());
   EXPECT_EQ(to_yaml(nothing), "~");

@@ -35,7 +35,7 @@ class NodeletExposureTest : public CameraTopicsTest {
     const ShutterTiming timing = camera_.simulator().scene().timing(0);
     set("readout_time", to_seconds(timing.readout_ns));
     set("optical_flow", true);
-    set("validate", true);
+    set("validation", std::string("likelihood"));
     set("exposure_time", std::string());
     image_subscriber_ = nh_.subscribe<sensor_msgs::Image>(
         ns_ + "/deblurred/image_raw", 1000,

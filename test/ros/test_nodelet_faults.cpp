@@ -475,7 +475,7 @@ class StereoPairTest : public StereoTest {
     cv::GaussianBlur(texture(), wall, {}, 12);
     for (int x = 0; x < kWidth; ++x) edges.col(x).setTo(x / 8 % 2 == 0 ? 0 : 255);
     for (const std::size_t i : {0u, 1u}) {
-      set(i, "validate", true);
+      set(i, "validation", std::string("likelihood"));
       ASSERT_NO_FATAL_FAILURE(load(i));
     }
     // The first images of a camera are waited for by nobody: these leave at once.
@@ -562,7 +562,7 @@ TEST_F(StereoPairTest, BadImageTakesItsPartnerAlongWhereBothDropThem) {
 }
 
 TEST_F(StereoTest, OtherLimitsOfStampsAreNotShared) {
-  nh_.setParam(cameras_[1].ns + "/deblur/time_jump_threshold", 2.0);
+  nh_.setParam(cameras_[1].ns + "/deblur/max_gyro_gap", 0.06);
   for (const std::size_t i : {0u, 1u}) ASSERT_NO_FATAL_FAILURE(load(i));
   EXPECT_EQ(SharedImu::count(), 2u);
   publish_imu(kStart - 50 * kMs, kStart + kPeriod);

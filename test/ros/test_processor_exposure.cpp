@@ -36,7 +36,7 @@ class ProcessorExposureTest : public ProcessorTest {
     config_.shutter = camera().simulator().scene().timing(0);
     config_.shutter.exposure_ns = 0;
     config_.pipeline.optical_flow = true;
-    config_.pipeline.validation.enabled = true;
+    config_.pipeline.validation.rule = ValidationRule::LIKELIHOOD;
     configure();
   }
 

@@ -51,7 +51,7 @@ class DeblurBagTest : public testing::Test {
   void write_config(const std::string& more) {
     std::ofstream(path("config.yaml"))
         << "exposure_time: 0.03\nreadout_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\n"
-           "block_size: 32\nvalidate: false\noptical_flow: false\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n"
+           "block_size: 32\nvalidation: none\noptical_flow: false\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n"
         << more;
   }
 
@@ -461,8 +461,13 @@ TEST_F(DeblurBagTest, MaskOfTheBagIsUsed) {
   std::vector<float> expected(kFrames, 0.5f);
   expected.front() = expected.back() = 0;  // the last one has no samples
   EXPECT_EQ(masked_parts({}), expected);
-  write_config("gyro_buffer_duration: 0.11\ninput_timeout: 0.03\n");
-  EXPECT_EQ(masked_parts({"--start", "2.25"}), (std::vector<float>{0.5f, 0}));
+  // The mask was recorded longer before the slice than what is read before it for the slice's frames.
+  const ros::Time later = to_ros_time(kStart + 2 * kFramePeriod - 10 * kMs);
+  change_bag([&](const rosbag::MessageInstance& instance, rosbag::Bag* bag) {
+    const bool is_moved = instance.getTime() >= later;
+    bag->write(instance.getTopic(), instance.getTime() + ros::Duration(is_moved ? 10 : 0), instance);
+  });
+  EXPECT_EQ(masked_parts({"--start", "12.25"}), (std::vector<float>{0.5f, 0}));
   ASSERT_TRUE(cv::imwrite(path("all.png"), cv::Mat(kHeight, kWidth, CV_8UC1, cv::Scalar(255))));
   EXPECT_EQ(masked_parts({"--mask", path("all.png")}), std::vector<float>(kFrames, 0));
 }
@@ -603,8 +608,8 @@ TEST_F(DeblurBagTest, SliceUsesTheExposureSettingFromBeforeIt) {
   // Without a setting frames could not be deblurred; what is read before a slice ends long after the first ones.
   std::ofstream(path("config.yaml"))
       << "exposure_time: 0\nreadout_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\n"
-         "block_size: 32\nvalidate: false\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n"
-         "gyro_buffer_duration: 1\nexposure_source: dynamic_reconfigure_us\n"
+         "block_size: 32\nvalidation: none\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n"
+         "exposure_source: dynamic_reconfigure_us\n"
          "exposure_field: exposure_us\n";
   const std::vector<std::string> driver{"--exposure-topic", "/cam/driver"};
   ASSERT_EQ(run(driver).exit_code, 0);
@@ -701,7 +706,7 @@ TEST_F(DeblurBagTest, MemoryGrowsByNoRecordOfFrames) {
   constexpr TimeNs kPeriod = 10 * kMs;
   std::ofstream(path("config.yaml"))
       << "exposure_time: 0.02\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\nblock_size: 8\n"
-         "threads: 1\nvalidate: false\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n";
+         "threads: 1\nvalidation: none\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n";
   const auto peak_kib = [&](int frames, const std::vector<std::string>& arguments) {
     {
       rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Write);
@@ -730,7 +735,7 @@ TEST_F(DeblurBagTest, MemoryGrowsByNoRecordOfFrames) {
 
 TEST_F(DeblurBagTest, StaticTransformOfTheBagIsUsed) {
   std::ofstream(path("config.yaml"))
-      << "exposure_time: 0.03\nvalidate: false\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n";
+      << "exposure_time: 0.03\nvalidation: none\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n";
   write_bag(kFastRadS);
   ASSERT_EQ(run().exit_code, 0);
   EXPECT_EQ(report()["passed_through"]["NO_EXTRINSIC"], kFrames);

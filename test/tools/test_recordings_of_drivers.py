@@ -25,7 +25,7 @@ FRAMES, PERIOD_S = 12, 0.05
 IMU_PERIOD_S = 0.005
 EXPOSURE_S, READOUT_S = 0.02, 0.01
 RATE_RAD_S = 2.0
-CONFIG = ("exposure_time: %g\nreadout_time: %g\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\nblock_size: 32\nvalidate: false\n"
+CONFIG = ("exposure_time: %g\nreadout_time: %g\nR_cam_imu: [1,0,0,0,1,0,0,0,1]\nblock_size: 32\nvalidation: none\n"
           "optical_flow: false\nkeypoint_detector: FAST\nkeypoint_descriptor: ORB\n" % (EXPOSURE_S, READOUT_S))
 
 
