@@ -145,7 +145,7 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const FilterBan
           }
           const bool is_float = name.compare(0, 5, "float") == 0;
           if (is_float || name.compare(0, 4, "cpu-") == 0) {
-            const BlockSimd* kernels = is_float ? nullptr : find_block_simd(name.c_str() + 4);
+            const BlockSimd* kernels = is_float ? nullptr : find_for_cpu<BlockSimd>(name.c_str() + 4);
             const Work work = is_float ? work_of_float(grid) : work_of_cpu(grid, kernels->lanes);
             record["work"] = {{"float_gmac", work.float_macs / 1e9},
                               {"int16_gmac", work.int16_macs / 1e9},

@@ -97,7 +97,7 @@ std::unique_ptr<Engine> make_engine(const std::string& name, int threads) {
   }
   const std::string prefix = "cpu-";
   if (name.compare(0, prefix.size(), prefix) == 0) {
-    const BlockSimd* kernels = find_block_simd(name.c_str() + prefix.size());
+    const BlockSimd* kernels = find_for_cpu<BlockSimd>(name.c_str() + prefix.size());
     if (kernels == nullptr) return nullptr;
     return std::make_unique<CpuEngine>(threads, *kernels);
   }

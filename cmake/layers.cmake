@@ -63,15 +63,25 @@ function(gyro_deblur_live_in target layer)
   gyro_deblur_show_view(${target} ${layer})
 endfunction()
 
-# gyro_deblur_compile_for_instruction_sets(LAYER STEM): adds STEM_avx2.cpp and STEM_avx512.cpp where they can run. Which
-# copy does is decided at run time. GCC 12 warns about its own AVX-512 header (GCC bug 105593).
+# gyro_deblur_compile_for_instruction_sets(LAYER STEM): compiles src/LAYER/STEM_impl.hpp once per instruction set. Which
+# copy runs is decided at run time (base/instruction_sets.hpp). GCC 12 warns about its own AVX-512 header (GCC bug 105593).
 function(gyro_deblur_compile_for_instruction_sets layer stem)
-  if(NOT CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64")
-    return()
+  set(sets baseline)
+  set(baseline_bytes 16)
+  set(baseline_options "")
+  if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64")
+    list(APPEND sets avx2 avx512)
+    set(avx2_bytes 32)
+    set(avx2_options -mavx2 -mfma)
+    set(avx512_bytes 64)
+    set(avx512_options -mavx512f -mavx512bw -mavx512vl -mavx512dq -mavx512vnni -mavx512vbmi -mavx2 -mfma
+      -mprefer-vector-width=512 -Wno-maybe-uninitialized)
   endif()
-  set(path ${PROJECT_SOURCE_DIR}/src/${layer}/${stem})
-  target_sources(gyro_deblur_${layer} PRIVATE ${path}_avx2.cpp ${path}_avx512.cpp)
-  set_source_files_properties(${path}_avx2.cpp PROPERTIES SKIP_PRECOMPILE_HEADERS ON COMPILE_OPTIONS "-mavx2;-mfma")
-  set_source_files_properties(${path}_avx512.cpp PROPERTIES SKIP_PRECOMPILE_HEADERS ON
-    COMPILE_OPTIONS "-mavx512f;-mavx512bw;-mavx512vl;-mavx512dq;-mavx512vnni;-mavx512vbmi;-mavx2;-mfma;-mprefer-vector-width=512;-Wno-maybe-uninitialized")
+  foreach(set ${sets})
+    set(vector_bytes ${${set}_bytes})
+    set(source ${CMAKE_CURRENT_BINARY_DIR}/simd/${layer}/${stem}_${set}.cpp)
+    configure_file(${PROJECT_SOURCE_DIR}/cmake/simd_kernels.cpp.in ${source} @ONLY)
+    target_sources(gyro_deblur_${layer} PRIVATE ${source})
+    set_source_files_properties(${source} PROPERTIES SKIP_PRECOMPILE_HEADERS ON COMPILE_OPTIONS "${${set}_options}")
+  endforeach()
 endfunction()

@@ -6,6 +6,7 @@
 #pragma once
 
 #include "base/fourier.hpp"
+#include "base/instruction_sets.hpp"
 
 namespace gyro_deblur {
 
@@ -30,22 +31,6 @@ struct FourierSimd {
   void (*restore_columns)(const FourierTile& plan, int first_col, int end_col, float* tile, float* scratch);
 };
 
-namespace baseline {
-extern const FourierSimd kFourierSimd;
-}
-#if defined(__x86_64__)
-namespace avx2 {
-extern const FourierSimd kFourierSimd;
-}
-namespace avx512 {
-extern const FourierSimd kFourierSimd;
-}
-#endif
-
-/// The widest set this processor runs.
-const FourierSimd& best_fourier_simd();
-
-/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
-const FourierSimd* find_fourier_simd(const char* name);
+GYRO_DEBLUR_SIMD_KERNELS(FourierSimd)
 
 }  // namespace gyro_deblur

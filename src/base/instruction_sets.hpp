@@ -1,4 +1,8 @@
-// Loops that are compiled once per instruction set (cmake/layers.cmake, base/vectors_impl.hpp): which copy runs here.
+// SIMD kernels: loops that are compiled once per instruction set, and which copy runs here.
+//
+// The kernels of one task are a struct of function pointers, whose first member is `const char* name`. X_simd.hpp
+// declares it, with GYRO_DEBLUR_SIMD_KERNELS behind it. X_simd_impl.hpp has the functions, and
+// gyro_deblur_compile_for_instruction_sets() of cmake/layers.cmake compiles it for every instruction set.
 #pragma once
 
 #include <cstring>
@@ -8,21 +12,52 @@ namespace gyro_deblur {
 /// Whether this processor runs what is compiled for "baseline", "avx2" or "avx512"; false for any other name.
 bool runs_instruction_set(const char* name);
 
-/// Of a table of copies, widest first, each with the `name` of its instruction set, the first that this processor runs.
-/// The last one is "baseline", which all run.
-template <typename Copy, int kCount>
-const Copy& select_for_cpu(const Copy* const (&copies)[kCount]) {
-  for (const Copy* copy : copies) {
-    if (runs_instruction_set(copy->name)) return *copy;
+/// kWidestFirst: the copies of `Kernels`. The last one is "baseline", which every processor runs.
+template <typename Kernels>
+struct SimdCopies;
+
+// No functions: headers of kernels are compiled for AVX-512, too, and the linker may keep that copy of an inline one.
+#if defined(__x86_64__)
+#define GYRO_DEBLUR_SIMD_KERNELS(Kernels)                                                                             \
+  namespace baseline {                                                                                                \
+  extern const Kernels k##Kernels;                                                                                    \
+  }                                                                                                                   \
+  namespace avx2 {                                                                                                    \
+  extern const Kernels k##Kernels;                                                                                    \
+  }                                                                                                                   \
+  namespace avx512 {                                                                                                  \
+  extern const Kernels k##Kernels;                                                                                    \
+  }                                                                                                                   \
+  template <>                                                                                                         \
+  struct SimdCopies<Kernels> {                                                                                        \
+    static constexpr const Kernels* kWidestFirst[] = {&avx512::k##Kernels, &avx2::k##Kernels, &baseline::k##Kernels}; \
+  };
+#else
+#define GYRO_DEBLUR_SIMD_KERNELS(Kernels)                                     \
+  namespace baseline {                                                        \
+  extern const Kernels k##Kernels;                                            \
+  }                                                                           \
+  template <>                                                                 \
+  struct SimdCopies<Kernels> {                                                \
+    static constexpr const Kernels* kWidestFirst[] = {&baseline::k##Kernels}; \
+  };
+#endif
+
+/// The copy for the widest instruction set that this processor runs.
+template <typename Kernels>
+const Kernels& select_for_cpu() {
+  const Kernels* selected = nullptr;
+  for (const Kernels* copy : SimdCopies<Kernels>::kWidestFirst) {
+    selected = copy;
+    if (runs_instruction_set(copy->name)) break;
   }
-  return *copies[kCount - 1];
+  return *selected;
 }
 
-/// Of a table of copies, each with the `name` of its instruction set, the one of that name; null when it is not there
-/// or this processor does not run it.
-template <typename Copy, int kCount>
-const Copy* find_for_cpu(const Copy* const (&copies)[kCount], const char* name) {
-  for (const Copy* copy : copies) {
+/// The copy of this name; null when this build does not have it, or this processor does not run it.
+template <typename Kernels>
+const Kernels* find_for_cpu(const char* name) {
+  for (const Kernels* copy : SimdCopies<Kernels>::kWidestFirst) {
     if (std::strcmp(copy->name, name) == 0) return runs_instruction_set(name) ? copy : nullptr;
   }
   return nullptr;

@@ -111,7 +111,7 @@ cv::Mat clipped(const cv::Mat& luminance, double noise_grey_levels, int threads)
   const int margin = static_cast<int>(std::min(255.0, std::ceil(kStddevs * noise_grey_levels)));
   constexpr int kRowsAtATime = 32;
   cv::Mat image(luminance.size(), CV_8UC1);
-  static const SpectrumSimd& loops = best_spectrum_simd();
+  static const SpectrumSimd& loops = select_for_cpu<SpectrumSimd>();
   parallel_for(luminance.rows, threads, kRowsAtATime, [&](int y) {
     loops.clip_outliers(luminance.ptr<std::uint8_t>(std::max(y - 1, 0)), luminance.ptr<std::uint8_t>(y),
                         luminance.ptr<std::uint8_t>(std::min(y + 1, luminance.rows - 1)), luminance.cols, margin,
@@ -185,7 +185,7 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
   const cv::Rect window(begin(block.x + block.width / 2, image.cols), begin(block.y + block.height / 2, image.rows),
                         kSpectrumWindow, kSpectrumWindow);
 
-  static const SpectrumSimd& loops = best_spectrum_simd();
+  static const SpectrumSimd& loops = select_for_cpu<SpectrumSimd>();
   Spectrum power;
   loops.power_spectrum(spectrum_tables(), image.ptr<std::uint8_t>(window.y, window.x),
                        static_cast<std::ptrdiff_t>(image.step[0]), power.data());

@@ -4,6 +4,8 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "base/instruction_sets.hpp"
+
 namespace gyro_deblur {
 
 /// The functions of one instruction set: all of them give the same.
@@ -16,22 +18,6 @@ struct GradientSimd {
   int (*strongest_gradient)(const std::uint8_t* around, std::ptrdiff_t stride, int width, int height, int dx, int dy);
 };
 
-namespace baseline {
-extern const GradientSimd kGradientSimd;
-}
-#if defined(__x86_64__)
-namespace avx2 {
-extern const GradientSimd kGradientSimd;
-}
-namespace avx512 {
-extern const GradientSimd kGradientSimd;
-}
-#endif
-
-/// The widest set this processor runs.
-const GradientSimd& best_gradient_simd();
-
-/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
-const GradientSimd* find_gradient_simd(const char* name);
+GYRO_DEBLUR_SIMD_KERNELS(GradientSimd)
 
 }  // namespace gyro_deblur

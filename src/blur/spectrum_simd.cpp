@@ -4,17 +4,8 @@
 
 #include <opencv2/core.hpp>
 
-#include "base/instruction_sets.hpp"
-
 namespace gyro_deblur {
 namespace {
-
-/// Widest first.
-const SpectrumSimd* const kSets[] = {
-#if defined(__x86_64__)
-    &avx512::kSpectrumSimd, &avx2::kSpectrumSimd,
-#endif
-    &baseline::kSpectrumSimd};
 
 SpectrumTables make_tables() {
   // Of Hann's window along one axis: the mean of cos^4 is 3/8.
@@ -37,9 +28,5 @@ const SpectrumTables& spectrum_tables() {
   static const SpectrumTables kTables = make_tables();
   return kTables;
 }
-
-const SpectrumSimd& best_spectrum_simd() { return select_for_cpu(kSets); }
-
-const SpectrumSimd* find_spectrum_simd(const char* name) { return find_for_cpu(kSets, name); }
 
 }  // namespace gyro_deblur

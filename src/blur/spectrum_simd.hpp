@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "base/instruction_sets.hpp"
 #include "gyro_deblur/path_1d.hpp"
 
 namespace gyro_deblur {
@@ -59,25 +60,9 @@ struct SpectrumSimd {
   double (*least_cost)(const float* power, const float* model, double* log_factor);
 };
 
-namespace baseline {
-extern const SpectrumSimd kSpectrumSimd;
-}
-#if defined(__x86_64__)
-namespace avx2 {
-extern const SpectrumSimd kSpectrumSimd;
-}
-namespace avx512 {
-extern const SpectrumSimd kSpectrumSimd;
-}
-#endif
+GYRO_DEBLUR_SIMD_KERNELS(SpectrumSimd)
 
 /// The tables for power_spectrum(), made once.
 const SpectrumTables& spectrum_tables();
-
-/// The widest set this processor runs.
-const SpectrumSimd& best_spectrum_simd();
-
-/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
-const SpectrumSimd* find_spectrum_simd(const char* name);
 
 }  // namespace gyro_deblur

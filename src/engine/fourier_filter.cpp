@@ -422,7 +422,7 @@ void FourierFilter::filter_as(const cv::Mat& src, const FilterGrid& grid, const 
                               SeamBlender& seams, cv::Mat& dst) {
   make_tiles(grid, blocks, src.channels());
   prepare_images(src, threads);
-  const WienerGain2dSimd& gain_simd = *find_wiener_gain_2d_simd(loops_.name);
+  const WienerGain2dSimd& gain_simd = *find_for_cpu<WienerGain2dSimd>(loops_.name);
   while (static_cast<int>(scratch_.size()) < threads) scratch_.emplace_back(gain_simd);
   const std::vector<Cell>&of_whole = levels_[WHOLE].cells, &of_half = levels_[HALF].cells;
   const int wholes = static_cast<int>(of_whole.size()), halves = static_cast<int>(of_half.size());

@@ -24,7 +24,7 @@ namespace gyro_deblur {
 /// detail, a cell is filtered in the image at half its size. Keeps its memory.
 class FourierFilter {
  public:
-  explicit FourierFilter(const FourierSimd& loops = best_fourier_simd());
+  explicit FourierFilter(const FourierSimd& loops = select_for_cpu<FourierSimd>());
 
   /// Filters `blocks` (indices into the grid, each with an `inverse`) on at most `threads` threads (>= 1) and leaves
   /// the results with `seams`, which has planned for the grid. src, grid and dst are as Engine::filter says, and dst

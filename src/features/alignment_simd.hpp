@@ -3,6 +3,8 @@
 
 #include <cstddef>
 
+#include "base/instruction_sets.hpp"
+
 namespace gyro_deblur {
 
 /// Floats that may be read, and written, beyond the end of a row of a patch.
@@ -52,22 +54,6 @@ struct AlignmentSimd {
                              int width, int height, float* sums);
 };
 
-namespace baseline {
-extern const AlignmentSimd kAlignmentSimd;
-}
-#if defined(__x86_64__)
-namespace avx2 {
-extern const AlignmentSimd kAlignmentSimd;
-}
-namespace avx512 {
-extern const AlignmentSimd kAlignmentSimd;
-}
-#endif
-
-/// The widest set this processor runs.
-const AlignmentSimd& best_alignment_simd();
-
-/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
-const AlignmentSimd* find_alignment_simd(const char* name);
+GYRO_DEBLUR_SIMD_KERNELS(AlignmentSimd)
 
 }  // namespace gyro_deblur

@@ -1,6 +1,8 @@
 // The loops that the search for corners spends its time in: one interface, compiled once per instruction set.
 #pragma once
 
+#include "base/instruction_sets.hpp"
+
 namespace gyro_deblur {
 
 /// Floats that may be read and written before and beyond a row of `width`.
@@ -27,22 +29,6 @@ struct CornerSimd {
   int (*find_peaks)(const float* above, const float* middle, const float* below, int first_x, int last_x, int* columns);
 };
 
-namespace baseline {
-extern const CornerSimd kCornerSimd;
-}
-#if defined(__x86_64__)
-namespace avx2 {
-extern const CornerSimd kCornerSimd;
-}
-namespace avx512 {
-extern const CornerSimd kCornerSimd;
-}
-#endif
-
-/// The widest set this processor runs.
-const CornerSimd& best_corner_simd();
-
-/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
-const CornerSimd* find_corner_simd(const char* name);
+GYRO_DEBLUR_SIMD_KERNELS(CornerSimd)
 
 }  // namespace gyro_deblur

@@ -73,7 +73,7 @@ std::vector<double> least_squares_inverse(const std::vector<double>& blur, doubl
   // Lagrange: T w = what the blur matches + multiplier * 1, so that the sum is the filter's own gain at frequency 0.
   std::vector<double> sides(2 * n, 1.0), work(5 * (n + kToeplitzRoom) + band), solved(2 * n);
   Eigen::Map<Eigen::VectorXd>(sides.data(), n) = matched_filter(blur, options.smoothing_px);
-  best_tap_simd().solve_toeplitz(lags.data(), band, n, sides.data(), work.data(), solved.data());
+  select_for_cpu<TapSimd>().solve_toeplitz(lags.data(), band, n, sides.data(), work.data(), solved.data());
   const Eigen::Map<const Eigen::VectorXd> of_blur(solved.data(), n), of_ones(solved.data() + n, n);
   const double multiplier = (1 / (1 + options.gamma * (1 - share)) - of_blur.sum()) / of_ones.sum();
   const Eigen::VectorXd w = of_blur + multiplier * of_ones;

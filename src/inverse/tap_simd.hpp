@@ -1,6 +1,8 @@
 // The loops that make weights: one interface, compiled once per instruction set (see tap_simd_impl.hpp).
 #pragma once
 
+#include "base/instruction_sets.hpp"
+
 namespace gyro_deblur {
 
 /// Rows of a matrix that combine_columns takes at a time: floats in the widest vector.
@@ -26,22 +28,6 @@ struct TapSimd {
   void (*solve_toeplitz)(const double* lags, int band, int n, const double* sides, double* work, double* solved);
 };
 
-namespace baseline {
-extern const TapSimd kTapSimd;
-}
-#if defined(__x86_64__)
-namespace avx2 {
-extern const TapSimd kTapSimd;
-}
-namespace avx512 {
-extern const TapSimd kTapSimd;
-}
-#endif
-
-/// The widest set this processor runs.
-const TapSimd& best_tap_simd();
-
-/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
-const TapSimd* find_tap_simd(const char* name);
+GYRO_DEBLUR_SIMD_KERNELS(TapSimd)
 
 }  // namespace gyro_deblur

@@ -1,6 +1,7 @@
 // The loop that makes the gain of a path's inverse: one interface, compiled once per instruction set.
 #pragma once
 
+#include "base/instruction_sets.hpp"
 #include "gyro_deblur/path_1d.hpp"
 
 namespace gyro_deblur {
@@ -28,19 +29,6 @@ struct WienerGain2dSimd {
   void (*gain_of_rows)(const PlaneGainTables& tables, int first_row, bool blurs_again, float* gain);
 };
 
-namespace baseline {
-extern const WienerGain2dSimd kWienerGain2dSimd;
-}
-#if defined(__x86_64__)
-namespace avx2 {
-extern const WienerGain2dSimd kWienerGain2dSimd;
-}
-namespace avx512 {
-extern const WienerGain2dSimd kWienerGain2dSimd;
-}
-#endif
-
-/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
-const WienerGain2dSimd* find_wiener_gain_2d_simd(const char* name);
+GYRO_DEBLUR_SIMD_KERNELS(WienerGain2dSimd)
 
 }  // namespace gyro_deblur

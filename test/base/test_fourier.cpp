@@ -36,7 +36,7 @@ TEST(FourierPlan, HasAPlaceForEveryFrequency) {
 class FourierTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_fourier_simd(GetParam());
+    loops_ = find_for_cpu<FourierSimd>(GetParam());
     if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
     EXPECT_STREQ(loops_->name, GetParam());
   }
@@ -130,8 +130,8 @@ INSTANTIATE_TEST_SUITE_P(InstructionSets, FourierTest, testing::Values("baseline
 
 TEST(Fourier, LoopsOfTheWidestSetAreTheBest) {
   const char* widest = "baseline";
-  for (const char* name : {"avx2", "avx512"}) widest = find_fourier_simd(name) != nullptr ? name : widest;
-  EXPECT_STREQ(best_fourier_simd().name, widest);
+  for (const char* name : {"avx2", "avx512"}) widest = find_for_cpu<FourierSimd>(name) != nullptr ? name : widest;
+  EXPECT_STREQ(select_for_cpu<FourierSimd>().name, widest);
 }
 
 }  // namespace

@@ -25,10 +25,10 @@ int expected_gradient(const std::vector<std::uint8_t>& padded, int width, int he
   return strongest;
 }
 
-class GradientLoopsTest : public testing::TestWithParam<const char*> {};
+class GradientSimdTest : public testing::TestWithParam<const char*> {};
 
-TEST_P(GradientLoopsTest, FindTheStrongest) {
-  const GradientSimd* loops = find_gradient_simd(GetParam());
+TEST_P(GradientSimdTest, FindTheStrongest) {
+  const GradientSimd* loops = find_for_cpu<GradientSimd>(GetParam());
   if (loops == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
   EXPECT_STREQ(loops->name, GetParam());
   constexpr int kOne = 1 << 20;
@@ -53,12 +53,12 @@ TEST_P(GradientLoopsTest, FindTheStrongest) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, GradientLoopsTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, GradientSimdTest, testing::Values("baseline", "avx2", "avx512"));
 
 TEST(GradientSimd, OfTheWidestSetAreTheBest) {
   const char* widest = "baseline";
-  for (const char* name : {"avx2", "avx512"}) widest = find_gradient_simd(name) != nullptr ? name : widest;
-  EXPECT_STREQ(best_gradient_simd().name, widest);
+  for (const char* name : {"avx2", "avx512"}) widest = find_for_cpu<GradientSimd>(name) != nullptr ? name : widest;
+  EXPECT_STREQ(select_for_cpu<GradientSimd>().name, widest);
 }
 
 }  // namespace

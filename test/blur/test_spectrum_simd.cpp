@@ -17,10 +17,10 @@
 namespace gyro_deblur {
 namespace {
 
-class SpectrumLoopsTest : public testing::TestWithParam<const char*> {
+class SpectrumSimdTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_spectrum_simd(GetParam());
+    loops_ = find_for_cpu<SpectrumSimd>(GetParam());
     if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
     EXPECT_STREQ(loops_->name, GetParam());
   }
@@ -28,7 +28,7 @@ class SpectrumLoopsTest : public testing::TestWithParam<const char*> {
   std::mt19937 random_{5};
 };
 
-TEST_P(SpectrumLoopsTest, ClipOutliers) {
+TEST_P(SpectrumSimdTest, ClipOutliers) {
   std::uniform_int_distribution<int> grey(0, 255);
   for (const int width : {1, 2, 3, 16, 63, 64, 65, 66, 67, 200}) {
     for (const int margin : {0, 7, 255}) {
@@ -51,7 +51,7 @@ TEST_P(SpectrumLoopsTest, ClipOutliers) {
   }
 }
 
-TEST_P(SpectrumLoopsTest, PowerSpectrum) {
+TEST_P(SpectrumSimdTest, PowerSpectrum) {
   constexpr int kStride = kSpectrumWindow + 3;
   std::vector<std::uint8_t> window(kStride * kSpectrumWindow);
   std::uniform_int_distribution<int> grey(0, 255);
@@ -75,7 +75,7 @@ TEST_P(SpectrumLoopsTest, PowerSpectrum) {
   }
 }
 
-TEST_P(SpectrumLoopsTest, MultiplyGain) {
+TEST_P(SpectrumSimdTest, MultiplyGain) {
   std::vector<float> texture(kSpectrumSize), gain(100), model(kSpectrumSize);
   for (int i = 0; i < kSpectrumSize; ++i) texture[i] = static_cast<float>(i + 1);
   for (int i = 0; i < 100; ++i) gain[i] = static_cast<float>(i * i);
@@ -90,7 +90,7 @@ TEST_P(SpectrumLoopsTest, MultiplyGain) {
 }
 
 // A path that turns, from its definition: the mean of exp(-2 pi i f p) over many instants.
-TEST_P(SpectrumLoopsTest, MultiplyPathGain) {
+TEST_P(SpectrumSimdTest, MultiplyPathGain) {
   constexpr int kSegments = kPathInstants - 1, kInstants = 400;
   constexpr float kLeft = 0.01f;
   constexpr double kScale = 0.5;
@@ -128,7 +128,7 @@ TEST_P(SpectrumLoopsTest, MultiplyPathGain) {
   }
 }
 
-TEST_P(SpectrumLoopsTest, LeastCost) {
+TEST_P(SpectrumSimdTest, LeastCost) {
   // Where the power is what a factor makes of the model, that factor is found, and the cost is that of P = S.
   std::vector<float> model(kSpectrumSize), power(kSpectrumSize);
   constexpr double kFactor = 250;
@@ -148,7 +148,7 @@ TEST_P(SpectrumLoopsTest, LeastCost) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, SpectrumLoopsTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, SpectrumSimdTest, testing::Values("baseline", "avx2", "avx512"));
 
 }  // namespace
 }  // namespace gyro_deblur

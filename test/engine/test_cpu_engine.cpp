@@ -51,7 +51,7 @@ FrameBlur roll_field(int width_px, int height_px, double mean_extent_px) {
 class CpuEngineTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    kernels_ = find_block_simd(GetParam());
+    kernels_ = find_for_cpu<BlockSimd>(GetParam());
     if (kernels_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
   }
 

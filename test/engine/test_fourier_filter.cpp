@@ -60,7 +60,7 @@ double worst_error(const std::vector<cv::Mat>& exact, const cv::Mat& dst, const 
 class FourierFilterTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_fourier_simd(GetParam());
+    loops_ = find_for_cpu<FourierSimd>(GetParam());
     if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
   }
 

@@ -58,7 +58,7 @@ class SeamsTest : public testing::TestWithParam<const char*> {
   void SetUp() override {
     const std::string name = GetParam(), cpu = "cpu-";
     if (name.compare(0, cpu.size(), cpu) == 0) {
-      const BlockSimd* kernels = find_block_simd(name.c_str() + cpu.size());
+      const BlockSimd* kernels = find_for_cpu<BlockSimd>(name.c_str() + cpu.size());
       if (kernels == nullptr) GTEST_SKIP() << "this processor does not run " << name;
       engine_ = std::make_unique<CpuEngine>(kThreads, *kernels);
     } else {

@@ -12,10 +12,10 @@
 namespace gyro_deblur {
 namespace {
 
-class AlignmentLoopsTest : public testing::TestWithParam<const char*> {
+class AlignmentSimdTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_alignment_simd(GetParam());
+    loops_ = find_for_cpu<AlignmentSimd>(GetParam());
     if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
     EXPECT_STREQ(loops_->name, GetParam());
   }
@@ -34,7 +34,7 @@ class AlignmentLoopsTest : public testing::TestWithParam<const char*> {
   std::mt19937 random_{5};
 };
 
-TEST_P(AlignmentLoopsTest, ConvolveAnyWidth) {
+TEST_P(AlignmentSimdTest, ConvolveAnyWidth) {
   const std::array<int, 3> columns{0, 2, 3}, rows{0, 1, 2};
   const std::array<float, 3> shares{0.5f, -0.25f, 0.75f};
   for (int width = 1; width <= 110; ++width) {
@@ -56,7 +56,7 @@ TEST_P(AlignmentLoopsTest, ConvolveAnyWidth) {
   }
 }
 
-TEST_P(AlignmentLoopsTest, SampleWithTheWeightsOfBothFractions) {
+TEST_P(AlignmentSimdTest, SampleWithTheWeightsOfBothFractions) {
   // Weights that tell their step: pixel 0 has 1 - fraction, pixel 5 has the fraction.
   std::vector<float> table(static_cast<std::size_t>((kInterpolationSteps + 1) * kInterpolationStride), 0.0f);
   for (int i = 0; i <= kInterpolationSteps; ++i) {
@@ -82,7 +82,7 @@ TEST_P(AlignmentLoopsTest, SampleWithTheWeightsOfBothFractions) {
   }
 }
 
-TEST_P(AlignmentLoopsTest, WidenAnyWidth) {
+TEST_P(AlignmentSimdTest, WidenAnyWidth) {
   for (int width = 1; width <= 70; ++width) {
     const int height = 1 + width % 3, stride = width + kPatchRoom, byte_stride = width + 5;
     // Of exactly the image's size: nothing is read behind it.
@@ -100,7 +100,7 @@ TEST_P(AlignmentLoopsTest, WidenAnyWidth) {
   }
 }
 
-TEST_P(AlignmentLoopsTest, CompareAndCombineAnyWidth) {
+TEST_P(AlignmentSimdTest, CompareAndCombineAnyWidth) {
   for (int width = 1; width <= 70; ++width) {
     const int height = 1 + width % 5, stride = width + kPatchRoom;
     const std::vector<float> a = random_patch(width, height, false), b = random_patch(width, height, true);
@@ -126,7 +126,7 @@ TEST_P(AlignmentLoopsTest, CompareAndCombineAnyWidth) {
   }
 }
 
-TEST_P(AlignmentLoopsTest, DifferentiateAnyWidth) {
+TEST_P(AlignmentSimdTest, DifferentiateAnyWidth) {
   // Of a quadratic surface Scharr's derivatives are exact.
   const auto value = [](int x, int y) { return static_cast<float>(0.5 * x * x - 0.25 * x * y + y * y + 3 * x - y); };
   for (int width = 1; width <= 70; ++width) {
@@ -151,7 +151,7 @@ TEST_P(AlignmentLoopsTest, DifferentiateAnyWidth) {
   }
 }
 
-TEST_P(AlignmentLoopsTest, MultiplyByDerivativesOfAnyWidth) {
+TEST_P(AlignmentSimdTest, MultiplyByDerivativesOfAnyWidth) {
   // Of cubic surfaces five-point differences are exact.
   const auto value = [](double x, double y) { return 1e-3 * x * x * x + 0.02 * x * y - 1e-2 * y * y * y + x; };
   for (int width = 1; width <= 70; ++width) {
@@ -180,7 +180,7 @@ TEST_P(AlignmentLoopsTest, MultiplyByDerivativesOfAnyWidth) {
   }
 }
 
-TEST_P(AlignmentLoopsTest, SumProductsOfAnyWidth) {
+TEST_P(AlignmentSimdTest, SumProductsOfAnyWidth) {
   for (int width = 1; width <= 70; ++width) {
     const int height = 1 + width % 5, stride = width + kPatchRoom;
     const std::vector<float> a = random_patch(width, height, false), b = random_patch(width, height, false),
@@ -207,12 +207,12 @@ TEST_P(AlignmentLoopsTest, SumProductsOfAnyWidth) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, AlignmentLoopsTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, AlignmentSimdTest, testing::Values("baseline", "avx2", "avx512"));
 
 TEST(AlignmentSimd, OfTheWidestSetAreTheBest) {
   const char* widest = "baseline";
-  for (const char* name : {"avx2", "avx512"}) widest = find_alignment_simd(name) != nullptr ? name : widest;
-  EXPECT_STREQ(best_alignment_simd().name, widest);
+  for (const char* name : {"avx2", "avx512"}) widest = find_for_cpu<AlignmentSimd>(name) != nullptr ? name : widest;
+  EXPECT_STREQ(select_for_cpu<AlignmentSimd>().name, widest);
 }
 
 }  // namespace

@@ -26,10 +26,10 @@ class Row {
   std::vector<float> values_;
 };
 
-class CornerLoopsTest : public testing::TestWithParam<const char*> {
+class CornerSimdTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_corner_simd(GetParam());
+    loops_ = find_for_cpu<CornerSimd>(GetParam());
     if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
     EXPECT_STREQ(loops_->name, GetParam());
   }
@@ -43,7 +43,7 @@ class CornerLoopsTest : public testing::TestWithParam<const char*> {
   std::mt19937 random_{5};
 };
 
-TEST_P(CornerLoopsTest, HalveAnyWidth) {
+TEST_P(CornerSimdTest, HalveAnyWidth) {
   for (int width = 1; width <= 70; ++width) {
     std::vector<unsigned char> upper(static_cast<std::size_t>(2 * width)), lower(upper);
     for (std::vector<unsigned char>* row : {&upper, &lower}) {
@@ -58,7 +58,7 @@ TEST_P(CornerLoopsTest, HalveAnyWidth) {
   }
 }
 
-TEST_P(CornerLoopsTest, MultiplyGradientsOfAnyWidth) {
+TEST_P(CornerSimdTest, MultiplyGradientsOfAnyWidth) {
   for (int width = 1; width <= 70; ++width) {
     std::array<Row, 3> rows = random_rows(width), products = random_rows(width);
     loops_->multiply(rows[0].data(), rows[1].data(), rows[2].data(),
@@ -72,7 +72,7 @@ TEST_P(CornerLoopsTest, MultiplyGradientsOfAnyWidth) {
   }
 }
 
-TEST_P(CornerLoopsTest, RateIsDeterminantOverTrace) {
+TEST_P(CornerSimdTest, RateIsDeterminantOverTrace) {
   constexpr int kWidth = 45;
   std::array<Row, 3> xx = random_rows(kWidth), xy = random_rows(kWidth), yy = random_rows(kWidth);
   std::array<GradientProducts, 3> products;
@@ -98,7 +98,7 @@ TEST_P(CornerLoopsTest, RateIsDeterminantOverTrace) {
   }
 }
 
-TEST_P(CornerLoopsTest, FindPeaksOfAnyWidth) {
+TEST_P(CornerSimdTest, FindPeaksOfAnyWidth) {
   for (int width = 3; width <= 70; ++width) {
     std::array<Row, 3> rows = random_rows(width);
     rows[1][width / 2] = rows[1][width / 2 + 1] = 2;  // of two equal maxima the first
@@ -118,12 +118,12 @@ TEST_P(CornerLoopsTest, FindPeaksOfAnyWidth) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, CornerLoopsTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, CornerSimdTest, testing::Values("baseline", "avx2", "avx512"));
 
 TEST(CornerSimd, OfTheWidestSetAreTheBest) {
   const char* widest = "baseline";
-  for (const char* name : {"avx2", "avx512"}) widest = find_corner_simd(name) != nullptr ? name : widest;
-  EXPECT_STREQ(best_corner_simd().name, widest);
+  for (const char* name : {"avx2", "avx512"}) widest = find_for_cpu<CornerSimd>(name) != nullptr ? name : widest;
+  EXPECT_STREQ(select_for_cpu<CornerSimd>().name, widest);
 }
 
 }  // namespace

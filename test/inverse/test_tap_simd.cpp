@@ -14,10 +14,10 @@
 namespace gyro_deblur {
 namespace {
 
-class TapLoopsTest : public testing::TestWithParam<const char*> {
+class TapSimdTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_tap_simd(GetParam());
+    loops_ = find_for_cpu<TapSimd>(GetParam());
     if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
     EXPECT_STREQ(loops_->name, GetParam());
   }
@@ -25,7 +25,7 @@ class TapLoopsTest : public testing::TestWithParam<const char*> {
   const TapSimd* loops_ = nullptr;
 };
 
-TEST_P(TapLoopsTest, ResampleKernelsAsOntoTheMajorAxis) {
+TEST_P(TapSimdTest, ResampleKernelsAsOntoTheMajorAxis) {
   const FilterBank bank{FilterOptions{}};
   for (const double extent_px : {2.0, 31.7, 34.0, 90.0, 251.3, 500.0}) {
     const LineKernel& kernel = bank.kernel(extent_px);
@@ -44,7 +44,7 @@ TEST_P(TapLoopsTest, ResampleKernelsAsOntoTheMajorAxis) {
   }
 }
 
-TEST_P(TapLoopsTest, CombineColumnsByTheirFactors) {
+TEST_P(TapSimdTest, CombineColumnsByTheirFactors) {
   std::mt19937 random(5);
   std::uniform_real_distribution<float> uniform(-1, 1);
   for (const int count : {0, 1, 3, 4, 5, 31, 400}) {
@@ -61,7 +61,7 @@ TEST_P(TapLoopsTest, CombineColumnsByTheirFactors) {
 }
 
 // Against elimination, with bands from none to full.
-TEST_P(TapLoopsTest, SolveToeplitzSystems) {
+TEST_P(TapSimdTest, SolveToeplitzSystems) {
   std::mt19937 random(6);
   std::uniform_real_distribution<double> uniform(-1, 1);
   for (const int n : {1, 2, 3, 8, 17, 90, 241}) {
@@ -90,18 +90,18 @@ TEST_P(TapLoopsTest, SolveToeplitzSystems) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, TapLoopsTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, TapSimdTest, testing::Values("baseline", "avx2", "avx512"));
 
 TEST(TapSimd, OfTheWidestSetAreTheBest) {
   const char* widest = "baseline";
-  for (const char* name : {"avx2", "avx512"}) widest = find_tap_simd(name) != nullptr ? name : widest;
-  EXPECT_STREQ(best_tap_simd().name, widest);
+  for (const char* name : {"avx2", "avx512"}) widest = find_for_cpu<TapSimd>(name) != nullptr ? name : widest;
+  EXPECT_STREQ(select_for_cpu<TapSimd>().name, widest);
 }
 
 TEST(TapSimd, AreThereForKnownNamesAlone) {
-  EXPECT_NE(find_tap_simd("baseline"), nullptr);
-  EXPECT_EQ(find_tap_simd("abacus"), nullptr);
-  EXPECT_EQ(find_tap_simd(""), nullptr);
+  EXPECT_NE(find_for_cpu<TapSimd>("baseline"), nullptr);
+  EXPECT_EQ(find_for_cpu<TapSimd>("abacus"), nullptr);
+  EXPECT_EQ(find_for_cpu<TapSimd>(""), nullptr);
 }
 
 }  // namespace

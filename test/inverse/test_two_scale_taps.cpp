@@ -17,7 +17,7 @@ namespace {
 class TwoScaleTapsTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_tap_simd(GetParam());
+    loops_ = find_for_cpu<TapSimd>(GetParam());
     if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
   }
 

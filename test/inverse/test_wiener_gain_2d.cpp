@@ -18,10 +18,10 @@ namespace {
 class WienerGain2dTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_wiener_gain_2d_simd(GetParam());
+    loops_ = find_for_cpu<WienerGain2dSimd>(GetParam());
     if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
     EXPECT_STREQ(loops_->name, GetParam());
-    lanes_ = find_fourier_simd(GetParam())->lanes;
+    lanes_ = find_for_cpu<FourierSimd>(GetParam())->lanes;
   }
 
   /// Calls check(v, u, gain, gain and blur) for all frequencies of tiles of `size`, u from 0 to its width - 1.

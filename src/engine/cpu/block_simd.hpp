@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "base/instruction_sets.hpp"
 #include "inverse/coefficients.hpp"
 
 namespace gyro_deblur {
@@ -58,22 +59,6 @@ struct BlockSimd {
                         std::uint16_t* tile);
 };
 
-namespace baseline {
-extern const BlockSimd kKernels;
-}
-#if defined(__x86_64__)
-namespace avx2 {
-extern const BlockSimd kKernels;
-}
-namespace avx512 {
-extern const BlockSimd kKernels;
-}
-#endif
-
-/// The widest set this processor runs.
-const BlockSimd& best_block_simd();
-
-/// A set by name ("baseline", "avx2", "avx512"), or null when this processor or build does not have it.
-const BlockSimd* find_block_simd(const char* name);
+GYRO_DEBLUR_SIMD_KERNELS(BlockSimd)
 
 }  // namespace gyro_deblur

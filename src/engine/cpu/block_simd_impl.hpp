@@ -5,16 +5,16 @@
 namespace gyro_deblur {
 namespace GYRO_DEBLUR_ISA {
 
-extern const BlockSimd kKernels;
-const BlockSimd kKernels = {GYRO_DEBLUR_ISA_NAME,
-                            kLanes,
-                            kHasByteWeights,
-                            exact_needs,
-                            exact_u8,
-                            two_scale_needs<std::uint8_t>,
-                            two_scale_needs<std::uint16_t>,
-                            two_scale<std::uint8_t>,
-                            two_scale<std::uint16_t>};
+extern const BlockSimd kBlockSimd;
+const BlockSimd kBlockSimd = {GYRO_DEBLUR_ISA_NAME,
+                              kLanes,
+                              kHasByteWeights,
+                              exact_needs,
+                              exact_u8,
+                              two_scale_needs<std::uint8_t>,
+                              two_scale_needs<std::uint16_t>,
+                              two_scale<std::uint8_t>,
+                              two_scale<std::uint16_t>};
 
 }  // namespace GYRO_DEBLUR_ISA
 }  // namespace gyro_deblur

@@ -27,7 +27,7 @@ void for_each_part(int begin, int end, int longest, const Work& work) {
 }  // namespace
 
 CpuEngine::CpuEngine(int threads, const BlockSimd& kernels)
-    : BlockEngine(threads), kernels_(kernels), tap_loops_(*find_tap_simd(kernels.name)), float_(threads) {}
+    : BlockEngine(threads), kernels_(kernels), tap_loops_(*find_for_cpu<TapSimd>(kernels.name)), float_(threads) {}
 
 std::string CpuEngine::name() const { return std::string("cpu-") + kernels_.name; }
 

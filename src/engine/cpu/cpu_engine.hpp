@@ -24,7 +24,7 @@ class CpuEngine : public BlockEngine {
  public:
   /// @param threads  at most, >= 0; 0: one for each core, see parallel_for_ranges
   /// @param kernels  inner loops of one instruction set
-  explicit CpuEngine(int threads, const BlockSimd& kernels = best_block_simd());
+  explicit CpuEngine(int threads, const BlockSimd& kernels = select_for_cpu<BlockSimd>());
 
   /// "cpu-" and the instruction set.
   std::string name() const override;

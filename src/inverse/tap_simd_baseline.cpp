@@ -1,4 +1,0 @@
-#define GYRO_DEBLUR_ISA baseline
-#define GYRO_DEBLUR_ISA_NAME "baseline"
-#define GYRO_DEBLUR_VECTOR_BYTES 16
-#include "inverse/tap_simd_impl.hpp"
