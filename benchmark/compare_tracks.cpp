@@ -113,7 +113,7 @@ struct Footage {
 
 Footage render(Simulator& simulator, const RotationTrack& rotation, double gamma) {
   PipelineOptions options;
-  options.kernel.gamma = gamma;
+  options.filter.gamma = gamma;
   Pipeline pipeline(options);
   pipeline.set_calibration(simulator.camera().calibration());
   Footage footage;

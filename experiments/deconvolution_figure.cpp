@@ -97,7 +97,7 @@ nlohmann::json write_kernels(const std::string& folder) {
 }
 
 const std::pair<const char*, Regularization> kRules[] = {
-    {"paper", Regularization::PAPER}, {"fixed", Regularization::FIXED}, {"noise", Regularization::NOISE}};
+    {"paper", Regularization::PAPER}, {"fixed", Regularization::FIXED}, {"adaptive", Regularization::ADAPTIVE}};
 
 double psnr_of(const cv::Mat& image, const cv::Mat& truth) {
   const double squares = std::pow(cv::norm(image, truth, cv::NORM_L2), 2);

@@ -22,7 +22,7 @@ namespace {
 class ToldDeblurring {
  public:
   explicit ToldDeblurring(const Camera& camera)
-      : estimator_(camera, options_.blur_field), bank_(options_.kernel), engine_(make_engine(options_.engine)) {}
+      : estimator_(camera, options_.blur_field), bank_(options_.filter), engine_(make_engine(options_.engine)) {}
 
   const BlockGrid& grid() const { return estimator_.grid(); }
   cv::Mat deblur(const cv::Mat& image, const RotationTrack& rotation, const RowExposure& exposure,

@@ -245,7 +245,7 @@ std::array<std::unique_ptr<Pipeline>, kKinds.size()> pipelines_for(const Shot& s
     options.optical_flow = false;  // frames are not consecutive
     if (kind == PACKAGE) options.blur_field.curved_path_threshold_px = curved_path_threshold_px;
     if (kind == STRAIGHT) {
-      options.kernel.regularization = Regularization::FIXED;
+      options.filter.regularization = Regularization::FIXED;
       options.validation.rule = ValidationRule::GRADIENT;
     }
     if (kind == FOURIER) {

@@ -32,7 +32,7 @@ STYLES = {
 WRONG_LINES = ["-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1))]
 PALETTE_COLORS = 128
 # Rules of gamma in deconvolution.json.
-RULES = {"paper": "paper", "fixed": "fixed", "noise": "noise (in use)"}
+RULES = {"paper": "paper", "fixed": "fixed", "adaptive": "adaptive (default)"}
 
 # Files of deconvolution_figure and their titles.
 PICTURES = [("blurred", "blurred"), ("frequency", "frequency domain"),

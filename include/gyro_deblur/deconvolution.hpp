@@ -12,7 +12,7 @@
 
 namespace gyro_deblur {
 
-/// With Regularization::NOISE: weighs the texture of each DEBLURRED block of `field` against the image's noise. Sets
+/// With Regularization::ADAPTIVE: weighs the texture of each DEBLURRED block of `field` against the image's noise. Sets
 /// noise_to_texture, by which make_filter_grid() chooses gamma, and turns those blocks NOISY that filtering would make
 /// worse. Does nothing by other rules, or where field.noise is not known.
 /// @param luminance  CV_8UC1 of the field's size

@@ -66,7 +66,7 @@ enum class Regularization {
   /// As FIXED, with gamma doubled as often as makes the error least that noise and texture of the block let expect,
   /// see FilterBank::choose().
   /// Blocks that it would still lose by are left alone.
-  NOISE,
+  ADAPTIVE,
   /// The taps that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), h the blur, g a unit pulse (the Gaussian
   /// of smoothing_px), w' the steps from tap to tap and from and to 0 at the ends, under the condition that their sum
   /// is the filter's. The power of photographs falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A
@@ -89,7 +89,7 @@ struct FilterOptions {
   /// images away from sharp ones (doc/reports/experiments_real_world.md). Above 0 the kernels have no jumps at known
   /// places, so that long extents are filtered tap by tap.
   double smoothing_px = 0.0;
-  Regularization regularization = Regularization::NOISE;
+  Regularization regularization = Regularization::ADAPTIVE;
 
   void validate() const;  ///< throws OptionError
 };
@@ -163,7 +163,7 @@ struct GyroOptions {
 struct PipelineOptions {
   BlurFieldOptions blur_field;
   ValidationOptions validation;
-  FilterOptions kernel;
+  FilterOptions filter;
   NoiseModel noise;
   KeypointOptions keypoints;
   bool optical_flow = true;  ///< what the gyroscope does not know of a motion, see ResidualFlow

@@ -23,14 +23,8 @@ class BlurLikelihood {
   /// @param threads            at most; 0: one for each core
   BlurLikelihood(const cv::Mat& luminance, double noise_grey_levels, int threads = 0);
 
-  /// Natural logarithm of the likelihood of `blur` over the mean likelihood of 0, .15, .33 and .5 times as much, from a
-  /// window of 64 px around the block, and of 128 or 256 px for blur of 16 or 64 px and more, as far as the image
-  /// reaches. The model of the power at a frequency f, u of it along the motion, is
-  ///   (a |f|^-2.5 |H(u)|^2 + noise) g,
-  /// H the transfer function of the blur (of a curved path at f), smeared as the window does it, `a` whatever fits each
-  /// hypothesis best, and g an unknown factor, log-logistic, for what the texture has of its own (P. Whittle's
-  /// likelihood, Arkiv for Matematik 2, 1953, has an exponential one). 0, which says nothing, where no window fits into
-  /// the image.
+  /// Natural logarithm of the likelihood of `blur` over the mean likelihood of less blur, from the power spectrum of a
+  /// window around the block (doc/design/validation.md). 0, which says nothing, where no window fits into the image.
   /// @param block  inside the image
   double log_ratio(const cv::Rect& block, const BlockBlur& blur) const;
 
@@ -51,14 +45,12 @@ class BlurLikelihood {
   std::vector<Level> levels_;
 };
 
-/// BlurLikelihood::log_ratio of every DEBLURRED block, row by row, 0 for the others. Where windows are twice as large
-/// as blocks, as usual from 16 px on, only every other block is looked at, where four times (64 px) one in four; the
-/// rest have the mean of those around them, each limited.
+/// BlurLikelihood::log_ratio of every DEBLURRED block, row by row, 0 for the others. Where windows overlap because they
+/// are larger than blocks, only some blocks are compared; the others have the mean of those around them, each limited.
 std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& likelihood, int threads = 0);
 
-/// What a block's own log ratio becomes with those of the others, each limited to a few: of its eight neighbours, and
-/// all together. What makes a prediction wrong, or right, is so for the neighbours too. A block with much texture
-/// that is looked at decides for itself, which a moving object needs; one with little follows.
+/// Sum of a block's log ratio and, each limited, those of its eight neighbours and of the frame: these decide for a
+/// block with little texture; a block with much decides for itself (doc/design/validation.md).
 std::vector<double> with_neighbours(const BlockGrid& grid, const std::vector<double>& log_ratios);
 
 }  // namespace gyro_deblur

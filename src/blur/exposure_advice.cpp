@@ -30,7 +30,7 @@ double expected_repeatability_at(const ExposureTerms& terms, TimeNs exposure_ns)
   const double left = *expected_repeatability(block, noise);
   if (block.extent_px < terms.blur_field.min_extent_px || block.extent_px > terms.blur_field.max_extent_px) return left;
   block.status = BlockStatus::DEBLURRED;
-  return std::max(left, *expected_repeatability(block, noise));  // see Regularization::NOISE
+  return std::max(left, *expected_repeatability(block, noise));  // see Regularization::ADAPTIVE
 }
 
 std::optional<ExposureAdvice> advise_exposure(const ExposureTerms& terms, TimeNs limit_ns) {

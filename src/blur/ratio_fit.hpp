@@ -13,10 +13,9 @@ namespace gyro_deblur {
 
 /// Fits spectra at one ratio of true to assumed path after the other. The model of the power at a frequency f is
 ///   exp(offset + slope x + curve x^2 + cube x^3) G^depth + noise, x = log f,
-/// G the squared transfer function of the path times the ratio, smeared as the window does it. Slope, curve and cube
-/// are common to all spectra, an offset is each one's own, and the depth of the zeros is common: they are fitted anew
-/// for each ratio, from those of the ratio before. A power law in place of the polynomial lets low frequencies decide,
-/// not the zeros.
+/// G the squared transfer function of the path times the ratio, smeared by the window. Each spectrum has its own
+/// offset; slope, curve, cube and depth are common. Each fit starts from that of the ratio before
+/// (doc/design/exposure.md).
 class RatioFit {
  public:
   /// @param largest_ratio  of those to come

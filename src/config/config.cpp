@@ -216,9 +216,22 @@ std::string value_of(const Parameter& constant) {
 }  // namespace
 
 std::string unknown_key_message(const std::string& key) {
+  static const std::map<std::string, std::string> kPresentNames{{"backend", "engine"},
+                                                                {"descriptor", "keypoint_descriptor"},
+                                                                {"detector", "keypoint_detector"},
+                                                                {"drop_bad", "drop_poor"},
+                                                                {"false_acceptance", "validation_false_accept_rate"},
+                                                                {"gamma", "noise_to_signal_ratio"},
+                                                                {"gamma_rule", "regularization"},
+                                                                {"gyro_timeout", "input_timeout"},
+                                                                {"kernel_length_factor", "filter_length_factor"},
+                                                                {"kernel_smoothing", "filter_smoothing"},
+                                                                {"max_bend", "curved_path_threshold"},
+                                                                {"max_features", "max_keypoints"},
+                                                                {"motion_from_images", "optical_flow"},
+                                                                {"stereo_patience", "stereo_sync_timeout"}};
   static const std::string kSeenByImages = "optical_flow sees translation without it";
-  static const std::map<std::string, std::string> kFormer{
-      {"backend", "it is now called engine"},
+  static const std::map<std::string, std::string> kReplacements{
       {"bridge_gyro_gaps", "it is now called flow_without_gyro, and true is now always"},
       {"validate", "it is now part of validation, and false is now validation: none"},
       {"grid_cols", "columns and rows are now keypoint_grid"},
@@ -232,11 +245,14 @@ std::string unknown_key_message(const std::string& key) {
       {"odometry_clock", kSeenByImages},
       {"odometry_twist_frame", kSeenByImages},
       {"p_cam_imu", kSeenByImages}};
-  if (const Parameter* constant = find_constant(key)) {
+  const auto present = kPresentNames.find(key);
+  const std::string& name = present == kPresentNames.end() ? key : present->second;
+  if (const Parameter* constant = find_constant(name)) {
     return key + " is no parameter any more: it is " + value_of(*constant);
   }
-  const auto former = kFormer.find(key);
-  return key + " is not known, ignored" + (former == kFormer.end() ? "" : ": " + former->second);
+  if (present != kPresentNames.end()) return key + " is not known, ignored: it is now called " + name;
+  const auto replacement = kReplacements.find(key);
+  return key + " is not known, ignored" + (replacement == kReplacements.end() ? "" : ": " + replacement->second);
 }
 
 }  // namespace gyro_deblur

@@ -139,7 +139,7 @@ void ShutterTiming::validate() const {
 void PipelineOptions::validate() const {
   blur_field.validate();
   validation.validate();
-  kernel.validate();
+  filter.validate();
   noise.validate();
   keypoints.validate();
   check_parameters(*this);

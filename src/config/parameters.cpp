@@ -11,7 +11,7 @@ template <typename Owner, typename AnyConfig>
 auto& part(AnyConfig& config) {
   if constexpr (std::is_same_v<Owner, BlurFieldOptions>) return config.pipeline.blur_field;
   if constexpr (std::is_same_v<Owner, ValidationOptions>) return config.pipeline.validation;
-  if constexpr (std::is_same_v<Owner, FilterOptions>) return config.pipeline.kernel;
+  if constexpr (std::is_same_v<Owner, FilterOptions>) return config.pipeline.filter;
   if constexpr (std::is_same_v<Owner, NoiseModel>) return config.pipeline.noise;
   if constexpr (std::is_same_v<Owner, KeypointOptions>) return config.pipeline.keypoints;
   if constexpr (std::is_same_v<Owner, PipelineOptions>) return config.pipeline;
@@ -69,7 +69,7 @@ OneOf one_of(std::vector<std::string> names) { return {std::move(names)}; }
 
 using Blur = BlurFieldOptions;
 using Validation = ValidationOptions;
-using Kernel = FilterOptions;
+using Filter = FilterOptions;
 using Keypoints = KeypointOptions;
 using Tracker = TrackerOptions;
 using Gyro = GyroOptions;
@@ -230,11 +230,11 @@ ParameterGroup wiener_filter() {
   return {"Wiener filter",
           "",
           {
-              {"noise_to_signal_ratio", &Kernel::gamma, within(1e-5, 1),
+              {"noise_to_signal_ratio", &Filter::gamma, within(1e-5, 1),
                "Noise-to-signal ratio of the filter at 1/6 cycles/px. A larger value amplifies less noise and restores "
                "less detail.",
                RUNNING},
-              {"regularization", &Kernel::regularization,
+              {"regularization", &Filter::regularization,
                "How gamma is used. noise: it rises with the noise of a block over its texture, and blocks that noise "
                "would spoil are passed through unchanged. fixed: as set. paper: as set and the same at every "
                "frequency, as in the paper."},
@@ -297,11 +297,11 @@ std::vector<Parameter> make_constants() {
       {"tau", &Validation::tau, within(0, 255, "grey levels / px"),
        "With tau_contrast it accepts 98.6 % of truly blurred blocks at every extent (doc/reports/validation.md)."},
       {"tau_contrast", &Validation::tau_contrast, within(0, 1000, "grey levels"), "As for tau."},
-      {"false_accept_rate", &Validation::false_accept_rate, within(0.001, 0.5),
+      {"validation_false_accept_rate", &Validation::false_accept_rate, within(0.001, 0.5),
        "Less rejects recorded blur that is longer than predicted (doc/reports/validation.md)."},
-      {"kernel_length_factor", &Kernel::length_factor, within(2, 8),
+      {"filter_length_factor", &Filter::length_factor, within(2, 8),
        "8 restores at most 0.5 dB more at twice the cost (doc/reports/experiments.md)."},
-      {"kernel_smoothing", &Kernel::smoothing_px, within(0, 5, "px"),
+      {"filter_smoothing", &Filter::smoothing_px, within(0, 5, "px"),
        "Smoothing moves deblurred images away from sharp ones (doc/reports/experiments_real_world.md)."},
       {"read_noise", &NoiseModel::read_noise, within(0, 50, "grey levels"),
        "0: the noise is estimated from each image, also where the gain changes (doc/reports/experiments.md)."},

@@ -57,7 +57,7 @@ inline const Names<ImageBorder>& names_of(ImageBorder) {
 
 inline const Names<Regularization>& names_of(Regularization) {
   static const Names<Regularization> kNames{
-      {"noise", Regularization::NOISE}, {"fixed", Regularization::FIXED}, {"paper", Regularization::PAPER}};
+      {"adaptive", Regularization::ADAPTIVE}, {"fixed", Regularization::FIXED}, {"paper", Regularization::PAPER}};
   return kNames;
 }
 

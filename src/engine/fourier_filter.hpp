@@ -15,13 +15,9 @@
 
 namespace gyro_deblur {
 
-/// Filters blocks in the frequency domain. Blocks are cut into cells, and every cell has a window, whose weight rises
-/// and falls as the square of a sine between the middles of its neighbours. A tile holds the window and, beside it,
-/// what is behind it in the image fading into what is before it, so that its period shows no edge. A pixel is the
-/// weighted mean over the windows that cover it, the same function of the place for all blocks: between these there are
-/// no seams. What lies outside of the image is unknown: where a window ends with the image, it is replaced by what the
-/// result would look like there, blurred again. Where noise covers what blur has left of fine
-/// detail, a cell is filtered in the image at half its size. Keeps its memory.
+/// Filters blocks in the frequency domain, cell by cell, in tiles with overlapping windows: there are no seams between
+/// its blocks. Where noise hides fine detail a cell is filtered at half the image's size. See
+/// doc/design/fourier_filter.md. Keeps its memory.
 class FourierFilter {
  public:
   explicit FourierFilter(const FourierSimd& loops = select_for_cpu<FourierSimd>());

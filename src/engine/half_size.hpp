@@ -7,10 +7,9 @@
 
 namespace gyro_deblur {
 
-/// Taps of the low pass before both: symmetric, equiripple above 0.31 cycles/px (T. W. Parks and J. H. McClellan, IEEE
-/// Trans. Circuit Theory 19 (2), 1972; scipy.signal.remez(8, [0, .19, .31, .5], [1, 0], weight=[1, 10])), those at
-/// every other place sum up to 1/2. What lies above 0.25 cycles/px comes back below: from 0.3 to 0.2 with a twelfth of
-/// what passes there.
+/// Taps of the low pass before both: symmetric and equiripple (T. W. Parks and J. H. McClellan, IEEE Trans. Circuit
+/// Theory 19 (2), 1972), by scipy.signal.remez(8, [0, .19, .31, .5], [1, 0], weight=[1, 10]). Every second tap sums to
+/// half, so that neither parity of pixels is brighter.
 constexpr float kHalvingTaps[] = {-0.0388f, -0.0084f, 0.1709f, 0.3763f, 0.3763f, 0.1709f, -0.0084f, -0.0388f};
 constexpr int kHalvingTapCount = 8;
 

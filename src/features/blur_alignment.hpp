@@ -51,8 +51,7 @@ struct Alignment {
 bool agrees(const Alignment& alignment);
 
 /// Finds points by inverse compositional Lucas-Kanade (S. Baker, I. Matthews, IJCV 2004) with gain and offset, after
-/// each patch has been blurred by the path of the other. Convolutions commute: both patches then show the scene through
-/// the same blur, whatever the two paths. Nothing is deconvolved.
+/// each patch has been blurred by the path of the other (doc/design/tracks.md). Nothing is deconvolved.
 ///
 /// Keeps its buffers from call to call. Not thread-safe.
 class BlurAligner {

@@ -18,9 +18,9 @@
 
 namespace gyro_deblur {
 
-/// How corners are followed. Lengths are those of the image that they are followed in: halved until it is no wider than
-/// largest_width_px. The values left the smallest error on recorded flights through a simulated room
-/// (experiments/optical_flow), those of a larger image a larger one where blur is long.
+/// How corners are followed. Lengths are pixels of the image halved until it is no wider than largest_width_px. The
+/// values left the smallest error on recorded flights (experiments/optical_flow); in a larger image blur is
+/// longer.
 struct ResidualFlowOptions {
   int largest_width_px = 250;
   int cell_px = 16;
@@ -32,8 +32,8 @@ struct ResidualFlowOptions {
   double max_round_trip_px = 0.4;  ///< how far from its start a corner may end up when followed back
   int neighbours = 20;             ///< corners that a block's velocity is a plane through
   int iterations_of_plane = 3;
-  /// What moves otherwise than the scene is an object, and ends: its velocity is doubted by its difference from the
-  /// scene's times the distance from where it is seen over this.
+  /// A velocity that differs from the scene's is that of an object: this difference, times the distance from where it
+  /// is seen over object_reach_px, is a part of its standard deviation.
   double object_reach_px = 48;
   double slope_prior = 0.02;  ///< how many corners at the farthest neighbour's distance speak for no slope
 };

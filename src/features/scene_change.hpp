@@ -19,13 +19,11 @@ struct BlockChange {
 /// Three times what the fit has unknowns; fewer blocks tell nothing of the scene.
 constexpr std::size_t kLeastBlocksOfScene = 9;
 
-/// The changes without most of their noise. The residual velocity of a camera that moves across its optical axis is its
-/// own velocity over depth: when that changes, the velocities of all blocks are turned and scaled alike, whatever their
-/// depth. Approach, and what all depths have in common, is linear in the image. So, with vectors as complex numbers,
-///   change = a velocity + b + c (center - mean center)
-/// with a, b, c of all blocks, and the velocity half-way through its change. A block whose own change is farther off
-/// than its noise explains, such as one on an object that moves by itself, keeps it; so do all where they are fewer
-/// than kLeastBlocksOfScene.
+/// The changes without most of their noise: with vectors as complex numbers,
+///   change = a velocity + b + c (center - mean center),
+/// where a, b and c are fitted to all blocks and the velocity is that half-way through its change
+/// (doc/design/optical_flow.md). A block whose own change differs by more than its noise explains keeps it, such as one
+/// on a moving object; so do all if they are fewer than kLeastBlocksOfScene.
 std::vector<Eigen::Vector2d> common_changes(const std::vector<BlockChange>& blocks);
 
 }  // namespace gyro_deblur

@@ -1,4 +1,5 @@
-// How a kernel with a box in it is split into two scales, found by least squares once per length.
+// How a kernel with a box in it is split into two scales, found by least squares once per length
+// (doc/design/two_scale_filter.md).
 #pragma once
 
 #include <cstddef>

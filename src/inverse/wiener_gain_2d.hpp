@@ -1,4 +1,4 @@
-// The 2-D inverse of a whole path: its gain at every frequency of a tile.
+// The inverse of a curved path: its gain at every frequency of a tile (doc/design/fourier_filter.md).
 #pragma once
 
 #include <vector>

@@ -62,7 +62,7 @@ FieldFilters make_filters(const FrameBlur& field, double scale, const FilterBank
     if (blur.status != BlockStatus::DEBLURRED) return;
     const double extent_px = blur.extent_px * scale;
     // With half of the pixels a line's power is half as dense, at half of the frequencies.
-    const bool by_noise = bank.options().regularization == Regularization::NOISE;
+    const bool by_noise = bank.options().regularization == Regularization::ADAPTIVE;
     const double noise_to_texture = by_noise ? blur.noise_to_texture * scale : 0;
     const int doublings = noise_to_texture > 0 ? bank.choose(extent_px, noise_to_texture).gamma_doublings : 0;
     BlockFilter& filter = made.filters[i];
@@ -175,7 +175,7 @@ cv::Rect at_least(int side_px, const cv::Rect& rect, const cv::Size& image) {
 
 void adapt_regularization(const cv::Mat& luminance, const FilterBank& bank, FrameBlur& field, int threads,
                           const PixelMask& mask) {
-  if (bank.options().regularization != Regularization::NOISE || !field.noise ||
+  if (bank.options().regularization != Regularization::ADAPTIVE || !field.noise ||
       field.count(BlockStatus::DEBLURRED) == 0)
     return;
   if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
@@ -227,7 +227,7 @@ void prepare_deconvolution(const BlurFieldOptions& options, const FilterBank& ba
   const int last =
       static_cast<int>(std::ceil(std::min(options.max_extent_px, kMaxKernelExtentPx) / FilterBank::kExtentStepPx));
   if (engine.prefers_2d()) return;  // it has no use for kernels
-  const int doublings = bank.options().regularization == Regularization::NOISE ? bank.max_doublings() : 0;
+  const int doublings = bank.options().regularization == Regularization::ADAPTIVE ? bank.max_doublings() : 0;
   std::vector<const LineKernel*> kernels(std::max(0, last + 1 - first));
   constexpr int kKernelsAtATime = 8;
   parallel_for(static_cast<int>(kernels.size()), threads, kKernelsAtATime, [&](int i) {

@@ -151,7 +151,7 @@ void Pipeline::set_options(const PipelineOptions& options) {
   // Everything that may throw comes before the first assignment, so that a failure leaves the former state.
   options.validate();
   std::unique_ptr<FilterBank> bank;
-  if (!bank_ || !(options.kernel == options_.kernel)) bank = std::make_unique<FilterBank>(options.kernel);
+  if (!bank_ || !(options.filter == options_.filter)) bank = std::make_unique<FilterBank>(options.filter);
   std::unique_ptr<Engine> engine;
   if (!engine_ || options.engine != options_.engine || options.threads != options_.threads) {
     engine = make_engine_(options.engine, options.threads);
@@ -292,7 +292,7 @@ PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const
   {
     const Stopwatch watch;
     const bool weighs =
-        options_.kernel.regularization == Regularization::NOISE && result.field.count(BlockStatus::DEBLURRED) > 0;
+        options_.filter.regularization == Regularization::ADAPTIVE && result.field.count(BlockStatus::DEBLURRED) > 0;
     if (luminance.empty() && (weighs || options_.noise.is_known())) {
       luminance = luminance8(image, layout, result.significant_bits);
     }
@@ -403,7 +403,7 @@ void Pipeline::watch_static_content(const cv::Mat& image, PixelLayout layout, co
 }
 
 void Pipeline::mark_blocks(FrameBlur* field) const {
-  const FilterReach reach{options_.kernel.length_factor, engine_->prefers_2d()};
+  const FilterReach reach{options_.filter.length_factor, engine_->prefers_2d()};
   mark_masked(mask_, field);
   mark_static_edges(mask_, reach, field);
   mark_static_edges(static_content_->edges(), reach, field);

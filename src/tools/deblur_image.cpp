@@ -38,7 +38,7 @@ struct Arguments {
   double field_offset = 0;
   BlurFieldOptions blur_field;
   ValidationOptions validation;
-  FilterOptions kernel;
+  FilterOptions filter;
   std::string engine = "auto";
   int significant_bits = 0;
   int threads = 0;
@@ -174,7 +174,7 @@ void run(const Arguments& arguments) {
   }
   const auto engine = make_engine(arguments.engine, arguments.threads);
   mark_masked(mask, &field);
-  mark_static_edges(mask, {arguments.kernel.length_factor, engine->prefers_2d()}, &field);
+  mark_static_edges(mask, {arguments.filter.length_factor, engine->prefers_2d()}, &field);
   BitDepth depth(arguments.significant_bits);
   const int bits = depth.of(image, layout);
   if (const std::string message = depth.take_message(); !message.empty()) std::cerr << "warning: " << message << "\n";
@@ -182,7 +182,7 @@ void run(const Arguments& arguments) {
   field = validate_blur_field(field, luminance, arguments.validation);
   field.noise = image_noise(image, layout, bits, 1, mask);
 
-  const FilterBank bank(arguments.kernel);
+  const FilterBank bank(arguments.filter);
   adapt_regularization(luminance, bank, field, 0, mask);
   cv::Mat deblurred;
   const auto start = std::chrono::steady_clock::now();
@@ -205,7 +205,7 @@ void run(const Arguments& arguments) {
                                      {"width", image.cols},
                                      {"height", image.rows},
                                      {"engine", engine->name()},
-                                     {"gamma", arguments.kernel.gamma},
+                                     {"noise_to_signal_ratio", arguments.filter.gamma},
                                      {"blocks", counts},
                                      {"median_extent_px", median_extent_px(field)},
                                      {"deconvolution_ms", deconvolution_ms}});
@@ -242,11 +242,12 @@ int main_of(int argc, char** argv) {
   const auto& field_offset =
       app.add_option("--field-offset", arguments.field_offset, "value that stands for no displacement in --field")
           .show_default();
-  app.add_option("--gamma", arguments.kernel.gamma, "noise-to-signal ratio of the Wiener filter, at least")
+  app.add_option("--noise-to-signal-ratio", arguments.filter.gamma,
+                 "noise-to-signal ratio of the Wiener filter, at least")
       .show_default();
   app.add_flag(
-      "--fixed-gamma", [&] { arguments.kernel.regularization = Regularization::FIXED; },
-      "gamma as it is, whatever the noise, and no block left alone for it");
+      "--fixed-regularization", [&] { arguments.filter.regularization = Regularization::FIXED; },
+      "the noise-to-signal ratio as it is, whatever the noise, and no block passed through for it");
   app.add_option("--engine", arguments.engine, "engine: auto, cpu, plane, float, opencl, opencl:INDEX, opencl:NAME")
       .show_default();
   app.add_option("--threads", arguments.threads, "of the engine; 0: as many as there are cores").show_default();

@@ -12,6 +12,8 @@
 #include <gtest/gtest.h>
 #include <yaml-cpp/yaml.h>
 
+#include "config/parameters.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -54,9 +56,9 @@ std::string dump(const Config& c) {
     << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px << "\nmax_extent "
     << c.pipeline.blur_field.max_extent_px << "\ncurved_path_threshold "
     << c.pipeline.blur_field.curved_path_threshold_px << "\noptical_flow " << c.pipeline.optical_flow
-    << "\nflow_without_gyro " << c.pipeline.flow_without_gyro << "\ngamma " << c.pipeline.kernel.gamma
-    << "\nlength_factor " << c.pipeline.kernel.length_factor << "\nsmoothing " << c.pipeline.kernel.smoothing_px
-    << "\nregularization " << static_cast<int>(c.pipeline.kernel.regularization) << "\nnoise "
+    << "\nflow_without_gyro " << c.pipeline.flow_without_gyro << "\ngamma " << c.pipeline.filter.gamma
+    << "\nlength_factor " << c.pipeline.filter.length_factor << "\nsmoothing " << c.pipeline.filter.smoothing_px
+    << "\nregularization " << static_cast<int>(c.pipeline.filter.regularization) << "\nnoise "
     << c.pipeline.noise.read_noise << ' ' << c.pipeline.noise.noise_gain << "\nvalidation "
     << static_cast<int>(c.pipeline.validation.rule) << ' ' << c.pipeline.validation.false_accept_rate << "\ntau "
     << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\nkeypoint_detector "
@@ -165,8 +167,8 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_EQ(error_of("{flow_without_gyro: always, optical_flow: false}"),
             "flow_without_gyro = \"always\" needs optical_flow = true, which is false");
   EXPECT_EQ(error_of("optical_flow: false"), "") << "nothing is asked for that needs it";
-  EXPECT_EQ(c.pipeline.kernel.gamma, 1e-3);
-  EXPECT_EQ(c.pipeline.kernel.regularization, Regularization::PAPER);
+  EXPECT_EQ(c.pipeline.filter.gamma, 1e-3);
+  EXPECT_EQ(c.pipeline.filter.regularization, Regularization::PAPER);
   EXPECT_EQ(c.pipeline.validation.rule, ValidationRule::GRADIENT);
   EXPECT_EQ(c.pipeline.keypoints.detector, "ORB");
   EXPECT_EQ(c.pipeline.keypoints.descriptor, "BRISK");
@@ -210,8 +212,8 @@ TEST(ParseConfig, EnumerationsTakeEveryName) {
   EXPECT_EQ(parse("stamp_phase: middle").shutter.stamp_phase, StampPhase::MIDDLE);
   EXPECT_EQ(parse("validation: likelihood").pipeline.validation.rule, ValidationRule::LIKELIHOOD);
   EXPECT_EQ(parse("validation: none").pipeline.validation.rule, ValidationRule::NONE);
-  EXPECT_EQ(parse("regularization: noise").pipeline.kernel.regularization, Regularization::NOISE);
-  EXPECT_EQ(parse("regularization: fixed").pipeline.kernel.regularization, Regularization::FIXED);
+  EXPECT_EQ(parse("regularization: adaptive").pipeline.filter.regularization, Regularization::ADAPTIVE);
+  EXPECT_EQ(parse("regularization: fixed").pipeline.filter.regularization, Regularization::FIXED);
   EXPECT_EQ(parse("rectify_to: middle_row").pipeline.rectify_to, RectifyTo::MIDDLE_ROW);
   EXPECT_EQ(parse("rectify_to: first_row").pipeline.rectify_to, RectifyTo::FIRST_ROW);
   EXPECT_EQ(parse("rectify_to: last_row").pipeline.rectify_to, RectifyTo::LAST_ROW);
@@ -219,7 +221,7 @@ TEST(ParseConfig, EnumerationsTakeEveryName) {
 
 TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
   std::vector<std::string> unknown{"before"};
-  parse("{gama: 0.1, gamma: 0.1, exposure: 3}", &unknown);
+  parse("{gama: 0.1, noise_to_signal_ratio: 0.1, exposure: 3}", &unknown);
   EXPECT_EQ(unknown, (std::vector<std::string>{"before", "gama", "exposure"}));
   EXPECT_NO_THROW(parse("gama: 0.1"));
   EXPECT_EQ(unknown_key_message("gama"), "gama is not known, ignored");
@@ -232,7 +234,7 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
 TEST(ParseConfig, TellsOfFormerParameters) {
   const std::vector<std::pair<std::string, std::string>> constants{
       {"tau", "6 grey levels / px"},    {"tau_contrast", "200 grey levels"},
-      {"false_accept_rate", "0.1"},     {"kernel_length_factor", "4"},
+      {"false_acceptance", "0.1"},      {"kernel_length_factor", "4"},
       {"kernel_smoothing", "0 px"},     {"read_noise", "0 grey levels"},
       {"noise_gain", "0 grey levels"},  {"global_shutter_border", "black"},
       {"gyro_buffer_duration", "5 s"},  {"bias_window", "1 s"},
@@ -245,9 +247,21 @@ TEST(ParseConfig, TellsOfFormerParameters) {
     EXPECT_EQ(unknown, std::vector<std::string>{key});
     EXPECT_EQ(unknown_key_message(key), key + " is no parameter any more: it is " + value);
   }
-  const std::vector<std::pair<std::string, std::string>> merged{
-      {"validate", "validation"}, {"grid_cols", "keypoint_grid"}, {"grid_rows", "keypoint_grid"}};
-  for (const auto& [key, present] : merged) {
+  const std::vector<std::pair<std::string, std::string>> present_names{{"descriptor", "keypoint_descriptor"},
+                                                                       {"detector", "keypoint_detector"},
+                                                                       {"drop_bad", "drop_poor"},
+                                                                       {"gamma", "noise_to_signal_ratio"},
+                                                                       {"gamma_rule", "regularization"},
+                                                                       {"grid_cols", "keypoint_grid"},
+                                                                       {"grid_rows", "keypoint_grid"},
+                                                                       {"gyro_timeout", "input_timeout"},
+                                                                       {"max_bend", "curved_path_threshold"},
+                                                                       {"max_features", "max_keypoints"},
+                                                                       {"motion_from_images", "optical_flow"},
+                                                                       {"stereo_patience", "stereo_sync_timeout"},
+                                                                       {"validate", "validation"}};
+  for (const auto& [key, present] : present_names) {
+    EXPECT_NE(find_parameter(present), nullptr);
     std::vector<std::string> unknown;
     parse(key + ": 1", &unknown);
     EXPECT_EQ(unknown, std::vector<std::string>{key});
@@ -258,7 +272,7 @@ TEST(ParseConfig, TellsOfFormerParameters) {
 // rosparam's YAML 1.1 makes a string of 2e-2 and of y, and a launch file's <param> makes one of a list.
 TEST(ParseConfig, TakesStringsThatAreEntirelyValues) {
   EXPECT_EQ(parse("exposure_time: \"2e-2\"").shutter.exposure_ns, 20 * kMs);
-  EXPECT_EQ(parse("noise_to_signal_ratio: \"0.01\"").pipeline.kernel.gamma, 0.01);
+  EXPECT_EQ(parse("noise_to_signal_ratio: \"0.01\"").pipeline.filter.gamma, 0.01);
   for (const char* integer : {"1e2", "\"1e2\"", "100.0", "\"100\""}) {
     EXPECT_EQ(parse(std::string("frame_queue_size: ") + integer).frame_queue_size, 100) << integer;
   }
@@ -330,7 +344,8 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("R_cam_imu: [1, 0, 0, 0, 1, 0, 0, 0, -1]", "R_cam_imu has determinant -1: it mirrors");
   expect("[1, 2]", "the configuration is not a map of keys: [1, 2]");
   expect("noise_to_signal_ratio", "the configuration is not a map of keys: gamma");
-  expect("{gamma: 0.1, gamma: 0.2}", "noise_to_signal_ratio = 0.2 is given a second time");
+  expect("{noise_to_signal_ratio: 0.1, noise_to_signal_ratio: 0.2}",
+         "noise_to_signal_ratio = 0.2 is given a second time");
   expect("noise_to_signal_ratio: [1, 2", "the configuration is not YAML: ");
 }
 
@@ -441,9 +456,9 @@ TEST(LoadConfig, NamesTheFileThatCannotBeUsed) {
   std::ofstream(path) << "noise_to_signal_ratio: [1, 2\n";
   EXPECT_NE(message(path).find(path + " cannot be read"), std::string::npos);
   std::ofstream(path) << "noise_to_signal_ratio: 7\n";
-  EXPECT_EQ(message(path), "configuration " + path + ": gamma = 7 is outside [1e-05, 1]");
+  EXPECT_EQ(message(path), "configuration " + path + ": noise_to_signal_ratio = 7 is outside [1e-05, 1]");
   std::ofstream(path) << "noise_to_signal_ratio: 0.5\n";
-  EXPECT_EQ(load_config(path).pipeline.kernel.gamma, 0.5);
+  EXPECT_EQ(load_config(path).pipeline.filter.gamma, 0.5);
   std::remove(path.c_str());
 }
 

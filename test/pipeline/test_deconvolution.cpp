@@ -203,9 +203,9 @@ TEST(WeighNoise, GainsInLowLightWhereGammaAsItIsLoses) {
       };
       if (contrast < 1) {
         EXPECT_LT(gain_db(Regularization::FIXED), 0) << extent_px;
-        EXPECT_GT(gain_db(Regularization::NOISE), 0.5) << extent_px;
+        EXPECT_GT(gain_db(Regularization::ADAPTIVE), 0.5) << extent_px;
       } else {
-        EXPECT_NEAR(gain_db(Regularization::NOISE), gain_db(Regularization::FIXED), 0.1) << extent_px;
+        EXPECT_NEAR(gain_db(Regularization::ADAPTIVE), gain_db(Regularization::FIXED), 0.1) << extent_px;
       }
     }
   }
@@ -250,7 +250,7 @@ TEST(WeighNoise, LeavesAloneWhatItWouldSpoilAndDoesNotGrainWhatIsFlat) {
   for (const double extent_px : {3.5, 20.0}) {
     const cv::Mat blurred = test::expose(test::blur_along_line(light, 0, extent_px), kNoise, 6);
     const FrameBlur field = uniform_blur_field(512, 256, 0, extent_px, {});
-    const Weighed weighed = weigh_and_deconvolve(blurred, field, kNoise, Regularization::NOISE);
+    const Weighed weighed = weigh_and_deconvolve(blurred, field, kNoise, Regularization::ADAPTIVE);
     const cv::Rect flat(320, 0, 192, 256);
     cv::Scalar mean, before, after;
     cv::meanStdDev(blurred(flat), mean, before);
@@ -280,10 +280,10 @@ TEST(WeighNoise, DoesNothingByOtherRulesOrWhereNoiseIsNotKnown) {
       return block.status == BlockStatus::DEBLURRED && block.noise_to_texture == 0;
     });
   };
-  EXPECT_TRUE(is_left(std::nullopt, Regularization::NOISE));
+  EXPECT_TRUE(is_left(std::nullopt, Regularization::ADAPTIVE));
   EXPECT_TRUE(is_left(9, Regularization::FIXED));
   EXPECT_TRUE(is_left(9, Regularization::PAPER));
-  EXPECT_FALSE(is_left(9, Regularization::NOISE));
+  EXPECT_FALSE(is_left(9, Regularization::ADAPTIVE));
   const FilterBank bank{FilterOptions{}};
   FrameBlur copy = field;
   copy.noise = 1;

@@ -78,9 +78,9 @@ TEST(Pipeline, FrameThatIsStoppedIsItsField) {
 
 // By rule FIXED as by rule NOISE; longer blur is less certain, of the same corners or others.
 TEST(Pipeline, SaysHowExactlyKeypointsArePlaced) {
-  for (const Regularization rule : {Regularization::NOISE, Regularization::FIXED}) {
+  for (const Regularization rule : {Regularization::ADAPTIVE, Regularization::FIXED}) {
     PipelineOptions fixed = options();
-    fixed.kernel.regularization = rule;
+    fixed.filter.regularization = rule;
     Pipeline p(fixed);
     p.set_calibration(test::small_camera());
     double before_px2 = 0;
@@ -427,7 +427,7 @@ TEST(Pipeline, TakesNewOptions) {
   const cv::Mat blurred = blurred_image(15);
   const PipelineResult before = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
   PipelineOptions changed = options();
-  changed.kernel.gamma = 0.1;
+  changed.filter.gamma = 0.1;
   changed.blur_field.block_size_px = 32;
   changed.validation.rule = ValidationRule::NONE;
   changed.keypoints.max_keypoints = 20;
@@ -440,7 +440,7 @@ TEST(Pipeline, TakesNewOptions) {
   EXPECT_LE(after.features.keypoints.size(), 20u);
   EXPECT_EQ(after.reference_ns, kStampNs);
   changed = options();
-  changed.kernel.regularization = Regularization::PAPER;
+  changed.filter.regularization = Regularization::PAPER;
   p.set_options(changed);
   EXPECT_FALSE(
       equal(before.image, p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {}).image));
@@ -611,7 +611,7 @@ TEST(Pipeline, PreparesItsEngineForTheOptions) {
   o.blur_field.curved_path_threshold_px = 3;
   p.set_options(o);
   EXPECT_EQ(prepared.size(), 1u) << "nothing that kernels depend on";
-  o.kernel.gamma = 0.02;
+  o.filter.gamma = 0.02;
   p.set_options(o);
   EXPECT_EQ(prepared.size(), 2u) << "other kernels";
   o.threads = 1;
@@ -630,7 +630,7 @@ TEST(Pipeline, KeepsItsStateWhenNewOptionsAreBad) {
   std::vector<PipelineOptions> bad(7, options());
   // Each also changes something good, which must not be taken over.
   for (PipelineOptions& o : bad) o.blur_field.block_size_px = 32;
-  bad[0].kernel.gamma = -1;
+  bad[0].filter.gamma = -1;
   bad[1].engine = "abacus";
   bad[2].keypoints.detector = "EYE";
   bad[3].keypoints.detector = "FAST", bad[3].keypoints.descriptor = "AKAZE";

@@ -147,7 +147,7 @@ TEST_F(ProcessorTest, BadConfigurationPassesFramesThroughUntilItIsMended) {
 TEST_F(ProcessorTest, ConfigurationThatCannotBeUsedChangesNothing) {
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   Config bad = config_;
-  bad.pipeline.kernel.gamma = 2;
+  bad.pipeline.filter.gamma = 2;
   EXPECT_THROW(processor_.set_config(bad), OptionError);
   bad = config_;
   bad.pipeline.keypoints.detector = "nonsense";
@@ -189,7 +189,7 @@ TEST_F(ProcessorTest, DefaultKeypointsAreNoConditionForImages) {
   expect_deblurred(0);
   expect_passed_through(1, PassThroughReason::NO_GYRO, "");
   for (const FrameOutput& output : outputs_) EXPECT_EQ(output.keypoints->keypoints.empty(), !has_detector);
-  EXPECT_EQ(logged("has no keypoints: detector = SIFT"), has_detector ? 0u : 1u) << "and counted";
+  EXPECT_EQ(logged("has no keypoints: keypoint_detector = SIFT"), has_detector ? 0u : 1u) << "and counted";
   EXPECT_EQ(processor_.statistics().keypoints_text.empty(), has_detector);
 }
 
@@ -209,7 +209,7 @@ TEST_F(ProcessorTest, ManyChangesOfParametersMakeNoNewEngine) {
   add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
   add_frame(kStart);
   for (int i = 0; i < 100; ++i) {
-    config_.pipeline.kernel.gamma = 0.001 * (1 + i);
+    config_.pipeline.filter.gamma = 0.001 * (1 + i);
     config_.pipeline.keypoints.max_keypoints = 100 + i % 7;
     configure();
   }

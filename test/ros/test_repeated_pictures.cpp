@@ -412,8 +412,8 @@ TEST_F(RepeatedPictures, ChangedParametersHoldForRepetitions) {
   player.play({shots.begin(), shots.begin() + 12});
   const auto before = player.outputs.back().image->data;
   player.outputs.clear();
-  player.config.pipeline.kernel.regularization = Regularization::FIXED;
-  player.config.pipeline.kernel.gamma = 0.5;
+  player.config.pipeline.filter.regularization = Regularization::FIXED;
+  player.config.pipeline.filter.gamma = 0.5;
   player.play({handheld().repetition(5, HandheldCamera::kPeriodNs)});
   EXPECT_FALSE(player.outputs.back().image->data == before);
 }

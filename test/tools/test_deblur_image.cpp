@@ -58,8 +58,8 @@ class DeblurImage : public testing::Test {
 TEST_F(DeblurImage, ExplainsItself) {
   const test::ProgramResult help = run({"--help"});
   EXPECT_EQ(help.exit_code, 0);
-  for (const char* option : {"--angle-deg", "--extent-px", "--field", "--gamma", "--engine", "--block-size",
-                             "--no-validation", "--mask", "--overlay", "--json"}) {
+  for (const char* option : {"--angle-deg", "--extent-px", "--field", "--noise-to-signal-ratio", "--engine",
+                             "--block-size", "--no-validation", "--mask", "--overlay", "--json"}) {
     EXPECT_NE(help.output.find(option), std::string::npos) << option;
   }
 }
@@ -80,7 +80,8 @@ TEST_F(DeblurImage, RefusesBadInputInOneLine) {
   expect_refusal({csv, out, "--angle-deg", "1", "--extent-px", "9"}, "ok.csv");
   expect_refusal({in, out, "--angle-deg", "nan", "--extent-px", "9"}, "angle");
   expect_refusal({in, out, "--angle-deg", "1", "--extent-px", "-1"}, "extent");
-  expect_refusal({in, out, "--angle-deg", "1", "--extent-px", "9", "--gamma", "0"}, "gamma");
+  expect_refusal({in, out, "--angle-deg", "1", "--extent-px", "9", "--noise-to-signal-ratio", "0"},
+                 "noise_to_signal_ratio");
   expect_refusal({in, out, "--angle-deg", "1", "--extent-px", "9", "--block-size", "7"}, "block_size");
   expect_refusal({in, out, "--angle-deg", "1", "--extent-px", "9", "--engine", "abacus"}, "abacus");
   expect_refusal({in, path("no_folder/out.png"), "--angle-deg", "1", "--extent-px", "9"}, "no_folder");
@@ -98,8 +99,16 @@ TEST_F(DeblurImage, LeavesMaskedPixelsAsTheyAre) {
   cv::Mat used(60, 80, CV_8UC1, cv::Scalar(1));
   used.colRange(0, 20).setTo(0);
   ASSERT_TRUE(cv::imwrite(path("mask.png"), used));
-  const std::vector<std::string> arguments{
-      in, out, "--angle-deg", "0", "--extent-px", "4", "--block-size", "10", "--no-validation", "--fixed-gamma"};
+  const std::vector<std::string> arguments{in,
+                                           out,
+                                           "--angle-deg",
+                                           "0",
+                                           "--extent-px",
+                                           "4",
+                                           "--block-size",
+                                           "10",
+                                           "--no-validation",
+                                           "--fixed-regularization"};
   std::vector<std::string> masked = arguments;
   masked.insert(masked.end(), {"--mask", path("mask.png"), "--json", path("out.json")});
   const test::ProgramResult result = run(masked);
@@ -127,8 +136,8 @@ TEST_F(DeblurImage, LeavesMaskedPixelsAsTheyAre) {
 TEST_F(DeblurImage, KeepsTheTypeOfTheImage) {
   for (const int type : {CV_8UC1, CV_8UC3, CV_8UC4, CV_16UC1, CV_16UC3, CV_16UC4}) {
     const std::string in = write_image("in.png", type);
-    const test::ProgramResult result =
-        run({in, path("out.png"), "--angle-deg", "-20", "--extent-px", "9", "--no-validation", "--fixed-gamma"});
+    const test::ProgramResult result = run(
+        {in, path("out.png"), "--angle-deg", "-20", "--extent-px", "9", "--no-validation", "--fixed-regularization"});
     ASSERT_EQ(result.exit_code, 0) << result.output;
     const cv::Mat image = cv::imread(in, cv::IMREAD_UNCHANGED), out = cv::imread(path("out.png"), cv::IMREAD_UNCHANGED);
     ASSERT_EQ(out.type(), type);
