@@ -152,14 +152,18 @@ def read_diagnostics(bag, topic):
     """The last values of gyro_deblur's diagnostics; of rates and latencies the means or maxima over all periods."""
     latest, periods = {}, {}
     for message in messages_of(bag, topic):
-        for status in message.status:
-            values = {v.key: v.value for v in status.values}
-            if "frames out" not in values:
-                continue
-            latest = values
-            for key, value in values.items():
-                if key.endswith(("mean [ms]", "max [ms]", "rate [Hz]")):
-                    periods.setdefault(key, []).append(float(value))
+        statuses = {status.name: {v.key: v.value for v in status.values} for status in message.status}
+        # "NODE: image", whose rates nobody else has, and the node's other statuses.
+        node = next((name[:-len("image")] for name, values in statuses.items()
+                     if name.endswith(": image") and "output rate [Hz]" in values), None)
+        if node is None:
+            continue
+        latest = {}
+        for part in ("image", "IMU", "calibration", "timing"):
+            latest.update(statuses.get(node + part, {}))
+        for key, value in latest.items():
+            if key.endswith(("mean [ms]", "max [ms]", "rate [Hz]")):
+                periods.setdefault(key, []).append(float(value))
     for key, values in periods.items():
         busy = [v for v in values if v > 0] or [0.0]
         latest[key] = "%.2f" % (max(busy) if key.endswith("max [ms]") else float(np.mean(busy)))

@@ -188,7 +188,17 @@ void DeblurNodelet::onInit() {
 
   diagnostics_ = std::make_unique<diagnostic_updater::Updater>(nh, private_nh, getName());
   diagnostics_->setHardwareID("none");
-  diagnostics_->add("deblurring", this, &DeblurNodelet::fill_diagnostics);
+  const auto add_status = [this](const std::string& name,
+                                 diagnostic_updater::DiagnosticStatusWrapper DiagnosticStatuses::*part) {
+    diagnostics_->add(name, [this, part](diagnostic_updater::DiagnosticStatusWrapper& status) {
+      status.summary(statuses_.*part);
+      status.values = (statuses_.*part).values;
+    });
+  };
+  add_status("image", &DiagnosticStatuses::image);
+  add_status("IMU", &DiagnosticStatuses::imu);
+  add_status("calibration", &DiagnosticStatuses::calibration);
+  add_status("timing", &DiagnosticStatuses::timing);
   diagnostics_timer_ = nh.createWallTimer(ros::WallDuration(1.0), &DeblurNodelet::on_diagnostics_timer, this);
 }
 
@@ -559,6 +569,8 @@ void DeblurNodelet::publish(const FrameOutput& output) {
 
 void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {
   guarded("reporting diagnostics", [&] {
+    statuses_ = report_.fill({processor_->statistics(), imu_->listeners(), to_time_ns(ros::Time::now()),
+                              std::chrono::steady_clock::now(), unsent_.count()});
     // The updater's own clock stands still with simulated time.
     diagnostics_->force_update();
     bool subscribed = false;
@@ -574,12 +586,6 @@ void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {
           30.0, "no image on " << getNodeHandle().resolveName("image_raw") << " for " << std::round(silence_s) << " s");
     }
   });
-}
-
-void DeblurNodelet::fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) {
-  report_.fill({processor_->statistics(), imu_->listeners(), to_time_ns(ros::Time::now()),
-                std::chrono::steady_clock::now(), unsent_.count()},
-               &status);
 }
 
 }  // namespace gyro_deblur

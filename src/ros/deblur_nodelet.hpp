@@ -77,7 +77,6 @@ class DeblurNodelet : public nodelet::Nodelet {
   bool on_save_calibration(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   bool on_estimate_bias(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   void on_diagnostics_timer(const ros::WallTimerEvent& event);
-  void fill_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status);
 
   /// Runs `function`; an exception is logged, because it must not reach the nodelet manager.
   template <typename Function>
@@ -141,6 +140,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   std::unique_ptr<diagnostic_updater::Updater> diagnostics_;
 
   DiagnosticReport report_;
+  DiagnosticStatuses statuses_;  // of the newest report
 
   std::mutex worker_mutex_;
   std::condition_variable worker_wakes_;

@@ -65,14 +65,30 @@ std::size_t count_of(const std::map<Key, std::size_t>& counts, const Key& key) {
   return found == counts.end() ? 0 : found->second;
 }
 
-void add_imu(const DiagnosticReport::Moment& now, DiagnosticStatusWrapper* status) {
-  status->add("cameras on this gyroscope", now.cameras);
-  status->add("imu dropped, not finite", now.statistics.imu_not_finite);
-  status->add("imu dropped, duplicate", now.statistics.imu_duplicate);
-  status->add("imu dropped, out of order", now.statistics.imu_out_of_order);
-  status->add("imu dropped, stray stamp", now.statistics.imu_stray);
-  status->add("imu dropped, without gyroscope", now.statistics.imu_without_gyroscope);
-  status->add("imu saturated", now.statistics.imu_saturated);
+/// Counters that are zero say nothing.
+void add_count(const std::string& key, std::size_t count, DiagnosticStatusWrapper* status) {
+  if (count > 0) status->add(key, count);
+}
+
+/// "NAME COUNT, NAME COUNT" in one value, however many names there are.
+template <typename Counts, typename NameOf>
+void add_counts(const std::string& key, const Counts& counts, const NameOf& name_of, DiagnosticStatusWrapper* status) {
+  std::string text;
+  for (const auto& [named, count] : counts) {
+    if (count > 0) text += (text.empty() ? "" : ", ") + std::string(name_of(named)) + ' ' + std::to_string(count);
+  }
+  if (!text.empty()) status->add(key, text);
+}
+
+/// The status that a problem of an input belongs to.
+DiagnosticStatusWrapper& status_of(const std::string& kind, DiagnosticStatuses* statuses) {
+  const auto has = [&kind](const char* part) { return kind.find(part) != std::string::npos; };
+  if (has("imu")) return statuses->imu;
+  if (kind == "clocks") return statuses->timing;
+  for (const char* part : {"exposure", "camera_info", "readout_time", "extrinsic", "calibration", "by images"}) {
+    if (has(part)) return statuses->calibration;
+  }
+  return statuses->image;
 }
 
 /// What the images have shown to be wrong, and what to do.
@@ -93,17 +109,6 @@ std::string error_text(const GyroError& error, const Eigen::Vector3d& bias_rad_s
       return std::string("the images turn ") + text;
   }
   return "";
-}
-
-void add_gyro_buffer(const DiagnosticReport::Moment& now, DiagnosticStatusWrapper* status) {
-  const ProcessorStatistics& statistics = now.statistics;
-  if (!statistics.newest_imu_ns) {
-    status->add("gyroscope buffer [s]", "empty");
-    return;
-  }
-  const TimeRange& available = statistics.gyro_available;
-  status->addf("gyroscope buffer [s]", "%.3f", to_seconds(available.end_ns - available.begin_ns));
-  status->addf("gyroscope age [s]", "%.3f", to_seconds(now.node_ns - *statistics.newest_imu_ns));
 }
 
 }  // namespace
@@ -154,87 +159,93 @@ void DiagnosticReport::add(const FrameOutput& output) {
   }
 }
 
-void DiagnosticReport::fill(const Moment& now, DiagnosticStatusWrapper* status) {
+DiagnosticStatuses DiagnosticReport::fill(const Moment& now) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!now.statistics.configuration_error.empty()) {
-    status->summary(DiagnosticStatus::ERROR, now.statistics.configuration_error);
-  } else {
+  DiagnosticStatuses statuses;
+  for (DiagnosticStatusWrapper* status : {&statuses.image, &statuses.imu, &statuses.calibration, &statuses.timing}) {
     status->summary(DiagnosticStatus::OK, "running");
   }
+  if (!now.statistics.configuration_error.empty()) {
+    statuses.image.summary(DiagnosticStatus::ERROR, now.statistics.configuration_error);
+  }
   if (!now.statistics.keypoints_text.empty()) {
-    status->mergeSummary(DiagnosticStatus::ERROR, "no keypoints: " + now.statistics.keypoints_text);
+    statuses.image.mergeSummary(DiagnosticStatus::ERROR, "no keypoints: " + now.statistics.keypoints_text);
   }
   for (const auto& [kind, problem] : now.statistics.input_problems) {
-    if (problem.active && problem.level != LogLevel::INFO) status->mergeSummary(DiagnosticStatus::WARN, problem.text);
+    if (!problem.active || problem.level == LogLevel::INFO) continue;
+    status_of(kind, &statuses).mergeSummary(DiagnosticStatus::WARN, problem.text);
   }
-  add_frames(now, status);
-  add_unsent(now, status);
-  add_blocks(now, status);
-  add_quality(now, status);
-  add_exposure(status);
-  add_exposure_advice(now, status);
-  add_optical_flow(now, status);
-  add_imu(now, status);
-  for (const CalibrationRow& row : now.statistics.calibration) status->add("calibration, " + row.key, row.text);
-  status->add("time jumps", now.statistics.time_jumps);
-  add_gyro_buffer(now, status);
-  add_latencies(status);
-  status->add("engine", now.statistics.engine.empty() ? "none" : now.statistics.engine);
+  add_losses(now, &statuses.image);
+  add_frames(now, &statuses.image);
+  add_blocks(now, &statuses.image);
+  add_quality(&statuses.image);
+  add_optical_flow(now, &statuses.image);
+  statuses.image.add("engine", now.statistics.engine.empty() ? "none" : now.statistics.engine);
+  add_imu(now, &statuses.imu);
+  add_exposure(&statuses.calibration);
+  for (const CalibrationRow& row : now.statistics.calibration) statuses.calibration.add(row.key, row.text);
+  add_exposure_advice(now, &statuses.calibration);
+  add_count("time jumps", now.statistics.time_jumps, &statuses.timing);
+  add_latencies(&statuses.timing);
   latencies_.clear();
   from_images_ = {};
   quality_ = {};
   last_ = now.statistics;
   last_unsent_ = now.unsent;
   last_time_ = now.time;
+  return statuses;
 }
 
-void DiagnosticReport::add_frames(const Moment& now, DiagnosticStatusWrapper* status) const {
+double DiagnosticReport::rate(const Moment& now, std::size_t newer, std::size_t older) const {
+  return static_cast<double>(newer - older) / std::chrono::duration<double>(now.time - last_time_).count();
+}
+
+void DiagnosticReport::add_losses(const Moment& now, DiagnosticStatusWrapper* status) const {
   const ProcessorStatistics& statistics = now.statistics;
-  const double period_s = std::chrono::duration<double>(now.time - last_time_).count();
-  const auto rate = [period_s](std::size_t newer, std::size_t older) {
-    return static_cast<double>(newer - older) / period_s;
-  };
-  status->addf("input rate [Hz]", "%.1f", rate(statistics.frames_in, last_.frames_in));
-  status->addf("output rate [Hz]", "%.1f", rate(statistics.frames_out, last_.frames_out));
-  status->addf("gyroscope rate [Hz]", "%.1f", rate(statistics.imu_accepted, last_.imu_accepted));
-  status->add("frames in", statistics.frames_in);
-  status->add("frames out", statistics.frames_out);
-  status->add("frames waiting", statistics.waiting);
-  status->add("compressed images left out, not decodable", statistics.undecodable_images);
-  const std::size_t undecodable = statistics.undecodable_images - last_.undecodable_images;
-  if (undecodable > 0) {
-    status->mergeSummaryf(DiagnosticStatus::WARN,
-                          "%zu compressed images could not be decoded and are left out: check the camera's cable, its "
-                          "bandwidth and its driver",
-                          undecodable);
-  }
   for (const auto& [reason, count] : statistics.passed_through) {
-    status->add(std::string("passed through, ") + to_string(reason), count);
+    add_count(std::string("passed through, ") + to_string(reason), count, status);
     const std::size_t fresh = count - count_of(last_.passed_through, reason);
     if (fresh > 0) {
       status->mergeSummaryf(DiagnosticStatus::WARN, "%zu frames passed through: %s; %s", fresh, to_string(reason),
                             remedy(reason));
     }
   }
-}
-
-void DiagnosticReport::add_unsent(const Moment& now, DiagnosticStatusWrapper* status) const {
-  status->add("messages published, not sent", now.unsent);
-  const std::size_t fresh = now.unsent - last_unsent_;
-  if (fresh > 0) {
+  add_count("images dropped, POOR", statistics.dropped_bad, status);
+  if (const std::size_t fresh = statistics.dropped_bad - last_.dropped_bad; fresh > 0) {
+    status->mergeSummaryf(DiagnosticStatus::WARN,
+                          "%zu images dropped by drop_poor: they, or their partners, are POOR; see image_quality",
+                          fresh);
+  }
+  add_count("compressed images left out, not decodable", statistics.undecodable_images, status);
+  if (const std::size_t fresh = statistics.undecodable_images - last_.undecodable_images; fresh > 0) {
+    status->mergeSummaryf(DiagnosticStatus::WARN,
+                          "%zu compressed images could not be decoded and are left out: check the camera's cable, its "
+                          "bandwidth and its driver",
+                          fresh);
+  }
+  add_count("messages published, not sent", now.unsent, status);
+  if (const std::size_t fresh = now.unsent - last_unsent_; fresh > 0) {
     status->mergeSummaryf(DiagnosticStatus::WARN,
                           "%zu messages published, but not sent: a subscriber reads too slowly, or over a slow network",
                           fresh);
   }
 }
 
+void DiagnosticReport::add_frames(const Moment& now, DiagnosticStatusWrapper* status) const {
+  const ProcessorStatistics& statistics = now.statistics;
+  status->addf("output rate [Hz]", "%.1f", rate(now, statistics.frames_out, last_.frames_out));
+  status->addf("input rate [Hz]", "%.1f", rate(now, statistics.frames_in, last_.frames_in));
+  add_count("frames out", statistics.frames_out, status);
+  add_count("frames in", statistics.frames_in, status);
+  add_count("frames waiting", statistics.waiting, status);
+}
+
 void DiagnosticReport::add_blocks(const Moment& now, DiagnosticStatusWrapper* status) const {
-  for (const auto& [block_status, count] : now.statistics.blocks) {
-    status->add(std::string("blocks, ") + to_string(block_status), count);
-  }
-  for (const auto& [reason, count] : now.statistics.fallback_counts) {
-    status->add("blocks on the float engine, " + reason, count);
-  }
+  add_counts(
+      "blocks", now.statistics.blocks, [](BlockStatus block) { return to_string(block); }, status);
+  add_counts(
+      "blocks on the float engine", now.statistics.fallback_counts, [](const std::string& reason) { return reason; },
+      status);
   const auto fresh = [&](BlockStatus block_status) {
     return count_of(now.statistics.blocks, block_status) - count_of(last_.blocks, block_status);
   };
@@ -248,22 +259,18 @@ void DiagnosticReport::add_blocks(const Moment& now, DiagnosticStatusWrapper* st
   }
 }
 
-void DiagnosticReport::add_quality(const Moment& now, DiagnosticStatusWrapper* status) const {
+void DiagnosticReport::add_quality(DiagnosticStatusWrapper* status) const {
   std::size_t frames = 0;
   for (const auto& [grade, count] : quality_.grades) frames += count;
+  std::map<std::uint8_t, std::size_t> percent;
   for (const auto& [grade, count] : quality_.grades) {
-    status->addf(std::string("images, ") + to_string(static_cast<QualityGrade>(grade)) + " [%]", "%.0f",
-                 100 * static_cast<double>(count) / static_cast<double>(frames));
+    percent[grade] =
+        static_cast<std::size_t>(std::lround(100 * static_cast<double>(count) / static_cast<double>(frames)));
   }
+  add_counts(
+      "images [%]", percent, [](std::uint8_t grade) { return to_string(static_cast<QualityGrade>(grade)); }, status);
   if (quality_.scores > 0) {
     status->addf("score of images, mean", "%.2f", quality_.score_sum / static_cast<double>(quality_.scores));
-  }
-  status->add("images dropped, POOR", now.statistics.dropped_bad);
-  const std::size_t fresh = now.statistics.dropped_bad - last_.dropped_bad;
-  if (fresh > 0) {
-    status->mergeSummaryf(DiagnosticStatus::WARN,
-                          "%zu images dropped by drop_poor: they, or their partners, are POOR; see image_quality",
-                          fresh);
   }
 }
 
@@ -301,24 +308,54 @@ void DiagnosticReport::add_exposure_advice(const Moment& now, DiagnosticStatusWr
 }
 
 void DiagnosticReport::add_optical_flow(const Moment& now, DiagnosticStatusWrapper* status) const {
-  status->add("blocks with motion from images", now.statistics.blocks_from_images);
-  status->add("frames by images alone", now.statistics.frames_by_images_alone);
+  add_count("blocks with motion from images", now.statistics.blocks_from_images, status);
+  add_count("frames by images alone", now.statistics.frames_by_images_alone, status);
   if (!from_images_.blocks_px.empty()) {
     status->addf("motion from images, median [px]", "%.2f", median(from_images_.blocks_px));
   }
+}
+
+void DiagnosticReport::add_imu(const Moment& now, DiagnosticStatusWrapper* status) const {
+  const ProcessorStatistics& statistics = now.statistics;
+  add_count("imu dropped, not finite", statistics.imu_not_finite, status);
+  add_count("imu dropped, duplicate", statistics.imu_duplicate, status);
+  add_count("imu dropped, out of order", statistics.imu_out_of_order, status);
+  add_count("imu dropped, stray stamp", statistics.imu_stray, status);
+  add_count("imu dropped, without gyroscope", statistics.imu_without_gyroscope, status);
+  add_count("imu saturated", statistics.imu_saturated, status);
+  status->addf("gyroscope rate [Hz]", "%.1f", rate(now, statistics.imu_accepted, last_.imu_accepted));
+  if (statistics.newest_imu_ns) {
+    const TimeRange& available = statistics.gyro_available;
+    status->addf("gyroscope age [s]", "%.3f", to_seconds(now.node_ns - *statistics.newest_imu_ns));
+    status->addf("gyroscope buffer [s]", "%.3f", to_seconds(available.end_ns - available.begin_ns));
+  } else {
+    status->add("gyroscope buffer [s]", "empty");
+  }
+  status->add("cameras on this gyroscope", now.cameras);
   if (from_images_.rotations > 0) {
     status->add("rotation beside the gyroscope, mean [rad/s]",
                 vector_text(from_images_.rotation_sum_rad_s / static_cast<double>(from_images_.rotations)));
   }
-  if (now.statistics.gyro_error) {
-    status->mergeSummary(DiagnosticStatus::WARN, error_text(*now.statistics.gyro_error, now.statistics.bias_rad_s));
+  if (statistics.gyro_error) {
+    status->mergeSummary(DiagnosticStatus::WARN, error_text(*statistics.gyro_error, statistics.bias_rad_s));
   }
 }
 
 void DiagnosticReport::add_latencies(DiagnosticStatusWrapper* status) const {
-  for (const auto& [stage, latency] : latencies_) {
-    status->addf(stage + " mean [ms]", "%.2f", latency.sum_ms / static_cast<double>(latency.count));
-    status->addf(stage + " max [ms]", "%.2f", latency.max_ms);
+  for (const char* whole : {"processing", "waiting"}) {
+    const auto found = latencies_.find(whole);
+    if (found == latencies_.end()) continue;
+    const Latency& latency = found->second;
+    status->addf(std::string(whole) + " mean [ms]", "%.2f", latency.sum_ms / static_cast<double>(latency.count));
+    status->addf(std::string(whole) + " max [ms]", "%.2f", latency.max_ms);
+  }
+  // In the order in which a frame goes through them.
+  for (const char* stage : {"motion from images", "blur field", "exposure estimate", "validation", "noise",
+                            "deconvolution", "keypoints", "tracks", "global shutter", "messages"}) {
+    const auto found = latencies_.find(stage);
+    if (found == latencies_.end()) continue;
+    status->addf(std::string(stage) + " mean [ms]", "%.2f",
+                 found->second.sum_ms / static_cast<double>(found->second.count));
   }
 }
 

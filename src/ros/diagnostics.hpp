@@ -1,4 +1,4 @@
-// From counters and times to what the nodelet says of itself on /diagnostics.
+// From counters and times to the statuses that the nodelet publishes on /diagnostics.
 #pragma once
 
 #include <chrono>
@@ -19,6 +19,15 @@
 
 namespace gyro_deblur {
 
+/// What is published: each status has at most 15 values while nothing is wrong. Losses come first, counters that are
+/// zero are left out.
+struct DiagnosticStatuses {
+  diagnostic_updater::DiagnosticStatusWrapper image;        ///< frames, blocks, quality
+  diagnostic_updater::DiagnosticStatusWrapper imu;          ///< samples of the gyroscope
+  diagnostic_updater::DiagnosticStatusWrapper calibration;  ///< values in use, exposure
+  diagnostic_updater::DiagnosticStatusWrapper timing;       ///< clocks, and times of every stage
+};
+
 /// Reports what happened since the report before. Thread-safe.
 class DiagnosticReport {
  public:
@@ -37,8 +46,8 @@ class DiagnosticReport {
     Time time;                ///< after that of the report before
     std::size_t unsent = 0;   ///< messages that subscribers did not get since the start, see UnsentMessages
   };
-  /// Fills a status, and begins the next period.
-  void fill(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status);
+  /// The statuses of the period that ends now. Begins the next one.
+  DiagnosticStatuses fill(const Moment& now);
 
  private:
   /// Mean and maximum over a period.
@@ -61,13 +70,15 @@ class DiagnosticReport {
     std::vector<ExposureTerms> exposures;
   };
   // What they report of the last period needs mutex_.
+  double rate(const Moment& now, std::size_t newer, std::size_t older) const;
+  void add_losses(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_frames(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
-  void add_unsent(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_blocks(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
-  void add_quality(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
+  void add_quality(diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_exposure(diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_exposure_advice(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_optical_flow(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
+  void add_imu(const Moment& now, diagnostic_updater::DiagnosticStatusWrapper* status) const;
   void add_latencies(diagnostic_updater::DiagnosticStatusWrapper* status) const;
 
   std::mutex mutex_;  // everything below
