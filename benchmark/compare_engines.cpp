@@ -13,6 +13,7 @@
 #include <fstream>
 #include <functional>
 #include <map>
+#include <memory>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -47,6 +48,7 @@ struct Arguments {
   std::vector<double> extents_px = {5, 15, 30, 60, 90, 130};
   std::vector<int> threads = {1, 2};
   int rounds = 21;
+  std::vector<std::string> pipeline_engines = {"auto"};
   bool no_peaks = false, no_memory = false, no_pipeline = false;
   bool processor_time = false;
   std::string json;
@@ -173,55 +175,69 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const FilterBan
   return records;
 }
 
-/// Stages of the whole pipeline, in turn with cv::ORB on the same frame.
+/// Stages of the whole pipeline with each engine in turn, and cv::ORB on the same frame.
 nlohmann::json measure_pipeline(const Arguments& arguments) {
   nlohmann::json records;
   const std::pair<cv::Size, double> scenes[] = {{{752, 480}, 15}, {{1280, 720}, 30}, {{1920, 1080}, 90}};
   std::printf(
-      "\nPipeline, median ms; ORB: cv::ORB with 1000 features on the blurred frame\n%-22s %8s %11s %10s %13s %10s %8s "
-      "%8s\n",
-      "", "threads", "blur field", "validation", "deconvolution", "keypoints", "ORB", "ORB/sum");
+      "\nPipeline, median ms; sum: deblurring; ORB: cv::ORB with 1000 features on the blurred frame\n%-22s %8s %11s "
+      "%10s "
+      "%6s %13s %6s %10s %8s %8s\n",
+      "", "threads", "blur field", "validation", "noise", "deconvolution", "sum", "keypoints", "ORB", "ORB/sum");
   for (const auto& [size, extent_px] : scenes) {
     const PipelineScene scene = make_pipeline_scene(size, extent_px);
     for (const int threads : arguments.threads) {
       cv::setNumThreads(threads);
-      Pipeline pipeline(pipeline_options(threads));
-      pipeline.set_calibration(scene.calibration);
-      const cv::Ptr<cv::ORB> orb = cv::ORB::create(1000);
-      std::map<std::string, std::vector<double>> times_ms;
-      PipelineResult result;
-      for (int round = -1; round < arguments.rounds; ++round) {
-        result = pipeline.process(scene.frame, PixelLayout::GRAY, *scene.motion, *scene.exposure, {true, true});
-        std::vector<cv::KeyPoint> keypoints;
-        cv::Mat descriptors;
-        const double orb_ms =
-            ms_of(false, [&] { orb->detectAndCompute(scene.frame, cv::noArray(), keypoints, descriptors); });
-        if (round < 0) continue;
-        const StageTimes& t = result.times;
-        times_ms["blur_field"].push_back(t.blur_field_ms);
-        times_ms["validation"].push_back(t.validation_ms);
-        times_ms["noise"].push_back(t.noise_ms);
-        times_ms["deconvolution"].push_back(t.deconvolution_ms);
-        times_ms["keypoints"].push_back(t.keypoints_ms);
-        times_ms["deblurring"].push_back(t.blur_field_ms + t.validation_ms + t.noise_ms + t.deconvolution_ms);
-        times_ms["orb"].push_back(orb_ms);
+      std::vector<std::unique_ptr<Pipeline>> pipelines;
+      for (const std::string& engine : arguments.pipeline_engines) {
+        PipelineOptions options = pipeline_options(threads);
+        options.engine = engine;
+        pipelines.push_back(std::make_unique<Pipeline>(options));
+        pipelines.back()->set_calibration(scene.calibration);
       }
-      nlohmann::json record = {{"width", size.width},
-                               {"height", size.height},
-                               {"extent_px", extent_px},
-                               {"threads", threads},
-                               {"engine", pipeline.engine()},
-                               {"orb_over_deblurring", median_ratio(times_ms["orb"], times_ms["deblurring"])},
-                               {"blocks", result.field.blocks.size()},
-                               {"deblurred_blocks", result.field.count(BlockStatus::DEBLURRED)},
-                               {"rejected_blocks", result.field.count(BlockStatus::REJECTED)}};
-      for (const auto& [stage, ms] : times_ms) record["median_ms"][stage] = median(ms);
-      std::printf("%4dx%-4d %4.0f px %6zu/%zu %4d %11.3f %10.3f %13.3f %10.2f %8.2f %8.2f\n", size.width, size.height,
-                  extent_px, result.field.count(BlockStatus::DEBLURRED), result.field.blocks.size(), threads,
-                  median(times_ms["blur_field"]), median(times_ms["validation"]), median(times_ms["deconvolution"]),
-                  median(times_ms["keypoints"]), median(times_ms["orb"]), record["orb_over_deblurring"].get<double>());
+      const cv::Ptr<cv::ORB> orb = cv::ORB::create(1000);
+      std::vector<std::map<std::string, std::vector<double>>> times_ms(pipelines.size());
+      std::vector<PipelineResult> results(pipelines.size());
+      for (int round = -1; round < arguments.rounds; ++round) {
+        for (std::size_t i = 0; i < pipelines.size(); ++i) {
+          results[i] =
+              pipelines[i]->process(scene.frame, PixelLayout::GRAY, *scene.motion, *scene.exposure, {true, true});
+          std::vector<cv::KeyPoint> keypoints;
+          cv::Mat descriptors;
+          const double orb_ms =
+              ms_of(false, [&] { orb->detectAndCompute(scene.frame, cv::noArray(), keypoints, descriptors); });
+          if (round < 0) continue;
+          const StageTimes& t = results[i].times;
+          times_ms[i]["blur_field"].push_back(t.blur_field_ms);
+          times_ms[i]["validation"].push_back(t.validation_ms);
+          times_ms[i]["noise"].push_back(t.noise_ms);
+          times_ms[i]["deconvolution"].push_back(t.deconvolution_ms);
+          times_ms[i]["keypoints"].push_back(t.keypoints_ms);
+          times_ms[i]["deblurring"].push_back(t.blur_field_ms + t.validation_ms + t.noise_ms + t.deconvolution_ms);
+          times_ms[i]["orb"].push_back(orb_ms);
+        }
+      }
+      for (std::size_t i = 0; i < pipelines.size(); ++i) {
+        const FrameBlur& field = results[i].field;
+        nlohmann::json record = {{"width", size.width},
+                                 {"height", size.height},
+                                 {"extent_px", extent_px},
+                                 {"threads", threads},
+                                 {"engine", pipelines[i]->engine()},
+                                 {"orb_over_deblurring", median_ratio(times_ms[i]["orb"], times_ms[i]["deblurring"])},
+                                 {"blocks", field.blocks.size()},
+                                 {"deblurred_blocks", field.count(BlockStatus::DEBLURRED)},
+                                 {"rejected_blocks", field.count(BlockStatus::REJECTED)}};
+        const auto ms = [&](const char* stage) { return median(times_ms[i][stage]); };
+        for (const auto& [stage, values] : times_ms[i]) record["median_ms"][stage] = median(values);
+        std::printf("%4dx%-4d %4.0f px %6zu/%zu %4d %11.3f %10.3f %6.3f %13.3f %6.3f %10.2f %8.2f %8.2f  %s\n",
+                    size.width, size.height, extent_px, field.count(BlockStatus::DEBLURRED), field.blocks.size(),
+                    threads, ms("blur_field"), ms("validation"), ms("noise"), ms("deconvolution"), ms("deblurring"),
+                    ms("keypoints"), ms("orb"), record["orb_over_deblurring"].get<double>(),
+                    pipelines[i]->engine().c_str());
+        records.push_back(record);
+      }
       std::fflush(stdout);
-      records.push_back(record);
     }
   }
   return records;
@@ -359,6 +375,7 @@ int main(int argc, char** argv) {
   app.add_option("--extents", arguments.extents_px, "mean extents [px]").range(1.0, 250.0).show_default();
   app.add_option("--threads", arguments.threads).range(1, 256).show_default();
   app.add_option("--rounds", arguments.rounds, "turns of every engine").range(1, 10000).show_default();
+  app.add_option("--pipeline-engines", arguments.pipeline_engines, "engines of the whole pipeline").show_default();
   app.add_flag("--processor-time", arguments.processor_time,
                "compare processor time instead of wall time: for a busy machine, with --threads 1");
   app.add_flag("--no-peaks", arguments.no_peaks);

@@ -45,8 +45,8 @@ constexpr EngineEntry kEngines[] = {{"cpu", false, make_cpu},
                                     {"float", false, make_float},
                                     {"opencl", true, make_opencl_with_fallback}};
 
-// What "auto" stands for, GPU or not: no GPU has been measured (doc/reports/performance.md, "On a GPU"), OpenCL on the
-// processor is slower, and so is the float engine at every extent.
+// What "auto" stands for, GPU or not: one large GPU was faster, a small one may be slower (doc/reports/performance.md,
+// "On a GPU"), OpenCL on the processor is slower, and so is the float engine at every extent.
 constexpr const char* kAuto = "cpu";
 
 std::string available_names() {

@@ -1,13 +1,13 @@
 #include "gyro_deblur/pipeline.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <cstddef>
 #include <cstdlib>
 #include <limits>
 #include <stdexcept>
 #include <utility>
 
+#include "base/stopwatch.hpp"
 #include "blur/static_content.hpp"
 #include "features/corner_prediction.hpp"
 #include "features/residual_flow.hpp"
@@ -19,17 +19,6 @@
 
 namespace gyro_deblur {
 namespace {
-
-/// Milliseconds since construction.
-class Stopwatch {
- public:
-  double ms() const {
-    return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start_).count();
-  }
-
- private:
-  std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
-};
 
 void require_fit(const cv::Mat& image, PixelLayout layout, const CameraCalibration& calibration,
                  const PixelMask& mask) {

@@ -55,6 +55,14 @@ typedef struct {
   int to, step_y;  // where the first output goes, and the distance of the next row of the result there
 } Tile;
 
+#if STAGE_STEPS
+// A step as its work-group uses it: of four words, so that it is loaded at once.
+typedef struct {
+  int from;  // of the first output's input, in the stage
+  float lower, upper, unused;
+} __attribute__((aligned(16))) StagedStep;
+#endif
+
 // Plane geometry: pixel (u, v) of the image is at (v + border_v) * stride + u + border_u.
 
 // Fills one channel's plane, border included, with replicated edge pixels.
@@ -160,6 +168,7 @@ __kernel __attribute__((reqd_work_group_size(GROUP_COLS, GROUP_ROWS, 1))) void c
 #if STAGE_STEPS
   // The tile is one sub-tile for each work-item.
   __local float stage[STAGE_ROWS * STAGE_COLS];
+  __local StagedStep staged_steps[STAGE_STEPS];
   const int u = local_u * SPAN, v = local_v * ROWS;
   floatN sums[ROWS][VECTORS];
 #pragma unroll
@@ -181,11 +190,15 @@ __kernel __attribute__((reqd_work_group_size(GROUP_COLS, GROUP_ROWS, 1))) void c
         stage[row * STAGE_COLS + col] = corner[row * stride + col];
       }
     }
+    for (int i = local_v * GROUP_COLS + local_u; i < count; i += GROUP_COLS * GROUP_ROWS) {
+      const Step step = steps[first + i];
+      const StagedStep staged = {(most_n - step.across) * STAGE_COLS + count - 1 - i, step.lower, step.upper, 0};
+      staged_steps[i] = staged;
+    }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int i = 0; i < count; ++i) {
-      const Step step = steps[first + i];
-      add_step(sums, stage + (v + most_n - step.across) * STAGE_COLS + u + count - 1 - i, STAGE_COLS, step.lower,
-               step.upper);
+      const StagedStep step = staged_steps[i];
+      add_step(sums, stage + v * STAGE_COLS + u + step.from, STAGE_COLS, step.lower, step.upper);
     }
   }
   store(sums, tile.cols - u, tile.rows - v, to + v * step_v + u * step_u, step_u, step_v);

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "base/parallel.hpp"
+#include "base/stopwatch.hpp"
 #include "engine/fallback_engine.hpp"
 #include "engine/opencl/opencl_api.hpp"
 #include "engine/opencl/opencl_devices.hpp"
@@ -170,7 +171,7 @@ class OpenClEngine::Impl {
   void plan(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
             const SeamBlender& seams);
   void cut_tiles(const LineSteps& line, const cv::Rect& rect, int channels);
-  void upload(const cv::Mat& src, int count);
+  void upload_plan(int count);
   void load(Program& program, const cv::Mat& src, int channel, Plane& plane, bool transposed);
   void convolve(Program& program, int channel, int channels);
   template <typename Pixel>
@@ -239,6 +240,9 @@ void OpenClEngine::Impl::plan(const cv::Mat& src, const FilterGrid& grid, const 
     (lines_[i].major_is_y ? transposed_ : upright_).use_for(lines_[i]);
     cut_tiles(lines_[i], seams.reach(blocks[i]), src.channels());
   }
+  // The longest first, so that none begins when others end.
+  std::stable_sort(tile_list_.begin(), tile_list_.end(),
+                   [](const Tile& a, const Tile& b) { return a.steps > b.steps; });
   // A plane that is not used is still an argument of the kernel, and has to exist.
   upright_.lay_out(context_, shape_, upright_.used ? src.cols : 1, upright_.used ? src.rows : 1);
   transposed_.lay_out(context_, shape_, transposed_.used ? src.rows : 1, transposed_.used ? src.cols : 1);
@@ -263,10 +267,8 @@ void OpenClEngine::Impl::cut_tiles(const LineSteps& line, const cv::Rect& rect, 
   step_count_ += line.steps.size();
 }
 
-/// Image, steps of `count` lines, and tiles.
-void OpenClEngine::Impl::upload(const cv::Mat& src, int count) {
-  image_.upload(src.total() * src.elemSize(), &upload_events_,
-                [&](void* host) { src.copyTo(cv::Mat(src.size(), src.type(), host)); });
+/// Steps of `count` lines, and tiles.
+void OpenClEngine::Impl::upload_plan(int count) {
   steps_.upload(std::max<std::size_t>(step_count_, 1) * sizeof(StepTaps), &upload_events_, [&](void* host) {
     StepTaps* to = static_cast<StepTaps*>(host);
     for (int i = 0; i < count; ++i) to = std::copy(lines_[i].steps.begin(), lines_[i].steps.end(), to);
@@ -328,9 +330,15 @@ void OpenClEngine::Impl::start(const cv::Mat& src, const FilterGrid& grid, const
   for (std::vector<cl::Event>* events : {&upload_events_, &kernel_events_, &download_events_}) events->clear();
   times_ = {};
   if (blocks.empty()) return;
-  plan(src, grid, blocks, threads, seams);
   Program& kernels = program(src.depth());
-  upload(src, static_cast<int>(blocks.size()));
+  Stopwatch watch;
+  // First, so that it is on its way during the rest.
+  image_.upload(src.total() * src.elemSize(), &upload_events_,
+                [&](void* host) { src.copyTo(cv::Mat(src.size(), src.type(), host)); });
+  times_.fill_ms = watch.lap();
+  plan(src, grid, blocks, threads, seams);
+  times_.plan_ms = watch.lap();
+  upload_plan(static_cast<int>(blocks.size()));
   result_.reserve(result_values_ * src.elemSize1());
   for (int channel = 0; channel < src.channels(); ++channel) {
     if (upright_.used) load(kernels, src, channel, upright_, false);
@@ -338,18 +346,24 @@ void OpenClEngine::Impl::start(const cv::Mat& src, const FilterGrid& grid, const
     convolve(kernels, channel, src.channels());
   }
   queue_.flush();
+  times_.fill_ms += watch.ms();
 }
 
 void OpenClEngine::Impl::finish(const std::vector<int>& blocks, int threads, SeamBlender& seams, cv::Mat& dst) {
   if (blocks.empty()) return;
+  Stopwatch watch;
   result_.download(result_values_ * dst.elemSize1(), &download_events_, [&](const void* host) {
+    times_.wait_ms = watch.lap();
     if (dst.depth() == CV_8U) {
       store_results<cl_uchar>(blocks, host, threads, seams, dst);
     } else {
       store_results<cl_ushort>(blocks, host, threads, seams, dst);
     }
+    times_.store_ms = watch.ms();
   });
-  times_ = {duration_ms(upload_events_), duration_ms(kernel_events_), duration_ms(download_events_)};
+  times_.upload_ms = duration_ms(upload_events_);
+  times_.kernel_ms = duration_ms(kernel_events_);
+  times_.download_ms = duration_ms(download_events_);
 }
 
 std::unique_ptr<OpenClEngine::Impl> OpenClEngine::make_impl(const std::string& device, OpenClTuning tuning) {

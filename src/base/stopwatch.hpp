@@ -1,0 +1,25 @@
+// Time that passes.
+#pragma once
+
+#include <chrono>
+
+namespace gyro_deblur {
+
+/// Milliseconds since construction, or since the latest lap().
+class Stopwatch {
+ public:
+  double ms() const { return std::chrono::duration<double, std::milli>(Clock::now() - start_).count(); }
+
+  /// ms(), and starts again.
+  double lap() {
+    const double passed_ms = ms();
+    start_ = Clock::now();
+    return passed_ms;
+  }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  Clock::time_point start_ = Clock::now();
+};
+
+}  // namespace gyro_deblur
