@@ -271,7 +271,7 @@ def main():
           (", %d were dropped as POOR" % outputs.dropped if outputs.dropped else ""), flush=True)
     if arguments.json:
         with open(arguments.json, "w", encoding="utf-8") as file:
-            json.dump({"frames_in": expected, "frames_out": frames_out, "dropped_bad": outputs.dropped,
+            json.dump({"frames_in": expected, "frames_out": frames_out, "dropped_poor": outputs.dropped,
                        "rate_hz": outputs.rate_hz(), "wanted_rate_hz": wanted_rate_hz}, file)
     if screen:
         screen.take()

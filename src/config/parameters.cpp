@@ -193,7 +193,7 @@ ParameterGroup image_quality() {
           "",
           {
               {"drop_poor", &Config::drop_poor,
-               "true: an image with the verdict POOR is not published, nor its keypoints and tracks. false: one image "
+               "true: an image of grade POOR is not published, nor its keypoints and tracks. false: one image "
                "is published for every image received.",
                RUNNING},
           }};
@@ -235,7 +235,8 @@ ParameterGroup wiener_filter() {
                "less detail.",
                RUNNING},
               {"regularization", &Filter::regularization,
-               "How gamma is used. noise: it rises with the noise of a block over its texture, and blocks that noise "
+               "How noise_to_signal_ratio is used. adaptive: it rises with the noise of a block over its texture, and "
+               "blocks that noise "
                "would spoil are passed through unchanged. fixed: as set. paper: as set and the same at every "
                "frequency, as in the paper."},
               {"engine", &PipelineOptions::engine,

@@ -20,6 +20,12 @@
 namespace gyro_deblur {
 namespace {
 
+/// Somebody listens to this output.
+template <typename Publisher>
+bool is_heard(const Publisher& publisher) {
+  return publisher.getNumSubscribers() > 0;
+}
+
 /// Callbacks only store, so these queues are short in practice; a burst must not be lost here, where nobody would count
 /// it.
 constexpr std::uint32_t kImageQueue = 100;
@@ -331,13 +337,6 @@ void DeblurNodelet::advertise(std::uint32_t queue_size) {
       nh.advertise<sensor_msgs::PointCloud>("feature_tracks", queue_size, on_topic_change, on_topic_change);
   marker_publisher_ =
       nh.advertise<visualization_msgs::MarkerArray>("blur_markers", queue_size, on_topic_change, on_topic_change);
-  for (const std::string& topic :
-       {image_publisher_.getTopic(), info_publisher_.getTopic(), overlay_publisher_.getTopic(),
-        keypoint_publisher_.getTopic(), blur_field_publisher_.getTopic(), track_publisher_.getTopic(),
-        marker_publisher_.getTopic(), quality_publisher_.getTopic(), trust_publisher_.getTopic(),
-        global_shutter_publisher_.getTopic(), global_shutter_info_publisher_.getTopic()}) {
-    unsent_.watch(topic);
-  }
 }
 
 bool DeblurNodelet::has_listener() const {
@@ -569,8 +568,8 @@ void DeblurNodelet::publish(const FrameOutput& output) {
 
 void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {
   guarded("reporting diagnostics", [&] {
-    statuses_ = report_.fill({processor_->statistics(), imu_->listeners(), to_time_ns(ros::Time::now()),
-                              std::chrono::steady_clock::now(), unsent_.count()});
+    statuses_ = report_.fill(
+        {processor_->statistics(), imu_->listeners(), to_time_ns(ros::Time::now()), std::chrono::steady_clock::now()});
     // The updater's own clock stands still with simulated time.
     diagnostics_->force_update();
     bool subscribed = false;

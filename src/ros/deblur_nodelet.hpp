@@ -28,7 +28,6 @@
 #include "ros/exposure_adapter.hpp"
 #include "ros/processor.hpp"
 #include "ros/shared_imu.hpp"
-#include "ros/unsent_messages.hpp"
 
 namespace gyro_deblur {
 
@@ -56,11 +55,6 @@ class DeblurNodelet : public nodelet::Nodelet {
   /// Subscribes to the camera while somebody listens to an output, as image_proc does.
   void on_connection_change();
   void subscribe_on_demand();
-  /// Somebody listens to this output.
-  template <typename Publisher>
-  bool is_heard(const Publisher& publisher) const {
-    return publisher.getNumSubscribers() > unsent_.watchers(publisher.getTopic());
-  }
   bool has_listener() const;
   FrameRequest request() const;
 
@@ -128,7 +122,6 @@ class DeblurNodelet : public nodelet::Nodelet {
   ros::Publisher track_publisher_;
   image_transport::Publisher global_shutter_publisher_;
   ros::Publisher global_shutter_info_publisher_;
-  UnsentMessages unsent_;
   bool shutting_down_ = false;
 
   ros::ServiceServer reset_service_;

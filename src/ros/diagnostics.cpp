@@ -191,7 +191,6 @@ DiagnosticStatuses DiagnosticReport::fill(const Moment& now) {
   from_images_ = {};
   quality_ = {};
   last_ = now.statistics;
-  last_unsent_ = now.unsent;
   last_time_ = now.time;
   return statuses;
 }
@@ -210,8 +209,8 @@ void DiagnosticReport::add_losses(const Moment& now, DiagnosticStatusWrapper* st
                             remedy(reason));
     }
   }
-  add_count("images dropped, POOR", statistics.dropped_bad, status);
-  if (const std::size_t fresh = statistics.dropped_bad - last_.dropped_bad; fresh > 0) {
+  add_count("images dropped, POOR", statistics.dropped_poor, status);
+  if (const std::size_t fresh = statistics.dropped_poor - last_.dropped_poor; fresh > 0) {
     status->mergeSummaryf(DiagnosticStatus::WARN,
                           "%zu images dropped by drop_poor: they, or their partners, are POOR; see image_quality",
                           fresh);
@@ -221,12 +220,6 @@ void DiagnosticReport::add_losses(const Moment& now, DiagnosticStatusWrapper* st
     status->mergeSummaryf(DiagnosticStatus::WARN,
                           "%zu compressed images could not be decoded and are left out: check the camera's cable, its "
                           "bandwidth and its driver",
-                          fresh);
-  }
-  add_count("messages published, not sent", now.unsent, status);
-  if (const std::size_t fresh = now.unsent - last_unsent_; fresh > 0) {
-    status->mergeSummaryf(DiagnosticStatus::WARN,
-                          "%zu messages published, but not sent: a subscriber reads too slowly, or over a slow network",
                           fresh);
   }
 }

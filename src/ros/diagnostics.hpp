@@ -44,7 +44,6 @@ class DiagnosticReport {
     std::size_t cameras = 0;  ///< on this gyroscope
     TimeNs node_ns = 0;       ///< node clock
     Time time;                ///< after that of the report before
-    std::size_t unsent = 0;   ///< messages that subscribers did not get since the start, see UnsentMessages
   };
   /// The statuses of the period that ends now. Begins the next one.
   DiagnosticStatuses fill(const Moment& now);
@@ -87,7 +86,6 @@ class DiagnosticReport {
   Quality quality_;
   std::optional<FrameExposure> exposure_;  // of the newest frame that the pipeline has seen
   ProcessorStatistics last_;
-  std::size_t last_unsent_ = 0;
   Time last_time_ = std::chrono::steady_clock::now();
 };
 

@@ -3,7 +3,7 @@
 namespace gyro_deblur {
 
 void OutputStatistics::count(const FrameOutput& output) {
-  ++(output.dropped ? dropped_bad : frames_out);
+  ++(output.dropped ? dropped_poor : frames_out);
   if (output.reason != PassThroughReason::NONE) ++passed_through[output.reason];
   if (output.field) {
     for (const BlockBlur& block : output.field->blocks) {

@@ -25,7 +25,7 @@ namespace gyro_deblur {
 /// What has left.
 struct OutputStatistics {
   std::size_t frames_out = 0;
-  std::size_t dropped_bad = 0;  ///< frames that drop_poor kept from leaving
+  std::size_t dropped_poor = 0;  ///< frames that drop_poor kept from leaving
   std::map<PassThroughReason, std::size_t> passed_through;
   std::map<BlockStatus, std::size_t> blocks;  ///< of the frames that were not passed through
   std::size_t blocks_from_images = 0;         ///< of those, whose motion is also from the images

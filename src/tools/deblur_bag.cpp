@@ -156,7 +156,7 @@ Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& 
 /// What holds for all frames.
 nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics, const Outcome& outcome) {
   const ProcessorStatistics& statistics = outcome.statistics;
-  const auto frame_count = static_cast<double>(statistics.frames_out + statistics.dropped_bad);
+  const auto frame_count = static_cast<double>(statistics.frames_out + statistics.dropped_poor);
   nlohmann::json report;
   report["input"] = arguments.input;
   report["output"] = arguments.output;
@@ -167,7 +167,7 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
                       {"output_namespace", topics.output_namespace}};
   report["frames_in"] = statistics.frames_in;
   report["frames_out"] = statistics.frames_out;
-  report["dropped_bad"] = statistics.dropped_bad;
+  report["dropped_poor"] = statistics.dropped_poor;
   report["undecodable_images"] = statistics.undecodable_images;
   report["passed_through"] = nlohmann::json::object();
   for (const auto& [reason, count] : statistics.passed_through) report["passed_through"][to_string(reason)] = count;
@@ -197,8 +197,8 @@ void print_summary(const Arguments& arguments, const DeblurTopics& topics, const
   for (const auto& [reason, count] : outcome.statistics.passed_through) {
     std::cout << ", " << count << " passed through (" << to_string(reason) << ")";
   }
-  if (outcome.statistics.dropped_bad > 0) {
-    std::cout << ", " << outcome.statistics.dropped_bad << " more dropped as POOR (drop_poor)";
+  if (outcome.statistics.dropped_poor > 0) {
+    std::cout << ", " << outcome.statistics.dropped_poor << " more dropped as POOR (drop_poor)";
   }
   if (outcome.statistics.undecodable_images > 0) {
     std::cout << ", " << outcome.statistics.undecodable_images << " more left out: they could not be decoded";

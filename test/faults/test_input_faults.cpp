@@ -56,7 +56,7 @@ class InputFaultsTest : public testing::Test {
   }
   void play(const std::vector<Delivery>& deliveries, const Recording& recording = fast()) {
     result_ = replay(recording, deliveries, options_);
-    EXPECT_EQ(result_.statistics.dropped_bad, 0u) << "drop_poor";
+    EXPECT_EQ(result_.statistics.dropped_poor, 0u) << "drop_poor";
     EXPECT_EQ(result_.statistics.frames_out, recording.frames());
   }
   std::string problem(const std::string& kind) const {

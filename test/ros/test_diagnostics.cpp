@@ -23,7 +23,7 @@ class DiagnosticReportTest : public testing::Test {
   /// statuses are OK.
   std::map<std::string, std::string> fill(double seconds = 1, Status of = &DiagnosticStatuses::image) {
     time_ += std::chrono::duration_cast<std::chrono::steady_clock::duration>(std::chrono::duration<double>(seconds));
-    statuses_ = report_.fill({statistics_, 2, node_ns_, time_, unsent_});
+    statuses_ = report_.fill({statistics_, 2, node_ns_, time_});
     level_ = (statuses_.*of).level;
     summary_ = (statuses_.*of).message;
     std::map<std::string, std::string> values;
@@ -44,7 +44,6 @@ class DiagnosticReportTest : public testing::Test {
   DiagnosticReport::Time time_;
   TimeNs node_ns_ = 0;
   ProcessorStatistics statistics_;
-  std::size_t unsent_ = 0;
   int level_ = -1;
   std::string summary_;
   DiagnosticStatuses statuses_;
@@ -88,17 +87,6 @@ TEST_F(DiagnosticReportTest, ImagesThatAreLeftOutWarnOnce) {
   EXPECT_EQ(level_, DiagnosticStatus::WARN);
   EXPECT_NE(summary_.find("2 compressed images could not be decoded and are left out"), std::string::npos) << summary_;
   EXPECT_EQ(fill()[key], "2");
-  EXPECT_EQ(level_, DiagnosticStatus::OK) << "none since";
-}
-
-TEST_F(DiagnosticReportTest, MessagesThatAreNotSentWarnOnce) {
-  EXPECT_EQ(fill().count("messages published, not sent"), 0u);
-  EXPECT_EQ(level_, DiagnosticStatus::OK);
-  unsent_ = 7;
-  EXPECT_EQ(fill()["messages published, not sent"], "7");
-  EXPECT_EQ(level_, DiagnosticStatus::WARN);
-  EXPECT_NE(summary_.find("7 messages published, but not sent"), std::string::npos) << summary_;
-  EXPECT_EQ(fill()["messages published, not sent"], "7");
   EXPECT_EQ(level_, DiagnosticStatus::OK) << "none since";
 }
 

@@ -81,7 +81,7 @@ TEST_F(DropBadTest, BadFrameIsKeptFromLeavingAndCounted) {
   EXPECT_NE(bad.trust_mask, nullptr);
   EXPECT_NE(bad.overlay, nullptr);
   EXPECT_NE(bad.markers, nullptr);
-  EXPECT_EQ(processor_.statistics().dropped_bad, 1u);
+  EXPECT_EQ(processor_.statistics().dropped_poor, 1u);
   EXPECT_EQ(processor_.statistics().frames_out, 2u);
   EXPECT_EQ(processor_.statistics().frames_in, 3u);
   EXPECT_TRUE(processor_.statistics().passed_through.empty());
@@ -98,7 +98,7 @@ TEST_F(DropBadTest, BadFrameLeavesByDefault) {
   EXPECT_EQ(outputs_[1].image, outputs_[1].input);
   EXPECT_NE(outputs_[1].camera_info, nullptr);
   EXPECT_NE(outputs_[1].tracks, nullptr);
-  EXPECT_EQ(processor_.statistics().dropped_bad, 0u);
+  EXPECT_EQ(processor_.statistics().dropped_poor, 0u);
   EXPECT_EQ(processor_.statistics().frames_out, 3u);
 }
 
@@ -126,7 +126,7 @@ TEST_F(DropBadTest, WhatIsNotKnownToBeBadLeaves) {
   add_frame(kStart + 200 * kMs);
   advance();
   expect_deblurred(1);
-  EXPECT_EQ(processor_.statistics().dropped_bad, 0u);
+  EXPECT_EQ(processor_.statistics().dropped_poor, 0u);
 }
 
 TEST_F(ProcessingTest, SharpFrameLeavesAsTheVeryMessage) {

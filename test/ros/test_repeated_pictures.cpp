@@ -228,7 +228,7 @@ TEST_F(RepeatedPictures, NothingGoodIsDroppedAndRepetitionsGoWithTheirPicture) {
     clean_player.config.pipeline.blur_field.max_extent_px = largest_px;
     const std::vector<FrameOutput>& without = clean_player.play(handheld().every_picture());
     const auto dropped = [&](int picture) { return without[static_cast<std::size_t>(picture)].dropped; };
-    const std::size_t count = clean_player.statistics().dropped_bad;
+    const std::size_t count = clean_player.statistics().dropped_poor;
     EXPECT_EQ(count > 0, largest_px < 20);
     for (const std::vector<Shot>& shots : {handheld().every_picture_twice(), handheld().every_fifth_replaced()}) {
       Player player(handheld());
@@ -366,7 +366,7 @@ TEST_F(RepeatedPictures, SceneAtRestWithoutNoiseStaysAsItIs) {
   const std::vector<FrameOutput>& outputs = player.play(shots);
   for (int i = 0; i < kAtRest; ++i) EXPECT_EQ(outputs[static_cast<std::size_t>(i)].image, outputs[i].input) << i;
   EXPECT_EQ(player.reported(), 0u);
-  EXPECT_EQ(player.statistics().dropped_bad, 0u);
+  EXPECT_EQ(player.statistics().dropped_poor, 0u);
   const auto moving = [](int i) { return i > 3; };
   EXPECT_NEAR(psnr_db(handheld(), shots, outputs, moving), clean_db(moving), kToleranceDb);
 }
@@ -438,7 +438,7 @@ TEST_F(RepeatedPictures, StereoPartnersOfRepetitionsAreDeblurred) {
     players[0]->play(left);
     other.get();
     for (const auto& player : players) {
-      EXPECT_EQ(player->statistics().dropped_bad, 0u);
+      EXPECT_EQ(player->statistics().dropped_poor, 0u);
       for (const FrameOutput& output : player->outputs) {
         EXPECT_EQ(output.reason, PassThroughReason::NONE) << output.reason_text;
       }

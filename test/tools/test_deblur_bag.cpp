@@ -191,7 +191,7 @@ TEST_F(DeblurBagTest, WhatCannotBeDecodedIsLeftOutAndMovesNothingElse) {
   const nlohmann::json all = report();
   EXPECT_EQ(all["frames_in"], kFrames - 1);
   EXPECT_EQ(all["frames_out"], kFrames - 1);
-  EXPECT_EQ(all["dropped_bad"], 0);
+  EXPECT_EQ(all["dropped_poor"], 0);
   EXPECT_EQ(all["undecodable_images"], 1);
   EXPECT_EQ(all["passed_through"], (nlohmann::json{{"BAD_IMAGE", 1}, {"NO_GYRO", 1}})) << "the IMU ends too early";
   const auto images = read<sensor_msgs::Image>("out.bag", "/cam/deblurred/image_raw");
@@ -236,7 +236,7 @@ TEST_F(DeblurBagTest, ImagesWithoutAStampPassInTheirTurn) {
   }
   EXPECT_EQ(report()["passed_through"], (nlohmann::json{{"NO_STAMP", 1}, {"NO_GYRO", 1}}));
   EXPECT_EQ(report()["time_jumps"], 0);
-  EXPECT_EQ(report()["dropped_bad"], 0);
+  EXPECT_EQ(report()["dropped_poor"], 0);
 }
 
 /// A way of drivers to fill camera_info.
@@ -296,7 +296,7 @@ TEST_F(DeblurBagTest, CameraInfoOfEveryHabitServes) {
     for (const auto& info : read<sensor_msgs::CameraInfo>("out.bag", "/cam/deblurred/camera_info")) {
       EXPECT_EQ(info->K[0], habit.with_file ? 0 : kFocalPx) << "the input's own";
     }
-    EXPECT_EQ(report()["dropped_bad"], 0);
+    EXPECT_EQ(report()["dropped_poor"], 0);
     const auto warnings = report()["input_problems"];
     EXPECT_EQ(warnings.size(), habit.warning ? 1u : 0u) << warnings;
     if (habit.warning) {
@@ -352,7 +352,7 @@ TEST_F(DeblurBagTest, EncodingStaysThatOfTheInput) {
       EXPECT_EQ(images[i]->header.stamp, inputs[i]->header.stamp);
       EXPECT_EQ(images[i]->data == inputs[i]->data, !known || i + 1 == images.size()) << i;
     }
-    EXPECT_EQ(report()["dropped_bad"], 0);
+    EXPECT_EQ(report()["dropped_poor"], 0);
     EXPECT_EQ(report()["passed_through"],
               known ? (nlohmann::json{{"NO_GYRO", 1}}) : (nlohmann::json{{"UNSUPPORTED_ENCODING", kFrames}}));
   }
@@ -526,7 +526,7 @@ TEST_F(DeblurBagTest, BadImagesAreLeftOutWhereTheUserSaysSo) {
   const nlohmann::json json = report();
   EXPECT_EQ(json["frames_in"], kFrames);
   EXPECT_EQ(json["frames_out"], 1);
-  EXPECT_EQ(json["dropped_bad"], kFrames - 1);
+  EXPECT_EQ(json["dropped_poor"], kFrames - 1);
   EXPECT_EQ(json["frames"][0]["dropped"], true);
   EXPECT_EQ(json["frames"][0]["reason_text"].get<std::string>().rfind("drop_poor: POOR", 0), 0u);
   EXPECT_EQ(json["frames"][kFrames - 1]["dropped"], false);

@@ -92,7 +92,7 @@ TEST_F(DeblurBagPictures, RepetitionsCostNothingAndAreReportedAtTheEnd) {
     EXPECT_NEAR(fifth.psnr_db, clean.psnr_db, kToleranceDb);
     EXPECT_NE(fifth.said.find("\nwarning: 8 of 48 images repeat the picture before"), std::string::npos) << fifth.said;
     for (const Run* run : {&clean, &twice, &fifth}) {
-      EXPECT_EQ(run->report["dropped_bad"], 0);
+      EXPECT_EQ(run->report["dropped_poor"], 0);
       EXPECT_TRUE(run->report["passed_through"].empty());
     }
   }

@@ -24,13 +24,13 @@ def main():
                 for topic, message, time in piece.read_messages(raw=True):
                     output.write(topic, message, time, raw=True)
 
-    joined = {"slices": len(arguments.reports), "frames_in": 0, "frames_out": 0, "dropped_bad": 0, "undecodable_images": 0,
+    joined = {"slices": len(arguments.reports), "frames_in": 0, "frames_out": 0, "dropped_poor": 0, "undecodable_images": 0,
               "frames": []}
     passed_through = collections.Counter()
     for path in arguments.reports:
         with open(path, encoding="utf-8") as file:
             report = json.load(file)
-        for key in "frames_in", "frames_out", "dropped_bad", "undecodable_images":
+        for key in "frames_in", "frames_out", "dropped_poor", "undecodable_images":
             joined[key] += report.get(key, 0)  # reports of former versions lack the last two
         joined["frames"] += report["frames"]
         passed_through.update(report["passed_through"])
