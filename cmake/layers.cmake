@@ -24,8 +24,8 @@ function(gyro_deblur_add_view layer)
   endforeach()
 endfunction()
 
-# gyro_deblur_add_layer(LAYER SOURCES... [HEADERS...] [LIBRARIES...]): the next layer. SOURCES are relative to src/LAYER,
-# HEADERS are its public ones, in include/gyro_deblur.
+# gyro_deblur_add_layer(LAYER SOURCES... [HEADERS...] [LIBRARIES...]): the next layer. SOURCES are relative to
+# src/LAYER, HEADERS are its public ones, in include/gyro_deblur.
 function(gyro_deblur_add_layer layer)
   cmake_parse_arguments(ARG "" "" "SOURCES;HEADERS;LIBRARIES" ${ARGN})
   gyro_deblur_add_view(${layer} ${ARG_HEADERS})
@@ -64,7 +64,8 @@ function(gyro_deblur_live_in target layer)
 endfunction()
 
 # gyro_deblur_compile_for_instruction_sets(LAYER STEM): compiles src/LAYER/STEM_impl.hpp once per instruction set. Which
-# copy runs is decided at run time (base/instruction_sets.hpp). GCC 12 warns about its own AVX-512 header (GCC bug 105593).
+# copy runs is decided at run time (base/instruction_sets.hpp). GCC 12 warns about its own AVX-512 header (GCC bug
+# 105593).
 function(gyro_deblur_compile_for_instruction_sets layer stem)
   set(sets baseline)
   set(baseline_bytes 16)

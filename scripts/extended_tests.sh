@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Extended tests, in build/extended_tests: every test of the package itself, nodelets included, under AddressSanitizer and
-# UndefinedBehaviorSanitizer, those of what works with threads under ThreadSanitizer, the fuzz targets for a minute each,
-# the soak for ten minutes of simulated time, and the long tests (test/long_tests.txt). Fails when one of them finds
-# something, or a test hangs. --quick, as in continuous integration: the tests of test/sanitized_tests.txt, fuzzers for
-# 10 s each, the soak for a minute, no long tests.
+# Extended tests, in build/extended_tests: every test of the package itself, nodelets included, under AddressSanitizer
+# and UndefinedBehaviorSanitizer, those of what works with threads under ThreadSanitizer, the fuzz targets for a minute
+# each, the soak for ten minutes of simulated time, and the long tests (test/long_tests.txt). Fails when one of them
+# finds something, or a test hangs. --quick, as in continuous integration: the tests of test/sanitized_tests.txt,
+# fuzzers for 10 s each, the soak for a minute, no long tests.
 #
 #   scripts/extended_tests.sh [--quick] [--within MINUTES] [--only asan|tsan|fuzz|soak|long]...
 #
@@ -185,8 +185,8 @@ if wanted asan || wanted fuzz; then
 fi
 
 # What the package's tests are: a new one is among them, other than those of recorded data and of experiments. Those of
-# a nodelet want a master, and only one of them loads it into its own process. Those of deblur_bag start it on bags, whose
-# messages the fuzz target bag_messages goes through.
+# a nodelet want a master, and only one of them loads it into its own process. Those of deblur_bag start it on bags,
+# whose messages the fuzz target bag_messages goes through.
 mapfile -t test_sources < <(printf '%s\n' test/*/test_*.cpp |
   grep -v -E '^test/(data|experiments)/|/test_(nodelet|nodelet_faults|deblur_bag|deblur_bag_pictures)\.cpp$')
 asan_tests=() tsan_tests=()

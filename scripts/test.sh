@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Installs what is missing, builds, checks format, package and documents, and runs the tests. Ends with the line
-# 'N passed, N failed, N skipped'. Tests that take minutes (test/long_tests.txt) are left out, unless arguments for ctest
-# are given: scripts/extended_tests.sh runs them. --extended, first: sanitizers and fuzzers too, after the tests (scripts/extended_tests.sh
-# --quick), which count as one test more, and as a skipped one when 75 minutes are over, from the beginning, before their
-# last part begins. Further arguments go to ctest.
+# Installs what is missing, builds, checks format, package and documents, and runs the tests. Ends with the line 'N
+# passed, N failed, N skipped'. Tests that take minutes (test/long_tests.txt) are left out, unless arguments for ctest
+# are given: scripts/extended_tests.sh runs them. --extended, first: sanitizers and fuzzers too, after the tests
+# (scripts/extended_tests.sh --quick), which count as one test more, and as a skipped one when 75 minutes are over, from
+# the beginning, before their last part begins. Further arguments go to ctest.
 set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
@@ -93,7 +93,8 @@ ctest_status=0
 chosen=("$@")
 if (($# == 0)); then
   chosen=(-E "$(long_tests)")
-  say "left out: $(grep -c -v -E '^ *(#|$)' test/long_tests.txt) long tests (scripts/extended_tests.sh --only long runs them)"
+  count="$(grep -c -v -E '^ *(#|$)' test/long_tests.txt)"
+  say "left out: ${count} long tests (scripts/extended_tests.sh --only long runs them)"
 fi
 # The devel space is for these alone: its path of libraries would have the sanitizers' programs load this build's.
 (source_devel_space && cd "${GYRO_DEBLUR_BUILD}" && ctest --output-on-failure --no-tests=error --parallel "$(nproc)" "${chosen[@]}") 2>&1 |

@@ -97,6 +97,12 @@ void BlurAligner::Patch::resize(int width, int height) {
   if (pixels_.size() < size) pixels_.resize(size, 0.0f);
 }
 
+void BlurAligner::Patch::resize_with_empty_room(int width, int height) {
+  const bool moves_rows = width != width_;
+  resize(width, height);
+  if (moves_rows) std::fill(pixels_.begin(), pixels_.end(), 0.0f);
+}
+
 void BlurAligner::rasterize(const Path2d& path_px, Psf* psf) {
   // Bilinear shares keep the path's mean; samples half a pixel apart spread evenly over its pixels.
   constexpr float kStepPx = 0.5f;
@@ -209,7 +215,7 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
     loops_.sample_row(first_.patch.row(0), first_.patch.stride(), interpolation_table(), at_px.x(), at_px.y(),
                       step_px.x(), step_px.y(), sampled_.width(), sampled_.row(y));
   }
-  for (Patch* patch : {&template_, &gradient_x_, &gradient_y_}) patch->resize(width, height);
+  for (Patch* patch : {&template_, &gradient_x_, &gradient_y_}) patch->resize_with_empty_room(width, height);
   const float* middle = sampled_.row(kMargin) + kMargin;
   // From a pixel of its own: squares of grey levels would leave few digits for the contrast.
   const float offset = *middle;

@@ -69,11 +69,13 @@ class BlurAligner {
  private:
   using Pixels = Eigen::Array<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-  /// Pixels with room behind each row (alignment_simd.hpp), which is 0 at first.
+  /// Pixels with room behind each row (alignment_simd.hpp).
   class Patch {
    public:
     /// Keeps no pixels.
     void resize(int width, int height);
+    /// As resize(). The room behind each row is 0, as long as only 0 has been written there.
+    void resize_with_empty_room(int width, int height);
     int width() const { return width_; }
     int height() const { return height_; }
     int size() const { return width_ * height_; }

@@ -217,6 +217,31 @@ TEST_F(BlurAlignmentTest, AWindowThatTheEdgeCutsIsComparedWhereItIsComplete) {
   EXPECT_FALSE(find(-50));
 }
 
+// Windows of other widths leave their pixels where those of this one have room behind their rows.
+TEST_F(BlurAlignmentTest, WhatCameBeforeDoesNotMatter) {
+  first_.path_px = straight_path(40, 0.1);
+  second_.path_px = straight_path(30, 0.4);
+  const cv::Mat from = exposed(texture_.seen_by(first_, kSize, contrast_), 2, 11),
+                to = exposed(texture_.seen_by(second_, kSize, contrast_), 2, 12);
+  const Eigen::Matrix2d map = second_.map * first_.map.inverse();
+  int found = 0;
+  for (int x = 40; x < 80; ++x) {  // whole, and cut by the left edge
+    const Eigen::Vector2d at_px(x % 3 == 0 ? 300 : x, 300), truth_px = second_.at(first_.map.inverse() * at_px);
+    const auto align = [&](BlurAligner& aligner) {
+      return aligner.align(from, {at_px, first_.path_px, 2}, to, {truth_px, second_.path_px, 2}, map, options_);
+    };
+    BlurAligner fresh;
+    const auto expected = align(fresh), actual = align(aligner_);
+    ASSERT_EQ(actual.has_value(), expected.has_value()) << x;
+    if (!actual) continue;
+    ++found;
+    EXPECT_EQ(actual->place_px, expected->place_px) << x;
+    EXPECT_EQ(actual->covariance_px2, expected->covariance_px2) << x;
+    EXPECT_EQ(actual->residual, expected->residual) << x;
+  }
+  EXPECT_GT(found, 20);
+}
+
 TEST_F(BlurAlignmentTest, FindsNothingWhereThereIsNothingToFind) {
   const cv::Mat texture = exposed(texture_.seen_by(first_, kSize, kContrast), 0, 1);
   const Eigen::Matrix2d map = Eigen::Matrix2d::Identity();
