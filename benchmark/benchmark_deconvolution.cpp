@@ -1,4 +1,4 @@
-// Deconvolution of a roll field: engines x sizes x extents x threads; and of curved paths in the plane.
+// Deconvolution of a roll field: engines x sizes x extents x threads; and of curved paths by 2-D filters.
 
 #include <string>
 

@@ -8,7 +8,7 @@ namespace gyro_deblur::benchmark {
 
 /// Multiply-adds per second of one instruction set, all operands in registers.
 struct ArithmeticPeak {
-  std::string instruction_set;  ///< as in find_block_simd
+  std::string instruction_set;  ///< as in find_for_cpu<BlockSimd>
   double float_gmac_per_s = 0;
   double int16_gmac_per_s = 0;  ///< pairwise products of int16 summed into int32
 };

@@ -1,8 +1,8 @@
 # Layers of the core: one object library each, which sees its own files and those of the layers before it. A header of a
 # later layer is not on its include path, so that an include of one does not compile.
 
-# gyro_deblur_see_rooms(TARGET VISIBILITY): the include paths of all layers so far.
-function(gyro_deblur_see_rooms target visibility)
+# gyro_deblur_see_layers(TARGET VISIBILITY): the include paths of all layers so far.
+function(gyro_deblur_see_layers target visibility)
   get_property(layers GLOBAL PROPERTY GYRO_DEBLUR_LAYERS)
   foreach(layer IN LISTS layers)
     target_include_directories(${target} ${visibility} $<BUILD_INTERFACE:${PROJECT_BINARY_DIR}/layers/${layer}>)
@@ -32,7 +32,7 @@ function(gyro_deblur_add_layer layer)
   set_property(GLOBAL APPEND PROPERTY GYRO_DEBLUR_LAYERS ${layer})
   list(TRANSFORM ARG_SOURCES PREPEND ${PROJECT_SOURCE_DIR}/src/${layer}/)
   add_library(gyro_deblur_${layer} OBJECT ${ARG_SOURCES})
-  gyro_deblur_see_rooms(gyro_deblur_${layer} PRIVATE)
+  gyro_deblur_see_layers(gyro_deblur_${layer} PRIVATE)
   target_include_directories(gyro_deblur_${layer} SYSTEM PRIVATE ${OpenCV_INCLUDE_DIRS})
   target_link_libraries(gyro_deblur_${layer} PRIVATE Eigen3::Eigen ${ARG_LIBRARIES} gyro_deblur_warnings)
   if(GYRO_DEBLUR_FUZZERS AND NOT layer MATCHES "^(base|motion|config)$")
@@ -59,7 +59,7 @@ endfunction()
 # who link it.
 function(gyro_deblur_live_in target layer)
   gyro_deblur_add_view(${layer})
-  gyro_deblur_see_rooms(${target} PUBLIC)
+  gyro_deblur_see_layers(${target} PUBLIC)
   gyro_deblur_show_view(${target} ${layer})
 endfunction()
 

@@ -85,13 +85,13 @@ double shift_px(const cv::Mat& sharp, const cv::Mat& shown, double angle_rad, do
 
 }  // namespace
 
-std::vector<ShownPlace> shown_places(int images) {
+std::vector<ApparentPlace> apparent_places(int images) {
   constexpr std::array<double, 6> kExtentsPx = {10, 20, 30, 40, 50, 60};
   constexpr std::array<double, 4> kShares = {-0.95, -0.5, 0.5, 0.95};  // of the limit of evenness
   const BlurFieldOptions options;
   const FilterBank bank{FilterOptions{}};
   const std::unique_ptr<Engine> engine = make_engine("auto");
-  std::vector<ShownPlace> places;
+  std::vector<ApparentPlace> places;
   for (int i = 0; i < images; ++i) {
     cv::Mat sharp;
     cv::cvtColor(sim::procedural_texture(kWidthPx, kHeightPx, 100 + static_cast<std::uint64_t>(i)), sharp,

@@ -7,7 +7,7 @@ namespace gyro_deblur::experiments {
 
 /// One image, blurred alike everywhere, along the line of the blur, from where the scene is at the middle of the
 /// exposure.
-struct ShownPlace {
+struct ApparentPlace {
   double extent_px = 0;
   double chord_middle_px = 0, mean_place_px = 0;  ///< of the path
   double said_px = 0;                             ///< what apparent_offset_px() says
@@ -16,7 +16,7 @@ struct ShownPlace {
 
 /// Paths that accelerate as far as they still count as even, for extents of 10 to 60 px.
 /// @param images  textures to blur, >= 1
-std::vector<ShownPlace> shown_places(int images);
+std::vector<ApparentPlace> apparent_places(int images);
 
 /// Slope of the line through the origin nearest to the points (x, y).
 double slope(const std::vector<double>& x, const std::vector<double>& y);

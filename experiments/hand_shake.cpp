@@ -41,7 +41,7 @@ struct Arguments {
 };
 
 /// What becomes of a frame. STRAIGHT: one straight path for each block, one gamma for
-/// all noise, the paper's validation, and what is curved left alone. FOURIER: all blocks by the 2-D filter of their
+/// all noise, the paper's validation, and what is curved passed through. FOURIER: all blocks by the 2-D filter of their
 /// whole path where that leaves a line by more than 2 % of its length.
 enum Kind : std::size_t { SHARP, BLURRED, STRAIGHT, PACKAGE, FOURIER };
 constexpr std::array<Kind, 5> kKinds{SHARP, BLURRED, STRAIGHT, PACKAGE, FOURIER};
@@ -316,7 +316,8 @@ int main_of(int argc, char** argv) {
                   "hand_shake"};
   app.add_option("--out", arguments.output, "folder for the table and pictures");
   app.add_option("--data", arguments.data, "recorded data, with handshake_gyro/");
-  app.add_option("--max-bend", arguments.curved_path_threshold_px, "of the package [px]").range(0.0, 100.0);
+  app.add_option("--curved-path-threshold", arguments.curved_path_threshold_px, "of the package [px]")
+      .range(0.0, 100.0);
   app.add_option("--seed", arguments.seed, "of the times and views [1]");
   app.add_flag("--quick", arguments.quick, "four frames of one cell");
   app.add_flag("--quiet", arguments.quiet, "no progress");

@@ -243,14 +243,14 @@ void Study::straight_edges(const test::RecordedFlight& flight, const Footage& fo
 }
 
 void Study::shown() {
-  const std::vector<ShownPlace> places = shown_places(arguments_.quick ? 1 : 2);
+  const std::vector<ApparentPlace> places = apparent_places(arguments_.quick ? 1 : 2);
   for (std::size_t begin = 0; begin < places.size(); ++begin) {
     const double extent_px = places[begin].extent_px;
-    const auto is_of_extent = [&](const ShownPlace& p) { return p.extent_px == extent_px; };
+    const auto is_of_extent = [&](const ApparentPlace& p) { return p.extent_px == extent_px; };
     if (std::any_of(places.begin(), places.begin() + static_cast<std::ptrdiff_t>(begin), is_of_extent)) continue;
     std::vector<double> measured, said, mean, chord;
     double largest = 0;
-    for (const ShownPlace& p : places) {
+    for (const ApparentPlace& p : places) {
       if (!is_of_extent(p)) continue;
       measured.push_back(p.measured_px);
       said.push_back(p.said_px);

@@ -149,7 +149,7 @@ def main():
     with one_line_about(arguments.program):
         program = hashlib.sha256(arguments.program.read_bytes()).hexdigest()
     # Not the variants: each has stages of its own.
-    same_options(work, {"quick": arguments.quick, "seed": arguments.seed, "max-features": arguments.max_keypoints,
+    same_options(work, {"quick": arguments.quick, "seed": arguments.seed, "max-features": arguments.max_features,
                         "program": f"sha256 {program}"})
     stages = Stages(work)
     with timed("simulation and features"):

@@ -41,7 +41,7 @@ def simulate(arguments, work):
     (work / "scene.yaml").write_text(yaml.safe_dump(scene, sort_keys=False))
     frames = ["--frames", "12", "--first-frame", "40", "--step", "6"] if arguments.quick else []
     subprocess.run([str(arguments.program), str(work / "scene.yaml"), str(work), "--max-features",
-                    str(arguments.max_keypoints), "--image-period", "5", *frames], check=True)
+                    str(arguments.max_features), "--image-period", "5", *frames], check=True)
 
 
 def read_truth(folder):

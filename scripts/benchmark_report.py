@@ -86,12 +86,14 @@ def roofline_table(records, peaks):
 
 
 def pipeline_table(records):
-    header = ["frame", "threads", "blur field", "validation", "deconvolution", "sum", "cv::ORB", "ORB / sum"]
+    header = ["frame", "engine", "threads", "blur field", "validation", "noise", "deconvolution", "sum", "cv::ORB",
+              "ORB / sum"]
     rows = []
     for r in records:
         ms = r["median_ms"]
-        rows.append([f"{r['width']}x{r['height']}, {r['extent_px']:g} px", str(r["threads"]),
-                     f"{ms['blur_field']:.3f}", f"{ms['validation']:.2f}", f"{ms['deconvolution']:.2f}",
+        rows.append([f"{r['width']}x{r['height']}, {r['extent_px']:g} px", r["engine"], str(r["threads"]),
+                     f"{ms['blur_field']:.3f}", f"{ms['validation']:.2f}", f"{ms['noise']:.2f}",
+                     f"{ms['deconvolution']:.2f}",
                      f"{ms['deblurring']:.2f}", f"{ms['orb']:.2f}", f"{r['orb_over_deblurring']:.1f}"])
     return [titled_table("Stages of the pipeline [ms], and cv::ORB with 1000 features on the same frame:",
                          header, rows)]

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Tables and a plot from the JSON of contention."""
+"""Tables and a plot from the JSON of benchmark_contention."""
 
 import argparse
 
@@ -77,7 +77,7 @@ def draw(report, path):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("json", help="numbers of contention")
+    parser.add_argument("json", help="numbers of benchmark_contention")
     parser.add_argument("png", help="picture to write")
     add_table_arguments(parser)
     arguments = parser.parse_args()

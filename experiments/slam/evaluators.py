@@ -1,4 +1,4 @@
-"""What evaluators a sequence: a SLAM stack by the error of its trajectory, or, without one, the package's own tracks.
+"""What judges a sequence: a SLAM stack by the error of its trajectory, or, without one, the package's own tracks.
 
 A judge has a name, reads_tracks (whether it is given feature_tracks, not images), the metrics that it gives ({key:
 (title, digits)}, the first of which decides; less is better), judge(recording, folder, name), which raises Lost, and

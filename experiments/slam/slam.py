@@ -63,7 +63,7 @@ class Case:
         return ", ".join(parts)
 
     def suits(self, judge):
-        """Tracks are those of each row's own time, and who evaluators them takes an image for one instant."""
+        """Tracks are those of each row's own time, and whoever judges them takes an image for one instant."""
         return not (judge.reads_tracks and self.readout_ms)
 
 

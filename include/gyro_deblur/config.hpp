@@ -76,7 +76,7 @@ struct Config {
   std::string calibration_camera = "cam0";       ///< which of a file's cameras
   std::optional<SensorCalibration> calibration;  ///< of the files; what they say has gone into the fields above
   OnCalibrationConflict on_calibration_conflict = OnCalibrationConflict::ERROR;
-  TimeNs input_timeout_ns = 500'000'000;  ///< how long a frame waits for gyroscope, exposure and tf
+  TimeNs input_timeout_ns = 500'000'000;  ///< how long a frame waits for gyroscope, camera_info, exposure and tf
   int frame_queue_size = 30;              ///< frames that may wait
   TimeNs bias_window_ns = 1'000'000'000;  ///< constant: samples that ~estimate_gyro_bias averages
   double bias_max_stddev_rad_s = 0.05;    ///< of single samples at rest

@@ -17,8 +17,8 @@ enum class StampPhase { START, MIDDLE, END };
 
 /// Timing of one camera.
 struct ShutterTiming {
-  TimeNs exposure_ns = 0;  ///< t_e, > 0
-  TimeNs readout_ns = 0;   ///< t_r: from the first to one past the last row; negative: bottom-up; 0: global
+  TimeNs exposure_ns = 0;  ///< t_e, > 0; in a Config 0: not known
+  TimeNs readout_ns = 0;   ///< t_r: rows times the time of one row; negative: bottom-up; 0: global
   StampRow stamp_row = StampRow::FIRST;
   StampPhase stamp_phase = StampPhase::START;
 

@@ -82,8 +82,8 @@ double axial_angle(double dx, double dy);
 /// Difference of two axial angles [rad], in [0, pi/2].
 double axial_difference(double a_rad, double b_rad);
 
-/// Motion of what a block shows beside what the camera's known motion makes of it: translation over depth, an object
-/// that moves by itself, a bias of the gyroscope.
+/// Image motion of a block that the camera's known motion does not explain: translation over depth, an object that
+/// moves by itself, a bias of the gyroscope.
 struct ResidualVelocity {
   Eigen::Vector2d velocity_px_s = Eigen::Vector2d::Zero();
   double stddev_px_s = 0;  ///< of each component
@@ -95,8 +95,8 @@ using ResidualField = std::vector<std::optional<ResidualVelocity>>;
 /// Blur of one block along a line, or near it.
 struct BlockBlur {
   float angle_rad = 0;  ///< axial, [0, pi), x right, y down
-  float extent_px =
-      0;  ///< >= 0; length of the path from start to end of the exposure; nonuniform: of the line it covers
+  /// >= 0: length of the path within the exposure; at non-uniform speed how much of its line it covers.
+  float extent_px = 0;
   BlockStatus status = BlockStatus::SHARP;
   /// Where the path departs from the paper's straight one at even speed: the path along the line.
   std::optional<Path1d> nonuniform_path_px = std::nullopt;
@@ -105,7 +105,8 @@ struct BlockBlur {
   /// Halfway between the path's ends, and its mean in time, from where the point is at the middle of the exposure.
   Eigen::Vector2f chord_middle_px = Eigen::Vector2f::Zero();
   Eigen::Vector2f mean_place_px = Eigen::Vector2f::Zero();
-  /// What the path has beside the camera's known motion; nothing where that is not known, or not certain enough.
+  /// The part of the motion that the camera's known motion does not explain; nothing where that is not known, or not
+  /// certain enough.
   std::optional<ResidualVelocity> residual = std::nullopt;
   /// See FilterBank::choose(); 0 where it is not known.
   float noise_to_texture = 0;
@@ -113,7 +114,7 @@ struct BlockBlur {
   float noise_gain = 1;
 
   /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
-  /// point towards the middle of the line that it stands for, the farther the longer it is, the kernel of an
+  /// point towards the middle of the line that it stands for, the farther the longer it is, the kernel of a
   /// non-uniform path to where the point was, the inverse of a curved path too; across the line, and where nothing is
   /// filtered, blur stays centred on its mean.
   Eigen::Vector2d apparent_offset_px() const;

@@ -17,15 +17,15 @@ struct GyroUnitFault {
     NO_RATES  ///< they are 0 while the images turn
   };
   Kind kind = Kind::DEGREES;
-  double told_rad_s = 0;  ///< largest rate by the gyroscope, as if it were in rad/s
+  double gyro_rad_s = 0;  ///< largest rate of the gyroscope, as if it were in rad/s
   double seen_rad_s = 0;  ///< rate of the images at that time
 };
 
 /// Watches the rotations of one camera's images over the last seconds. Not thread-safe.
 class GyroUnitWatch {
  public:
-  /// Images are judged where the gyroscope tells at least this [rad/s].
-  static constexpr double kLeastToldRadS = 0.8;
+  /// Images are judged where the gyroscope measures at least this [rad/s].
+  static constexpr double kLeastGyroRadS = 0.8;
 
   /// @param t_ns  increasing; begins anew where it is not
   /// @param seen  of an image: `rate_rad_s` by which it turns as a whole, `known_rad_s` by which the gyroscope says

@@ -15,18 +15,12 @@ namespace gyro_deblur {
 /// Blur field and its division into blocks (paper section IV).
 struct BlurFieldOptions {
   int block_size_px = 64;  ///< a multiple of 2 so that Bayer planes divide alike
-  /// Smaller blur is left alone. The paper's kernels start at 2 px; the filter gains 2.6 dB at 2.25 px with
-  /// noise of 1 grey level and loses 0.3 dB with noise of 4, at 3 px it gains 3.4 and 0.9 dB
-  /// (doc/reports/experiments.md).
+  /// Smaller blur is passed through: there noise costs more than deblurring gains (doc/reports/experiments.md).
   double min_extent_px = 3.0;
   double max_extent_px = 150.0;  ///< >= min_extent_px; larger blur is TOO_LARGE
-  /// How far the path within the exposure may lie to either side of a straight line, less 2 % of the extent
-  /// (kStraightPathShare); more is undone in the plane, which takes three times as long. At 0.1 px the box along the
-  /// line restores 2.4, 2.3, 2.4, 2.4, 2.0, 1.9 and 1.7 dB less than the inverse of the whole path, for extents of 5,
-  /// 10, 20, 40, 60, 90 and 120 px, on Oxford images with noise of 1.5 grey levels, at 1.5 px 9.7 to 2.6 dB less; on a
-  /// straight line 1.4 to 0.1 dB less. Of a recorded shake of 30 ms and 20 px (doc/reports/hand_shake.md) 1.5, 0.8 and
-  /// 0.1 px leave 26, 48 and 68 % of the blocks to the plane, and 332, 389 and 398 SIFT matches with a sharp frame, of
-  /// 225 where what is curved stays as it is.
+  /// How far the path may lie to either side of a straight line, less 2 % of the extent (kStraightPathShare). What is
+  /// more curved is deconvolved by the 2-D filter, which takes three times as long. 0.8 px balances quality and time
+  /// (doc/reports/hand_shake.md).
   double curved_path_threshold_px = 0.8;
 
   void validate() const;  ///< throws OptionError
@@ -65,7 +59,7 @@ struct ValidationOptions {
 enum class Regularization {
   /// As FIXED, with gamma doubled as often as makes the error least that noise and texture of the block let expect,
   /// see FilterBank::choose().
-  /// Blocks that it would still lose by are left alone.
+  /// Blocks that would still become worse are passed through.
   ADAPTIVE,
   /// The taps that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), h the blur, g a unit pulse (the Gaussian
   /// of smoothing_px), w' the steps from tap to tap and from and to 0 at the ends, under the condition that their sum
@@ -146,20 +140,20 @@ enum class OnExposureConflict {
   CONFIGURED,  ///< what is given is reported and kept
 };
 
-/// Gyroscope input_buffers.
+/// Gyroscope samples.
 struct GyroOptions {
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< subtracted once, in RotationTrack
   TimeNs time_offset_ns = 0;                             ///< t_imu = t_cam + time_offset
   TimeNs buffer_ns = 5'000'000'000;                      ///< constant: samples kept, for images that arrive late
   TimeNs max_gap_ns = 50'000'000;                        ///< a longer hole between samples is not integrated across
   /// What the sensor can measure on each axis, before the bias is subtracted; 0: not known. A sample
-  /// that reaches it tells no rate, see is_saturated.
+  /// that reaches it gives no rate, see is_saturated.
   double range_rad_s = 0;
 
   void validate() const;  ///< throws OptionError
 };
 
-/// Everything about the algorithm that may change while running.
+/// Options of a Pipeline.
 struct PipelineOptions {
   BlurFieldOptions blur_field;
   ValidationOptions validation;

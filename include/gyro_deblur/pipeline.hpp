@@ -60,11 +60,10 @@ struct PipelineRequest {
   bool keypoints = true;        ///< keypoints and rectification (implies the deblurred luminance)
   bool luminance = false;       ///< the deblurred luminance
   bool global_shutter = false;  ///< the deblurred image with all rows moved to the reference time
-  bool behind_camera_rate =
-      false;  ///< no curved paths: the 2-D filter takes three times as long. Has no effect on engine "fourier"
-  /// The image shows the picture of the call before again: one that was exposed once, and came a second time. What is
-  /// not known of its motion was found then, for between a picture and itself nothing moves. `motion` and `exposure`
-  /// have to be those of the call before, too.
+  /// No 2-D filters, which take three times as long. Has no effect on engine "fourier".
+  bool behind_camera_rate = false;
+  /// The image repeats the picture of the call before. The motion that was found for that picture is used again.
+  /// `motion` and `exposure` have to be those of the call before, too.
   bool repeats_picture = false;
   /// The exposure time is `exposure`'s only as long as nothing is known that is better; nothing: it is certain.
   std::optional<ExposureQuestion> exposure = {};
@@ -92,9 +91,9 @@ struct PipelineResult {
   /// input).
   cv::Mat image;
   cv::Mat luminance;  ///< deblurred, CV_8UC1; may share memory with the input; empty when not requested
-  /// The deblurred image at the reference time; empty when not requested, or where no motion is known: it cannot be
-  /// told then. That of a mosaic or YUV 4:2:2 is BGR, except when all rows were exposed around the reference time: then
-  /// it is `image`, or the input, itself, and shares its memory.
+  /// The deblurred image at the reference time; empty when not requested, or where no motion is known. That of a mosaic
+  /// or YUV 4:2:2 is BGR, except when all rows were exposed around the reference time: then it is `image`, or the
+  /// input, itself, and shares its memory.
   cv::Mat global_shutter;
   Features features;                             ///< in pixels of the image as it arrived
   std::vector<RectifiedPoint> points;            ///< one for each of features.keypoints

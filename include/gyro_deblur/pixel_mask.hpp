@@ -24,7 +24,7 @@ class PixelMask {
   bool uses(const cv::Point& pixel) const { return used_.empty() || used_.at<uchar>(pixel) != 0; }
   /// CV_8UC1: 255 where all pixels to half_px (>= 0) on either side are used, else 0; empty: all are used.
   cv::Mat with_used_window(int half_px) const;
-  /// The same mask, not an equal one.
+  /// Both share their pixels; an equal copy is another mask.
   bool is_same(const PixelMask& other) const { return used_.data == other.used_.data; }
   /// How many pixels of the rectangle are masked; outside of the image none is.
   int masked_in(const cv::Rect& rect) const;

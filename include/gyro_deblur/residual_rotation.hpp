@@ -17,7 +17,7 @@ namespace gyro_deblur {
 /// The rotation nearest to the residual field of one image. By itself it says little: translation before a wall looks
 /// much the same.
 struct ResidualRotation {
-  Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();   ///< by which the camera turns beside what is known
+  Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();   ///< by which the camera turns in addition to `known_rad_s`
   Eigen::Vector3d known_rad_s = Eigen::Vector3d::Zero();  ///< rate that is known, in the same axes
   /// Mean square of the residual velocities, weighted by their uncertainty: as they are, less this rotation, and less
   /// the nearest translation before a plane across the optical axis.
@@ -26,7 +26,7 @@ struct ResidualRotation {
 
 /// Robust least squares over the blocks. Axes of the camera.
 /// @param residuals  of the blocks of `grid`, certain or not
-/// @param motion     that they are beside; its mean over the exposure of the middle row is `known_rad_s`
+/// @param motion     known motion that was subtracted; its mean over the exposure of the middle row is `known_rad_s`
 /// Nothing where fewer than half of the blocks have a residual velocity, or `motion` does not cover that exposure.
 std::optional<ResidualRotation> fit_residual_rotation(const ResidualField& residuals, const BlockGrid& grid,
                                                       const Camera& camera, const CameraMotion& motion,

@@ -65,7 +65,7 @@ const char* fate(BlockStatus status) {
     case BlockStatus::DEBLURRED:
       return "deblurred";
     case BlockStatus::SHARP:
-      return "sharp, left alone";
+      return "sharp, unchanged";
     case BlockStatus::REJECTED:
       return "do not fit the image";
     case BlockStatus::TOO_LARGE:

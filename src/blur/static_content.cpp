@@ -11,7 +11,7 @@ namespace gyro_deblur {
 namespace {
 
 constexpr int kCellPx = 8;
-/// Between two images: less than what a gyroscope's bias makes of a camera at rest, and blur of less is left alone.
+/// Between two images: less than what a gyroscope's bias makes of a camera at rest, and less blur is not deblurred.
 constexpr double kLeastStepPx = 4;
 /// The scene has to be in so many places, as far apart as two cells, in so many images: less than 5 s at 10 Hz.
 constexpr std::size_t kPlaces = 8;

@@ -126,6 +126,17 @@ YAML::Node unquoted_list(const YAML::Node& node) {
   }
 }
 
+/// Throws OptionError for a value that a parameter had under a former name.
+void refuse_former_value(const std::string& key, const YAML::Node& node) {
+  static const std::map<std::pair<std::string, std::string>, std::string> kPresentValues{
+      {{"engine", "plane"}, "fourier"},
+      {{"regularization", "noise"}, "adaptive"},
+      {{"validation", "paper"}, "gradient"}};
+  if (!node.IsScalar()) return;
+  const auto present = kPresentValues.find({key, node.Scalar()});
+  if (present != kPresentValues.end()) refuse(key, node, "known any more: it is now called " + present->second);
+}
+
 /// Sets what the keys say. Calibration files are not opened yet.
 Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
   Config config;
@@ -139,6 +150,7 @@ Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
     if (!seen.insert(key).second) throw OptionError(key + " = " + describe(entry.second) + " is given a second time");
     if (const Parameter* parameter = find_parameter(key)) {
       if (parameter->may_be_empty() && is_empty(entry.second)) continue;
+      refuse_former_value(key, entry.second);
       parameter->set_given(config, true);
       Value value = parameter->standard();
       std::visit([&](auto& v) { read(*parameter, unquoted_list<std::decay_t<decltype(v)>>(entry.second), v); }, value);
@@ -248,7 +260,7 @@ std::string unknown_key_message(const std::string& key) {
   const auto present = kPresentNames.find(key);
   const std::string& name = present == kPresentNames.end() ? key : present->second;
   if (const Parameter* constant = find_constant(name)) {
-    return key + " is no parameter any more: it is " + value_of(*constant);
+    return key + " is no parameter any more, ignored: it is " + value_of(*constant) + ". " + constant->text;
   }
   if (present != kPresentNames.end()) return key + " is not known, ignored: it is now called " + name;
   const auto replacement = kReplacements.find(key);

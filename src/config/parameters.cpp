@@ -170,7 +170,7 @@ ParameterGroup gyroscope() {
            "Range of the gyroscope on each axis (2000 degrees/s: 34.9). A sample that reaches it is saturated, and the "
            "gyroscope does not cover its frame. 0: not known, nothing is checked."},
           {"input_timeout", &Config::input_timeout_ns, within(0, 10, "s"),
-           "Longest time that a frame waits for gyroscope samples, exposure and tf."},
+           "Longest time that a frame waits for gyroscope samples, camera_info, exposure and tf."},
           {"frame_queue_size", &Config::frame_queue_size, within(1, 1000),
            "Most frames that wait for other messages. When more arrive, the oldest is passed through unchanged."},
           {"bias_max_stddev", &Config::bias_max_stddev_rad_s, above(0, 1, "rad/s"),
@@ -241,7 +241,7 @@ ParameterGroup wiener_filter() {
                "frequency, as in the paper."},
               {"engine", &PipelineOptions::engine,
                "Implementation of the filters. auto: cpu. cpu: 1-D filters for straight blur, 2-D filters for curved "
-               "blur. plane: 2-D filters for all blocks. float: like cpu, in floating point. opencl: the first GPU, "
+               "blur. fourier: 2-D filters for all blocks. float: like cpu, in floating point. opencl: the first GPU, "
                "otherwise the first device. opencl:INDEX, opencl:NAME (part of the name): that device. Where a device "
                "is absent or fails, cpu replaces it with one warning."},
               {"threads", &PipelineOptions::threads, within(0, 256),
@@ -297,7 +297,8 @@ std::vector<Parameter> make_constants() {
   return {
       {"tau", &Validation::tau, within(0, 255, "grey levels / px"),
        "With tau_contrast it accepts 98.6 % of truly blurred blocks at every extent (doc/reports/validation.md)."},
-      {"tau_contrast", &Validation::tau_contrast, within(0, 1000, "grey levels"), "As for tau."},
+      {"tau_contrast", &Validation::tau_contrast, within(0, 1000, "grey levels"),
+       "With tau it accepts 98.6 % of truly blurred blocks at every extent (doc/reports/validation.md)."},
       {"validation_false_accept_rate", &Validation::false_accept_rate, within(0.001, 0.5),
        "Less rejects recorded blur that is longer than predicted (doc/reports/validation.md)."},
       {"filter_length_factor", &Filter::length_factor, within(2, 8),
@@ -306,7 +307,8 @@ std::vector<Parameter> make_constants() {
        "Smoothing moves deblurred images away from sharp ones (doc/reports/experiments_real_world.md)."},
       {"read_noise", &NoiseModel::read_noise, within(0, 50, "grey levels"),
        "0: the noise is estimated from each image, also where the gain changes (doc/reports/experiments.md)."},
-      {"noise_gain", &NoiseModel::noise_gain, within(0, 10, "grey levels"), "As for read_noise."},
+      {"noise_gain", &NoiseModel::noise_gain, within(0, 10, "grey levels"),
+       "0: the noise is estimated from each image."},
       {"global_shutter_border", &PipelineOptions::global_shutter_border,
        "Black shows where the image ends, and the trust mask marks it."},
       {"gyro_buffer_duration", &Gyro::buffer_ns, above(0.1, 60, "s"), "Longer than any camera's latency."},

@@ -25,13 +25,15 @@ std::unique_ptr<Engine> make_opencl_with_fallback(const std::string& device, int
 std::unique_ptr<Engine> make_cpu(const std::string&, int threads) { return std::make_unique<CpuEngine>(threads); }
 
 /// The 2-D filter for all blocks, but for those that come with a 1-D kernel all the same.
-class PlaneEngine : public CpuEngine {
+class FourierEngine : public CpuEngine {
  public:
   using CpuEngine::CpuEngine;
   std::string name() const override { return "fourier, " + CpuEngine::name(); }
   bool prefers_2d() const override { return true; }
 };
-std::unique_ptr<Engine> make_plane(const std::string&, int threads) { return std::make_unique<PlaneEngine>(threads); }
+std::unique_ptr<Engine> make_fourier(const std::string&, int threads) {
+  return std::make_unique<FourierEngine>(threads);
+}
 std::unique_ptr<Engine> make_float(const std::string&, int threads) { return std::make_unique<FloatEngine>(threads); }
 
 struct EngineEntry {
@@ -41,7 +43,7 @@ struct EngineEntry {
 };
 
 constexpr EngineEntry kEngines[] = {{"cpu", false, make_cpu},
-                                    {"fourier", false, make_plane},
+                                    {"fourier", false, make_fourier},
                                     {"float", false, make_float},
                                     {"opencl", true, make_opencl_with_fallback}};
 

@@ -13,8 +13,8 @@ void GyroUnitWatch::add(TimeNs t_ns, const ResidualRotation& seen) {
   while (t_ns - entries_.front().t_ns > kWatchedNs) entries_.pop_front();
   // What turns more slowly is seen with an error of as much.
   constexpr double kLeastRadS = 0.05;
-  const double told_rad_s = seen.known_rad_s.norm(), seen_rad_s = seen.rate_rad_s.norm();
-  if (told_rad_s > kLeastRadS && told_rad_s < 3 * seen_rad_s && seen_rad_s < 3 * told_rad_s) ++agreeing_;
+  const double gyro_rad_s = seen.known_rad_s.norm(), seen_rad_s = seen.rate_rad_s.norm();
+  if (gyro_rad_s > kLeastRadS && gyro_rad_s < 3 * seen_rad_s && seen_rad_s < 3 * gyro_rad_s) ++agreeing_;
 }
 
 void GyroUnitWatch::clear() {
@@ -36,20 +36,20 @@ std::optional<GyroUnitFault> GyroUnitWatch::find_degrees() const {
   // Around 180 / pi, as rates change between images and blurred corners are followed to some per cent. Edges of the
   // image that stand still, on which corners may be found instead, give far more.
   constexpr double kLeastRatio = 40, kLargestRatio = 80;
-  constexpr double kLeastSeenRadS = kLeastToldRadS / kLeastRatio;
+  constexpr double kLeastSeenRadS = kLeastGyroRadS / kLeastRatio;
   constexpr std::size_t kFewest = 5;
   std::size_t judged = 0, agreeing = 0;
   GyroUnitFault fault;
   for (const Entry& entry : entries_) {
-    const double told_rad_s = entry.seen.known_rad_s.norm(), seen_rad_s = entry.seen.rate_rad_s.norm();
-    if (told_rad_s < kLeastToldRadS) continue;
+    const double gyro_rad_s = entry.seen.known_rad_s.norm(), seen_rad_s = entry.seen.rate_rad_s.norm();
+    if (gyro_rad_s < kLeastGyroRadS) continue;
     ++judged;
-    if (seen_rad_s < kLeastSeenRadS || told_rad_s < kLeastRatio * seen_rad_s ||
-        told_rad_s > kLargestRatio * seen_rad_s) {
+    if (seen_rad_s < kLeastSeenRadS || gyro_rad_s < kLeastRatio * seen_rad_s ||
+        gyro_rad_s > kLargestRatio * seen_rad_s) {
       continue;
     }
     ++agreeing;
-    if (told_rad_s > fault.told_rad_s) fault = {GyroUnitFault::Kind::DEGREES, told_rad_s, seen_rad_s};
+    if (gyro_rad_s > fault.gyro_rad_s) fault = {GyroUnitFault::Kind::DEGREES, gyro_rad_s, seen_rad_s};
   }
   if (agreeing < kFewest || 2 * agreeing < judged) return std::nullopt;
   return fault;

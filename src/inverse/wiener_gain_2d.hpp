@@ -35,7 +35,7 @@ class WienerGain2d {
 
  private:
   const WienerGain2dSimd& loops_;
-  PlaneGainTables tables_{};
+  WienerGain2dTables tables_{};
   const PlaneBand *band_across_ = nullptr, *band_down_ = nullptr;
   std::vector<float> across_, down_;  // of tables_
 };

@@ -10,7 +10,7 @@ namespace gyro_deblur {
 constexpr int kPhaseFloats = 2 * kPathInstants;
 
 /// What the gain is made from; frequencies in cycles in a tile.
-struct PlaneGainTables {
+struct WienerGain2dTables {
   int cols;                               ///< of the tile [px]
   const int* places;                      ///< where frequency u (0 .. cols - 1) across belongs
   const float* across;                    ///< phases exp(-2 pi i u x) of the places' x, for u from -cols / 2 on
@@ -26,7 +26,7 @@ struct PlaneGainTables {
 struct WienerGain2dSimd {
   const char* name;
   /// See WienerGain2d; takes as many rows as the vectors of this set have floats.
-  void (*gain_of_rows)(const PlaneGainTables& tables, int first_row, bool blurs_again, float* gain);
+  void (*gain_of_rows)(const WienerGain2dTables& tables, int first_row, bool blurs_again, float* gain);
 };
 
 GYRO_DEBLUR_SIMD_KERNELS(WienerGain2dSimd)

@@ -26,7 +26,7 @@ inline Vector reciprocal(Vector v) {
 // For small t rounding would grow as 1 / t; there the mean of the ends is as good, up to t^2 / 3.
 constexpr float kSmall = 0.01f;
 
-void gain_of_rows(const PlaneGainTables& tables, int first_row, bool blurs_again, float* gain) {
+void gain_of_rows(const WienerGain2dTables& tables, int first_row, bool blurs_again, float* gain) {
   constexpr int kSegments = kPathInstants - 1;
   Vector down_re[kPathInstants], down_im[kPathInstants], from_down[kSegments], v;
   for (int i = 0; i < kLanes; ++i) {

@@ -26,7 +26,7 @@ struct FieldFilters {
   std::vector<std::shared_ptr<const WienerInverse2d>> inverses;
 };
 
-/// The inverse of an non-uniform path whose lengths count `scale` times; null where that is no blur.
+/// The inverse of a non-uniform path whose lengths count `scale` times; null where that is no blur.
 std::shared_ptr<const LineKernel> nonuniform_kernel(Path1d path_px, double scale, int gamma_doublings,
                                                     const FilterOptions& options) {
   for (float& place_px : path_px) place_px *= static_cast<float>(scale);

@@ -411,15 +411,15 @@ std::optional<ResidualRotation> Pipeline::seen_rotation(const cv::Mat& luminance
     seen.rate_rad_s += seen.known_rad_s;
     return seen;
   }
-  const Eigen::Vector3d told_rad_s = rate_at(motion, exposure.middle(0.5 * (grid.height_px() - 1)));
-  if (++unaided_frames_ < kFewestFrames || told_rad_s.norm() < GyroUnitWatch::kLeastToldRadS) return std::nullopt;
+  const Eigen::Vector3d gyro_rad_s = rate_at(motion, exposure.middle(0.5 * (grid.height_px() - 1)));
+  if (++unaided_frames_ < kFewestFrames || gyro_rad_s.norm() < GyroUnitWatch::kLeastGyroRadS) return std::nullopt;
   if (!unaided_flow_) unaided_flow_ = std::make_unique<ResidualFlow>();
   const StationaryCamera standing;
   unaided_flow_->set_mask(mask_);
   const ResidualField whole = unaided_flow_->follow(luminance, *camera_, standing, exposure, grid, options_.threads);
   std::optional<ResidualRotation> seen =
       fit_residual_rotation(of_used(whole, grid, mask_), grid, *camera_, standing, exposure);
-  if (seen) seen->known_rad_s = told_rad_s;
+  if (seen) seen->known_rad_s = gyro_rad_s;
   return seen;
 }
 

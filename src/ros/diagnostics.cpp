@@ -24,37 +24,37 @@ const char* remedy(PassThroughReason reason) {
     case PassThroughReason::NO_GYRO:
       return "check that the IMU publishes, its rate, and time_offset; compare the stamps of image and IMU";
     case PassThroughReason::NO_EXPOSURE_TIME:
-      return "images are deblurred once the exposure time is estimated from their blur, which takes motion; set "
-             "exposure_time, "
-             "or "
-             "publish an Exposure message with each image's stamp, to have them deblurred at once";
+      return "set exposure_time, publish an exposure message with the stamp of each image, or move the camera until "
+             "the exposure time is estimated from the blur";
     case PassThroughReason::NO_CALIBRATION:
-      return "publish camera_info with each image's stamp, calibrated for the image's size; where it contradicts "
-             "calibration_file, correct one of them or set on_calibration_conflict: configured";
+      return "publish camera_info with the stamp and the size of each image; if it contradicts calibration_file, "
+             "correct one of them or set on_calibration_conflict: configured";
     case PassThroughReason::NO_EXTRINSIC:
-      return "turn the camera about all axes, before a scene that stands still, until R_cam_imu is estimated; or "
-             "set it, or publish a static transform between the frames of images and IMU; where these contradict each "
-             "other, correct one of them or set on_calibration_conflict: configured";
+      return "set R_cam_imu, publish a static transform between the frames of images and IMU, or rotate the camera "
+             "about all axes in front of a static scene until R_cam_imu is estimated; if two of them contradict each "
+             "other, correct one or set on_calibration_conflict: configured";
     case PassThroughReason::UNSUPPORTED_ENCODING:
-      return "have the driver publish mono8, bgr8, rgb8 or a Bayer encoding";
+      return "set the driver to publish mono8, bgr8, rgb8 or a Bayer encoding";
     case PassThroughReason::BAD_IMAGE:
-      return "the image's data does not fit its header: mend the driver or the decoder";
+      return "the data of the image does not fit its header: check cable, driver and decoder";
     case PassThroughReason::BAD_CONFIGURATION:
-      return "mend the parameter that the message names";
+      return "correct the parameter that the message names";
     case PassThroughReason::OVERLOAD:
-      return "too slow: fewer max_keypoints, a faster detector (ORB), smaller images, or fewer subscribers";
+      return "frames come faster than they can leave: reduce max_keypoints, use a faster detector (ORB), smaller "
+             "images or fewer subscribers";
     case PassThroughReason::TIME_JUMP:
       return "expected when a bag loops; otherwise synchronise the clocks";
     case PassThroughReason::INTERNAL_ERROR:
-      return "the log has the error";
+      return "see the error in the log";
     case PassThroughReason::GYRO_SATURATED:
-      return "the camera turns faster than the gyroscope measures: set a larger range in its driver and in gyro_range";
+      return "the camera rotates faster than the gyroscope measures: set a larger range in its driver and in "
+             "gyro_range";
     case PassThroughReason::STEREO_PARTNER:
-      return "see why the other image of the pair passes through, or set stereo_sync_timeout: 0 for cameras that are "
-             "no "
-             "pair";
+      return "the other image of the pair is passed through: see its reason, or set stereo_sync_timeout: 0 if the "
+             "cameras "
+             "are no pair";
     case PassThroughReason::NO_STAMP:
-      return "have the driver stamp every image with the time of its exposure";
+      return "set the driver to stamp every image with the time of its exposure";
   }
   return "";
 }
@@ -83,7 +83,7 @@ void add_counts(const std::string& key, const Counts& counts, const NameOf& name
 /// The status that a problem of an input belongs to.
 DiagnosticStatusWrapper& status_of(const std::string& kind, DiagnosticStatuses* statuses) {
   const auto has = [&kind](const char* part) { return kind.find(part) != std::string::npos; };
-  if (has("imu")) return statuses->imu;
+  if (kind.rfind("imu", 0) == 0 || kind == "no imu") return statuses->imu;
   if (kind == "clocks") return statuses->timing;
   for (const char* part : {"exposure", "camera_info", "readout_time", "extrinsic", "calibration", "by images"}) {
     if (has(part)) return statuses->calibration;
@@ -96,17 +96,17 @@ std::string error_text(const GyroError& error, const Eigen::Vector3d& bias_rad_s
   char text[160];
   switch (error.kind) {
     case GyroError::Kind::BIAS:
-      std::snprintf(text, sizeof(text), " rad/s beside the gyroscope for %.0f s: a bias; call ", error.seconds);
-      return "the images turn by " + vector_text(-error.vector) + text +
+      std::snprintf(text, sizeof(text), " rad/s relative to the gyroscope for %.0f s: a bias; call ", error.seconds);
+      return "the images rotate by " + vector_text(-error.vector) + text +
              "estimate_gyro_bias at rest, or set gyro_bias to " + vector_text(bias_rad_s + error.vector);
     case GyroError::Kind::EXTRINSIC:
       std::snprintf(text, sizeof(text), "for %.0f s: R_cam_imu is off by about %.1f deg; calibrate it", error.seconds,
                     error.vector.norm() * 180 / M_PI);
-      return std::string("the images turn about another axis than the gyroscope ") + text;
+      return std::string("the images rotate about another axis than the gyroscope ") + text;
     case GyroError::Kind::TIME_OFFSET:
       std::snprintf(text, sizeof(text), "%s the gyroscope for %.0f s: add %.4f s to time_offset",
                     error.time_offset_s > 0 ? "before" : "after", error.seconds, error.time_offset_s);
-      return std::string("the images turn ") + text;
+      return std::string("the images rotate ") + text;
   }
   return "";
 }
@@ -139,7 +139,7 @@ void DiagnosticReport::add(const FrameOutput& output) {
   if (output.exposure) exposure_ = output.exposure;
   if (output.exposure_terms) quality_.exposures.push_back(*output.exposure_terms);
   if (!output.field) return;
-  latencies_["motion from images"].add(output.stages.flow_ms);
+  latencies_["optical flow"].add(output.stages.flow_ms);
   latencies_["blur field"].add(output.stages.blur_field_ms);
   latencies_["exposure estimate"].add(output.stages.exposure_ms);
   latencies_["validation"].add(output.stages.validation_ms);
@@ -211,16 +211,17 @@ void DiagnosticReport::add_losses(const Moment& now, DiagnosticStatusWrapper* st
   }
   add_count("images dropped, POOR", statistics.dropped_poor, status);
   if (const std::size_t fresh = statistics.dropped_poor - last_.dropped_poor; fresh > 0) {
-    status->mergeSummaryf(DiagnosticStatus::WARN,
-                          "%zu images dropped by drop_poor: they, or their partners, are POOR; see image_quality",
-                          fresh);
+    status->mergeSummaryf(
+        DiagnosticStatus::WARN,
+        "%zu images dropped by drop_poor: they or the other images of their pairs are POOR; see image_quality", fresh);
   }
   add_count("compressed images left out, not decodable", statistics.undecodable_images, status);
   if (const std::size_t fresh = statistics.undecodable_images - last_.undecodable_images; fresh > 0) {
-    status->mergeSummaryf(DiagnosticStatus::WARN,
-                          "%zu compressed images could not be decoded and are left out: check the camera's cable, its "
-                          "bandwidth and its driver",
-                          fresh);
+    status->mergeSummaryf(
+        DiagnosticStatus::WARN,
+        "%zu compressed images could not be decoded and have no output: check the camera's cable, its "
+        "bandwidth and its driver",
+        fresh);
   }
 }
 
@@ -301,10 +302,10 @@ void DiagnosticReport::add_exposure_advice(const Moment& now, DiagnosticStatusWr
 }
 
 void DiagnosticReport::add_optical_flow(const Moment& now, DiagnosticStatusWrapper* status) const {
-  add_count("blocks with motion from images", now.statistics.blocks_from_images, status);
+  add_count("blocks with optical flow", now.statistics.blocks_from_images, status);
   add_count("frames by images alone", now.statistics.frames_by_images_alone, status);
   if (!from_images_.blocks_px.empty()) {
-    status->addf("motion from images, median [px]", "%.2f", median(from_images_.blocks_px));
+    status->addf("optical flow, median [px]", "%.2f", median(from_images_.blocks_px));
   }
 }
 
@@ -326,7 +327,7 @@ void DiagnosticReport::add_imu(const Moment& now, DiagnosticStatusWrapper* statu
   }
   status->add("cameras on this gyroscope", now.cameras);
   if (from_images_.rotations > 0) {
-    status->add("rotation beside the gyroscope, mean [rad/s]",
+    status->add("residual rotation, mean [rad/s]",
                 vector_text(from_images_.rotation_sum_rad_s / static_cast<double>(from_images_.rotations)));
   }
   if (statistics.gyro_error) {
@@ -343,8 +344,8 @@ void DiagnosticReport::add_latencies(DiagnosticStatusWrapper* status) const {
     status->addf(std::string(whole) + " max [ms]", "%.2f", latency.max_ms);
   }
   // In the order in which a frame goes through them.
-  for (const char* stage : {"motion from images", "blur field", "exposure estimate", "validation", "noise",
-                            "deconvolution", "keypoints", "tracks", "global shutter", "messages"}) {
+  for (const char* stage : {"optical flow", "blur field", "exposure estimate", "validation", "noise", "deconvolution",
+                            "keypoints", "tracks", "global shutter", "messages"}) {
     const auto found = latencies_.find(stage);
     if (found == latencies_.end()) continue;
     status->addf(std::string(stage) + " mean [ms]", "%.2f",

@@ -161,7 +161,7 @@ std::string FrameSynchronizer::missing_info_text(const PendingFrame& frame) cons
   const InputBuffers::CameraInfos& infos = input_buffers_.infos();
   if (!infos.seen()) return text + ", nor any other";
   if (const sensor_msgs::CameraInfoConstPtr* other = find_other(frame.stamp_ns, true)) {
-    return text + ", and the one that would serve describes an image of another size than " +
+    return text + ", and that of adjacent images is for another size than " +
            size_text(frame.image->width, frame.image->height) + " px: its size is " +
            size_text((*other)->width, (*other)->height) + ", its region of interest " +
            size_text((*other)->roi.width, (*other)->roi.height);

@@ -88,7 +88,7 @@ void GyroCheck::check_unit(const GyroSample& sample, const GyroOptions& options)
                                        [](const Beyond& a, const Beyond& b) { return a.rate_rad_s < b.rate_rad_s; });
     char text[250];
     std::snprintf(text, sizeof(text),
-                  "the IMU tells rates of up to %.3g \"rad/s\", beyond %s = %.3g rad/s: are they in degrees/s? "
+                  "the IMU reports rates of up to %.3g \"rad/s\", beyond %s = %.3g rad/s: are they in degrees/s? "
                   "sensor_msgs/Imu has rad/s",
                   most->rate_rad_s,
                   limit_rad_s > kFullScaleRadS ? "gyro_range" : "2000 degrees/s, the range of consumer gyroscopes,",

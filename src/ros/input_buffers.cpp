@@ -182,8 +182,9 @@ void InputBuffers::check_exposure(const std::string& name, TimeNs exposure_ns) {
     const std::string otherwise = config_.shutter.exposure_ns > 0
                                       ? "exposure_time = " + seconds_text(config_.shutter.exposure_ns) + " s"
                                       : "the estimate from their blur";
-    problems_.report("exposure 0", name + " is 0 s, taken as not known: images without one go by their neighbours, " +
-                                       "else by " + otherwise);
+    problems_.report("exposure 0", name +
+                                       " is 0 s, taken as not known: images without an exposure time are deblurred " +
+                                       "by that of adjacent images, otherwise by " + otherwise);
     return;
   }
   problems_.resolve("exposure 0");
@@ -217,9 +218,10 @@ void InputBuffers::add_exposure_setting(TimeNs exposure_ns) {
 void InputBuffers::add_exposure(const Exposure& exposure) {
   now();
   const TimeNs stamp_ns = to_time_ns(exposure.header.stamp);
-  record_lack("exposure stamp", is_unset(stamp_ns),
-              "exposure message has the stamp 0: it holds until the next, as a setting does. Give it the stamp of its "
-              "image");
+  record_lack(
+      "exposure stamp", is_unset(stamp_ns),
+      "exposure message has the stamp 0: it is used until the next one, like a driver's setting. Publish it with "
+      "the stamp of its image");
   if (is_unset(stamp_ns)) {
     // Beside messages with stamps it says nothing: each image has its own.
     if (exposures_.seen() || exposure.exposure_time <= ros::Duration()) return;
@@ -242,12 +244,11 @@ void InputBuffers::record_lack(const std::string& kind, bool lacks, const std::s
 void InputBuffers::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   now();
   const TimeNs stamp_ns = to_time_ns(info->header.stamp);
-  record_lack(
-      "camera_info stamp", is_unset(stamp_ns),
-      "camera_info has the stamp 0: each image takes the newest one. The driver should give it the stamp of its "
-      "image");
+  record_lack("camera_info stamp", is_unset(stamp_ns),
+              "camera_info has the stamp 0: each image uses the newest one. Set the driver to give it the stamp of its "
+              "image");
   record_lack("camera_info size", lacks_size(*info),
-              "camera_info has width and height 0: the image's are taken. The driver should fill them in");
+              "camera_info has width and height 0: those of the image are used. Set the driver to fill them in");
   if (is_unset(stamp_ns)) {
     infos_.add_unstamped(info);
     return;

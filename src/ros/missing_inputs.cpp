@@ -28,14 +28,13 @@ void MissingInputs::report(const Config& config, const Seen& seen, const std::st
       seen.exposure || config.shutter.exposure_ns > 0
           ? ""
           : "exposure_time is not set, and no exposure message has come " + when +
-                ": images pass through until it is estimated from their blur, which takes motion. To have them "
-                "deblurred at once "
-                "set exposure_time [s], or connect the exposure topic (exposure_source says what it has)");
+                ": images are passed through unchanged until it is estimated from their blur, which needs motion. Set "
+                "exposure_time [s], or connect the exposure topic and set exposure_source to its content");
   set("no camera_info", seen.camera_info || file_has_camera
                             ? ""
                             : "no camera_info has come " + when + ", and no calibration file has the camera" +
                                   (config.rectified_input ? " (rectified_input needs camera_info)" : "") +
-                                  ": publish camera_info beside the images" +
+                                  ": publish camera_info in the namespace of the images" +
                                   (config.rectified_input ? "" : ", or set calibration_file"));
   const bool by_flow = goes_without_imu(config);
   set("no imu",

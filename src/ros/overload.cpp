@@ -12,7 +12,7 @@ void OverloadRule::end(TimeNs steady_ns) {
   if (!begun_ns_) return;
   const TimeNs takes_ns = steady_ns - *begun_ns_;
   begun_ns_.reset();
-  if (!in_a_hurry_ && (durations_ns_.empty() || takes_ns >= usual_ns())) return;
+  if (!behind_camera_rate_ && (durations_ns_.empty() || takes_ns >= usual_ns())) return;
   durations_ns_.push_back(takes_ns);
   if (durations_ns_.size() > kKept) durations_ns_.pop_front();
 }
@@ -31,9 +31,9 @@ std::string OverloadRule::judge(TimeNs now_ns, TimeNs ready_ns, std::size_t read
   // Twice as fast as the camera: a burst of n frames is worked off within n periods.
   const TimeNs takes_ns = usual_ns();
   if (2 * takes_ns <= *frame_period_ns) return {};
-  return "ready for " + seconds_text(waited_ns) + " s, and " + std::to_string(ready_behind) +
-         " newer frames are: processing takes " + seconds_text(takes_ns) + " s a frame, one comes every " +
-         seconds_text(*frame_period_ns) + " s";
+  return "processing (" + seconds_text(takes_ns) + " s a frame) is slower than the camera (" +
+         seconds_text(*frame_period_ns) + " s a frame): this frame was ready for " + seconds_text(waited_ns) +
+         " s, with " + std::to_string(ready_behind) + " newer frames behind it";
 }
 
 bool OverloadRule::is_behind_camera_rate(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,

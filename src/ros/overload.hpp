@@ -23,7 +23,7 @@ class OverloadRule {
   /// those that were: what has time may take it.
   void begin(TimeNs steady_ns, bool behind_camera_rate) {
     begun_ns_ = steady_ns;
-    in_a_hurry_ = behind_camera_rate;
+    behind_camera_rate_ = behind_camera_rate;
   }
   /// The next frame is asked for: what was begun has ended, its publishing included.
   void end(TimeNs steady_ns);
@@ -43,7 +43,7 @@ class OverloadRule {
   TimeNs usual_ns() const;  // precondition: some are kept
 
   std::optional<TimeNs> begun_ns_;
-  bool in_a_hurry_ = false;          // of the frame that has begun
+  bool behind_camera_rate_ = false;  // of the frame that has begun
   std::deque<TimeNs> durations_ns_;  // of the last frames that count
 };
 

@@ -72,11 +72,11 @@ class PerImageMessages {
 
   void add(TimeNs stamp_ns, T value, std::size_t capacity) {
     // Whoever begins to speak is waited for at once.
-    if (!seen_stamped_) attendance_.clear();
+    if (!seen_stamped_) liveness_.clear();
     seen_ = seen_stamped_ = true;
     take_newest(value);
     store_.add(stamp_ns, std::move(value), capacity);
-    attendance_.came(stamp_ns);
+    liveness_.came(stamp_ns);
   }
   /// A message whose stamp has not been set.
   void add_unstamped(T value) {
@@ -87,14 +87,14 @@ class PerImageMessages {
   /// An image has come that has to have one.
   void expect(TimeNs stamp_ns, TimeNs now_ns) {
     if (has_no_stamps()) return;
-    attendance_.expect(stamp_ns, now_ns, find(stamp_ns) != nullptr);
+    liveness_.expect(stamp_ns, now_ns, find(stamp_ns) != nullptr);
   }
   /// To be called as time passes, see StreamLiveness::update.
   std::optional<bool> update(TimeNs now_ns, TimeNs timeout_ns) {
-    return attendance_.update(now_ns, timeout_ns, [this](TimeNs stamp_ns) { return later(stamp_ns) >= kOvertaking; });
+    return liveness_.update(now_ns, timeout_ns, [this](TimeNs stamp_ns) { return later(stamp_ns) >= kOvertaking; });
   }
   /// False: so many images had to do without that none waits any more, or there are no stamps to wait for.
-  bool awaited() const { return attendance_.awaited() && !has_no_stamps(); }
+  bool awaited() const { return liveness_.awaited() && !has_no_stamps(); }
   bool seen() const { return seen_; }
 
   const T* find(TimeNs stamp_ns) const { return store_.find(stamp_ns); }
@@ -120,11 +120,11 @@ class PerImageMessages {
   /// Messages that do not come with single images (latched ones, seldom ones, ones without a stamp) hold from one to
   /// the next: the newest to come. Null where they do, or where so many have come after the stamp that its own is lost.
   const T* find_standing(TimeNs stamp_ns) const {
-    return newest_ && !attendance_.is_per_image() && later(stamp_ns) < kOvertaking ? &*newest_ : nullptr;
+    return newest_ && !liveness_.is_per_image() && later(stamp_ns) < kOvertaking ? &*newest_ : nullptr;
   }
   /// For an image without a stamp: the newest to come, if it is as the one before, or holds for all. Else null.
   const T* find_newest() const {
-    return newest_ && (newest_is_as_before_ || !attendance_.is_per_image()) ? &*newest_ : nullptr;
+    return newest_ && (newest_is_as_before_ || !liveness_.is_per_image()) ? &*newest_ : nullptr;
   }
   /// How many have come for other stamps that are near enough to say something.
   std::size_t near(TimeNs stamp_ns) const {
@@ -134,7 +134,7 @@ class PerImageMessages {
 
   /// As after the start; one that holds from one to the next is not sent again, and stays.
   void reset() {
-    std::optional<T> standing = attendance_.is_per_image() ? std::nullopt : std::move(newest_);
+    std::optional<T> standing = liveness_.is_per_image() ? std::nullopt : std::move(newest_);
     const bool had_stamps = standing && seen_stamped_;
     *this = {};
     newest_ = std::move(standing);
@@ -162,12 +162,12 @@ class PerImageMessages {
     newest_ = std::move(value);
   }
   void begin_epoch() {
-    if (attendance_.is_per_image()) newest_.reset();
-    attendance_.clear();
+    if (liveness_.is_per_image()) newest_.reset();
+    liveness_.clear();
   }
 
   StampedStore<T> store_;
-  StreamLiveness attendance_;
+  StreamLiveness liveness_;
   std::optional<T> newest_;           // to come
   bool newest_is_as_before_ = false;  // the one that came before it is like it
   bool seen_ = false, seen_stamped_ = false;

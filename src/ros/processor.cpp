@@ -432,12 +432,12 @@ void Processor::check_gyro_unit(const FrameOutput& output) {
   char text[300];
   if (fault->kind == GyroUnitFault::Kind::DEGREES) {
     std::snprintf(text, sizeof(text),
-                  "the IMU tells rates of up to %.3g \"rad/s\" while the images turn by %.3g rad/s: are they in "
+                  "the IMU reports rates of up to %.3g \"rad/s\" while the images rotate by %.3g rad/s: are they in "
                   "degrees/s? sensor_msgs/Imu has rad/s",
-                  fault->told_rad_s, fault->seen_rad_s);
+                  fault->gyro_rad_s, fault->seen_rad_s);
   } else {
     std::snprintf(text, sizeof(text),
-                  "all rates of the IMU are 0 while the images turn by up to %.3g rad/s: is imu connected to an "
+                  "all rates of the IMU are 0 while the images rotate by up to %.3g rad/s: is imu connected to an "
                   "accelerometer's topic? realsense2_camera publishes accelerometer and gyroscope apart unless "
                   "unite_imu_method is set",
                   fault->seen_rad_s);

@@ -107,10 +107,10 @@ int main_of(int argc, char** argv) {
   app.add_option("--end", arguments.footage.end_s, "[s] since the bag's first message [its end]").positive();
   add_image_options(app, &arguments.topics.images);
   app.add_option("--camera-info-topic", arguments.topics.camera_info,
-                 "sensor_msgs/CameraInfo [camera_info beside the images]");
+                 "sensor_msgs/CameraInfo [camera_info next to the images]");
   app.add_option("--imu-topic", arguments.topics.imu, "sensor_msgs/Imu");
   app.add_option("--exposure-topic", arguments.topics.exposure,
-                 "gyro_deblur/Exposure [exposure in --camera-ns, or beside the images]");
+                 "gyro_deblur/Exposure [exposure in --camera-ns, or next to the images]");
   app.footer(
       "The JSON holds values, verdicts and residuals, for plot_calibration.py. It is also written if the bag is "
       "refused.");

@@ -257,13 +257,13 @@ int main_of(int argc, char** argv) {
   app.add_option("--config", arguments.config, "YAML file with the keys of config/default.yaml").required();
   app.add_option("--mask", arguments.mask,
                  "PNG or PGM file of the image's size, 0 where a pixel does not show the scene [the topic mask in "
-                 "--camera-ns, or beside the images, else the configuration's]");
+                 "--camera-ns, or next to the images, else the configuration's]");
   add_image_options(app, &arguments.topics.images);
   app.add_option("--camera-info-topic", arguments.topics.camera_info,
-                 "sensor_msgs/CameraInfo [camera_info beside the images]");
+                 "sensor_msgs/CameraInfo [camera_info next to the images]");
   app.add_option("--imu-topic", arguments.topics.imu, "sensor_msgs/Imu");
   app.add_option("--exposure-topic", arguments.topics.exposure,
-                 "gyro_deblur/Exposure, or what exposure_source says [exposure in --camera-ns, or beside the images]");
+                 "gyro_deblur/Exposure, or what exposure_source says [exposure in --camera-ns, or next to the images]");
   app.add_option("--output-namespace", arguments.topics.output_namespace,
                  "of the topics written [--camera-ns, or that of the images]");
   app.add_flag("--keep-all-topics", arguments.keep_all_topics, "copy every message of the input as well");

@@ -240,28 +240,27 @@ int main_of(int argc, char** argv) {
                      "image evenly; nan: unknown")
           .values(2);
   const auto& field_offset =
-      app.add_option("--field-offset", arguments.field_offset, "value that stands for no displacement in --field")
+      app.add_option("--field-offset", arguments.field_offset, "value of --field that means no displacement")
           .show_default();
-  app.add_option("--noise-to-signal-ratio", arguments.filter.gamma,
-                 "noise-to-signal ratio of the Wiener filter, at least")
+  app.add_option("--noise-to-signal-ratio", arguments.filter.gamma, "least noise-to-signal ratio of the Wiener filter")
       .show_default();
   app.add_flag(
       "--fixed-regularization", [&] { arguments.filter.regularization = Regularization::FIXED; },
-      "the noise-to-signal ratio as it is, whatever the noise, and no block passed through for it");
-  app.add_option("--engine", arguments.engine, "engine: auto, cpu, plane, float, opencl, opencl:INDEX, opencl:NAME")
+      "use the ratio as given for every block, whatever its noise");
+  app.add_option("--engine", arguments.engine, "engine: auto, cpu, fourier, float, opencl, opencl:INDEX, opencl:NAME")
       .show_default();
-  app.add_option("--threads", arguments.threads, "of the engine; 0: as many as there are cores").show_default();
+  app.add_option("--threads", arguments.threads, "most threads of the engine; 0: one for each core").show_default();
   app.add_option("--block-size", arguments.blur_field.block_size_px, "side of a block [px], even").show_default();
-  app.add_option("--max-extent-px", arguments.blur_field.max_extent_px, "blocks with more blur are left alone")
+  app.add_option("--max-extent-px", arguments.blur_field.max_extent_px, "blocks with a longer blur stay unchanged [px]")
       .show_default();
   app.add_option("--significant-bits", arguments.significant_bits,
                  "of a 16-bit image, 8 to 16; 0: the fewest of 10, 12, 14, 16 that hold all its pixels")
       .show_default();
   app.add_flag(
       "--no-validation", [&] { arguments.validation.rule = ValidationRule::NONE; },
-      "deblur blocks even where the image contradicts the blur");
+      "deblur blocks even if the image contradicts the given blur");
   app.add_option("--mask", arguments.mask,
-                 "PNG or PGM of the image's size, 0 where a pixel does not show the scene: it stays as it is");
+                 "PNG or PGM as large as the image: pixels of 0 do not show the scene and stay unchanged");
   app.add_option("--overlay", arguments.overlay, "also write a picture of the blur field");
   add_common_options(app, &arguments.common);
   app.check([&] {

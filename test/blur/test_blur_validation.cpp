@@ -103,7 +103,7 @@ TEST(ValidateBlurField, UsesAThresholdThatFallsWithTheExtent) {
   EXPECT_EQ(validate_blur_field(field, image, options).blocks[0].status, BlockStatus::DEBLURRED);
   options.tau = 2.99;
   EXPECT_EQ(validate_blur_field(field, image, options).blocks[0].status, BlockStatus::REJECTED);
-  options.enabled = false;
+  options.rule = ValidationRule::NONE;
   EXPECT_EQ(validate_blur_field(field, image, options).blocks[0].status, BlockStatus::DEBLURRED);
 }
 

@@ -129,7 +129,7 @@ std::string python_call(const std::string& group, const Parameter& p) {
   const PythonType type = python_type(p);
   std::string unit;
   if (p.limits && *p.limits->unit != '\0') unit = std::string(" [") + p.limits->unit + "]";
-  std::string call = group + ".add(\"" + p.key + "\", " + type.name + ", 0, \"" + capitalised(p.text) + unit + "\",";
+  std::string call = group + ".add(\"" + p.key + "\", " + type.name + ", 0, \"" + std::string(p.text) + unit + "\",";
   std::string rest = type.default_value;
   if (p.limits && std::string(type.name) == "int_t") {
     rest += ", " + yaml(static_cast<int>(p.limits->min)) + ", " + yaml(static_cast<int>(p.limits->max));
@@ -154,7 +154,7 @@ std::string python_enumerations() {
         list += (list.empty() ? "" : ", ") + choice;
         if (std::find(names.begin(), names.end(), choice) == names.end()) names.push_back(choice);
       }
-      enumerations += p->key + "s = gen.enum([" + list + "], \"" + capitalised(p->text) + "\")\n";
+      enumerations += p->key + "s = gen.enum([" + list + "], \"" + p->text + "\")\n";
     }
   }
   std::string constants;

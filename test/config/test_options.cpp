@@ -45,7 +45,7 @@ TEST(Options, BlurFieldLimits) {
 
 TEST(Options, ValidationLimitsAndThreshold) {
   using O = ValidationOptions;
-  expect_limits(&O::false_accept_rate, "false_accept_rate", {0.001, 0.5}, {0.0, 0.00099, 0.501, kNan});
+  expect_limits(&O::false_accept_rate, "validation_false_accept_rate", {0.001, 0.5}, {0.0, 0.00099, 0.501, kNan});
   expect_limits(&O::tau, "tau", {0.0, 255.0}, {-0.001, 255.001, kNan});
   expect_limits(&O::tau_contrast, "tau_contrast", {0.0, 1000.0}, {-0.001, 1000.001, kNan});
   O options;
@@ -56,8 +56,8 @@ TEST(Options, ValidationLimitsAndThreshold) {
 
 TEST(Options, KernelLimits) {
   expect_limits(&FilterOptions::gamma, "noise_to_signal_ratio", {1e-5, 1.0}, {0.99e-5, 1.001, 0.0, -1.0, kNan});
-  expect_limits(&FilterOptions::length_factor, "kernel_length_factor", {2.0, 8.0}, {1.999, 8.001, kNan});
-  expect_limits(&FilterOptions::smoothing_px, "kernel_smoothing", {0.0, 5.0}, {-0.001, 5.001, kNan});
+  expect_limits(&FilterOptions::length_factor, "filter_length_factor", {2.0, 8.0}, {1.999, 8.001, kNan});
+  expect_limits(&FilterOptions::smoothing_px, "filter_smoothing", {0.0, 5.0}, {-0.001, 5.001, kNan});
 }
 
 TEST(Options, NoiseLimits) {

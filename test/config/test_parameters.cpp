@@ -177,7 +177,7 @@ void expect_comparison_sees_every_row(Options PipelineOptions::*part) {
 
 TEST(Parameters, ComparisonsSeeEveryMember) {
   expect_comparison_sees_every_row(&PipelineOptions::blur_field);
-  expect_comparison_sees_every_row(&PipelineOptions::kernel);
+  expect_comparison_sees_every_row(&PipelineOptions::filter);
   expect_comparison_sees_every_row(&PipelineOptions::keypoints);
   FilterOptions fourier;
   fourier.regularization = Regularization::PAPER;

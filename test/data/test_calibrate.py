@@ -206,8 +206,8 @@ class Calibrate(unittest.TestCase):
                        "projection_parameters: {fx: 229.4, fy: 228.7, cx: 183.6, cy: 124.2}\ntd: 0.1\nbody_T_cam0: "
                        "{rows: 4, cols: 4, dt: d, data: [0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}\n")
         with open(self.path("given.yaml"), "w") as file:
-            file.write("readout_time: 0.024\ngyro_bias: [0.01, -0.02, 0.03]\ngamma: 0.02\nrectified_input: false\n"
-                       "calibration_file: extrinsic.yaml\n")
+            file.write("readout_time: 0.024\ngyro_bias: [0.01, -0.02, 0.03]\nnoise_to_signal_ratio: 0.02\n"
+                       "rectified_input: false\ncalibration_file: extrinsic.yaml\n")
         result = self.calibrate("--config", self.path("given.yaml"), "--fixed-readout", "--fixed-bias", "--search", "0.05")
         self.assertEqual(result.returncode, 0, result.stderr)
         keys, report = self.results()

@@ -72,7 +72,7 @@ def through_nodelet(bag, parameters, recorded, folder, rate):
 
 class Recording(unittest.TestCase):
     FOLDER, FORMAT, MAKE_ARGUMENTS, CONFIG, MORE_CONFIG, BAG_ARGUMENTS = "", "", (), "", "", ()
-    # So slow that no frame has to wait for another: in a hurry curved paths are left alone, and overload lets frames pass.
+    # So slow that no frame has to wait for another: behind the camera's rate curved blocks and frames pass through.
     NODELET_RATE = 0.05
 
     @classmethod

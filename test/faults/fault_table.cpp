@@ -189,7 +189,7 @@ class Table {
     one("image without camera_info", "camera_info", silence(all, Stream::CAMERA_INFO, 0, begin_ns + 2 * length_ns),
         options_);
     const TimeNs never_ns = begin_ns + 2 * length_ns;
-    one("nobody speaks", "exposure", silence(all, Stream::EXPOSURE, 0, never_ns), options_);
+    one("no message", "exposure", silence(all, Stream::EXPOSURE, 0, never_ns), options_);
     one("stops for good", "camera_info", silence(all, Stream::CAMERA_INFO, third_ns, never_ns), options_);
     one("stops for good", "exposure", silence(all, Stream::EXPOSURE, third_ns, never_ns), options_);
     constexpr std::size_t kSparse = 10;

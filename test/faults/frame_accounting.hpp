@@ -41,7 +41,7 @@ class FrameAccounting {
   void out(const FrameOutput& output);
 
   /// Balance when everything should have come out. The messages given to in() must be held by nobody but the
-  /// frame_accounting then; images that others hold too count as retained.
+  /// accounting then; images that others hold too count as retained.
   Balance balance() const;
 
  private:

@@ -26,7 +26,7 @@ bool is_mispredicted(const FrameOutput& output, double true_extent_px) {
   return std::abs(field.blocks[center].extent_px - true_extent_px) > kTolerancePx + kTolerance * true_extent_px;
 }
 
-/// Gives a message to the processor; images go through the frame_accounting as messages of their own.
+/// Gives a message to the processor; images go through the accounting as messages of their own.
 class Deliverer {
  public:
   Deliverer(const Recording& recording, Processor* processor) : recording_(recording), processor_(processor) {}
@@ -41,7 +41,7 @@ class Deliverer {
 
   void take(const FrameOutput& output, ReplayResult* result) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    ledger_.out(output);
+    accounting_.out(output);
     const auto frame = frames_.find(output.input.get());
     if (frame == frames_.end()) return;
     // A part of the image has its centre elsewhere.
@@ -55,14 +55,14 @@ class Deliverer {
     return frames_.at(output.input.get()).arrival_ns;
   }
 
-  Balance balance() const { return ledger_.balance(); }
+  Balance balance() const { return accounting_.balance(); }
 
  private:
   void deliver_image(const sensor_msgs::ImageConstPtr& image, std::size_t frame, TimeNs at_ns) {
     sensor_msgs::ImageConstPtr own = copy_of(image);
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      ledger_.in(own);
+      accounting_.in(own);
       frames_[own.get()] = {frame, at_ns};
       whole_width_ = std::max(whole_width_, own->width);
       whole_height_ = own->width == whole_width_ ? own->height : whole_height_;
@@ -73,7 +73,7 @@ class Deliverer {
   const Recording& recording_;
   Processor* processor_;
   std::mutex mutex_;
-  FrameAccounting ledger_;
+  FrameAccounting accounting_;
   struct Origin {
     std::size_t frame = 0;  // of the recording
     TimeNs arrival_ns = 0;

@@ -1,4 +1,4 @@
-// The table is worth what its frame_accounting finds.
+// The table is worth what its accounting finds.
 #include "frame_accounting.hpp"
 
 #include <utility>
@@ -50,23 +50,23 @@ class LedgerTest : public testing::Test {
   void give(int frames) {
     for (int i = 0; i < frames; ++i) {
       inputs_.push_back(image((100 + i) * kMs));
-      ledger_.in(inputs_.back());
+      accounting_.in(inputs_.back());
     }
   }
   Balance balance() {
     inputs_.clear();
-    return ledger_.balance();
+    return accounting_.balance();
   }
 
   std::vector<sensor_msgs::ImageConstPtr> inputs_;
-  FrameAccounting ledger_;
+  FrameAccounting accounting_;
 };
 
 TEST_F(LedgerTest, GoodRunIsGood) {
   give(3);
-  ledger_.out(passed_through(inputs_[0]));
-  ledger_.out(deblurred(inputs_[1], kBlock - 1));
-  ledger_.out(passed_through(inputs_[2]));
+  accounting_.out(passed_through(inputs_[0]));
+  accounting_.out(deblurred(inputs_[1], kBlock - 1));
+  accounting_.out(passed_through(inputs_[2]));
   const Balance result = balance();
   EXPECT_TRUE(result.good());
   EXPECT_EQ(result.frames_in, 3u);
@@ -77,8 +77,8 @@ TEST_F(LedgerTest, GoodRunIsGood) {
 
 TEST_F(LedgerTest, LostFrame) {
   give(3);
-  ledger_.out(passed_through(inputs_[0]));
-  ledger_.out(passed_through(inputs_[2]));
+  accounting_.out(passed_through(inputs_[0]));
+  accounting_.out(passed_through(inputs_[2]));
   const Balance result = balance();
   EXPECT_EQ(result.lost, 1u);
   EXPECT_EQ(result.reordered, 1u) << "the one after it came too early";
@@ -86,8 +86,8 @@ TEST_F(LedgerTest, LostFrame) {
 
 TEST_F(LedgerTest, SwappedFrames) {
   give(2);
-  ledger_.out(passed_through(inputs_[1]));
-  ledger_.out(passed_through(inputs_[0]));
+  accounting_.out(passed_through(inputs_[1]));
+  accounting_.out(passed_through(inputs_[0]));
   const Balance result = balance();
   EXPECT_EQ(result.lost, 0u);
   EXPECT_EQ(result.reordered, 2u);
@@ -95,17 +95,17 @@ TEST_F(LedgerTest, SwappedFrames) {
 
 TEST_F(LedgerTest, RepeatedAndInventedFrames) {
   give(1);
-  ledger_.out(passed_through(inputs_[0]));
-  ledger_.out(passed_through(inputs_[0]));
-  ledger_.out(passed_through(image(5 * kMs)));
+  accounting_.out(passed_through(inputs_[0]));
+  accounting_.out(passed_through(inputs_[0]));
+  accounting_.out(passed_through(image(5 * kMs)));
   EXPECT_EQ(balance().repeated, 2u);
 }
 
 TEST_F(LedgerTest, MessageThatIsGivenTwiceLeavesTwice) {
   give(1);
-  ledger_.in(inputs_[0]);
-  ledger_.out(passed_through(inputs_[0]));
-  ledger_.out(passed_through(inputs_[0]));
+  accounting_.in(inputs_[0]);
+  accounting_.out(passed_through(inputs_[0]));
+  accounting_.out(passed_through(inputs_[0]));
   EXPECT_TRUE(balance().good());
 }
 
@@ -113,10 +113,10 @@ TEST_F(LedgerTest, AlteredPixels) {
   give(3);
   FrameOutput output = passed_through(inputs_[0]);
   output.image = deblurred(inputs_[0], 3).image;
-  ledger_.out(output);
-  ledger_.out(deblurred(inputs_[1], kBlock));
+  accounting_.out(output);
+  accounting_.out(deblurred(inputs_[1], kBlock));
   const_cast<sensor_msgs::Image&>(*inputs_[2]).data[5] = 9;  // the input itself
-  ledger_.out(passed_through(inputs_[2]));
+  accounting_.out(passed_through(inputs_[2]));
   EXPECT_EQ(balance().altered, 3u);
 }
 
@@ -124,14 +124,14 @@ TEST_F(LedgerTest, WrongStamp) {
   give(1);
   FrameOutput output = passed_through(inputs_[0]);
   output.blur_field->header.stamp = to_ros_time(kMs);
-  ledger_.out(output);
+  accounting_.out(output);
   EXPECT_EQ(balance().misstamped, 1u);
 }
 
 TEST_F(LedgerTest, RetainedMessage) {
   give(1);
   const FrameOutput kept = passed_through(inputs_[0]);
-  ledger_.out(kept);
+  accounting_.out(kept);
   EXPECT_EQ(balance().retained, 1u);
 }
 

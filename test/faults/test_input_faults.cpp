@@ -97,7 +97,7 @@ TEST_F(InputFaultsTest, DegreesAreFoundByWhatNoGyroscopeMeasures) {
 TEST_F(InputFaultsTest, DegreesAreFoundByTheImages) {
   play(scale_rates(slow().deliveries(), kDegrees), slow());
   EXPECT_EQ(problem("imu unit"), "");
-  EXPECT_NE(problem("imu unit by images").find("while the images turn by"), std::string::npos)
+  EXPECT_NE(problem("imu unit by images").find("while the images rotate by"), std::string::npos)
       << problem("imu unit by images");
   EXPECT_NE(problem("imu unit by images").find("are they in degrees/s"), std::string::npos);
 }

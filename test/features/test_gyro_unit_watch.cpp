@@ -34,7 +34,7 @@ TEST(GyroUnitWatch, FindsDegreesWithinASecond) {
   const auto fault = watched(20, kDegrees).find(false);
   ASSERT_TRUE(fault);
   EXPECT_EQ(fault->kind, GyroUnitFault::Kind::DEGREES);
-  EXPECT_NEAR(fault->told_rad_s, 1.5 * kDegrees, 10);
+  EXPECT_NEAR(fault->gyro_rad_s, 1.5 * kDegrees, 10);
   EXPECT_NEAR(fault->seen_rad_s, 1.5, 0.2);
   EXPECT_FALSE(watched(20, kDegrees).is_confirmed());
 }

@@ -424,8 +424,8 @@ TEST(Parameters, KeepTheirTypes) {
   values["block_size"] = 32;
   values["drop_poor"] = true;
   values["validation"] = std::string("none");
-  values["detector"] = std::string("ORB");
-  values["descriptor"] = std::string("ORB");
+  values["keypoint_detector"] = std::string("ORB");
+  values["keypoint_descriptor"] = std::string("ORB");
   values["gyro_bias"][0] = 0.5;
   values["gyro_bias"][1] = 0;
   values["gyro_bias"][2] = -0.5;

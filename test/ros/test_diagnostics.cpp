@@ -85,7 +85,8 @@ TEST_F(DiagnosticReportTest, ImagesThatAreLeftOutWarnOnce) {
   statistics_.undecodable_images = 2;
   EXPECT_EQ(fill()[key], "2");
   EXPECT_EQ(level_, DiagnosticStatus::WARN);
-  EXPECT_NE(summary_.find("2 compressed images could not be decoded and are left out"), std::string::npos) << summary_;
+  EXPECT_NE(summary_.find("2 compressed images could not be decoded and have no output"), std::string::npos)
+      << summary_;
   EXPECT_EQ(fill()[key], "2");
   EXPECT_EQ(level_, DiagnosticStatus::OK) << "none since";
 }
@@ -94,7 +95,7 @@ TEST_F(DiagnosticReportTest, KeypointsThatCannotBeFoundAreAnError) {
   statistics_.keypoints_text = "keypoint_detector = SIFT: OpenCV 4.2.0 has none";
   fill();
   EXPECT_EQ(level_, DiagnosticStatus::ERROR);
-  EXPECT_NE(summary_.find("no keypoints: detector = SIFT: OpenCV 4.2.0 has none"), std::string::npos) << summary_;
+  EXPECT_NE(summary_.find("no keypoints: keypoint_detector = SIFT: OpenCV 4.2.0 has none"), std::string::npos) << summary_;
   statistics_.keypoints_text.clear();
   fill();
   EXPECT_EQ(level_, DiagnosticStatus::OK);
@@ -225,8 +226,8 @@ TEST_F(DiagnosticReportTest, TimesAreThoseOfThePeriod) {
 
 TEST_F(DiagnosticReportTest, OpticalFlowIsCountedAndItsSizeTold) {
   auto values = fill();
-  EXPECT_EQ(values.count("blocks with motion from images"), 0u);
-  EXPECT_EQ(values.count("motion from images, median [px]"), 0u);
+  EXPECT_EQ(values.count("blocks with optical flow"), 0u);
+  EXPECT_EQ(values.count("optical flow, median [px]"), 0u);
   FrameOutput output;
   output.field.emplace();
   output.field->exposure_ns = 20'000'000;
@@ -239,14 +240,14 @@ TEST_F(DiagnosticReportTest, OpticalFlowIsCountedAndItsSizeTold) {
   report_.add(output);
   statistics_.count(output);
   values = fill();
-  EXPECT_EQ(values["blocks with motion from images"], "5");
-  EXPECT_EQ(values["motion from images, median [px]"], "3.00");
-  EXPECT_EQ(values["rotation beside the gyroscope, mean [rad/s]"], "[0.500000, 0.000000, -0.500000]");
+  EXPECT_EQ(values["blocks with optical flow"], "5");
+  EXPECT_EQ(values["optical flow, median [px]"], "3.00");
+  EXPECT_EQ(values["residual rotation, mean [rad/s]"], "[0.500000, 0.000000, -0.500000]");
   EXPECT_EQ(level_, DiagnosticStatus::OK);
   values = fill();
-  EXPECT_EQ(values["blocks with motion from images"], "5");
-  EXPECT_EQ(values.count("motion from images, median [px]"), 0u) << "none since";
-  EXPECT_EQ(values.count("rotation beside the gyroscope, mean [rad/s]"), 0u);
+  EXPECT_EQ(values["blocks with optical flow"], "5");
+  EXPECT_EQ(values.count("optical flow, median [px]"), 0u) << "none since";
+  EXPECT_EQ(values.count("residual rotation, mean [rad/s]"), 0u);
 }
 
 TEST_F(DiagnosticReportTest, AnErrorOfTheGyroscopeWarnsWithTheRemedy) {
@@ -259,7 +260,7 @@ TEST_F(DiagnosticReportTest, AnErrorOfTheGyroscopeWarnsWithTheRemedy) {
   statistics_.gyro_error.emplace();
   statistics_.gyro_error->vector = {0.05, 0, -0.05};
   statistics_.gyro_error->seconds = 9.9;
-  summary_has("the images turn by [-0.050000, -0.000000, 0.050000] rad/s beside the gyroscope for 10 s: a bias");
+  summary_has("the images rotate by [-0.050000, -0.000000, 0.050000] rad/s relative to the gyroscope for 10 s: a bias");
   summary_has("call estimate_gyro_bias at rest, or set gyro_bias to [0.060000, 0.000000, -0.050000]");
   statistics_.gyro_error->kind = GyroError::Kind::EXTRINSIC;
   summary_has("R_cam_imu is off by about 4.1 deg");

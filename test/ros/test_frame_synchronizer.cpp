@@ -287,7 +287,7 @@ TEST_F(FrameSynchronizerTest, NeighboursCameraInfoServesNoImageOfAnotherSize) {
   advance();
   ASSERT_EQ(outputs_.size(), 5u);
   expect_passed_through(1, PassThroughReason::NO_CALIBRATION,
-                        "describes an image of another size than 192x64 px: its size is 192x128");
+                        "is for another size than 192x64 px: its size is 192x128");
   EXPECT_EQ(outputs_[1].camera_info->height, static_cast<unsigned>(kHeight / 2));
 }
 

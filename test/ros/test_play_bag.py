@@ -111,7 +111,7 @@ class PlayThrough(unittest.TestCase):
             for i, (_, image, _) in enumerate(bag.read_messages(topics=outputs[:1])):
                 self.assertEqual(image.data, bytes([i]) * BYTES)
 
-    def test_what_drop_bad_keeps_back_is_not_waited_for(self):
+    def test_what_drop_poor_keeps_back_is_not_waited_for(self):
         front_end = FrontEnd(self.end_s, drops=7)
         self.addCleanup(front_end.end)
         result = self.play()

@@ -84,7 +84,7 @@ TEST_F(PacedProcessorTest, UnderOverloadTheNewestFramesAreProcessed) {
   play(6 * kSecond, kProcessing, kImuPeriod);
   ASSERT_GT(outputs_.size(), 150u);
   EXPECT_GT(overloaded(), outputs_.size() / 2);
-  EXPECT_NE(log_.back().find("processing takes 0.10"), std::string::npos) << log_.back();
+  EXPECT_NE(log_.back().find("processing (0.10"), std::string::npos) << log_.back();
   for (std::size_t i = 1; i < outputs_.size(); ++i) {
     EXPECT_EQ(to_time_ns(outputs_[i].input->header.stamp) - to_time_ns(outputs_[i - 1].input->header.stamp), kPeriod);
   }

@@ -31,7 +31,7 @@ def main():
         with open(path, encoding="utf-8") as file:
             report = json.load(file)
         for key in "frames_in", "frames_out", "dropped_poor", "undecodable_images":
-            joined[key] += report.get(key, 0)  # reports of former versions lack the last two
+            joined[key] += report[key]
         joined["frames"] += report["frames"]
         passed_through.update(report["passed_through"])
     joined["passed_through"] = dict(passed_through)

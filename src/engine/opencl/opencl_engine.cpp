@@ -332,7 +332,7 @@ void OpenClEngine::Impl::start(const cv::Mat& src, const FilterGrid& grid, const
   if (blocks.empty()) return;
   Program& kernels = program(src.depth());
   Stopwatch watch;
-  // First, so that it is on its way during the rest.
+  // First: a driver may begin the transfer during the rest.
   image_.upload(src.total() * src.elemSize(), &upload_events_,
                 [&](void* host) { src.copyTo(cv::Mat(src.size(), src.type(), host)); });
   times_.fill_ms = watch.lap();
