@@ -97,7 +97,7 @@ struct Seen {
 };
 
 /// One frame of one kind.
-Seen see(Kind kind, const Shot& shot, double noise, std::uint64_t seed, Pipeline* pipeline, double* bent_share,
+Seen see(Kind kind, const Shot& shot, double noise, std::uint64_t seed, Pipeline* pipeline, double* curved_share,
          double* extent_px) {
   const Light light{"", 1, noise};
   Seen seen;
@@ -121,12 +121,12 @@ Seen see(Kind kind, const Shot& shot, double noise, std::uint64_t seed, Pipeline
   seen.image = kind == BLURRED || result.image.empty() ? blurred : result.image;
   if (kind == PACKAGE) {
     std::vector<double> extents_px;
-    double bent = 0;
+    double curved = 0;
     for (const BlockBlur& block : result.field.blocks) {
       extents_px.push_back(block.extent_px);
-      if (block.curved_path_px) ++bent;
+      if (block.curved_path_px) ++curved;
     }
-    *bent_share = bent / static_cast<double>(extents_px.size());
+    *curved_share = curved / static_cast<double>(extents_px.size());
     *extent_px = quantile(extents_px, 0.5);
   }
   cv::Mat inside;
@@ -189,7 +189,7 @@ cv::Mat side_by_side(const std::vector<std::pair<const char*, cv::Mat>>& images)
 /// What one camera, scale, exposure and noise measure.
 struct Measured {
   Figures psnr_db, sift, orb, sift_sharp, orb_sharp, repeatability;
-  std::vector<double> extents_px, bent_shares;
+  std::vector<double> extents_px, curved_shares;
 };
 
 Measured measure(const std::vector<Shot>& shots, double noise,
@@ -198,16 +198,16 @@ Measured measure(const std::vector<Shot>& shots, double noise,
   std::array<std::vector<Seen>, kKinds.size()> seen;
   for (const Kind kind : kKinds) {
     for (std::size_t i = 0; i < shots.size(); ++i) {
-      double bent_share = 0, extent_px = 0;
-      seen[kind].push_back(see(kind, shots[i], noise, 1 + i, pipelines[kind].get(), &bent_share, &extent_px));
+      double curved_share = 0, extent_px = 0;
+      seen[kind].push_back(see(kind, shots[i], noise, 1 + i, pipelines[kind].get(), &curved_share, &extent_px));
       m.psnr_db[kind].push_back(seen[kind].back().psnr_db);
       if (kind != PACKAGE) continue;
       m.extents_px.push_back(extent_px);
-      m.bent_shares.push_back(bent_share);
+      m.curved_shares.push_back(curved_share);
     }
   }
   if (!picture.empty()) {
-    const auto most = std::max_element(m.bent_shares.begin(), m.bent_shares.end()) - m.bent_shares.begin();
+    const auto most = std::max_element(m.curved_shares.begin(), m.curved_shares.end()) - m.curved_shares.begin();
     std::vector<std::pair<const char*, cv::Mat>> images;
     for (const Kind kind : {BLURRED, STRAIGHT, PACKAGE, SHARP})
       images.emplace_back(kKindNames[kind], seen[kind][most].image);
@@ -297,7 +297,7 @@ void run(const Arguments& arguments) {
             least = std::min(least, standard_errors_above((*f)[PACKAGE], (*f)[BLURRED]));
           }
           table.add({camera.name, text_of(scale, 1), text_of(exposure_ms, 0), text_of(noise, 0),
-                     text_of(quantile(m.extents_px, 0.5), 0), text_of(100 * mean_of(m.bent_shares), 0),
+                     text_of(quantile(m.extents_px, 0.5), 0), text_of(100 * mean_of(m.curved_shares), 0),
                      cell(m.psnr_db, 1), cell(m.sift, 0), cell(m.orb, 0), cell(m.sift_sharp, 0), cell(m.orb_sharp, 0),
                      cell(m.repeatability, 2), ratio(m.sift_sharp) + ", " + ratio(m.orb_sharp), text_of(least, 1)});
         }

@@ -21,7 +21,7 @@ double steepest_box_px(const BlockBlur& blur);
 
 /// Returns `field` with those DEBLURRED blocks turned REJECTED that the image contradicts, by options.rule. LIKELIHOOD:
 /// those whose log likelihood ratio, with what the neighbours and the frame say, is below the threshold for
-/// options.false_accept_rate; where nothing can be told, the prediction holds; and those below 5 px that GRADIENT
+/// options.false_accept_rate; without evidence the prediction holds; and those below 5 px that GRADIENT
 /// rejects, asked of them alone. GRADIENT: those whose gradient along the predicted motion exceeds
 /// options.threshold(steepest_box_px), and those more than half of whose judged neighbours were rejected so; all of
 /// them when more than four in five were. NONE: no block. On at most `threads` threads (0: one for each core).

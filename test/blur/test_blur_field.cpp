@@ -150,7 +150,7 @@ TEST(ClassifyPath, AStepOfTheSpeedDepartsByAQuarterOfTheDifference) {
   }
 }
 
-// A point that speeds up along a line and leaves it along a flat bow.
+// A point that speeds up along a line and leaves it along a flat arc.
 TEST(ClassifyPath, SaysWhereTheImageShowsThePoint) {
   const Eigen::Vector2d way(std::cos(0.4), std::sin(0.4)), across(-way.y(), way.x());
   const auto blur_of = [&](double gain_px, double bow_px) {
@@ -187,7 +187,7 @@ TEST(ClassifyPath, ThereAndBackCoversTheLineOnce) {
 
 TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
   constexpr double kRadius = 60;
-  const auto bow = [](double turn_rad) {
+  const auto arc = [](double turn_rad) {
     return path_of([=](double t) {
       return Eigen::Vector2d(kRadius * std::sin(turn_rad * t), kRadius * (1 - std::cos(turn_rad * t)));
     });
@@ -197,23 +197,23 @@ TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
   const double allowed_px = kStraightPathShare * 2 * kRadius * std::sin(0.5 * turn_rad);
   BlurFieldOptions options;
   options.curved_path_threshold_px = 1.001 * bend_px - allowed_px;
-  BlockBlur blur = classify_path(bow(turn_rad), options);
+  BlockBlur blur = classify_path(arc(turn_rad), options);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
   EXPECT_FALSE(blur.curved_path_px);
   EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
   EXPECT_LT(axial_difference(blur.angle_rad, 0), 1e-6);
   options.curved_path_threshold_px = 0.999 * bend_px - allowed_px;
-  blur = classify_path(bow(turn_rad), options);
+  blur = classify_path(arc(turn_rad), options);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
   ASSERT_TRUE(blur.curved_path_px);
   for (int k = 0; k < kPathInstants; ++k) {
-    EXPECT_LT(((*blur.curved_path_px)[k].cast<double>() - bow(turn_rad)[k]).norm(), 1e-5) << k;
+    EXPECT_LT(((*blur.curved_path_px)[k].cast<double>() - arc(turn_rad)[k]).norm(), 1e-5) << k;
   }
   EXPECT_EQ(blur.apparent_offset_px(), Eigen::Vector2d::Zero()) << "the whole path is undone";
   EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
-  EXPECT_TRUE(classify_path(bow(2 * M_PI), {}).curved_path_px) << "a whole circle";
+  EXPECT_TRUE(classify_path(arc(2 * M_PI), {}).curved_path_px) << "a whole circle";
   // Where there is no time for the plane.
-  blur = classify_path(bow(turn_rad), options, true);
+  blur = classify_path(arc(turn_rad), options, true);
   EXPECT_EQ(blur.status, BlockStatus::TOO_CURVED);
   EXPECT_FALSE(blur.curved_path_px);
   // 2 px high: 1 px to either side of a line, of which 0.6 are allowed.
@@ -230,9 +230,9 @@ TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
   // What is too small or too large anyway stays that.
   options.curved_path_threshold_px = 0;
   options.min_extent_px = 5;
-  EXPECT_EQ(classify_path(bow(0.06), options).status, BlockStatus::SHARP);
+  EXPECT_EQ(classify_path(arc(0.06), options).status, BlockStatus::SHARP);
   options.max_extent_px = 10;
-  EXPECT_EQ(classify_path(bow(turn_rad), options).status, BlockStatus::TOO_LARGE);
+  EXPECT_EQ(classify_path(arc(turn_rad), options).status, BlockStatus::TOO_LARGE);
 }
 
 TEST(BlurFieldEstimator, PanBlursAlongX) {
