@@ -90,8 +90,8 @@ TEST(RunParallel, GivesThreadsThatWorkAtTheSameTimeNumbersOfTheirOwn) {
 }
 
 // The cause of frames that take twenty times as long beside a busy process, and of the time that is taken from it.
-TEST(RunParallel, ThreadsSleepBetweenSimd) {
-  constexpr int kSimd = 20, kAllCores = 0;
+TEST(RunParallel, ThreadsSleepBetweenLoops) {
+  constexpr int kLoops = 20, kAllCores = 0;
   constexpr double kWorkS = 250e-6;
   // Of each thread that has helped, from its first work on. Libraries have threads too, of which OpenBLAS' spin.
   struct Helped {
@@ -100,7 +100,7 @@ TEST(RunParallel, ThreadsSleepBetweenSimd) {
   };
   std::map<std::thread::id, Helped> helpers;
   std::mutex mutex;
-  for (int i = 0; i < kSimd; ++i) {
+  for (int i = 0; i < kLoops; ++i) {
     parallel_for(40, kAllCores, 1, [&, caller = std::this_thread::get_id()](int) {
       const double begin_s = seconds_of(CLOCK_THREAD_CPUTIME_ID);
       work_for(kWorkS);
@@ -115,7 +115,10 @@ TEST(RunParallel, ThreadsSleepBetweenSimd) {
   double idle_s = 0;
   for (const auto& [id, helped] : helpers) idle_s += seconds_of(helped.clock) - helped.begin_s - helped.worked_s;
   EXPECT_TRUE(available_cores() == 1 || !helpers.empty());
-  EXPECT_LT(idle_s / kSimd, 300e-6) << "processor time of the threads that help beside their work, a loop";
+#ifdef GYRO_DEBLUR_TSAN
+  GTEST_SKIP() << "ThreadSanitizer takes processor time itself";
+#endif
+  EXPECT_LT(idle_s / kLoops, 300e-6) << "processor time of the threads that help beside their work, a loop";
 }
 
 TEST(RunParallel, SmallWorkStartsNoThread) {

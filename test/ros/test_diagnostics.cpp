@@ -95,7 +95,8 @@ TEST_F(DiagnosticReportTest, KeypointsThatCannotBeFoundAreAnError) {
   statistics_.keypoints_text = "keypoint_detector = SIFT: OpenCV 4.2.0 has none";
   fill();
   EXPECT_EQ(level_, DiagnosticStatus::ERROR);
-  EXPECT_NE(summary_.find("no keypoints: keypoint_detector = SIFT: OpenCV 4.2.0 has none"), std::string::npos) << summary_;
+  EXPECT_NE(summary_.find("no keypoints: keypoint_detector = SIFT: OpenCV 4.2.0 has none"), std::string::npos)
+      << summary_;
   statistics_.keypoints_text.clear();
   fill();
   EXPECT_EQ(level_, DiagnosticStatus::OK);

@@ -257,15 +257,15 @@ TEST_F(GyroSourceTest, LoopOfAShortBagRestartsItAtAnyRate) {
 }
 
 TEST_F(GyroSourceTest, ReadersMayReadWhileItIsFed) {
-  constexpr int kSimd = 20;
+  constexpr int kLoops = 20;
   std::thread imu([this] {
-    for (int loop = 0; loop < kSimd; ++loop) add(kStart, kStart + kSecond);
+    for (int loop = 0; loop < kLoops; ++loop) add(kStart, kStart + kSecond);
   });
   std::vector<std::thread> cameras;
   for (int camera = 0; camera < 2; ++camera) {
     cameras.emplace_back([this] {
       GyroReader reader(source_);
-      while (source_->statistics().imu_accepted < kSimd * 201) {
+      while (source_->statistics().imu_accepted < kLoops * 201) {
         if (reader.update().restarted) reader.forget();
         const std::vector<GyroSample> samples = reader.window(reader.available());
         for (std::size_t i = 1; i < samples.size(); ++i) ASSERT_LT(samples[i - 1].t_ns, samples[i].t_ns);

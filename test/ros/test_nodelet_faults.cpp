@@ -403,8 +403,8 @@ TEST_F(StereoTest, OneCameraGoesOnWhenTheOtherIsUnloaded) {
 
 TEST_F(StereoTest, TimeJumpOfTheImuIsOneForEachCamera) {
   for (const std::size_t i : {0u, 1u}) ASSERT_NO_FATAL_FAILURE(load(i));
-  constexpr std::size_t kSimd = 3, kImages = 3;
-  for (std::size_t loop = 0; loop < kSimd; ++loop) {
+  constexpr std::size_t kLoops = 3, kImages = 3;
+  for (std::size_t loop = 0; loop < kLoops; ++loop) {
     const TimeNs end_ns = kStart + kSecond + static_cast<TimeNs>(loop) * kSecond;
     publish_imu(kStart - 50 * kMs, end_ns);
     // The second one leaves only when samples of this loop have come: no loop before has any as late.
@@ -415,9 +415,9 @@ TEST_F(StereoTest, TimeJumpOfTheImuIsOneForEachCamera) {
     for (const std::size_t i : {0u, 1u}) ASSERT_TRUE(wait_for(i, kImages * (loop + 1))) << "camera " << i;
   }
   for (const std::size_t i : {0u, 1u}) {
-    EXPECT_EQ(cameras_[i].images.size(), kImages * kSimd);
+    EXPECT_EQ(cameras_[i].images.size(), kImages * kLoops);
     // The first two of a loop may overtake the samples that show it.
-    for (std::size_t k = 2; k < kImages * kSimd; k += kImages) {
+    for (std::size_t k = 2; k < kImages * kLoops; k += kImages) {
       EXPECT_EQ(cameras_[i].fields[k]->reason, BlurField::REASON_NONE) << cameras_[i].fields[k]->reason_text;
     }
     unload(i);
