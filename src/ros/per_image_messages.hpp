@@ -134,7 +134,8 @@ class PerImageMessages {
 
   /// As after the start; one that holds from one to the next is not sent again, and stays.
   void reset() {
-    std::optional<T> standing = liveness_.is_per_image() ? std::nullopt : std::move(newest_);
+    std::optional<T> standing;
+    if (!liveness_.is_per_image()) standing.swap(newest_);
     const bool had_stamps = standing && seen_stamped_;
     *this = {};
     newest_ = std::move(standing);
