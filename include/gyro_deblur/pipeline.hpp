@@ -26,9 +26,6 @@
 
 namespace gyro_deblur {
 
-class ResidualFlow;
-class StaticContent;
-
 /// What is to become of a frame whose field is known.
 enum class Permit {
   DEBLUR,
@@ -138,7 +135,7 @@ class Pipeline {
   /// Throws OptionError and keeps the former options when the new ones are not valid. Rebuilds what depends on the
   /// options that differ, prepared for the first frame as in the constructor, and nothing else.
   void set_options(const PipelineOptions& options);
-  const PipelineOptions& options() const { return options_; }
+  const PipelineOptions& options() const;
 
   /// Throws OptionError and keeps the former calibration when the new one is not valid. Cheap when nothing changed.
   void set_calibration(const CameraCalibration& calibration);
@@ -146,8 +143,8 @@ class Pipeline {
   /// Masked pixels leave as they came, and are neither followed nor described nor counted; see mark_masked() and
   /// mark_static_edges() for what becomes of blocks. The global-shutter image has them where they are.
   /// @param mask  empty, or of the size of the images to come
-  void set_mask(const PixelMask& mask) { mask_ = mask; }
-  const PixelMask& mask() const { return mask_; }
+  void set_mask(const PixelMask& mask);
+  const PixelMask& mask() const;
 
   /// Name of the engine in use. Any thread may ask during process().
   std::string engine() const;
@@ -178,47 +175,8 @@ class Pipeline {
                         const std::optional<CameraCalibration>& calibration);
 
  private:
-  /// Beside `known`, of the blocks. Precondition: motion is looked for in images.
-  ResidualField residual_velocities(const cv::Mat& luminance, const CameraMotion& known, const RowExposure& exposure,
-                                    bool repeats_picture);
-  /// Looks for static content. @param luminance  may be empty: it is made where it is needed, and left there
-  void watch_static_content(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
-                            const RowExposure& exposure, cv::Mat* luminance, PipelineResult* result);
-  /// The blur field by the gyroscope and the residual velocities.
-  /// @param alone  they are the whole motion
-  FrameBlur blur_field(const CameraMotion& known, const RowExposure& exposure, const ResidualField& residuals,
-                       bool alone, bool behind_camera_rate) const;
-  /// Finds the exposure out, and the field again where it is another one.
-  /// @param exposure  the assumed one; becomes the one found
-  void choose_exposure(const ExposureQuestion& question, const cv::Mat& luminance, const std::optional<double>& noise,
-                       const std::function<FrameBlur(const RowExposure&)>& field_by, RowExposure* exposure,
-                       PipelineResult* result);
-  /// Blocks that the mask or static content keeps from being deblurred.
-  void mark_blocks(FrameBlur* field) const;
-  /// @param image  deblurred
-  void move_to_reference(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
-                         const RowExposure& exposure, PipelineResult* result) const;
-  /// See PipelineResult::seen_rotation.
-  std::optional<ResidualRotation> seen_rotation(const cv::Mat& luminance, const CameraMotion& motion,
-                                                const RowExposure& exposure, const PipelineResult& result);
-  /// Fills features, or keypoints_text.
-  void extract(const cv::Mat& luminance, const PixelMask& mask, PipelineResult* result);
-
-  EngineFactory make_engine_;
-  PipelineOptions options_;
-  std::unique_ptr<Camera> camera_;
-  std::unique_ptr<BlurFieldEstimator> estimator_;
-  std::unique_ptr<FilterBank> bank_;
-  std::unique_ptr<Engine> engine_;
-  BitDepth bit_depth_;
-  PixelMask mask_;
-  std::unique_ptr<StaticContent> static_content_;
-  std::optional<RowExposure> exposure_before_;
-  std::unique_ptr<ResidualFlow> flow_;           // where asked for
-  bool alone_ = false;                           // its newest image had no motion beside it
-  std::unique_ptr<ResidualFlow> unaided_flow_;   // see seen_rotation
-  int unaided_frames_ = 0;                       // in a row
-  std::unique_ptr<FeatureExtractor> extractor_;  // made when keypoints are asked for
+  class Impl;
+  std::unique_ptr<Impl> impl_;
 };
 
 }  // namespace gyro_deblur

@@ -22,4 +22,18 @@ class Stopwatch {
   Clock::time_point start_ = Clock::now();
 };
 
+/// Adds the milliseconds of its life to a sum.
+class StageTimer {
+ public:
+  /// @param sum_ms  outlives the timer
+  explicit StageTimer(double* sum_ms) : sum_ms_(sum_ms) {}
+  ~StageTimer() { *sum_ms_ += watch_.ms(); }
+  StageTimer(const StageTimer&) = delete;
+  StageTimer& operator=(const StageTimer&) = delete;
+
+ private:
+  double* sum_ms_;
+  Stopwatch watch_;
+};
+
 }  // namespace gyro_deblur
