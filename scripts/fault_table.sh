@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Plays a simulated recording through every fault and prints what became of the frames; fails when one is lost. Builds
-# first. --update-doc puts the table into doc/guides/faults.md; other arguments go to fault_table (see --help).
+# first. --update-doc puts the table into doc/reports/faults.md; other arguments go to fault_table (see --help).
 #
 #   scripts/fault_table.sh [--update-doc] [--seconds S] [--reloads N]
 set -euo pipefail
@@ -15,6 +15,6 @@ table="${GYRO_DEBLUR_BUILD}/fault_table.md"
 "${GYRO_DEBLUR_BUILD}/devel/lib/gyro_deblur/fault_table" --markdown "${table}" "${arguments[@]}"
 if "${update_doc}"; then
   sed -i -e '/^<!-- fault table: begin -->$/,/^<!-- fault table: end -->$/{//!d}' \
-    -e "/^<!-- fault table: begin -->\$/r ${table}" doc/guides/faults.md
-  say "doc/guides/faults.md has the new table"
+    -e "/^<!-- fault table: begin -->\$/r ${table}" doc/reports/faults.md
+  say "doc/reports/faults.md has the new table"
 fi
