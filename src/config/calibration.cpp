@@ -20,10 +20,11 @@ namespace fs = std::filesystem;
 
 template <typename A, typename B>
 [[noreturn]] void refuse_conflict(const std::string& quantity, const A& a, const std::string& name_a, const B& b,
-                                  const std::string& name_b, const std::string& difference) {
+                                  const std::string& name_b, const std::string& difference,
+                                  const std::string& allowed) {
   std::ostringstream text;
   text << quantity << " is " << a << " in " << name_a << ", but " << b << " in " << name_b << " (they differ by "
-       << difference << ")";
+       << difference << ", allowed is " << allowed << ")";
   throw OptionError(text.str());
 }
 
@@ -52,7 +53,8 @@ void require_agreement(const CameraCalibration& a, const std::string& name_a, co
                        const std::string& name_b) {
   constexpr double kAllowedPx = 0.1;
   const auto conflict = [&](const std::string& difference) {
-    refuse_conflict("the camera's calibration", to_string(a), name_a, to_string(b), name_b, difference);
+    refuse_conflict("the camera's calibration", to_string(a), name_a, to_string(b), name_b, difference,
+                    "0.1 px at one size");
   };
   if (a.width_px != b.width_px || a.height_px != b.height_px) conflict("the size");
   const Camera camera_a(a), camera_b(b);
@@ -87,7 +89,8 @@ void require_agreement(const Eigen::Matrix3d& R_cam_imu_a, const std::string& na
   std::ostringstream difference;
   difference.precision(3);
   difference << angle_deg << " degrees";
-  refuse_conflict("R_cam_imu", to_string(R_cam_imu_a), name_a, to_string(R_cam_imu_b), name_b, difference.str());
+  refuse_conflict("R_cam_imu", to_string(R_cam_imu_a), name_a, to_string(R_cam_imu_b), name_b, difference.str(),
+                  "0.1 degrees");
 }
 
 void require_agreement(const char* quantity, TimeNs a_ns, const std::string& name_a, TimeNs b_ns,
@@ -95,12 +98,13 @@ void require_agreement(const char* quantity, TimeNs a_ns, const std::string& nam
   constexpr TimeNs kAllowedNs = 1000;
   if (std::abs(a_ns - b_ns) <= kAllowedNs) return;
   const auto text = [](TimeNs t_ns) { return std::to_string(to_seconds(t_ns)) + " s"; };
-  refuse_conflict(quantity, text(a_ns), name_a, text(b_ns), name_b, text(std::abs(a_ns - b_ns)));
+  refuse_conflict(quantity, text(a_ns), name_a, text(b_ns), name_b, text(std::abs(a_ns - b_ns)), text(kAllowedNs));
 }
 
 SensorCalibration load_calibration(const std::string& path, const std::string& camera) {
   const std::string file = fs::is_directory(path) ? (fs::path(path) / camera / "sensor.yaml").string() : path;
-  if (!is_camera_name(camera)) throw OptionError("camera \"" + camera + "\" is not one of cam0, cam1, ...");
+  if (!is_camera_name(camera))
+    throw OptionError("calibration_camera = \"" + camera + "\" is not one of cam0, cam1, ...");
   SensorCalibration calibration;
   try {
     calibration = read_calibration_file(file, camera);

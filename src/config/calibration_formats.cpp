@@ -167,7 +167,8 @@ SensorCalibration read_kalibr(const Section& root, const std::string& camera_nam
   if (!root.has(camera_name)) {
     std::string names;
     for (const auto& entry : root.node()) names += " " + entry.first.Scalar();
-    throw OptionError(root.name(camera_name) + " is missing; the file has" + names);
+    throw OptionError(root.name(camera_name) + " is missing; the file has" + names +
+                      ": set calibration_camera to one of them");
   }
   const Section section = root.child(camera_name);
   SensorCalibration calibration;
@@ -191,7 +192,7 @@ SensorCalibration read_kalibr(const Section& root, const std::string& camera_nam
 
 SensorCalibration read_euroc(const Section& root) {
   if (root.has("sensor_type") && root.text("sensor_type") != "camera") {
-    refuse(root.name("sensor_type"), root.get("sensor_type"), "camera: name the camera's file");
+    refuse(root.name("sensor_type"), root.get("sensor_type"), "camera: give the path of the camera's sensor.yaml");
   }
   if (root.has("camera_model") && root.text("camera_model") != "pinhole") {
     refuse_model(root, "camera_model", "supported is pinhole");

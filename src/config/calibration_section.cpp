@@ -28,7 +28,7 @@ bool Section::has(const std::string& key) const {
 }
 
 YAML::Node Section::get(const std::string& key) const {
-  if (!has(key)) throw OptionError(name(key) + " is missing");
+  if (!has(key)) throw OptionError(name(key) + " is missing: this kind of file has to have it");
   return node_[key];
 }
 

@@ -142,12 +142,15 @@ Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
   Config config;
   config.given = {false, false, false, false};
   if (node.IsNull()) return config;
-  if (!node.IsMap()) throw OptionError("the configuration is not a map of keys: " + describe(node));
+  if (!node.IsMap())
+    throw OptionError("the configuration is not a map of keys: " + describe(node) + "; write KEY: VALUE lines");
   std::set<std::string> seen;
   for (const auto& entry : node) {
-    if (!entry.first.IsScalar()) throw OptionError("configuration key " + describe(entry.first) + " is not a string");
+    if (!entry.first.IsScalar())
+      throw OptionError("configuration key " + describe(entry.first) + " is not the name of a parameter");
     const std::string& key = entry.first.Scalar();
-    if (!seen.insert(key).second) throw OptionError(key + " = " + describe(entry.second) + " is given a second time");
+    if (!seen.insert(key).second)
+      throw OptionError(key + " = " + describe(entry.second) + " is given a second time: remove one of the two");
     if (const Parameter* parameter = find_parameter(key)) {
       if (parameter->may_be_empty() && is_empty(entry.second)) continue;
       refuse_former_value(key, entry.second);

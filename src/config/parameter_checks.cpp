@@ -144,7 +144,9 @@ void PipelineOptions::validate() const {
   keypoints.validate();
   check_parameters(*this);
   if (flow_without_gyro == "always" && !optical_flow) {
-    throw OptionError("flow_without_gyro = \"always\" needs optical_flow = true, which is false");
+    throw OptionError(
+        "flow_without_gyro = \"always\" needs optical_flow = true, which is false: set optical_flow to true, or "
+        "flow_without_gyro to absent or never");
   }
   static_cast<void>(BitDepth(significant_bits));
 }
@@ -153,7 +155,8 @@ void Config::validate() const {
   using Kind = ExposureSource::Kind;
   if ((exposure_source.kind == Kind::FIELD || exposure_source.kind == Kind::DYNAMIC_RECONFIGURE) &&
       exposure_source.field.empty()) {
-    throw OptionError("exposure_field = \"\" is not the name of a field: this exposure_source needs one");
+    throw OptionError(
+        "exposure_field = \"\" is not the name of a field: set it, or exposure_source to auto, which needs none");
   }
   pipeline.validate();
   gyro.validate();

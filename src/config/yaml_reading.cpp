@@ -12,7 +12,7 @@ YAML::Node load_yaml_file(const std::string& path) {
   std::ifstream file(path);
   std::stringstream text;
   text << file.rdbuf();
-  if (!file) throw OptionError(path + ": cannot be opened");
+  if (!file) throw OptionError(path + ": cannot be opened: no such file, or no right to read it");
   std::string content = text.str();
   if (content.rfind("%YAML:", 0) == 0) content.front() = '#';  // no directive that YAML itself knows
   try {

@@ -22,7 +22,8 @@ std::string problem_of(const std::string& path) {
   const fs::path file(path);
   if (fs::is_directory(file)) {
     const fs::path name = file.has_filename() ? file : file.parent_path();
-    return fs::is_regular_file(file / "metadata.yaml") ? ros2_text(path, name) : "is a folder, not a bag";
+    return fs::is_regular_file(file / "metadata.yaml") ? ros2_text(path, name)
+                                                       : "is a folder, not a bag: give a .bag file";
   }
   if (!fs::is_regular_file(file)) return "no such file";
   std::array<char, 16> bytes{};

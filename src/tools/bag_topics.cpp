@@ -41,7 +41,9 @@ std::string choose_topic(const BagTopics& topics, const std::string& kind, const
   if (!named.empty()) {
     const auto found = topics.find(named);
     if (found == topics.end()) return fail("no topic " + named + " for " + kind);
-    if (found->second != type) return fail("topic " + named + " for " + kind + " is not of type " + type);
+    if (found->second != type) {
+      return fail("topic " + named + " for " + kind + " is of type " + found->second + ", not of type " + type);
+    }
     return named;
   }
   const auto sibling = topics.find(preferred);

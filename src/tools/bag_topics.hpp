@@ -37,7 +37,7 @@ void require_definition(const rosbag::Bag& bag, const std::string& topic) {
   for (const rosbag::ConnectionInfo* connection : view.getConnections()) {
     if (connection->md5sum != expected) {
       throw std::runtime_error("topic " + topic + " has another version of " + connection->datatype + " (md5 " +
-                               connection->md5sum + ", here " + expected + ")");
+                               connection->md5sum + ", here " + expected + "): convert the bag with rosbag fix");
     }
   }
 }

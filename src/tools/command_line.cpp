@@ -107,7 +107,7 @@ std::string CommandLine::Option::help() const {
 void CommandLine::Option::check(const std::vector<std::string>& words) const {
   for (const std::string& word : words) {
     // Boost takes the next option for the value of an option without one.
-    if (!positional() && boost::starts_with(word, "--")) throw UsageError(name_ + " takes a value");
+    if (!positional() && boost::starts_with(word, "--")) throw UsageError(name_ + " takes a value, which is missing");
     if (!is_allowed_(word)) throw UsageError(name_ + " is '" + word + "', allowed is " + allowed_);
   }
 }

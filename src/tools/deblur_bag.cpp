@@ -217,7 +217,7 @@ void print_summary(const Arguments& arguments, const DeblurTopics& topics, const
 void run(const Arguments& arguments) {
   const InputBag input(arguments.input);
   if (std::filesystem::exists(arguments.output) && std::filesystem::equivalent(arguments.input, arguments.output)) {
-    throw std::runtime_error(arguments.output + ": output would overwrite the input");
+    throw std::runtime_error(arguments.output + ": output would overwrite the input: give another path");
   }
   Config config = read_config("deblur_bag", arguments.config);
   if (arguments.threads) config.pipeline.threads = *arguments.threads;

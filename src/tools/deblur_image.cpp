@@ -53,7 +53,7 @@ std::string lower_extension(const std::string& path) {
 
 void require_readable(const std::string& path) {
   if (!std::filesystem::is_regular_file(path)) throw std::runtime_error(path + ": no such file");
-  if (!std::ifstream(path)) throw std::runtime_error(path + ": cannot be read");
+  if (!std::ifstream(path)) throw std::runtime_error(path + ": cannot be read: check its permissions");
 }
 
 cv::Mat read_image(const std::string& path) {
@@ -64,23 +64,26 @@ cv::Mat read_image(const std::string& path) {
   } catch (const cv::Exception&) {
     // Sizes beyond OpenCV's limit; its message names neither file nor limit.
   }
-  if (image.empty()) throw std::runtime_error(path + ": not an image that can be read");
+  if (image.empty()) throw std::runtime_error(path + ": not an image that can be read; give a PNG, JPEG or TIFF");
   return image;
 }
 
 void write_image(const std::string& path, const cv::Mat& image) {
-  if (!cv::haveImageWriter(path)) throw std::runtime_error(path + ": no image format of this name can be written");
+  if (!cv::haveImageWriter(path))
+    throw std::runtime_error(path +
+                             ": its extension names no image format that can be written; use .png, .jpg or .tif");
   const std::string extension = lower_extension(path);
   const bool is_jpeg = extension == ".jpg" || extension == ".jpeg";
   if (is_jpeg && (image.depth() != CV_8U || image.channels() == 4)) {
     throw std::runtime_error(path + ": JPEG holds neither 16 bit nor alpha; choose PNG or TIFF");
   }
-  if (!cv::imwrite(path, image)) throw std::runtime_error(path + ": cannot be written");
+  if (!cv::imwrite(path, image))
+    throw std::runtime_error(path + ": cannot be written: check folder, permissions and free space");
 }
 
 PixelLayout layout_of(const cv::Mat& image, const std::string& path) {
   if (image.depth() != CV_8U && image.depth() != CV_16U) {
-    throw std::runtime_error(path + ": has neither 8 nor 16 bit a channel");
+    throw std::runtime_error(path + ": has neither 8 nor 16 bits a channel, no other depth is possible: convert it");
   }
   switch (image.channels()) {
     case 1:
@@ -91,7 +94,7 @@ PixelLayout layout_of(const cv::Mat& image, const std::string& path) {
       return PixelLayout::BGRA;
     default:
       throw std::runtime_error(path + ": has " + std::to_string(image.channels()) +
-                               " channels; 1, 3 or 4 are possible");
+                               " channels; 1, 3 or 4 are possible: convert it");
   }
 }
 
@@ -125,7 +128,8 @@ cv::Mat read_csv(const std::string& path) {
     }
     matrix.push_back(cv::Mat(row, true).reshape(1, 1));
   }
-  if (matrix.empty()) throw std::runtime_error(path + ": holds no numbers");
+  if (matrix.empty())
+    throw std::runtime_error(path + ": holds no numbers; give rows of numbers [px], separated by commas or blanks");
   return matrix;
 }
 
@@ -137,7 +141,9 @@ cv::Mat read_displacement(const std::string& path, double offset) {
     matrix = read_csv(path);
   } else {
     const cv::Mat image = read_image(path);
-    if (image.channels() != 1) throw std::runtime_error(path + ": a displacement map must have one channel");
+    if (image.channels() != 1)
+      throw std::runtime_error(path + ": a displacement map has one channel, this image has " +
+                               std::to_string(image.channels()));
     image.convertTo(matrix, CV_64F);
   }
   return matrix - offset;
@@ -157,7 +163,8 @@ void run(const Arguments& arguments) {
 
   FrameBlur field;
   if (arguments.field.empty()) {
-    if (!std::isfinite(arguments.angle_deg)) throw OptionError("--angle-deg must be finite");
+    if (!std::isfinite(arguments.angle_deg))
+      throw OptionError("--angle-deg = " + std::to_string(arguments.angle_deg) + " is not a finite number");
     require_range("--extent-px", arguments.extent_px, 0, kMaxKernelExtentPx, "px");
     field = uniform_blur_field(image.cols, image.rows, arguments.angle_deg * CV_PI / 180, arguments.extent_px,
                                arguments.blur_field);
@@ -170,7 +177,7 @@ void run(const Arguments& arguments) {
   if (!mask.empty() && mask.size() != image.size()) {
     throw std::runtime_error("--mask " + arguments.mask + " has " + std::to_string(mask.size().width) + "x" +
                              std::to_string(mask.size().height) + " px, the image has " + std::to_string(image.cols) +
-                             "x" + std::to_string(image.rows) + " px");
+                             "x" + std::to_string(image.rows) + " px: give a mask of the image's size");
   }
   const auto engine = make_engine(arguments.engine, arguments.threads);
   mark_masked(mask, &field);

@@ -25,7 +25,9 @@ void choose_exposure(const InputBag& input, const NamedTopics& named, const Conf
                          (kind == ExposureSource::Kind::AUTO && (named_type.empty() || named_type == own_type));
   if (!takes_own) {
     if (named_type.empty()) {
-      throw std::runtime_error("exposure_source of the configuration needs --exposure-topic with a topic of the bag");
+      throw std::runtime_error(
+          "exposure_source of the configuration reads a driver's messages, and --exposure-topic \"" + named.exposure +
+          "\" is no topic of the bag, which has " + list_of(input.topics()));
     }
     chosen->exposure = named.exposure;
     chosen->reads_driver_messages = true;

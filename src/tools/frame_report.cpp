@@ -27,7 +27,8 @@ void FrameReport::finish(const nlohmann::json& whole) {
 }
 
 void FrameReport::require_written() {
-  if (!stream_.flush()) throw std::runtime_error(file_->target() + ": cannot be written");
+  if (!stream_.flush())
+    throw std::runtime_error(file_->target() + ": cannot be written: check folder, permissions and free space");
 }
 
 }  // namespace gyro_deblur

@@ -45,7 +45,7 @@ cv::Mat read_image(const RecordedFrame& frame, const Recording& recording, const
                    std::string& encoding) {
   cv::Mat image = cv::imread(frame.path, cv::IMREAD_UNCHANGED);
   if (image.empty()) {
-    throw std::runtime_error(frame.path + ": cannot be read as an image");
+    throw std::runtime_error(frame.path + ": cannot be read as an image: repair it or take it out of the folder");
   }
   if (image.cols != recording.camera.width_px || image.rows != recording.camera.height_px) {
     throw std::runtime_error(frame.path + ": is " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
@@ -54,7 +54,8 @@ cv::Mat read_image(const RecordedFrame& frame, const Recording& recording, const
   }
   const bool deep = image.depth() == CV_16U;
   if (image.depth() != CV_8U && !deep) {
-    throw std::runtime_error(frame.path + ": neither 8 nor 16 bits a channel");
+    throw std::runtime_error(frame.path +
+                             ": has neither 8 nor 16 bits a channel, no other depth is possible: convert it");
   }
   if (wanted == "mono8" || wanted == "bgr8") {
     if (deep) {
@@ -81,7 +82,8 @@ cv::Mat read_image(const RecordedFrame& frame, const Recording& recording, const
       encoding = deep ? enc::BGRA16 : enc::BGRA8;
       break;
     default:
-      throw std::runtime_error(frame.path + ": " + std::to_string(image.channels()) + " channels");
+      throw std::runtime_error(frame.path + ": has " + std::to_string(image.channels()) +
+                               " channels; 1, 3 or 4 are possible: convert it");
   }
   return image;
 }

@@ -11,7 +11,7 @@ namespace gyro_deblur {
 void write_text(const std::string& path, const std::string& text) {
   std::ofstream file(path);
   file << text;
-  if (!file.flush()) throw std::runtime_error(path + ": cannot be written");
+  if (!file.flush()) throw std::runtime_error(path + ": cannot be written: check folder, permissions and free space");
 }
 
 void write_json(const std::string& path, const nlohmann::json& report, int indent) {

@@ -32,7 +32,7 @@ namespace fs = std::filesystem;
 void for_each_line(const std::string& path, const std::function<void(const std::string&)>& on_line) {
   const std::unique_ptr<gzFile_s, int (*)(gzFile)> file(gzopen(path.c_str(), "rb"), gzclose);
   if (file == nullptr) {
-    throw std::runtime_error(path + ": cannot be opened");
+    throw std::runtime_error(path + ": cannot be opened: no such file, or no right to read it");
   }
   constexpr int kMaxLine = 4096;
   std::array<char, kMaxLine> buffer{};
@@ -112,12 +112,12 @@ class Description {
   template <typename T>
   T get(const std::string& key) const {
     if (!has(key)) {
-      throw std::runtime_error(path_ + ": '" + key + "' is missing");
+      throw std::runtime_error(path_ + ": '" + key + "' is missing; config/recordings/ has an example of each file");
     }
     try {
       return node_[key].template as<T>();
     } catch (const YAML::Exception&) {
-      throw std::runtime_error(path_ + ": '" + key + "' is not of the expected type");
+      throw std::runtime_error(path_ + ": '" + key + "' has another type than in the examples in config/recordings/");
     }
   }
 
@@ -170,10 +170,10 @@ Recording read_calibration(const Description& description) {
 
 void require_content(const Recording& recording, const std::string& folder) {
   if (recording.frames.empty()) {
-    throw std::runtime_error(folder + ": no image found");
+    throw std::runtime_error(folder + ": no image found: check the folder, and the pattern of the description");
   }
   if (recording.imu.empty()) {
-    throw std::runtime_error(folder + ": no gyroscope sample found");
+    throw std::runtime_error(folder + ": no gyroscope sample found: check the file of the gyroscope's samples");
   }
 }
 
@@ -293,14 +293,15 @@ Recording read_shield(const std::string& folder, const std::string& description_
   for_each_line(list, [&](const std::string& line) {
     const std::vector<std::string> fields = split(line);
     if (recording.frames.size() == paths.size()) {
-      throw std::runtime_error("there are only " + std::to_string(paths.size()) + " images");
+      throw std::runtime_error("there are only " + std::to_string(paths.size()) +
+                               " images, and more lines: one line an image is needed");
     }
     recording.frames.push_back(
         {parse_ns(field_at(fields, 0)), parse_ns(field_at(fields, 1)), paths[recording.frames.size()]});
   });
   if (recording.frames.size() != paths.size()) {
     throw std::runtime_error(list + ": " + std::to_string(recording.frames.size()) + " lines for " +
-                             std::to_string(paths.size()) + " images");
+                             std::to_string(paths.size()) + " images; one line an image is needed");
   }
 
   constexpr int kAccelerometer = 1;

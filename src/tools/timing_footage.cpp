@@ -240,7 +240,8 @@ Footage read_footage(const InputBag& input, const FootageTopics& topics, const F
                                                      std::max(footage.images.end_ns, stamp_ns)};
   });
   collector.finish();
-  if (footage.frames == 0) throw std::runtime_error("no image on " + topics.image.name);
+  if (footage.frames == 0)
+    throw std::runtime_error("no image on " + topics.image.name + " within --start and --end: give a longer slice");
   footage.image_delay_ns = median(std::move(delays_ns));
   footage.R_cam_imu = extrinsic_of(bag, camera_frame, imu_frame);
   return footage;

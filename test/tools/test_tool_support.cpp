@@ -127,7 +127,7 @@ TEST_F(OutputFile, IsNamedWhenItCannotBeWritten) {
     write_text(path("none/a"), "text");
     FAIL() << "no exception";
   } catch (const std::runtime_error& error) {
-    EXPECT_EQ(error.what(), path("none/a") + ": cannot be written");
+    EXPECT_EQ(error.what(), path("none/a") + ": cannot be written: check folder, permissions and free space");
   }
   EXPECT_THROW(write_text("/dev/full", "text"), std::runtime_error);
   EXPECT_THROW(write_json("/dev/full", {{"a", 1}}), std::runtime_error);
