@@ -12,12 +12,12 @@
 namespace gyro_deblur::benchmark {
 namespace {
 
-// As in src/engine/cpu/two_scale_impl.hpp: coarse outputs that are summed together, and lanes in a group of int16
+// As in src/engine/cpu/two_scale_impl.hpp: coarse outputs that are summed together, and columns in a group of int16
 // samples.
 constexpr int kCoarseOutputs = kCoarseGuard + 1;
-constexpr int kLaneGroup = 32;
-// Instruction sets with vectors of at least so many floats filter 8-bit lanes in int16.
-constexpr int kLeastFloatsOfIntegerLanes = 8;
+constexpr int kColumnGroup = 32;
+// Instruction sets with vectors of at least so many floats filter 8-bit columns in int16.
+constexpr int kLeastFloatsOfIntegerColumns = 8;
 
 double round_up(double n, double step) { return std::ceil(n / step) * step; }
 
@@ -28,20 +28,21 @@ void add_two_scale(const BlockFilter& block, cv::Size size, int lanes_of_vector,
   const double along = major_is_y ? size.height : size.width;
   const double across = major_is_y ? size.width : size.height;
 
-  const bool integers = lanes_of_vector >= kLeastFloatsOfIntegerLanes;
+  const bool integers = lanes_of_vector >= kLeastFloatsOfIntegerColumns;
   const int box_half = static_cast<int>(std::floor((block.kernel->box_extent_px * stretch - 1) / 2));
   const double d = TwoScaleDesign::decimation_for(box_half);
   const double radius = std::ceil(std::ceil(block.kernel->radius() * stretch) / d);
-  const double lanes = round_up(across + slope * along + 5, integers ? kLaneGroup : 2 * lanes_of_vector);
+  const double columns = round_up(across + slope * along + 5, integers ? kColumnGroup : 2 * lanes_of_vector);
   const double sample_bytes = integers ? sizeof(std::int16_t) : sizeof(float);
-  const double group = integers ? kLaneGroup : 2 * lanes_of_vector;
+  const double group = integers ? kColumnGroup : 2 * lanes_of_vector;
   double& macs = integers ? work.int16_macs : work.float_macs;
-  for (double lane = 0; lane < lanes; lane += group) {
-    // The line through the first pixel of a row goes from lane slope * along down to 0; two lanes more for the cubic.
+  for (double column = 0; column < columns; column += group) {
+    // The line through the first pixel of a row goes from column slope * along down to 0; two columns more for the
+    // cubic.
     double rows = 0;
     for (double m = 0; m < along; ++m) {
       const double first = slope * (along - m);
-      rows += lane <= first + across + 5 && lane + group > first ? 1 : 0;
+      rows += column <= first + across + 5 && column + group > first ? 1 : 0;
     }
     const double coarse_outputs = round_up(std::floor(std::max(rows - 1, 0.0) / d) + 3, kCoarseOutputs);
     const double nodes = coarse_outputs + 2 * radius;
@@ -100,9 +101,9 @@ Work work_of_cpu(const FilterGrid& grid, int lanes) {
   Work work;
   for_each_filtered(grid, [&](const BlockFilter& block, cv::Size size) {
     const auto [major_is_y, major, slope] = direction_of(block.angle_rad);
-    if (takes_lanes(*block.kernel, slope, CV_8U)) {
+    if (takes_sheared_columns(*block.kernel, slope, CV_8U)) {
       const int along = major_is_y ? size.height : size.width;
-      const int longest = max_lane_rows(*block.kernel, slope);
+      const int longest = max_sheared_rows(*block.kernel, slope);
       const int tiles = (along + longest - 1) / longest;
       for (int i = 0; i < tiles; ++i) {
         cv::Size tile = size;

@@ -236,10 +236,10 @@ void Study::shutter(const FootageCase& c, const Footage& footage, const Light& l
 }
 
 void Study::straight_edges(const test::RecordedFlight& flight, const Footage& footage) const {
-  const BentFrame bent = most_bent_frame(footage);
+  const CurvedFrame curved = most_curved_frame(footage);
   const std::string start = arguments_.output + "/shutter_" + std::filesystem::path(flight.file).stem().string() + "_";
-  cv::imwrite(start + "arrived.png", bent.arrived);
-  cv::imwrite(start + "global.png", bent.global_shutter);
+  cv::imwrite(start + "arrived.png", curved.arrived);
+  cv::imwrite(start + "global.png", curved.global_shutter);
 }
 
 void Study::shown() {

@@ -47,7 +47,7 @@ std::array<std::vector<double>, 4> shutter_errors(const Footage& footage, const 
   return errors;
 }
 
-BentFrame most_bent_frame(const Footage& footage) {
+CurvedFrame most_curved_frame(const Footage& footage) {
   const RotationTrack rotation = footage.rotation();
   Pipeline pipeline{PipelineOptions{}};
   pipeline.set_calibration(footage.camera().calibration());
@@ -57,7 +57,7 @@ BentFrame most_bent_frame(const Footage& footage) {
   const double right_px = footage.camera().calibration().width_px - 1,
                bottom_px = footage.camera().calibration().height_px - 1;
   double largest_px = -1;
-  BentFrame bent;
+  CurvedFrame curved;
   for (int i = 0; i < footage.frames(); ++i) {
     const cv::Mat image = footage.image(i, kDaylight);
     const PipelineResult result = pipeline.process(image, PixelLayout::GRAY, rotation, footage.exposure(i), request);
@@ -68,9 +68,9 @@ BentFrame most_bent_frame(const Footage& footage) {
     const double bent_px = (moved_px(0.5 * right_px, 0) - moved_px(0.5 * right_px, bottom_px)).norm();
     if (!(bent_px > largest_px)) continue;
     largest_px = bent_px;
-    bent = {image, result.global_shutter.empty() ? image : result.global_shutter};
+    curved = {image, result.global_shutter.empty() ? image : result.global_shutter};
   }
-  return bent;
+  return curved;
 }
 
 }  // namespace gyro_deblur::experiments

@@ -14,9 +14,9 @@ namespace gyro_deblur::experiments {
 std::array<std::vector<double>, 4> shutter_errors(const Footage& footage, const Light& light);
 
 /// The frame that the rolling shutter bends most, in daylight.
-struct BentFrame {
+struct CurvedFrame {
   cv::Mat arrived, global_shutter;  ///< CV_8UC1; the second as the pipeline makes it
 };
-BentFrame most_bent_frame(const Footage& footage);
+CurvedFrame most_curved_frame(const Footage& footage);
 
 }  // namespace gyro_deblur::experiments

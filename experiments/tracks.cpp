@@ -82,9 +82,9 @@ double median_extent_px(const FrameBlur& field) {
 }
 
 /// Compares tracks of one sequence with the truth.
-class Judge {
+class TrackEvaluator {
  public:
-  Judge(const Footage& footage, std::string light, double speed, std::size_t method, Study* study)
+  TrackEvaluator(const Footage& footage, std::string light, double speed, std::size_t method, Study* study)
       : footage_(footage), light_(std::move(light)), speed_(speed), method_(method), study_(study) {}
 
   void add(int frame, double extent_px, const std::vector<Track>& tracks) {
@@ -124,7 +124,7 @@ class Judge {
     }
     seen_ = std::move(now);
   }
-  ~Judge() {
+  ~TrackEvaluator() {
     for (const auto& [id, seen] : seen_) ended(seen);
   }
 
@@ -163,7 +163,7 @@ void follow(Footage* footage, const Light& light, double speed, Study* study) {
   request.keypoints = request.image = false;
   request.luminance = true;
   std::vector<std::function<const std::vector<Track>&(const cv::Mat&, const RowExposure&, const FrameBlur&)>> trackers;
-  std::vector<Judge> evaluators;
+  std::vector<TrackEvaluator> evaluators;
   evaluators.reserve(kMethods.size());
   for (std::size_t m = 0; m < kMethods.size(); ++m) {
     if (kMethods[m].is_new) {

@@ -88,13 +88,13 @@ struct FilterOptions {
   void validate() const;  ///< throws OptionError
 };
 
-/// Noise of a sensor: the variance is read_noise^2 + noise_gain * grey level, in grey levels of an 8-bit image. Both
+/// Noise of a sensor: the variance is read_noise^2 + photon_gain * grey level, in grey levels of an 8-bit image. Both
 /// are constants, 0: the noise is estimated from each image, which also follows a camera's automatic gain.
 struct NoiseModel {
-  double read_noise = 0;  ///< standard deviation at grey level 0
-  double noise_gain = 0;  ///< increase of the variance per grey level (photon noise)
+  double read_noise = 0;   ///< standard deviation at grey level 0
+  double photon_gain = 0;  ///< increase of the variance per grey level (photon noise)
 
-  bool is_known() const { return read_noise > 0 || noise_gain > 0; }
+  bool is_known() const { return read_noise > 0 || photon_gain > 0; }
   void validate() const;  ///< throws OptionError
 };
 

@@ -111,11 +111,11 @@ cv::Mat clipped(const cv::Mat& luminance, double noise_grey_levels, int threads)
   const int margin = static_cast<int>(std::min(255.0, std::ceil(kStddevs * noise_grey_levels)));
   constexpr int kRowsAtATime = 32;
   cv::Mat image(luminance.size(), CV_8UC1);
-  static const SpectrumSimd& loops = select_for_cpu<SpectrumSimd>();
+  static const SpectrumSimd& simd = select_for_cpu<SpectrumSimd>();
   parallel_for(luminance.rows, threads, kRowsAtATime, [&](int y) {
-    loops.clip_outliers(luminance.ptr<std::uint8_t>(std::max(y - 1, 0)), luminance.ptr<std::uint8_t>(y),
-                        luminance.ptr<std::uint8_t>(std::min(y + 1, luminance.rows - 1)), luminance.cols, margin,
-                        image.ptr<std::uint8_t>(y));
+    simd.clip_outliers(luminance.ptr<std::uint8_t>(std::max(y - 1, 0)), luminance.ptr<std::uint8_t>(y),
+                       luminance.ptr<std::uint8_t>(std::min(y + 1, luminance.rows - 1)), luminance.cols, margin,
+                       image.ptr<std::uint8_t>(y));
   });
   return image;
 }
@@ -185,10 +185,10 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
   const cv::Rect window(begin(block.x + block.width / 2, image.cols), begin(block.y + block.height / 2, image.rows),
                         kSpectrumWindow, kSpectrumWindow);
 
-  static const SpectrumSimd& loops = select_for_cpu<SpectrumSimd>();
+  static const SpectrumSimd& simd = select_for_cpu<SpectrumSimd>();
   Spectrum power;
-  loops.power_spectrum(spectrum_tables(), image.ptr<std::uint8_t>(window.y, window.x),
-                       static_cast<std::ptrdiff_t>(image.step[0]), power.data());
+  simd.power_spectrum(spectrum_tables(), image.ptr<std::uint8_t>(window.y, window.x),
+                      static_cast<std::ptrdiff_t>(image.step[0]), power.data());
   // The scale at which the log-logistic distribution fits the power of noise, which is exponential, best: then
   // E[2 P / (s + P)] = 1.
   constexpr double kScaleOfNoise = 0.6102;
@@ -206,23 +206,23 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
   const auto model_of = [&](double share) {
     if (blur.curved_path_px) {
       const PathPhases phases = phases_of(*blur.curved_path_px, share / shrink);
-      return loops.multiply_path_gain(texture().data(), phases, static_cast<float>(left), model.data());
+      return simd.multiply_path_gain(texture().data(), phases, static_cast<float>(left), model.data());
     }
-    loops.multiply_gain(texture().data(), gain_of(squared, share, left).data(), bins_x, bins_y, model.data());
+    simd.multiply_gain(texture().data(), gain_of(squared, share, left).data(), bins_x, bins_y, model.data());
   };
   // The search for the factor begins at the mean power.
   const float sum = std::accumulate(power.begin(), power.end(), 0.0f) - kSpectrumSize;
   model_of(1);
   double log_factor =
       std::log(std::max(sum, 0.05f * kSpectrumSize) / std::accumulate(model.begin(), model.end(), 0.0f));
-  loops.least_cost(power.data(), model.data(), &log_factor);
-  const double cost = loops.least_cost(power.data(), model.data(), &log_factor);
+  simd.least_cost(power.data(), model.data(), &log_factor);
+  const double cost = simd.least_cost(power.data(), model.data(), &log_factor);
   std::array<double, kLess.size() + 1> more;  // that the other hypotheses cost
   for (std::size_t i = 0; i < kLess.size(); ++i) {
     model_of(kLess[i]);
-    more[i] = loops.least_cost(power.data(), model.data(), &log_factor) - cost;
+    more[i] = simd.least_cost(power.data(), model.data(), &log_factor) - cost;
   }
-  more.back() = loops.least_cost(power.data(), texture().data(), &log_factor) - cost;
+  more.back() = simd.least_cost(power.data(), texture().data(), &log_factor) - cost;
   const double least = *std::min_element(more.begin(), more.end());
   double likelihood = 0;
   for (const double m : more) likelihood += std::exp(least - m) / more.size();

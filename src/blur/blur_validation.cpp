@@ -37,9 +37,9 @@ void load_with_border(const cv::Mat& luminance, const cv::Rect& block, std::vect
 float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double angle_rad) {
   const int dx = static_cast<int>(std::lround(std::cos(angle_rad) * kFixedPointOne));
   const int dy = static_cast<int>(std::lround(std::sin(angle_rad) * kFixedPointOne));
-  static const GradientSimd& loops = select_for_cpu<GradientSimd>();
+  static const GradientSimd& simd = select_for_cpu<GradientSimd>();
   const auto strongest_in = [&](const std::uint8_t* around, std::ptrdiff_t stride) {
-    return static_cast<float>(loops.strongest_gradient(around, stride, block.width, block.height, dx, dy) *
+    return static_cast<float>(simd.strongest_gradient(around, stride, block.width, block.height, dx, dy) *
                               (kSobelScale / kFixedPointOne));
   };
   const cv::Rect around(block.x - 1, block.y - 1, block.width + 2, block.height + 2);

@@ -246,7 +246,7 @@ double image_contrast(const cv::Mat& image, PixelLayout layout, int significant_
 double image_noise(const cv::Mat& luminance, const NoiseModel& model, const PixelMask& mask) {
   // Without a mask OpenCV wants none at all.
   const double mean = mask.empty() ? cv::mean(luminance)[0] : cv::mean(luminance, mask.pixels())[0];
-  return std::sqrt(model.read_noise * model.read_noise + model.noise_gain * mean);
+  return std::sqrt(model.read_noise * model.read_noise + model.photon_gain * mean);
 }
 
 }  // namespace gyro_deblur

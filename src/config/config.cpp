@@ -244,6 +244,7 @@ std::string unknown_key_message(const std::string& key) {
                                                                 {"max_bend", "curved_path_threshold"},
                                                                 {"max_features", "max_keypoints"},
                                                                 {"motion_from_images", "optical_flow"},
+                                                                {"noise_gain", "photon_gain"},
                                                                 {"stereo_patience", "stereo_sync_timeout"}};
   static const std::string kSeenByImages = "optical_flow sees translation without it";
   static const std::map<std::string, std::string> kReplacements{

@@ -307,7 +307,7 @@ std::vector<Parameter> make_constants() {
        "Smoothing moves deblurred images away from sharp ones (doc/reports/experiments_real_world.md)."},
       {"read_noise", &NoiseModel::read_noise, within(0, 50, "grey levels"),
        "0: the noise is estimated from each image, also where the gain changes (doc/reports/experiments.md)."},
-      {"noise_gain", &NoiseModel::noise_gain, within(0, 10, "grey levels"),
+      {"photon_gain", &NoiseModel::photon_gain, within(0, 10, "grey levels"),
        "0: the noise is estimated from each image."},
       {"global_shutter_border", &PipelineOptions::global_shutter_border,
        "Black shows where the image ends, and the trust mask marks it."},

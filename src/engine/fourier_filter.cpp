@@ -57,7 +57,7 @@ WienerInverse2d at_half_size(WienerInverse2d inverse) {
 
 }  // namespace
 
-FourierFilter::FourierFilter(const FourierSimd& loops) : loops_(loops) {}
+FourierFilter::FourierFilter(const FourierSimd& simd) : simd_(simd) {}
 
 void FourierFilter::cut(const std::vector<int>& borders, Axis& axis) {
   std::vector<int> of_cells = {0};
@@ -117,7 +117,7 @@ void FourierFilter::add_cell(int col, int row, int block, const Eigen::Vector2f&
   const auto length_of_tile = [&](int in_window, float extent) {
     const float length = static_cast<float>(in_window) + std::ceil(kAroundExtents * extent);
     const int size = fourier_size(static_cast<int>(std::min<float>(length, kMaxFourierSize)));
-    if (level.plans.count(size) == 0) level.plans.emplace(size, make_plan(size, loops_.largest_radix, level_index));
+    if (level.plans.count(size) == 0) level.plans.emplace(size, make_plan(size, simd_.largest_radix, level_index));
     return size;
   };
   const cv::Size tile(length_of_tile(window.width, extent_px.x()), length_of_tile(window.height, extent_px.y()));
@@ -243,14 +243,14 @@ void FourierFilter::continue_tile(const Level& level, const Cell& cell, const Fo
   find_inside(window.y, window.height, rows, level.down.length, scratch.fade_y, scratch.inside_y);
   float* continued = floats_in(scratch.continued, rows * stride);
   float* transform = floats_in(scratch.transform, fourier_scratch(std::max(cols, rows)));
-  float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * cols);
+  float* gain = floats_in(scratch.gain_rows, 2 * simd_.lanes * cols);
   std::copy_n(tile, rows * stride, continued);
-  loops_.transform_columns(plan, continued, transform);
-  for (int row = 0; row < rows / 2; row += loops_.lanes) {
+  simd_.transform_columns(plan, continued, transform);
+  for (int row = 0; row < rows / 2; row += simd_.lanes) {
     scratch.gain.reblur_gain(row, gain);
-    loops_.filter_rows(plan, row, gain, 0, cols, continued, transform);
+    simd_.filter_rows(plan, row, gain, 0, cols, continued, transform);
   }
-  loops_.restore_columns(plan, 0, cols, continued, transform);
+  simd_.restore_columns(plan, 0, cols, continued, transform);
   for (int y = 0; y < rows; ++y) {
     const float *inside_x = scratch.inside_x.data(), *from = continued + y * stride;
     const float inside_y = scratch.inside_y[y];
@@ -270,7 +270,7 @@ void FourierFilter::filter_cell(const Cell& cell, const WienerInverse2d& inverse
   const int channels = static_cast<int>(level.images.size());
   float* tiles = floats_in(scratch.tiles, channels * rows * stride);
   float* transform = floats_in(scratch.transform, fourier_scratch(std::max(cols, rows)));
-  float* gain = floats_in(scratch.gain_rows, 2 * loops_.lanes * cols);
+  float* gain = floats_in(scratch.gain_rows, 2 * simd_.lanes * cols);
   scratch.row.resize(std::max<std::size_t>(scratch.row.size(), cols));
   make_ramp(cols - window.width, scratch.fade_x);
   make_ramp(rows - window.height, scratch.fade_y);
@@ -279,19 +279,19 @@ void FourierFilter::filter_cell(const Cell& cell, const WienerInverse2d& inverse
     float* tile = tiles + channel * rows * stride;
     load_tile<Pixel>(level.images[channel], cell, scratch, tile);
     if (cell.at_the_end) continue_tile(level, cell, plan, scratch, tile);
-    loops_.transform_columns(plan, tile, transform);
+    simd_.transform_columns(plan, tile, transform);
   }
-  for (int row = 0; row < rows / 2; row += loops_.lanes) {
+  for (int row = 0; row < rows / 2; row += simd_.lanes) {
     scratch.gain.rows(row, gain);
     for (int channel = 0; channel < channels; ++channel) {
-      loops_.filter_rows(plan, row, gain, 0, window.width, tiles + channel * rows * stride, transform);
+      simd_.filter_rows(plan, row, gain, 0, window.width, tiles + channel * rows * stride, transform);
     }
   }
   const float *weights_x = level.across.weights[cell.col].data(), *weights_y = level.down.weights[cell.row].data();
   float* to = results_.data() + cell.result;
   for (int channel = 0; channel < channels; ++channel) {
     float* tile = tiles + channel * rows * stride;
-    loops_.restore_columns(plan, 0, window.width, tile, transform);
+    simd_.restore_columns(plan, 0, window.width, tile, transform);
     for (int y = 0; y < window.height; ++y, to += window.width) {
       const float *from = tile + y * stride, weight_y = weights_y[y];
 #pragma omp simd
@@ -422,7 +422,7 @@ void FourierFilter::filter_as(const cv::Mat& src, const FilterGrid& grid, const 
                               SeamBlender& seams, cv::Mat& dst) {
   make_tiles(grid, blocks, src.channels());
   prepare_images(src, threads);
-  const WienerGain2dSimd& gain_simd = *find_for_cpu<WienerGain2dSimd>(loops_.name);
+  const WienerGain2dSimd& gain_simd = *find_for_cpu<WienerGain2dSimd>(simd_.name);
   while (static_cast<int>(scratch_.size()) < threads) scratch_.emplace_back(gain_simd);
   const std::vector<Cell>&of_whole = levels_[WHOLE].cells, &of_half = levels_[HALF].cells;
   const int wholes = static_cast<int>(of_whole.size()), halves = static_cast<int>(of_half.size());

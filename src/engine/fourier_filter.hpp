@@ -20,7 +20,7 @@ namespace gyro_deblur {
 /// doc/design/fourier_filter.md. Keeps its memory.
 class FourierFilter {
  public:
-  explicit FourierFilter(const FourierSimd& loops = select_for_cpu<FourierSimd>());
+  explicit FourierFilter(const FourierSimd& simd = select_for_cpu<FourierSimd>());
 
   /// Filters `blocks` (indices into the grid, each with an `inverse`) on at most `threads` threads (>= 1) and leaves
   /// the results with `seams`, which has planned for the grid. src, grid and dst are as Engine::filter says, and dst
@@ -105,7 +105,7 @@ class FourierFilter {
   template <typename Pixel>
   void write_block(int block, const FilterGrid& grid, SeamBlender& seams, Scratch& scratch, cv::Mat& dst) const;
 
-  const FourierSimd& loops_;
+  const FourierSimd& simd_;
   Level levels_[LEVELS];
   std::vector<cv::Mat> planes_;  // of an image with several channels
   std::vector<float> results_;   // 16 bytes a pixel and channel where all blocks are filtered at the whole size

@@ -144,8 +144,8 @@ void BlurAligner::blur(const cv::Mat& image, const Psf& psf, const Box& box, Reg
   constexpr float kLeastShare = 1e-6f;  // rounding left it
   const Box read = box.grown(psf.reach);
   source_.resize(read.width(), read.height());
-  loops_.widen(image.ptr(read.first_y) + read.first_x, static_cast<std::ptrdiff_t>(image.step), source_.row(0),
-               source_.stride(), read.width(), read.height());
+  simd_.widen(image.ptr(read.first_y) + read.first_x, static_cast<std::ptrdiff_t>(image.step), source_.row(0),
+              source_.stride(), read.width(), read.height());
   offsets_.clear();
   shares_.clear();
   for (int y = 0; y < psf.reach.height(); ++y) {
@@ -158,8 +158,8 @@ void BlurAligner::blur(const cv::Mat& image, const Psf& psf, const Box& box, Reg
   }
   blurred->box = box;
   blurred->patch.resize(box.width(), box.height());
-  loops_.convolve(source_.row(0), source_.stride(), offsets_.data(), shares_.data(), static_cast<int>(shares_.size()),
-                  blurred->patch.row(0), blurred->patch.stride(), box.width(), box.height());
+  simd_.convolve(source_.row(0), source_.stride(), offsets_.data(), shares_.data(), static_cast<int>(shares_.size()),
+                 blurred->patch.row(0), blurred->patch.stride(), box.width(), box.height());
 }
 
 BlurAligner::Box BlurAligner::template_box(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) const {
@@ -212,23 +212,23 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
     const Eigen::Vector2f at_px = (place_px + inverse_map * offset_px -
                                    Eigen::Vector2d(first_.box.first_x + kBefore, first_.box.first_y + kBefore))
                                       .cast<float>();
-    loops_.sample_row(first_.patch.row(0), first_.patch.stride(), interpolation_table(), at_px.x(), at_px.y(),
-                      step_px.x(), step_px.y(), sampled_.width(), sampled_.row(y));
+    simd_.sample_row(first_.patch.row(0), first_.patch.stride(), interpolation_table(), at_px.x(), at_px.y(),
+                     step_px.x(), step_px.y(), sampled_.width(), sampled_.row(y));
   }
   for (Patch* patch : {&template_, &gradient_x_, &gradient_y_}) patch->resize_with_empty_room(width, height);
   const float* middle = sampled_.row(kMargin) + kMargin;
   // From a pixel of its own: squares of grey levels would leave few digits for the contrast.
   const float offset = *middle;
-  loops_.combine(middle, sampled_.stride(), 1, middle, sampled_.stride(), 0, -offset, template_.row(0),
-                 template_.stride(), width, height);
+  simd_.combine(middle, sampled_.stride(), 1, middle, sampled_.stride(), 0, -offset, template_.row(0),
+                template_.stride(), width, height);
   std::array<float, 3> sums;
-  loops_.compare(template_.row(0), template_.stride(), 0, template_.row(0), template_.stride(), width, height,
-                 sums.data());
+  simd_.compare(template_.row(0), template_.stride(), 0, template_.row(0), template_.stride(), width, height,
+                sums.data());
   const float mean = sums[0] / static_cast<float>(template_.size());
-  loops_.combine(middle, sampled_.stride(), 1, middle, sampled_.stride(), 0, -offset - mean, template_.row(0),
-                 template_.stride(), width, height);
-  loops_.differentiate(sampled_.row(kMargin) + kMargin, sampled_.stride(), gradient_x_.row(0), gradient_y_.row(0),
-                       gradient_x_.stride(), width, height);
+  simd_.combine(middle, sampled_.stride(), 1, middle, sampled_.stride(), 0, -offset - mean, template_.row(0),
+                template_.stride(), width, height);
+  simd_.differentiate(sampled_.row(kMargin) + kMargin, sampled_.stride(), gradient_x_.row(0), gradient_y_.row(0),
+                      gradient_x_.stride(), width, height);
 }
 
 void BlurAligner::sample_patch(const Eigen::Vector2d& place_px) {
@@ -245,18 +245,18 @@ void BlurAligner::sample_patch(const Eigen::Vector2d& place_px) {
     right_of[k] = k;
     below[k] = k * rows_.stride();
   }
-  loops_.convolve(second_.patch.row(top) + left, second_.patch.stride(), right_of.data(), across.data(), kTaps,
-                  rows_.row(0), rows_.stride(), width, height + kTaps - 1);
-  loops_.convolve(rows_.row(0), rows_.stride(), below.data(), down.data(), kTaps, patch_.row(0), patch_.stride(), width,
-                  height);
+  simd_.convolve(second_.patch.row(top) + left, second_.patch.stride(), right_of.data(), across.data(), kTaps,
+                 rows_.row(0), rows_.stride(), width, height + kTaps - 1);
+  simd_.convolve(rows_.row(0), rows_.stride(), below.data(), down.data(), kTaps, patch_.row(0), patch_.stride(), width,
+                 height);
 }
 
 double BlurAligner::pattern_energy(double noise_variance) {
   // Where noise is nearly all of it, its own scatter would decide.
   constexpr double kLeastShare = 0.1;
   std::array<float, 3> sums;
-  loops_.compare(template_.row(0), template_.stride(), 0, template_.row(0), template_.stride(), template_.width(),
-                 template_.height(), sums.data());
+  simd_.compare(template_.row(0), template_.stride(), 0, template_.row(0), template_.stride(), template_.width(),
+                template_.height(), sums.data());
   const double energy = sums[2];
   return std::max(kLeastShare * energy, energy - noise_variance * template_.size());
 }
@@ -266,14 +266,14 @@ Eigen::Matrix2d BlurAligner::gradients_beside_gain(double pattern) {
   std::array<float, 3> sums;
   for (Patch* gradient : {&gradient_x_, &gradient_y_}) {
     float* pixels = gradient->row(0);
-    loops_.compare(pixels, stride, 0, template_.row(0), stride, width, height, sums.data());
+    simd_.compare(pixels, stride, 0, template_.row(0), stride, width, height, sums.data());
     // The template has no mean.
     const float mean = sums[0] / static_cast<float>(template_.size()),
                 share = pattern > 0 ? sums[1] / static_cast<float>(pattern) : 0;
-    loops_.combine(pixels, stride, 1, template_.row(0), stride, -share, -mean, pixels, stride, width, height);
+    simd_.combine(pixels, stride, 1, template_.row(0), stride, -share, -mean, pixels, stride, width, height);
   }
-  loops_.multiply_gradients(gradient_x_.row(0), gradient_y_.row(0), gradient_x_.row(0), gradient_y_.row(0), stride,
-                            width, height, sums.data());
+  simd_.multiply_gradients(gradient_x_.row(0), gradient_y_.row(0), gradient_x_.row(0), gradient_y_.row(0), stride,
+                           width, height, sums.data());
   Eigen::Matrix2d gradients;
   gradients << sums[0], sums[1] / 2, sums[1] / 2, sums[2];
   return gradients;
@@ -284,11 +284,11 @@ double BlurAligner::residual(double gain) {
   const float* middle = patch_.row(kPatchMargin) + kPatchMargin;
   // Of what the patch has beside the template; the room behind its rows does not count, and need not be 0.
   difference_.resize(width, height);
-  loops_.combine(middle, patch_.stride(), 1, template_.row(0), template_.stride(), static_cast<float>(-gain), -*middle,
-                 difference_.row(0), difference_.stride(), width, height);
+  simd_.combine(middle, patch_.stride(), 1, template_.row(0), template_.stride(), static_cast<float>(-gain), -*middle,
+                difference_.row(0), difference_.stride(), width, height);
   std::array<float, 3> sums;
-  loops_.compare(difference_.row(0), difference_.stride(), 0, template_.row(0), template_.stride(), width, height,
-                 sums.data());
+  simd_.compare(difference_.row(0), difference_.stride(), 0, template_.row(0), template_.stride(), width, height,
+                sums.data());
   const double pixels = template_.size(), mean = sums[0] / pixels;
   return std::sqrt(std::max(0.0, sums[2] / pixels - mean * mean));
 }
@@ -310,8 +310,8 @@ bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, do
     sample_patch(*place_px);
     // The factors have no mean: that of the patch does not matter.
     std::array<float, 3> sums;
-    loops_.project(patch_.row(kPatchMargin) + kPatchMargin, patch_.stride(), factors.data(), template_.stride(),
-                   window_.width(), window_.height(), sums.data());
+    simd_.project(patch_.row(kPatchMargin) + kPatchMargin, patch_.stride(), factors.data(), template_.stride(),
+                  window_.width(), window_.height(), sums.data());
     *gain = sums[0] / pattern;
     if (!(*gain > kMinGain)) return false;
     const Eigen::Vector2d products(sums[1], sums[2]);
@@ -328,9 +328,9 @@ bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, do
 
 Eigen::Matrix2d BlurAligner::multiply_gradients_of_both() {
   std::array<float, 3> sums;
-  loops_.multiply_by_derivatives(gradient_x_.row(0), gradient_y_.row(0), gradient_x_.stride(),
-                                 patch_.row(kPatchMargin) + kPatchMargin, patch_.stride(), window_.width(),
-                                 window_.height(), sums.data());
+  simd_.multiply_by_derivatives(gradient_x_.row(0), gradient_y_.row(0), gradient_x_.stride(),
+                                patch_.row(kPatchMargin) + kPatchMargin, patch_.stride(), window_.width(),
+                                window_.height(), sums.data());
   Eigen::Matrix2d products;
   products << sums[0], sums[1] / 2, sums[1] / 2, sums[2];
   return products;
@@ -369,8 +369,8 @@ BlurAligner::NoiseShare BlurAligner::noise_share(const Path2d& path_px) {
     const int count = std::exchange(pairs_[static_cast<std::size_t>(y * columns + x + width - 1)], 0);
     const int rows = height - y, cols = width - std::abs(x), left = std::max(0, -x), right = std::max(0, x);
     std::array<float, 3> sums;
-    loops_.multiply_gradients(gradient_x_.row(0) + left, gradient_y_.row(0) + left, gradient_x_.row(y) + right,
-                              gradient_y_.row(y) + right, gradient_x_.stride(), cols, rows, sums.data());
+    simd_.multiply_gradients(gradient_x_.row(0) + left, gradient_y_.row(0) + left, gradient_x_.row(y) + right,
+                             gradient_y_.row(y) + right, gradient_x_.stride(), cols, rows, sums.data());
     share.products(0, 0) += count * sums[0];
     share.products(0, 1) += count * 0.5 * sums[1];
     share.products(1, 1) += count * sums[2];

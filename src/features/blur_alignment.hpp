@@ -150,7 +150,7 @@ class BlurAligner {
   std::vector<float> shares_;
   std::vector<int> pairs_;                 // of a path's instants, by lag; 0 between calls
   std::vector<std::pair<int, int>> lags_;  // that have pairs
-  const AlignmentSimd& loops_ = select_for_cpu<AlignmentSimd>();
+  const AlignmentSimd& simd_ = select_for_cpu<AlignmentSimd>();
 };
 
 }  // namespace gyro_deblur

@@ -65,12 +65,12 @@ void CornerDetector::rate(const cv::Mat& luminance) {
     return GradientProducts{products_.row(first), products_.row(first + 1), products_.row(first + 2)};
   };
   for (int y = 0; y < height_; ++y) {
-    loops_.halve(luminance.ptr(2 * y), luminance.ptr(2 * y + 1), half_.row(y), width_);
+    simd_.downsample2x(luminance.ptr(2 * y), luminance.ptr(2 * y + 1), half_.row(y), width_);
     if (y < 2) continue;
-    loops_.multiply(half_.row(y - 2), half_.row(y - 1), half_.row(y), products(y - 1), width_);
+    simd_.multiply(half_.row(y - 2), half_.row(y - 1), half_.row(y), products(y - 1), width_);
     if (y < 4) continue;
     const std::array<GradientProducts, kRows> rows{products(y - 3), products(y - 2), products(y - 1)};
-    loops_.rate(rows.data(), strengths_.row(y - 2), width_);
+    simd_.rate(rows.data(), strengths_.row(y - 2), width_);
   }
 }
 
@@ -79,8 +79,8 @@ void CornerDetector::find_peaks(int margin) {
   columns_.resize(static_cast<std::size_t>(std::max(0, width_)));
   for (int y = margin; y < height_ - margin; ++y) {
     const float* strengths = strengths_.row(y);
-    const int count = loops_.find_peaks(strengths_.row(y - 1), strengths, strengths_.row(y + 1), margin,
-                                        width_ - margin, columns_.data());
+    const int count = simd_.find_peaks(strengths_.row(y - 1), strengths, strengths_.row(y + 1), margin, width_ - margin,
+                                       columns_.data());
     for (int i = 0; i < count; ++i) {
       const int x = columns_[static_cast<std::size_t>(i)];
       peaks_.push_back({strengths[x], x, y});

@@ -47,7 +47,7 @@ class CornerDetector {
   Plane half_, strengths_, products_;
   std::vector<int> columns_;
   std::vector<Peak> peaks_;
-  const CornerSimd& loops_ = select_for_cpu<CornerSimd>();
+  const CornerSimd& simd_ = select_for_cpu<CornerSimd>();
 };
 
 }  // namespace gyro_deblur

@@ -17,7 +17,7 @@ struct GradientProducts {
 struct CornerSimd {
   const char* name;
   /// half[x] = mean of two pixels of each row, for x < width; rows have 2 * width bytes.
-  void (*halve)(const unsigned char* upper, const unsigned char* lower, float* half, int width);
+  void (*downsample2x)(const unsigned char* upper, const unsigned char* lower, float* half, int width);
   /// Products of central differences, from three rows.
   void (*multiply)(const float* above, const float* middle, const float* below, GradientProducts products, int width);
   /// Determinant over trace of the products' sums over 3 x 3 pixels: between half the smaller eigenvalue and all of it

@@ -8,7 +8,7 @@ namespace {
 
 static_assert(2 * kLanes <= kCornerRoom, "whole vectors are read and written, and a pixel beyond");
 
-void halve(const unsigned char* upper, const unsigned char* lower, float* half, int width) {
+void downsample2x(const unsigned char* upper, const unsigned char* lower, float* half, int width) {
   typedef std::uint16_t Pairs __attribute__((vector_size(2 * kLanes)));
   if (width < kLanes) {
     for (int x = 0; x < width; ++x) {
@@ -76,7 +76,7 @@ int find_peaks(const float* above, const float* middle, const float* below, int 
 }  // namespace
 
 extern const CornerSimd kCornerSimd;
-const CornerSimd kCornerSimd = {GYRO_DEBLUR_ISA_NAME, halve, multiply, rate, find_peaks};
+const CornerSimd kCornerSimd = {GYRO_DEBLUR_ISA_NAME, downsample2x, multiply, rate, find_peaks};
 
 }  // namespace GYRO_DEBLUR_ISA
 }  // namespace gyro_deblur

@@ -27,8 +27,8 @@ struct ExactFilter {
 
 constexpr int kCoarseGuard = 3;  ///< zeros on either side of TwoScaleFilter::coarse
 
-/// Two scales (see TwoScaleWeights), or the taps themselves on the lanes of two scales. Applies to correlation order:
-/// output(m) = sum weight[k] input(m + k).
+/// Two scales (see TwoScaleWeights), or the taps themselves on the sheared columns of two scales. Applies to
+/// correlation order: output(m) = sum weight[k] input(m + k).
 struct TwoScaleFilter {
   int box_half;                ///< samples of the inner box on either side of the output
   float inner_box, outer_box;  ///< weights of the two boxes

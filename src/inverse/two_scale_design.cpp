@@ -208,12 +208,12 @@ TwoScaleDesign::TwoScaleDesign(int box_half, int radius)
   }
 }
 
-void TwoScaleDesign::fit(const float* kernel, int count, const TapSimd& loops, TwoScaleWeights& weights) const {
+void TwoScaleDesign::fit(const float* kernel, int count, const TapSimd& simd, TwoScaleWeights& weights) const {
   weights.coarse.resize(row_groups_ * kRowGroup);
   float* sums = weights.coarse.data();
   for (int group = 0; group < row_groups_; ++group) {
-    loops.combine_columns(map_.data() + static_cast<std::size_t>(group) * (reach() + 1) * kRowGroup, kernel, count + 1,
-                          sums + group * kRowGroup);
+    simd.combine_columns(map_.data() + static_cast<std::size_t>(group) * (reach() + 1) * kRowGroup, kernel, count + 1,
+                         sums + group * kRowGroup);
   }
   double missing = -kernel[0];
   for (int m = 0; m <= count; ++m) missing += 2.0 * kernel[m];

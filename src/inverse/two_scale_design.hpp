@@ -38,7 +38,7 @@ class TwoScaleDesign {
 
   /// Weights that come nearest to the kernel, with its sum kept exactly.
   /// @param kernel  taps 0 .. count, count <= reach()
-  void fit(const float* kernel, int count, const TapSimd& loops, TwoScaleWeights& weights) const;
+  void fit(const float* kernel, int count, const TapSimd& simd, TwoScaleWeights& weights) const;
 
  private:
   int box_half_, decimation_, radius_;

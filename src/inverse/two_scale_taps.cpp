@@ -94,7 +94,7 @@ void add_two_scale_shapes(const LineKernel& kernel, std::set<TwoScaleShape>& sha
 
 // The kernel along the major axis jumps at the ends of its box and is smooth elsewhere: two boxes carry the jumps, and
 // few coarse weights the rest.
-void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_point, const TapSimd& loops,
+void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_point, const TapSimd& simd,
                          TwoScaleDesigns& designs, TwoScaleTaps& taps) {
   const double stretch = std::abs(major);  // steps of the major axis in one pixel of the line
   const int box_half = box_half_of(kernel, stretch), steps = steps_of(kernel, stretch);
@@ -102,7 +102,7 @@ void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_poin
   const TwoScaleDesign& design = designs.get({box_half, radius});
 
   taps.on_axis.resize(steps + kRowGroup);
-  loops.resample_kernel(kernel.taps.data() + kernel.radius(), kernel.radius(), stretch, steps, taps.on_axis.data());
+  simd.resample_kernel(kernel.taps.data() + kernel.radius(), kernel.radius(), stretch, steps, taps.on_axis.data());
   design.fit(taps.on_axis.data(), steps, loops, taps.weights);
   taps.coarse.assign(2 * radius + 1 + 2 * kCoarseGuard, 0.0f);
   float* middle = taps.coarse.data() + kCoarseGuard + radius;

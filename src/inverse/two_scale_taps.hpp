@@ -26,13 +26,14 @@ struct TwoScaleTaps {
 /// @param kernel       with a box: box_extent_px > 0
 /// @param major        see kernel_on_major_axis()
 /// @param fixed_point  also weights in fixed point, for 8-bit pixels
-void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_point, const TapSimd& loops,
+void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_point, const TapSimd& simd,
                          TwoScaleDesigns& designs, TwoScaleTaps& taps);
 
 /// Adds the shapes of all designs that make_two_scale_taps() takes for this kernel, whatever the line's angle.
 void add_two_scale_shapes(const LineKernel& kernel, std::set<TwoScaleShape>& shapes);
 
-/// A kernel of any shape on the lanes of two scales, tap by tap: more work than two scales, less than exact taps.
+/// A kernel of any shape on the sheared columns of two scales, tap by tap: more work than two scales, less than exact
+/// taps.
 /// @param major        see kernel_on_major_axis()
 /// @param fixed_point  also weights in fixed point, for 8-bit pixels
 void make_lane_taps(const LineKernel& kernel, double major, bool fixed_point, TwoScaleTaps& taps);

@@ -69,13 +69,13 @@ void WienerGain2d::set(const WienerInverse2d& inverse, const FourierTile& tile, 
 void WienerGain2d::rows(int first_row, float* gain) {
   tables_.band_across = band_across_->gain.data();
   tables_.band_down = band_down_->gain.data();
-  loops_.gain_of_rows(tables_, first_row, false, gain);
+  simd_.gain_of_rows(tables_, first_row, false, gain);
 }
 
 void WienerGain2d::reblur_gain(int first_row, float* gain) {
   tables_.band_across = band_across_->again.data();
   tables_.band_down = band_down_->again.data();
-  loops_.gain_of_rows(tables_, first_row, true, gain);
+  simd_.gain_of_rows(tables_, first_row, true, gain);
 }
 
 }  // namespace gyro_deblur

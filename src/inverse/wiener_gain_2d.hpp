@@ -18,8 +18,8 @@ struct PlaneBand {
 /// The gain of one inverse after another for tiles of one size or another. Keeps its memory.
 class WienerGain2d {
  public:
-  /// @param loops  with as many lanes as those of the transform
-  explicit WienerGain2d(const WienerGain2dSimd& loops) : loops_(loops) {}
+  /// @param simd  with as many lanes as those of the transform
+  explicit WienerGain2d(const WienerGain2dSimd& simd) : simd_(simd) {}
 
   /// Prepares for rows() and reblur_gain(). Preconditions: finite places, WienerInverse2d's ranges; the plans of
   /// `tile` and the bands of its axes live on.
@@ -34,7 +34,7 @@ class WienerGain2d {
   void reblur_gain(int first_row, float* gain);
 
  private:
-  const WienerGain2dSimd& loops_;
+  const WienerGain2dSimd& simd_;
   WienerGain2dTables tables_{};
   const PlaneBand *band_across_ = nullptr, *band_down_ = nullptr;
   std::vector<float> across_, down_;  // of tables_

@@ -36,21 +36,21 @@ TEST(FourierPlan, HasAPlaceForEveryFrequency) {
 class FourierTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_for_cpu<FourierSimd>(GetParam());
-    if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
-    EXPECT_STREQ(loops_->name, GetParam());
+    simd_ = find_for_cpu<FourierSimd>(GetParam());
+    if (simd_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
+    EXPECT_STREQ(simd_->name, GetParam());
   }
 
   /// `image` times `gain` in the frequency domain, columns first_col to end_col of it.
   cv::Mat filtered(const cv::Mat& image, const Gain& gain, int first_col, int end_col) const {
-    const int cols = image.cols, rows = image.rows, lanes = loops_->lanes;
-    const FourierPlan across(cols, loops_->largest_radix), down(rows, loops_->largest_radix);
+    const int cols = image.cols, rows = image.rows, lanes = simd_->lanes;
+    const FourierPlan across(cols, simd_->largest_radix), down(rows, simd_->largest_radix);
     const FourierTile plan{across.stages(), down.stages()};
     // OpenCV's matrices begin on a cache line.
     cv::Mat tile(rows, fourier_stride(cols), CV_32F), scratch(1, fourier_scratch(std::max(cols, rows)), CV_32F);
     cv::Mat in_places(cols, 2 * lanes, CV_32F);
     image.convertTo(tile(cv::Rect(0, 0, cols, rows)), CV_32F);
-    loops_->transform_columns(plan, tile.ptr<float>(), scratch.ptr<float>());
+    simd_->transform_columns(plan, tile.ptr<float>(), scratch.ptr<float>());
     for (int row = 0; row < rows / 2; row += lanes) {
       for (int u = 0; u < cols; ++u) {
         float* to = in_places.ptr<float>(plan.across.places[u]);
@@ -59,14 +59,14 @@ class FourierTest : public testing::TestWithParam<const char*> {
           to[lanes + i] = static_cast<float>(gain(row + i, u).imag());
         }
       }
-      loops_->filter_rows(plan, row, in_places.ptr<float>(), first_col, end_col, tile.ptr<float>(),
-                          scratch.ptr<float>());
+      simd_->filter_rows(plan, row, in_places.ptr<float>(), first_col, end_col, tile.ptr<float>(),
+                         scratch.ptr<float>());
     }
-    loops_->restore_columns(plan, first_col, end_col, tile.ptr<float>(), scratch.ptr<float>());
+    simd_->restore_columns(plan, first_col, end_col, tile.ptr<float>(), scratch.ptr<float>());
     return tile(cv::Rect(first_col, 0, end_col - first_col, rows)).clone();
   }
 
-  const FourierSimd* loops_ = nullptr;
+  const FourierSimd* simd_ = nullptr;
 };
 
 /// A gain without half a cycle a pixel for tiles of real numbers.

@@ -137,7 +137,7 @@ TEST(ExposureTerms, AreThoseOfTheField) {
   EXPECT_EQ(terms->noise.photons, 1);
   NoiseModel sensor;
   sensor.read_noise = 1.5;
-  sensor.noise_gain = 0.1;
+  sensor.photon_gain = 0.1;
   EXPECT_NEAR(exposure_terms(field, assess_quality(field), {}, sensor)->noise.reading, 0.25, 1e-9);
   EXPECT_NEAR(exposure_terms(field, assess_quality(field), {}, sensor)->noise.photons, 0.75, 1e-9);
   for (BlockBlur& block : field.blocks) block.status = BlockStatus::NO_GYRO;

@@ -20,11 +20,11 @@ namespace {
 class SpectrumSimdTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_for_cpu<SpectrumSimd>(GetParam());
-    if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
-    EXPECT_STREQ(loops_->name, GetParam());
+    simd_ = find_for_cpu<SpectrumSimd>(GetParam());
+    if (simd_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
+    EXPECT_STREQ(simd_->name, GetParam());
   }
-  const SpectrumSimd* loops_ = nullptr;
+  const SpectrumSimd* simd_ = nullptr;
   std::mt19937 random_{5};
 };
 
@@ -35,7 +35,7 @@ TEST_P(SpectrumSimdTest, ClipOutliers) {
       std::vector<std::vector<std::uint8_t>> rows(3, std::vector<std::uint8_t>(width));
       for (auto& row : rows) std::generate(row.begin(), row.end(), [&] { return grey(random_); });
       std::vector<std::uint8_t> out(width);
-      loops_->clip_outliers(rows[0].data(), rows[1].data(), rows[2].data(), width, margin, out.data());
+      simd_->clip_outliers(rows[0].data(), rows[1].data(), rows[2].data(), width, margin, out.data());
       for (int x = 0; x < width; ++x) {
         std::vector<int> around;
         for (int y = 0; y < 3; ++y) {
@@ -57,7 +57,7 @@ TEST_P(SpectrumSimdTest, PowerSpectrum) {
   std::uniform_int_distribution<int> grey(0, 255);
   std::generate(window.begin(), window.end(), [&] { return grey(random_); });
   std::vector<float> power(kSpectrumSize);
-  loops_->power_spectrum(spectrum_tables(), window.data(), kStride, power.data());
+  simd_->power_spectrum(spectrum_tables(), window.data(), kStride, power.data());
 
   const auto hann = [](int i) { return std::pow(std::sin(CV_PI * (i + 0.5) / kSpectrumWindow), 2); };
   const double mean_square = std::pow(3.0 / 8, 2) * kSpectrumWindow * kSpectrumWindow;
@@ -80,7 +80,7 @@ TEST_P(SpectrumSimdTest, MultiplyGain) {
   for (int i = 0; i < kSpectrumSize; ++i) texture[i] = static_cast<float>(i + 1);
   for (int i = 0; i < 100; ++i) gain[i] = static_cast<float>(i * i);
   constexpr float kX = -3.01f, kY = 2.02f;
-  loops_->multiply_gain(texture.data(), gain.data(), kX, kY, model.data());
+  simd_->multiply_gain(texture.data(), gain.data(), kX, kY, model.data());
   for (int i = 0; i < kSpectrumSize; ++i) {
     const int x = i % kSpectrumWaves, row = i / kSpectrumWaves;
     const int y = row < kSpectrumWaves ? row : kSpectrumWaves - row;
@@ -120,7 +120,7 @@ TEST_P(SpectrumSimdTest, MultiplyPathGain) {
   };
   std::vector<float> texture(kSpectrumSize), model(kSpectrumSize);
   for (int i = 0; i < kSpectrumSize; ++i) texture[i] = static_cast<float>(i + 1);
-  loops_->multiply_path_gain(texture.data(), phases_of(path_px, kScale), kLeft, model.data());
+  simd_->multiply_path_gain(texture.data(), phases_of(path_px, kScale), kLeft, model.data());
   for (const auto& [x, y] : {std::pair(0, 3), {1, 0}, {1, 1}, {5, 2}, {15, 15}, {7, -1}, {15, -15}, {0, -9}, {4, -9}}) {
     const int at = (y < 0 ? kSpectrumSize / 2 : 0) + std::abs(y) * kSpectrumWaves + x;
     const double expected = smeared_at(x, y) + kLeft;
@@ -142,7 +142,7 @@ TEST_P(SpectrumSimdTest, LeastCost) {
   for (const double start : {0.1, 1.0, 30.0}) {
     double log_factor = std::log(kFactor * start);
     double cost = 0;
-    for (int i = 0; i < 3; ++i) cost = loops_->least_cost(power.data(), model.data(), &log_factor);
+    for (int i = 0; i < 3; ++i) cost = simd_->least_cost(power.data(), model.data(), &log_factor);
     EXPECT_NEAR(std::exp(log_factor), kFactor, 0.01 * kFactor);
     EXPECT_NEAR(cost, expected, 0.01);
   }

@@ -59,7 +59,7 @@ std::string dump(const Config& c) {
     << "\nflow_without_gyro " << c.pipeline.flow_without_gyro << "\ngamma " << c.pipeline.filter.gamma
     << "\nlength_factor " << c.pipeline.filter.length_factor << "\nsmoothing " << c.pipeline.filter.smoothing_px
     << "\nregularization " << static_cast<int>(c.pipeline.filter.regularization) << "\nnoise "
-    << c.pipeline.noise.read_noise << ' ' << c.pipeline.noise.noise_gain << "\nvalidation "
+    << c.pipeline.noise.read_noise << ' ' << c.pipeline.noise.photon_gain << "\nvalidation "
     << static_cast<int>(c.pipeline.validation.rule) << ' ' << c.pipeline.validation.false_accept_rate << "\ntau "
     << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\nkeypoint_detector "
     << c.pipeline.keypoints.detector << "\nkeypoint_descriptor " << c.pipeline.keypoints.descriptor
@@ -232,15 +232,23 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
 }
 
 TEST(ParseConfig, TellsOfFormerParameters) {
-  const std::vector<std::pair<std::string, std::string>> constants{
-      {"tau", "6 grey levels / px"},    {"tau_contrast", "200 grey levels"},
-      {"false_acceptance", "0.1"},      {"kernel_length_factor", "4"},
-      {"kernel_smoothing", "0 px"},     {"read_noise", "0 grey levels"},
-      {"noise_gain", "0 grey levels"},  {"global_shutter_border", "black"},
-      {"gyro_buffer_duration", "5 s"},  {"bias_window", "1 s"},
-      {"time_jump_threshold", "0.5 s"}, {"track_border", "32 px"},
-      {"track_max_round_trip", "1 px"}, {"track_max_epipolar", "1 px"},
-      {"track_window", "21 px"},        {"track_levels", "3"}};
+  const std::vector<std::pair<std::string, std::string>> constants{{"tau", "6 grey levels / px"},
+                                                                   {"tau_contrast", "200 grey levels"},
+                                                                   {"false_acceptance", "0.1"},
+                                                                   {"kernel_length_factor", "4"},
+                                                                   {"kernel_smoothing", "0 px"},
+                                                                   {"read_noise", "0 grey levels"},
+                                                                   {"noise_gain", "0 grey levels"},
+                                                                   {"photon_gain", "0 grey levels"},
+                                                                   {"global_shutter_border", "black"},
+                                                                   {"gyro_buffer_duration", "5 s"},
+                                                                   {"bias_window", "1 s"},
+                                                                   {"time_jump_threshold", "0.5 s"},
+                                                                   {"track_border", "32 px"},
+                                                                   {"track_max_round_trip", "1 px"},
+                                                                   {"track_max_epipolar", "1 px"},
+                                                                   {"track_window", "21 px"},
+                                                                   {"track_levels", "3"}};
   for (const auto& [key, value] : constants) {
     std::vector<std::string> unknown;
     EXPECT_EQ(dump(parse(key + ": 7", &unknown)), dump(Config{})) << key << " changed something";

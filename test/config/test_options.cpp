@@ -62,7 +62,7 @@ TEST(Options, KernelLimits) {
 
 TEST(Options, NoiseLimits) {
   expect_limits(&NoiseModel::read_noise, "read_noise", {0.0, 50.0}, {-0.001, 50.001, kNan});
-  expect_limits(&NoiseModel::noise_gain, "noise_gain", {0.0, 10.0}, {-0.001, 10.001, kNan});
+  expect_limits(&NoiseModel::photon_gain, "photon_gain", {0.0, 10.0}, {-0.001, 10.001, kNan});
 }
 
 TEST(Options, TrackerLimits) {

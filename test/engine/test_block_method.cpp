@@ -103,7 +103,7 @@ TEST(FallbackReason, IsGivenForDeepNonuniformBlurBesideAnAxisAlone) {
 TEST(FallbackReason, NamesItsLimits) {
   EXPECT_EQ(in_words(FallbackReason::DEEP_SHORT_BLUR), "16 bit and blur below 36 px");
   EXPECT_EQ(in_words(FallbackReason::DEEP_NONUNIFORM_BLUR),
-            "16 bit and blur at non-uniform speed below 57 px beside an axis");
+            "16 bit and blur at non-uniform speed below 57 px near an axis");
   EXPECT_EQ(in_words(FallbackReason::LONG_SHORT_BLUR), "more than 257 taps for blur below 36 px");
 }
 
@@ -117,8 +117,8 @@ TEST(FallbackReason, IsTheGainOfAKernelWithoutABox) {
   EXPECT_EQ(fallback_reason(alternating(301, 70), kSlope, CV_8U), std::nullopt);
   EXPECT_EQ(fallback_reason(alternating(301, 90), kSlope, CV_8U), FallbackReason::SMALL_GAMMA);
   EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_8U), std::nullopt);
-  EXPECT_FALSE(takes_lanes(alternating(201, 90), 0.5, CV_8U));
-  EXPECT_TRUE(takes_lanes(alternating(201, 70), 0.5, CV_8U));
+  EXPECT_FALSE(takes_sheared_columns(alternating(201, 90), 0.5, CV_8U));
+  EXPECT_TRUE(takes_sheared_columns(alternating(201, 70), 0.5, CV_8U));
   EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_16U), FallbackReason::SMALL_GAMMA);
 }
 

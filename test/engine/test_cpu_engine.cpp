@@ -109,7 +109,7 @@ TEST_P(CpuEngineTest, LongKernelsStayCloseAndRestoreAsWell) {
   }
 }
 
-// Kernels of no known shape, along lines of any direction; only short ones in 16 bit beside an axis are left to the
+// Kernels of no known shape, along lines of any direction; only short ones in 16 bit near an axis are left to the
 // float engine.
 TEST_P(CpuEngineTest, LongNonuniformPathsStayCloseAndRestoreAsWell) {
   const Path1d paths[] = {{-0.29f, -0.245f, -0.18f, -0.1f, 0, 0.125f, 0.275f, 0.45f, 0.71f},  // speeds up

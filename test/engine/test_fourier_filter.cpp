@@ -60,11 +60,11 @@ double worst_error(const std::vector<cv::Mat>& exact, const cv::Mat& dst, const 
 class FourierFilterTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_for_cpu<FourierSimd>(GetParam());
-    if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
+    simd_ = find_for_cpu<FourierSimd>(GetParam());
+    if (simd_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
   }
 
-  const FourierSimd* loops_ = nullptr;
+  const FourierSimd* simd_ = nullptr;
 };
 
 TEST_P(FourierFilterTest, IsWhatTheDefinitionSays) {
@@ -84,7 +84,7 @@ TEST_P(FourierFilterTest, IsWhatTheDefinitionSays) {
                         {{0, 1, 2, 3}, {0, 5}, CV_8UC2, 3},
                         {{0, 40}, {0, 30}, CV_8UC1, 90},
                         {{0, 1}, {0, 70}, CV_8UC1, 12}};
-  FourierFilter filter(*loops_);  // one for all: it keeps its memory
+  FourierFilter filter(*simd_);  // one for all: it keeps its memory
   for (const Case& c : cases) {
     FilterGrid grid{c.x, c.y, {}};
     std::vector<WienerInverse2d> inverses(grid.cols() * grid.rows());
@@ -106,7 +106,7 @@ TEST_P(FourierFilterTest, IsWhatTheDefinitionSays) {
 TEST_P(FourierFilterTest, MixesSizesAsTheDefinitionSays) {
   const WienerInverse2d brief{test::arc_path(12, 3, 0.3), 0.01f, 0.1f}, lengthy{test::arc_path(60, 9, 1.2), 0.1f, 1};
   ASSERT_NE(test::is_at_half_size(brief), test::is_at_half_size(lengthy));
-  FourierFilter filter(*loops_);
+  FourierFilter filter(*simd_);
   for (const auto& [size, block_px, type] :
        {std::tuple(cv::Size(200, 131), 64, CV_8UC1), std::tuple(cv::Size(101, 75), 24, CV_8UC3),
         std::tuple(cv::Size(61, 45), 16, CV_16UC1), std::tuple(cv::Size(47, 33), 9, CV_8UC1)}) {

@@ -15,9 +15,9 @@ namespace {
 class AlignmentSimdTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_for_cpu<AlignmentSimd>(GetParam());
-    if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
-    EXPECT_STREQ(loops_->name, GetParam());
+    simd_ = find_for_cpu<AlignmentSimd>(GetParam());
+    if (simd_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
+    EXPECT_STREQ(simd_->name, GetParam());
   }
   /// Of exactly the room that is promised, so that AddressSanitizer sees what is read or written beyond it.
   std::vector<float> random_patch(int width, int height, bool clear_room) {
@@ -30,7 +30,7 @@ class AlignmentSimdTest : public testing::TestWithParam<const char*> {
     return patch;
   }
 
-  const AlignmentSimd* loops_ = nullptr;
+  const AlignmentSimd* simd_ = nullptr;
   std::mt19937 random_{5};
 };
 
@@ -43,7 +43,7 @@ TEST_P(AlignmentSimdTest, ConvolveAnyWidth) {
     std::vector<float> written(static_cast<std::size_t>(stride * height));
     std::array<int, 3> offsets;
     for (std::size_t k = 0; k < 3; ++k) offsets[k] = columns[k] + rows[k] * read_stride;
-    loops_->convolve(read.data(), read_stride, offsets.data(), shares.data(), 3, written.data(), stride, width, height);
+    simd_->convolve(read.data(), read_stride, offsets.data(), shares.data(), 3, written.data(), stride, width, height);
     for (int y = 0; y < height; ++y) {
       for (int x = 0; x < width; ++x) {
         float sum = 0;
@@ -68,7 +68,7 @@ TEST_P(AlignmentSimdTest, SampleWithTheWeightsOfBothFractions) {
   const std::vector<float> pixels = random_patch(kWidth, kHeight, false);
   std::vector<float> sampled(kCount);
   const float x = 1.25f, y = 2.5f, dx = 1.125f, dy = 0.25f;  // whole steps of the table
-  loops_->sample_row(pixels.data(), kStride, table.data(), x, y, dx, dy, kCount, sampled.data());
+  simd_->sample_row(pixels.data(), kStride, table.data(), x, y, dx, dy, kCount, sampled.data());
   for (int i = 0; i < kCount; ++i) {
     const float at_x = x + static_cast<float>(i) * dx, at_y = y + static_cast<float>(i) * dy;
     const int left = static_cast<int>(at_x), top = static_cast<int>(at_y);
@@ -89,7 +89,7 @@ TEST_P(AlignmentSimdTest, WidenAnyWidth) {
     std::vector<unsigned char> bytes(static_cast<std::size_t>(byte_stride * (height - 1) + width));
     for (unsigned char& byte : bytes) byte = static_cast<unsigned char>(random_() % 256);
     std::vector<float> written(static_cast<std::size_t>(stride * height));
-    loops_->widen(bytes.data(), byte_stride, written.data(), stride, width, height);
+    simd_->widen(bytes.data(), byte_stride, written.data(), stride, width, height);
     for (int y = 0; y < height; ++y) {
       for (int x = 0; x < width; ++x) {
         ASSERT_EQ(written[static_cast<std::size_t>(y * stride + x)],
@@ -107,8 +107,8 @@ TEST_P(AlignmentSimdTest, CompareAndCombineAnyWidth) {
     std::vector<float> combined = random_patch(width, height, false);
     const std::vector<float> before = combined;
     std::array<float, 3> sums;
-    loops_->compare(a.data(), stride, 0.25f, b.data(), stride, width, height, sums.data());
-    loops_->combine(a.data(), stride, 2, b.data(), stride, -0.5f, 3, combined.data(), stride, width, height);
+    simd_->compare(a.data(), stride, 0.25f, b.data(), stride, width, height, sums.data());
+    simd_->combine(a.data(), stride, 2, b.data(), stride, -0.5f, 3, combined.data(), stride, width, height);
     std::array<double, 3> expected{};
     for (int y = 0; y < height; ++y) {
       for (int x = 0; x < width; ++x) {
@@ -137,8 +137,8 @@ TEST_P(AlignmentSimdTest, DifferentiateAnyWidth) {
     for (int y = -1; y <= height; ++y) {
       for (int x = -1; x <= width; ++x) patch[static_cast<std::size_t>((y + 1) * read_stride + x + 1)] = value(x, y);
     }
-    loops_->differentiate(patch.data() + read_stride + 1, read_stride, along_x.data(), along_y.data(), stride, width,
-                          height);
+    simd_->differentiate(patch.data() + read_stride + 1, read_stride, along_x.data(), along_y.data(), stride, width,
+                         height);
     for (int y = 0; y < height; ++y) {
       for (int x = 0; x < width; ++x) {
         const auto i = static_cast<std::size_t>(y * stride + x);
@@ -164,8 +164,8 @@ TEST_P(AlignmentSimdTest, MultiplyByDerivativesOfAnyWidth) {
       }
     }
     std::array<float, 3> sums;
-    loops_->multiply_by_derivatives(a.data(), b.data(), stride, patch.data() + 2 * read_stride + 2, read_stride, width,
-                                    height, sums.data());
+    simd_->multiply_by_derivatives(a.data(), b.data(), stride, patch.data() + 2 * read_stride + 2, read_stride, width,
+                                   height, sums.data());
     std::array<double, 3> expected{};
     for (int y = 0; y < height; ++y) {
       for (int x = 0; x < width; ++x) {
@@ -188,8 +188,8 @@ TEST_P(AlignmentSimdTest, SumProductsOfAnyWidth) {
                              e = random_patch(width, height, true);
     const std::array<const float*, 3> factors{c.data(), d.data(), e.data()};
     std::array<float, 3> projected, multiplied;
-    loops_->project(a.data(), stride, factors.data(), stride, width, height, projected.data());
-    loops_->multiply_gradients(a.data(), b.data(), c.data(), d.data(), stride, width, height, multiplied.data());
+    simd_->project(a.data(), stride, factors.data(), stride, width, height, projected.data());
+    simd_->multiply_gradients(a.data(), b.data(), c.data(), d.data(), stride, width, height, multiplied.data());
     std::array<double, 3> of_projection{}, of_gradients{};
     for (int y = 0; y < height; ++y) {
       for (int x = 0; x < width; ++x) {

@@ -29,9 +29,9 @@ class Row {
 class CornerSimdTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_for_cpu<CornerSimd>(GetParam());
-    if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
-    EXPECT_STREQ(loops_->name, GetParam());
+    simd_ = find_for_cpu<CornerSimd>(GetParam());
+    if (simd_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
+    EXPECT_STREQ(simd_->name, GetParam());
   }
   std::array<Row, 3> random_rows(int width) {
     std::array<Row, 3> rows{Row(width), Row(width), Row(width)};
@@ -39,7 +39,7 @@ class CornerSimdTest : public testing::TestWithParam<const char*> {
     return rows;
   }
 
-  const CornerSimd* loops_ = nullptr;
+  const CornerSimd* simd_ = nullptr;
   std::mt19937 random_{5};
 };
 
@@ -50,7 +50,7 @@ TEST_P(CornerSimdTest, HalveAnyWidth) {
       for (unsigned char& pixel : *row) pixel = static_cast<unsigned char>(random_() % 256);
     }
     Row half(width);
-    loops_->halve(upper.data(), lower.data(), half.data(), width);
+    simd_->downsample2x(upper.data(), lower.data(), half.data(), width);
     for (int x = 0; x < width; ++x) {
       const auto at = static_cast<std::size_t>(2 * x);
       ASSERT_EQ(half[x], 0.25f * static_cast<float>(upper[at] + upper[at + 1] + lower[at] + lower[at + 1])) << width;
@@ -61,8 +61,8 @@ TEST_P(CornerSimdTest, HalveAnyWidth) {
 TEST_P(CornerSimdTest, MultiplyGradientsOfAnyWidth) {
   for (int width = 1; width <= 70; ++width) {
     std::array<Row, 3> rows = random_rows(width), products = random_rows(width);
-    loops_->multiply(rows[0].data(), rows[1].data(), rows[2].data(),
-                     {products[0].data(), products[1].data(), products[2].data()}, width);
+    simd_->multiply(rows[0].data(), rows[1].data(), rows[2].data(),
+                    {products[0].data(), products[1].data(), products[2].data()}, width);
     for (int x = 0; x < width; ++x) {
       const float across = rows[1][x + 1] - rows[1][x - 1], down = rows[2][x] - rows[0][x];
       ASSERT_NEAR(products[0][x], across * across, 1e-6f);
@@ -84,7 +84,7 @@ TEST_P(CornerSimdTest, RateIsDeterminantOverTrace) {
     products[i] = {xx[i].data(), xy[i].data(), yy[i].data()};
   }
   Row strengths(kWidth);
-  loops_->rate(products.data(), strengths.data(), kWidth);
+  simd_->rate(products.data(), strengths.data(), kWidth);
   for (int x = 0; x < kWidth; ++x) {
     double sum_xx = 0, sum_xy = 0, sum_yy = 0;
     for (std::size_t i = 0; i < 3; ++i) {
@@ -113,7 +113,7 @@ TEST_P(CornerSimdTest, FindPeaksOfAnyWidth) {
     }
     std::vector<int> columns(static_cast<std::size_t>(width - 2) + 1);
     columns.resize(static_cast<std::size_t>(
-        loops_->find_peaks(rows[0].data(), rows[1].data(), rows[2].data(), 1, width - 1, columns.data())));
+        simd_->find_peaks(rows[0].data(), rows[1].data(), rows[2].data(), 1, width - 1, columns.data())));
     ASSERT_EQ(columns, expected) << width;
   }
 }

@@ -17,12 +17,12 @@ namespace {
 class TapSimdTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_for_cpu<TapSimd>(GetParam());
-    if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
-    EXPECT_STREQ(loops_->name, GetParam());
+    simd_ = find_for_cpu<TapSimd>(GetParam());
+    if (simd_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
+    EXPECT_STREQ(simd_->name, GetParam());
   }
 
-  const TapSimd* loops_ = nullptr;
+  const TapSimd* simd_ = nullptr;
 };
 
 TEST_P(TapSimdTest, ResampleKernelsAsOntoTheMajorAxis) {
@@ -34,7 +34,7 @@ TEST_P(TapSimdTest, ResampleKernelsAsOntoTheMajorAxis) {
       kernel_on_major_axis(kernel, step, expected);
       const int steps = static_cast<int>(expected.size() / 2);
       std::vector<float> actual(steps + kRowGroup, 100.0f);
-      loops_->resample_kernel(kernel.taps.data() + kernel.radius(), kernel.radius(), step, steps, actual.data());
+      simd_->resample_kernel(kernel.taps.data() + kernel.radius(), kernel.radius(), step, steps, actual.data());
       float largest = 0;
       for (const float element : expected) largest = std::max(largest, std::abs(element));
       for (int m = 0; m <= steps; ++m) {
@@ -51,7 +51,7 @@ TEST_P(TapSimdTest, CombineColumnsByTheirFactors) {
     std::vector<float> columns(count * kRowGroup), factors(count), sums(kRowGroup, 100.0f);
     for (float& element : columns) element = uniform(random);
     for (float& factor : factors) factor = uniform(random);
-    loops_->combine_columns(columns.data(), factors.data(), count, sums.data());
+    simd_->combine_columns(columns.data(), factors.data(), count, sums.data());
     for (int i = 0; i < kRowGroup; ++i) {
       double expected = 0;
       for (int m = 0; m < count; ++m) expected += static_cast<double>(factors[m]) * columns[m * kRowGroup + i];
@@ -81,7 +81,7 @@ TEST_P(TapSimdTest, SolveToeplitzSystems) {
       }
       std::vector<double> sides(2 * n), work(5 * (n + kToeplitzRoom) + band, 7.0), solved(2 * n, 7.0);
       for (double& side : sides) side = uniform(random);
-      loops_->solve_toeplitz(lags.data(), band, n, sides.data(), work.data(), solved.data());
+      simd_->solve_toeplitz(lags.data(), band, n, sides.data(), work.data(), solved.data());
       const Eigen::MatrixXd expected =
           matrix.partialPivLu().solve(Eigen::Map<const Eigen::MatrixXd>(sides.data(), n, 2));
       const Eigen::Map<const Eigen::MatrixXd> actual(solved.data(), n, 2);

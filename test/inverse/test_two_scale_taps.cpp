@@ -17,8 +17,8 @@ namespace {
 class TwoScaleTapsTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_for_cpu<TapSimd>(GetParam());
-    if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
+    simd_ = find_for_cpu<TapSimd>(GetParam());
+    if (simd_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
   }
 
   /// The kernel that the weights make at m = 0, 1, ..: the mean over the places that an output may have in its node.
@@ -44,7 +44,7 @@ class TwoScaleTapsTest : public testing::TestWithParam<const char*> {
     return sum;
   }
 
-  const TapSimd* loops_ = nullptr;
+  const TapSimd* simd_ = nullptr;
   TwoScaleDesigns designs_;
 };
 
@@ -60,7 +60,7 @@ TEST_P(TwoScaleTapsTest, MakeTheKernelAgain) {
   for (const double extent_px : {40.0, 90.0, 131.0}) {
     const LineKernel kernel = wiener_kernel(extent_px, {});
     for (const double major : {0.72, 0.9, 1.0, -0.9}) {
-      make_two_scale_taps(kernel, major, false, *loops_, designs_, taps);
+      make_two_scale_taps(kernel, major, false, *simd_, designs_, taps);
       std::vector<float> on_axis;
       kernel_on_major_axis(kernel, major, on_axis);
       const std::vector<float> wanted(on_axis.begin() + on_axis.size() / 2, on_axis.end());
@@ -82,7 +82,7 @@ TEST_P(TwoScaleTapsTest, KeepTheSum) {
     const LineKernel kernel = wiener_kernel(extent_px, {});
     for (const double major : {0.72, 0.9, 1.0}) {
       for (const bool fixed_point : {false, true}) {
-        make_two_scale_taps(kernel, major, fixed_point, *loops_, designs_, taps);
+        make_two_scale_taps(kernel, major, fixed_point, *simd_, designs_, taps);
         const TwoScaleFilter& filter = taps.filter;
         double coarse = 0;
         for (int k = 0; k <= 2 * filter.coarse_radius; ++k) coarse += filter.coarse[k];
@@ -99,7 +99,7 @@ TEST_P(TwoScaleTapsTest, KeepTheSum) {
 TEST_P(TwoScaleTapsTest, HaveTheCoarseWeightsInFixedPointToo) {
   TwoScaleTaps taps;
   for (const double extent_px : {40.0, 90.0, 400.0}) {
-    make_two_scale_taps(wiener_kernel(extent_px, {}), 0.8, true, *loops_, designs_, taps);
+    make_two_scale_taps(wiener_kernel(extent_px, {}), 0.8, true, *simd_, designs_, taps);
     const TwoScaleFilter& filter = taps.filter;
     const auto low = [](std::int32_t pair) { return static_cast<std::int16_t>(pair & 0xffff); };
     const auto high = [](std::int32_t pair) { return static_cast<std::int16_t>(pair >> 16); };
@@ -140,7 +140,7 @@ TEST_P(TwoScaleTapsTest, HaveAllTheirShapesAhead) {
     TwoScaleTaps taps;
     for (const LineKernel& kernel : kernels) {
       for (int i = 0; i <= 450; ++i) {
-        make_two_scale_taps(kernel, std::cos(CV_PI / 4 * i / 450), true, *loops_, designs, taps);
+        make_two_scale_taps(kernel, std::cos(CV_PI / 4 * i / 450), true, *simd_, designs, taps);
       }
     }
     EXPECT_EQ(designs.size(), shapes.size()) << "made in time, not ahead";
@@ -157,7 +157,7 @@ TEST_P(TwoScaleTapsTest, HaveAllTheirShapesAhead) {
 INSTANTIATE_TEST_SUITE_P(InstructionSets, TwoScaleTapsTest, testing::Values("baseline", "avx2", "avx512"));
 
 // What the spline between nodes of one sample makes of the weights is the kernel, turned round.
-TEST(LaneTaps, MakeTheKernelAgain) {
+TEST(ShearedTaps, MakeTheKernelAgain) {
   const Path1d path_px{-35, -30, -24, -16, 0, 20, 45, 70, 90};
   LineKernel of_path = wiener_kernel(path_px, {});
   LineKernel ramp;

@@ -18,9 +18,9 @@ namespace {
 class WienerGain2dTest : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
-    loops_ = find_for_cpu<WienerGain2dSimd>(GetParam());
-    if (loops_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
-    EXPECT_STREQ(loops_->name, GetParam());
+    simd_ = find_for_cpu<WienerGain2dSimd>(GetParam());
+    if (simd_ == nullptr) GTEST_SKIP() << "this processor does not run " << GetParam();
+    EXPECT_STREQ(simd_->name, GetParam());
     lanes_ = find_for_cpu<FourierSimd>(GetParam())->lanes;
   }
 
@@ -29,7 +29,7 @@ class WienerGain2dTest : public testing::TestWithParam<const char*> {
   void for_each_gain(const WienerInverse2d& inverse, cv::Size size, const PlaneBand& band_across,
                      const PlaneBand& band_down, const Check& check) const {
     const FourierPlan plan(size.width, 8), plan_down(size.height, 8);
-    WienerGain2d gain(*loops_);
+    WienerGain2d gain(*simd_);
     gain.set(inverse, {plan.stages(), plan_down.stages()}, band_across, band_down);
     std::vector<float> of_rows(2 * lanes_ * size.width), blurred_again(2 * lanes_ * size.width);
     for (int row = 0; row < size.height / 2; row += lanes_) {
@@ -47,7 +47,7 @@ class WienerGain2dTest : public testing::TestWithParam<const char*> {
 
   static PlaneBand all(int size) { return {std::vector<float>(size / 2, 1), std::vector<float>(size / 2, 1)}; }
 
-  const WienerGain2dSimd* loops_ = nullptr;
+  const WienerGain2dSimd* simd_ = nullptr;
   int lanes_ = 0;
 };
 

@@ -1,6 +1,6 @@
-// Which method the CPU engine filters a block with: exact taps where they are few, lanes where the kernel is long, and
-// the float engine for what is left. On lanes a kernel whose shape is known has two scales (TwoScaleWeights), and any
-// other one its taps.
+// Which method the CPU engine filters a block with: exact taps where they are few, sheared columns where the kernel is
+// long, and the float engine for what is left. On sheared columns a kernel whose shape is known has two scales
+// (TwoScaleWeights), and any other one its taps.
 #pragma once
 
 #include <optional>
@@ -14,9 +14,9 @@ namespace gyro_deblur {
 enum class FallbackReason {
   ZERO_KERNEL,           ///< nothing to scale fixed-point weights by
   SMALL_GAMMA,           ///< weights so large that they cancel each other too well
-  DEEP_SHORT_BLUR,       ///< exact taps are for 8 bit, and the blur is too short for lanes
-  DEEP_NONUNIFORM_BLUR,  ///< exact taps are for 8 bit, and lanes beside an axis are not close enough
-  LONG_SHORT_BLUR        ///< too many taps, and the blur is too short for lanes
+  DEEP_SHORT_BLUR,       ///< exact taps are for 8 bit, and the blur is too short for sheared columns
+  DEEP_NONUNIFORM_BLUR,  ///< exact taps are for 8 bit, and sheared columns near an axis are not close enough
+  LONG_SHORT_BLUR        ///< too many taps, and the blur is too short for sheared columns
 };
 constexpr int kSlowReasons = 5;
 
@@ -28,13 +28,13 @@ std::string in_words(FallbackReason reason);
 /// @param depth  CV_8U or CV_16U
 std::optional<FallbackReason> fallback_reason(const LineKernel& kernel, double slope, int depth);
 
-/// Where a fast method serves: whether it is lanes rather than exact taps.
-bool takes_lanes(const LineKernel& kernel, double slope, int depth);
+/// Where a fast method serves: whether it is sheared columns rather than exact taps.
+bool takes_sheared_columns(const LineKernel& kernel, double slope, int depth);
 
-/// Whether a kernel on lanes has two scales rather than its taps.
+/// Whether a kernel on sheared columns has two scales rather than its taps.
 bool takes_two_scales(const LineKernel& kernel);
 
-/// Rows along the major axis that one tile may have on lanes, at most kMaxTileSide.
-int max_lane_rows(const LineKernel& kernel, double slope);
+/// Rows along the major axis that one tile may have on sheared columns, at most kMaxTileSide.
+int max_sheared_rows(const LineKernel& kernel, double slope);
 
 }  // namespace gyro_deblur

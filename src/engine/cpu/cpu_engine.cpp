@@ -27,7 +27,7 @@ void for_each_part(int begin, int end, int longest, const Work& work) {
 }  // namespace
 
 CpuEngine::CpuEngine(int threads, const BlockSimd& kernels)
-    : BlockEngine(threads), kernels_(kernels), tap_loops_(*find_for_cpu<TapSimd>(kernels.name)), float_(threads) {}
+    : BlockEngine(threads), kernels_(kernels), tap_simd_(*find_for_cpu<TapSimd>(kernels.name)), float_(threads) {}
 
 std::string CpuEngine::name() const { return std::string("cpu-") + kernels_.name; }
 
@@ -55,11 +55,11 @@ void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.max_rows = kMaxTileSide;
   plan.slow = fallback_reason(kernel, line.slope, depth);
   if (plan.slow) return;
-  plan.lanes = takes_lanes(kernel, line.slope, depth);
-  if (plan.lanes) {
-    plan.max_rows = max_lane_rows(kernel, line.slope);
+  plan.sheared = takes_sheared_columns(kernel, line.slope, depth);
+  if (plan.sheared) {
+    plan.max_rows = max_sheared_rows(kernel, line.slope);
     if (takes_two_scales(kernel)) {
-      make_two_scale_taps(kernel, line.major, depth == CV_8U, tap_loops_, designs_, plan.two_scale);
+      make_two_scale_taps(kernel, line.major, depth == CV_8U, tap_simd_, designs_, plan.two_scale);
     } else {
       make_lane_taps(kernel, line.major, depth == CV_8U, plan.two_scale);
     }
@@ -83,7 +83,7 @@ void CpuEngine::plan_blocks(const FilterGrid& grid, const std::vector<int>& bloc
 }
 
 TileNeeds CpuEngine::needs_of(const TileGeometry& tile, const Plan& plan, int depth) const {
-  if (!plan.lanes) return kernels_.exact_needs(tile, plan.exact.filter);
+  if (!plan.sheared) return kernels_.exact_needs(tile, plan.exact.filter);
   return (depth == CV_8U ? kernels_.two_scale_u8_needs : kernels_.two_scale_u16_needs)(tile, plan.two_scale.filter);
 }
 
@@ -123,7 +123,7 @@ template <typename Pixel>
 void CpuEngine::run_tile(const SourcePlane<Pixel>& source, const Tile& tile, float* scratch, Pixel* line_order) const {
   const Plan& plan = *tile.plan;
   if constexpr (sizeof(Pixel) == 1) {
-    if (plan.lanes) {
+    if (plan.sheared) {
       kernels_.two_scale_u8(source, tile.geometry, plan.two_scale.filter, scratch, line_order);
     } else {
       kernels_.exact_u8(source, tile.geometry, plan.exact.filter, scratch, line_order);

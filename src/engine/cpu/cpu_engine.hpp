@@ -44,7 +44,7 @@ class CpuEngine : public BlockEngine {
   /// What is the same for all tiles of a block.
   struct Plan {
     std::optional<FallbackReason> slow;  // set: the float engine's, and what follows does not matter
-    bool lanes = false;                  // two_scale rather than exact
+    bool sheared = false;                // two_scale rather than exact
     bool major_is_y = true;
     double slope = 0;
     int max_rows = 0;  // of a tile, along the major axis
@@ -73,7 +73,7 @@ class CpuEngine : public BlockEngine {
                  cv::Mat& dst);
 
   const BlockSimd& kernels_;
-  const TapSimd& tap_loops_;
+  const TapSimd& tap_simd_;
   FloatEngine float_;
   TwoScaleDesigns designs_;
   std::vector<Plan> plans_;

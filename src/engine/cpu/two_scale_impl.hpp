@@ -30,14 +30,14 @@ struct CubicWeights {
   }
 };
 
-// Vectors of lanes and coarse outputs that are summed together: 8 independent sums hide the latency of an FMA.
-constexpr int kLaneVectors = 2;
+// Vectors of columns and coarse outputs that are summed together: 8 independent sums hide the latency of an FMA.
+constexpr int kColumnVectors = 2;
 constexpr int kCoarseOutputs = kCoarseGuard + 1;
 
-/// How samples on the lanes and results on the lanes are kept. Samples come in groups of kGroup lanes; vector p (of 2)
-/// of part h of a group is at h * kLanes + p * kGroup / 2.
+/// How samples on the columns and results on the columns are kept. Samples come in groups of kGroup columns; vector p
+/// (of 2) of part h of a group is at h * kLanes + p * kGroup / 2.
 template <typename Pixel>
-struct LaneFormat {
+struct ColumnFormat {
   using Sample = float;
   using Result = float;
   static constexpr int kGroup = 2 * kLanes;
@@ -56,11 +56,11 @@ struct LaneFormat {
 
 #if defined(__AVX2__)
 
-/// 8-bit pixels: samples in int16, 1 / 32 grey level, so that one instruction interpolates 16 lanes. It takes pixels in
-/// pairs, n with n + 1, so that a vector has every other lane: a group is its 16 even and then its 16 odd lanes.
+/// 8-bit pixels: samples in int16, 1 / 32 grey level, so that one instruction interpolates 16 columns. It takes pixels
+/// in pairs, n with n + 1, so that a vector has every other column: a group is its 16 even and then its 16 odd columns.
 /// Results in order, in 1 / 16 grey level.
 template <>
-struct LaneFormat<std::uint8_t> {
+struct ColumnFormat<std::uint8_t> {
   using Sample = std::int16_t;
   using Result = std::int16_t;
   static constexpr int kGroup = 32;
@@ -94,7 +94,7 @@ struct LaneFormat<std::uint8_t> {
     return sum;
   }
   static void store_results(std::int16_t* group, int part, const Vector values[2]) {
-    // Saturated to int16, and even and odd lanes put side by side.
+    // Saturated to int16, and even and odd columns put side by side.
 #if defined(__AVX512F__)
     const __m512i order = _mm512_broadcast_i32x4(_mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15));
     const __m512i packed =
@@ -116,13 +116,13 @@ struct Range {
   int begin, end;
 };
 
-/// Where things are in scratch. Lane v of row m holds the image at n = first_lane + v + slope (m - center).
+/// Where things are in scratch. Column v of row m holds the image at n = first_column + v + slope (m - center).
 struct TwoScaleLayout {
-  // m at which lanes are at integer n: an integer, so that a slope of 1 needs no interpolation anywhere.
+  // m at which columns are at integer n: an integer, so that a slope of 1 needs no interpolation anywhere.
   int center;
-  int first_lane, lanes;  // lanes: whole groups
-  int coarse_outputs;     // nodes at which the smooth part is evaluated, from node -1
-  int first_node;         // node j sums m_begin + [j d, (j + 1) d)
+  int first_column, columns;  // columns: whole groups
+  int coarse_outputs;         // nodes at which the smooth part is evaluated, from node -1
+  int first_node;             // node j sums m_begin + [j d, (j + 1) d)
   int nodes;
   int kept_first, kept_rows;                                              // samples kept, relative to m_begin
   int rows_at, parts_at, kept_at, nodes_at, coarse_at, result_at, total;  // in floats
@@ -131,34 +131,34 @@ struct TwoScaleLayout {
     const int d = filter.decimation;
     center = tile.m_begin + tile.m_count / 2;
     const double lean = (tile.slope < 0 ? -tile.slope : tile.slope) * (tile.m_count / 2);
-    first_lane = floor_to_int(tile.n_begin - lean) - 2;  // one for the cubic, one for rounding
-    const int last_lane = floor_to_int(tile.n_begin + tile.n_count - 1 + lean) + 3;
-    lanes = round_up(last_lane - first_lane + 1, group);
+    first_column = floor_to_int(tile.n_begin - lean) - 2;  // one for the cubic, one for rounding
+    const int last_column = floor_to_int(tile.n_begin + tile.n_count - 1 + lean) + 3;
+    columns = round_up(last_column - first_column + 1, group);
     coarse_outputs = round_up((tile.m_count - 1) / d + 3, kCoarseOutputs);
     first_node = -1 - filter.coarse_radius;
     nodes = coarse_outputs + 2 * filter.coarse_radius;
     kept_first = -filter.box_half - 1;
     kept_rows = tile.m_count + 2 * (filter.box_half + 1);
-    const int floats_of_kept = round_up(kept_rows * lanes * sample_bytes, kCacheLineBytes) / 4;
+    const int floats_of_kept = round_up(kept_rows * columns * sample_bytes, kCacheLineBytes) / 4;
     rows_at = 0;
     parts_at = rows_at + nodes * d * static_cast<int>(sizeof(void*) / sizeof(float));
     kept_at = round_up(parts_at + nodes * d, kCacheLineBytes / 4);
     nodes_at = kept_at + floats_of_kept;
-    coarse_at = nodes_at + nodes * lanes;
-    result_at = coarse_at + coarse_outputs * lanes;
+    coarse_at = nodes_at + nodes * columns;
+    result_at = coarse_at + coarse_outputs * columns;
     // Whole vectors are read past the last result.
-    total = result_at + tile.m_count * lanes + 4 * kLanes;
+    total = result_at + tile.m_count * columns + 4 * kLanes;
   }
-  /// Pixels read of a row: each lane lies between two.
-  int columns() const { return lanes + 1; }
+  /// Pixels read of a row: each column lies between two.
+  int pixels_of_row() const { return columns + 1; }
 
-  /// Output rows that need some of the lanes [lane, lane + count): those outside only fill the lanes up to whole
-  /// vectors, or cross the tile in other rows.
-  Range rows_of_lanes(const TileGeometry& tile, int lane, int count) const {
-    // The line through lane 0 is at `above` or more, and the one through the last at `below` or less, when a row needs
-    // them; two lanes more for the cubic, and one for rounding.
-    const double above = tile.n_begin - first_lane - (lane + count - 1) - 3;
-    const double below = tile.n_begin - first_lane + tile.n_count - 1 - lane + 3;
+  /// Output rows that need some of the columns [column, column + count): those outside only fill the columns up to
+  /// whole vectors, or cross the tile in other rows.
+  Range rows_of_columns(const TileGeometry& tile, int column, int count) const {
+    // The line through column 0 is at `above` or more, and the one through the last at `below` or less, when a row
+    // needs them; two columns more for the cubic, and one for rounding.
+    const double above = tile.n_begin - first_column - (column + count - 1) - 3;
+    const double below = tile.n_begin - first_column + tile.n_count - 1 - column + 3;
     constexpr double kLevel = 1e-3;  // hardly moves within a tile
     Range rows{0, tile.m_count};
     if (tile.slope > -kLevel && tile.slope < kLevel) return rows;
@@ -178,18 +178,18 @@ struct TwoScaleLayout {
   }
   template <typename Pixel>
   static TwoScaleLayout of(const TileGeometry& tile, const TwoScaleFilter& filter) {
-    return TwoScaleLayout(tile, filter, LaneFormat<Pixel>::kGroup, sizeof(typename LaneFormat<Pixel>::Sample));
+    return TwoScaleLayout(tile, filter, ColumnFormat<Pixel>::kGroup, sizeof(typename ColumnFormat<Pixel>::Sample));
   }
 };
 
 template <typename Pixel>
 TileNeeds two_scale_needs(const TileGeometry& tile, const TwoScaleFilter& filter) {
   const TwoScaleLayout layout = TwoScaleLayout::of<Pixel>(tile, filter);
-  return {static_cast<std::size_t>(layout.total), layout.columns()};
+  return {static_cast<std::size_t>(layout.total), layout.pixels_of_row()};
 }
 
-/// Where a tile's samples come from: for sample row i, the pixel at or below lane 0, and how far the lanes are between
-/// pixels.
+/// Where a tile's samples come from: for sample row i, the pixel at or below column 0, and how far the columns are
+/// between pixels.
 template <typename Pixel>
 struct SampleRows {
   static constexpr int kPartBits = 32;
@@ -212,62 +212,63 @@ struct SampleRows {
     std::int64_t across = step * (first_m - layout.center);
     for (int i = 0; i < samples; ++i, across += step) {
       parts[i] = static_cast<std::uint32_t>(across);
-      const int first = layout.first_lane + static_cast<int>(across >> kPartBits);
-      pixels[i] = read_row(source, first_m + i, first, layout.columns());
+      const int first = layout.first_column + static_cast<int>(across >> kPartBits);
+      pixels[i] = read_row(source, first_m + i, first, layout.pixels_of_row());
     }
   }
 };
 
-/// Sums samples [begin, end) of two vectors of lanes, and keeps them at `kept` when kKeep.
+/// Sums samples [begin, end) of two vectors of columns, and keeps them at `kept` when kKeep.
 template <typename Pixel, bool kKeep>
-inline void sum_samples(const SampleRows<Pixel>& rows, int begin, int end, int lane, int lanes, Vector* sum,
+inline void sum_samples(const SampleRows<Pixel>& rows, int begin, int end, int column, int columns, Vector* sum,
                         float* kept) {
   for (int i = begin; i < end; ++i) {
-    const Pixel* from = rows.pixels[i] + lane;
+    const Pixel* from = rows.pixels[i] + column;
     const float part = static_cast<float>(rows.parts[i]) * static_cast<float>(1 / SampleRows<Pixel>::kOnePixel);
     for (int v = 0; v < 2; ++v) {
       const Vector below = load_pixels(from + v * kLanes);
       const Vector above = load_pixels(from + v * kLanes + 1);
       const Vector sample = below + part * (above - below);
       sum[v] += sample;
-      if (kKeep) store(kept + (i - rows.keep_begin) * lanes + lane + v * kLanes, sample);
+      if (kKeep) store(kept + (i - rows.keep_begin) * columns + column + v * kLanes, sample);
     }
   }
 }
 
-/// Resamples the neighbourhood into lanes (linear across the line), sums nodes, and keeps the samples that boxes need.
+/// Resamples the neighbourhood into columns (linear across the line), sums nodes, and keeps the samples that boxes
+/// need.
 template <typename Pixel>
 inline void shear(const SourcePlane<Pixel>& source, const TileGeometry& tile, const TwoScaleFilter& filter,
                   const TwoScaleLayout& layout, float* scratch, float* kept) {
   const SampleRows<Pixel> rows(source, tile, filter, layout, scratch);
-  const int d = filter.decimation, lanes = layout.lanes;
-  for (int lane = 0; lane < lanes; lane += 2 * kLanes) {
-    const Range outputs = layout.coarse_of_rows(layout.rows_of_lanes(tile, lane, 2 * kLanes), d);
+  const int d = filter.decimation, columns = layout.columns;
+  for (int column = 0; column < columns; column += 2 * kLanes) {
+    const Range outputs = layout.coarse_of_rows(layout.rows_of_columns(tile, column, 2 * kLanes), d);
     for (int j = outputs.begin; j < outputs.end + 2 * filter.coarse_radius; ++j) {
       const int begin = j * d, end = begin + d;
       const int from = begin > rows.keep_begin ? begin : rows.keep_begin,
                 to = end < rows.keep_end ? end : rows.keep_end;
       Vector sum[2] = {};
       if (from >= to) {
-        sum_samples<Pixel, false>(rows, begin, end, lane, lanes, sum, kept);
+        sum_samples<Pixel, false>(rows, begin, end, column, columns, sum, kept);
       } else {
-        sum_samples<Pixel, false>(rows, begin, from, lane, lanes, sum, kept);
-        sum_samples<Pixel, true>(rows, from, to, lane, lanes, sum, kept);
-        sum_samples<Pixel, false>(rows, to, end, lane, lanes, sum, kept);
+        sum_samples<Pixel, false>(rows, begin, from, column, columns, sum, kept);
+        sum_samples<Pixel, true>(rows, from, to, column, columns, sum, kept);
+        sum_samples<Pixel, false>(rows, to, end, column, columns, sum, kept);
       }
-      for (int v = 0; v < 2; ++v) store(scratch + layout.nodes_at + j * lanes + lane + v * kLanes, sum[v]);
+      for (int v = 0; v < 2; ++v) store(scratch + layout.nodes_at + j * columns + column + v * kLanes, sum[v]);
     }
   }
 }
 
 #if defined(__AVX2__)
 
-/// Adds samples [begin, end) of kGroups groups of lanes to `sum`, and keeps them at `kept` when kKeep.
+/// Adds samples [begin, end) of kGroups groups of columns to `sum`, and keeps them at `kept` when kKeep.
 template <int kGroups, bool kKeep>
-inline void sum_samples(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights, int begin, int end, int lane,
-                        int lanes, __m256i sum[][2], std::int16_t* kept) {
+inline void sum_samples(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights, int begin, int end,
+                        int column, int columns, __m256i sum[][2], std::int16_t* kept) {
   for (int i = begin; i < end; ++i) {
-    const std::uint8_t* from = rows.pixels[i] + lane;
+    const std::uint8_t* from = rows.pixels[i] + column;
     const __m256i weight = _mm256_set1_epi32(weights[i]);
     for (int g = 0; g < kGroups; ++g) {
       for (int odd = 0; odd < 2; ++odd) {
@@ -275,7 +276,7 @@ inline void sum_samples(const SampleRows<std::uint8_t>& rows, const std::int32_t
         const __m256i sample = _mm256_maddubs_epi16(pixels, weight);
         sum[g][odd] = _mm256_add_epi16(sum[g][odd], sample);
         if (kKeep) {
-          _mm256_storeu_si256((__m256i*)(kept + (i - rows.keep_begin) * lanes + lane + g * 32 + odd * 16), sample);
+          _mm256_storeu_si256((__m256i*)(kept + (i - rows.keep_begin) * columns + column + g * 32 + odd * 16), sample);
         }
       }
     }
@@ -285,7 +286,7 @@ inline void sum_samples(const SampleRows<std::uint8_t>& rows, const std::int32_t
 /// Stores 16 sums over each of two nodes as pairs, less 2^15 so that they are signed.
 inline void store_node_pairs(std::int32_t* to, __m256i first, __m256i second) {
   const __m256i sign = _mm256_set1_epi16(static_cast<short>(-32768));
-  // In such an order that unpacking, which works within halves, leaves the lanes in theirs.
+  // In such an order that unpacking, which works within halves, leaves the columns in theirs.
   first = _mm256_permute4x64_epi64(_mm256_xor_si256(first, sign), 0xD8);
   second = _mm256_permute4x64_epi64(_mm256_xor_si256(second, sign), 0xD8);
   _mm256_storeu_si256((__m256i*)to, _mm256_unpacklo_epi16(first, second));
@@ -295,20 +296,20 @@ inline void store_node_pairs(std::int32_t* to, __m256i first, __m256i second) {
 /// Halvings that make the sum of a node fit 16 bits: one of more samples than fit is summed in parts of as many as do.
 inline int node_shift(const TwoScaleFilter& filter) {
   int shift = 0;
-  while (filter.decimation > LaneFormat<std::uint8_t>::kSummands << shift) ++shift;
+  while (filter.decimation > ColumnFormat<std::uint8_t>::kSummands << shift) ++shift;
   return shift;
 }
 
 template <int kGroups>
 inline void shear_groups(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights, const TileGeometry& tile,
-                         const TwoScaleFilter& filter, const TwoScaleLayout& layout, int lane, std::int32_t* nodes,
+                         const TwoScaleFilter& filter, const TwoScaleLayout& layout, int column, std::int32_t* nodes,
                          std::int16_t* kept) {
-  using Format = LaneFormat<std::uint8_t>;
-  const int d = filter.decimation, lanes = layout.lanes;
+  using Format = ColumnFormat<std::uint8_t>;
+  const int d = filter.decimation, columns = layout.columns;
   const int shift = node_shift(filter);
   const __m256i half = _mm256_set1_epi16(static_cast<short>(shift > 0 ? 1 << (shift - 1) : 0));
   __m256i before[kGroups][2] = {};  // the node before an odd one
-  const Range outputs = layout.coarse_of_rows(layout.rows_of_lanes(tile, lane, kGroups * Format::kGroup), d);
+  const Range outputs = layout.coarse_of_rows(layout.rows_of_columns(tile, column, kGroups * Format::kGroup), d);
   for (int j = outputs.begin; j < outputs.end + 2 * filter.coarse_radius; ++j) {
     __m256i node[kGroups][2];
     for (int g = 0; g < kGroups; ++g) node[g][0] = node[g][1] = _mm256_setzero_si256();
@@ -319,11 +320,11 @@ inline void shear_groups(const SampleRows<std::uint8_t>& rows, const std::int32_
       __m256i sum[kGroups][2];
       for (int g = 0; g < kGroups; ++g) sum[g][0] = sum[g][1] = _mm256_setzero_si256();
       if (from >= to) {
-        sum_samples<kGroups, false>(rows, weights, begin, end, lane, lanes, sum, kept);
+        sum_samples<kGroups, false>(rows, weights, begin, end, column, columns, sum, kept);
       } else {
-        sum_samples<kGroups, false>(rows, weights, begin, from, lane, lanes, sum, kept);
-        sum_samples<kGroups, true>(rows, weights, from, to, lane, lanes, sum, kept);
-        sum_samples<kGroups, false>(rows, weights, to, end, lane, lanes, sum, kept);
+        sum_samples<kGroups, false>(rows, weights, begin, from, column, columns, sum, kept);
+        sum_samples<kGroups, true>(rows, weights, from, to, column, columns, sum, kept);
+        sum_samples<kGroups, false>(rows, weights, to, end, column, columns, sum, kept);
       }
       for (int g = 0; g < kGroups; ++g) {
         for (int odd = 0; odd < 2; ++odd) {
@@ -337,7 +338,7 @@ inline void shear_groups(const SampleRows<std::uint8_t>& rows, const std::int32_
         if (j % 2 == 0) {
           before[g][odd] = node[g][odd];
         } else {
-          store_node_pairs(nodes + j / 2 * lanes + lane + g * 32 + odd * 16, before[g][odd], node[g][odd]);
+          store_node_pairs(nodes + j / 2 * columns + column + g * 32 + odd * 16, before[g][odd], node[g][odd]);
         }
       }
     }
@@ -350,40 +351,42 @@ inline void shear(const SourcePlane<std::uint8_t>& source, const TileGeometry& t
   // Weights of a pixel and the next in the low and high byte of either half, in place of the parts.
   std::int32_t* weights = reinterpret_cast<std::int32_t*>(scratch + layout.parts_at);
   const int samples = layout.nodes * filter.decimation;
-  constexpr int kScale = static_cast<int>(LaneFormat<std::uint8_t>::kSampleScale);
+  constexpr int kScale = static_cast<int>(ColumnFormat<std::uint8_t>::kSampleScale);
   for (int i = 0; i < samples; ++i) {
     const int above = static_cast<int>((rows.parts[i] * std::uint64_t{kScale} + (std::uint64_t{1} << 31)) >> 32);
     weights[i] = ((kScale - above) | above << 8) * 0x10001;
   }
   std::int32_t* nodes = reinterpret_cast<std::int32_t*>(scratch + layout.nodes_at);
-  int lane = 0;
-  for (; lane + 64 <= layout.lanes; lane += 64) {
-    shear_groups<2>(rows, weights, tile, filter, layout, lane, nodes, kept);
+  int column = 0;
+  for (; column + 64 <= layout.columns; column += 64) {
+    shear_groups<2>(rows, weights, tile, filter, layout, column, nodes, kept);
   }
-  for (; lane < layout.lanes; lane += 32) shear_groups<1>(rows, weights, tile, filter, layout, lane, nodes, kept);
+  for (; column < layout.columns; column += 32)
+    shear_groups<1>(rows, weights, tile, filter, layout, column, nodes, kept);
 }
 
 #endif
 
 template <int kVectors>
-inline void filter_coarse_lanes(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
-                                int lane, float* scratch) {
-  const int taps = 2 * filter.coarse_radius + 1, lanes = layout.lanes;
+inline void filter_coarse_columns(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
+                                  int column, float* scratch) {
+  const int taps = 2 * filter.coarse_radius + 1, columns = layout.columns;
   // Weights have kCoarseGuard zeros on either side, so that every output sees every node of the span.
   const float* weights = filter.coarse;
-  const Range outputs = layout.coarse_of_rows(layout.rows_of_lanes(tile, lane, kVectors * kLanes), filter.decimation);
+  const Range outputs =
+      layout.coarse_of_rows(layout.rows_of_columns(tile, column, kVectors * kLanes), filter.decimation);
   for (int j = outputs.begin; j < outputs.end; j += kCoarseOutputs) {
     Vector acc[kCoarseOutputs][kVectors] = {};
-    const float* from = scratch + layout.nodes_at + j * lanes + lane;
-    for (int k = 0; k < taps + kCoarseOutputs - 1; ++k, from += lanes) {
+    const float* from = scratch + layout.nodes_at + j * columns + column;
+    for (int k = 0; k < taps + kCoarseOutputs - 1; ++k, from += columns) {
       for (int v = 0; v < kVectors; ++v) {
         const Vector node = load(from + v * kLanes);
         for (int o = 0; o < kCoarseOutputs; ++o) acc[o][v] += weights[k - o] * node;
       }
     }
-    float* to = scratch + layout.coarse_at + j * lanes + lane;
+    float* to = scratch + layout.coarse_at + j * columns + column;
     for (int o = 0; o < kCoarseOutputs; ++o) {
-      for (int v = 0; v < kVectors; ++v) store(to + o * lanes + v * kLanes, acc[o][v]);
+      for (int v = 0; v < kVectors; ++v) store(to + o * columns + v * kLanes, acc[o][v]);
     }
   }
 }
@@ -392,8 +395,8 @@ inline void filter_coarse_lanes(const TileGeometry& tile, const TwoScaleFilter& 
 template <typename Pixel>
 inline void filter_coarse(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
                           float* scratch) {
-  for (int lane = 0; lane < layout.lanes; lane += kLaneVectors * kLanes) {
-    filter_coarse_lanes<kLaneVectors>(tile, filter, layout, lane, scratch);
+  for (int column = 0; column < layout.columns; column += kColumnVectors * kLanes) {
+    filter_coarse_columns<kColumnVectors>(tile, filter, layout, column, scratch);
   }
 }
 
@@ -402,34 +405,34 @@ inline void filter_coarse(const TileGeometry& tile, const TwoScaleFilter& filter
 template <>
 inline void filter_coarse<std::uint8_t>(const TileGeometry& tile, const TwoScaleFilter& filter,
                                         const TwoScaleLayout& layout, float* scratch) {
-  using Format = LaneFormat<std::uint8_t>;
+  using Format = ColumnFormat<std::uint8_t>;
   static_assert(kCoarseOutputs == 4 && kCoarseGuard == 3, "outputs 0 .. 3 take the pairs of weights below");
-  const int lanes = layout.lanes, pairs = filter.coarse_radius + 2;  // of 2 radius + 1 nodes for each of 4 outputs
+  const int columns = layout.columns, pairs = filter.coarse_radius + 2;  // of 2 radius + 1 nodes for each of 4 outputs
   const float unit = Format::kResultScale / Format::kSampleScale * static_cast<float>(1 << node_shift(filter)) /
                      static_cast<float>(1 << filter.coarse_shift);
   const float offset = unit * 32768.0f * static_cast<float>(filter.coarse_sum);
-  for (int lane = 0; lane < lanes; lane += kLaneVectors * kLanes) {
-    static_assert(Format::kGroup % (kLaneVectors * kLanes) == 0, "vectors are of one group, whose lanes are mixed");
-    const Range rows = layout.rows_of_lanes(tile, lane / Format::kGroup * Format::kGroup, Format::kGroup);
+  for (int column = 0; column < columns; column += kColumnVectors * kLanes) {
+    static_assert(Format::kGroup % (kColumnVectors * kLanes) == 0, "vectors are of one group, whose columns are mixed");
+    const Range rows = layout.rows_of_columns(tile, column / Format::kGroup * Format::kGroup, Format::kGroup);
     const Range outputs = layout.coarse_of_rows(rows, filter.decimation);
     for (int j = outputs.begin; j < outputs.end; j += kCoarseOutputs) {
-      IntVector acc[kCoarseOutputs][kLaneVectors] = {};
+      IntVector acc[kCoarseOutputs][kColumnVectors] = {};
       const std::int32_t* from =
-          reinterpret_cast<const std::int32_t*>(scratch + layout.nodes_at) + j / 2 * lanes + lane;
+          reinterpret_cast<const std::int32_t*>(scratch + layout.nodes_at) + j / 2 * columns + column;
       const std::int32_t* even = filter.coarse_even;
       const std::int32_t* odd = filter.coarse_odd;
-      for (int p = 0; p < pairs; ++p, from += lanes) {
+      for (int p = 0; p < pairs; ++p, from += columns) {
         const std::int32_t weights[kCoarseOutputs] = {even[p], odd[p], even[p - 1], odd[p - 1]};
-        for (int v = 0; v < kLaneVectors; ++v) {
+        for (int v = 0; v < kColumnVectors; ++v) {
           const IntVector node = load(from + v * kLanes);
           for (int o = 0; o < kCoarseOutputs; ++o)
             acc[o][v] = multiply_pairs(acc[o][v], node, IntVector{} + weights[o]);
         }
       }
-      float* to = scratch + layout.coarse_at + j * lanes + lane;
+      float* to = scratch + layout.coarse_at + j * columns + column;
       for (int o = 0; o < kCoarseOutputs; ++o) {
-        for (int v = 0; v < kLaneVectors; ++v) {
-          store(to + o * lanes + v * kLanes, __builtin_convertvector(acc[o][v], Vector) * unit + offset);
+        for (int v = 0; v < kColumnVectors; ++v) {
+          store(to + o * columns + v * kLanes, __builtin_convertvector(acc[o][v], Vector) * unit + offset);
         }
       }
     }
@@ -438,31 +441,31 @@ inline void filter_coarse<std::uint8_t>(const TileGeometry& tile, const TwoScale
 
 #endif
 
-/// Adds boxes and smooth part up for every output row, on the lanes.
+/// Adds boxes and smooth part up for every output row, on the columns.
 template <typename Format>
 inline void add_scales(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
                        const float* coarse, const typename Format::Sample* kept, typename Format::Result* result) {
-  const int d = filter.decimation, lanes = layout.lanes;
+  const int d = filter.decimation, columns = layout.columns;
   const float unit = Format::kResultScale / Format::kSampleScale;
   const float both = unit * (filter.inner_box + filter.outer_box), outer = unit * filter.outer_box;
   // The spline over one node is a parabola, which is followed by its differences.
   const float step = 1.0f / static_cast<float>(d), first_u = -0.5f * static_cast<float>(d - 1) * step;
-  for (int group = 0; group < lanes; group += Format::kGroup) {
-    const Range rows = layout.rows_of_lanes(tile, group, Format::kGroup);
+  for (int group = 0; group < columns; group += Format::kGroup) {
+    const Range rows = layout.rows_of_columns(tile, group, Format::kGroup);
     const int first_node = rows.begin / d, first_m = first_node * d;
     for (int part = 0; part < Format::kGroup / (2 * kLanes); ++part) {
       const int at[2] = {group + part * kLanes, group + part * kLanes + Format::kGroup / 2};
       Vector box[2], leaving[2];  // samples of the inner box, and the one before it
       for (int p = 0; p < 2; ++p) {
-        const typename Format::Sample* from = kept + first_m * lanes + at[p];
-        box[p] = Format::sum_samples(from + lanes, 2 * filter.box_half + 1, lanes);
+        const typename Format::Sample* from = kept + first_m * columns + at[p];
+        box[p] = Format::sum_samples(from + columns, 2 * filter.box_half + 1, columns);
         leaving[p] = Format::load_sample(from);
       }
       for (int node = first_node, m = first_m; m < rows.end; ++node) {
         Vector value[2], slope[2], bend[2];
         for (int p = 0; p < 2; ++p) {
-          const float* from = coarse + node * lanes + at[p];  // of the node before
-          const Vector before = load(from), here = load(from + lanes), after = load(from + 2 * lanes);
+          const float* from = coarse + node * columns + at[p];  // of the node before
+          const Vector before = load(from), here = load(from + columns), after = load(from + 2 * columns);
           const Vector linear = 0.5f * (after - before), square = 0.5f * (before + after) - here;
           value[p] = here + 0.25f * square + first_u * (linear + first_u * square);
           slope[p] = step * (linear + (2 * first_u + step) * square);
@@ -470,8 +473,8 @@ inline void add_scales(const TileGeometry& tile, const TwoScaleFilter& filter, c
         }
         const int last = m + d < rows.end ? m + d : rows.end;
         for (; m < last; ++m) {
-          const typename Format::Sample* entering_row = kept + (m + 2 * filter.box_half + 2) * lanes;
-          const typename Format::Sample* leaving_row = kept + (m + 1) * lanes;
+          const typename Format::Sample* entering_row = kept + (m + 2 * filter.box_half + 2) * columns;
+          const typename Format::Sample* leaving_row = kept + (m + 1) * columns;
           Vector sum[2];
           for (int p = 0; p < 2; ++p) {
             const Vector entering = Format::load_sample(entering_row + at[p]);
@@ -481,31 +484,31 @@ inline void add_scales(const TileGeometry& tile, const TwoScaleFilter& filter, c
             value[p] += slope[p];
             slope[p] += bend[p];
           }
-          Format::store_results(result + m * lanes + group, part, sum);
+          Format::store_results(result + m * columns + group, part, sum);
         }
       }
     }
   }
 }
 
-/// Where an output row's first pixel is on the lanes.
-struct LanePosition {
+/// Where an output row's first pixel is on the columns.
+struct ColumnPosition {
   int below;
   double part;
-  LanePosition(const TileGeometry& tile, const TwoScaleLayout& layout, int m) {
-    const double lane = tile.n_begin - tile.slope * (tile.m_begin + m - layout.center) - layout.first_lane;
-    below = floor_to_int(lane);
-    part = lane - below;
+  ColumnPosition(const TileGeometry& tile, const TwoScaleLayout& layout, int m) {
+    const double column = tile.n_begin - tile.slope * (tile.m_begin + m - layout.center) - layout.first_column;
+    below = floor_to_int(column);
+    part = column - below;
   }
 };
 
-/// Resamples the lanes to pixels (Catmull-Rom).
+/// Resamples the columns to pixels (Catmull-Rom).
 template <typename Pixel>
 inline void unshear(const TileGeometry& tile, const TwoScaleLayout& layout, const float* result, Pixel* out) {
   for (int m = 0; m < tile.m_count; ++m) {
-    const LanePosition position(tile, layout, m);
+    const ColumnPosition position(tile, layout, m);
     const CubicWeights across(position.part);
-    const float* row = result + m * layout.lanes + position.below - 1;
+    const float* row = result + m * layout.columns + position.below - 1;
     for (int n = 0; n < tile.n_count; n += kLanes) {
       Vector sum = across.w[0] * load(row + n);
       for (int q = 1; q < 4; ++q) sum += across.w[q] * load(row + n + q);
@@ -516,8 +519,8 @@ inline void unshear(const TileGeometry& tile, const TwoScaleLayout& layout, cons
 
 #if defined(__AVX2__)
 
-/// Weights of the cubic in fixed point, two in one int32, for positions in steps of 1 / kPlaces lane: the error, of at
-/// most half a step, is that of an image 1 / 512 px away.
+/// Weights of the cubic in fixed point, two in one int32, for positions in steps of 1 / kPlaces column: the error, of
+/// at most half a step, is that of an image 1 / 512 px away.
 struct CubicTable {
   static constexpr int kPlaceBits = 8, kPlaces = 1 << kPlaceBits;
   static constexpr int kWeightBits = 14;
@@ -542,19 +545,19 @@ constexpr CubicTable kCubicTable;
 inline void unshear(const TileGeometry& tile, const TwoScaleLayout& layout, const std::int16_t* result,
                     std::uint8_t* out) {
   constexpr int kShift = CubicTable::kWeightBits + 4;  // results have 4 bits below the grey level
-  static_assert(1 << (kShift - CubicTable::kWeightBits) == static_cast<int>(LaneFormat<std::uint8_t>::kResultScale),
+  static_assert(1 << (kShift - CubicTable::kWeightBits) == static_cast<int>(ColumnFormat<std::uint8_t>::kResultScale),
                 "");
   const __m256i half = _mm256_set1_epi32(1 << (kShift - 1));
   constexpr int kOneBits = 32;
   const std::int64_t step = static_cast<std::int64_t>(tile.slope * (std::int64_t{1} << kOneBits));
-  std::int64_t lane = static_cast<std::int64_t>(tile.n_begin - layout.first_lane) * (std::int64_t{1} << kOneBits) -
-                      step * (tile.m_begin - layout.center) +
-                      (std::int64_t{1} << (kOneBits - CubicTable::kPlaceBits - 1));
-  for (int m = 0; m < tile.m_count; ++m, lane -= step) {
-    const int place = static_cast<int>(lane >> (kOneBits - CubicTable::kPlaceBits)) & (CubicTable::kPlaces - 1);
+  std::int64_t column = static_cast<std::int64_t>(tile.n_begin - layout.first_column) * (std::int64_t{1} << kOneBits) -
+                        step * (tile.m_begin - layout.center) +
+                        (std::int64_t{1} << (kOneBits - CubicTable::kPlaceBits - 1));
+  for (int m = 0; m < tile.m_count; ++m, column -= step) {
+    const int place = static_cast<int>(column >> (kOneBits - CubicTable::kPlaceBits)) & (CubicTable::kPlaces - 1);
     const __m256i first = _mm256_set1_epi32(kCubicTable.first[place]);
     const __m256i second = _mm256_set1_epi32(kCubicTable.second[place]);
-    const std::int16_t* row = result + m * layout.lanes + static_cast<int>(lane >> kOneBits) - 1;
+    const std::int16_t* row = result + m * layout.columns + static_cast<int>(column >> kOneBits) - 1;
     for (int n = 0; n < tile.n_count; n += 16) {
       const auto at = [&](int i) { return _mm256_loadu_si256((const __m256i*)(row + n + i)); };
       const __m256i even =
@@ -574,7 +577,7 @@ inline void unshear(const TileGeometry& tile, const TwoScaleLayout& layout, cons
 template <typename Pixel>
 void two_scale(const SourcePlane<Pixel>& source, const TileGeometry& tile, const TwoScaleFilter& filter, float* scratch,
                Pixel* out) {
-  using Format = LaneFormat<Pixel>;
+  using Format = ColumnFormat<Pixel>;
   const TwoScaleLayout layout = TwoScaleLayout::of<Pixel>(tile, filter);
   auto* kept = reinterpret_cast<typename Format::Sample*>(scratch + layout.kept_at);
   auto* result = reinterpret_cast<typename Format::Result*>(scratch + layout.result_at);
