@@ -20,33 +20,33 @@ namespace gyro_deblur {
 /// status that the extent alone decides (SHARP, DEBLURRED, TOO_LARGE).
 BlockBlur classify_blur(double dx_px, double dy_px, const BlurFieldOptions& options);
 
-/// How far [px] a point may be from where an even speed would have it and the speed still count as even. On photographs
-/// with noise of 1.5 grey levels a box then restores at most 0.3 dB less than at an even speed, at extents of 10 to 120
-/// px. The fast engines know boxes best.
+/// Largest deviation [px] from uniform motion along the line for which a path counts as uniform and gets the filter of
+/// a box (doc/design/blur_model.md). Precondition: extent_px >= 0.
 double even_path_px(double extent_px);
 
-/// A path is curved when it leaves its line by more than curved_path_threshold_px and this share of the extent: what a
-/// line loses by a deviation of so much hardly depends on the extent, see curved_path_threshold_px.
+/// A path is curved when it deviates from its line by more than curved_path_threshold_px plus this share of the extent.
 constexpr double kStraightPathShare = 0.02;
 
-/// Where there is no time for a 2-D filter, a straight path does for paths that leave it by so much [px] (or
-/// curved_path_threshold_px) and kStraightPathShare at most: there it still gains, from 10 px on
-/// (doc/reports/experiments_real_world.md).
+/// Where there is no time for a 2-D filter, paths that deviate from their line by at most this [px] (or
+/// curved_path_threshold_px, if that is larger) plus kStraightPathShare of the extent get a 1-D filter: it still gains
+/// there (doc/reports/experiments_real_world.md).
 constexpr double kMaxStraightDeviationPx = 1.5;
 
-/// Blur of one block from the places [px] of a scene point at kPathInstants, relative to that at the middle: that of
-/// the way from the first to the last place (classify_blur) as long as the point runs along it at even speed, less the
-/// best shift, to within the limit of evenness. Otherwise the line is the one that lies nearest to the places,
-/// extent_px is what they cover of it, and nonuniform_path_px is set. Where they lie more than that limit to
-/// either side of the line, curved_path_px is set, and the path is TOO_CURVED where it leads farther than
-/// kMax2dExtentPx.
-/// @param straight_only  curved_path_px is never set; TOO_CURVED is what leaves its line by more than
-/// kMaxStraightDeviationPx instead
+/// Blur of one block from a path (doc/design/blur_model.md):
+///
+/// - Uniform speed, to within even_path_px(): classify_blur() of the displacement from the first to the last place.
+/// - Non-uniform speed: the line is the one nearest to the places, extent_px the length of it that they cover, and
+///   nonuniform_path_px is set.
+/// - Curved, of either speed (kStraightPathShare): curved_path_px is set too. TOO_CURVED if that covers more than
+///   kMax2dExtentPx.
+///
+/// @param path_px        places of a scene point at kPathInstants, relative to the place at mid-exposure; finite
+/// @param straight_only  curved_path_px is never set; paths beyond kMaxStraightDeviationPx are TOO_CURVED
 BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options,
                         bool straight_only = false);
 
-/// Whether a residual velocity is far enough from none to be one, for a path within `exposure_ns`: a camera that only
-/// turns is deblurred by its gyroscope alone.
+/// Whether a residual velocity differs significantly from 0 and makes a visible path within `exposure_ns` (> 0). A
+/// camera that only rotates is deblurred by its gyroscope alone.
 bool is_certain(const ResidualVelocity& residual, TimeNs exposure_ns);
 
 /// Computes blur fields for one camera; keeps the rays of the block centres, which depend only on calibration and grid.

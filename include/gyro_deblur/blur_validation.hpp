@@ -15,8 +15,8 @@ namespace gyro_deblur {
 /// @param block      non-empty, inside the image
 float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double angle_rad);
 
-/// Extent [px] of the box that leaves as much of a step within a few pixels as the steepest part of this blur does:
-/// extent_px where the path is even, less where the point lingers.
+/// Extent [px] of the box that blurs a step as little as the slowest part of this path does: extent_px at uniform
+/// speed, less at non-uniform speed.
 double steepest_box_px(const BlockBlur& blur);
 
 /// Returns `field` with those DEBLURRED blocks turned REJECTED that the image contradicts, by options.rule. LIKELIHOOD:

@@ -12,7 +12,7 @@
 
 namespace gyro_deblur {
 
-/// What is known of one camera and the IMU beside it. What a source does not say is absent.
+/// Calibration of one camera and its IMU. Values that a source does not have are absent.
 struct SensorCalibration {
   std::string origin;                       ///< file and camera, for messages
   std::optional<CameraCalibration> camera;  ///< of the whole image, as the sensor delivers it

@@ -92,7 +92,7 @@ struct Config {
 /// Reads a map of keys in YAML (nothing: all defaults) and validates the result. Keys that are not known are appended
 /// to `unknown` (when given) and otherwise ignored.
 /// Throws OptionError that names the key, its value and what is allowed, and for a calibration file that contradicts
-/// another or a key both values. A key that is 0 or empty leaves it to the file. `given` are the numbers that a key or
+/// another or a key both values. A key that is 0 or empty takes the file's value. `given` are the numbers that a key or
 /// a file has: a key that is absent or empty gives none.
 /// @param folder  calibration files and the mask are relative to it; empty: to the working folder
 Config parse_config(const std::string& yaml, std::vector<std::string>* unknown = nullptr,

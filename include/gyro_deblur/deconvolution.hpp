@@ -12,9 +12,9 @@
 
 namespace gyro_deblur {
 
-/// With Regularization::ADAPTIVE: weighs the texture of each DEBLURRED block of `field` against the image's noise. Sets
-/// noise_to_texture, by which make_filter_grid() chooses gamma, and turns those blocks NOISY that filtering would make
-/// worse. Does nothing by other rules, or where field.noise is not known.
+/// With Regularization::ADAPTIVE: sets noise_to_texture of each DEBLURRED block of `field`, by which make_filter_grid()
+/// chooses gamma, and sets the status of blocks that filtering would make worse to NOISY. Does nothing for other
+/// regularizations, or if field.noise is not known.
 /// @param luminance  CV_8UC1 of the field's size
 /// @param mask       empty, or of the field's size: of the pixels that noise is found in
 void adapt_regularization(const cv::Mat& luminance, const FilterBank& bank, FrameBlur& field, int threads = 0,
@@ -34,9 +34,9 @@ FilterGrid make_filter_grid(const FrameBlur& field, const FilterBank& bank, int 
 FallbackCounts deconvolve(const cv::Mat& image, PixelLayout layout, const FrameBlur& field, const FilterBank& bank,
                           Engine& engine, cv::Mat& dst, int threads = 0);
 
-/// Makes what deconvolve() needs for even blur that the options let through, of mosaics too, so that the first frame of
-/// an extent takes no longer than later ones: the bank's kernels, and what the engine makes of them. A tenth of
-/// a second and 20 MB where blur may be 150 px long, ten times as much for 500 px.
+/// Computes ahead the kernels of all extents that the options allow at uniform speed, of mosaics too, and the engine's
+/// data for them, so that the first frame of an extent takes no longer than later ones. Takes about 0.1 s and 20 MB up
+/// to 150 px.
 void prepare_deconvolution(const BlurFieldOptions& options, const FilterBank& bank, Engine& engine, int threads = 0);
 
 /// Adds to `all` what another pass over the same blocks found: for each reason the larger number.

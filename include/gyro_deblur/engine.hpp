@@ -1,5 +1,5 @@
-// Engines: every block of an image filtered along its own line with its own kernel (paper section IV-B), or with the
-// inverse of its whole path where no line serves.
+// Engines: they filter every block of an image with its own 1-D filter along its own line (paper section IV-B), or with
+// its own 2-D filter.
 #pragma once
 
 #include <cstddef>
@@ -15,10 +15,10 @@
 
 namespace gyro_deblur {
 
-/// What to do with one block of an image: at most one of `kernel` and `inverse` is set, neither is owned. Without both
-/// the block is copied bit for bit.
+/// Filter of one block. At most one of `kernel` and `inverse` is set; neither is owned. Without both the block is
+/// copied bit for bit.
 struct BlockFilter {
-  double angle_rad = 0;                      ///< direction of the kernel's line, x right, y down
+  double angle_rad = 0;                      ///< direction of the kernel's line [rad], x right, y down
   const LineKernel* kernel = nullptr;        ///< convolved with along the line
   const WienerInverse2d* inverse = nullptr;  ///< for the 2-D filter
 
@@ -40,7 +40,7 @@ struct FilterGrid {
   cv::Rect rect(int index) const;
 };
 
-/// How many blocks an engine filtered with a slower method than the one it has for most, by the reason in words.
+/// Number of blocks that an engine filtered with a slower method than most, by reason.
 using FallbackCounts = std::map<std::string, std::size_t>;
 
 /// Convolves every block of an image along its own line with its own kernel, or filters it with its 2-D
@@ -58,8 +58,7 @@ class Engine {
   /// Results are rounded and clipped to the pixel type. Throws std::invalid_argument for what does not fit.
   virtual void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) = 0;
 
-  /// Makes ahead what filter() takes time to make for a kernel that it has not seen, and forgets what it has made for
-  /// others. Not during filter().
+  /// Computes ahead what filter() needs for new kernels, and drops the same of other kernels. Not during filter().
   virtual void prepare(const std::vector<const LineKernel*>& kernels) { static_cast<void>(kernels); }
 
   /// Whether all blocks get a 2-D inverse, also where a 1-D kernel would serve.
@@ -68,7 +67,7 @@ class Engine {
   /// Short name for diagnostics, e.g. "float". Any thread may ask, also during filter().
   virtual std::string name() const = 0;
 
-  /// Those of the latest image; none where an engine has one method for all. Not during filter().
+  /// Counts of the latest image; empty if the engine has one method for all. Not during filter().
   virtual FallbackCounts fallback_counts() const { return {}; }
 
   /// Something the user should know, such as a device that failed; each warning is returned once, empty: none.

@@ -1,4 +1,4 @@
-// How long a camera may expose while it moves as it does, so that its blur can still be undone well.
+// Advice on the longest exposure time whose blur can still be removed well at the camera's present motion.
 #pragma once
 
 #include <optional>
@@ -10,50 +10,45 @@
 
 namespace gyro_deblur {
 
-/// What the variance of an image's noise consists of, and how each part of noise over contrast depends on the exposure
-/// t, the scene's light and the lens left alone, whether the camera keeps its images as bright by its gain or not. In
-/// the linear camera model of EMVA 1288 the signal grows with t, the variance of light's own noise with t as well, and
-/// that of reading does not grow. Shares >= 0 that sum to 1.
+/// Parts of the variance of an image's noise, by how they fall with the exposure time t at constant light (linear
+/// camera model of EMVA 1288): variance over squared contrast. Shares >= 0 that sum to 1.
 struct NoiseShares {
-  double photons = 1;   ///< variance over contrast squared falls as 1 / t
-  double reading = 0;   ///< as 1 / t^2
-  double constant = 0;  ///< not at all
+  double photons = 1;   ///< photon noise, falls as 1 / t
+  double reading = 0;   ///< read noise, falls as 1 / t^2
+  double constant = 0;  ///< does not fall
 };
 
-/// What an advice is found by: the motion and noise of an image.
+/// Motion and noise of an image, from which the advice is computed.
 struct ExposureTerms {
-  double speed_px_s = 0;         ///< >= 0; how fast what half of the pixels show moves at most
-  TimeNs exposure_ns = 0;        ///< > 0, of the image
-  double noise_to_contrast = 0;  ///< > 0, in the image, see noise_to_contrast()
-  NoiseShares noise;             ///< of that
+  double speed_px_s = 0;         ///< median speed of the image's pixels, >= 0
+  TimeNs exposure_ns = 0;        ///< exposure time of the image, > 0
+  double noise_to_contrast = 0;  ///< > 0, see noise_to_contrast()
+  NoiseShares noise;             ///< parts of that noise
   BlurFieldOptions blur_field;   ///< which extents are deblurred
 };
 
-/// Of an image; nothing where its motion, noise or contrast are not known.
+/// Terms of an image; nothing if its motion, noise or contrast is not known.
 /// @param quality  of the field
-/// @param noise    the sensor's, where it is known: tells which part of the noise is light's own. Else all of it is
-///                 taken for that, as in all but the darkest images
+/// @param noise    of the sensor: the split into photon and read noise. Not known: all noise is taken for photon noise
 std::optional<ExposureTerms> exposure_terms(const FrameBlur& field, const FrameQuality& quality,
                                             const BlurFieldOptions& options, const NoiseModel& noise);
 
-/// Share of an image's corners that can be expected where they would be without blur, had it been exposed for so long:
-/// expected_repeatability() of blur that grows with the exposure, deblurred where that is worth it, and noise that
-/// falls.
+/// Expected share of an image's corners that are where they would be without blur, at another exposure time:
+/// expected_repeatability() with blur that grows and noise that falls with the exposure time.
 /// @param exposure_ns  > 0
 /// @return in [0, 1]
 double expected_repeatability_at(const ExposureTerms& terms, TimeNs exposure_ns);
 
+/// Result of advise_exposure().
 struct ExposureAdvice {
-  TimeNs best_ns = 0;     ///< exposure at which most corners can be expected
-  TimeNs longest_ns = 0;  ///< the longest one at which three quarters of those can
+  TimeNs best_ns = 0;     ///< exposure time with most expected corners
+  TimeNs longest_ns = 0;  ///< longest exposure time with three quarters of those
   double best_share = 0;  ///< expected_repeatability_at(best_ns)
 };
 
-/// The longest exposure whose blur can still be undone well. Deblurred images have at most four fifths of the corners
-/// of sharp ones with the same noise, so that three quarters of the most that any exposure gives is well, and not so
-/// near the maximum that only images without blur were.
-/// @param limit_ns  > 0; no longer exposures are considered: the frame period
-/// @return nothing where images are POOR at any exposure
+/// The longest exposure time whose blur can still be removed well (doc/reports/image_quality.md#the-longest-exposure).
+/// @param limit_ns  longest exposure time that is considered, > 0: the frame period
+/// @return nothing if images are POOR at any exposure time
 std::optional<ExposureAdvice> advise_exposure(const ExposureTerms& terms, TimeNs limit_ns);
 
 }  // namespace gyro_deblur

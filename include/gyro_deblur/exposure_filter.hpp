@@ -9,9 +9,9 @@
 namespace gyro_deblur {
 
 /// Combines the exposure estimates of consecutive images into the exposure time now: a Kalman filter of the logarithm
-/// of the exposure and, while it moves, of its speed. A camera's auto exposure leaves it at rest, lets it glide, or
-/// moves it by a jump. It moves when two consecutive estimates contradict the state on the same side and agree with
-/// each other. One alone is an outlier.
+/// of the exposure and, while it moves, of its speed. A camera's auto exposure keeps it constant, changes it steadily,
+/// or makes it jump. It moves when two consecutive estimates contradict the state on the same side and agree with each
+/// other. One alone is an outlier.
 class ExposureFilter {
  public:
   /// One call for each new image, in the order of stamps; an earlier stamp than the last one resets.

@@ -45,8 +45,8 @@ struct TrackState;
 /// the new image are each blurred by the path of the other, and aligned (features/blur_alignment.hpp); the patch of an
 /// older image, up to ten images back, holds down the drift. A corner is kept when the patches differ by no more than
 /// noise explains, and when it agrees with the epipolar geometry of the others, from which rotation (row by row) has
-/// been taken out first. Where no residual velocity is known, the corner's
-/// last motion beside its prediction starts the search, or else Lucas-Kanade over a pyramid.
+/// been taken out first. Where no residual velocity is known, the corner's last deviation from its prediction starts
+/// the search, or else Lucas-Kanade over a pyramid.
 class FeatureTracker {
  public:
   /// Throws OptionError.

@@ -12,14 +12,13 @@ namespace gyro_deblur {
 
 class ExpectedErrors;
 
-/// A symmetric or general 1-D kernel, sampled at unit steps along a line: tap i acts at position i - taps.size() / 2.
-/// taps.size() is odd.
+/// Taps of a 1-D filter: the inverse of a straight path, at steps of 1 px along its line.
 struct LineKernel {
-  std::vector<float> taps;
+  std::vector<float> taps;  ///< an odd number; tap i acts at position i - taps.size() / 2 [px]
 
-  /// Where the kernel jumps, for engines that make use of it: taps are symmetric, box_height inside a centred box of
-  /// box_extent_px (its edges weighted by coverage) plus a rest that is smooth up to the last tap. Below
-  /// kConstantRatioExtentPx the jump is spread over some pixels. 0: not known to have this shape.
+  /// For engines that use the shape of a box's inverse: symmetric taps, box_height inside a centred box of
+  /// box_extent_px (its edges weighted by coverage) plus a smooth rest. Below kConstantRatioExtentPx the jump is spread
+  /// over some pixels. 0: not known to have this shape.
   double box_extent_px = 0;
   double box_height = 0;
 
@@ -30,10 +29,8 @@ struct LineKernel {
 constexpr double kMinKernelExtentPx = 1.0;
 constexpr double kMaxKernelExtentPx = 500.0;
 
-/// From this extent [px] on Regularization::FIXED takes the noise-to-signal ratio for constant, as the paper
-/// does. A ratio that falls towards low frequencies restores more of longer blur as well (0.1 to 0.4 dB), but amplifies
-/// what is wrong with the estimate there, which is the larger the longer the blur: with 100 px instead keypoints of the
-/// real-world table (doc/reports/experiments_real_world.md) repeat 5 % less often.
+/// From this extent [px] on Regularization::FIXED takes the noise-to-signal ratio for constant, as the paper does: at
+/// low frequencies a smaller ratio would amplify errors of the blur's estimate (doc/design/two_scale_filter.md).
 constexpr double kConstantRatioExtentPx = 36.0;
 
 /// s of Regularization::FIXED: from 1 without blur down to 0 at kConstantRatioExtentPx.
@@ -48,16 +45,17 @@ LineKernel wiener_kernel(double extent_px, const FilterOptions& options);
 /// its middle in time. Throws OptionError as above.
 LineKernel wiener_kernel(const Path1d& path_px, const FilterOptions& options);
 
-/// The options with gamma doubled so often, but at most 1.
+/// The options with gamma doubled `doublings` (>= 0) times, at most 1.
 FilterOptions with_doubled_gamma(FilterOptions options, int doublings);
 
 /// What to filter a block with, and what is expected of it.
 struct FilterChoice {
-  int gamma_doublings = 0;
-  /// Of the error that blur makes, the share that is expected to be removed, less what is added of noise; at most 1.
-  /// Below 0 filtering does harm. Noise that is smoothed away counts for nothing.
+  int gamma_doublings = 0;  ///< how often gamma is doubled, >= 0
+  /// Expected share of the blur's error that filtering removes, less the noise that it adds; at most 1. Below 0
+  /// filtering does harm. Smoothed noise does not count as a gain.
   double gain = 1;
-  /// Variance of white noise after filtering over that before: the integral over f of |W|^2, see FilterBank::choose().
+  /// Variance of white noise after filtering over that before, > 0: the integral over f of |W|^2, see
+  /// FilterBank::choose(). (A sensor's noise per grey level is NoiseModel::photon_gain.)
   double noise_gain = 1;
 };
 

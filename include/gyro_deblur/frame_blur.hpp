@@ -18,15 +18,14 @@ namespace gyro_deblur {
 
 /// What became of one block of the image. Values equal the constants of gyro_deblur/BlurField.msg.
 enum class BlockStatus : std::uint8_t {
-  SHARP = 0,      ///< extent is, or may be, below min_extent_px: copied unchanged
-  DEBLURRED = 1,  ///< deconvolved (before validation: to be deconvolved)
-  REJECTED = 2,   ///< the image contradicts the predicted blur: copied unchanged, keypoints not rectified
-  TOO_LARGE = 3,  ///< extent above max_extent_px: copied unchanged
-  NO_GYRO = 4,    ///< no usable gyroscope samples for this block's exposure: copied unchanged
-  TOO_CURVED =
-      5,       ///< the path leaves a straight line; too long for the 2-D filter, or no time for it: copied unchanged
-  NOISY = 6,   ///< filtering would add more noise than it removes blur: copied unchanged
-  MASKED = 7,  ///< no pixel of it is used, see PixelMask: copied unchanged
+  SHARP = 0,       ///< extent is, or may be, below min_extent_px: copied unchanged
+  DEBLURRED = 1,   ///< deconvolved (before validation: to be deconvolved)
+  REJECTED = 2,    ///< the image contradicts the predicted blur: copied unchanged, keypoints not rectified
+  TOO_LARGE = 3,   ///< extent above max_extent_px: copied unchanged
+  NO_GYRO = 4,     ///< no usable gyroscope samples for this block's exposure: copied unchanged
+  TOO_CURVED = 5,  ///< curved path, too long for the 2-D filter or no time for it: copied unchanged
+  NOISY = 6,       ///< filtering would add more noise than it removes blur: copied unchanged
+  MASKED = 7,      ///< no pixel of it is used, see PixelMask: copied unchanged
   /// Its pixels, or those that its filter would read, are masked in part or do not move with the camera in part: copied
   /// unchanged.
   STATIC_EDGE = 8,
@@ -82,8 +81,8 @@ double axial_angle(double dx, double dy);
 /// Difference of two axial angles [rad], in [0, pi/2].
 double axial_difference(double a_rad, double b_rad);
 
-/// Image motion of a block that the camera's known motion does not explain: translation over depth, an object that
-/// moves by itself, a bias of the gyroscope.
+/// Image motion of a block that the rotation does not explain: translation over depth, a moving object, a bias of the
+/// gyroscope.
 struct ResidualVelocity {
   Eigen::Vector2d velocity_px_s = Eigen::Vector2d::Zero();
   double stddev_px_s = 0;  ///< of each component
@@ -98,29 +97,27 @@ struct BlockBlur {
   /// >= 0: length of the path within the exposure; at non-uniform speed how much of its line it covers.
   float extent_px = 0;
   BlockStatus status = BlockStatus::SHARP;
-  /// Where the path departs from the paper's straight one at even speed: the path along the line.
+  /// Set if the speed is non-uniform (even_path_px()): the path along the line.
   std::optional<Path1d> nonuniform_path_px = std::nullopt;
-  /// Where the path leaves the line: the whole of it.
+  /// Set if the path is curved (kStraightPathShare): all of it.
   std::optional<Path2d> curved_path_px = std::nullopt;
-  /// Halfway between the path's ends, and its mean in time, from where the point is at the middle of the exposure.
+  /// Midpoint of the path's ends, and its mean in time, relative to the place at mid-exposure.
   Eigen::Vector2f chord_middle_px = Eigen::Vector2f::Zero();
   Eigen::Vector2f mean_place_px = Eigen::Vector2f::Zero();
-  /// The part of the motion that the camera's known motion does not explain; nothing where that is not known, or not
-  /// certain enough.
+  /// Nothing if it is not known or not certain, see is_certain().
   std::optional<ResidualVelocity> residual = std::nullopt;
-  /// See FilterBank::choose(); 0 where it is not known.
+  /// Ratio of noise to texture [cycles^2/px^2], see FilterBank::choose(); 0: not known.
   float noise_to_texture = 0;
-  /// Variance of the noise that filtering leaves over that before, see FilterChoice; 1 where it is not known.
+  /// Variance of the noise after filtering over that before, see FilterChoice; 1: not known.
   float noise_gain = 1;
 
-  /// From where a scene point is at the middle of the exposure to where the output image shows it [px]. A box puts the
-  /// point towards the middle of the line that it stands for, the farther the longer it is, the kernel of a
-  /// non-uniform path to where the point was, the inverse of a curved path too; across the line, and where nothing is
-  /// filtered, blur stays centred on its mean.
+  /// From where a scene point is at mid-exposure to where the output image shows it [px]. The filter of a box moves the
+  /// point towards the middle of its line, more for longer blur. The filters of non-uniform and curved paths keep the
+  /// place at mid-exposure. Across the line, and in unfiltered blocks, blur stays centred on its mean.
   Eigen::Vector2d apparent_offset_px() const;
 };
 
-/// The blur of an image; `status` is the only record of what may be deblurred and rectified.
+/// The blur of an image. The status of a block is the only record of what may be deblurred and rectified.
 struct FrameBlur {
   BlockGrid grid;
   std::vector<BlockBlur> blocks;  ///< grid.size(), row by row
@@ -128,7 +125,7 @@ struct FrameBlur {
   TimeNs readout_ns = 0;
   std::optional<double> noise;  ///< of the image [grey levels of 8 bits], see image_noise(); nothing: not known
   double contrast = 0;          ///< of the image [grey levels of 8 bits], see image_contrast(); 0: not known
-  bool images_alone = false;    ///< no other motion is known: residual velocities are the whole of it
+  bool images_alone = false;    ///< no rotation is known: residual velocities are the whole motion
 
   std::size_t count(BlockStatus status) const;
   /// Every block that is to be deblurred becomes REJECTED: the image stays as it came.

@@ -1,4 +1,4 @@
-// What an image is worth, as a whole and by pixel, to those who look for features in it.
+// Quality of an image for feature detection, as a whole and by pixel.
 #pragma once
 
 #include <array>
@@ -15,7 +15,7 @@ namespace gyro_deblur {
 
 /// Values equal the constants of gyro_deblur/ImageQuality.msg.
 enum class QualityGrade : std::uint8_t {
-  SHARP = 0,             ///< nearly all of it arrived so
+  SHARP = 0,             ///< nearly all of the input is sharp
   DEBLURRED = 1,         ///< nearly all of it is sharp or deblurred
   PARTLY_DEBLURRED = 2,  ///< part of it stays blurred
   POOR = 3,              ///< few corners can be expected where they would be without blur
@@ -28,7 +28,7 @@ const char* to_string(QualityGrade grade);
 /// Images with a score below it are POOR: three of four corners that are found are wrong. ImageQuality.msg tells users.
 constexpr double kPoorScore = 0.25;
 
-/// Extents [px] that half of the blocks, or all but a twentieth, do not exceed.
+/// Median and 95th percentile of the blocks' extents [px].
 struct ExtentSpread {
   double median_px = 0, p95_px = 0;
 };
@@ -54,7 +54,7 @@ struct FrameQuality {
 /// @return in [0, 1]; nothing for a block whose blur is not known (NO_GYRO, MASKED)
 std::optional<double> expected_repeatability(const BlockBlur& block, double noise_to_contrast);
 
-/// Noise over what of an image's contrast is not noise, in [0, 1]; 0 where one of them is not known.
+/// Noise over contrast without noise, in [0, 1]; 0 if one of them is not known.
 double noise_to_contrast(const FrameBlur& field);
 
 /// @param field  validated

@@ -11,14 +11,13 @@
 
 namespace gyro_deblur {
 
-/// Standard deviation of the noise in an image's pixels, [grey levels of 8 bits], rounding included (0.29 where whole
-/// grey levels are all there is): what is left of a 5 x 5 px filter that passes the finest checkerboard alone, in those
-/// squares of 8 x 8 px that have the least texture at twice its size, carried on to none. Of the green channel, of a
-/// mosaic of one plane of green. Nothing where fewer than 30 squares are neither black nor saturated anywhere.
+/// Standard deviation of the noise in an image's pixels, [grey levels of 8 bits], rounding included (0.29 for whole
+/// grey levels): what is left of a 5 x 5 px filter that passes the finest checkerboard alone, in those squares of 8 x 8
+/// px that have the least texture at twice its size, carried on to none. Of the green channel, of a mosaic of one plane
+/// of green. Nothing where fewer than 30 squares are neither black nor saturated anywhere.
 ///
-/// On the Oxford photographs, blurred by 15 px, it is within 5 % of the truth from 0.5 to 12 grey levels. Where
-/// everything in a sharp image is texture it takes the finest of it for noise; and it sees little of the noise that
-/// demosaicing or compression has smoothed.
+/// Accuracy: doc/reports/experiments.md#noise. In a sharp image that is texture everywhere the finest of it counts as
+/// noise. Noise that demosaicing or compression has smoothed is underestimated.
 ///
 /// @param image             CV_8U or CV_16U that fits `layout`
 /// @param significant_bits  of 16-bit images: 2^bits - 1 becomes 255
@@ -33,7 +32,7 @@ std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int 
 double image_noise(const cv::Mat& luminance, const NoiseModel& model, const PixelMask& mask = {});
 
 /// Standard deviation of an image's grey levels [of 8 bits], noise included, of every sixteenth pixel either way of
-/// the same channel, or plane of a mosaic. Blur leaves nearly all of it. 0 of an image without pixels.
+/// the same channel, or plane of a mosaic. Blur reduces it little. 0 of an image without pixels.
 /// @param mask  empty, or of the image's size; masked pixels are left out
 double image_contrast(const cv::Mat& image, PixelLayout layout, int significant_bits = 16, const PixelMask& mask = {});
 

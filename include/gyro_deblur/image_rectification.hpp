@@ -45,10 +45,9 @@ class GlobalShutterMap {
 /// for BlockBlur::apparent_offset_px(), which is not worth resampling it.
 bool is_global_shutter(const RowExposure& exposure, TimeNs reference_ns);
 
-/// Takes every row to `reference_ns`. The inverse of rectify_points(): what that moves from q to p is found for p at q,
-/// to 0.02 px at 5 rad/s and 20 ms of readout (to 0.25 px within 96 px of the corners of a wide lens, to 0.1 px where
-/// neighbouring blocks are moved by 1 px more or less). Blocks that rectify_points() leaves alone move as their
-/// neighbours do: an image has to stay whole. For the same reason rows whose time to the reference `motion` does not
+/// Map that moves every row to `reference_ns`. The inverse of rectify_points(), which moves q to p if this map takes p
+/// from q (accuracy: doc/guides/topics.md#global-shutter-images). Blocks that rectify_points() does not move follow
+/// their neighbours: an image has to stay whole. For the same reason rows whose time to the reference `motion` does not
 /// cover are moved as far as the nearest row that it covers, and what is beyond the lens model as what is nearest
 /// within. Empty where `motion` covers no row, or nothing lies within the lens model.
 /// @param field    of the whole image (at least one block)
@@ -58,7 +57,7 @@ GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera
 
 /// The image resampled by the map, once and bilinearly.
 /// @param image   CV_8U or CV_16U of the map's size, 1, 3 or 4 channels, sides below 32767 px; not a Bayer mosaic
-/// @param border  what is put where the map leaves the image
+/// @param border  value of pixels that the map takes from outside the image
 /// Throws std::invalid_argument when image and map do not fit, or the map is empty.
 cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, ImageBorder border = ImageBorder::BLACK,
                           int threads = 0);

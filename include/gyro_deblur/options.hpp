@@ -14,7 +14,7 @@ namespace gyro_deblur {
 
 /// Blur field and its division into blocks (paper section IV).
 struct BlurFieldOptions {
-  int block_size_px = 64;  ///< a multiple of 2 so that Bayer planes divide alike
+  int block_size_px = 64;  ///< a multiple of 2, for Bayer mosaics
   /// Smaller blur is passed through: there noise costs more than deblurring gains (doc/reports/experiments.md).
   double min_extent_px = 3.0;
   double max_extent_px = 150.0;  ///< >= min_extent_px; larger blur is TOO_LARGE

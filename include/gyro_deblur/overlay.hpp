@@ -20,11 +20,11 @@ struct BlurSegment {
 };
 BlurSegment blur_segment(const FrameBlur& field, int index);
 
-/// Colour of what the images tell of a motion as (r, g, b), each 0..255.
+/// Colour of residual velocities as (r, g, b), each 0..255.
 cv::Vec3b residual_color_rgb();
 
-/// The way [px] that a block's residual velocity goes within the exposure, from the block's centre; nothing where the
-/// block has none.
+/// Displacement [px] by a block's residual velocity within the exposure, from the block's centre; nothing if the block
+/// has none.
 std::optional<BlurSegment> residual_segment(const FrameBlur& field, int index);
 
 /// Which blocks' paths to draw so that none comes nearer to another than `gap_px` (>= 0): 1 for those, else 0, row by
@@ -32,10 +32,10 @@ std::optional<BlurSegment> residual_segment(const FrameBlur& field, int index);
 std::vector<char> paths_apart(const FrameBlur& field, double gap_px);
 
 /// `luminance` (CV_8UC1, the field's size) as CV_8UC3 BGR with a dot in the colour of its status on every block, the
-/// blur paths in true length of as many blocks as can be told apart, and a legend: the median extent, what became of
-/// how many blocks, how many paths are drawn, and a bar of 50 px for scale. Too small images have no legend.
-/// A ring is around the dot of a block whose motion is also from the images; a line from the dot of such a path is what
-/// they add to the motion that was known, in true length and direction. The legend has their number and median.
+/// blur paths in true length of as many blocks as do not overlap, and a legend: the median extent, the number of blocks
+/// by status, the number of drawn paths, and a bar of 50 px for scale. Too small images have no legend.
+/// A ring marks a block with a residual velocity, a line from its dot the displacement by it, in true length and
+/// direction. The legend has their number and median.
 cv::Mat draw_overlay(const cv::Mat& luminance, const FrameBlur& field);
 
 }  // namespace gyro_deblur

@@ -1,4 +1,4 @@
-// How a scene point runs along a line during the exposure, and the blur that this makes.
+// Path of a scene point along a line during the exposure, and its PSF.
 #pragma once
 
 #include <array>
@@ -9,8 +9,8 @@ namespace gyro_deblur {
 /// Instants at which a path is known, evenly from the start to the end of the exposure.
 constexpr int kPathInstants = 9;
 
-/// How a scene point runs along the line of its blur: its places [px] at kPathInstants, in the line's direction from
-/// where it is at the middle of the exposure. Even in between.
+/// Straight path: places [px] of a scene point at kPathInstants along the line of its blur, relative to the place at
+/// mid-exposure. Uniform in between.
 using Path1d = std::array<float, kPathInstants>;
 
 /// From the lowest to the highest place [px].

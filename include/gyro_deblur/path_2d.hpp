@@ -1,4 +1,4 @@
-// How a scene point runs in the image plane during the exposure.
+// Path of a scene point on the image during the exposure.
 #pragma once
 
 #include <array>
@@ -9,12 +9,12 @@
 
 namespace gyro_deblur {
 
-/// Places [px] of a scene point at kPathInstants, from where it is at the middle of the exposure. Straight and even in
+/// Places [px] of a scene point at kPathInstants, relative to the place at mid-exposure. Straight and uniform in
 /// between.
 using Path2d = std::array<Eigen::Vector2f, kPathInstants>;
 
-/// How far a path may lead that the 2-D filter takes [px]: tiles have 1024 px, of which 128 are the window and one
-/// and a half times the extent is around it (src/engine/fourier_filter.hpp).
+/// Largest width or height [px] of a path for the 2-D filter: its tiles have at most 1024 px
+/// (doc/design/fourier_filter.md).
 constexpr float kMax2dExtentPx = 596;
 
 /// Width and height [px] of what the path covers, the place at the middle of the exposure included.

@@ -22,11 +22,12 @@ class PixelMask {
   const cv::Mat& pixels() const { return used_; }
   /// Precondition: a pixel of the image.
   bool uses(const cv::Point& pixel) const { return used_.empty() || used_.at<uchar>(pixel) != 0; }
-  /// CV_8UC1: 255 where all pixels to half_px (>= 0) on either side are used, else 0; empty: all are used.
+  /// Eroded mask: CV_8UC1, 255 where every pixel of the (2 half_px + 1)^2 window around is used, else 0; empty: all are
+  /// used. Precondition: half_px >= 0.
   cv::Mat with_used_window(int half_px) const;
-  /// Both share their pixels; an equal copy is another mask.
+  /// True if both share their pixels. An equal mask with pixels of its own is another one.
   bool is_same(const PixelMask& other) const { return used_.data == other.used_.data; }
-  /// How many pixels of the rectangle are masked; outside of the image none is.
+  /// Number of masked pixels in the rectangle [px]; pixels outside of the image count as used.
   int masked_in(const cv::Rect& rect) const;
 
  private:
@@ -34,19 +35,19 @@ class PixelMask {
   cv::Mat masked_sums_;  // integral image
 };
 
-/// Blocks without a used pixel become MASKED, unless all blocks are NO_GYRO: then nothing is known of the image.
-/// Precondition: the mask is empty or of the field's size.
+/// Sets the status of blocks without a used pixel to MASKED, unless all blocks are NO_GYRO.
+/// Throws std::invalid_argument if the mask is neither empty nor of the field's size.
 void mark_masked(const PixelMask& mask, FrameBlur* field);
 
-/// What a block's filter reads, to either side of the block.
+/// How far filters read beyond their block.
 struct FilterReach {
-  double length_factor = 4;  ///< FilterOptions::length_factor
+  double length_factor = 4;  ///< length of a 1-D filter in extents, FilterOptions::length_factor
   bool in_2d = false;        ///< all blocks have a 2-D filter, see Engine::prefers_2d()
 };
 
-/// DEBLURRED blocks become STATIC_EDGE where a pixel that they have, or that their filter would read, is masked: what
-/// does not move with the camera is not blurred, and comes out as rings all over the reach of a filter.
-/// Precondition: the mask is empty or of the field's size.
+/// Sets the status of DEBLURRED blocks to STATIC_EDGE if a pixel of theirs, or one that their filter would read, is
+/// masked: a filter turns an edge that is not blurred into rings.
+/// Throws std::invalid_argument if the mask is neither empty nor of the field's size.
 void mark_static_edges(const PixelMask& mask, const FilterReach& reach, FrameBlur* field);
 
 }  // namespace gyro_deblur

@@ -1,4 +1,4 @@
-// What residual velocities tell of the gyroscope: a rotation that they have in common, image after image, is its error.
+// Errors of the gyroscope, found as a rotation that the residual velocities of many images share.
 #pragma once
 
 #include <deque>
@@ -14,14 +14,14 @@
 
 namespace gyro_deblur {
 
-/// The rotation nearest to the residual field of one image. By itself it says little: translation before a wall looks
-/// much the same.
+/// The rotation that fits the residual velocities of one image best. One image is no evidence: translation in front of
+/// a wall looks much the same.
 struct ResidualRotation {
-  Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();   ///< by which the camera turns in addition to `known_rad_s`
+  Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();   ///< rate in addition to `known_rad_s`, axes of the camera
   Eigen::Vector3d known_rad_s = Eigen::Vector3d::Zero();  ///< rate that is known, in the same axes
   /// Mean square of the residual velocities, weighted by their uncertainty: as they are, less this rotation, and less
   /// the nearest translation before a plane across the optical axis.
-  double energy_px2_s2 = 0, beside_rotation_px2_s2 = 0, beside_translation_px2_s2 = 0;
+  double energy_px2_s2 = 0, energy_less_rotation_px2_s2 = 0, energy_less_translation_px2_s2 = 0;
 };
 
 /// Robust least squares over the blocks. Axes of the camera.
@@ -40,10 +40,10 @@ struct GyroError {
     TIME_OFFSET,  ///< proportional to the rate's change
   };
   Kind kind = Kind::BIAS;
-  /// BIAS [rad/s]: what the gyroscope tells too much. EXTRINSIC [rad]: the rotation vector by which the known rates
-  /// have to be turned. Axes of what was added.
+  /// BIAS [rad/s]: to be subtracted from the gyroscope's rates. EXTRINSIC [rad]: rotation vector by which the known
+  /// rates have to be rotated. In the axes of the rates that were added.
   Eigen::Vector3d vector = Eigen::Vector3d::Zero();
-  double time_offset_s = 0;  ///< TIME_OFFSET: what `time_offset` lacks
+  double time_offset_s = 0;  ///< TIME_OFFSET: to be added to `time_offset`
   double seconds = 0;        ///< for which it has been seen
 };
 

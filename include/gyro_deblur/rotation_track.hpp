@@ -44,8 +44,8 @@ bool is_saturated(const GyroSample& sample, const GyroOptions& options);
 
 /// Orientation of the camera by integration of the gyroscope (paper section III-A): rates linear between samples,
 /// integrated on SO(3), also to the times in between. (The paper's SLERP, section III-B, takes the rate there to be
-/// constant: with samples 10 ms apart and a hand's 100 rad/s^2 that is wrong by 1 mrad, 2 px of the path within an
-/// exposure.) Never extrapolates, and knows nothing between a saturated sample and its neighbours.
+/// constant, which is wrong by up to 2 px of path for a hand.) Never extrapolates, and knows nothing between a
+/// saturated sample and its neighbours.
 class RotationTrack : public CameraMotion {
  public:
   /// @param samples    strictly increasing in time (IMU clock), rates finite; may be empty

@@ -1,4 +1,4 @@
-// What the 2-D inverse of a whole path is made from.
+// Parameters of the 2-D filter of a path.
 #pragma once
 
 #include "gyro_deblur/options.hpp"
@@ -17,8 +17,8 @@ struct WienerInverse2d {
   float noise_rise_px2;   ///< >= 0
 };
 
-/// With the ratio that the options' gamma is at 1/6 cycles/px, and what noise asks for besides. Of their other members
-/// none matters.
+/// Inverse with the options' gamma as noise-to-signal ratio at 1/6 cycles/px, plus the part by noise. No other member
+/// of the options is used.
 /// @param noise_to_texture  see FilterBank::choose(), >= 0
 WienerInverse2d wiener_inverse_2d(const Path2d& path_px, const FilterOptions& options, double noise_to_texture = 0);
 

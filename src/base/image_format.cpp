@@ -172,7 +172,7 @@ cv::Mat luminance8(const cv::Mat& image, PixelLayout layout, int significant_bit
     gray = cv::Mat();
     cv::extractChannel(image, gray, luminance_channel(layout));
   } else if (is_bayer(layout)) {
-    // OpenCV's direct conversion (COLOR_Bayer*2GRAY) leaves a checkerboard of up to 8 % on a uniform colour, which
+    // OpenCV's direct conversion (COLOR_Bayer*2GRAY) makes a checkerboard of up to 8 % on a uniform colour, which
     // validation would take for sharp edges.
     gray = cv::Mat();  // it would be written into the mosaic, which has the same type
     cv::cvtColor(to_bgr(image, layout), gray, luminance_conversion(layout));

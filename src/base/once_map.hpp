@@ -16,7 +16,7 @@ namespace gyro_deblur {
 template <typename Key, typename Value>
 class OnceMap {
  public:
-  /// The value of `key`, of make() where there is none yet. An exception of make() leaves none.
+  /// The value of `key`, of make() where there is none yet. After an exception of make() there is none.
   template <typename Make>
   const Value& get(const Key& key, Make&& make) {
     Slot* slot = nullptr;

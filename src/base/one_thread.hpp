@@ -6,7 +6,7 @@
 namespace gyro_deblur {
 
 /// Runs `work` with OpenCV's parallel loops in it on this thread, whatever cv::setNumThreads() says: OpenCV runs a loop
-/// within a loop serially. For work that is too small for threads: beside busy processes they wait for each other.
+/// within a loop serially. For work that is too small for threads: under contention they wait for each other.
 /// OpenCV knows of one outer loop in a process: those of other threads are serial meanwhile, and where another thread
 /// is in one already, this `work` may get threads when that ends.
 template <typename Work>

@@ -22,11 +22,9 @@ namespace {
 
 using Clock = std::chrono::steady_clock;  // its time is read without a system call, see serial_until_worthwhile
 
-// Work for each helper that is worth waking it. Waking takes 9 us (two cores of a virtual machine), but a helper whose
-// core a neighbour takes in the middle of a piece keeps the loop waiting for the neighbour's turn, and every system
-// call is a chance for the kernel to give this thread's core away. With 0.05 ms frames of 752x480 px took as long as on
-// one thread on a machine without a neighbour, 1.7 to 1.8 ms, and beside one their p95 was 37 to 53 ms instead of 4
-// to 14.
+// Least work for each helper. Under contention a helper that loses its core in the middle of a piece keeps the loop
+// waiting, and every system call is a chance for the kernel to give this thread's core away
+// (doc/reports/contention.md).
 constexpr std::chrono::nanoseconds kMinWorkPerHelper{2'000'000};
 
 #ifdef GYRO_DEBLUR_TSAN
@@ -35,7 +33,7 @@ std::atomic<int> eager_helpers{1};
 std::atomic<int> eager_helpers{0};
 #endif
 
-/// A loop that is being run. Lives on the stack of the thread that runs it, which leaves last.
+/// A loop that is being run. Lives on the stack of the thread that runs it, which returns last.
 class Loop {
  public:
   Loop(int count, int chunk, const LoopPart& part) : count_(count), chunk_(chunk), part_(part) {}

@@ -1,9 +1,7 @@
 // Loops on several threads that sleep whenever there is nothing to do.
 //
-// Not OpenMP: its threads spin for milliseconds after every loop, which takes cores from the processes beside this one,
-// a loop ends only when every thread of the team has had a core, which a busy neighbour keeps from it, and a library
-// can change neither: the runtime reads its environment once, and belongs to the whole process.
-// doc/reports/contention.md has the numbers.
+// Not OpenMP: its threads spin between loops, a loop ends only when each of them had a core, and a library cannot
+// change that for its process (doc/reports/contention.md).
 #pragma once
 
 #include <functional>

@@ -13,9 +13,7 @@ std::optional<SchedulingAttributes> scheduling_attributes() {
 }
 
 void ask_for_turns_of_a_frame() {
-  // See "EEVDF Scheduler" in the kernel's documentation. Of frames of 1.7 ms beside a busy process on every core (6.18,
-  // two cores of a virtual machine, turns of 1.4 ms by default), so many lost a tick: 9 % with turns of 3 ms, 12 % with
-  // the default, 26 % with 0.1 ms; of frames of 1.1 ms 1, 5 and 12 %.
+  // See "EEVDF Scheduler" in the kernel's documentation, and doc/reports/contention.md.
   constexpr std::uint64_t kTurnNs = 3'000'000;
   constexpr std::uint64_t kResetOnFork = 1;  // SCHED_FLAG_RESET_ON_FORK
   std::optional<SchedulingAttributes> attributes = scheduling_attributes();

@@ -29,7 +29,7 @@ using Table = std::array<float, kBins>;
 using Spectrum = std::array<float, kSpectrumSize>;
 
 /// |f|^-2.5 [waves a window]: between the 2 that is usual for photographs (D. J. Field, J. Opt. Soc. Am. A 4 (12),
-/// 1987) and the 3 of blurred edges. 0, which leaves noise alone, for what the window mixes with the mean, and where a
+/// 1987) and the 3 of blurred edges. 0, noise alone, for what the window mixes with the mean, and where a
 /// frequency would count twice.
 Spectrum make_texture() {
   Spectrum texture{};
@@ -263,7 +263,7 @@ std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& lik
 }
 
 std::vector<double> with_neighbours(const BlockGrid& grid, const std::vector<double>& log_ratios) {
-  // The larger, the better noisy blocks are told, and the more of a moving object's edge goes with its surroundings.
+  // Larger limits judge noisy blocks better, but let more of a moving object's edge follow its surroundings.
   constexpr double kOfNeighbour = 5, kOfFrame = 10;
   // What an error of the noise makes of blocks without texture, which all together would decide for a frame.
   constexpr double kNothing = 1;

@@ -1,7 +1,6 @@
 // Validation by likelihood: how much better a block's power spectrum fits the predicted blur than less blur.
 #pragma once
 
-#include <array>
 #include <vector>
 
 #include <opencv2/core.hpp>

@@ -89,7 +89,7 @@ FrameBlur reject_outvoted(const FrameBlur& judged) {
 
 double steepest_box_px(const BlockBlur& blur) {
   if (!blur.nonuniform_path_px) return blur.extent_px;
-  // The Sobel pair sees what is left of a step over two pixels; a box of r leaves 2 / r of it there.
+  // The Sobel pair measures a step over two pixels; a box of r px reduces it to 2 / r of its height there.
   constexpr double kWindowPx = 2;
   double most = 0;
   for (const double place_px : *blur.nonuniform_path_px) {

@@ -99,8 +99,8 @@ Eigen::Vector2d BlockBlur::apparent_offset_px() const {
   if (status != BlockStatus::DEBLURRED) return mean_px;
   if (curved_path_px) return Eigen::Vector2d::Zero();
   const Eigen::Vector2d line(std::cos(angle_rad), std::sin(angle_rad));
-  // What a corner needs to be told from a box: of an extent near it, blur's own centre remains. Measured on corners at
-  // 10 to 60 px by experiments/optical_flow, whose slopes it brings to 1 within 0.05.
+  // Extent at which a corner starts to follow the box: for shorter blur the blur's own centre remains. Measured on
+  // corners at 10 to 60 px by experiments/optical_flow, whose slopes it brings to 1 within 0.05.
   constexpr double kCornerPx = 7.5;
   const Eigen::Vector2d middle_px =
       (1 - kCornerPx / std::max<double>(extent_px, kCornerPx)) * (chord_middle_px.cast<double>() - mean_px);

@@ -44,7 +44,7 @@ Path2 path_of(const BlockBlur& block) {
   return path_px;
 }
 
-/// Hann's window, which leaves white noise its variance.
+/// Hann's window, scaled to keep the variance of white noise.
 std::array<float, kWindow> make_window() {
   std::array<float, kWindow> window;
   for (int i = 0; i < kWindow; ++i) {
@@ -239,7 +239,7 @@ std::vector<SpectrumPoint> points_of(const std::vector<Sample>& samples) {
   return points;
 }
 
-/// Slices of frequencies by direction, of a path that leaves its line: in each the path is another one along the line.
+/// Slices of frequencies by direction, of a curved path: in each the path is another one along the line.
 /// `across` over `along` is that of the slice's middle.
 struct Slices {
   int count = 1;

@@ -1,7 +1,6 @@
 #include "gyro_deblur/overlay.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstdio>
 #include <stdexcept>
@@ -40,7 +39,7 @@ double median_extent_px(const FrameBlur& field) {
   return median(extents);
 }
 
-/// What blocks move beside the known motion: how many do, and the median of how far within the exposure.
+/// Number of blocks with a residual velocity, and the median displacement by it within the exposure.
 std::string residual_text(const FrameBlur& field) {
   std::vector<double> lengths_px;
   for (int i = 0; i < field.grid.size(); ++i) {

@@ -48,7 +48,7 @@ inline float fast_exp(float x) {
   return scale * (1.0000036F + rest * (0.69296955F + rest * (0.24162132F + rest * (0.05171774F + rest * 0.01368398F))));
 }
 
-// Between entries transfer functions are straight lines: beside a zero that is 1e-4 too much.
+// Between entries transfer functions are straight lines: next to a zero that is 1e-4 too much.
 constexpr double kStraightCycles = 1.0 / 48;
 
 /// |H|^2 of a straight even path of one wave's length, by kStraightCycles.

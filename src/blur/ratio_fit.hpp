@@ -55,7 +55,7 @@ class RatioFit {
   struct Points {
     std::vector<float> x, x2, x3, gain;  ///< that slope, curve, cube and depth are multiplied with
     std::vector<float> frequency;
-    std::vector<float> before, behind;  ///< shares of the frequencies one wave beside in what the window makes of it
+    std::vector<float> before, behind;  ///< shares of the adjacent frequencies after windowing
     std::vector<float> log_power, noise, weight, root_weight;
     std::vector<float> share, error, robust;  ///< of the signal in the power; of log_power; weight times share
   };

@@ -28,12 +28,12 @@ constexpr double kEdgeShare = 0.6;  ///< of the images
 constexpr int kApart = 2;
 /// Of all cells, so many have changed when the image moves with the gyroscope at all.
 constexpr double kLeastChanged = 0.2;
-/// So many have changed for each that is at a static edge: 13 beside a rim around the image, 0.9 where people walk
+/// So many have changed for each that is at a static edge: 13 along a rim around the image, 0.9 where people walk
 /// before a camera at rest.
 constexpr int kChangedPerEdge = 3;
 constexpr int kLeastEdges = 6;
 
-/// Means of every second row of each cell; what is left over beside whole cells is left out.
+/// Means of every second row of each cell; rows and columns beyond whole cells do not count.
 void cell_means(const cv::Mat& luminance, cv::Mat& cells) {
   cells.create(luminance.rows / kCellPx, luminance.cols / kCellPx, CV_8UC1);
   const int width = cells.cols * kCellPx;
@@ -72,7 +72,7 @@ cv::Mat masked_cells(const PixelMask& mask, const cv::Size& cells) {
   return masked;
 }
 
-/// Leaves out pairs without another one beside them: chance.
+/// Drops pairs without an adjacent one: chance.
 void drop_lonely(cv::Mat& pairs) {
   cv::Mat ones, around;
   pairs.convertTo(ones, CV_8U, 1.0 / 255);

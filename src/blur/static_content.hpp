@@ -3,7 +3,6 @@
 
 #include <array>
 #include <cstddef>
-#include <optional>
 #include <set>
 
 #include <Eigen/Core>
@@ -17,7 +16,7 @@ namespace gyro_deblur {
 ///
 /// The image is seen in cells. A cell stands still when its grey level is the same in many images between which the
 /// scene has moved along an axis. That alone may be sky, or a wall. Static content has an edge as well: the cell
-/// differs from one beside it, along that axis, in most of these images. An edge of the scene that lies along the axis
+/// differs from its neighbour along that axis in most of these images. An edge of the scene that lies along the axis
 /// does not differ along it, and any other edge moves.
 class StaticContent {
  public:

@@ -78,7 +78,7 @@ std::vector<cv::Matx22d> local_distortions(const std::vector<cv::Point2f>& from,
 constexpr int kTileReach = 16;
 constexpr int kTile = 2 * kTileReach + 1;
 
-/// The surroundings of all points beside each other, distorted.
+/// The distorted surroundings of all points, side by side.
 cv::Mat mosaic(const cv::Mat& image, const std::vector<cv::Point2f>& points,
                const std::vector<cv::Matx22d>& distortions) {
   const int rows = kTile * static_cast<int>(points.size());
@@ -96,8 +96,8 @@ cv::Mat mosaic(const cv::Mat& image, const std::vector<cv::Point2f>& points,
   return result;
 }
 
-/// Moves the points to where their surroundings fit best, distortion allowed for: without that, a patch that turns or
-/// grows pulls its point along, all points of a surface alike.
+/// Moves the points to where their surroundings fit best, distortion allowed for: without that, a patch that rotates or
+/// grows pulls its point along, and all points of a surface in the same way.
 /// @param to  [in] where they are to within some pixels [out]
 std::vector<bool> align(const cv::Mat& from_image, const cv::Mat& to_image, const std::vector<cv::Point2f>& from,
                         double max_return_px, std::vector<cv::Point2f>* to) {

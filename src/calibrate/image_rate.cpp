@@ -32,7 +32,7 @@ constexpr TimeNs kLongestStepNs = 250'000'000;
 constexpr std::size_t kFewestPoints = 12;
 /// Part of the corners that has to be found again, see ResidualFlow.
 constexpr double kLeastFollowed = 0.3;
-/// What Lucas-Kanade leaves in a rotation of all points, in the smaller image [px].
+/// Error of Lucas-Kanade in a rotation of all points, in the smaller image [px].
 constexpr double kFloorPx = 0.02;
 
 /// A direction before and after, and where its rows are between the first (-0.5) and the last (0.5) of the image.

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -19,7 +18,7 @@ namespace {
 constexpr TimeNs kCoarseStepNs = 10'000'000, kFineStepNs = 2'000'000;
 /// The coarse search goes through no more turns than these.
 constexpr std::size_t kMostCoarse = 300;
-/// Of a rate from images, beside what each turn says of itself [rad/s].
+/// Error of a rate from images, in addition to its own standard deviation [rad/s].
 constexpr double kFloorRadS = 0.01;
 /// Slower turns say nothing of agreement.
 constexpr double kLeastMovingRadS = 0.04;
@@ -111,7 +110,7 @@ Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
   return m;
 }
 
-/// One step of Gauss-Newton, and what it leaves.
+/// One step of Gauss-Newton, and its residual.
 class Step {
  public:
   Step(const std::vector<ImageRate>& turns, const GyroIntegral& gyro, const RateAlignment& at)

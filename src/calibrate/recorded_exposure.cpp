@@ -1,7 +1,6 @@
 #include "calibrate/recorded_exposure.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <utility>
 

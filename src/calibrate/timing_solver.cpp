@@ -134,8 +134,8 @@ Eigen::VectorXd TimingSolver::variances_of(const std::vector<ReducedEquations>& 
     require_determined(lu);
     variances += lu.solve(others_gradient).cwiseAbs2();
   }
-  // Tracking errs by some hundredths of a pixel alike in all frames, which does not show in the scatter: over the
-  // flights of doc/reports/timing.md errors are 1.9 times as large as that says.
+  // Tracking has the same error of some hundredths of a pixel in all frames, which does not show in the scatter: over
+  // the flights of doc/reports/timing.md errors are 1.9 times as large as that says.
   constexpr double kErrorOverScatter = 2;
   return kErrorOverScatter * kErrorOverScatter * static_cast<double>(blocks - 1) / static_cast<double>(blocks) *
          variances;
@@ -156,8 +156,8 @@ void TimingSolver::solve(TimingState* state) {
   fits_ = fits_of(*state);
   structures_.clear();
   for (const WindowFit& fit : fits_) structures_.push_back(fit.at_rest());
-  // On the spot a steady way and a bias look all but alike, and errors of tracking and the gyroscope's noise pass for a
-  // small one. So the camera is at rest unless a way explains much more than that.
+  // Without translation a constant velocity and a bias look nearly the same, and errors of tracking and noise of the
+  // gyroscope look like a small velocity. So the camera has none unless a velocity explains much more than that.
   constexpr double kAtRestPerS = 1e-6, kFirstSpeedPerS = 1, kWorthIt = 0.5;
   priors_ = {std::max(median_residual_px() / kRayleighMedian, kLeastNoisePx), kAtRestPerS};
   descend(false, state);

@@ -130,7 +130,7 @@ void TimingStart::find_rotation(TimingState* state) const {
     for (std::size_t i = 0; i < from.size(); ++i) errors.push_back((to[i] - state->R_cam_imu * from[i]).norm());
     weights = cauchy_weights(errors);
   }
-  // Turning about one axis only leaves the turn about it open.
+  // Rotation about one axis only does not determine the angle about it.
   const Eigen::Vector3d spread = Eigen::JacobiSVD<Eigen::Matrix3d>(moment).singularValues();
   constexpr double kLeastSpread = 0.02;
   if (spread[1] < kLeastSpread * spread[0]) {

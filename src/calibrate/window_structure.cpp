@@ -1,7 +1,6 @@
 #include "calibrate/window_structure.hpp"
 
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include <Eigen/Cholesky>

@@ -4,6 +4,7 @@
 #include <cctype>
 #include <cmath>
 #include <filesystem>
+#include <optional>
 #include <regex>
 #include <utility>
 
@@ -74,7 +75,7 @@ CameraCalibration validated(const Section& section, const CameraCalibration& cam
   return camera;
 }
 
-/// The coefficients that a file lists. Fewer than its format has are as likely a mistake as not, so that it is told.
+/// The coefficients that a file lists. Fewer than the format has may be a mistake: the log says so.
 /// @param count  how many the format lists
 std::vector<double> read_coefficients(const Section& section, const std::string& key, std::size_t count,
                                       SensorCalibration& calibration) {

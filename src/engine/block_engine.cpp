@@ -1,7 +1,6 @@
 #include "engine/block_engine.hpp"
 
 #include <algorithm>
-#include <functional>
 #include <stdexcept>
 #include <string>
 

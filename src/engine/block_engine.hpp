@@ -21,7 +21,7 @@ class BlockEngine : public Engine {
   void filter(const cv::Mat& src, const FilterGrid& grid, cv::Mat& dst) final;
 
  protected:
-  /// Filters `blocks` (indices into the grid, rising; each has a kernel) and leaves the results with `seams`, which has
+  /// Filters `blocks` (indices into the grid, rising; each has a kernel) and hands the results to `seams`, which has
   /// planned for the grid. Called for every frame, also when there are none. src, grid and dst are as Engine::filter
   /// says, and dst has src's size and type.
   virtual void filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks,

@@ -14,7 +14,7 @@ namespace {
 // Longest side of a cell [px]: that of usual blocks.
 constexpr int kMaxCellPx = 64;
 
-// What a tile has beside its window, by the path's extent. On four photographs of the Oxford sets, noise of 2 grey
+// Margin of a tile around its window, in extents of the path. On four photographs of the Oxford sets, noise of 2 grey
 // levels, arcs of 25 / 60 px, 1, 2 and 4 restore 25.13 / 21.53, 25.19 / 21.73 and 25.20 / 21.81 dB; of hand-shake at
 // 1080p 1.5 restores 0.1 dB less than 2, has the same matches, and takes four fifths of the time.
 constexpr float kAroundExtents = 1.5;
@@ -27,7 +27,7 @@ constexpr float kOverRelaxation = 2.5f;
 // At half the size, what is restored falls off between these [cycles/px]; beyond, halving mixes it with other
 // frequencies.
 constexpr double kFallsFrom = 0.16, kEndsAt = 0.24;
-// Half the size serves where at kEndsAt a straight run of this extent leaves less of a wave's power, on the mean, than
+// Half the size serves where at kEndsAt the mean gain in power of a straight uniform path of this extent is less than
 // this share of WienerInverse2d's ratio there. Of hand-shake at 1080p (the frames of experiments/hand_shake) with noise
 // of 0.5, 1, 2 and 4 grey levels, what lies above 0.2 cycles/px is worth 0.3, 0.2, 0.05 and -0.2 dB at 26 px, and 0.1,
 // 0.1, 0 and -0.1 dB at 63 px.
@@ -388,7 +388,7 @@ void FourierFilter::write_block(int block, const FilterGrid& grid, SeamBlender& 
       if (is_mixed) {
         const float *halves = scratch.values[HALF].data(), *weights_of_halves = scratch.weights[HALF].data();
         for (std::size_t i = 0; i < area; ++i) {
-          // The low pass leaves a little beyond a window, and less than nothing for its weight.
+          // The low pass reaches a little beyond a window, with a negative weight.
           const bool has_half = weights_of_halves[i] > 0 || weights[i] <= 0;
           values[i] = (values[i] + (has_half ? halves[i] : 0)) / (weights[i] + (has_half ? weights_of_halves[i] : 0));
         }

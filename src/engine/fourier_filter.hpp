@@ -22,8 +22,8 @@ class FourierFilter {
  public:
   explicit FourierFilter(const FourierSimd& simd = select_for_cpu<FourierSimd>());
 
-  /// Filters `blocks` (indices into the grid, each with an `inverse`) on at most `threads` threads (>= 1) and leaves
-  /// the results with `seams`, which has planned for the grid. src, grid and dst are as Engine::filter says, and dst
+  /// Filters `blocks` (indices into the grid, each with an `inverse`) on at most `threads` threads (>= 1) and hands
+  /// the results to `seams`, which has planned for the grid. src, grid and dst are as Engine::filter says, and dst
   /// has src's size and type. The result does not depend on `threads`.
   void filter(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
               SeamBlender& seams, cv::Mat& dst);

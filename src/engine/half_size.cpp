@@ -10,7 +10,7 @@ namespace gyro_deblur {
 namespace {
 
 constexpr int kPairs = kHalvingTapCount / 2;
-// Pixels before an output of downsample2x(), and behind it, beside the two that it lies between.
+// Pixels before an output of downsample2x(), and behind it, in addition to the two that it lies between.
 constexpr int kReach = kPairs - 1;
 // Of the low pass an even place of the double meets every second tap from the second on, two pixels before it, the one
 // that it belongs to and one behind; an odd place the same from behind.

@@ -13,7 +13,7 @@ namespace gyro_deblur {
 constexpr float kHalvingTaps[] = {-0.0388f, -0.0084f, 0.1709f, 0.3763f, 0.3763f, 0.1709f, -0.0084f, -0.0388f};
 constexpr int kHalvingTapCount = 8;
 
-/// What the low pass leaves of a wave of f cycles/px, along one axis.
+/// Gain of the low pass at f cycles/px, along one axis.
 double lowpass_response(double f);
 
 /// Low pass, and every second pixel: pixel (x, y) of `half` is what is at (2 x + 1/2, 2 y + 1/2). Outside of the image

@@ -32,7 +32,7 @@ struct AlignmentSimd {
   /// is written beyond the end of a row is 0.
   void (*differentiate)(const float* patch, std::ptrdiff_t patch_stride, float* along_x, float* along_y,
                         std::ptrdiff_t stride, int width, int height);
-  /// Sums of p, p t and p^2, where p is what `patch` has beside `offset`. After each row of `other` (t) kPatchRoom
+  /// Sums of p, p t and p^2, where p is `patch` less `offset`. After each row of `other` (t) kPatchRoom
   /// pixels are 0, of the patch finite.
   void (*compare)(const float* patch, std::ptrdiff_t patch_stride, float offset, const float* other,
                   std::ptrdiff_t stride, int width, int height, float* sums);

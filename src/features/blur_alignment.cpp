@@ -67,8 +67,8 @@ double least_eigenvalue(const Eigen::Matrix2d& symmetric) {
 
 int floor_int(double value) { return static_cast<int>(std::floor(value)); }
 
-/// Share of the noise's variance that interpolation leaves. Noise that is blurred along an axis changes little
-/// from pixel to pixel, so that interpolation along it leaves all.
+/// Variance of noise after interpolation over that before. Noise that is blurred along an axis changes little from
+/// pixel to pixel, so that interpolation along it does not reduce it.
 double interpolated_share(const Eigen::Vector2d& place_px, const Path2d& blurred_by_px) {
   const Eigen::Vector2f extent_px = extent_of(blurred_by_px);
   double share = 1;
@@ -82,7 +82,7 @@ double interpolated_share(const Eigen::Vector2d& place_px, const Path2d& blurred
 }  // namespace
 
 bool agrees(const Alignment& alignment) {
-  // Noise alone passes nearly always; the second is for what the local map leaves, in proportion to the contrast.
+  // Noise alone passes nearly always; the second is for errors of the local map, in proportion to the contrast.
   constexpr double kNoiseFactor = 1.7, kContrastShare = 0.4, kMinGain = 0.5, kMaxGain = 2;
   return alignment.gain > kMinGain && alignment.gain < kMaxGain &&
          alignment.residual <
@@ -282,7 +282,7 @@ Eigen::Matrix2d BlurAligner::gradients_beside_gain(double pattern) {
 double BlurAligner::residual(double gain) {
   const int width = template_.width(), height = template_.height();
   const float* middle = patch_.row(kPatchMargin) + kPatchMargin;
-  // Of what the patch has beside the template; the room behind its rows does not count, and need not be 0.
+  // Of the patch less the template; the room behind its rows does not count, and need not be 0.
   difference_.resize(width, height);
   simd_.combine(middle, patch_.stride(), 1, template_.row(0), template_.stride(), static_cast<float>(-gain), -*middle,
                 difference_.row(0), difference_.stride(), width, height);

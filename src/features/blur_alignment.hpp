@@ -59,7 +59,7 @@ class BlurAligner {
   /// @param from, to  CV_8UC1, raw: neither deblurred nor equalised
   /// @param map       Jacobian of the motion from `from` to `to` at the point
   /// @param in_to     place_px: start of the search
-  /// @return nothing where the search leaves the images or max_offset_px, does not converge, or where the blurred
+  /// @return nothing where the search ends outside the images or max_offset_px, does not converge, or where the blurred
   ///         template has no texture in one direction. A window that is cut by the image's edge, blur included, is
   ///         compared where it is complete, down to 40 % of it.
   std::optional<Alignment> align(const cv::Mat& from, const BlurredPoint& in_from, const cv::Mat& to,

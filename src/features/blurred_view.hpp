@@ -53,7 +53,7 @@ class BlurredView {
 struct PredictedPoint {
   Eigen::Vector2d place_px;
   Eigen::Matrix2d map;
-  bool by_residual;  ///< a residual velocity is known beside the rotation
+  bool by_residual;  ///< a residual velocity is known in addition to the rotation
 };
 
 /// By the rotation between the instants at which the two images show the point, and the mean of both images' residual

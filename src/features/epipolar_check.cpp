@@ -20,7 +20,7 @@ std::vector<Eigen::Vector3d> with_unit_depth(std::vector<Eigen::Vector3d> rays) 
   return rays;
 }
 
-/// Motion of points beside the rotation.
+/// Motion of points that the rotation does not explain.
 class Translation {
  public:
   Translation(const std::vector<Eigen::Vector3d>& turned, const std::vector<Eigen::Vector3d>& seen, double focal_px,

@@ -60,7 +60,7 @@ std::optional<GyroUnitFault> GyroUnitWatch::find_no_rates() const {
   constexpr double kLeastSeenRadS = 0.1;
   constexpr std::size_t kFewest = 8;
   std::size_t turning = 0;
-  double energy = 0, beside_rotation = 0, beside_translation = 0;
+  double energy = 0, less_rotation = 0, less_translation = 0;
   GyroUnitFault fault;
   fault.kind = GyroUnitFault::Kind::NO_RATES;
   for (const Entry& entry : entries_) {
@@ -68,11 +68,11 @@ std::optional<GyroUnitFault> GyroUnitWatch::find_no_rates() const {
     if (seen_rad_s < kLeastSeenRadS) continue;
     ++turning;
     energy += entry.seen.energy_px2_s2;
-    beside_rotation += entry.seen.beside_rotation_px2_s2;
-    beside_translation += entry.seen.beside_translation_px2_s2;
+    less_rotation += entry.seen.energy_less_rotation_px2_s2;
+    less_translation += entry.seen.energy_less_translation_px2_s2;
     if (seen_rad_s > fault.seen_rad_s) fault.seen_rad_s = seen_rad_s;
   }
-  if (turning < kFewest || 2 * beside_rotation > energy || beside_rotation > beside_translation) return std::nullopt;
+  if (turning < kFewest || 2 * less_rotation > energy || less_rotation > less_translation) return std::nullopt;
   return fault;
 }
 

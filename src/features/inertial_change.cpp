@@ -9,9 +9,8 @@ namespace {
 
 /// For so long comparisons count: the scene's depth stays much the same.
 constexpr double kMemoryS = 0.5;
-/// Changes of acceleration that count as much as one that is compared: what noise, and an accelerometer that is not in
-/// the camera, say beside the truth. 0.6 m/s^2 is what 4 cm between the two make of a turn that changes by 15 rad/s^2,
-/// as a hand's does.
+/// Standard deviation of a change of acceleration, by noise and by the distance between accelerometer and camera. 0.6
+/// m/s^2 corresponds to 4 cm at the angular acceleration of a hand.
 constexpr double kDoubt_m_s2 = 0.6;
 
 }  // namespace

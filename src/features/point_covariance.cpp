@@ -24,7 +24,7 @@ struct GradientSum {
 /// @param steps    samples to either side of the middle
 /// @param step_px  between two samples, and from a sample to the pixels of its differences
 GradientSum sum_gradients(const cv::Mat& image, const cv::Point& middle, int steps, int step_px) {
-  // Where the window leaves the image its samples are left out.
+  // Samples outside the image do not count.
   const auto first = [&](int at) { return -std::min(steps, (at - step_px) / step_px); };
   const auto last = [&](int at, int length) { return std::min(steps, (length - 1 - step_px - at) / step_px); };
   GradientSum sum;

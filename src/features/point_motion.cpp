@@ -19,7 +19,7 @@ PointMotion::Mean PointMotion::mean_at(const Eigen::Vector2d& pixel_px) const {
     mean.velocity_px_s += neighbour.share * block.velocity_px_s;
     mean.share_with_residual += neighbour.share * block.share_with_residual;
   }
-  // Beside no rotation a block without a velocity is not one at rest: it moves as its neighbours do.
+  // Without a gyroscope a block of unknown velocity is not at rest: it moves as its neighbours do.
   if (images_alone_ && mean.share_with_residual > 0) mean.velocity_px_s /= mean.share_with_residual;
   return mean;
 }

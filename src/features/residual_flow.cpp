@@ -25,7 +25,7 @@ constexpr double kCornerQuality = 0.01;
 constexpr double kLeastStepPx = 0.03;
 /// Over a longer one a mean velocity says little of the one within an exposure.
 constexpr TimeNs kLongestStepNs = 250'000'000;
-/// What Lucas-Kanade leaves on blurred frames where all neighbours agree, in the smaller image [px].
+/// Error of Lucas-Kanade on blurred frames where all neighbours agree, in the smaller image [px].
 constexpr double kFloorPx = 0.05;
 /// Of the change that is carried on: a velocity need not go on changing as it did. More than on recorded flights, so
 /// that a velocity that is nothing but carried on is not certain (see is_certain).

@@ -50,7 +50,7 @@ class ResidualFlow {
   /// A corner of the newest image.
   struct Sample {
     Eigen::Vector2d pixel_px;       ///< at the middle of its row's exposure
-    Eigen::Vector2d velocity_px_s;  ///< mean since the image before, beside that of the rotation
+    Eigen::Vector2d velocity_px_s;  ///< mean since the image before, less that of the rotation
     TimeNs since_ns;                ///< the image before saw it so long ago
   };
 
@@ -79,9 +79,9 @@ class ResidualFlow {
   /// Forgets the images.
   void reset();
 
-  /// What follows is beside another motion. With `known`, which the motion so far was, none is known from now on: the
-  /// velocities so far take it in as it was within the newest image's exposure, and corners are looked for where they
-  /// lead. Without they are forgotten.
+  /// From now on residual velocities are relative to another motion. With `known`, which the motion so far was, none is
+  /// known from now on: the velocities so far take it in as it was within the newest image's exposure, and corners are
+  /// looked for where they lead. Without they are forgotten.
   void change_motion(const Camera& camera, const BlockGrid& grid, const CameraMotion* known);
 
  private:
@@ -119,7 +119,7 @@ class ResidualFlow {
   using Accelerations = std::vector<std::optional<Eigen::Vector2d>>;
   Accelerations accelerations_;  // of each block, between the last two means [px/s^2]
   InertialChange inertial_;
-  bool whole_ = false;  // they are beside no motion at all
+  bool whole_ = false;  // they are the whole motion
 };
 
 }  // namespace gyro_deblur

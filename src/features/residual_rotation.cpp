@@ -54,7 +54,7 @@ Eigen::Vector3d robust_fit(const std::vector<Row>& rows) {
   return x;
 }
 
-double energy_beside(const std::vector<Row>& rows, const Eigen::Vector3d& x) {
+double energy_less(const std::vector<Row>& rows, const Eigen::Vector3d& x) {
   double energy = 0, weights = 0;
   for (const Row& row : rows) {
     energy += row.weight * (row.velocity_px_s - row.columns * x).squaredNorm();
@@ -89,9 +89,9 @@ std::optional<ResidualRotation> fit_residual_rotation(const ResidualField& resid
   // What the camera turns by, directions turn by the other way.
   const Eigen::AngleAxisd turn(motion.rotation(exposed.begin_ns, exposed.end_ns));
   rotation.known_rad_s = -turn.angle() / to_seconds(exposed.end_ns - exposed.begin_ns) * turn.axis();
-  rotation.energy_px2_s2 = energy_beside(turned, Eigen::Vector3d::Zero());
-  rotation.beside_rotation_px2_s2 = energy_beside(turned, rotation.rate_rad_s);
-  rotation.beside_translation_px2_s2 = energy_beside(moved, robust_fit(moved));
+  rotation.energy_px2_s2 = energy_less(turned, Eigen::Vector3d::Zero());
+  rotation.energy_less_rotation_px2_s2 = energy_less(turned, rotation.rate_rad_s);
+  rotation.energy_less_translation_px2_s2 = energy_less(moved, robust_fit(moved));
   return rotation;
 }
 
@@ -139,7 +139,7 @@ bool stands_out(const std::vector<Watched>& watched, const Unknowns& unknowns, i
   std::array<Eigen::Vector3d, kParts> right;
   normal.fill(1e-9 * Eigen::Matrix3d::Identity());
   right.fill(Eigen::Vector3d::Zero());
-  double energy = 0, beside = 0;
+  double energy = 0, unexplained = 0;
   for (const Watched& each : watched) {
     Eigen::Vector3d others = Eigen::Vector3d::Zero();
     for (int k = 0; k < 3; ++k) {
@@ -149,9 +149,9 @@ bool stands_out(const std::vector<Watched>& watched, const Unknowns& unknowns, i
     normal[each.part] += own.transpose() * own;
     right[each.part] += own.transpose() * (each.rate_rad_s - others);
     energy += each.rate_rad_s.squaredNorm();
-    beside += (each.rate_rad_s - own * value).squaredNorm();
+    unexplained += (each.rate_rad_s - own * value).squaredNorm();
   }
-  if (2 * beside > energy) return false;
+  if (2 * unexplained > energy) return false;
   double squares = 0;
   for (int part = 0; part < kParts; ++part) {
     squares += (normal[part].ldlt().solve(right[part]) - value).squaredNorm();
@@ -171,21 +171,21 @@ std::optional<GyroError> GyroErrorWatch::find() const {
   if (entries_.size() < kLeastFrames) return std::nullopt;
   const TimeNs begin_ns = entries_.front().t_ns, span_ns = entries_.back().t_ns - begin_ns;
   if (span_ns < kLeastNs) return std::nullopt;
-  double energy = 0, beside_rotation = 0, beside_translation = 0;
+  double energy = 0, less_rotation = 0, less_translation = 0;
   std::vector<Watched> watched;
   for (std::size_t i = 1; i + 1 < entries_.size(); ++i) {
     const ResidualRotation& rotation = entries_[i].rotation;
     const Entry &before = entries_[i - 1], &after = entries_[i + 1];
     energy += rotation.energy_px2_s2;
-    beside_rotation += rotation.beside_rotation_px2_s2;
-    beside_translation += rotation.beside_translation_px2_s2;
+    less_rotation += rotation.energy_less_rotation_px2_s2;
+    less_translation += rotation.energy_less_translation_px2_s2;
     const auto part = static_cast<int>(kParts * (entries_[i].t_ns - begin_ns) / (span_ns + 1));
     Eigen::Matrix3d change = Eigen::Matrix3d::Zero();
     change.col(0) = (after.rotation.known_rad_s - before.rotation.known_rad_s) / to_seconds(after.t_ns - before.t_ns);
     watched.push_back(
         {part, rotation.rate_rad_s, {Eigen::Matrix3d::Identity(), -cross_matrix(rotation.known_rad_s), change}});
   }
-  if (2 * beside_rotation > energy || beside_rotation > beside_translation) return std::nullopt;
+  if (2 * less_rotation > energy || less_rotation > less_translation) return std::nullopt;
   const Unknowns unknowns = solve(watched);
   GyroError error;
   error.seconds = to_seconds(span_ns);

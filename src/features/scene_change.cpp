@@ -35,7 +35,7 @@ std::vector<Eigen::Vector2d> common_changes(const std::vector<BlockChange>& bloc
     right(row) = to_complex(blocks[i].change_px_s);
   }
 
-  // Where all velocities are alike, a and b cannot be told apart, and need not be: enough to keep the solution finite.
+  // Where all velocities are equal, a and b are not determined separately: the prior keeps the solution finite.
   constexpr double kPrior = 1e-4;
   constexpr int kIterations = 5;
   Eigen::VectorXd weights = Eigen::VectorXd::Ones(right.size());

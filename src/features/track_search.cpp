@@ -161,7 +161,7 @@ void TrackSearch::for_each(std::size_t count, const TrackStep& step, Body&& body
 
 std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std::vector<TrackState>& states) {
   std::vector<TrackCandidate> candidates(states.size());
-  std::vector<DisplacedPoint> of_last;  // what points moved by beside their predictions is much the same now
+  std::vector<DisplacedPoint> of_last;  // deviations from predictions are much the same in the next image
   for (const TrackState& state : states) {
     if (state.unpredicted_px_s) of_last.push_back({state.point.place_px, step.seconds * *state.unpredicted_px_s});
   }

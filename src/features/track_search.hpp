@@ -26,9 +26,9 @@ struct TrackState {
   std::shared_ptr<const BlurredView> anchor_view;
   BlurredPoint anchor;
   int anchor_age = 0;  ///< [images]
-  /// What it moved by beside its prediction; nothing where a residual velocity predicted it, and at first.
+  /// Deviation from its prediction; nothing where a residual velocity predicted it, and at first.
   std::optional<Eigen::Vector2d> unpredicted_px_s;
-  /// What the map of its motion changed by beside its prediction.
+  /// Change of the map of its motion, less the predicted one.
   Eigen::Matrix2d unpredicted_slope_1_s = Eigen::Matrix2d::Zero();
   Eigen::Matrix2d anchor_map = Eigen::Matrix2d::Identity();         ///< from there to the newest image
   Eigen::Matrix2d anchor_covariance_px2 = Eigen::Matrix2d::Zero();  ///< there, against where the track began
@@ -52,7 +52,7 @@ struct TrackStep {
 
 /// A track in the new image.
 struct TrackCandidate {
-  PredictedPoint predicted;  ///< its map with the slope that the track had beside the last prediction
+  PredictedPoint predicted;  ///< its map includes the track's last deviation from the predicted slope
   Eigen::Vector2d near_px;   ///< a place whose direction is known
   Eigen::Vector3d near_ray;  ///< z = 1
   BlurredPoint near_start;   ///< the path of a point about there

@@ -103,7 +103,7 @@ void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_poin
 
   taps.on_axis.resize(steps + kRowGroup);
   simd.resample_kernel(kernel.taps.data() + kernel.radius(), kernel.radius(), stretch, steps, taps.on_axis.data());
-  design.fit(taps.on_axis.data(), steps, loops, taps.weights);
+  design.fit(taps.on_axis.data(), steps, simd, taps.weights);
   taps.coarse.assign(2 * radius + 1 + 2 * kCoarseGuard, 0.0f);
   float* middle = taps.coarse.data() + kCoarseGuard + radius;
   for (int k = 0; k <= radius; ++k) middle[k] = middle[-k] = taps.weights.coarse[k];

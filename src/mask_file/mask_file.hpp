@@ -1,4 +1,4 @@
-// Masks from image files. Beside the core, which reads no image files; without ROS.
+// Masks from image files, without ROS. Not in the core, which reads no image files.
 #pragma once
 
 #include <string>

@@ -129,7 +129,7 @@ class RadialTangential : public LensModel {
     if (only_radial) return invert(curve_, limit_, distorted_radius) / distorted_radius * distorted;
 
     // The radial solution starts a two-dimensional search, near the end of the range just inside it. A last step of a
-    // hundredth leaves an error of about its square, as small as what tangential distortion adds.
+    // hundredth has an error of about its square, as small as what tangential distortion adds.
     constexpr double kStart = 1e-2;
     const double radius = invert(curve_, limit_, distorted_radius, kStart);
     const double start_radius = std::isfinite(radius) ? radius : 0.999 * limit_;

@@ -197,7 +197,7 @@ class OrbitMotion : public Motion {
     const Eigen::Quaterniond R(Eigen::AngleAxisd(angle(t, 0), orbit_.axis));
     return {R, orbit_.center_m + R * Eigen::Vector3d(0, 0, -orbit_.radius_m)};
   }
-  // The axis is fixed in the world and in the camera alike: the camera turns about it.
+  // The axis is fixed both in the world and in the camera: the camera rotates about it.
   Eigen::Vector3d rate(double t) const override { return angle(t, 1) * orbit_.axis; }
   Eigen::Vector3d acceleration(double t) const override {
     const Eigen::Vector3d arm = pose(t).p_world_m - orbit_.center_m;

@@ -100,7 +100,7 @@ const char* prefix_of(LogLevel level) {
 }
 
 /// Lines for people; a bar makes room for them.
-Log log_beside(Progress& progress) {
+Log log_clearing(Progress& progress) {
   return [&progress](LogLevel level, const std::string& text) {
     progress.clear();
     std::cerr << "deblur_bag: " << prefix_of(level) << text << "\n";
@@ -127,7 +127,7 @@ Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& 
   }
   Progress progress(view.size(), arguments.keep_all_topics ? "messages" : "images",
                     arguments.common.quiet || !Progress::watched());
-  DeblurFeed feed(input.bag(), topics, config, arguments.request, slice.read_from(), log_beside(progress));
+  DeblurFeed feed(input.bag(), topics, config, arguments.request, slice.read_from(), log_clearing(progress));
   if (arguments.start_s > 0) feed.catch_up();
 
   FrameWriter writer(output, OutputTopics(topics.output_namespace), report);

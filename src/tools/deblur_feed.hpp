@@ -32,7 +32,7 @@ struct Slice {
 /// it.
 TimeNs lead_ns(const Config& config);
 
-/// A processor whose clock, transforms and messages are those of a bag. An image leaves when the stamps of what it
+/// A processor whose clock, transforms and messages are those of a bag. An image is released when the stamps of what it
 /// waits for have passed, whenever that was recorded, or when the bag has no more of it. All members that read
 /// throw MessageError.
 class DeblurFeed {
@@ -47,7 +47,7 @@ class DeblurFeed {
   /// driver.
   void catch_up();
 
-  /// Told when the image of a frame that will come out was recorded.
+  /// Called with the time at which the image of a frame that will come out was recorded.
   using Expect = std::function<void(ros::Time)>;
   /// The next image. Those before it go through the processor, but for the last few, whose stamps are still compared
   /// with what follows.

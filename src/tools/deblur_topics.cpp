@@ -44,11 +44,11 @@ void choose_exposure(const InputBag& input, const NamedTopics& named, const Conf
 DeblurTopics choose(const InputBag& input, const NamedTopics& named, const Config& config) {
   DeblurTopics chosen;
   chosen.image = choose_images(input, named.images);
-  const std::string beside = chosen.image.name_space();
-  const std::string home = named.images.home(beside);
+  const std::string name_space = chosen.image.name_space();
+  const std::string home = named.images.home(name_space);
   const bool info_required = !config.calibration || !config.calibration->camera;
   chosen.camera_info = input.choose_topic<sensor_msgs::CameraInfo>("camera_info", named.camera_info,
-                                                                   beside + "/camera_info", info_required);
+                                                                   name_space + "/camera_info", info_required);
   chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", !goes_without_imu(config));
   choose_exposure(input, named, config, home, &chosen);
   const auto mask = input.topics().find(home + "/" + kMaskTopic);

@@ -1,7 +1,6 @@
 // The calibration of a camera and its IMU from a recording.
 #pragma once
 
-#include <functional>
 #include <optional>
 #include <string>
 #include <vector>

@@ -108,9 +108,9 @@ void add_image_options(CommandLine& app, NamedImages* named) {
       "--camera-ns, else the only one, depth left out]");
 }
 
-std::string NamedImages::home(const std::string& beside) const {
+std::string NamedImages::home(const std::string& images_namespace) const {
   const std::size_t begin = camera_namespace.find_first_not_of('/'), end = camera_namespace.find_last_not_of('/');
-  return begin == std::string::npos ? beside : "/" + camera_namespace.substr(begin, end + 1 - begin);
+  return begin == std::string::npos ? images_namespace : "/" + camera_namespace.substr(begin, end + 1 - begin);
 }
 
 std::string ImageTopic::name_space() const { return parent_namespace(compressed ? without_suffix(name) : name); }

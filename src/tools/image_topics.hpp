@@ -16,8 +16,8 @@ struct NamedImages {
   std::string camera_namespace;  ///< of a topic that does not begin with "/"; empty: "/"
   std::string topic;             ///< empty: image_raw where there is a namespace, else whatever is found
 
-  /// Where exposures are and outputs go: the camera's namespace, "/" before it, else `beside` the images.
-  std::string home(const std::string& beside) const;
+  /// Where exposures are and outputs go: the camera's namespace, "/" before it, else `images_namespace`.
+  std::string home(const std::string& images_namespace) const;
 };
 
 /// Adds --camera-ns and --image-topic.

@@ -13,8 +13,8 @@ void write_text(const std::string& path, const std::string& text);
 /// A report for --json: nothing for an empty path. Throws as write_text.
 void write_json(const std::string& path, const nlohmann::json& report, int indent = 2);
 
-/// A file that gets its name when it is complete: written beside it as NAME.part, and deleted when that does not come
-/// about. What is there and is no file, such as /dev/null, is written itself.
+/// A file that gets its name when it is complete: written next to it as NAME.part, which is deleted if it does not
+/// get complete. An existing path that is no file, such as /dev/null, is written directly.
 class PartialFile {
  public:
   explicit PartialFile(std::string target);

@@ -157,13 +157,13 @@ std::optional<Eigen::Matrix3d> extrinsic_of(const rosbag::Bag& bag, const std::s
 FootageTopics choose_topics(const InputBag& input, const NamedFootage& named, const Config& config) {
   FootageTopics chosen;
   chosen.image = choose_images(input, named.images);
-  const std::string beside = chosen.image.name_space();
+  const std::string name_space = chosen.image.name_space();
   const bool info_required = !config.calibration || !config.calibration->camera;
   chosen.camera_info = input.choose_topic<sensor_msgs::CameraInfo>("camera_info", named.camera_info,
-                                                                   beside + "/camera_info", info_required);
+                                                                   name_space + "/camera_info", info_required);
   chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", true);
   chosen.exposure =
-      input.choose_topic<Exposure>("exposure", named.exposure, named.images.home(beside) + "/exposure", false);
+      input.choose_topic<Exposure>("exposure", named.exposure, named.images.home(name_space) + "/exposure", false);
   return chosen;
 }
 

@@ -23,8 +23,8 @@ GyroUnitWatch watched(int frames, double told, double amplitude_rad_s = 1.5, boo
     seen.rate_rad_s = {0.2 * rate_rad_s, rate_rad_s * (1 + error(random)), 0};
     seen.known_rad_s = Eigen::Vector3d(0.2, 1, 0) * told * rate_rad_s;
     seen.energy_px2_s2 = 1e4 * rate_rad_s * rate_rad_s;
-    seen.beside_rotation_px2_s2 = (seen_from_translation ? 0.4 : 0.1) * seen.energy_px2_s2;
-    seen.beside_translation_px2_s2 = (seen_from_translation ? 0.1 : 0.4) * seen.energy_px2_s2;
+    seen.energy_less_rotation_px2_s2 = (seen_from_translation ? 0.4 : 0.1) * seen.energy_px2_s2;
+    seen.energy_less_translation_px2_s2 = (seen_from_translation ? 0.1 : 0.4) * seen.energy_px2_s2;
     watch.add(1'000'000'000 + i * kPeriod, seen);
   }
   return watch;

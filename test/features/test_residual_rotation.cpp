@@ -57,8 +57,8 @@ TEST(FitResidualRotation, FindsTheRateThatAFieldHasInCommon) {
   ASSERT_TRUE(rotation);
   EXPECT_LT((rotation->rate_rad_s - rate_rad_s).norm(), 1e-5);
   EXPECT_LT((rotation->known_rad_s - known_rad_s).norm(), 1e-6);
-  EXPECT_LT(rotation->beside_rotation_px2_s2, 1e-4 * rotation->energy_px2_s2);
-  EXPECT_GT(rotation->beside_translation_px2_s2, 0.05 * rotation->energy_px2_s2);
+  EXPECT_LT(rotation->energy_less_rotation_px2_s2, 1e-4 * rotation->energy_px2_s2);
+  EXPECT_GT(rotation->energy_less_translation_px2_s2, 0.05 * rotation->energy_px2_s2);
   // An object that moves by itself, and blocks of which nothing is known.
   for (int i = 0; i < kGrid.size(); ++i) {
     if (i % kGrid.cols() < 3) field[i]->velocity_px_s += Eigen::Vector2d(300, 100);
@@ -74,8 +74,8 @@ TEST(FitResidualRotation, TellsTranslationBeforeAPlaneFromRotation) {
   const auto rotation = fit_residual_rotation(field_of(camera, Eigen::Vector3d::Zero(), {0.2, 0.1, 0.1}), kGrid, camera,
                                               turning({0, 0, 0}), kExposure);
   ASSERT_TRUE(rotation);
-  EXPECT_LT(rotation->beside_translation_px2_s2, 1e-4 * rotation->energy_px2_s2);
-  EXPECT_GT(rotation->beside_rotation_px2_s2, 100 * rotation->beside_translation_px2_s2);
+  EXPECT_LT(rotation->energy_less_translation_px2_s2, 1e-4 * rotation->energy_px2_s2);
+  EXPECT_GT(rotation->energy_less_rotation_px2_s2, 100 * rotation->energy_less_translation_px2_s2);
 }
 
 TEST(FitResidualRotation, WantsHalfOfTheBlocksAndTheMotion) {
@@ -106,8 +106,8 @@ class GyroErrorWatchTest : public testing::Test {
       rotation.rate_rad_s =
           error(rotation.known_rad_s, change) + Eigen::Vector3d(noise(random), noise(random), noise(random));
       rotation.energy_px2_s2 = 10;
-      rotation.beside_rotation_px2_s2 = 1;
-      rotation.beside_translation_px2_s2 = translation_;
+      rotation.energy_less_rotation_px2_s2 = 1;
+      rotation.energy_less_translation_px2_s2 = translation_;
       watch_.add(to_ns(t_s), rotation);
     }
   }

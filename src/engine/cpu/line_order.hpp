@@ -12,7 +12,7 @@
 
 namespace gyro_deblur {
 
-/// What is kept of a channel beside the channel itself (see SourcePlane).
+/// Buffers for a channel in addition to the channel itself (see SourcePlane).
 template <typename Pixel>
 struct PlaneBuffers {
   std::vector<Pixel> edges, transposed;

@@ -52,8 +52,8 @@ struct Shape {
 // 32 steps, 18 multiply-adds for every float staged.
 constexpr Shape kGpuShape{1, 1, 8, 72, 3, 72, 24, 32, 1, 16, false};
 
-/// As many sums as the vector registers hold beside the pixels: 8 x 3 of 32 registers, 4 x 3 of 16. Three vectors of 8
-/// divide the 72 px of a block and its margins.
+/// As many sums as the vector registers hold in addition to the pixels: 8 x 3 of 32 registers, 4 x 3 of 16. Three
+/// vectors of 8 divide the 72 px of a block and its margins.
 Shape cpu_shape(const cl::Device& device) {
   const int native = static_cast<int>(device.getInfo<CL_DEVICE_NATIVE_VECTOR_WIDTH_FLOAT>());
   const bool has_fma = (device.getInfo<CL_DEVICE_SINGLE_FP_CONFIG>() & CL_FP_FMA) != 0;
