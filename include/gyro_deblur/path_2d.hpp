@@ -14,7 +14,7 @@ namespace gyro_deblur {
 using Path2d = std::array<Eigen::Vector2f, kPathInstants>;
 
 /// Largest width or height [px] of a path for the 2-D filter: its tiles have at most 1024 px
-/// (doc/design/fourier_filter.md).
+/// (doc/design/blur_model.md).
 constexpr float kMax2dExtentPx = 596;
 
 /// Width and height [px] of what the path covers, the place at the middle of the exposure included.
