@@ -14,23 +14,19 @@ namespace {
 // Longest side of a cell [px]: that of usual blocks.
 constexpr int kMaxCellPx = 64;
 
-// Margin of a tile around its window, in extents of the path. On four photographs of the Oxford sets, noise of 2 grey
-// levels, arcs of 25 / 60 px, 1, 2 and 4 restore 25.13 / 21.53, 25.19 / 21.73 and 25.20 / 21.81 dB; of hand-shake at
-// 1080p 1.5 restores 0.1 dB less than 2, has the same matches, and takes four fifths of the time.
+// Margin of a tile around its window, in extents of the path: balances quality and time
+// (doc/reports/filter_constants.md).
 constexpr float kAroundExtents = 1.5;
 static_assert(2 * kMaxCellPx + kAroundExtents * kMax2dExtentPx <= kMaxFourierSize, "paths of fields have their tiles");
 
-// Of the one step towards an image outside that fits. In the same measurements whole images of 576x480 gain 0.23 / 0.30
-// dB; 1.7 and 3.5 gain 0.20 / 0.26 and 0.21 / 0.24, eight steps of 1.7 0.38 / 0.51.
+// Of the one step towards a continuation outside the image that fits (doc/reports/filter_constants.md).
 constexpr float kOverRelaxation = 2.5f;
 
 // At half the size, what is restored falls off between these [cycles/px]; beyond, halving mixes it with other
 // frequencies.
 constexpr double kFallsFrom = 0.16, kEndsAt = 0.24;
 // Half the size serves where at kEndsAt the mean gain in power of a straight uniform path of this extent is less than
-// this share of WienerInverse2d's ratio there. Of hand-shake at 1080p (the frames of experiments/hand_shake) with noise
-// of 0.5, 1, 2 and 4 grey levels, what lies above 0.2 cycles/px is worth 0.3, 0.2, 0.05 and -0.2 dB at 26 px, and 0.1,
-// 0.1, 0 and -0.1 dB at 63 px.
+// this share of WienerInverse2d's ratio there: finer detail then adds noise only (doc/reports/filter_constants.md).
 constexpr double kHalvedBelow = 0.035;
 
 /// From 0 to 1 in `length` steps as the square of a sine. `ramp` is one of these already.

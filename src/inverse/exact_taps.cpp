@@ -10,8 +10,8 @@
 namespace gyro_deblur {
 namespace {
 
-// Up to this radius weights have 12 bits even where bytes are faster: short blur is restored so well (to 43 dB at 2 px)
-// that the rounding to bytes shows, by up to 0.45 dB, against 0.07 dB at 5 px.
+// Up to this radius weights have 12 bits even where bytes are faster: rounding to bytes costs up to 0.45 dB of short
+// blur (doc/reports/filter_constants.md).
 constexpr int kMaxFineRadius = 12;
 
 }  // namespace

@@ -36,16 +36,8 @@ LineDirection direction_of(double angle_rad) {
   return {major_is_y, major, (major_is_y ? dx : dy) / major};
 }
 
-// The rotation was chosen among five by the PSNR it restores, on three Oxford images (graf, boat, leuven) with exact
-// line blur, noise of 1 and 2 grey levels and 8-bit rounding, angles 0..175 degrees. Gain over the blurred image [dB],
-// mean over angles at extents 5 / 13 / 30 / 90 px, noise 1, and worst angle at 13 px:
-//   major axis, splat on unit steps (this one)     3.06 / 4.25 / 3.82 / 3.05, worst 4.01
-//   the same on half steps                         3.13 / 4.27 / 3.84 / 3.05, worst 4.01
-//   bilinear splat of each tap on 4 pixels         3.00 / 4.26 / 3.85 / 3.05, worst 4.01
-//   nearest pixel across                           0.52 / 3.26 / 3.70 / 3.03, worst 2.06
-//   cubic weights across (4 pixels)                3.17 / 4.29 / 3.85 / 3.06, worst 4.01
-// The last has twice the taps, half steps and bilinear a quarter more, and nothing but the nearest pixel differs by
-// more than 0.11 dB. A kernel sampled four times finer gains 0.5 dB at 5 px and loses 0.3 dB at 8 px.
+// Splat on unit steps of the major axis: the fewest taps of five rotations that restore the same
+// (doc/reports/filter_constants.md).
 void make_line_steps(const LineKernel& kernel, const LineDirection& direction, LineSteps& line) {
   kernel_on_major_axis(kernel, direction.major, line.on_axis);
   const std::vector<float>& on_axis = line.on_axis;

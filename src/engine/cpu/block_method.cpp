@@ -10,8 +10,8 @@
 namespace gyro_deblur {
 namespace {
 
-// Exact taps are cheap below this, and further down the interpolation between sheared columns and pixels shows: on
-// single photographs 0.12 dB of restored quality at 34 px and 7 degrees, 0.08 dB at most from here on.
+// Below this extent exact taps are cheap, and the interpolation between sheared columns and pixels would show (figures
+// for this and the next constants: doc/reports/filter_constants.md).
 constexpr int kMinTwoScaleExtentPx = 36;
 static_assert(kMinTwoScaleExtentPx >= kConstantRatioExtentPx, "shorter kernels have no jump to take out");
 // Nearly along an axis the sheared columns lie between pixels over whole stretches of a line, where exact taps do not,
@@ -19,25 +19,23 @@ static_assert(kMinTwoScaleExtentPx >= kConstantRatioExtentPx, "shorter kernels h
 constexpr double kMinTwoScaleExtentNearAxisPx = 57.0;
 constexpr double kNearAxisSlope = 0.15;
 // Still nearer to an axis and, where two scales are smooth, up to this extent, tiles are cut so short that sheared
-// columns drift by no more than this between the middle row, where they lie on pixels, and the ends; 0.10 dB are lost
-// at 58 px and 2 degrees without. But not shorter than this many rows: the neighbourhood that the kernel needs comes on
-// top for every tile.
+// columns drift by at most kMaxColumnDriftPx between the middle row, where they lie on pixels, and the ends, but not
+// shorter than kMinTileRows: the neighbourhood that the kernel needs comes on top for every tile.
 constexpr double kMaxShortTileExtentPx = 75.0;
 constexpr double kMaxShortTileSlope = 0.08;
 
-// From here to kNearAxisSlope short kernels without a box come to below 42 dB on sheared columns (41.6 dB at 50 px and
-// 4 degrees).
+// From here to kNearAxisSlope short kernels without a box differ visibly from the float engine on sheared columns.
 constexpr double kMinDeepNonuniformSlope = 0.06;
 constexpr double kMaxColumnDriftPx = 0.2;
 constexpr int kMinTileRows = 9;
-// Box and smooth rest cancel each other from this gain (1 / gamma) down to one, so that their errors grow with it: 0.7
-// grey levels at gamma = 0.01, 2 at 0.005, 38 at 0.001. Kernels of a smaller gamma are left to the float engine.
+// Box and smooth rest cancel each other from this gain (1 / gamma) down to one, so that their errors grow with it.
+// The float engine filters with kernels of a smaller gamma.
 constexpr double kMaxBoxGain = 128.0;
 // Exact taps of longer kernels would need a neighbourhood beyond any cache.
 constexpr int kMaxExactRadius = 128;
 
-// Sheared columns have sums of weights times pixels in 32 bits, so that weights are the coarser the larger their sizes'
-// sum: at this one 9 bits are left to them.
+// Sums over sheared columns have 32 bits: the larger the sum of absolute weights, the coarser is each. This limit keeps
+// 9 bits for a weight.
 constexpr double kMaxColumnGain = 80.0;
 // Extents that a kernel of unknown shape has in its length, as by default.
 constexpr double kLengthInExtents = 4.0;
@@ -54,9 +52,7 @@ double extent_of(const LineKernel& kernel) {
 }
 
 /// Whether what sheared columns interpolate shows: near an axis, where tiles would have to be shorter than is worth it,
-/// the peaks of a kernel without a box fall between pixels together for a whole tile. Without short tiles 39.3 dB to
-/// the float engine were seen at 50 px and 5 degrees; with those of 5 rows, 43.8 dB, 16 bit take longer than in the
-/// float engine.
+/// the peaks of a kernel without a box fall between pixels together for a whole tile.
 bool peaks_show(const LineKernel& kernel, double slope) {
   return !has_box(kernel) && std::abs(slope) > kMinDeepNonuniformSlope && std::abs(slope) < kNearAxisSlope &&
          extent_of(kernel) < kMinTwoScaleExtentNearAxisPx;
