@@ -59,7 +59,7 @@ class Section {
 
   std::string text(const std::string& key) {
     const YAML::Node node = required(key, "a text");
-    if (!node.IsScalar()) throw OptionError(name(key) + " is not a text");
+    if (!node.IsScalar()) throw OptionError(name(key) + " is not a string");
     return node.Scalar();
   }
   std::string text_or(const std::string& key, const std::string& otherwise) {
@@ -358,11 +358,13 @@ TimeNs Scene::end_ns() const {
 void Scene::validate() const {
   camera.calibration.validate();
   require_range("camera.fps", camera.fps, 0.1, 1000, "Hz");
-  if (camera.exposures_ns.empty()) throw OptionError("camera.exposure_time is missing");
+  if (camera.exposures_ns.empty())
+    throw OptionError("camera.exposure_time is missing; give seconds, or a list of them");
   for (int i = 0; i < static_cast<int>(camera.exposures_ns.size()); ++i) timing(i).validate();
   require_range("camera.noise", camera.noise, 0, 64, "grey levels");
   if (!layout_of_encoding(camera.encoding))
-    throw OptionError("camera.encoding = '" + camera.encoding + "' is not known");
+    throw OptionError("camera.encoding = '" + camera.encoding +
+                      "' is not one of mono8, mono16, bgr8, rgb8, bayer_rggb8, bayer_bggr8, bayer_gbrg8, bayer_grbg8");
   require_range("imu.rate", imu.rate_hz, 1, 1e4, "Hz");
   require_rotation("imu.R_cam_imu", imu.R_cam_imu);
   for (const Plane& plane : planes) {
@@ -372,7 +374,7 @@ void Scene::validate() const {
   require_range("background", background, 0, 255, "grey levels");
   require_range("frames", frames, 1, 1e6);
   require_range("lead_time", to_seconds(lead_ns), 0, 60, "s");
-  if (!motion) throw OptionError("motion is missing");
+  if (!motion) throw OptionError("motion is missing; config/scenes/handheld.yaml documents it");
   const Span span = motion->span();
   const double duration = to_seconds(end_ns() - start_ns);
   if (span.begin_s > 0 || span.end_s < duration) {
