@@ -1,5 +1,5 @@
 // Ratios between engines. Engines take turns in one process (A B C A B C ...), so that a machine whose speed drifts
-// slows all of them alike; a ratio is the median over rounds of the ratio within a round.
+// slows all of them by the same share; a ratio is the median over rounds of the ratio within a round.
 
 #include <sys/resource.h>
 #include <sys/wait.h>

@@ -1,10 +1,10 @@
-# What others need of the package. With catkin the rules of the nodelet and deblur_bag stand beside their targets.
+# What others need of the package. With catkin the rules of the nodelet and deblur_bag stand next to their targets.
 if(GYRO_DEBLUR_ROS)
   set(library_folder ${CATKIN_PACKAGE_LIB_DESTINATION})
   set(program_folder ${CATKIN_PACKAGE_BIN_DESTINATION})
   set(header_folder ${CATKIN_PACKAGE_INCLUDE_DESTINATION})
   set(config_folders ${CATKIN_PACKAGE_SHARE_DESTINATION}/cmake)
-  # There Debian's catkin puts the package's configuration beside the libraries.
+  # There Debian's catkin puts the package's configuration next to the libraries.
   if(CMAKE_INSTALL_PREFIX STREQUAL "/usr")
     list(APPEND config_folders ${CATKIN_GLOBAL_LIB_DESTINATION}/cmake/${PROJECT_NAME})
   endif()

@@ -5,7 +5,7 @@
 
 namespace gyro_deblur::experiments {
 
-/// One image, blurred alike everywhere, along the line of the blur, from where the scene is at the middle of the
+/// One image, blurred the same everywhere, along the line of the blur, from where the scene is at the middle of the
 /// exposure.
 struct ApparentPlace {
   double extent_px = 0;

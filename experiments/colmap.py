@@ -39,7 +39,7 @@ def opened(path):
 
 
 def remove_database(path):
-    """With what SQLite leaves beside a database whose writer was killed, and would write into the next of that name."""
+    """With the journals of a database whose writer was killed, which SQLite would write into the next of that name."""
     for suffix in ("", "-wal", "-shm", "-journal"):
         path.with_name(path.name + suffix).unlink(missing_ok=True)
 
@@ -169,7 +169,7 @@ def verify(database, names, log, seed, progress):
 
 
 def reconstruct(database, folder, log, seed, progress):
-    """COLMAP's models, as text in folders beside each other in `folder`; none where it finds no pair to begin with."""
+    """COLMAP's models, as text in sibling folders of `folder`; none where it finds no pair to begin with."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     if not run("mapper", log, progress, database_path=database, image_path=folder, output_path=folder,

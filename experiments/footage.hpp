@@ -71,7 +71,7 @@ class Footage {
   /// The same with all rows at the middle of the middle row's exposure, unlit: CV_16UC1, 257 a grey level.
   cv::Mat at_one_instant(int i) { return simulator_.global_shutter(simulator_.reference_time(i)); }
 
-  /// What the IMU reads, 7 cm beside the camera, its first and last sample aside.
+  /// What the IMU reads, 7 cm from the camera, its first and last sample aside.
   /// @param seed  of its noise
   std::vector<sim::ImuSample> imu(std::uint64_t seed) const;
   /// The camera in IMU coordinates [m].

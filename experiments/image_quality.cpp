@@ -184,7 +184,7 @@ void count_exposure(const Shot& shot, TimeNs exposure_ns, std::size_t view, std:
   }
 }
 
-/// The exposures that the advice names, from frames of one exposure, beside what was measured at all of them.
+/// The exposures that the advice names, from frames of one exposure, and what was measured at all of them.
 void run_exposures(const Arguments& arguments) {
   const std::vector<TimeNs> exposures_ns{1'000'000,  2'000'000,  5'000'000, 10'000'000,
                                          20'000'000, 30'000'000, 50'000'000};

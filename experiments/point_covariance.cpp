@@ -161,7 +161,7 @@ Sample sample_at(const std::string& points, const PointCovariance& covariance, c
   return sample;
 }
 
-/// For each keypoint the one that is described most alike, when that holds both ways; -1: none.
+/// For each keypoint the one with the most similar descriptor, if that is mutual; -1: none.
 std::vector<int> mutual_matches(const Features& a, const Features& b) {
   std::vector<int> matches(a.keypoints.size(), -1);
   if (a.keypoints.empty() || b.keypoints.empty()) return matches;

@@ -163,7 +163,7 @@ struct Outcome {
 };
 
 Outcome run_task(const Task& task, const std::vector<int>& counts) {
-  // Cropping moves the origin of both images alike.
+  // Cropping moves the origin of both images by the same.
   const Homography shift(1, 0, kMarginPx, 0, 1, kMarginPx, 0, 0, 1);
   const Homography H = shift.inv() * task.pair->H_2_1 * shift;
   cv::Mat images[2];

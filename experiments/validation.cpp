@@ -122,7 +122,7 @@ void report(const Arguments& arguments, const AllScores& scores) {
   std::printf("Areas: together with neighbours (each block alone, the paper's gradient)\n\n%s\n",
               areas.markdown().c_str());
   std::printf("Log ratio above 0: of those, of the truly blurred\n\n%s\n", accepted.markdown().c_str());
-  // Of all cells alike.
+  // Of all cells.
   ResultTable thresholds({"falsely accepted", "log ratio above", "of sharp", "of blurred"});
   std::array<std::vector<double>, 3> together;
   for (const auto& [cell, of_cell] : scores) {

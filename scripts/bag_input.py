@@ -1,6 +1,6 @@
 """Bags as the scripts in Python open them, and the image topics in them.
 
-Installed beside the scripts that import it.
+Installed next to the scripts that import it.
 """
 import os
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Measures streams of frames beside other processes, in real time: a busy process on every core, a consumer of frames
+# Measures streams of frames under contention, in real time: a busy process on every core, a consumer of frames
 # like SLAM, and a second stream. Builds first. Numbers, tables and the plot go to build/contention; --update-doc puts
 # the tables into doc/reports/contention.md and the plot into doc/images as well. Takes about seven minutes. Ends with
 # status 77 and no verdict where others use the machine, before or meanwhile. Other arguments go to benchmark_contention (see

@@ -1,5 +1,5 @@
 # shellcheck shell=bash
-# Shared by the scripts beside this file: paths, messages, the ROS environment. Sourced, not run.
+# Shared by the scripts of this folder: paths, messages, the ROS environment. Sourced, not run.
 
 GYRO_DEBLUR_ROOT="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
 GYRO_DEBLUR_BUILD="${GYRO_DEBLUR_ROOT}/build"

@@ -31,8 +31,8 @@ def latency_table(stream):
         rows.append([beside, run["frames"], run["deblurred"],
                      *(number(run[f"{name}_ms"], 2) for name in ("p50", "p95", "p99")), number(run["late_p95_ms"], 2),
                      number(run["processor_s"] / run["wall_s"], 1, 100)])
-    return titled_table(title(stream) + ":", ["beside", "frames", "deblurred", "p50 [ms]", "p95 [ms]", "p99 [ms]",
-                                              "image late, p95 [ms]", "processor [% of a core]"], rows)
+    return titled_table(title(stream) + ":", ["other processes", "frames", "deblurred", "p50 [ms]", "p95 [ms]",
+                                              "p99 [ms]", "image late, p95 [ms]", "processor [% of a core]"], rows)
 
 
 def verdict_table(stream):

@@ -48,8 +48,8 @@ wanted() { [[ " ${only[*]} " == *" $1 "* ]]; }
 readonly STEPS=$((1 + ${#only[@]}))
 # As of a skipped test of ctest's.
 readonly NOT_DONE=77
-# The slowest tests under AddressSanitizer, of the timing and of the engine, take six to nine minutes beside another one
-# on two cores, and fourteen beside two more. What takes twice as long waits for something that does not come.
+# The slowest tests under AddressSanitizer, of the timing and of the engine, take six to nine minutes with one more test on
+# two cores, fourteen with two more. What takes twice as long waits for something that does not come.
 readonly TEST_LIMIT_S=1800
 deadline=$((minutes > 0 ? EPOCHSECONDS + 60 * minutes : 0))
 readonly deadline
@@ -146,7 +146,7 @@ run_tests() {
 }
 
 # run_nodelet_test FOLDER [ARGUMENTS...]: the nodelets, which test_nodelet_faults loads into itself, so that they are
-# watched as it is, beside a master of their own.
+# watched as it is, with a master of their own.
 run_nodelet_test() {
   local folder="$1" port master status=0 log="$1/test_nodelet_faults.log" passed begin="${SECONDS}"
   shift

@@ -1,6 +1,6 @@
 """Ends a script that misses a Python module of another package with one line that names the package to install.
 
-Imported before those modules; installed beside the scripts that import it.
+Imported before those modules; installed next to the scripts that import it.
 """
 import os
 import sys

@@ -210,7 +210,7 @@ class BagPair:
         deblurred, fields = Stream(self._result, self._deblurred), Stream(self._result, self._field)
         keypoints, overlays = Stream(self._result, self._keypoints), Stream(self._result, self._overlay)
         sharps = Stream(self._source, self._sharp)
-        # The global-shutter truth carries the reference time: it belongs to the frame beside it in the bag.
+        # The global-shutter truth carries the reference time: it belongs to the adjacent frame in the bag.
         globals_ = messages_of(self._source, self._global)
         for index, message in enumerate(messages_of(self._source, self._image)):
             ns = stamp_ns(message)

@@ -1,6 +1,6 @@
 """What the reports in Python share: Markdown tables, numbers in them, JSON to read, and one clear line on bad input.
 
-Installed beside the scripts that import it; experiments/common.py brings it to the experiments.
+Installed next to the scripts that import it; experiments/common.py brings it to the experiments.
 """
 import contextlib
 import json

@@ -91,7 +91,7 @@ def play(judge, recording, config, folder, patience_s):
     """Through live.launch. Returns what was seen."""
     states, report = folder / "live_states.txt", folder / "play.json"
     settings = judge.write_settings(recording, folder, OWN_START)
-    # The stack's packages come from its own devel space, beside this one.
+    # The stack's packages come from its own devel space, in addition to this one.
     launch = pathlib.Path(__file__).resolve().parent / "live.launch"
     command = "source '%s/setup.bash' --extend && exec roslaunch '%s'" % (judge.devel, launch)
     for key, value in {"bag": recording.bag, "config": config, "settings": settings, "topic": recording.image_topic,

@@ -189,7 +189,7 @@ int main_of(int argc, char** argv) {
   CommandLine app{
       "Writes bags for a SLAM stack: a recorded flight through a room of photographs, seen by a camera of 752x480 at "
       "20 Hz, in daylight and in low light, blurred (LIGHT_SEED_blurred.bag) and sharp at one instant "
-      "(LIGHT_SEED_sharp.bag), both with the IMU, and truth.csv and sequence.json beside them.",
+      "(LIGHT_SEED_sharp.bag), both with the IMU, and truth.csv and sequence.json next to them.",
       "slam_sequences"};
   app.add_option("--out", arguments.output, "folder").required();
   app.add_option("--data", arguments.data, "recorded data, with trajectories/");

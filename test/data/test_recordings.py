@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""make_bag, deblur_bag and the nodelet on recorded data (see README.md beside this file).
+"""make_bag, deblur_bag and the nodelet on recorded data (see README.md in this folder).
 
 Usage: test_recordings.py SOURCE_DIR DATA_DIR TOOL_DIR TEST... Exit status 77: the data is absent.
 """

@@ -87,7 +87,7 @@ TEST(FallbackReason, IsNotGivenWhereAFastMethodServes) {
   }
 }
 
-// Beside an axis: not along it, where short tiles serve, nor further off.
+// Near an axis: not along it, where short tiles serve, nor further off.
 TEST(FallbackReason, IsGivenForDeepNonuniformBlurBesideAnAxisAlone) {
   for (const double slope : {0.07, -0.07, 0.14, -0.14}) {
     EXPECT_EQ(fallback_reason(without_box(145), slope, CV_16U), FallbackReason::DEEP_NONUNIFORM_BLUR) << slope;

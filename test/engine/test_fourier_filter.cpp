@@ -102,7 +102,7 @@ TEST_P(FourierFilterTest, IsWhatTheDefinitionSays) {
   }
 }
 
-// Blocks at the whole and at half the size beside each other and beside copied ones, which the definition mixes.
+// Blocks at the whole and at half the size next to each other and to copied ones, which the definition mixes.
 TEST_P(FourierFilterTest, MixesSizesAsTheDefinitionSays) {
   const WienerInverse2d brief{test::arc_path(12, 3, 0.3), 0.01f, 0.1f}, lengthy{test::arc_path(60, 9, 1.2), 0.1f, 1};
   ASSERT_NE(test::is_at_half_size(brief), test::is_at_half_size(lengthy));
@@ -157,7 +157,7 @@ TEST(FourierFilter, KeepsAConstantImage) {
   }
 }
 
-// Blocks with an inverse, with a kernel and without either beside each other.
+// Blocks with an inverse, with a kernel and without either next to each other.
 TEST(FourierFilter, SharesAnImageWithOtherFilters) {
   const cv::Mat src = test::textured_image(320, 256, 6);
   const FilterBank bank({});

@@ -1,4 +1,4 @@
-// Measures a stream of frames beside other processes, in real time: latency, processor time, and what the others lose.
+// Measures a stream of frames under contention, in real time: latency, processor time, and what the others lose.
 // Gives a verdict only on a machine that does nothing else. See doc/reports/contention.md.
 #include <sys/resource.h>
 #include <unistd.h>
@@ -462,7 +462,7 @@ int main_of(int argc, char** argv) {
   std::string config_path = folder + "contention.yaml", json_path, only;
   double seconds = 20;
   bool even_if_busy = false, keypoints = false;
-  CommandLine app{"Measures streams of frames beside other processes, in real time.", "benchmark_contention"};
+  CommandLine app{"Measures streams of frames under contention, in real time.", "benchmark_contention"};
   app.add_option("--seconds", seconds, "of each of them, in all its turns [20]").range(1.0, 600.0);
   app.add_option("--config", config_path, "keys of config/default.yaml");
   app.add_option("--json", json_path, "where to write the numbers");

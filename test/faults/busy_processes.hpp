@@ -1,4 +1,4 @@
-// Processes beside the one that is looked at: some that are always busy, and a consumer of frames like SLAM.
+// Processes other than the measured one: some that are always busy, and a consumer of frames like SLAM.
 #pragma once
 
 #include <semaphore.h>

@@ -22,7 +22,7 @@
 
 namespace gyro_deblur::test {
 
-/// Something that happens to the processor beside messages, e.g. a change of its parameters.
+/// Something that happens to the processor in addition to messages, e.g. a change of its parameters.
 using Action = std::function<void(Processor&)>;
 using ActionConstPtr = boost::shared_ptr<const Action>;
 

@@ -20,7 +20,7 @@ LIBRARIES = ("libgyro_deblur_core.so", "libgyro_deblur_nodelet.so", "libgyro_deb
 
 
 def local_imports(script):
-    """Modules beside a script that it imports, and that they import."""
+    """Modules next to a script that it imports, and that they import."""
     found = set()
     for name in re.findall(r"^(?:import|from) (\w+)", script.read_text(), re.MULTILINE):
         module = script.with_name(name + ".py")
@@ -62,7 +62,7 @@ class InstalledFiles(unittest.TestCase):
         for library in LIBRARIES:
             self.assertIn(library, where)
         path = re.search('<library path="([^"]+)"', (ROOT / "nodelet_plugins.xml").read_text()).group(1)
-        # Without a folder: Debian's pluginlib looks for a file of that name beside the system's libraries.
+        # Without a folder: Debian's pluginlib looks for a file of that name next to the system's libraries.
         self.assertIn(path + ".so", where)
 
     def test_tools_and_scripts_with_what_they_import(self):

@@ -305,7 +305,7 @@ TEST(DetectedKeypointsEndToEnd, AreFoundWhereTheSharpImageHasThem) {
   EXPECT_GT(detected.points, 300u);
   EXPECT_TRUE(detected.accurate());
   for (const Signs& wrong : kWrongSigns) {
-    if (wrong.time_offset < 0) continue;  // a swing of constant speed looks alike 12 ms later
+    if (wrong.time_offset < 0) continue;  // a swing of constant speed looks the same 12 ms later
     const Detected bad = measure_detected(footage, "SIFT", wrong, Goal::SHARP_IMAGE);
     EXPECT_FALSE(bad.accurate()) << bad;
   }

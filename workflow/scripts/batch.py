@@ -1,4 +1,4 @@
-"""What the Snakefile needs beside rules: which bags there are, how they are sliced, and what became of them."""
+"""What the Snakefile needs in addition to rules: which bags there are, how they are sliced, and what became of them."""
 
 import glob
 import json
