@@ -13,7 +13,7 @@ namespace gyro_deblur {
 /// The integral of the rates. Axes and clock of the IMU. Not thread-safe.
 class GyroIntegral {
  public:
-  /// @param kept_ns  > 0: how far back it reaches
+  /// @param kept_ns  length of the integral's past [ns], > 0
   explicit GyroIntegral(TimeNs kept_ns) : kept_ns_(kept_ns) {}
 
   /// Samples that are not finite, or not newer than the newest, are left out; begins anew where time goes back by more

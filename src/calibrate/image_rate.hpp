@@ -1,4 +1,4 @@
-// How fast the camera turns, by its images alone.
+// Rotation rate of a camera, from its images alone.
 #pragma once
 
 #include <optional>
@@ -20,8 +20,8 @@ struct ImageRate {
   Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();  ///< of the camera, in its axes
   double stddev_rad_s = 0;  ///< > 0; translation, which looks much like rotation in a small field of view, adds to it
   double speed_rad_s = 0;   ///< median speed of the points' directions: 0 for a camera that stands still
-  /// The rows of a rolling shutter turn at different rates while the camera's rate changes. `rate_rad_s` is off by this
-  /// matrix times the difference of rates between last and first row.
+  /// Error of `rate_rad_s` by a rolling shutter: this matrix times the difference of the camera's rates between last
+  /// and first row.
   Eigen::Matrix3d by_rows = Eigen::Matrix3d::Zero();
 };
 
@@ -30,12 +30,13 @@ struct ImageRate {
 /// most 400 px wide. Not thread-safe.
 class ImageRateTracker {
  public:
-  /// Pixels that are not followed. @param mask  empty, or of the size of the images to come
+  /// Corners on masked pixels are not followed. @param mask  empty, or of the images' size
   void set_mask(const PixelMask& mask);
 
   /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
   /// @param exposure   of the image, in the order of time
-  /// @return since the image before; nothing for the first image, after a break of more than 0.25 s, and where too few
+  /// @return mean rate since the image before; nothing for the first image, after a break of more than 0.25 s, and
+  /// where too few
   ///         corners are found again
   /// Throws std::invalid_argument when the image does not fit the camera.
   std::optional<ImageRate> add(const cv::Mat& luminance, const Camera& camera, const RowExposure& exposure);

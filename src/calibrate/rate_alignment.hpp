@@ -1,4 +1,4 @@
-// At which offset and rotation the gyroscope turns as the images do.
+// Time offset and rotation at which the rates of gyroscope and images agree.
 #pragma once
 
 #include <optional>
@@ -12,7 +12,8 @@
 
 namespace gyro_deblur {
 
-/// Where the rates of images and gyroscope correlate best, whatever the rotation between their axes and the bias.
+/// Time offset at which the rates of images and gyroscope correlate best, for any rotation between their axes and any
+/// bias.
 struct OffsetPeak {
   TimeNs offset_ns = 0;
   double correlation = 0;     ///< [0, 1] there
@@ -22,22 +23,22 @@ struct OffsetPeak {
   bool is_ambiguous = false;  ///< the second explains the images about as well
 };
 
-/// @param turns   whose gyroscope samples are there at every offset of the search; at least one
+/// @param turns   rates of the images, covered by gyroscope samples at every offset of the search; at least one
 /// @param center  of the search, which goes `search_ns` (> 0) to either side
 /// The correlation of vectors, with the rotation that makes it largest (Wahba's problem): signs and directions count,
 /// so that a motion whose speed alone repeats itself is not taken for one that repeats.
 OffsetPeak search_rate_offset(const std::vector<ImageRate>& turns, const GyroIntegral& gyro, TimeNs center_ns,
                               TimeNs search_ns);
 
-/// What makes gyroscope and images agree best: image rate = scale * R_cam_imu (gyroscope's rate - bias).
+/// Parameters that fit gyroscope and images best: image rate = scale * R_cam_imu (gyroscope's rate - bias).
 struct RateAlignment {
   TimeNs offset_ns = 0;  ///< t_imu = t_cam + offset
   Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< IMU axes
   double readout_s = 0;                                  ///< from the first row to the last
   double scale = 1;                                      ///< translation and a wrong focal length are in it
-  /// Standard deviations, from how the values change without parts of the time; rotation and bias about the axis of
-  /// which least is known.
+  /// Standard deviations (jackknife over parts of the time); those of rotation and bias are about the least certain
+  /// axis.
   double offset_stddev_s = 0, rotation_stddev_rad = 0, bias_stddev_rad_s = 0, readout_stddev_s = 0;
   double correlation = 0;                                ///< [0, 1], without what disagrees
   double agreeing = 0;                                   ///< [0, 1] of the turns
@@ -48,7 +49,7 @@ struct RateAlignment {
 
 /// Robust least squares (Gauss-Newton with Cauchy's weights) from the offset on.
 /// @param begin_ns  where the correlation is largest
-/// Nothing where the gyroscope covers too few turns, or does not turn.
+/// Nothing if the gyroscope covers too few rates, or does not rotate.
 std::optional<RateAlignment> align_rates(const std::vector<ImageRate>& turns, const GyroIntegral& gyro,
                                          TimeNs begin_ns);
 

@@ -19,7 +19,7 @@
 
 namespace gyro_deblur {
 
-/// What one image says.
+/// Estimate from one image.
 struct ImageExposure {
   TimeNs stamp_ns = 0;
   std::optional<TimeNs> given_ns;             ///< by a message
@@ -39,7 +39,7 @@ struct ExposureSpectrumPoint {
   std::size_t count = 0;  ///< of the windows behind it
 };
 
-/// What the images of a recording say together.
+/// Estimate from all images of a recording.
 struct RecordedExposure {
   std::vector<ImageExposure> images;
   std::size_t estimates = 0;  ///< images that have one

@@ -34,7 +34,8 @@ struct Learned {
   std::string missing{};  ///< where it is not known: why not, and what would help
 };
 
-/// Largest standard deviations of a value that is of use, half of what costs one to three percent of the matches.
+/// Largest standard deviations of a value that is used: half of the error that costs one to three percent of the
+/// matches.
 struct UsefulStddev {
   static constexpr double kOffsetS = 0.005, kRotationRad = 2.5 * M_PI / 180, kBiasRadS = 0.01, kReadoutS = 0.0035;
 };
@@ -42,8 +43,8 @@ struct UsefulStddev {
 /// What has been learned so far.
 struct LearnedCalibration {
   Learned<Eigen::Matrix3d> R_cam_imu{Eigen::Matrix3d::Identity()};  ///< stddev [rad]
-  /// t_imu = t_cam + time_offset [s]. Contains what the images' exposures were given wrongly: half of an exposure time
-  /// and of a readout time that were taken to be 0.
+  /// t_imu = t_cam + time_offset [s]. Contains half of an exposure time, or readout time, that is not known and taken
+  /// for 0.
   Learned<double> time_offset_s;
   Learned<double> readout_s;  ///< from the first row to the last, whatever the images' exposures say of it
   Learned<Eigen::Vector3d> bias_rad_s{Eigen::Vector3d::Zero()};  ///< IMU axes
@@ -77,7 +78,7 @@ class SelfCalibration {
 
  private:
   std::vector<ImageRate> usable_rates() const;
-  /// Why no turn is usable.
+  /// Why no rate is usable.
   std::string missing_data() const;
   void learn_alignment();
   void learn_readout(const RateAlignment& found, double turning_s);
@@ -101,7 +102,7 @@ struct Used {
   std::string source;
 };
 
-/// What is used now, for a check against what has been learned. What is absent is not checked.
+/// Values in use, to be checked against the learned ones. Absent values are not checked.
 struct UsedCalibration {
   std::optional<Used<Eigen::Matrix3d>> R_cam_imu;
   std::optional<Used<TimeNs>> time_offset_ns;  ///< for the exposures that the images were given
@@ -115,8 +116,8 @@ struct Contradiction {
   std::string text;  ///< both values, and what to do
 };
 
-/// What images contradict by far more than the uncertainty of known values and more than optical flow forgives: 10
-/// degrees, 20 ms (readout: 8 ms), 0.05 rad/s.
+/// Values in use that the images contradict, by the limits of
+/// doc/guides/calibration.md#self-calibration-while-running.
 std::vector<Contradiction> contradictions(const UsedCalibration& used, const LearnedCalibration& learned);
 
 }  // namespace gyro_deblur

@@ -76,14 +76,14 @@ struct TimingEstimate {
 };
 
 /// Compares the rotation by the gyroscope with the motion of points in the image. Coarse to fine: the offset where the
-/// angular speeds correlate best; the rotation between the axes in closed form (Wahba's problem, by SVD), both as if
-/// the camera only turned; then all values together by robust least squares (Cauchy's weights, Levenberg-Marquardt) on
-/// the points' positions, each predicted from the mean of its row's exposure in the first frame of its window to that
-/// in a later one. The camera's way through each window and the points' inverse depths are estimated with them and
-/// eliminated by Schur complements, as in bundle adjustment (Triggs et al., 2000), so that of two frames only the
-/// distance to the epipolar line counts, and of more also that a point has one depth. How fast the camera is found to
-/// be on the average of the recording limits its way in each window (empirical Bayes, MacKay 1992): of a camera that
-/// turns on the spot both coordinates of every point count.
+/// angular speeds correlate best; the rotation between the axes in closed form (Wahba's problem, by SVD), both for
+/// a camera that only rotates; then all values together by robust least squares (Cauchy's weights, Levenberg-Marquardt)
+/// on the points' positions, each predicted from the mean of its row's exposure in the first frame of its window to
+/// that in a later one. The camera's translation in each window and the points' inverse depths are estimated with them
+/// and eliminated by Schur complements, as in bundle adjustment (Triggs et al., 2000), so that of two frames only the
+/// distance to the epipolar line counts, and of more also that a point has one depth. The mean speed of the
+/// camera in the recording limits its translation in each window (empirical Bayes, MacKay 1992): for a camera that only
+/// rotates both coordinates of every point count.
 /// @param windows  in pixels of `camera`'s image; of two frames or more, the more of four the better
 /// @param samples  IMU clock, strictly increasing
 /// Throws OptionError for bad options, TimingError when the recording does not determine the values: too few pairs of

@@ -1,4 +1,4 @@
-// Whether footage determines what was estimated from it.
+// Checks whether a recording determines the values that were estimated from it.
 #pragma once
 
 #include <string>
@@ -17,10 +17,9 @@ struct TimingObjection {
   bool speaks_against_all = false;  ///< a wrong value of this key makes the others wrong
 };
 
-/// Empty: nothing speaks against the estimate. All values are doubted with images that do not move, or not as the
-/// gyroscope turned (stabilised ones), an offset at the limit of the search, one that is hardly determined or that
-/// another way of finding it contradicts, a readout longer than the frame period, and a rotation that is hardly
-/// determined.
+/// Objections to an estimate; empty: none. Reasons: images that do not move, or not as the gyroscope does (stabilised
+/// ones); an offset at the limit of the search, hardly determined, or contradicted by the coarse one; a readout longer
+/// than the frame period; a rotation that is hardly determined.
 /// @param options  that the estimate was made with
 /// @param period   of the images
 /// @param coarse   the same values from the rates of images and gyroscope

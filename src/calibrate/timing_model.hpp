@@ -1,4 +1,4 @@
-// What timing predicts: where the gyroscope turns the points of a window.
+// Model of the timing calibration: where the gyroscope's rotation takes the points of a window.
 #pragma once
 
 #include <cstddef>
@@ -37,7 +37,7 @@ struct Sighting {
   Eigen::Vector2d px;
 };
 
-/// What can be used of a window.
+/// Usable points of a window.
 struct WindowPoints {
   const TrackWindow* window = nullptr;
   std::vector<Anchor> anchors;
@@ -92,7 +92,7 @@ class TimingModel {
   const TimingOptions& options_;
 };
 
-/// How the values turn rays, near one state.
+/// Derivatives of rotated rays by the values, near one state.
 class TimingDerivatives {
  public:
   /// Keeps a reference to the model.

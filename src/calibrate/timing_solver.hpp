@@ -1,4 +1,4 @@
-// Robust least squares over all windows: timing, the camera's way and the points' depths.
+// Robust least squares over all windows: timing, the camera's translation and the points' depths.
 #pragma once
 
 #include <vector>

@@ -1,4 +1,4 @@
-// Where the estimation begins: the offset by correlation, the rotation in closed form.
+// Start of the estimation: the offset by correlation, the rotation in closed form.
 #pragma once
 
 #include <vector>

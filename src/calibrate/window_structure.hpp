@@ -1,4 +1,4 @@
-// The part of a window's motion that no gyroscope knows: the camera's way, and how far the points are.
+// Translation of the camera in a window, and the points' depths.
 #pragma once
 
 #include <vector>
@@ -9,7 +9,7 @@
 
 namespace gyro_deblur {
 
-/// Lengths are in units of the mean depth of the window's points: the scale of a way by images alone is open.
+/// Lengths are in units of the mean depth of the window's points: images alone do not give the scale.
 struct WindowStructure {
   Eigen::VectorXd positions;       ///< of the camera in the frames after the first: 3 each, axes of the first
   Eigen::VectorXd inverse_depths;  ///< of the anchors, around 1
@@ -27,7 +27,7 @@ struct ReducedEquations {
   Eigen::VectorXd gradient;
 };
 
-/// One window, as the gyroscope turns it.
+/// One window, with rays that the gyroscope's rotation has moved.
 class WindowFit {
  public:
   /// Keeps references to camera and points.
@@ -37,7 +37,7 @@ class WindowFit {
 
   const std::vector<Eigen::Vector3d>& turned_rays() const { return turned_rays_; }
 
-  /// A camera that turns on the spot.
+  /// A camera that only rotates.
   WindowStructure at_rest() const;
 
   /// Found less predicted [px], one for each sighting; NaN where the prediction is behind the camera.

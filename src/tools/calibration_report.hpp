@@ -1,4 +1,4 @@
-// What calibrate says and writes.
+// Reports of calibrate: text, JSON and YAML.
 #pragma once
 
 #include <string>
@@ -13,10 +13,10 @@
 
 namespace gyro_deblur {
 
-/// For people, on stdout.
+/// Summary on stdout.
 void print_summary(const FootageCalibration& found, const std::vector<Verdict>& verdicts);
 
-/// For plot_calibration.py. Without timing where that was not found.
+/// Report for plot_calibration.py; without timing if none was found.
 nlohmann::json report_of(const FootageCalibration& found, const std::vector<Verdict>& verdicts, const std::string& bag,
                          const FootageTopics& topics);
 

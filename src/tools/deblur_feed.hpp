@@ -21,7 +21,7 @@
 namespace gyro_deblur {
 
 /// The part of a bag whose images are deblurred, [begin_ns, end_ns) of recording time. Everything else is read from
-/// lead_ns earlier, and until the last image has left, so that slices together give what the whole bag gives.
+/// lead_ns earlier, and until the last image is processed, so that slices together give what the whole bag gives.
 struct Slice {
   TimeNs begin_ns, end_ns, lead_ns;
   bool holds(TimeNs t_ns) const { return t_ns >= begin_ns && t_ns < end_ns; }
@@ -43,8 +43,7 @@ class DeblurFeed {
   DeblurFeed(const DeblurFeed&) = delete;
   DeblurFeed& operator=(const DeblurFeed&) = delete;
 
-  /// What was said before `from` and still holds: transforms, camera_info, mask, and a setting of the
-  /// driver.
+  /// Messages before `from` that still hold: transforms, camera_info, mask, and a setting of the driver.
   void catch_up();
 
   /// Called with the time at which the image of a frame that will come out was recorded.
@@ -52,7 +51,7 @@ class DeblurFeed {
   /// The next image. Those before it go through the processor, but for the last few, whose stamps are still compared
   /// with what follows.
   void add(const rosbag::MessageInstance& instance, const Expect& expect, const Processor::Sink& sink);
-  /// There are no more images.
+  /// Processes the frames that still wait: there are no more images.
   void finish(const Expect& expect, const Processor::Sink& sink);
 
   const Processor& processor() const { return processor_; }

@@ -1,4 +1,4 @@
-// What becomes of the frames of a bag: messages, and numbers for a report.
+// Output of deblur_bag: messages, and numbers for a report.
 #pragma once
 
 #include <deque>

@@ -10,7 +10,7 @@
 
 namespace gyro_deblur {
 
-/// What the user named; the empty ones are looked for.
+/// Topics that the user named; empty ones are looked for.
 struct NamedTopics {
   NamedImages images;
   std::string camera_info, imu, exposure;
@@ -18,7 +18,7 @@ struct NamedTopics {
   std::string output_namespace;
 };
 
-/// Of what becomes of the images, in one namespace.
+/// Output topics, in one namespace.
 struct OutputTopics {
   explicit OutputTopics(const std::string& name_space);
   std::set<std::string> all() const;

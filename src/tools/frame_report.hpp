@@ -1,4 +1,4 @@
-// What was done with each frame of a recording, as JSON.
+// Report on each frame of a recording, as JSON.
 #pragma once
 
 #include <fstream>

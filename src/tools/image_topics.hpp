@@ -11,7 +11,7 @@
 
 namespace gyro_deblur {
 
-/// What the user named, in the words of the launch files.
+/// Topics that the user named, as arguments of the launch files.
 struct NamedImages {
   std::string camera_namespace;  ///< of a topic that does not begin with "/"; empty: "/"
   std::string topic;             ///< empty: image_raw where there is a namespace, else whatever is found

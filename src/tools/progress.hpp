@@ -7,7 +7,7 @@
 
 namespace gyro_deblur {
 
-/// A bar on a terminal, else a line every tenth, so that logs stay short.
+/// The progress bar of all C++ programs: a bar on a terminal, otherwise a line every tenth.
 class Progress {
  public:
   /// True when stderr is a terminal.

@@ -1,4 +1,4 @@
-// What a bag holds that the estimation of timing needs.
+// Images and gyroscope samples of a bag for the estimation of timing.
 #pragma once
 
 #include <cstddef>
@@ -67,7 +67,7 @@ struct OffsetStart {
 /// the difference of their beginnings, with a wide search.
 std::optional<OffsetStart> start_of_distant_clocks(const Footage& footage, TimeNs time_offset_ns, TimeNs search_ns);
 
-/// @param named  what the user named; the empty ones are looked for
+/// @param named  topics that the user named; empty ones are looked for
 /// Throws std::runtime_error that lists the bag's topics.
 FootageTopics choose_topics(const InputBag& input, const NamedFootage& named, const Config& config);
 

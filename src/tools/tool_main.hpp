@@ -1,4 +1,4 @@
-// What the command-line tools have in common: arguments, errors, exit codes.
+// Common parts of the command-line tools: arguments, errors, exit codes.
 #pragma once
 
 #include <functional>
@@ -9,10 +9,10 @@
 
 namespace gyro_deblur {
 
-/// Bad input and bad usage can be told apart in scripts.
+/// Exit codes, which tell scripts bad input from bad usage.
 enum ExitCode { SUCCESS = 0, BAD_INPUT = 1, BAD_USAGE = 2 };
 
-/// What every tool takes.
+/// Arguments of every tool.
 struct CommonArguments {
   std::string json;    ///< file of the report; empty: none
   bool quiet = false;  ///< no progress on stderr
