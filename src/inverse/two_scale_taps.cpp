@@ -122,7 +122,7 @@ void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_poin
 // With nodes of one sample the spline between nodes is 1/8, 3/4, 1/8, which is taken out of the weights by running over
 // them forwards and backwards (M. Unser, IEEE Signal Processing Magazine 16 (6), 1999): what is left of a weight's
 // share in the next is kPole.
-void make_lane_taps(const LineKernel& kernel, double major, bool fixed_point, TwoScaleTaps& taps) {
+void make_sheared_taps(const LineKernel& kernel, double major, bool fixed_point, TwoScaleTaps& taps) {
   const double kPole = 2 * std::sqrt(2.0) - 3;
   constexpr int kBeyond = 6;  // weights beyond the taps until kPole to their number is nothing
   kernel_on_major_axis(kernel, major, taps.on_axis);

@@ -36,6 +36,6 @@ void add_two_scale_shapes(const LineKernel& kernel, std::set<TwoScaleShape>& sha
 /// taps.
 /// @param major        see kernel_on_major_axis()
 /// @param fixed_point  also weights in fixed point, for 8-bit pixels
-void make_lane_taps(const LineKernel& kernel, double major, bool fixed_point, TwoScaleTaps& taps);
+void make_sheared_taps(const LineKernel& kernel, double major, bool fixed_point, TwoScaleTaps& taps);
 
 }  // namespace gyro_deblur

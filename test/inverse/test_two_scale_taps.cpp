@@ -166,7 +166,7 @@ TEST(ShearedTaps, MakeTheKernelAgain) {
   for (const LineKernel* kernel : {&of_path, &ramp}) {
     for (const double major : {0.72, 0.9, 1.0, -0.9}) {
       for (const bool fixed_point : {false, true}) {
-        make_lane_taps(*kernel, major, fixed_point, taps);
+        make_sheared_taps(*kernel, major, fixed_point, taps);
         const TwoScaleFilter& filter = taps.filter;
         ASSERT_EQ(filter.decimation, 1);
         std::vector<float> on_axis;

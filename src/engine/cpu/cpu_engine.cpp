@@ -61,7 +61,7 @@ void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
     if (takes_two_scales(kernel)) {
       make_two_scale_taps(kernel, line.major, depth == CV_8U, tap_simd_, designs_, plan.two_scale);
     } else {
-      make_lane_taps(kernel, line.major, depth == CV_8U, plan.two_scale);
+      make_sheared_taps(kernel, line.major, depth == CV_8U, plan.two_scale);
     }
   } else {
     make_exact_taps(kernel, line, kernels_.has_byte_weights, plan.exact);
