@@ -152,7 +152,7 @@ TEST_P(CpuEngineTest, LongNonuniformPathsStayCloseAndRestoreAsWell) {
   }
 }
 
-// Where lanes lie between pixels over long stretches.
+// Where sheared columns lie between pixels over long stretches.
 TEST_P(CpuEngineTest, StaysCloseNearAnAxis) {
   const cv::Mat sharp = test::textured_image(256, 256, 2);
   for (const double extent_px : {36.0, 45.0, 58.0, 66.0, 75.0, 90.0, 110.0}) {
