@@ -4,10 +4,12 @@
 
 #include <benchmark/benchmark.h>
 
+#include "engine/engine.hpp"
 #include "engines.hpp"
 #include "filter_grids.hpp"
-#include "gyro_deblur/deconvolution.hpp"
+#include "inverse/filter_bank.hpp"
 #include "paths_2d.hpp"
+#include "pipeline/deconvolution.hpp"
 #include "roll_scene.hpp"
 #include "scene.hpp"
 

@@ -6,10 +6,11 @@
 #include <opencv2/features2d.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "blur/blur_validation.hpp"
+#include "features/image_rectification.hpp"
 #include "features/residual_flow.hpp"
-#include "gyro_deblur/blur_validation.hpp"
+#include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
-#include "gyro_deblur/image_rectification.hpp"
 #include "pipeline_scene.hpp"
 
 namespace gyro_deblur::benchmark {

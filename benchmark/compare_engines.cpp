@@ -25,9 +25,11 @@
 
 #include "base/median.hpp"
 #include "engine/cpu/block_simd.hpp"
+#include "engine/engine.hpp"
 #include "engines.hpp"
-#include "gyro_deblur/deconvolution.hpp"
+#include "inverse/filter_bank.hpp"
 #include "machine_peaks.hpp"
+#include "pipeline/deconvolution.hpp"
 #include "pipeline_scene.hpp"
 #include "roll_scene.hpp"
 #include "scene.hpp"

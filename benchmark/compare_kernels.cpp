@@ -17,8 +17,12 @@
 #include <opencv2/core.hpp>
 
 #include "base/median.hpp"
+#include "blur/path_1d.hpp"
+#include "engine/engine.hpp"
 #include "engines.hpp"
-#include "gyro_deblur/deconvolution.hpp"
+#include "gyro_deblur/blur_field.hpp"
+#include "inverse/filter_bank.hpp"
+#include "pipeline/deconvolution.hpp"
 #include "roll_scene.hpp"
 #include "scene.hpp"
 #include "synthetic_blur.hpp"

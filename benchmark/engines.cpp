@@ -11,7 +11,9 @@
 #include "engine/cpu/cpu_engine.hpp"
 #include "inverse/line_taps.hpp"
 #if defined(__x86_64__)
+#include "engine/engine.hpp"
 #include "float_copy.hpp"
+#include "inverse/filter_bank.hpp"
 #endif
 
 namespace gyro_deblur::benchmark {

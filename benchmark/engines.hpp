@@ -6,7 +6,8 @@
 #include <vector>
 
 #include "engine/block_engine.hpp"
-#include "gyro_deblur/deconvolution.hpp"
+#include "engine/engine.hpp"
+#include "pipeline/deconvolution.hpp"
 
 namespace gyro_deblur::benchmark {
 

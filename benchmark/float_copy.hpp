@@ -4,7 +4,7 @@
 
 #include <memory>
 
-#include "gyro_deblur/engine.hpp"
+#include "engine/engine.hpp"
 
 namespace gyro_deblur::benchmark {
 

@@ -13,9 +13,11 @@
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 
+#include "engine/engine.hpp"
 #include "engines.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/deconvolution.hpp"
+#include "inverse/filter_bank.hpp"
+#include "pipeline/deconvolution.hpp"
 #include "roll_scene.hpp"
 #include "scene.hpp"
 #include "synthetic_blur.hpp"

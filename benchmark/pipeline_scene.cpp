@@ -5,6 +5,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "analytic_motion.hpp"
+#include "gyro_deblur/exposure.hpp"
 #include "roll_scene.hpp"
 #include "scene.hpp"
 #include "synthetic_blur.hpp"

@@ -5,6 +5,7 @@
 
 #include "engine/cpu/block_method.hpp"
 #include "engine/cpu/block_simd.hpp"
+#include "engine/engine.hpp"
 #include "engine/seam_blender.hpp"
 #include "inverse/line_taps.hpp"
 #include "inverse/two_scale_design.hpp"

@@ -4,7 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "gyro_deblur/deconvolution.hpp"
+#include "engine/engine.hpp"
+#include "pipeline/deconvolution.hpp"
 
 namespace gyro_deblur::benchmark {
 

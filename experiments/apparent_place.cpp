@@ -12,8 +12,10 @@
 #include <opencv2/video/tracking.hpp>
 
 #include "base/median.hpp"
+#include "engine/engine.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/deconvolution.hpp"
+#include "inverse/filter_bank.hpp"
+#include "pipeline/deconvolution.hpp"
 #include "sim/texture.hpp"
 #include "synthetic_blur.hpp"
 

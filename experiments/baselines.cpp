@@ -7,11 +7,13 @@
 
 #include <opencv2/imgproc.hpp>
 
+#include "blur/image_noise.hpp"
+#include "engine/engine.hpp"
 #include "evaluation.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/deconvolution.hpp"
-#include "gyro_deblur/image_noise.hpp"
+#include "inverse/filter_bank.hpp"
 #include "inverse/line_taps.hpp"
+#include "pipeline/deconvolution.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {

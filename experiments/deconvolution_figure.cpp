@@ -15,9 +15,10 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "baselines.hpp"
-#include "gyro_deblur/deconvolution.hpp"
 #include "image_pairs.hpp"
+#include "inverse/filter_bank.hpp"
 #include "inverse/line_taps.hpp"
+#include "pipeline/deconvolution.hpp"
 #include "synthetic_blur.hpp"
 #include "tools/output_file.hpp"
 #include "tools/progress.hpp"

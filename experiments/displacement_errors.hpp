@@ -6,6 +6,7 @@
 #include <Eigen/Core>
 
 #include "footage.hpp"
+#include "gyro_deblur/exposure.hpp"
 
 namespace gyro_deblur::experiments {
 

@@ -9,6 +9,7 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "evaluation.hpp"
+#include "gyro_deblur/keypoints.hpp"
 #include "tools/output_file.hpp"
 #include "tools/tool_main.hpp"
 

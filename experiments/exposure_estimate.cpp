@@ -14,13 +14,13 @@
 
 #include <opencv2/imgcodecs.hpp>
 
+#include "blur/blur_validation.hpp"
+#include "blur/exposure_estimate.hpp"
+#include "blur/exposure_filter.hpp"
+#include "blur/image_noise.hpp"
 #include "features/residual_flow.hpp"
 #include "footage.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/blur_validation.hpp"
-#include "gyro_deblur/exposure_estimate.hpp"
-#include "gyro_deblur/exposure_filter.hpp"
-#include "gyro_deblur/image_noise.hpp"
 #include "recorded_exposure.hpp"
 #include "result_table.hpp"
 #include "tools/progress.hpp"

@@ -5,6 +5,8 @@
 #include <fstream>
 #include <stdexcept>
 
+#include "gyro_deblur/keypoints.hpp"
+
 namespace gyro_deblur::experiments {
 namespace {
 

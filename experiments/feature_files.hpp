@@ -6,8 +6,8 @@
 
 #include <opencv2/core.hpp>
 
+#include "features/rectification.hpp"
 #include "gyro_deblur/keypoints.hpp"
-#include "gyro_deblur/rectification.hpp"
 
 namespace gyro_deblur::experiments {
 

@@ -6,14 +6,16 @@
 #include <utility>
 #include <vector>
 
+#include "blur/blur_validation.hpp"
+#include "blur/image_noise.hpp"
 #include "displacement_errors.hpp"
+#include "engine/engine.hpp"
 #include "evaluation.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/blur_validation.hpp"
-#include "gyro_deblur/deconvolution.hpp"
-#include "gyro_deblur/image_noise.hpp"
 #include "gyro_deblur/pipeline.hpp"
+#include "inverse/filter_bank.hpp"
 #include "lk_tracker.hpp"
+#include "pipeline/deconvolution.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "footage.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 
 namespace gyro_deblur::experiments {
 

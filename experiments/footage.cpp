@@ -6,6 +6,8 @@
 #include <utility>
 
 #include "base/median.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 #include "image_pairs.hpp"
 
 namespace gyro_deblur::experiments {

@@ -18,9 +18,9 @@
 #include <opencv2/imgproc.hpp>
 
 #include "baselines.hpp"
+#include "blur/exposure_advice.hpp"
+#include "blur/frame_quality.hpp"
 #include "footage.hpp"
-#include "gyro_deblur/exposure_advice.hpp"
-#include "gyro_deblur/frame_quality.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "image_pairs.hpp"
 #include "result_table.hpp"

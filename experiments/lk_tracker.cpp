@@ -10,6 +10,7 @@
 
 #include "features/corner_following.hpp"
 #include "features/corner_prediction.hpp"
+#include "gyro_deblur/exposure.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {

@@ -17,9 +17,9 @@
 #include <opencv2/core.hpp>
 
 #include "baselines.hpp"
+#include "features/point_covariance.hpp"
 #include "footage.hpp"
 #include "gyro_deblur/pipeline.hpp"
-#include "gyro_deblur/point_covariance.hpp"
 #include "image_pairs.hpp"
 #include "result_table.hpp"
 #include "shaken_frames.hpp"

@@ -14,6 +14,7 @@
 #include "base/median.hpp"
 #include "baselines.hpp"
 #include "feature_files.hpp"
+#include "features/rectification.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "sim/simulator.hpp"
 #include "tools/progress.hpp"

@@ -4,7 +4,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "gyro_deblur/rectification.hpp"
+#include "features/rectification.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {

@@ -1,8 +1,8 @@
 #include "shutter_errors.hpp"
 
+#include "features/image_rectification.hpp"
 #include "features/residual_flow.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/image_rectification.hpp"
 #include "gyro_deblur/pipeline.hpp"
 
 namespace gyro_deblur::experiments {

@@ -16,8 +16,9 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "blur/blur_likelihood.hpp"
-#include "gyro_deblur/blur_validation.hpp"
-#include "gyro_deblur/image_noise.hpp"
+#include "blur/blur_validation.hpp"
+#include "blur/image_noise.hpp"
+#include "gyro_deblur/blur_field.hpp"
 #include "result_table.hpp"
 #include "tools/progress.hpp"
 #include "tools/tool_main.hpp"

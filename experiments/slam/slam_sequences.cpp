@@ -13,6 +13,7 @@
 #include <nlohmann/json.hpp>
 
 #include "footage.hpp"
+#include "gyro_deblur/exposure.hpp"
 #include "ros/conversions.hpp"
 #include "tools/bag_file.hpp"
 #include "tools/bag_messages.hpp"

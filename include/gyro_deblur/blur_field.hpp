@@ -11,7 +11,6 @@
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/options.hpp"
-#include "gyro_deblur/path_1d.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {

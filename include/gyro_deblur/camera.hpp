@@ -7,7 +7,7 @@
 
 #include <Eigen/Core>
 
-#include "gyro_deblur/option_error.hpp"
+#include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {
 

@@ -95,4 +95,13 @@ class RowExposure {
   TimeNs first_row_start_ns_;  // t_f
 };
 
+/// Ratios of true to assumed exposure that are searched.
+constexpr double kMinExposureRatio = 0.3, kMaxExposureRatio = 3;
+
+/// How long an image was exposed, compared with the exposure for which its blur field was computed.
+struct ExposureEstimate {
+  double ratio = 1;       ///< true over assumed exposure, kMinExposureRatio to kMaxExposureRatio
+  double log_stddev = 0;  ///< standard deviation of the natural logarithm of the ratio, > 0
+};
+
 }  // namespace gyro_deblur

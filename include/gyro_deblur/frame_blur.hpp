@@ -10,8 +10,6 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/path_1d.hpp"
-#include "gyro_deblur/path_2d.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
@@ -90,6 +88,31 @@ struct ResidualVelocity {
 
 /// One for each block of a grid, row by row, nothing where it is not known; or empty: known nowhere.
 using ResidualField = std::vector<std::optional<ResidualVelocity>>;
+
+/// The rotation that fits the residual velocities of one image best. One image is no evidence: translation in front of
+/// a wall looks much the same.
+struct ResidualRotation {
+  Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();   ///< rate in addition to `known_rad_s`, axes of the camera
+  Eigen::Vector3d known_rad_s = Eigen::Vector3d::Zero();  ///< rate that is known, in the same axes
+  /// Mean square of the residual velocities, weighted by their uncertainty: as they are, less this rotation, and less
+  /// the nearest translation before a plane across the optical axis.
+  double energy_px2_s2 = 0, energy_less_rotation_px2_s2 = 0, energy_less_translation_px2_s2 = 0;
+};
+
+/// Instants at which a path is known, evenly from the start to the end of the exposure.
+constexpr int kPathInstants = 9;
+
+/// Straight path: places [px] of a scene point at kPathInstants along the line of its blur, relative to the place at
+/// mid-exposure. Uniform in between.
+using Path1d = std::array<float, kPathInstants>;
+
+/// Places [px] of a scene point at kPathInstants, relative to the place at mid-exposure. Straight and uniform in
+/// between.
+using Path2d = std::array<Eigen::Vector2f, kPathInstants>;
+
+/// Largest width or height [px] of a path for the 2-D filter: its tiles have at most 1024 px
+/// (doc/design/blur_model.md).
+constexpr float kMax2dExtentPx = 596;
 
 /// Blur of one block along a line, or near it.
 struct BlockBlur {

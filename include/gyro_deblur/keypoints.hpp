@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include <Eigen/Core>
 #include <opencv2/features2d.hpp>
 
 #include "gyro_deblur/options.hpp"
@@ -15,6 +16,14 @@ namespace gyro_deblur {
 struct Features {
   std::vector<cv::KeyPoint> keypoints;
   cv::Mat descriptors;
+};
+
+/// Where a keypoint is, and where it would be had every row been exposed at the reference time.
+struct RectifiedPoint {
+  Eigen::Vector2d rectified_px;  ///< distorted pixel; the raw one when `rectified` is false
+  Eigen::Vector2d normalized;    ///< undistorted (x/z, y/z) of rectified_px in the image's frame; NaN beyond the model
+  bool deblurred = false;        ///< lies in a DEBLURRED block
+  bool rectified = false;        ///< was moved to the reference time
 };
 
 /// Those of KeypointOptions that the OpenCV which this was built with has: SIFT is in its main modules since 4.4.

@@ -3,14 +3,20 @@
 // same value in every configuration; tests and experiments set its member.
 #pragma once
 
+#include <stdexcept>
 #include <string>
 
 #include <Eigen/Core>
 
-#include "gyro_deblur/option_error.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
+
+/// A parameter that cannot be used; what() names it, its value and the allowed range.
+class OptionError : public std::invalid_argument {
+ public:
+  using std::invalid_argument::invalid_argument;
+};
 
 /// Blur field and its division into blocks (paper section IV).
 struct BlurFieldOptions {

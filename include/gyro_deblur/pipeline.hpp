@@ -1,7 +1,9 @@
 // One frame from pixels and motion to deblurred pixels and rectified keypoints.
 #pragma once
 
+#include <cstddef>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -10,21 +12,18 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/camera.hpp"
-#include "gyro_deblur/deconvolution.hpp"
 #include "gyro_deblur/exposure.hpp"
-#include "gyro_deblur/exposure_estimate.hpp"
-#include "gyro_deblur/filter_bank.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
-#include "gyro_deblur/rectification.hpp"
-#include "gyro_deblur/residual_rotation.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
+
+class Engine;
 
 /// What is to become of a frame whose field is known.
 enum class Permit {
@@ -108,7 +107,8 @@ struct PipelineResult {
   std::optional<ResidualRotation> seen_rotation;
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;
-  FallbackCounts fallback_counts;  ///< blocks that left the engine's fast path, and why
+  /// How many blocks left the engine's fast path, for each reason in words.
+  std::map<std::string, std::size_t> fallback_counts;
   /// The exposure that was used, or assumed.
   TimeNs exposure_ns = 0;
   /// False: the exposure is not known. Then no block is DEBLURRED and there are no image, keypoints and global-shutter
@@ -119,7 +119,7 @@ struct PipelineResult {
   ExposureNeed exposure_need = ExposureNeed::NOTHING;  ///< where the exposure is not known
 };
 
-/// Makes the engine of a name and a number of threads, as make_engine does.
+/// Makes the engine of a name and a number of threads; empty: one of those that options.hpp lists.
 using EngineFactory = std::function<std::unique_ptr<Engine>(const std::string& engine, int threads)>;
 
 /// The paper's method for one camera. Calibration and options may change between frames; what depends on them is
@@ -127,7 +127,7 @@ using EngineFactory = std::function<std::unique_ptr<Engine>(const std::string& e
 class Pipeline {
  public:
   /// Throws OptionError. Prepares for all blur that the options let through, see prepare_deconvolution().
-  explicit Pipeline(const PipelineOptions& options, EngineFactory engine_factory = make_engine);
+  explicit Pipeline(const PipelineOptions& options, const EngineFactory& engine_factory = {});
   Pipeline(Pipeline&&) noexcept;
   Pipeline& operator=(Pipeline&&) noexcept;
   ~Pipeline();

@@ -6,7 +6,7 @@
 
 #include <opencv2/imgproc.hpp>
 
-#include "gyro_deblur/option_error.hpp"
+#include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -8,6 +8,9 @@
 
 #include <Eigen/Geometry>
 
+#include "blur/path_1d.hpp"
+#include "blur/path_2d.hpp"
+
 namespace gyro_deblur {
 namespace {
 

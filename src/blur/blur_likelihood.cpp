@@ -9,8 +9,8 @@
 
 #include "base/one_thread.hpp"
 #include "base/parallel.hpp"
+#include "blur/image_noise.hpp"
 #include "blur/spectrum_simd.hpp"
-#include "gyro_deblur/image_noise.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -1,4 +1,4 @@
-#include "gyro_deblur/blur_validation.hpp"
+#include "blur/blur_validation.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -10,7 +10,8 @@
 #include "base/parallel.hpp"
 #include "blur/blur_likelihood.hpp"
 #include "blur/gradient_simd.hpp"
-#include "gyro_deblur/image_noise.hpp"
+#include "blur/image_noise.hpp"
+#include "blur/path_1d.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -1,4 +1,4 @@
-#include "gyro_deblur/exposure_advice.hpp"
+#include "blur/exposure_advice.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "gyro_deblur/exposure_estimate.hpp"
+#include "blur/exposure_estimate.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -10,9 +10,10 @@
 #include <vector>
 
 #include "base/median.hpp"
+#include "blur/image_noise.hpp"
 #include "blur/motion_spectrum.hpp"
+#include "blur/path_1d.hpp"
 #include "blur/ratio_fit.hpp"
-#include "gyro_deblur/image_noise.hpp"
 
 namespace gyro_deblur {
 namespace {

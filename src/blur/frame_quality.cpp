@@ -1,4 +1,4 @@
-#include "gyro_deblur/frame_quality.hpp"
+#include "blur/frame_quality.hpp"
 
 #include <algorithm>
 #include <cmath>

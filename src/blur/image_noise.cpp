@@ -1,4 +1,4 @@
-#include "gyro_deblur/image_noise.hpp"
+#include "blur/image_noise.hpp"
 
 #include <algorithm>
 #include <array>

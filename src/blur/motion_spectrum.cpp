@@ -11,7 +11,7 @@
 #include "base/median.hpp"
 #include "base/one_thread.hpp"
 #include "base/parallel.hpp"
-#include "gyro_deblur/image_noise.hpp"
+#include "blur/image_noise.hpp"
 
 namespace gyro_deblur {
 namespace {

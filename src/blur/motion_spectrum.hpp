@@ -6,8 +6,8 @@
 
 #include <opencv2/core.hpp>
 
+#include "blur/path_1d.hpp"
 #include "gyro_deblur/frame_blur.hpp"
-#include "gyro_deblur/path_1d.hpp"
 
 namespace gyro_deblur {
 

@@ -1,4 +1,4 @@
-#include "gyro_deblur/path_1d.hpp"
+#include "blur/path_1d.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "gyro_deblur/path_2d.hpp"
+#include "blur/path_2d.hpp"
 
 #include <Eigen/Geometry>
 

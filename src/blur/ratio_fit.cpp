@@ -11,6 +11,8 @@
 #include <Eigen/Cholesky>
 #include <opencv2/core.hpp>
 
+#include "gyro_deblur/frame_blur.hpp"
+
 namespace gyro_deblur {
 namespace {
 

@@ -8,6 +8,7 @@
 #include <Eigen/Core>
 
 #include "blur/motion_spectrum.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 
 namespace gyro_deblur {
 

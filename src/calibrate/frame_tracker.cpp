@@ -9,6 +9,7 @@
 #include <opencv2/imgproc.hpp>
 #include <opencv2/video/tracking.hpp>
 
+#include "base/require_range.hpp"
 #include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {

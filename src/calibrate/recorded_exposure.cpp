@@ -5,8 +5,9 @@
 #include <utility>
 
 #include "base/median.hpp"
+#include "blur/image_noise.hpp"
 #include "blur/motion_spectrum.hpp"
-#include "gyro_deblur/image_noise.hpp"
+#include "blur/path_1d.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -9,8 +9,8 @@
 
 #include <Eigen/Geometry>
 
+#include "base/require_range.hpp"
 #include "gyro_deblur/calibration.hpp"
-#include "gyro_deblur/option_error.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "base/median.hpp"
+#include "base/require_range.hpp"
 #include "calibrate/timing_model.hpp"
 #include "calibrate/timing_solver.hpp"
 #include "calibrate/timing_start.hpp"

@@ -11,6 +11,7 @@
 #include <Eigen/Geometry>
 
 #include "base/join.hpp"
+#include "base/require_range.hpp"
 #include "config/calibration_section.hpp"
 #include "config/yaml_reading.hpp"
 #include "gyro_deblur/rotation_track.hpp"

@@ -8,6 +8,7 @@
 #include <variant>
 #include <vector>
 
+#include "base/require_range.hpp"
 #include "config/parameters.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/rotation_track.hpp"

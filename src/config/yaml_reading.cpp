@@ -5,6 +5,7 @@
 #include <optional>
 #include <sstream>
 
+#include "base/require_range.hpp"
 #include "config/text_value.hpp"
 
 namespace gyro_deblur {

@@ -5,9 +5,9 @@
 
 #include <opencv2/core.hpp>
 
+#include "engine/engine.hpp"
 #include "engine/fourier_filter.hpp"
 #include "engine/seam_blender.hpp"
-#include "gyro_deblur/engine.hpp"
 
 namespace gyro_deblur {
 

@@ -2,12 +2,13 @@
 #include <string>
 #include <utility>
 
+#include "base/require_range.hpp"
 #include "engine/cpu/cpu_engine.hpp"
+#include "engine/engine.hpp"
 #include "engine/fallback_engine.hpp"
 #include "engine/float/float_engine.hpp"
 #include "engine/opencl/opencl_factory.hpp"
-#include "gyro_deblur/engine.hpp"
-#include "gyro_deblur/option_error.hpp"
+#include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "inverse/filter_bank.hpp"
+
 namespace gyro_deblur {
 
 FallbackEngine::FallbackEngine(std::unique_ptr<Engine> primary, std::unique_ptr<Engine> secondary)

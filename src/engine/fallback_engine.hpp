@@ -7,7 +7,8 @@
 #include <string>
 #include <vector>
 
-#include "gyro_deblur/engine.hpp"
+#include "engine/engine.hpp"
+#include "inverse/filter_bank.hpp"
 
 namespace gyro_deblur {
 

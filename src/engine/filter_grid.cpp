@@ -1,4 +1,4 @@
-#include "gyro_deblur/engine.hpp"
+#include "engine/engine.hpp"
 
 namespace gyro_deblur {
 

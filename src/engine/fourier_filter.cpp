@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "base/parallel.hpp"
+#include "blur/path_2d.hpp"
 #include "engine/half_size.hpp"
 
 namespace gyro_deblur {

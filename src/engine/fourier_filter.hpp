@@ -9,8 +9,8 @@
 
 #include "base/fourier.hpp"
 #include "base/fourier_simd.hpp"
+#include "engine/engine.hpp"
 #include "engine/seam_blender.hpp"
-#include "gyro_deblur/engine.hpp"
 #include "inverse/wiener_gain_2d.hpp"
 
 namespace gyro_deblur {

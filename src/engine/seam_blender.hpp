@@ -8,7 +8,7 @@
 
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/engine.hpp"
+#include "engine/engine.hpp"
 
 namespace gyro_deblur {
 

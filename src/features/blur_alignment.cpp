@@ -8,6 +8,8 @@
 
 #include <Eigen/Dense>
 
+#include "blur/path_2d.hpp"
+
 namespace gyro_deblur {
 namespace {
 

@@ -8,8 +8,8 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
+#include "blur/path_2d.hpp"
 #include "features/alignment_simd.hpp"
-#include "gyro_deblur/path_2d.hpp"
 
 namespace gyro_deblur {
 

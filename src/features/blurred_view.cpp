@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "blur/image_noise.hpp"
 #include "features/corner_prediction.hpp"
-#include "gyro_deblur/image_noise.hpp"
 
 namespace gyro_deblur {
 namespace {

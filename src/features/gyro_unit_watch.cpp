@@ -1,4 +1,4 @@
-#include "gyro_deblur/gyro_unit_watch.hpp"
+#include "features/gyro_unit_watch.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -1,4 +1,4 @@
-#include "gyro_deblur/image_rectification.hpp"
+#include "features/image_rectification.hpp"
 
 #include <algorithm>
 #include <cmath>

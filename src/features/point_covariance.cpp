@@ -1,4 +1,4 @@
-#include "gyro_deblur/point_covariance.hpp"
+#include "features/point_covariance.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "gyro_deblur/rectification.hpp"
+#include "features/rectification.hpp"
 
 #include <algorithm>
 

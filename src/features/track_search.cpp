@@ -7,9 +7,11 @@
 #include <Eigen/Dense>
 
 #include "base/parallel.hpp"
+#include "blur/path_2d.hpp"
 #include "features/corner_following.hpp"
 #include "features/corner_prediction.hpp"
 #include "features/local_motion.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <limits>
 
+#include "inverse/filter_bank.hpp"
 #include "inverse/fixed_point.hpp"
 
 namespace gyro_deblur {

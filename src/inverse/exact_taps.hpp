@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "inverse/coefficients.hpp"
+#include "inverse/filter_bank.hpp"
 #include "inverse/line_taps.hpp"
 
 namespace gyro_deblur {

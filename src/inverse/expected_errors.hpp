@@ -3,7 +3,7 @@
 
 #include <vector>
 
-#include "gyro_deblur/filter_bank.hpp"
+#include "inverse/filter_bank.hpp"
 
 namespace gyro_deblur {
 

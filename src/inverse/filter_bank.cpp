@@ -1,4 +1,4 @@
-#include "gyro_deblur/filter_bank.hpp"
+#include "inverse/filter_bank.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -10,6 +10,7 @@
 #include <opencv2/core.hpp>
 
 #include "base/once_map.hpp"
+#include "base/require_range.hpp"
 #include "inverse/expected_errors.hpp"
 #include "inverse/tap_simd.hpp"
 

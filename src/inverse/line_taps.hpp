@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "gyro_deblur/filter_bank.hpp"
+#include "inverse/filter_bank.hpp"
 
 namespace gyro_deblur {
 

@@ -5,8 +5,8 @@
 #include <set>
 #include <vector>
 
-#include "gyro_deblur/filter_bank.hpp"
 #include "inverse/coefficients.hpp"
+#include "inverse/filter_bank.hpp"
 #include "inverse/tap_simd.hpp"
 #include "inverse/two_scale_design.hpp"
 

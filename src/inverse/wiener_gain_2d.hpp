@@ -4,8 +4,8 @@
 #include <vector>
 
 #include "base/fourier.hpp"
-#include "gyro_deblur/wiener_inverse_2d.hpp"
 #include "inverse/wiener_gain_2d_simd.hpp"
+#include "inverse/wiener_inverse_2d.hpp"
 
 namespace gyro_deblur {
 

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "base/instruction_sets.hpp"
-#include "gyro_deblur/path_1d.hpp"
+#include "blur/path_1d.hpp"
 
 namespace gyro_deblur {
 

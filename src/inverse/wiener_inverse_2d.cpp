@@ -1,4 +1,4 @@
-#include "gyro_deblur/wiener_inverse_2d.hpp"
+#include "inverse/wiener_inverse_2d.hpp"
 
 namespace gyro_deblur {
 

@@ -5,6 +5,7 @@
 
 #include <Eigen/Geometry>
 
+#include "base/require_range.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "motion/lens_models.hpp"
 

@@ -8,8 +8,9 @@
 #include <Eigen/LU>
 
 #include "base/join.hpp"
+#include "base/require_range.hpp"
 #include "gyro_deblur/camera.hpp"
-#include "gyro_deblur/option_error.hpp"
+#include "gyro_deblur/options.hpp"
 #include "motion/sphere_lenses.hpp"
 
 namespace gyro_deblur {

@@ -4,8 +4,8 @@
 #include <cstddef>
 #include <optional>
 
-#include "gyro_deblur/exposure_estimate.hpp"
-#include "gyro_deblur/exposure_filter.hpp"
+#include "blur/exposure_estimate.hpp"
+#include "blur/exposure_filter.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/time.hpp"
 

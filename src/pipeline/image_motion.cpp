@@ -4,7 +4,7 @@
 #include <cstdlib>
 #include <utility>
 
-#include "gyro_deblur/gyro_unit_watch.hpp"
+#include "features/gyro_unit_watch.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -5,7 +5,7 @@
 #include <optional>
 
 #include "features/residual_flow.hpp"
-#include "gyro_deblur/residual_rotation.hpp"
+#include "features/residual_rotation.hpp"
 #include "gyro_deblur/time.hpp"
 #include "pipeline/frame_context.hpp"
 

@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "base/stopwatch.hpp"
-#include "gyro_deblur/point_covariance.hpp"
-#include "gyro_deblur/rectification.hpp"
+#include "features/point_covariance.hpp"
+#include "features/rectification.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -6,12 +6,16 @@
 #include <utility>
 
 #include "base/stopwatch.hpp"
+#include "blur/blur_validation.hpp"
+#include "blur/exposure_estimate.hpp"
+#include "blur/image_noise.hpp"
 #include "blur/static_content.hpp"
+#include "engine/engine.hpp"
 #include "features/corner_prediction.hpp"
-#include "gyro_deblur/blur_validation.hpp"
-#include "gyro_deblur/deconvolution.hpp"
-#include "gyro_deblur/image_noise.hpp"
-#include "gyro_deblur/image_rectification.hpp"
+#include "features/image_rectification.hpp"
+#include "gyro_deblur/blur_field.hpp"
+#include "inverse/filter_bank.hpp"
+#include "pipeline/deconvolution.hpp"
 #include "pipeline/frame_context.hpp"
 #include "pipeline/image_motion.hpp"
 #include "pipeline/keypoint_stage.hpp"
@@ -71,7 +75,8 @@ void require_residuals(FrameBlur* field) {
 
 class Pipeline::Impl {
  public:
-  Impl(const PipelineOptions& options, EngineFactory engine_factory) : make_engine_(std::move(engine_factory)) {
+  Impl(const PipelineOptions& options, const EngineFactory& engine_factory)
+      : make_engine_(engine_factory ? engine_factory : make_engine) {
     set_options(options);
   }
 
@@ -373,8 +378,8 @@ PipelineResult Pipeline::Impl::detect(const cv::Mat& image, PixelLayout layout, 
   return result;
 }
 
-Pipeline::Pipeline(const PipelineOptions& options, EngineFactory engine_factory)
-    : impl_(std::make_unique<Impl>(options, std::move(engine_factory))) {}
+Pipeline::Pipeline(const PipelineOptions& options, const EngineFactory& engine_factory)
+    : impl_(std::make_unique<Impl>(options, engine_factory)) {}
 
 Pipeline::Pipeline(Pipeline&&) noexcept = default;
 Pipeline& Pipeline::operator=(Pipeline&&) noexcept = default;

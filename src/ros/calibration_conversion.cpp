@@ -9,7 +9,7 @@
 #include <Eigen/Core>
 #include <boost/make_shared.hpp>
 
-#include "gyro_deblur/option_error.hpp"
+#include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "motion/lens_models.hpp"
 #include "ros/value_conversion.hpp"

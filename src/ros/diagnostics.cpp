@@ -5,7 +5,8 @@
 #include <cstdio>
 
 #include "base/median.hpp"
-#include "gyro_deblur/frame_quality.hpp"
+#include "blur/frame_quality.hpp"
+#include "features/residual_rotation.hpp"
 #include "ros/exposure_check.hpp"
 #include "ros/pass_through.hpp"
 #include "ros/value_conversion.hpp"

@@ -12,7 +12,7 @@
 #include <diagnostic_updater/DiagnosticStatusWrapper.h>
 #include <Eigen/Core>
 
-#include "gyro_deblur/exposure_advice.hpp"
+#include "blur/exposure_advice.hpp"
 #include "gyro_deblur/time.hpp"
 #include "ros/processing.hpp"
 #include "ros/statistics.hpp"

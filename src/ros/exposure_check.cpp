@@ -2,6 +2,7 @@
 
 #include <cstdio>
 
+#include "base/require_range.hpp"
 #include "gyro_deblur/options.hpp"
 #include "ros/value_conversion.hpp"
 

@@ -9,10 +9,10 @@
 #include <std_msgs/Header.h>
 #include <visualization_msgs/MarkerArray.h>
 
+#include "blur/frame_quality.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/frame_blur.hpp"
-#include "gyro_deblur/frame_quality.hpp"
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "ros/messages.hpp"

@@ -11,7 +11,7 @@
 #include <sensor_msgs/image_encodings.h>
 #include <boost/make_shared.hpp>
 
-#include "gyro_deblur/frame_quality.hpp"
+#include "blur/frame_quality.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/overlay.hpp"
 #include "gyro_deblur/rotation_track.hpp"

@@ -10,11 +10,11 @@
 #include <sensor_msgs/PointCloud.h>
 #include <visualization_msgs/MarkerArray.h>
 
-#include "gyro_deblur/engine.hpp"
-#include "gyro_deblur/exposure_advice.hpp"
+#include "blur/exposure_advice.hpp"
+#include "engine/engine.hpp"
+#include "features/residual_rotation.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
-#include "gyro_deblur/residual_rotation.hpp"
 #include "ros/frame_synchronizer.hpp"
 #include "ros/messages.hpp"
 #include "ros/pass_through.hpp"

@@ -5,7 +5,8 @@
 #include <utility>
 #include <vector>
 
-#include "gyro_deblur/frame_quality.hpp"
+#include "blur/frame_quality.hpp"
+#include "engine/engine.hpp"
 #include "ros/calibration_conversion.hpp"
 #include "ros/compressed_image.hpp"
 #include "ros/exposure_check.hpp"

@@ -12,11 +12,12 @@
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 
+#include "engine/engine.hpp"
+#include "features/gyro_unit_watch.hpp"
+#include "features/residual_rotation.hpp"
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
-#include "gyro_deblur/gyro_unit_watch.hpp"
 #include "gyro_deblur/pipeline.hpp"
-#include "gyro_deblur/residual_rotation.hpp"
 #include "ros/calibration_in_use.hpp"
 #include "ros/frame_synchronizer.hpp"
 #include "ros/gyro_bias.hpp"

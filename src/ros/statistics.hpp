@@ -9,9 +9,9 @@
 
 #include <Eigen/Core>
 
-#include "gyro_deblur/engine.hpp"
+#include "engine/engine.hpp"
+#include "features/residual_rotation.hpp"
 #include "gyro_deblur/frame_blur.hpp"
-#include "gyro_deblur/residual_rotation.hpp"
 #include "gyro_deblur/time.hpp"
 #include "ros/calibration_in_use.hpp"
 #include "ros/gyro_source.hpp"

@@ -11,7 +11,6 @@
 #include <Eigen/Core>
 #include <nlohmann/json.hpp>
 
-#include "gyro_deblur/option_error.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {

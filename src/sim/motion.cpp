@@ -7,6 +7,7 @@
 #include <sstream>
 #include <utility>
 
+#include "base/require_range.hpp"
 #include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur::sim {

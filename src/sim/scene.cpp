@@ -9,6 +9,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include "base/join.hpp"
+#include "base/require_range.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"

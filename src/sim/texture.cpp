@@ -7,6 +7,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "base/require_range.hpp"
 #include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur::sim {

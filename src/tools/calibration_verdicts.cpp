@@ -5,6 +5,8 @@
 #include <cstdio>
 #include <optional>
 
+#include "gyro_deblur/exposure.hpp"
+
 namespace gyro_deblur {
 namespace {
 

@@ -16,13 +16,16 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "base/median.hpp"
+#include "base/require_range.hpp"
+#include "blur/blur_validation.hpp"
+#include "blur/image_noise.hpp"
+#include "engine/engine.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/blur_validation.hpp"
-#include "gyro_deblur/deconvolution.hpp"
-#include "gyro_deblur/image_noise.hpp"
 #include "gyro_deblur/overlay.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
+#include "inverse/filter_bank.hpp"
 #include "mask_file/mask_file.hpp"
+#include "pipeline/deconvolution.hpp"
 #include "tools/output_file.hpp"
 #include "tools/tool_main.hpp"
 

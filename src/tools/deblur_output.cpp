@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "base/median.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 #include "ros/conversions.hpp"
 
 namespace gyro_deblur {

@@ -17,6 +17,7 @@
 #include <yaml-cpp/yaml.h>
 #include <Eigen/LU>
 
+#include "base/require_range.hpp"
 #include "config/yaml_reading.hpp"
 #include "gyro_deblur/calibration.hpp"
 #include "gyro_deblur/options.hpp"

@@ -10,7 +10,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/option_error.hpp"
+#include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -7,7 +7,7 @@
 
 #include <gtest/gtest.h>
 
-#include "gyro_deblur/option_error.hpp"
+#include "base/require_range.hpp"
 #include "option_error_text.hpp"
 
 namespace gyro_deblur {

@@ -7,7 +7,8 @@
 
 #include <gtest/gtest.h>
 
-#include "gyro_deblur/blur_validation.hpp"
+#include "blur/blur_validation.hpp"
+#include "gyro_deblur/blur_field.hpp"
 #include "paths_2d.hpp"
 #include "validation_scores.hpp"
 

@@ -1,10 +1,11 @@
-#include "gyro_deblur/blur_validation.hpp"
+#include "blur/blur_validation.hpp"
 
 #include <cmath>
 
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
 
+#include "gyro_deblur/blur_field.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {

@@ -1,4 +1,4 @@
-#include "gyro_deblur/exposure_estimate.hpp"
+#include "blur/exposure_estimate.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "gyro_deblur/exposure_filter.hpp"
+#include "blur/exposure_filter.hpp"
 
 #include <algorithm>
 #include <cmath>

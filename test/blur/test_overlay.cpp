@@ -11,6 +11,8 @@
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
 
+#include "gyro_deblur/blur_field.hpp"
+
 namespace gyro_deblur {
 namespace {
 

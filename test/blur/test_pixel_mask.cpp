@@ -6,9 +6,9 @@
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
 
+#include "blur/frame_quality.hpp"
+#include "blur/image_noise.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/frame_quality.hpp"
-#include "gyro_deblur/image_noise.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {

@@ -7,6 +7,7 @@
 #include <Eigen/Geometry>
 #include <opencv2/imgproc.hpp>
 
+#include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "sim/simulator.hpp"
 

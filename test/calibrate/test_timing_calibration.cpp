@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 #include <Eigen/Geometry>
 
+#include "gyro_deblur/exposure.hpp"
 #include "sim/simulator.hpp"
 #include "timing_truth.hpp"
 

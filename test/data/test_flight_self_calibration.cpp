@@ -10,6 +10,7 @@
 #include "calibrate/image_rate.hpp"
 #include "calibrate/self_calibration.hpp"
 #include "flight_timing.hpp"
+#include "gyro_deblur/exposure.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -19,10 +19,10 @@
 #include <opencv2/imgproc.hpp>
 #include <opencv2/video/tracking.hpp>
 
+#include "blur/image_noise.hpp"
 #include "features/blur_alignment.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
-#include "gyro_deblur/image_noise.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {

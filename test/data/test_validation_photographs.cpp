@@ -12,7 +12,7 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "blur/blur_likelihood.hpp"
-#include "gyro_deblur/image_noise.hpp"
+#include "blur/image_noise.hpp"
 #include "validation_scores.hpp"
 
 namespace gyro_deblur {

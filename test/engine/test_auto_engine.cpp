@@ -5,8 +5,8 @@
 
 #include <gtest/gtest.h>
 
+#include "engine/engine.hpp"
 #include "engine/opencl/opencl_engine.hpp"
-#include "gyro_deblur/engine.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -10,8 +10,10 @@
 #include <gtest/gtest.h>
 
 #include "engine/cpu/cpu_engine.hpp"
+#include "engine/engine.hpp"
 #include "filter_grids.hpp"
 #include "images.hpp"
+#include "inverse/filter_bank.hpp"
 
 namespace gyro_deblur {
 namespace {

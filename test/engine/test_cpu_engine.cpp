@@ -9,8 +9,11 @@
 #include <gtest/gtest.h>
 
 #include "base/parallel.hpp"
+#include "blur/path_1d.hpp"
+#include "engine/engine.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/deconvolution.hpp"
+#include "inverse/filter_bank.hpp"
+#include "pipeline/deconvolution.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {

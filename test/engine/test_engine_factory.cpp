@@ -1,10 +1,10 @@
-#include "gyro_deblur/engine.hpp"
+#include "engine/engine.hpp"
 
 #include <string>
 
 #include <gtest/gtest.h>
 
-#include "gyro_deblur/option_error.hpp"
+#include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {
 namespace {

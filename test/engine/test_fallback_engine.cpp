@@ -8,8 +8,10 @@
 
 #include <gtest/gtest.h>
 
+#include "engine/engine.hpp"
 #include "engine/float/float_engine.hpp"
 #include "filter_grids.hpp"
+#include "inverse/filter_bank.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {

@@ -6,8 +6,10 @@
 #include <gtest/gtest.h>
 
 #include "base/parallel.hpp"
+#include "engine/engine.hpp"
 #include "filter_grids.hpp"
 #include "images.hpp"
+#include "inverse/filter_bank.hpp"
 #include "naive_convolution.hpp"
 
 namespace gyro_deblur {

@@ -10,8 +10,11 @@
 #include <gtest/gtest.h>
 
 #include "base/parallel.hpp"
+#include "blur/path_2d.hpp"
+#include "engine/engine.hpp"
 #include "filter_grids.hpp"
 #include "images.hpp"
+#include "inverse/filter_bank.hpp"
 #include "naive_fourier_filter.hpp"
 #include "paths_2d.hpp"
 #include "roll_scene.hpp"

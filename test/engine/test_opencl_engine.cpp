@@ -10,9 +10,11 @@
 #include <gtest/gtest.h>
 
 #include "base/stopwatch.hpp"
+#include "engine/engine.hpp"
 #include "engine/fallback_engine.hpp"
 #include "engine/float/float_engine.hpp"
 #include "filter_grids.hpp"
+#include "inverse/filter_bank.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {

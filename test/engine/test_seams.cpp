@@ -9,10 +9,12 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "engine/cpu/cpu_engine.hpp"
+#include "engine/engine.hpp"
 #include "filter_grids.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/deconvolution.hpp"
+#include "inverse/filter_bank.hpp"
 #include "naive_convolution.hpp"
+#include "pipeline/deconvolution.hpp"
 #include "roll_scene.hpp"
 #include "synthetic_blur.hpp"
 

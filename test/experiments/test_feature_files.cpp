@@ -11,6 +11,7 @@
 #include <gtest/gtest.h>
 
 #include "feature_files.hpp"
+#include "gyro_deblur/keypoints.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {

@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "busy_processes.hpp"
+#include "engine/engine.hpp"
 #include "engine/fallback_engine.hpp"
 #include "faults.hpp"
 #include "gyro_deblur/config.hpp"

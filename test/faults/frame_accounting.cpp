@@ -4,6 +4,8 @@
 #include <functional>
 #include <string_view>
 
+#include "gyro_deblur/frame_blur.hpp"
+
 namespace gyro_deblur::test {
 namespace {
 

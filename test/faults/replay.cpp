@@ -1,4 +1,6 @@
 #include "replay.hpp"
+#include "engine/engine.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 #include "live.hpp"
 #include "ros/pass_through.hpp"
 

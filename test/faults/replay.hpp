@@ -6,6 +6,7 @@
 #include <functional>
 #include <vector>
 
+#include "engine/engine.hpp"
 #include "frame_accounting.hpp"
 #include "gyro_deblur/config.hpp"
 #include "recording.hpp"

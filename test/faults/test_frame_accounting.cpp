@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 #include <boost/make_shared.hpp>
 
+#include "gyro_deblur/frame_blur.hpp"
 #include "ros/conversions.hpp"
 
 namespace gyro_deblur::test {

@@ -8,6 +8,7 @@
 #include <Eigen/Dense>
 
 #include "blurred_texture.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
 
 namespace gyro_deblur {

@@ -1,9 +1,11 @@
-#include "gyro_deblur/gyro_unit_watch.hpp"
+#include "features/gyro_unit_watch.hpp"
 
 #include <cmath>
 #include <random>
 
 #include <gtest/gtest.h>
+
+#include "gyro_deblur/frame_blur.hpp"
 
 namespace gyro_deblur {
 namespace {

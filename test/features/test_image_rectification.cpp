@@ -1,4 +1,4 @@
-#include "gyro_deblur/image_rectification.hpp"
+#include "features/image_rectification.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -13,8 +13,8 @@
 
 #include "analytic_motion.hpp"
 #include "euroc_camera.hpp"
+#include "features/rectification.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/rectification.hpp"
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
 

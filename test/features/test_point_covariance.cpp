@@ -1,4 +1,4 @@
-#include "gyro_deblur/point_covariance.hpp"
+#include "features/point_covariance.hpp"
 
 #include <cmath>
 #include <stdexcept>
@@ -6,6 +6,8 @@
 
 #include <gtest/gtest.h>
 #include <Eigen/Dense>
+
+#include "gyro_deblur/frame_blur.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -1,4 +1,4 @@
-#include "gyro_deblur/rectification.hpp"
+#include "features/rectification.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -8,6 +8,7 @@
 
 #include "analytic_motion.hpp"
 #include "euroc_camera.hpp"
+#include "gyro_deblur/blur_field.hpp"
 
 namespace gyro_deblur {
 namespace {

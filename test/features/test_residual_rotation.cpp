@@ -1,4 +1,4 @@
-#include "gyro_deblur/residual_rotation.hpp"
+#include "features/residual_rotation.hpp"
 
 #include <cmath>
 #include <random>

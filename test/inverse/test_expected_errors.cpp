@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
+#include "inverse/filter_bank.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur {

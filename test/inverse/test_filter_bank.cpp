@@ -1,4 +1,4 @@
-#include "gyro_deblur/filter_bank.hpp"
+#include "inverse/filter_bank.hpp"
 
 #include <cmath>
 #include <complex>
@@ -11,6 +11,8 @@
 #include <gtest/gtest.h>
 #include <Eigen/Dense>
 #include <opencv2/core.hpp>
+
+#include "blur/path_1d.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -7,6 +7,8 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
+#include "inverse/filter_bank.hpp"
+
 namespace gyro_deblur {
 namespace {
 

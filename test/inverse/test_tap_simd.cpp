@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 #include <Eigen/Dense>
 
+#include "inverse/filter_bank.hpp"
 #include "inverse/line_taps.hpp"
 
 namespace gyro_deblur {

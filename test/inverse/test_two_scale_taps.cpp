@@ -9,6 +9,8 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
+#include "gyro_deblur/frame_blur.hpp"
+#include "inverse/filter_bank.hpp"
 #include "inverse/line_taps.hpp"
 
 namespace gyro_deblur {

@@ -10,6 +10,7 @@
 #include <gtest/gtest.h>
 
 #include "base/fourier_simd.hpp"
+#include "blur/path_2d.hpp"
 #include "paths_2d.hpp"
 
 namespace gyro_deblur {

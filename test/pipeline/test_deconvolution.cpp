@@ -1,4 +1,4 @@
-#include "gyro_deblur/deconvolution.hpp"
+#include "pipeline/deconvolution.hpp"
 
 #include <algorithm>
 #include <array>
@@ -10,9 +10,12 @@
 
 #include <gtest/gtest.h>
 
+#include "blur/path_1d.hpp"
 #include "engine/cpu/cpu_engine.hpp"
+#include "engine/engine.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "images.hpp"
+#include "inverse/filter_bank.hpp"
 #include "paths_2d.hpp"
 #include "synthetic_blur.hpp"
 

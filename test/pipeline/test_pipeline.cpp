@@ -11,7 +11,9 @@
 #include <Eigen/Geometry>
 
 #include "analytic_motion.hpp"
-#include "gyro_deblur/point_covariance.hpp"
+#include "engine/engine.hpp"
+#include "features/point_covariance.hpp"
+#include "inverse/filter_bank.hpp"
 #include "panning_camera.hpp"
 #include "repeated_pictures.hpp"
 #include "synthetic_blur.hpp"

@@ -10,6 +10,8 @@
 
 #include <gtest/gtest.h>
 
+#include "engine/engine.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 #include "message_builders.hpp"
 #include "ros/processor.hpp"
 

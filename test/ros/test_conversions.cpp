@@ -7,6 +7,7 @@
 
 #include <gtest/gtest.h>
 
+#include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/overlay.hpp"
 #include "message_builders.hpp"
 #include "ros/param_conversion.hpp"

@@ -8,6 +8,9 @@
 #include <gtest/gtest.h>
 #include <boost/make_shared.hpp>
 
+#include "features/residual_rotation.hpp"
+#include "gyro_deblur/frame_blur.hpp"
+
 namespace gyro_deblur {
 namespace {
 

@@ -5,6 +5,7 @@
 
 #include <gtest/gtest.h>
 
+#include "gyro_deblur/frame_blur.hpp"
 #include "processor_test.hpp"
 
 namespace gyro_deblur {

@@ -8,6 +8,8 @@
 #include <gtest/gtest.h>
 #include <sensor_msgs/image_encodings.h>
 
+#include "engine/engine.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 #include "processor_test.hpp"
 
 namespace gyro_deblur {

@@ -4,6 +4,8 @@
 
 #include "processor_test.hpp"
 
+#include "gyro_deblur/frame_blur.hpp"
+
 namespace gyro_deblur {
 namespace {
 

@@ -7,6 +7,8 @@
 #include <gtest/gtest.h>
 #include <yaml-cpp/yaml.h>
 
+#include "features/residual_rotation.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 #include "processor_test.hpp"
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
 
+#include "gyro_deblur/frame_blur.hpp"
 #include "mask_file/mask_file.hpp"
 #include "processor_test.hpp"
 

@@ -13,6 +13,8 @@
 
 #include <gtest/gtest.h>
 
+#include "gyro_deblur/frame_blur.hpp"
+
 namespace gyro_deblur {
 namespace {
 

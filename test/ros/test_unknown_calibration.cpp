@@ -11,6 +11,7 @@
 
 #include <gtest/gtest.h>
 
+#include "gyro_deblur/exposure.hpp"
 #include "ros/calibration_in_use.hpp"
 #include "ros/processor.hpp"
 #include "ros/self_calibrator.hpp"

@@ -14,10 +14,10 @@
 #include <opencv2/imgproc.hpp>
 
 #include "base/median.hpp"
+#include "features/rectification.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/pipeline.hpp"
-#include "gyro_deblur/rectification.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"

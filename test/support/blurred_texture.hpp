@@ -10,6 +10,7 @@
 #include <opencv2/core.hpp>
 
 #include "features/blur_alignment.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 #include "paths_2d.hpp"
 
 namespace gyro_deblur::test {

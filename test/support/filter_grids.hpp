@@ -8,7 +8,9 @@
 
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/deconvolution.hpp"
+#include "engine/engine.hpp"
+#include "inverse/filter_bank.hpp"
+#include "pipeline/deconvolution.hpp"
 
 namespace gyro_deblur::test {
 

@@ -9,8 +9,9 @@
 
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/deconvolution.hpp"
+#include "engine/engine.hpp"
 #include "inverse/line_taps.hpp"
+#include "pipeline/deconvolution.hpp"
 
 namespace gyro_deblur::test {
 

@@ -9,8 +9,9 @@
 #include <opencv2/core.hpp>
 
 #include "base/fourier.hpp"
+#include "blur/path_2d.hpp"
+#include "engine/engine.hpp"
 #include "engine/half_size.hpp"
-#include "gyro_deblur/engine.hpp"
 #include "naive_convolution.hpp"
 #include "paths_2d.hpp"
 

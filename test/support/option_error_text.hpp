@@ -4,7 +4,7 @@
 #include <functional>
 #include <string>
 
-#include "gyro_deblur/option_error.hpp"
+#include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur::test {
 

@@ -7,7 +7,8 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/wiener_inverse_2d.hpp"
+#include "blur/path_2d.hpp"
+#include "inverse/wiener_inverse_2d.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur::test {

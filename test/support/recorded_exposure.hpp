@@ -9,9 +9,9 @@
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
 
+#include "blur/exposure_estimate.hpp"
 #include "features/residual_flow.hpp"
 #include "gyro_deblur/blur_field.hpp"
-#include "gyro_deblur/exposure_estimate.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "tools/recording.hpp"
 

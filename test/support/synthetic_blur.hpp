@@ -9,7 +9,8 @@
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "gyro_deblur/filter_bank.hpp"
+#include "blur/path_1d.hpp"
+#include "inverse/filter_bank.hpp"
 
 namespace gyro_deblur::test {
 

@@ -9,8 +9,11 @@
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 
-#include "gyro_deblur/blur_validation.hpp"
-#include "gyro_deblur/deconvolution.hpp"
+#include "blur/blur_validation.hpp"
+#include "engine/engine.hpp"
+#include "gyro_deblur/blur_field.hpp"
+#include "inverse/filter_bank.hpp"
+#include "pipeline/deconvolution.hpp"
 #include "run_program.hpp"
 #include "synthetic_blur.hpp"
 

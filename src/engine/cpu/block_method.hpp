@@ -6,7 +6,7 @@
 #include <optional>
 #include <string>
 
-#include "gyro_deblur/filter_bank.hpp"
+#include "inverse/filter_bank.hpp"
 
 namespace gyro_deblur {
 

@@ -7,6 +7,8 @@
 #include <opencv2/core.hpp>
 
 #include "base/parallel.hpp"
+#include "engine/engine.hpp"
+#include "inverse/filter_bank.hpp"
 
 namespace gyro_deblur {
 namespace {

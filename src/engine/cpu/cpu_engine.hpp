@@ -12,8 +12,10 @@
 #include "engine/cpu/block_method.hpp"
 #include "engine/cpu/block_simd.hpp"
 #include "engine/cpu/line_order.hpp"
+#include "engine/engine.hpp"
 #include "engine/float/float_engine.hpp"
 #include "inverse/exact_taps.hpp"
+#include "inverse/filter_bank.hpp"
 #include "inverse/tap_simd.hpp"
 #include "inverse/two_scale_taps.hpp"
 

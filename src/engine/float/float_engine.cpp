@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "base/parallel.hpp"
+#include "engine/engine.hpp"
 
 // One binary for every x86-64: the compiler makes a copy of the inner loop per instruction set and the loader picks
 // one. It does so before ThreadSanitizer has started, which ends the process.

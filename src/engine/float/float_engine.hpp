@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "engine/block_engine.hpp"
+#include "engine/engine.hpp"
 #include "inverse/line_taps.hpp"
 
 namespace gyro_deblur {

@@ -11,6 +11,7 @@
 
 #include "base/parallel.hpp"
 #include "base/stopwatch.hpp"
+#include "engine/engine.hpp"
 #include "engine/fallback_engine.hpp"
 #include "engine/opencl/opencl_api.hpp"
 #include "engine/opencl/opencl_devices.hpp"

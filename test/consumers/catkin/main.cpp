@@ -9,6 +9,7 @@
 #include <gyro_deblur/pipeline.hpp>
 
 #include "../synthetic_pan.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 
 namespace {
 

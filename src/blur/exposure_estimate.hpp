@@ -5,18 +5,10 @@
 
 #include <opencv2/core.hpp>
 
+#include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 
 namespace gyro_deblur {
-
-/// Ratios of true to assumed exposure that are searched.
-constexpr double kMinExposureRatio = 0.3, kMaxExposureRatio = 3;
-
-/// How long an image was exposed, compared with the exposure for which its blur field was computed.
-struct ExposureEstimate {
-  double ratio = 1;       ///< true over assumed exposure, kMinExposureRatio to kMaxExposureRatio
-  double log_stddev = 0;  ///< standard deviation of the natural logarithm of the ratio, > 0
-};
 
 /// Estimates the exposure from one image: the transfer function of a block's path, scaled by the ratio, has to match
 /// the block's power spectrum, whose zeros are where whole numbers of waves fit into a straight path. Texture is a

@@ -10,8 +10,8 @@
 
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/filter_bank.hpp"
-#include "gyro_deblur/wiener_inverse_2d.hpp"
+#include "inverse/filter_bank.hpp"
+#include "inverse/wiener_inverse_2d.hpp"
 
 namespace gyro_deblur {
 

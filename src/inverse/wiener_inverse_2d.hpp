@@ -1,8 +1,8 @@
 // Parameters of the 2-D filter of a path.
 #pragma once
 
+#include "blur/path_2d.hpp"
 #include "gyro_deblur/options.hpp"
-#include "gyro_deblur/path_2d.hpp"
 
 namespace gyro_deblur {
 

@@ -4,22 +4,14 @@
 #include <vector>
 
 #include <Eigen/Core>
-#include <opencv2/core/types.hpp>
 
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
-
-/// Where a keypoint is, and where it would be had every row been exposed at the reference time.
-struct RectifiedPoint {
-  Eigen::Vector2d rectified_px;  ///< distorted pixel; the raw one when `rectified` is false
-  Eigen::Vector2d normalized;    ///< undistorted (x/z, y/z) of rectified_px in the image's frame; NaN beyond the model
-  bool deblurred = false;        ///< lies in a DEBLURRED block
-  bool rectified = false;        ///< was moved to the reference time
-};
 
 /// Takes points to `reference_ns` from the middle of their row's exposure: from where the scene point was then, which
 /// is where the image shows it less BlockBlur::apparent_offset_px(). That and the residual velocities of blocks hold at

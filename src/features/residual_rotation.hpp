@@ -14,16 +14,6 @@
 
 namespace gyro_deblur {
 
-/// The rotation that fits the residual velocities of one image best. One image is no evidence: translation in front of
-/// a wall looks much the same.
-struct ResidualRotation {
-  Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();   ///< rate in addition to `known_rad_s`, axes of the camera
-  Eigen::Vector3d known_rad_s = Eigen::Vector3d::Zero();  ///< rate that is known, in the same axes
-  /// Mean square of the residual velocities, weighted by their uncertainty: as they are, less this rotation, and less
-  /// the nearest translation before a plane across the optical axis.
-  double energy_px2_s2 = 0, energy_less_rotation_px2_s2 = 0, energy_less_translation_px2_s2 = 0;
-};
-
 /// Robust least squares over the blocks. Axes of the camera.
 /// @param residuals  of the blocks of `grid`, certain or not
 /// @param motion     known motion that was subtracted; its mean over the exposure of the middle row is `known_rad_s`

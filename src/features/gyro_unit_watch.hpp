@@ -5,7 +5,7 @@
 #include <deque>
 #include <optional>
 
-#include "gyro_deblur/residual_rotation.hpp"
+#include "features/residual_rotation.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {

@@ -3,8 +3,8 @@
 
 #include <optional>
 
+#include "blur/frame_quality.hpp"
 #include "gyro_deblur/frame_blur.hpp"
-#include "gyro_deblur/frame_quality.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/time.hpp"
 

@@ -3,12 +3,12 @@
 
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/engine.hpp"
-#include "gyro_deblur/filter_bank.hpp"
+#include "engine/engine.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
+#include "inverse/filter_bank.hpp"
 
 namespace gyro_deblur {
 

@@ -3,7 +3,7 @@
 
 #include <optional>
 
-#include "gyro_deblur/exposure_estimate.hpp"
+#include "blur/exposure_estimate.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {

@@ -1,6 +1,8 @@
-#include "gyro_deblur/option_error.hpp"
+#include "base/require_range.hpp"
 
 #include <sstream>
+
+#include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {
 

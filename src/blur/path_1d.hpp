@@ -1,17 +1,11 @@
 // Path of a scene point along a line during the exposure, and its PSF.
 #pragma once
 
-#include <array>
 #include <vector>
 
+#include "gyro_deblur/frame_blur.hpp"
+
 namespace gyro_deblur {
-
-/// Instants at which a path is known, evenly from the start to the end of the exposure.
-constexpr int kPathInstants = 9;
-
-/// Straight path: places [px] of a scene point at kPathInstants along the line of its blur, relative to the place at
-/// mid-exposure. Uniform in between.
-using Path1d = std::array<float, kPathInstants>;
 
 /// From the lowest to the highest place [px].
 double extent_of(const Path1d& path_px);

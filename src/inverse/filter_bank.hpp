@@ -5,8 +5,8 @@
 #include <memory>
 #include <vector>
 
+#include "blur/path_1d.hpp"
 #include "gyro_deblur/options.hpp"
-#include "gyro_deblur/path_1d.hpp"
 
 namespace gyro_deblur {
 
