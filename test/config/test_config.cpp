@@ -165,7 +165,8 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
   EXPECT_FALSE(c.pipeline.optical_flow);
   EXPECT_EQ(parse("flow_without_gyro: always").pipeline.flow_without_gyro, "always");
   EXPECT_EQ(error_of("{flow_without_gyro: always, optical_flow: false}"),
-            "flow_without_gyro = \"always\" needs optical_flow = true, which is false");
+            "flow_without_gyro = \"always\" needs optical_flow = true, which is false: set optical_flow to true, or "
+            "flow_without_gyro to absent or never");
   EXPECT_EQ(error_of("optical_flow: false"), "") << "nothing is asked for that needs it";
   EXPECT_EQ(c.pipeline.filter.gamma, 1e-3);
   EXPECT_EQ(c.pipeline.filter.regularization, Regularization::PAPER);
