@@ -115,6 +115,23 @@ class BandedSystem {
   std::vector<double> lower_;  // by column from its diagonal element down
 };
 
+/// Coefficients of box_inverse()'s equations by lag, >= 0.
+/// @param share  spectral_share() of the box
+std::vector<std::pair<int, double>> couplings_of(const std::vector<double>& box, double gamma, double share) {
+  const int n = static_cast<int>(box.size());
+  std::map<int, double> coupling = {
+      {0, 2 * gamma * (1 + 2 * share)}, {1, -gamma * (1 + 3 * share)}, {2, gamma * share}};
+  std::vector<std::pair<int, double>> steps;
+  for (int i = 0; i <= n; ++i) {
+    const double step = (i < n ? box[i] : 0) - (i > 0 ? box[i - 1] : 0);
+    if (step != 0) steps.emplace_back(i, step);
+  }
+  for (std::size_t a = 0; a < steps.size(); ++a) {
+    for (std::size_t b = 0; b <= a; ++b) coupling[steps[a].first - steps[b].first] += steps[a].second * steps[b].second;
+  }
+  return {coupling.begin(), coupling.end()};
+}
+
 /// What least_squares_inverse() gives for a centred box, in O(n) of time.
 ///
 /// The unknowns are the running sums of the taps, u(i) = w(-radius) + .. + w(i), less half of the whole sum. They are
@@ -125,20 +142,7 @@ class BandedSystem {
 std::vector<double> box_inverse(const std::vector<double>& box, double extent_px, const FilterOptions& options) {
   const int n = static_cast<int>(box.size()), radius = n / 2;
   const double share = spectral_share(extent_px), gamma = options.gamma;
-  std::map<int, double> coupling = {// by lag >= 0
-                                    {0, 2 * gamma * (1 + 2 * share)},
-                                    {1, -gamma * (1 + 3 * share)},
-                                    {2, gamma * share}};
-  std::vector<std::pair<int, double>> steps;
-  for (int i = 0; i <= n; ++i) {
-    const double step = (i < n ? box[i] : 0) - (i > 0 ? box[i - 1] : 0);
-    if (step != 0) steps.emplace_back(i, step);
-  }
-  for (std::size_t a = 0; a < steps.size(); ++a) {
-    for (std::size_t b = 0; b <= a; ++b) coupling[steps[a].first - steps[b].first] += steps[a].second * steps[b].second;
-  }
-
-  const std::vector<std::pair<int, double>> couplings(coupling.begin(), coupling.end());
+  const std::vector<std::pair<int, double>> couplings = couplings_of(box, gamma, share);
 
   const int period = std::max(2, static_cast<int>(std::lround(extent_px / 2)) * 2);
   const auto group_of = [period](int i) { return std::min(i % period, period - 1 - i % period); };

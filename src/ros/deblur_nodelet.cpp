@@ -1,6 +1,5 @@
 #include "ros/deblur_nodelet.hpp"
 
-#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <utility>
@@ -11,7 +10,6 @@
 
 #include "base/time_slice.hpp"
 #include "gyro_deblur/config.hpp"
-#include "ros/param_conversion.hpp"
 #include "ros/steady_clock.hpp"
 #include "ros/stored_calibration.hpp"
 #include "ros/tf_conversion.hpp"
@@ -19,12 +17,6 @@
 
 namespace gyro_deblur {
 namespace {
-
-/// Somebody listens to this output.
-template <typename Publisher>
-bool is_heard(const Publisher& publisher) {
-  return publisher.getNumSubscribers() > 0;
-}
 
 /// Callbacks only store, so these queues are short in practice; a burst must not be lost here, where nobody would count
 /// it.
@@ -44,16 +36,6 @@ constexpr std::chrono::milliseconds kPollPeriod{20};
 
 /// How long no image may come before that is reported.
 constexpr double kImageSilenceS = 5;
-
-/// Private parameters that are not keys of the configuration.
-const char* const kOtherParameters[] = {"image_transport"};
-
-/// Names and values of the parameters that may change while running.
-dynamic_reconfigure::Config entries_of(const DeblurConfig& config) {
-  dynamic_reconfigure::Config entries;
-  config.__toMessage__(entries);
-  return entries;
-}
 
 }  // namespace
 
@@ -103,17 +85,7 @@ DeblurNodelet::~DeblurNodelet() {
     }
   }
   if (processor_) guarded("storing the calibration", [this] { save_calibration(); });
-  image_publisher_.shutdown();
-  info_publisher_.shutdown();
-  overlay_publisher_.shutdown();
-  keypoint_publisher_.shutdown();
-  blur_field_publisher_.shutdown();
-  quality_publisher_.shutdown();
-  trust_publisher_.shutdown();
-  marker_publisher_.shutdown();
-  track_publisher_.shutdown();
-  global_shutter_publisher_.shutdown();
-  global_shutter_info_publisher_.shutdown();
+  publishers_.shutdown();
 }
 
 void DeblurNodelet::log(LogLevel level, const std::string& text) const {
@@ -130,7 +102,7 @@ void DeblurNodelet::log(LogLevel level, const std::string& text) const {
   }
 }
 
-void DeblurNodelet::onInit() {
+Processor::Environment DeblurNodelet::make_environment() {
   Processor::Environment environment;
   environment.clock = [] { return to_time_ns(ros::Time::now()); };
   environment.steady_clock = steady_now_ns;
@@ -139,7 +111,7 @@ void DeblurNodelet::onInit() {
     return lookup_R_cam_imu(tf_buffer_, camera_frame, imu_frame);
   };
   environment.exposure_expected = [this] { return exposure_expected_.load(); };
-  environment.request = [this] { return request(); };
+  environment.request = [this] { return publishers_.request(); };
   environment.self_calibration = SelfCalibrator::Work::IN_BACKGROUND;
   environment.stored_calibration = [this](int width_px, int height_px) {
     std::optional<LearnedCalibration> stored;
@@ -152,9 +124,12 @@ void DeblurNodelet::onInit() {
     });
     return stored;
   };
+  return environment;
+}
 
+void DeblurNodelet::onInit() {
   ros::NodeHandle& nh = getNodeHandle();
-  ros::NodeHandle& private_nh = getPrivateNodeHandle();
+  Processor::Environment environment = make_environment();
   std::string error;
   const std::optional<Config> config = load_parameters(&error);
   const std::string imu_topic = nh.resolveName("imu");
@@ -183,16 +158,28 @@ void DeblurNodelet::onInit() {
   mask_subscriber_ = nh.subscribe("mask", 1, &DeblurNodelet::on_mask, this);
   imu_->listen(this, [this] { on_imu(); });
   report_.start(processor_->statistics(), std::chrono::steady_clock::now());
-  advertise(output_queue(config.value_or(Config())));
+  {
+    // Callbacks that come before all publishers are there wait for the lock.
+    const std::lock_guard<std::mutex> lock(connection_mutex_);
+    publishers_.advertise(nh, *transport_, output_queue(config.value_or(Config())), [this] { on_connection_change(); });
+  }
   worker_ = std::thread(&DeblurNodelet::work, this);
+  advertise_services();
+  start_diagnostics();
+}
+
+void DeblurNodelet::advertise_services() {
+  ros::NodeHandle& private_nh = getPrivateNodeHandle();
   reset_service_ = private_nh.advertiseService("reset", &DeblurNodelet::on_reset, this);
   reset_calibration_service_ =
       private_nh.advertiseService("reset_calibration", &DeblurNodelet::on_reset_calibration, this);
   save_calibration_service_ =
       private_nh.advertiseService("save_calibration", &DeblurNodelet::on_save_calibration, this);
   bias_service_ = private_nh.advertiseService("estimate_gyro_bias", &DeblurNodelet::on_estimate_bias, this);
+}
 
-  diagnostics_ = std::make_unique<diagnostic_updater::Updater>(nh, private_nh, getName());
+void DeblurNodelet::start_diagnostics() {
+  diagnostics_ = std::make_unique<diagnostic_updater::Updater>(getNodeHandle(), getPrivateNodeHandle(), getName());
   diagnostics_->setHardwareID("none");
   const auto add_status = [this](const std::string& name,
                                  diagnostic_updater::DiagnosticStatusWrapper DiagnosticStatuses::*part) {
@@ -205,95 +192,8 @@ void DeblurNodelet::onInit() {
   add_status("IMU", &DiagnosticStatuses::imu);
   add_status("calibration", &DiagnosticStatuses::calibration);
   add_status("timing", &DiagnosticStatuses::timing);
-  diagnostics_timer_ = nh.createWallTimer(ros::WallDuration(1.0), &DeblurNodelet::on_diagnostics_timer, this);
-}
-
-std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
-  XmlRpc::XmlRpcValue parameters;
-  if (getPrivateNodeHandle().getParam("", parameters) && parameters.getType() == XmlRpc::XmlRpcValue::TypeStruct) {
-    for (auto& [key, value] : parameters) {
-      if (std::find(std::begin(kOtherParameters), std::end(kOtherParameters), key) == std::end(kOtherParameters)) {
-        given_parameters_[key] = value;
-      }
-    }
-  }
-
-  std::vector<std::string> unknown;
-  std::optional<Config> config;
-  try {
-    config = parse_config(to_yaml(given_parameters_), &unknown);
-    if (config->given.time_offset) {
-      NODELET_INFO("time_offset = %.6f s: t_imu = t_cam + time_offset (from Kalibr: see doc/guides/calibration.md)",
-                   to_seconds(config->gyro.time_offset_ns));
-    }
-    if (config->calibration) NODELET_INFO_STREAM("calibration from " << config->calibration->origin);
-  } catch (const std::exception& refused) {
-    *error = refused.what();
-    config.reset();
-  }
-  for (const std::string& key : unknown) {
-    // Namespaces below the node belong to others, to plugins of image_transport for example.
-    if (given_parameters_[key].getType() != XmlRpc::XmlRpcValue::TypeStruct) {
-      NODELET_WARN_STREAM('~' << unknown_key_message(key));
-    }
-  }
-  return config;
-}
-
-void DeblurNodelet::start_reconfigure() {
-  const boost::recursive_mutex::scoped_lock lock(reconfigure_mutex_);
-  reconfigure_ =
-      std::make_unique<dynamic_reconfigure::Server<DeblurConfig>>(reconfigure_mutex_, getPrivateNodeHandle());
-  // The server has read the parameters, but moved what was out of range to the nearest end without a word. That would
-  // be nobody's choice: it offers the default instead, and the error that load_parameters has reported stays in force.
-  const dynamic_reconfigure::Config standard = entries_of(DeblurConfig::__getDefault__());
-  dynamic_reconfigure::Config offered = standard;
-  for_each_entry([this](auto& entry) { read_parameter(given_parameters_, entry.name, entry.value); }, offered);
-  dynamic_.__fromMessage__(offered);
-  DeblurConfig clamped = dynamic_;
-  clamped.__clamp__();
-  const dynamic_reconfigure::Config in_range = entries_of(clamped);
-  for_each_entry(
-      [](auto& entry, const auto& nearest, const auto& otherwise) {
-        if (entry.value != nearest.value) entry.value = otherwise.value;
-      },
-      offered, in_range, standard);
-  dynamic_.__fromMessage__(offered);
-  reconfigure_->updateConfig(dynamic_);
-  reconfigure_->setCallback([this](DeblurConfig& dynamic, std::uint32_t) { on_reconfigure(dynamic); });
-  // The server has also written its values back. What was refused stays on the parameter server, so that it is refused
-  // again when the nodelet is loaded again, instead of being replaced by a default that nobody chose.
-  for_each_entry(
-      [this](const auto& entry) {
-        auto given = entry.value;
-        if (!given_parameters_.hasMember(entry.name)) return;
-        if (read_parameter(given_parameters_, entry.name, given) && given == entry.value) return;
-        getPrivateNodeHandle().setParam(entry.name, given_parameters_[entry.name]);
-      },
-      offered);
-  reconfigure_ready_ = true;
-}
-
-void DeblurNodelet::on_reconfigure(DeblurConfig& dynamic) {
-  if (!reconfigure_ready_) return;  // the server's first call only repeats what load_parameters has applied
-  try {
-    XmlRpc::XmlRpcValue merged = given_parameters_;
-    const dynamic_reconfigure::Config entries = entries_of(dynamic);
-    for_each_entry([&merged](const auto& entry) { write_parameter(merged, entry.name, entry.value); }, entries);
-    const Config config = parse_config(to_yaml(merged));
-    processor_->set_config(config);
-    if (!configured_) {
-      // What is decided once was decided without a configuration.
-      imu_->source()->set_options(GyroSource::options_of(config));
-      subscribe_exposure(config.exposure_source);
-    }
-    configured_ = true;
-    dynamic_ = dynamic;
-    NODELET_INFO_THROTTLE(1.0, "parameters changed");
-  } catch (const std::exception& error) {
-    NODELET_ERROR_STREAM("parameters not changed: " << error.what());
-    dynamic = dynamic_;
-  }
+  diagnostics_timer_ =
+      getNodeHandle().createWallTimer(ros::WallDuration(1.0), &DeblurNodelet::on_diagnostics_timer, this);
 }
 
 void DeblurNodelet::subscribe_exposure(const ExposureSource& source) {
@@ -313,51 +213,6 @@ void DeblurNodelet::subscribe_exposure(const ExposureSource& source) {
   exposure_subscriber_ = subscriber;
 }
 
-void DeblurNodelet::advertise(std::uint32_t queue_size) {
-  ros::NodeHandle& nh = getNodeHandle();
-  const auto on_change = [this](const auto&) { on_connection_change(); };
-  const image_transport::SubscriberStatusCallback on_image_change = on_change;
-  const ros::SubscriberStatusCallback on_topic_change = on_change;
-  // Callbacks that come before all publishers are there wait for the lock.
-  const std::lock_guard<std::mutex> lock(connection_mutex_);
-  image_publisher_ = transport_->advertise("deblurred/image_raw", queue_size, on_image_change, on_image_change);
-  info_publisher_ = nh.advertise<sensor_msgs::CameraInfo>(
-      image_transport::getCameraInfoTopic(image_publisher_.getTopic()), queue_size, on_topic_change, on_topic_change);
-  global_shutter_publisher_ =
-      transport_->advertise("global_shutter/image_raw", queue_size, on_image_change, on_image_change);
-  global_shutter_info_publisher_ =
-      nh.advertise<sensor_msgs::CameraInfo>(image_transport::getCameraInfoTopic(global_shutter_publisher_.getTopic()),
-                                            queue_size, on_topic_change, on_topic_change);
-  overlay_publisher_ = transport_->advertise("blur_overlay", queue_size, on_image_change, on_image_change);
-  keypoint_publisher_ = nh.advertise<KeypointArray>("keypoints", queue_size, on_topic_change, on_topic_change);
-  blur_field_publisher_ = nh.advertise<BlurField>("blur_field", queue_size, on_topic_change, on_topic_change);
-  quality_publisher_ = nh.advertise<ImageQuality>("image_quality", queue_size, on_topic_change, on_topic_change);
-  trust_publisher_ = transport_->advertise("trust_mask", queue_size, on_image_change, on_image_change);
-  track_publisher_ =
-      nh.advertise<sensor_msgs::PointCloud>("feature_tracks", queue_size, on_topic_change, on_topic_change);
-  marker_publisher_ =
-      nh.advertise<visualization_msgs::MarkerArray>("blur_markers", queue_size, on_topic_change, on_topic_change);
-}
-
-bool DeblurNodelet::has_listener() const {
-  return is_heard(image_publisher_) || is_heard(info_publisher_) || is_heard(overlay_publisher_) ||
-         is_heard(keypoint_publisher_) || is_heard(blur_field_publisher_) || is_heard(marker_publisher_) ||
-         is_heard(quality_publisher_) || is_heard(trust_publisher_) || is_heard(track_publisher_) ||
-         is_heard(global_shutter_publisher_) || is_heard(global_shutter_info_publisher_);
-}
-
-FrameRequest DeblurNodelet::request() const {
-  FrameRequest request;
-  request.image = is_heard(image_publisher_) || is_heard(info_publisher_);
-  request.keypoints = is_heard(keypoint_publisher_);
-  request.overlay = is_heard(overlay_publisher_);
-  request.markers = is_heard(marker_publisher_);
-  request.tracks = is_heard(track_publisher_);
-  request.trust_mask = is_heard(trust_publisher_);
-  request.global_shutter = is_heard(global_shutter_publisher_) || is_heard(global_shutter_info_publisher_);
-  return request;
-}
-
 void DeblurNodelet::on_connection_change() {
   // A transport that is not installed, for one, throws.
   guarded("subscribing", [this] { subscribe_on_demand(); });
@@ -366,7 +221,7 @@ void DeblurNodelet::on_connection_change() {
 void DeblurNodelet::subscribe_on_demand() {
   const std::lock_guard<std::mutex> lock(connection_mutex_);
   if (shutting_down_) return;
-  if (!has_listener()) {
+  if (!publishers_.has_listener()) {
     image_subscriber_.shutdown();
     compressed_subscriber_.shutdown();
     camera_info_subscriber_.shutdown();
@@ -549,21 +404,7 @@ void DeblurNodelet::work() {
 
 void DeblurNodelet::publish(const FrameOutput& output) {
   report_.add(output);
-  if (!output.dropped) {
-    image_publisher_.publish(output.image);
-    info_publisher_.publish(output.camera_info);
-  }
-  blur_field_publisher_.publish(output.blur_field);
-  quality_publisher_.publish(output.quality);
-  if (output.trust_mask) trust_publisher_.publish(output.trust_mask);
-  if (output.keypoints) keypoint_publisher_.publish(output.keypoints);
-  if (output.overlay) overlay_publisher_.publish(output.overlay);
-  if (output.markers) marker_publisher_.publish(output.markers);
-  if (output.tracks) track_publisher_.publish(output.tracks);
-  if (output.global_shutter) {
-    global_shutter_publisher_.publish(output.global_shutter);
-    global_shutter_info_publisher_.publish(output.global_shutter_info);
-  }
+  publishers_.publish(output);
 }
 
 void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {

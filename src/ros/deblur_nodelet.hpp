@@ -2,7 +2,6 @@
 #pragma once
 
 #include <atomic>
-#include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <memory>
@@ -27,6 +26,7 @@
 #include "ros/diagnostics.hpp"
 #include "ros/exposure_adapter.hpp"
 #include "ros/processor.hpp"
+#include "ros/publishers.hpp"
 #include "ros/shared_imu.hpp"
 
 namespace gyro_deblur {
@@ -44,19 +44,18 @@ class DeblurNodelet : public nodelet::Nodelet {
 
  private:
   void onInit() override;
+  Processor::Environment make_environment();
+  void advertise_services();
+  void start_diagnostics();
   /// The configuration, or nothing with the reason in `error`.
   std::optional<Config> load_parameters(std::string* error);
   void start_reconfigure();
   void on_reconfigure(DeblurConfig& dynamic);
-  /// @param queue_size  of every output: messages that a subscriber may lag behind
-  void advertise(std::uint32_t queue_size);
 
   void subscribe_exposure(const ExposureSource& source);
   /// Subscribes to the camera while somebody listens to an output, as image_proc does.
   void on_connection_change();
   void subscribe_on_demand();
-  bool has_listener() const;
-  FrameRequest request() const;
 
   void on_image(const sensor_msgs::ImageConstPtr& image);
   void on_compressed_image(const sensor_msgs::CompressedImageConstPtr& image);
@@ -111,17 +110,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   image_transport::Subscriber image_subscriber_;
   ros::Subscriber compressed_subscriber_;  // in its place with image_transport: compressed
   ros::Subscriber camera_info_subscriber_;
-  image_transport::Publisher image_publisher_;
-  ros::Publisher info_publisher_;
-  ros::Publisher keypoint_publisher_;
-  ros::Publisher blur_field_publisher_;
-  ros::Publisher quality_publisher_;
-  image_transport::Publisher trust_publisher_;
-  image_transport::Publisher overlay_publisher_;
-  ros::Publisher marker_publisher_;
-  ros::Publisher track_publisher_;
-  image_transport::Publisher global_shutter_publisher_;
-  ros::Publisher global_shutter_info_publisher_;
+  Publishers publishers_;
   bool shutting_down_ = false;
 
   ros::ServiceServer reset_service_;

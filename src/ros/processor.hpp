@@ -132,6 +132,8 @@ class Processor {
   void advance(const Sink& sink, bool finishing);
   /// The foremost frame with what belongs to it, or nothing while it has to wait.
   std::optional<SynchronizedFrame> next_frame(bool finishing);
+  /// Lets a frame pass through that comes too late to be processed. Needs mutex_.
+  void check_overload(TimeNs steady_ns, PendingFrame* frame, SynchronizedFrame* synchronized);
   /// @param problem  why its pixels cannot be used; empty: they can
   void add_image(const sensor_msgs::ImageConstPtr& image, const std::string& problem);
   /// Remembers which frames have become ready; after every message. Needs mutex_.

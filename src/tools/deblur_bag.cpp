@@ -86,10 +86,9 @@ Slice slice_of(const rosbag::Bag& bag, const Arguments& arguments, const Config&
 }
 
 /// With --keep-all-topics the input's topics and those that are written share a bag.
-void require_free_topics(const InputBag& input, const OutputTopics& written) {
-  const std::set<std::string> names = written.all();
+void require_free_topics(const InputBag& input, const std::set<std::string>& written) {
   for (const auto& [topic, type] : input.topics()) {
-    if (names.count(topic) == 0) continue;
+    if (written.count(topic) == 0) continue;
     throw std::runtime_error(input.path() + ": has a topic " + topic +
                              " already; choose another --output-namespace, or leave out --keep-all-topics");
   }
@@ -130,7 +129,7 @@ Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& 
   DeblurFeed feed(input.bag(), topics, config, arguments.request, slice.read_from(), log_clearing(progress));
   if (arguments.start_s > 0) feed.catch_up();
 
-  FrameWriter writer(output, OutputTopics(topics.output_namespace), report);
+  FrameWriter writer(output, topics.output_namespace, report);
   const Processor::Sink sink = [&writer](FrameOutput&& frame) {
     writer.write(frame);
     return true;
@@ -226,7 +225,7 @@ void run(const Arguments& arguments) {
   NamedTopics named = arguments.topics;
   named.mask_by_file = !arguments.mask.empty();
   const DeblurTopics topics = choose_topics(input, named, config);
-  if (arguments.keep_all_topics) require_free_topics(input, OutputTopics(topics.output_namespace));
+  if (arguments.keep_all_topics) require_free_topics(input, output_topics(topics.output_namespace));
   FrameReport report(arguments.common.json);
   Outcome outcome;
   try {

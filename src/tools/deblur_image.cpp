@@ -160,22 +160,25 @@ double median_extent_px(const FrameBlur& field) {
   return median(extents);
 }
 
+/// The blur that the arguments tell of.
+FrameBlur given_field(const Arguments& arguments, const cv::Size& size) {
+  if (!arguments.field.empty()) {
+    return blur_field_from_displacement(
+        size.width, size.height, read_displacement(arguments.field[0], arguments.field_offset),
+        read_displacement(arguments.field[1], arguments.field_offset), arguments.blur_field);
+  }
+  if (!std::isfinite(arguments.angle_deg)) {
+    throw OptionError("--angle-deg = " + std::to_string(arguments.angle_deg) + " is not a finite number");
+  }
+  require_range("--extent-px", arguments.extent_px, 0, kMaxKernelExtentPx, "px");
+  return uniform_blur_field(size.width, size.height, arguments.angle_deg * CV_PI / 180, arguments.extent_px,
+                            arguments.blur_field);
+}
+
 void run(const Arguments& arguments) {
   const cv::Mat image = read_image(arguments.input);
   const PixelLayout layout = layout_of(image, arguments.input);
-
-  FrameBlur field;
-  if (arguments.field.empty()) {
-    if (!std::isfinite(arguments.angle_deg))
-      throw OptionError("--angle-deg = " + std::to_string(arguments.angle_deg) + " is not a finite number");
-    require_range("--extent-px", arguments.extent_px, 0, kMaxKernelExtentPx, "px");
-    field = uniform_blur_field(image.cols, image.rows, arguments.angle_deg * CV_PI / 180, arguments.extent_px,
-                               arguments.blur_field);
-  } else {
-    field = blur_field_from_displacement(
-        image.cols, image.rows, read_displacement(arguments.field[0], arguments.field_offset),
-        read_displacement(arguments.field[1], arguments.field_offset), arguments.blur_field);
-  }
+  FrameBlur field = given_field(arguments, image.size());
   const PixelMask mask = arguments.mask.empty() ? PixelMask() : load_mask(arguments.mask);
   if (!mask.empty() && mask.size() != image.size()) {
     throw std::runtime_error("--mask " + arguments.mask + " has " + std::to_string(mask.size().width) + "x" +

@@ -7,6 +7,7 @@
 #include "base/median.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "ros/conversions.hpp"
+#include "ros/outputs.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -61,21 +62,9 @@ nlohmann::json report_of(const FrameOutput& output) {
 void FrameWriter::write(const FrameOutput& frame) {
   const ros::Time time = record_times_.front();
   record_times_.pop_front();
-  if (!frame.dropped) {
-    bag_.write(topics_.image, time, *frame.image);
-    bag_.write(topics_.camera_info, time, *frame.camera_info);
-  }
-  if (frame.keypoints) bag_.write(topics_.keypoints, time, *frame.keypoints);
-  bag_.write(topics_.blur_field, time, *frame.blur_field);
-  bag_.write(topics_.quality, time, *frame.quality);
-  if (frame.trust_mask) bag_.write(topics_.trust_mask, time, *frame.trust_mask);
-  if (frame.overlay) bag_.write(topics_.overlay, time, *frame.overlay);
-  if (frame.markers) bag_.write(topics_.markers, time, *frame.markers);
-  if (frame.tracks) bag_.write(topics_.tracks, time, *frame.tracks);
-  if (frame.global_shutter) {
-    bag_.write(topics_.global_shutter, time, *frame.global_shutter);
-    bag_.write(topics_.global_shutter_info, time, *frame.global_shutter_info);
-  }
+  for_each_output([&](const char* name, auto, auto message) {
+    if (frame.*message) bag_.write(name_space_ + "/" + name, time, *(frame.*message));
+  });
   processing_ms_ += frame.total_ms;
   if (report_.wanted()) report_.add(report_of(frame));
 }

@@ -9,6 +9,7 @@
 #include "ros/exposure_adapter.hpp"
 #include "ros/messages.hpp"
 #include "ros/missing_inputs.hpp"
+#include "ros/outputs.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -61,22 +62,10 @@ DeblurTopics choose(const InputBag& input, const NamedTopics& named, const Confi
 
 }  // namespace
 
-OutputTopics::OutputTopics(const std::string& name_space)
-    : image(name_space + "/deblurred/image_raw"),
-      camera_info(name_space + "/deblurred/camera_info"),
-      keypoints(name_space + "/keypoints"),
-      blur_field(name_space + "/blur_field"),
-      quality(name_space + "/image_quality"),
-      trust_mask(name_space + "/trust_mask"),
-      overlay(name_space + "/blur_overlay"),
-      markers(name_space + "/blur_markers"),
-      tracks(name_space + "/feature_tracks"),
-      global_shutter(name_space + "/global_shutter/image_raw"),
-      global_shutter_info(name_space + "/global_shutter/camera_info") {}
-
-std::set<std::string> OutputTopics::all() const {
-  return {image,   camera_info, keypoints,      blur_field,         quality, trust_mask, overlay,
-          markers, tracks,      global_shutter, global_shutter_info};
+std::set<std::string> output_topics(const std::string& name_space) {
+  std::set<std::string> topics;
+  for_each_output([&](const char* name, auto, auto) { topics.insert(name_space + "/" + name); });
+  return topics;
 }
 
 DeblurTopics choose_topics(const InputBag& input, const NamedTopics& named, const Config& config) {

@@ -18,14 +18,8 @@ struct NamedTopics {
   std::string output_namespace;
 };
 
-/// Output topics, in one namespace.
-struct OutputTopics {
-  explicit OutputTopics(const std::string& name_space);
-  std::set<std::string> all() const;
-
-  std::string image, camera_info, keypoints, blur_field, quality, trust_mask, overlay, markers, tracks, global_shutter,
-      global_shutter_info;
-};
+/// Topics of everything that a frame is published as, see for_each_output().
+std::set<std::string> output_topics(const std::string& name_space);
 
 struct DeblurTopics {
   ImageTopic image;

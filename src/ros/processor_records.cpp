@@ -1,0 +1,153 @@
+// What the processor reports of its input and of the frames that leave it, and its counts.
+#include <cstdio>
+#include <string>
+#include <utility>
+
+#include "ros/processor.hpp"
+#include "ros/value_conversion.hpp"
+
+namespace gyro_deblur {
+namespace {
+
+LogLevel level_of(PassThroughReason reason) {
+  // The rest comes and goes by itself; these need somebody to act.
+  switch (reason) {
+    case PassThroughReason::NO_GYRO:
+    case PassThroughReason::NO_EXPOSURE_TIME:
+    case PassThroughReason::GYRO_SATURATED:
+    case PassThroughReason::OVERLOAD:
+    case PassThroughReason::STEREO_PARTNER:
+    case PassThroughReason::NO_STAMP:
+      return LogLevel::WARNING;
+    default:
+      return LogLevel::ERROR;
+  }
+}
+
+}  // namespace
+
+void Processor::record_calibration_file() {
+  std::string text;
+  if (config_ && config_->calibration) {
+    for (const std::string& note : config_->calibration->notes) text += (text.empty() ? "" : "; ") + note;
+  }
+  record_unreadable("calibration file", text);
+}
+
+void Processor::record_unreadable(const std::string& kind, const std::string& text) {
+  text.empty() ? problems_.resolve(kind) : problems_.report(kind, text);
+}
+
+void Processor::keep_global_shutter_in_order(FrameOutput* output) {
+  if (!output->global_shutter || is_unset(to_time_ns(output->input->header.stamp))) return;
+  const MovedStamp stamp{to_time_ns(output->input->header.stamp), to_time_ns(output->global_shutter->header.stamp)};
+  if (last_moved_ && stamp.input_ns > last_moved_->input_ns && stamp.output_ns <= last_moved_->output_ns) {
+    output->global_shutter.reset();
+    output->global_shutter_info.reset();
+    log_(LogLevel::WARNING, "global_shutter",
+         "frame " + seconds_text(stamp.input_ns) +
+             " has no global-shutter image: it passes through unmoved, and the one "
+             "before was moved to " +
+             seconds_text(last_moved_->output_ns) + "; rectify_to: middle_row moves stamps least");
+    return;
+  }
+  last_moved_ = stamp;
+}
+
+void Processor::record_exposure(const FrameOutput& output) {
+  constexpr char kKind[] = "exposure contradicted";
+  if (!output.exposure) return;
+  const ChosenExposure& chosen = output.exposure->chosen;
+  if (chosen.origin == ExposureOrigin::IMAGES && !input_buffers_.has_exposure_from_images()) {
+    input_buffers_.set_exposure_from_images();
+    log_(LogLevel::INFO, "exposure found",
+         "the exposure time is " + seconds_text(chosen.exposure_ns) + " s, estimated from the blur of the images");
+  }
+  if (const std::optional<ExposureConflict>& conflict = exposures_.conflict()) {
+    problems_.report(kKind, conflict_text(*conflict));
+  } else {
+    problems_.resolve(kKind);
+  }
+}
+
+void Processor::record_static_content(const FrameOutput& output) {
+  constexpr char kKind[] = "static content";
+  if (!output.field) return;
+  if (output.static_share == 0) {
+    problems_.resolve(kKind);
+    return;
+  }
+  char share[32];
+  std::snprintf(share, sizeof(share), "about %.2g %%", 100 * output.static_share);
+  problems_.report(
+      kKind, std::string(share) +
+                 " of the image does not move with the camera (a lens's rim, a part of the vehicle?): blocks at "
+                 "its edge are not deblurred, corners on it are no landmarks. Set mask, or publish the topic "
+                 "mask: mono8 of " +
+                 size_text(output.input->width, output.input->height) + ", 0 where a pixel does not show the scene");
+}
+
+void Processor::record(const FrameOutput& output) {
+  statistics_.count(output);
+  const TimeNs stamp_ns = to_time_ns(output.input->header.stamp);
+  const std::string name = "frame " + seconds_text(stamp_ns);
+  record_static_content(output);
+  record_exposure(output);
+  if (output.residual_rotation) gyro_errors_.add(stamp_ns, *output.residual_rotation);
+  check_gyro_unit(output);
+  if (!output.keypoints_text.empty()) {
+    log_(LogLevel::ERROR, "keypoints", name + " has no keypoints: " + output.keypoints_text);
+  }
+  if (output.dropped) log_(LogLevel::INFO, "drop_poor", name + " is not published: " + output.reason_text);
+  // A jump has told its one message already.
+  if (output.reason != PassThroughReason::NONE && output.reason != PassThroughReason::TIME_JUMP) {
+    log_(level_of(output.reason), to_string(output.reason),
+         name + " passes through unchanged: " + to_string(output.reason) + ": " + output.reason_text);
+  }
+}
+
+void Processor::check_gyro_unit(const FrameOutput& output) {
+  constexpr char kKind[] = "imu unit by images";
+  if (!output.seen_rotation) return;
+  gyro_unit_.add(to_time_ns(output.input->header.stamp), *output.seen_rotation);
+  const std::optional<GyroUnitFault> fault = gyro_unit_.find(gyro_source_->rates_are_zero());
+  const bool was_wrong = std::exchange(gyro_unit_is_wrong_, fault.has_value());
+  if (!fault && was_wrong) problems_.resolve(kKind);
+  if (!fault || was_wrong) return;
+  char text[300];
+  if (fault->kind == GyroUnitFault::Kind::DEGREES) {
+    std::snprintf(text, sizeof(text),
+                  "the IMU reports rates of up to %.3g \"rad/s\" while the images rotate by %.3g rad/s: are they in "
+                  "degrees/s? sensor_msgs/Imu has rad/s",
+                  fault->gyro_rad_s, fault->seen_rad_s);
+  } else {
+    std::snprintf(text, sizeof(text),
+                  "all rates of the IMU are 0 while the images rotate by up to %.3g rad/s: is imu connected to an "
+                  "accelerometer's topic? realsense2_camera publishes accelerometer and gyroscope apart unless "
+                  "unite_imu_method is set",
+                  fault->seen_rad_s);
+  }
+  problems_.report(kKind, text);
+}
+
+ProcessorStatistics Processor::statistics() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  ProcessorStatistics statistics;
+  static_cast<ImuStatistics&>(statistics) = gyro_source_->statistics();
+  static_cast<InputStatistics&>(statistics) = input_buffers_.statistics();
+  static_cast<OutputStatistics&>(statistics) = statistics_;
+  statistics.waiting = input_buffers_.queue().size() + in_progress_;
+  statistics.frame_period_ns = input_buffers_.frame_period().get();
+  statistics.gyro_available = input_buffers_.gyro().available();
+  if (!statistics.gyro_available.empty()) statistics.newest_imu_ns = statistics.gyro_available.end_ns;
+  if (pipeline_) statistics.engine = pipeline_->engine();
+  statistics.configuration_error = config_error_;
+  statistics.bias_rad_s = bias_in_use();
+  if (config_) statistics.calibration = calibration_.table();
+  statistics.gyro_error = gyro_errors_.find();
+  statistics.input_problems = problems_.all();
+  for (const auto& [kind, problem] : gyro_source_->problems()) statistics.input_problems.emplace(kind, problem);
+  return statistics;
+}
+
+}  // namespace gyro_deblur
