@@ -7,6 +7,7 @@
 
 #include <opencv2/imgproc.hpp>
 
+#include "base/require_range.hpp"
 #include "blur/image_noise.hpp"
 #include "engine/engine.hpp"
 #include "evaluation.hpp"

@@ -1,4 +1,5 @@
 #include "burst.hpp"
+#include "base/require_range.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
 

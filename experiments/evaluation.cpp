@@ -11,6 +11,7 @@
 #include <opencv2/calib3d.hpp>
 #include <opencv2/features2d.hpp>
 
+#include "base/require_range.hpp"
 #include "gyro_deblur/keypoints.hpp"
 
 namespace gyro_deblur::experiments {

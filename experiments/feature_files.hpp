@@ -6,7 +6,6 @@
 
 #include <opencv2/core.hpp>
 
-#include "features/rectification.hpp"
 #include "gyro_deblur/keypoints.hpp"
 
 namespace gyro_deblur::experiments {
