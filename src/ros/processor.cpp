@@ -8,7 +8,6 @@
 #include "engine/engine.hpp"
 #include "ros/calibration_conversion.hpp"
 #include "ros/compressed_image.hpp"
-#include "ros/exposure_check.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/value_conversion.hpp"
 

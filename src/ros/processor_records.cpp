@@ -3,6 +3,7 @@
 #include <string>
 #include <utility>
 
+#include "ros/exposure_check.hpp"
 #include "ros/processor.hpp"
 #include "ros/value_conversion.hpp"
 
