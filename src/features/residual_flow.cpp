@@ -4,9 +4,7 @@
 #include <cmath>
 #include <utility>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Geometry>
-#include <Eigen/LU>
 #include <opencv2/imgproc.hpp>
 
 #include "base/median.hpp"
@@ -14,8 +12,8 @@
 #include "base/parallel.hpp"
 #include "features/corner_following.hpp"
 #include "features/corner_prediction.hpp"
-#include "features/robust_weight.hpp"
 #include "features/scene_change.hpp"
+#include "features/velocity_plane.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -48,100 +46,9 @@ TimeNs middle_of(const RowExposure& exposure, const Camera& camera) {
   return exposure.middle(0.5 * (camera.calibration().height_px - 1));
 }
 
-/// A corner that a plane goes through.
-struct Neighbour {
-  Eigen::Vector2d from_center_px = Eigen::Vector2d::Zero();
-  double distance_px2 = 0;
-  Eigen::Vector2d velocity_px_s = Eigen::Vector2d::Zero();
-  double nearness = 1;  ///< (0, 1]: its weight
-};
-
-Neighbour neighbour_of(const ResidualFlow::Sample& sample, const Eigen::Vector2d& center_px) {
+NearbyVelocity neighbour_of(const ResidualFlow::Sample& sample, const Eigen::Vector2d& center_px) {
   const Eigen::Vector2d from_center_px = sample.pixel_px - center_px;
   return {from_center_px, from_center_px.squaredNorm(), sample.velocity_px_s};
-}
-
-/// By their nearness, no more than half of the neighbours have less.
-double median_of(const std::vector<Neighbour>& neighbours, int axis) {
-  std::vector<std::pair<double, double>> values;
-  double half = 0;
-  for (const Neighbour& neighbour : neighbours) {
-    values.emplace_back(neighbour.velocity_px_s[axis], neighbour.nearness);
-    half += neighbour.nearness / 2;
-  }
-  std::sort(values.begin(), values.end());
-  for (const auto& [value, nearness] : values) {
-    half -= nearness;
-    if (half <= 0) return value;
-  }
-  return values.back().first;
-}
-
-/// Velocities [px/s] over the image, by the distance from a centre [px].
-struct VelocityPlane {
-  Eigen::Matrix<double, 3, 2> coefficients = Eigen::Matrix<double, 3, 2>::Zero();
-  double stddev_px_s = 0;  ///< at the centre
-  double spread_px_s = 0;  ///< of the corners about it
-
-  Eigen::Vector2d at(const Eigen::Vector2d& from_center_px) const {
-    return (Eigen::RowVector3d(1, from_center_px.x(), from_center_px.y()) * coefficients).transpose();
-  }
-};
-
-/// Weights of Geman and McClure, times nearness, from the median on.
-VelocityPlane fit_plane(const std::vector<Neighbour>& neighbours, const ResidualFlowOptions& options) {
-  VelocityPlane plane;
-  plane.coefficients.row(0) = Eigen::RowVector2d(median_of(neighbours, 0), median_of(neighbours, 1));
-  double reach_px2 = 0;
-  for (const Neighbour& neighbour : neighbours) reach_px2 = std::max(reach_px2, neighbour.distance_px2);
-  Eigen::Matrix3d normal = Eigen::Matrix3d::Identity(), squares = Eigen::Matrix3d::Zero();
-  std::vector<double> distances(neighbours.size());
-  double inlier_weight = 0;
-  for (int iteration = 0;; ++iteration) {
-    for (std::size_t k = 0; k < neighbours.size(); ++k) {
-      distances[k] = (neighbours[k].velocity_px_s - plane.at(neighbours[k].from_center_px)).norm();
-    }
-    plane.spread_px_s = spread_of(distances);
-    if (iteration == options.iterations_of_plane) break;
-    normal.setZero();
-    squares.setZero();
-    inlier_weight = 0;
-    // A slope is believed where the corners tell it.
-    normal(1, 1) = normal(2, 2) = options.slope_prior * reach_px2;
-    Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
-    for (std::size_t k = 0; k < neighbours.size(); ++k) {
-      const Eigen::Vector3d row(1, neighbours[k].from_center_px.x(), neighbours[k].from_center_px.y());
-      const double belief = robust_weight(distances[k], plane.spread_px_s), weight = belief * neighbours[k].nearness;
-      inlier_weight += belief;
-      normal += weight * row * row.transpose();
-      squares += weight * weight * row * row.transpose();
-      right += weight * row * neighbours[k].velocity_px_s.transpose();
-    }
-    plane.coefficients = normal.ldlt().solve(right);
-  }
-  // Three corners lie on a plane whatever they say.
-  constexpr double kParameters = 3, kLeastFreedom = 0.5;
-  const double freedom = std::max(inlier_weight - kParameters, kLeastFreedom);
-  const Eigen::Matrix3d inverse = normal.inverse();
-  plane.stddev_px_s = plane.spread_px_s * std::sqrt((inverse * squares * inverse)(0, 0) * inlier_weight / freedom);
-  return plane;
-}
-
-/// How far from the centre a velocity is seen: where the third of the corners is that show it.
-/// @param neighbours  of the centre
-double seen_from_px(const VelocityPlane& plane, const std::vector<Neighbour>& neighbours) {
-  constexpr std::size_t kSeenBy = 3;
-  constexpr double kShows = 0.5;  // of the weight of one that shows exactly this
-  std::vector<double> distances_px2;
-  double farthest_px2 = 0;
-  for (const Neighbour& neighbour : neighbours) {
-    farthest_px2 = std::max(farthest_px2, neighbour.distance_px2);
-    const double off_px_s = (neighbour.velocity_px_s - plane.at(neighbour.from_center_px)).norm();
-    if (robust_weight(off_px_s, plane.spread_px_s) > kShows) distances_px2.push_back(neighbour.distance_px2);
-  }
-  if (distances_px2.size() < kSeenBy) return std::sqrt(farthest_px2);
-  std::nth_element(distances_px2.begin(), distances_px2.begin() + kSeenBy - 1, distances_px2.end());
-  return std::sqrt(distances_px2[kSeenBy - 1]);
 }
 
 /// The best of each cell: all over the image, for what has most texture may be an object that moves by itself.
@@ -436,12 +343,12 @@ ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) 
   const auto count = static_cast<std::size_t>(options_.neighbours);
   if (samples_.size() < count) return velocities;
   const double floor_px_s = scale_ * kFloorPx / to_seconds(samples_.front().since_ns);
-  std::vector<Neighbour> everywhere;
+  std::vector<NearbyVelocity> everywhere;
   for (const Sample& sample : samples_) everywhere.push_back(neighbour_of(sample, Eigen::Vector2d::Zero()));
-  const VelocityPlane scene = fit_plane(everywhere, options_);
+  const VelocityPlane scene = fit_plane(everywhere, options_.iterations_of_plane, options_.slope_prior);
   parallel_for(grid.rows(), threads, 1, [&](int row) {
     std::vector<std::pair<double, std::size_t>> by_distance(samples_.size());  // [px^2], and whose
-    std::vector<Neighbour> nearest(count);
+    std::vector<NearbyVelocity> nearest(count);
     for (int i = row * grid.cols(); i < (row + 1) * grid.cols(); ++i) {
       const Eigen::Vector2d center_px = grid.center(i);
       for (std::size_t k = 0; k < samples_.size(); ++k) {
@@ -454,7 +361,7 @@ ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) 
         nearest[k] = neighbour_of(samples_[by_distance[k].second], center_px);
         nearest[k].nearness = 1 / (1 + nearest[k].distance_px2 / (kNearShare * reach_px2));
       }
-      const VelocityPlane plane = fit_plane(nearest, options_);
+      const VelocityPlane plane = fit_plane(nearest, options_.iterations_of_plane, options_.slope_prior);
       const Eigen::Vector2d velocity_px_s = plane.at(Eigen::Vector2d::Zero());
       const double from_scene_px_s = (velocity_px_s - scene.at(center_px)).norm();
       const double uncertainty_px_s =
