@@ -148,7 +148,7 @@ TEST(CommandLine, SaysWhatIsWrongAndWhatIsAllowed) {
       {{"i", "-x"}, "unrecognised option '-x'"},
       {{"i", "--thread", "3"}, "unrecognised option '--thread'"},
       {{"i", "--threads"}, "the required argument for option '--threads' is missing"},
-      {{"i", "--threads", "--quiet"}, "--threads takes a value"},
+      {{"i", "--threads", "--quiet"}, "--threads takes a value, which is missing"},
       {{"i", "--threads", "257"}, "--threads is '257', allowed is 0 to 256"},
       {{"i", "--threads", "-1"}, "--threads is '-1', allowed is 0 to 256"},
       {{"i", "--threads", "2.5"}, "the argument ('2.5') for option '--threads' is invalid"},
