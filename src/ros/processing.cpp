@@ -153,6 +153,56 @@ PipelineResult make(const SynchronizedFrame& synchronized, const FrameRequest& r
   return result;
 }
 
+/// What the pipeline has found out about the camera and its own work.
+void add_findings(const SynchronizedFrame& synchronized, const PipelineResult& result, FrameOutput* output) {
+  output->stages = result.times;
+  output->static_share = result.static_share;
+  output->seen_rotation = result.seen_rotation;
+  output->fallback_counts = result.fallback_counts;
+  output->engine_warning = synchronized.pipeline->take_warning();
+  output->keypoints_text = result.keypoints_text;
+  output->residual_rotation = result.residual_rotation;
+  if (!output->residual_rotation) return;
+  const Eigen::Matrix3d R_imu_cam = synchronized.R_cam_imu.transpose();
+  output->residual_rotation->rate_rad_s = R_imu_cam * result.residual_rotation->rate_rad_s;
+  output->residual_rotation->known_rad_s = R_imu_cam * result.residual_rotation->known_rad_s;
+}
+
+/// Corners followed from the image before.
+void add_tracks(const SynchronizedFrame& synchronized, const ImageView& view, const RotationTrack& rotation,
+                const RowExposure& exposure, const PipelineResult& result, FeatureTracker* tracker,
+                FrameOutput* output) {
+  const auto start = std::chrono::steady_clock::now();
+  const PendingFrame& frame = synchronized.frame;
+  tracker->set_options(synchronized.tracker_options);
+  tracker->set_threads(synchronized.options.threads);
+  tracker->set_mask(synchronized.mask);
+  const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
+  output->tracks = to_message((tracker->*track)(luminance8(view.image, view.layout, result.significant_bits),
+                                                Camera(*frame.calibration), rotation, exposure, &result.field),
+                              frame.image->header);
+  output->tracks_ms = elapsed_ms(start);
+}
+
+/// The messages of a frame whose exposure is known, apart from tracks and the blur field.
+void add_messages(const SynchronizedFrame& synchronized, const FrameRequest& request, const ImageView& view,
+                  const PipelineResult& result, const FrameQuality& quality, FrameOutput* output) {
+  const PendingFrame& frame = synchronized.frame;
+  const std_msgs::Header& header = frame.image->header;
+  if (request.image && !result.image.empty()) output->image = to_image(result.image, *frame.image);
+  if (!result.global_shutter.empty()) add_global_shutter(result, frame, output);
+  if (request.keypoints && !output->dropped) {
+    output->keypoints = to_message(result, synchronized.pipeline->options().keypoints, header);
+  }
+  if (request.overlay) {
+    output->overlay =
+        to_bgr_image(draw_overlay(luminance8(view.image, view.layout, result.significant_bits), result.field), header);
+  }
+  if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
+  output->quality = to_message(quality, header);
+  if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field, synchronized.mask), header);
+}
+
 /// Precondition: the frame is ready.
 void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, FeatureTracker* tracker,
             FrameOutput* output) {
@@ -175,55 +225,22 @@ void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, 
   const RowExposure exposure = synchronized.exposure->with_exposure(result.exposure_ns);
   // What is said of a picture holds for the image that shows it, as though it had been exposed by that one's stamp.
   result.reference_ns += frame.stamp_ns - frame.picture_ns();
-  output->stages = result.times;
+  add_findings(synchronized, result, output);
   output->stages.blur_field_ms += preparation_ms;  // of what the field is predicted from
-  if (result.residual_rotation) {
-    const Eigen::Matrix3d R_imu_cam = synchronized.R_cam_imu.transpose();
-    output->residual_rotation = result.residual_rotation;
-    output->residual_rotation->rate_rad_s = R_imu_cam * result.residual_rotation->rate_rad_s;
-    output->residual_rotation->known_rad_s = R_imu_cam * result.residual_rotation->known_rad_s;
-  }
-  output->static_share = result.static_share;
-  output->seen_rotation = result.seen_rotation;
-  output->fallback_counts = result.fallback_counts;
-  output->engine_warning = pipeline.take_warning();
-  output->keypoints_text = result.keypoints_text;
 
   output->dropped = !decision.drop.empty();
   if (output->dropped && !decision.refusal.empty()) result.field.reject_all();
-
-  const std_msgs::Header& header = frame.image->header;
   if (request.tracks && !output->dropped) {
-    start = std::chrono::steady_clock::now();
-    tracker->set_options(synchronized.tracker_options);
-    tracker->set_threads(synchronized.options.threads);
-    tracker->set_mask(synchronized.mask);
-    const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
-    output->tracks = to_message((tracker->*track)(luminance8(view.image, view.layout, result.significant_bits),
-                                                  Camera(*frame.calibration), rotation, exposure, &result.field),
-                                header);
-    output->tracks_ms = elapsed_ms(start);
+    add_tracks(synchronized, view, rotation, exposure, result, tracker, output);
   }
-
   if (!result.exposure_is_known && !result.sharp_at_any_exposure) {
     output->reason = PassThroughReason::NO_EXPOSURE_TIME;
     output->reason_text = unknown_exposure_text(result.exposure_need);
     return;
   }
   start = std::chrono::steady_clock::now();
-  if (request.image && !result.image.empty()) output->image = to_image(result.image, *frame.image);
-  if (!result.global_shutter.empty()) add_global_shutter(result, frame, output);
-  if (request.keypoints && !output->dropped) {
-    output->keypoints = to_message(result, pipeline.options().keypoints, header);
-  }
-  if (request.overlay) {
-    output->overlay =
-        to_bgr_image(draw_overlay(luminance8(view.image, view.layout, result.significant_bits), result.field), header);
-  }
-  if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
   const FrameQuality quality = assess_quality(result.field);
-  output->quality = to_message(quality, header);
-  if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field, synchronized.mask), header);
+  add_messages(synchronized, request, view, result, quality, output);
   if (decision.refusal.empty() || output->dropped) {
     output->exposure_terms =
         exposure_terms(result.field, quality, synchronized.options.blur_field, synchronized.options.noise);
