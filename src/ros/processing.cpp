@@ -292,28 +292,18 @@ sensor_msgs::ImagePtr no_trust(const sensor_msgs::Image& input) {
   return to_mono_image(cv::Mat::zeros(size, CV_8UC1), input.header);
 }
 
-/// What was made of the frame before it failed does not leave.
-void pass_through_failed(const std::string& text, FrameOutput* output) {
-  output->reason = PassThroughReason::INTERNAL_ERROR;
-  output->reason_text = text;
-  output->dropped = false;
-  output->image = output->input;
-  output->field.reset();
-  output->exposure.reset();
-  output->exposure_terms.reset();
-  output->fallback_counts.clear();
-  output->blur_field.reset();
-  output->quality.reset();
-  output->trust_mask.reset();
-  output->keypoints.reset();
-  output->overlay.reset();
-  output->markers.reset();
-  output->tracks.reset();
-  output->global_shutter.reset();
-  output->global_shutter_info.reset();
-  output->residual_rotation.reset();
-  output->static_share = 0;
-  output->seen_rotation.reset();
+/// The output of a frame that failed. What was made of it before does not leave.
+FrameOutput pass_through_failed(const std::string& text, const FrameOutput& made) {
+  FrameOutput output;
+  output.input = output.image = made.input;
+  output.reason = PassThroughReason::INTERNAL_ERROR;
+  output.reason_text = text;
+  output.keypoints_text = made.keypoints_text;
+  output.engine_warning = made.engine_warning;
+  output.stages = made.stages;
+  output.tracks_ms = made.tracks_ms;
+  output.messages_ms = made.messages_ms;
+  return output;
 }
 
 }  // namespace
@@ -337,9 +327,9 @@ FrameOutput process(const SynchronizedFrame& synchronized, const FrameRequest& r
     try {
       deblur(synchronized, request, tracker, &output);
     } catch (const std::exception& error) {
-      pass_through_failed(error.what(), &output);
+      output = pass_through_failed(error.what(), output);
     } catch (...) {
-      pass_through_failed("an exception of unknown type", &output);
+      output = pass_through_failed("an exception of unknown type", output);
     }
   }
   if (output.dropped) {
