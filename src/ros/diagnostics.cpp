@@ -17,49 +17,6 @@ namespace {
 using diagnostic_msgs::DiagnosticStatus;
 using diagnostic_updater::DiagnosticStatusWrapper;
 
-/// What to do about frames that pass through unchanged.
-const char* remedy(PassThroughReason reason) {
-  switch (reason) {
-    case PassThroughReason::NONE:
-      return "";
-    case PassThroughReason::NO_GYRO:
-      return "check that the IMU publishes, its rate, and time_offset; compare the stamps of image and IMU";
-    case PassThroughReason::NO_EXPOSURE_TIME:
-      return "set exposure_time, publish an exposure message with the stamp of each image, or move the camera until "
-             "the exposure time is estimated from the blur";
-    case PassThroughReason::NO_CALIBRATION:
-      return "publish camera_info with the stamp and the size of each image; if it contradicts calibration_file, "
-             "correct one of them or set on_calibration_conflict: configured";
-    case PassThroughReason::NO_EXTRINSIC:
-      return "set R_cam_imu, publish a static transform between the frames of images and IMU, or rotate the camera "
-             "about all axes in front of a static scene until R_cam_imu is estimated; if two of them contradict each "
-             "other, correct one or set on_calibration_conflict: configured";
-    case PassThroughReason::UNSUPPORTED_ENCODING:
-      return "set the driver to publish mono8, bgr8, rgb8 or a Bayer encoding";
-    case PassThroughReason::BAD_IMAGE:
-      return "the data of the image does not fit its header: check cable, driver and decoder";
-    case PassThroughReason::BAD_CONFIGURATION:
-      return "correct the parameter that the message names";
-    case PassThroughReason::OVERLOAD:
-      return "frames come faster than they can leave: reduce max_keypoints, use a faster detector (ORB), smaller "
-             "images or fewer subscribers";
-    case PassThroughReason::TIME_JUMP:
-      return "expected when a bag loops; otherwise synchronise the clocks";
-    case PassThroughReason::INTERNAL_ERROR:
-      return "see the error in the log";
-    case PassThroughReason::GYRO_SATURATED:
-      return "the camera rotates faster than the gyroscope measures: set a larger range in its driver and in "
-             "gyro_range";
-    case PassThroughReason::STEREO_PARTNER:
-      return "the other image of the pair is passed through: see its reason, or set stereo_sync_timeout: 0 if the "
-             "cameras "
-             "are no pair";
-    case PassThroughReason::NO_STAMP:
-      return "set the driver to stamp every image with the time of its exposure";
-  }
-  return "";
-}
-
 template <typename Key>
 std::size_t count_of(const std::map<Key, std::size_t>& counts, const Key& key) {
   const auto found = counts.find(key);

@@ -1,39 +1,75 @@
 #include "ros/pass_through.hpp"
 
-namespace gyro_deblur {
+#include <cstddef>
+#include <iterator>
 
-const char* to_string(PassThroughReason reason) {
-  switch (reason) {
-    case PassThroughReason::NONE:
-      return "NONE";
-    case PassThroughReason::NO_GYRO:
-      return "NO_GYRO";
-    case PassThroughReason::NO_EXPOSURE_TIME:
-      return "NO_EXPOSURE_TIME";
-    case PassThroughReason::NO_CALIBRATION:
-      return "NO_CALIBRATION";
-    case PassThroughReason::NO_EXTRINSIC:
-      return "NO_EXTRINSIC";
-    case PassThroughReason::UNSUPPORTED_ENCODING:
-      return "UNSUPPORTED_ENCODING";
-    case PassThroughReason::BAD_IMAGE:
-      return "BAD_IMAGE";
-    case PassThroughReason::BAD_CONFIGURATION:
-      return "BAD_CONFIGURATION";
-    case PassThroughReason::OVERLOAD:
-      return "OVERLOAD";
-    case PassThroughReason::TIME_JUMP:
-      return "TIME_JUMP";
-    case PassThroughReason::INTERNAL_ERROR:
-      return "INTERNAL_ERROR";
-    case PassThroughReason::GYRO_SATURATED:
-      return "GYRO_SATURATED";
-    case PassThroughReason::STEREO_PARTNER:
-      return "STEREO_PARTNER";
-    case PassThroughReason::NO_STAMP:
-      return "NO_STAMP";
+namespace gyro_deblur {
+namespace {
+
+struct Row {
+  PassThroughReason reason;
+  const char* name;
+  LogLevel level;
+  const char* remedy;
+};
+
+constexpr LogLevel kWarning = LogLevel::WARNING, kError = LogLevel::ERROR;
+
+/// By value.
+constexpr Row kRows[] = {
+    {PassThroughReason::NONE, "NONE", LogLevel::INFO, ""},
+    {PassThroughReason::NO_GYRO, "NO_GYRO", kWarning,
+     "check that the IMU publishes, its rate, and time_offset; compare the stamps of image and IMU"},
+    {PassThroughReason::NO_EXPOSURE_TIME, "NO_EXPOSURE_TIME", kWarning,
+     "set exposure_time, publish an exposure message with the stamp of each image, or move the camera until the "
+     "exposure time is estimated from the blur"},
+    {PassThroughReason::NO_CALIBRATION, "NO_CALIBRATION", kError,
+     "publish camera_info with the stamp and the size of each image; if it contradicts calibration_file, correct one "
+     "of them or set on_calibration_conflict: configured"},
+    {PassThroughReason::NO_EXTRINSIC, "NO_EXTRINSIC", kError,
+     "set R_cam_imu, publish a static transform between the frames of images and IMU, or rotate the camera about all "
+     "axes in front of a static scene until R_cam_imu is estimated; if two of them contradict each other, correct one "
+     "or set on_calibration_conflict: configured"},
+    {PassThroughReason::UNSUPPORTED_ENCODING, "UNSUPPORTED_ENCODING", kError,
+     "set the driver to publish mono8, bgr8, rgb8 or a Bayer encoding"},
+    {PassThroughReason::BAD_IMAGE, "BAD_IMAGE", kError,
+     "the data of the image does not fit its header: check cable, driver and decoder"},
+    {PassThroughReason::BAD_CONFIGURATION, "BAD_CONFIGURATION", kError, "correct the parameter that the message names"},
+    {PassThroughReason::OVERLOAD, "OVERLOAD", kWarning,
+     "frames come faster than they can leave: reduce max_keypoints, use a faster detector (ORB), smaller images or "
+     "fewer subscribers"},
+    {PassThroughReason::TIME_JUMP, "TIME_JUMP", kError, "expected when a bag loops; otherwise synchronise the clocks"},
+    {PassThroughReason::INTERNAL_ERROR, "INTERNAL_ERROR", kError, "see the error in the log"},
+    {PassThroughReason::GYRO_SATURATED, "GYRO_SATURATED", kWarning,
+     "the camera rotates faster than the gyroscope measures: set a larger range in its driver and in gyro_range"},
+    {PassThroughReason::STEREO_PARTNER, "STEREO_PARTNER", kWarning,
+     "the other image of the pair is passed through: see its reason, or set stereo_sync_timeout: 0 if the cameras are "
+     "no pair"},
+    {PassThroughReason::NO_STAMP, "NO_STAMP", kWarning,
+     "set the driver to stamp every image with the time of its exposure"},
+};
+
+constexpr bool is_in_order() {
+  std::size_t value = 0;
+  for (const Row& row : kRows) {
+    if (static_cast<std::size_t>(row.reason) != value++) return false;
   }
-  return "UNKNOWN";
+  return true;
 }
+static_assert(is_in_order());
+
+const Row& row_of(PassThroughReason reason) {
+  static constexpr Row kUnknown{PassThroughReason::NONE, "UNKNOWN", kError, ""};
+  const auto value = static_cast<std::size_t>(reason);
+  return value < std::size(kRows) ? kRows[value] : kUnknown;
+}
+
+}  // namespace
+
+const char* to_string(PassThroughReason reason) { return row_of(reason).name; }
+
+LogLevel level_of(PassThroughReason reason) { return row_of(reason).level; }
+
+const char* remedy(PassThroughReason reason) { return row_of(reason).remedy; }
 
 }  // namespace gyro_deblur

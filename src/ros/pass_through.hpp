@@ -5,6 +5,8 @@
 #include <stdexcept>
 #include <string>
 
+#include "ros/throttled_log.hpp"
+
 namespace gyro_deblur {
 
 /// Why a whole frame was passed through unchanged. Values equal the constants of gyro_deblur/BlurField.msg.
@@ -27,6 +29,12 @@ enum class PassThroughReason : std::uint8_t {
 
 /// Name of the reason, e.g. "NO_GYRO". Never null.
 const char* to_string(PassThroughReason reason);
+
+/// Of the line that the log gets for such a frame.
+LogLevel level_of(PassThroughReason reason);
+
+/// What to do about it. Never null.
+const char* remedy(PassThroughReason reason);
 
 /// What has been decided on a frame whose blur is known.
 struct FrameDecision {

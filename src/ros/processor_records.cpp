@@ -8,24 +8,6 @@
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
-namespace {
-
-LogLevel level_of(PassThroughReason reason) {
-  // The rest comes and goes by itself; these need somebody to act.
-  switch (reason) {
-    case PassThroughReason::NO_GYRO:
-    case PassThroughReason::NO_EXPOSURE_TIME:
-    case PassThroughReason::GYRO_SATURATED:
-    case PassThroughReason::OVERLOAD:
-    case PassThroughReason::STEREO_PARTNER:
-    case PassThroughReason::NO_STAMP:
-      return LogLevel::WARNING;
-    default:
-      return LogLevel::ERROR;
-  }
-}
-
-}  // namespace
 
 void Processor::record_calibration_file() {
   std::string text;
