@@ -95,14 +95,22 @@ std::shared_ptr<StereoRig::Pair> StereoRig::find(Id id, TimeNs stamp_ns) const {
   return stated;
 }
 
-void StereoRig::begin(Id id, TimeNs stamp_ns) {
+template <typename Change>
+void StereoRig::change(Id id, TimeNs stamp_ns, Change change) {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     const std::shared_ptr<Pair> pair = find(id, stamp_ns);
-    if (!pair || pair->places[id].phase != Phase::COME) return;
-    pair->places[id].phase = Phase::BEGUN;
+    if (!pair) return;
+    change(pair);
   }
   changed_.notify_all();
+}
+
+void StereoRig::begin(Id id, TimeNs stamp_ns) {
+  change(id, stamp_ns, [id](const std::shared_ptr<Pair>& pair) {
+    Phase& phase = pair->places[id].phase;
+    if (phase == Phase::COME) phase = Phase::BEGUN;
+  });
 }
 
 void StereoRig::refuse(const std::shared_ptr<Pair>& pair, Id id, const std::string& why) {
@@ -111,34 +119,18 @@ void StereoRig::refuse(const std::shared_ptr<Pair>& pair, Id id, const std::stri
 }
 
 void StereoRig::refuse(Id id, TimeNs stamp_ns, const std::string& why) {
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    const std::shared_ptr<Pair> pair = find(id, stamp_ns);
-    if (!pair) return;
-    refuse(pair, id, why);
-  }
-  changed_.notify_all();
+  change(id, stamp_ns, [&](const std::shared_ptr<Pair>& pair) { refuse(pair, id, why); });
 }
 
 void StereoRig::pass_through(Id id, TimeNs stamp_ns, const std::string& why) {
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    const std::shared_ptr<Pair> pair = find(id, stamp_ns);
-    if (!pair) return;
+  change(id, stamp_ns, [&](const std::shared_ptr<Pair>& pair) {
     pair->leaves = true;
     refuse(pair, id, why);
-  }
-  changed_.notify_all();
+  });
 }
 
 void StereoRig::agree(Id id, TimeNs stamp_ns) {
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    const std::shared_ptr<Pair> pair = find(id, stamp_ns);
-    if (!pair) return;
-    pair->places[id].phase = Phase::STATED;
-  }
-  changed_.notify_all();
+  change(id, stamp_ns, [id](const std::shared_ptr<Pair>& pair) { pair->places[id].phase = Phase::STATED; });
 }
 
 StereoRig::Blocking StereoRig::blocking(const Pair& pair, Id id) const {

@@ -103,6 +103,9 @@ class StereoRig {
     bool worth_waiting = false;
   };
 
+  /// Changes what is known of the image's pair, if it has one, and wakes those who wait.
+  template <typename Change>
+  void change(Id id, TimeNs stamp_ns, Change change);
   void join(Id id, const std::string& name, TimeNs patience_ns);
   void leave(Id id);
   void announce(Id id, TimeNs stamp_ns);
