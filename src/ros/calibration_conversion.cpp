@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <sstream>
 #include <string>
+#include <vector>
 
 #include <Eigen/Core>
 #include <boost/make_shared.hpp>

@@ -1,6 +1,4 @@
 // The nodelet as a node of its own.
-#include <string>
-#include <vector>
 
 #include <nodelet/loader.h>
 #include <ros/ros.h>

@@ -2,6 +2,9 @@
 #include "ros/deblur_nodelet.hpp"
 
 #include <algorithm>
+#include <cstdint>
+#include <optional>
+#include <string>
 #include <vector>
 
 #include "gyro_deblur/config.hpp"

@@ -2,7 +2,6 @@
 
 #include <cmath>
 #include <stdexcept>
-#include <utility>
 
 #include <dynamic_reconfigure/Config.h>
 #include <ros/message_traits.h>

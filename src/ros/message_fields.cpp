@@ -3,7 +3,6 @@
 #include <cstring>
 #include <sstream>
 #include <stdexcept>
-#include <utility>
 
 namespace gyro_deblur {
 namespace {

@@ -1,7 +1,6 @@
 // Messages that come with every image, under its stamp: camera_info, exposures. They may be lost, late, or absent.
 #pragma once
 
-#include <algorithm>
 #include <cstddef>
 #include <deque>
 #include <optional>

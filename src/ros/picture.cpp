@@ -1,7 +1,6 @@
 #include "ros/picture.hpp"
 
 #include <cstddef>
-#include <cstdint>
 #include <cstring>
 #include <optional>
 

@@ -84,7 +84,8 @@ class Processor {
   /// A setting that holds for the images from now on, until the next.
   void add_exposure_setting(TimeNs exposure_ns);
   void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
-  void add_image(const sensor_msgs::ImageConstPtr& image) { add_image(image, {}); }
+  /// @param problem  why its pixels cannot be used; empty: they can
+  void add_image(const sensor_msgs::ImageConstPtr& image, const std::string& problem = {});
   /// @return true when a frame came in; false when the image cannot be decoded: it is counted, and has no output
   bool add_compressed_image(const sensor_msgs::CompressedImage& compressed);
   /// Replaces the configuration's mask, see InputMask.
@@ -134,8 +135,6 @@ class Processor {
   std::optional<SynchronizedFrame> next_frame(bool finishing);
   /// Lets a frame pass through that comes too late to be processed. Needs mutex_.
   void check_overload(TimeNs steady_ns, PendingFrame* frame, SynchronizedFrame* synchronized);
-  /// @param problem  why its pixels cannot be used; empty: they can
-  void add_image(const sensor_msgs::ImageConstPtr& image, const std::string& problem);
   /// Remembers which frames have become ready; after every message. Needs mutex_.
   void mark_ready();
   /// Stereo partners need not wait until frames that pass through are published. Needs mutex_.
