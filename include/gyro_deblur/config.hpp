@@ -83,7 +83,7 @@ struct Config {
   TimeNs time_jump_ns = 500'000'000;      ///< constant: a stamp that goes back by more is a clock reset
   /// How long an image waits until the other one of its stereo pair is decided on; 0: each camera on its own.
   TimeNs stereo_sync_timeout_ns = 100'000'000;
-  bool drop_poor = false;  ///< images of grade POOR are not published, see QualityGrade
+  bool drop_poor = false;  ///< images of grade POOR (gyro_deblur/ImageQuality.msg) are not published
   std::string mask_file;   ///< of the pixels that show the scene, see PixelMask; empty: all do
 
   void validate() const;  ///< throws OptionError

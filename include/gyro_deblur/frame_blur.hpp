@@ -129,9 +129,9 @@ struct BlockBlur {
   Eigen::Vector2f mean_place_px = Eigen::Vector2f::Zero();
   /// Nothing if it is not known or not certain, see is_certain().
   std::optional<ResidualVelocity> residual = std::nullopt;
-  /// Ratio of noise to texture [cycles^2/px^2], see FilterBank::choose(); 0: not known.
+  /// Ratio of noise to texture [cycles^2/px^2], by which the filter is chosen; 0: not known.
   float noise_to_texture = 0;
-  /// Variance of the noise after filtering over that before, see FilterChoice; 1: not known.
+  /// Variance of the noise after filtering over that before; 1: not known.
   float noise_gain = 1;
 
   /// From where a scene point is at mid-exposure to where the output image shows it [px]. The filter of a box moves the
@@ -146,8 +146,8 @@ struct FrameBlur {
   std::vector<BlockBlur> blocks;  ///< grid.size(), row by row
   TimeNs exposure_ns = 0;
   TimeNs readout_ns = 0;
-  std::optional<double> noise;  ///< of the image [grey levels of 8 bits], see image_noise(); nothing: not known
-  double contrast = 0;          ///< of the image [grey levels of 8 bits], see image_contrast(); 0: not known
+  std::optional<double> noise;  ///< standard deviation in the image [grey levels of 8 bits]; nothing: not known
+  double contrast = 0;          ///< standard deviation of the grey levels [8 bits]; 0: not known
   bool images_alone = false;    ///< no rotation is known: residual velocities are the whole motion
 
   std::size_t count(BlockStatus status) const;

@@ -63,15 +63,14 @@ struct ValidationOptions {
 
 /// What gamma and the taps of an inverse of limited length are found by.
 enum class Regularization {
-  /// As FIXED, with gamma doubled as often as makes the error least that noise and texture of the block let expect,
-  /// see FilterBank::choose().
+  /// As FIXED, with gamma doubled as often as makes the error least that noise and texture of the block let expect.
   /// Blocks that would still become worse are passed through.
   ADAPTIVE,
   /// The taps that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), h the blur, g a unit pulse (the Gaussian
   /// of smoothing_px), w' the steps from tap to tap and from and to 0 at the ends, under the condition that their sum
   /// is the filter's. The power of photographs falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A
-  /// 4 (12), 1987), that of noise does not, so that the noise-to-signal ratio rises with it, as |w'|^2 does. For s see
-  /// spectral_share(); whatever it is, the ratio is gamma at 1/6 cycles/px.
+  /// 4 (12), 1987), that of noise does not, so that the noise-to-signal ratio rises with it, as |w'|^2 does. s falls
+  /// linearly from 1 without blur to 0 at an extent of 36 px; whatever it is, the ratio is gamma at 1/6 cycles/px.
   FIXED,
   /// The inverse transform of the Wiener filter with the same noise-to-signal ratio at every frequency, on as many
   /// samples (paths: on as many more as make the transform fast), as in the paper. What the filter has beyond them
@@ -172,9 +171,9 @@ struct PipelineOptions {
   std::string flow_without_gyro = "absent";
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
   ImageBorder global_shutter_border = ImageBorder::BLACK;  ///< constant: shows where the image ends
-  std::string engine = "auto";                             ///< see make_engine
-  int threads = 0;                                         ///< of this package's loops, at most; 0: one for each core
-  int significant_bits = 0;                                ///< of 16-bit images, 8 to 16; 0: guessed, see BitDepth
+  std::string engine = "auto";  ///< auto, cpu, fourier, float, opencl, opencl:INDEX or opencl:NAME
+  int threads = 0;              ///< of this package's loops, at most; 0: one for each core
+  int significant_bits = 0;     ///< of 16-bit images, 8 to 16; 0: guessed, see BitDepth
 
   void validate() const;  ///< throws OptionError
 };

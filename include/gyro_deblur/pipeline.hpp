@@ -40,7 +40,7 @@ struct ExposureAnswer {
 
 /// How an exposure time is found that is not certain.
 struct ExposureQuestion {
-  bool estimate = true;   ///< the exposure is estimated from the blur, see estimate_exposure()
+  bool estimate = true;   ///< the exposure is estimated from the blur (doc/design/exposure.md)
   TimeNs longest_ns = 0;  ///< that the exposure may turn out to be; 0: not known
   /// Called once, with what the blur says (nothing: it says nothing, or was not examined) and the mean grey level of
   /// the image, 0 to 255.
@@ -93,7 +93,7 @@ struct PipelineResult {
   cv::Mat global_shutter;
   Features features;                             ///< in pixels of the image as it arrived
   std::vector<RectifiedPoint> points;            ///< one for each of features.keypoints
-  std::vector<Eigen::Matrix2d> covariances_px2;  ///< of points[].rectified_px, see PointCovariance
+  std::vector<Eigen::Matrix2d> covariances_px2;  ///< of points[].rectified_px
   /// Why there are no keypoints though they were requested, such as a detector that OpenCV does not have; else empty.
   std::string keypoints_text;
   int significant_bits = 8;  ///< of the image that came in, see BitDepth
@@ -102,7 +102,7 @@ struct PipelineResult {
   /// About how much of the image does not move with the camera and is not masked, in [0, 1], see StaticContent; blocks
   /// at its edge are STATIC_EDGE.
   double static_share = 0;
-  /// How the image turns as a whole (`rate_rad_s`), and how by `motion`, for GyroUnitWatch. Where corners are not found
+  /// How the image turns as a whole (`rate_rad_s`), and how by `motion`. Where corners are not found
   /// where the gyroscope says, or most blocks are TOO_LARGE, they are followed without its help.
   std::optional<ResidualRotation> seen_rotation;
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
@@ -119,14 +119,15 @@ struct PipelineResult {
   ExposureNeed exposure_need = ExposureNeed::NOTHING;  ///< where the exposure is not known
 };
 
-/// Makes the engine of a name and a number of threads; empty: one of those that options.hpp lists.
+/// For tests of this package: makes the engine of a name and a number of threads. Leave it empty.
 using EngineFactory = std::function<std::unique_ptr<Engine>(const std::string& engine, int threads)>;
 
 /// The paper's method for one camera. Calibration and options may change between frames; what depends on them is
 /// rebuilt then. Not thread-safe, engine() aside.
 class Pipeline {
  public:
-  /// Throws OptionError. Prepares for all blur that the options let through, see prepare_deconvolution().
+  /// Throws OptionError. Prepares for all blur that the options let through: a tenth of a second and 20 MB where it may
+  /// be 150 px long, ten times as much for 500 px.
   explicit Pipeline(const PipelineOptions& options, const EngineFactory& engine_factory = {});
   Pipeline(Pipeline&&) noexcept;
   Pipeline& operator=(Pipeline&&) noexcept;
@@ -149,7 +150,7 @@ class Pipeline {
   /// Name of the engine in use. Any thread may ask during process().
   std::string engine() const;
 
-  /// What the user should know, of the engine (see Engine::take_warning) or a guess of significant bits; ask after
+  /// What the user should know, of the engine, such as a device that failed, or a guess of significant bits; ask after
   /// set_options and after each frame.
   std::string take_warning();
 
@@ -175,7 +176,7 @@ class Pipeline {
                         const std::optional<CameraCalibration>& calibration);
 
  private:
-  class Impl;
+  struct Impl;
   std::unique_ptr<Impl> impl_;
 };
 

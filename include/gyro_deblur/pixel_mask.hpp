@@ -42,7 +42,7 @@ void mark_masked(const PixelMask& mask, FrameBlur* field);
 /// How far filters read beyond their block.
 struct FilterReach {
   double length_factor = 4;  ///< length of a 1-D filter in extents, FilterOptions::length_factor
-  bool in_2d = false;        ///< all blocks have a 2-D filter, see Engine::prefers_2d()
+  bool in_2d = false;        ///< all blocks have a 2-D filter, as those of engine "fourier"
 };
 
 /// Sets the status of DEBLURRED blocks to STATIC_EDGE if a pixel of theirs, or one that their filter would read, is

@@ -9,8 +9,8 @@ namespace gyro_deblur {
 namespace {
 
 // c over the mean square of a gradient of means of 2 x 2 px, for texture whose power falls with the cube of the
-// frequency in the plane, which is c / f^2 along any line: integrated over all frequencies. Blur reduces
-// the gradients along its line in proportion to its extent.
+// two-dimensional frequency, which is c / f^2 along any line: integrated over all frequencies. Blur reduces the
+// gradients along its line in proportion to its extent.
 constexpr double kAcross = 0.0254;
 constexpr double kAlong = 0.0125, kAlongPerPx = 0.0066;
 

@@ -40,11 +40,13 @@ bool moves_corners(const TimeRange& before, const RowExposure& assumed, const Ro
 void ImageMotion::enable(bool enabled) {
   if (enabled == this->enabled()) return;
   flow_ = enabled ? std::make_unique<ResidualFlow>() : nullptr;
+  flow_before_.reset();
   images_alone_ = false;
 }
 
 void ImageMotion::reset() {
   if (flow_) flow_->reset();
+  flow_before_.reset();
   whole_flow_.reset();
 }
 

@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <exception>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "base/stopwatch.hpp"
@@ -38,10 +39,10 @@ std::vector<Eigen::Matrix2d> covariances(const cv::Mat& luminance, const std::st
 
 }  // namespace
 
-void KeypointStage::set_options(const KeypointOptions& options) {
+void KeypointStage::set_options(KeypointOptions options) noexcept {
   if (options == options_) return;
-  options_ = options;
   extractor_.reset();
+  options_ = std::move(options);
 }
 
 void KeypointStage::find(const cv::Mat& luminance, const FrameCamera& camera, FrameContext& frame) {
@@ -55,7 +56,6 @@ void KeypointStage::find(const cv::Mat& luminance, const FrameCamera& camera, Fr
 
 void KeypointStage::find_unrectified(const cv::Mat& luminance, const PixelMask& mask,
                                      const std::optional<Camera>& camera, PipelineResult* result) {
-  const StageTimer timer(&result->times.keypoints_ms);
   extract(luminance, mask, result);
   for (const Eigen::Vector2d& pixel_px : positions(result->features.keypoints)) {
     RectifiedPoint point;

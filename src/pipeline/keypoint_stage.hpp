@@ -16,7 +16,7 @@ namespace gyro_deblur {
 class KeypointStage {
  public:
   /// Not checked before keypoints are asked for.
-  void set_options(const KeypointOptions& options);
+  void set_options(KeypointOptions options) noexcept;
 
   /// Fills features, points and covariances of the frame's result.
   /// @param luminance  deblurred

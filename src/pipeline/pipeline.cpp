@@ -73,27 +73,16 @@ void require_residuals(FrameBlur* field) {
 
 }  // namespace
 
-class Pipeline::Impl {
- public:
+/// What Pipeline consists of, and the stages of a frame.
+struct Pipeline::Impl {
   Impl(const PipelineOptions& options, const EngineFactory& engine_factory)
       : make_engine_(engine_factory ? engine_factory : make_engine) {
     set_options(options);
   }
 
   void set_options(const PipelineOptions& options);
-  const PipelineOptions& options() const { return options_; }
-  void set_calibration(const CameraCalibration& calibration);
-  void set_mask(const PixelMask& mask) { mask_ = mask; }
-  const PixelMask& mask() const { return mask_; }
-  std::string engine() const { return engine_->name(); }
-  std::string take_warning();
-  std::optional<TimeRange> newest_frame() const;
-  PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
-                         const RowExposure& exposure, const PipelineRequest& request);
-  PipelineResult detect(const cv::Mat& image, PixelLayout layout, TimeNs stamp_ns,
-                        const std::optional<CameraCalibration>& calibration);
+  void process(FrameContext& frame);
 
- private:
   // The stages of a frame, in their order.
   void begin(FrameContext& frame);
   void follow_corners(FrameContext& frame);
@@ -144,6 +133,7 @@ void Pipeline::Impl::set_options(const PipelineOptions& options) {
     estimator = std::make_unique<BlurFieldEstimator>(*camera_, options.blur_field);
   }
   PipelineOptions copy = options;
+  KeypointOptions keypoint_options = options.keypoints;
   const bool same_extents = options.blur_field.min_extent_px == options_.blur_field.min_extent_px &&
                             options.blur_field.max_extent_px == options_.blur_field.max_extent_px;
   if (bank || engine || !same_extents) {
@@ -153,40 +143,14 @@ void Pipeline::Impl::set_options(const PipelineOptions& options) {
   std::swap(options_, copy);
   if (bank) bank_ = std::move(bank);
   if (engine) engine_ = std::move(engine);
-  keypoints_.set_options(options_.keypoints);
+  keypoints_.set_options(std::move(keypoint_options));
   if (other_depth) bit_depth_ = BitDepth(options_.significant_bits);
   if (estimator) estimator_ = std::move(estimator);
   image_motion_.enable(options_.optical_flow);
 }
 
-std::optional<TimeRange> Pipeline::Impl::newest_frame() const {
-  if (image_motion_.enabled()) return image_motion_.newest_frame();
-  if (!exposure_before_) return std::nullopt;
-  return exposure_before_->frame();
-}
-
-void Pipeline::Impl::set_calibration(const CameraCalibration& calibration) {
-  if (camera_ && camera_->calibration() == calibration) return;
-  auto camera = std::make_unique<Camera>(calibration);
-  auto estimator = std::make_unique<BlurFieldEstimator>(*camera, options_.blur_field);
-  camera_ = std::move(camera);
-  estimator_ = std::move(estimator);
-  image_motion_.reset();
-  static_content_.reset();
-  exposure_before_.reset();
-}
-
-std::string Pipeline::Impl::take_warning() {
-  std::string warning = engine_->take_warning();
-  return warning.empty() ? bit_depth_.take_message() : warning;
-}
-
-PipelineResult Pipeline::Impl::process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
-                                       const RowExposure& exposure, const PipelineRequest& request) {
-  if (!camera_) throw std::logic_error("Pipeline::process before set_calibration");
-  require_fit(image, layout, camera_->calibration(), mask_);
-
-  FrameContext frame(image, layout, motion, exposure, request);
+void Pipeline::Impl::process(FrameContext& frame) {
+  const PipelineRequest& request = frame.request;
   PipelineResult& result = frame.result;
   begin(frame);
   if (image_motion_.enabled()) follow_corners(frame);
@@ -200,23 +164,22 @@ PipelineResult Pipeline::Impl::process(const cv::Mat& image, PixelLayout layout,
   if (!result.exposure_is_known && !result.sharp_at_any_exposure) {
     explain_unknown_exposure(frame);
     if (request.luminance) result.luminance = frame.luminance();
-    return std::move(result);
+    return;
   }
   validate(frame);
   choose_regularization(frame);
 
   const Permit permit = request.permit ? request.permit(result.field) : Permit::DEBLUR;
-  if (permit == Permit::STOP) return std::move(result);
+  if (permit == Permit::STOP) return;
   if (permit == Permit::LEAVE) result.field.reject_all();
 
   if (request.image || request.global_shutter) deblur_image(frame);
   if (request.global_shutter && permit == Permit::DEBLUR) move_to_reference(frame);
-  if (!request.keypoints && !request.luminance) return std::move(result);
+  if (!request.keypoints && !request.luminance) return;
 
   const cv::Mat luminance = deblurred_luminance(frame);
   if (request.luminance) result.luminance = luminance;
   if (request.keypoints) keypoints_.find(luminance, frame_camera(), frame);
-  return std::move(result);
 }
 
 void Pipeline::Impl::begin(FrameContext& frame) {
@@ -366,18 +329,6 @@ cv::Mat Pipeline::Impl::deblurred_luminance(FrameContext& frame) {
   return deblurred;
 }
 
-PipelineResult Pipeline::Impl::detect(const cv::Mat& image, PixelLayout layout, TimeNs stamp_ns,
-                                      const std::optional<CameraCalibration>& calibration) {
-  PipelineResult result;
-  result.reference_ns = stamp_ns;
-  result.significant_bits = bit_depth_.of(image, layout);
-  std::optional<Camera> camera;
-  if (calibration) camera.emplace(*calibration);
-  keypoints_.find_unrectified(luminance8(image, layout, result.significant_bits),
-                              mask_.size() == image.size() ? mask_ : PixelMask(), camera, &result);
-  return result;
-}
-
 Pipeline::Pipeline(const PipelineOptions& options, const EngineFactory& engine_factory)
     : impl_(std::make_unique<Impl>(options, engine_factory)) {}
 
@@ -386,22 +337,56 @@ Pipeline& Pipeline::operator=(Pipeline&&) noexcept = default;
 Pipeline::~Pipeline() = default;
 
 void Pipeline::set_options(const PipelineOptions& options) { impl_->set_options(options); }
-const PipelineOptions& Pipeline::options() const { return impl_->options(); }
-void Pipeline::set_calibration(const CameraCalibration& calibration) { impl_->set_calibration(calibration); }
-void Pipeline::set_mask(const PixelMask& mask) { impl_->set_mask(mask); }
-const PixelMask& Pipeline::mask() const { return impl_->mask(); }
-std::string Pipeline::engine() const { return impl_->engine(); }
-std::string Pipeline::take_warning() { return impl_->take_warning(); }
-std::optional<TimeRange> Pipeline::newest_frame() const { return impl_->newest_frame(); }
+const PipelineOptions& Pipeline::options() const { return impl_->options_; }
+
+void Pipeline::set_calibration(const CameraCalibration& calibration) {
+  if (impl_->camera_ && impl_->camera_->calibration() == calibration) return;
+  auto camera = std::make_unique<Camera>(calibration);
+  auto estimator = std::make_unique<BlurFieldEstimator>(*camera, impl_->options_.blur_field);
+  impl_->camera_ = std::move(camera);
+  impl_->estimator_ = std::move(estimator);
+  impl_->image_motion_.reset();
+  impl_->static_content_.reset();
+  impl_->exposure_before_.reset();
+}
+
+void Pipeline::set_mask(const PixelMask& mask) { impl_->mask_ = mask; }
+const PixelMask& Pipeline::mask() const { return impl_->mask_; }
+std::string Pipeline::engine() const { return impl_->engine_->name(); }
+
+std::string Pipeline::take_warning() {
+  std::string warning = impl_->engine_->take_warning();
+  return warning.empty() ? impl_->bit_depth_.take_message() : warning;
+}
+
+std::optional<TimeRange> Pipeline::newest_frame() const {
+  if (impl_->image_motion_.enabled()) return impl_->image_motion_.newest_frame();
+  if (!impl_->exposure_before_) return std::nullopt;
+  return impl_->exposure_before_->frame();
+}
 
 PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                                  const RowExposure& exposure, const PipelineRequest& request) {
-  return impl_->process(image, layout, motion, exposure, request);
+  if (!impl_->camera_) throw std::logic_error("Pipeline::process before set_calibration");
+  require_fit(image, layout, impl_->camera_->calibration(), impl_->mask_);
+  FrameContext frame(image, layout, motion, exposure, request);
+  impl_->process(frame);
+  return std::move(frame.result);
 }
 
 PipelineResult Pipeline::detect(const cv::Mat& image, PixelLayout layout, TimeNs stamp_ns,
                                 const std::optional<CameraCalibration>& calibration) {
-  return impl_->detect(image, layout, stamp_ns, calibration);
+  PipelineResult result;
+  result.reference_ns = stamp_ns;
+  result.significant_bits = impl_->bit_depth_.of(image, layout);
+  const Stopwatch watch;
+  std::optional<Camera> camera;
+  if (calibration) camera.emplace(*calibration);
+  const PixelMask& mask = impl_->mask_;
+  impl_->keypoints_.find_unrectified(luminance8(image, layout, result.significant_bits),
+                                     mask.size() == image.size() ? mask : PixelMask(), camera, &result);
+  result.times.keypoints_ms = watch.ms();
+  return result;
 }
 
 }  // namespace gyro_deblur

@@ -82,7 +82,7 @@ void Processor::record(const FrameOutput& output) {
     log_(LogLevel::ERROR, "keypoints", name + " has no keypoints: " + output.keypoints_text);
   }
   if (output.dropped) log_(LogLevel::INFO, "drop_poor", name + " is not published: " + output.reason_text);
-  // A jump has told its one message already.
+  // A time jump has been reported, once for all its frames.
   if (output.reason != PassThroughReason::NONE && output.reason != PassThroughReason::TIME_JUMP) {
     log_(level_of(output.reason), to_string(output.reason),
          name + " passes through unchanged: " + to_string(output.reason) + ": " + output.reason_text);

@@ -15,8 +15,6 @@
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "gyro_deblur/exposure.hpp"
-
 struct SyntheticPan {
   cv::Mat sharp, blurred;
   gyro_deblur::PipelineResult result;

@@ -9,7 +9,6 @@
 #include <gyro_deblur/pipeline.hpp>
 
 #include "../synthetic_pan.hpp"
-#include "gyro_deblur/frame_blur.hpp"
 
 namespace {
 
