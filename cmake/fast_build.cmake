@@ -1,6 +1,6 @@
-# GYRO_DEBLUR_FAST_BUILD: a build from scratch in half the time. Programs that are not installed are compiled with -O1,
-# debug information is that of backtraces (-g1), and headers of other libraries are precompiled. Results are the same to
-# the last bit: no instruction set or floating-point option changes.
+# GYRO_DEBLUR_FAST_BUILD: a build from scratch in half the time. What is not installed is compiled with -O1 or -O0, debug
+# information is that of backtraces (-g1), and headers of other libraries are precompiled. Results are the same to the
+# last bit: no instruction set or floating-point option changes.
 option(GYRO_DEBLUR_FAST_BUILD "Build from scratch in half the time, for continuous integration" OFF)
 if(GYRO_DEBLUR_FAST_BUILD)
   string(REGEX REPLACE "(^| )-g( |$)" "\\1-g1\\2" CMAKE_CXX_FLAGS_RELWITHDEBINFO "${CMAKE_CXX_FLAGS_RELWITHDEBINFO}")
@@ -42,17 +42,25 @@ function(gyro_deblur_use_precompiled target owner)
   endif()
 endfunction()
 
-# gyro_deblur_is_not_installed(TARGET): for the tests and the experiments, most of whose time of building is the
-# optimiser's.
-function(gyro_deblur_is_not_installed target)
+# gyro_deblur_optimize(TARGET LEVEL): the optimisation of what is not installed, in a fast build. -O1 for numerics; -O0 for
+# what handles messages, which takes half the time to compile and none to run.
+function(gyro_deblur_optimize target level)
   if(GYRO_DEBLUR_FAST_BUILD)
-    target_compile_options(${target} PRIVATE $<$<CONFIG:RelWithDebInfo>:-O1>)
+    target_compile_options(${target} PRIVATE $<$<CONFIG:RelWithDebInfo>:${level}>)
   endif()
 endfunction()
 
-# gyro_deblur_add_precompiled(OWNER HEADERS... LIBRARIES...): a program that only holds precompiled headers for others
-# that are not installed; those of libraries differ in -fPIC.
-function(gyro_deblur_add_precompiled owner)
+# gyro_deblur_optimize_if_sanitized(TARGET LEVEL): the same for what is installed, in builds with sanitizers alone: others
+# run what users run.
+function(gyro_deblur_optimize_if_sanitized target level)
+  if(GYRO_DEBLUR_SANITIZE)
+    gyro_deblur_optimize(${target} ${level})
+  endif()
+endfunction()
+
+# gyro_deblur_add_precompiled(OWNER LEVEL HEADERS... LIBRARIES...): a program that only holds precompiled headers for
+# others with this optimisation; those of libraries differ in -fPIC.
+function(gyro_deblur_add_precompiled owner level)
   cmake_parse_arguments(ARG "" "" "HEADERS;LIBRARIES" ${ARGN})
   if(NOT GYRO_DEBLUR_PRECOMPILE)
     return()
@@ -62,6 +70,6 @@ function(gyro_deblur_add_precompiled owner)
   add_executable(${owner} ${source})
   target_link_libraries(${owner} PRIVATE ${ARG_LIBRARIES} gyro_deblur_warnings)
   set_target_properties(${owner} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_CURRENT_BINARY_DIR})
-  gyro_deblur_is_not_installed(${owner})
+  gyro_deblur_optimize(${owner} ${level})
   gyro_deblur_precompile(${owner} ${ARG_HEADERS})
 endfunction()

@@ -3,7 +3,7 @@
 # and UndefinedBehaviorSanitizer, those of what works with threads under ThreadSanitizer, the fuzz targets for a minute
 # each, the soak for ten minutes of simulated time, and the long tests (test/long_tests.txt). Fails when one of them
 # finds something, or a test hangs. --quick, as in continuous integration: the tests of test/sanitized_tests.txt,
-# fuzzers for 10 s each, the soak for a minute, no long tests.
+# fuzzers for 10 s each, 20 reloads of the nodelet, the soak for a minute, no long tests.
 #
 #   scripts/extended_tests.sh [--quick] [--within MINUTES] [--only asan|tsan|fuzz|soak|long]...
 #
@@ -25,6 +25,7 @@ while (($# > 0)); do
       quick=true
       fuzz_s=10
       soak_s=60
+      export GYRO_DEBLUR_RELOADS=20
       ;;
     --within)
       [[ "${2:-}" =~ ^[1-9][0-9]*$ ]] || fail "--within takes a number of minutes"
@@ -81,7 +82,7 @@ configure() {
     launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
   fi
   mkdir -p "${folder}"
-  cmake -S . -B "${folder}" "${launcher[@]}" -DGYRO_DEBLUR_FAST_BUILD=ON -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O2 -g1" \
+  cmake -S . -B "${folder}" "${launcher[@]}" -DGYRO_DEBLUR_FAST_BUILD=ON -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" \
     -DCMAKE_CXX_COMPILER=clang++ -DPYTHON_EXECUTABLE=/usr/bin/python3 -DPython3_EXECUTABLE=/usr/bin/python3 "$@" \
     > "${folder}/configure.log" 2>&1 || { cat "${folder}/configure.log" >&2; fail "cmake failed"; }
 }
@@ -118,16 +119,19 @@ limited() {
   return 1
 }
 
-# run_test FOLDER BINARY: leaves no log when the time is over before it begins.
+# run_test FOLDER BINARY[=FILTER]: leaves no log when the time is over before it begins. FILTER: as of --gtest_filter.
 run_test() {
-  rm -f "$1/$2.log"
-  out_of_time || limited "$1/$2.log" "$1/devel/lib/gyro_deblur/$2"
+  local name="${2%%=*}" filter=()
+  [[ "$2" != *=* ]] || filter=(--gtest_filter="${2#*=}")
+  rm -f "$1/${name}.log"
+  out_of_time || limited "$1/${name}.log" "$1/devel/lib/gyro_deblur/${name}" "${filter[@]}"
 }
 # For the shells that xargs starts.
 export TEST_LIMIT_S deadline
 export -f out_of_time limited run_test
 
-# run_tests FOLDER BINARIES...: each as one process, as many at a time as there are cores; prints how many cases passed.
+# run_tests FOLDER BINARIES[=FILTER]...: each as one process, as many at a time as there are cores; prints how many cases
+# passed.
 run_tests() {
   local folder="$1" name passed total=0 begin="${SECONDS}"
   shift
@@ -135,7 +139,7 @@ run_tests() {
   # shellcheck disable=SC2016
   printf '%s\n' "$@" | xargs -P "$(nproc)" -I{} bash -c 'run_test "$@"' bash "${folder}" {} ||
     fail "some of the tests failed: see above"
-  for name in "$@"; do
+  for name in "${@%%=*}"; do
     [[ -f "${folder}/${name}.log" ]] || end_when_out_of_time
     passed="$(sed -n 's/^\[  PASSED  \] \([0-9]*\) test.*/\1/p' "${folder}/${name}.log")"
     [[ -n "${passed}" ]] || fail "${name} said nothing of its tests; its log is ${folder}/${name}.log"
@@ -145,11 +149,10 @@ run_tests() {
   say "${total} cases in $# binaries clean, $((SECONDS - begin)) s"
 }
 
-# run_nodelet_test FOLDER [ARGUMENTS...]: the nodelets, which test_nodelet_faults loads into itself, so that they are
+# run_nodelet_test FOLDER: the nodelets, which test_nodelet_faults loads into itself, so that they are
 # watched as it is, with a master of their own.
 run_nodelet_test() {
   local folder="$1" port master status=0 log="$1/test_nodelet_faults.log" passed begin="${SECONDS}"
-  shift
   end_when_out_of_time
   port="$(/usr/bin/python3 -c 'import socket; s = socket.socket(); s.bind(("localhost", 0)); print(s.getsockname()[1])')"
   (
@@ -159,7 +162,7 @@ run_nodelet_test() {
     master=$!
     trap 'kill -INT "${master}" 2> /dev/null; wait "${master}"' EXIT
     # Where pluginlib finds this folder's nodelets. roscpp waits for the master.
-    limited "${log}" "${folder}/devel/env.sh" "${folder}/devel/lib/gyro_deblur/test_nodelet_faults" "$@"
+    limited "${log}" "${folder}/devel/env.sh" "${folder}/devel/lib/gyro_deblur/test_nodelet_faults"
   ) || status=$?
   ((status == 0)) || exit "${status}"
   passed="$(sed -n 's/^\[  PASSED  \] \([0-9]*\) test.*/\1/p' "${log}")"
@@ -190,35 +193,32 @@ fi
 mapfile -t test_sources < <(printf '%s\n' test/*/test_*.cpp |
   grep -v -E '^test/(data|experiments)/|/test_(nodelet|nodelet_faults|deblur_bag|deblur_bag_pictures)\.cpp$')
 asan_tests=() tsan_tests=()
-while read -r name sanitizers; do
-  [[ " ${sanitizers} " != *" asan "* ]] || asan_tests+=("${name}")
-  [[ " ${sanitizers} " != *" tsan "* ]] || tsan_tests+=("${name}")
+while read -r name sanitizer left_out; do
+  declare -n sanitized="${sanitizer}_tests"
+  sanitized+=("${name}${left_out:+=-${left_out}}")
 done < <(grep -v -E '^ *(#|$)' test/sanitized_tests.txt)
 if ! "${quick}"; then
   mapfile -t asan_tests < <(basename -s .cpp "${test_sources[@]}")
   # And each test that has threads of its own.
   mapfile -t tsan_tests < <({
-    printf '%s\n' "${tsan_tests[@]}"
+    printf '%s\n' "${tsan_tests[@]%%=*}"
     grep -l '#include <thread>' "${test_sources[@]}" | xargs basename -s .cpp
   } | sort -u)
 fi
 
 if wanted asan; then
   step ${STEPS} "AddressSanitizer and UndefinedBehaviorSanitizer: ${#asan_tests[@]} tests, nodelets"
-  make_targets "${asan_folder}" "${asan_tests[@]}" leak_in_parallel test_nodelet_faults
+  make_targets "${asan_folder}" "${asan_tests[@]%%=*}" leak_in_parallel test_nodelet_faults
   want_leaks "${asan_folder}"
   run_tests "${asan_folder}" "${asan_tests[@]}"
-  # --quick leaves the 200 reloads, three quarters of the time, to ThreadSanitizer.
-  chosen=()
-  "${quick}" && chosen=(--gtest_filter='-*TwoHundredReloads*')
-  run_nodelet_test "${asan_folder}" "${chosen[@]}"
+  run_nodelet_test "${asan_folder}"
 fi
 
 if wanted tsan; then
   step ${STEPS} "ThreadSanitizer: ${#tsan_tests[@]} tests, fault table, nodelets"
   tsan_folder="${GYRO_DEBLUR_BUILD}/extended_tests/tsan"
   configure "${tsan_folder}" -DGYRO_DEBLUR_SANITIZE=thread
-  make_targets "${tsan_folder}" "${tsan_tests[@]}" fault_table test_nodelet_faults
+  make_targets "${tsan_folder}" "${tsan_tests[@]%%=*}" fault_table test_nodelet_faults
   run_tests "${tsan_folder}" "${tsan_tests[@]}"
   end_when_out_of_time
   limited "${tsan_folder}/fault_table.log" "${tsan_folder}/devel/lib/gyro_deblur/fault_table" --seconds 1 --reloads 5 \
