@@ -157,7 +157,7 @@ class Step {
   const std::vector<Eigen::Vector3d>& predicted() const { return predicted_; }
   const std::vector<Eigen::Vector3d>& differences() const { return differences_; }
 
-  /// The larger of the estimates from differences and from parts.
+  /// The sum of two estimates: by the differences, and by leaving out parts.
   Normal covariance() const {
     const Normal normal = normal_sum();
     const Unknowns right = right_sum();
