@@ -1,6 +1,6 @@
-# GYRO_DEBLUR_FAST_BUILD: a build from scratch in half the time. What is not installed is compiled with -O1 or -O0, debug
-# information is that of backtraces (-g1), and headers of other libraries are precompiled. Results are the same to the
-# last bit: no instruction set or floating-point option changes.
+# GYRO_DEBLUR_FAST_BUILD: a build from scratch in half the time. What is not installed is compiled with -O1 or -O0,
+# debug information is that of backtraces (-g1), and headers of other libraries are precompiled. Results are the same to
+# the last bit: no instruction set or floating-point option changes.
 option(GYRO_DEBLUR_FAST_BUILD "Build from scratch in half the time, for continuous integration" OFF)
 if(GYRO_DEBLUR_FAST_BUILD)
   string(REGEX REPLACE "(^| )-g( |$)" "\\1-g1\\2" CMAKE_CXX_FLAGS_RELWITHDEBINFO "${CMAKE_CXX_FLAGS_RELWITHDEBINFO}")
@@ -42,16 +42,16 @@ function(gyro_deblur_use_precompiled target owner)
   endif()
 endfunction()
 
-# gyro_deblur_optimize(TARGET LEVEL): the optimisation of what is not installed, in a fast build. -O1 for numerics; -O0 for
-# what handles messages, which takes half the time to compile and none to run.
+# gyro_deblur_optimize(TARGET LEVEL): the optimisation of what is not installed, in a fast build. -O1 for numerics; -O0
+# for what handles messages, which then compiles in half the time.
 function(gyro_deblur_optimize target level)
   if(GYRO_DEBLUR_FAST_BUILD)
     target_compile_options(${target} PRIVATE $<$<CONFIG:RelWithDebInfo>:${level}>)
   endif()
 endfunction()
 
-# gyro_deblur_optimize_if_sanitized(TARGET LEVEL): the same for what is installed, in builds with sanitizers alone: others
-# run what users run.
+# gyro_deblur_optimize_if_sanitized(TARGET LEVEL): the same for what is installed, with sanitizers alone: other builds
+# test what users run.
 function(gyro_deblur_optimize_if_sanitized target level)
   if(GYRO_DEBLUR_SANITIZE)
     gyro_deblur_optimize(${target} ${level})

@@ -142,15 +142,15 @@ run_tests() {
   for name in "${@%%=*}"; do
     [[ -f "${folder}/${name}.log" ]] || end_when_out_of_time
     passed="$(sed -n 's/^\[  PASSED  \] \([0-9]*\) test.*/\1/p' "${folder}/${name}.log")"
-    [[ -n "${passed}" ]] || fail "${name} said nothing of its tests; its log is ${folder}/${name}.log"
+    ((${passed:-0} > 0)) || fail "${name} ran no test; its log is ${folder}/${name}.log"
     total=$((total + passed))
     say "${name}: ${passed} cases clean"
   done
   say "${total} cases in $# binaries clean, $((SECONDS - begin)) s"
 }
 
-# run_nodelet_test FOLDER: the nodelets, which test_nodelet_faults loads into itself, so that they are
-# watched as it is, with a master of their own.
+# run_nodelet_test FOLDER: the nodelets, which test_nodelet_faults loads into itself, so that they are watched as it is,
+# with a master of their own.
 run_nodelet_test() {
   local folder="$1" port master status=0 log="$1/test_nodelet_faults.log" passed begin="${SECONDS}"
   end_when_out_of_time
@@ -195,7 +195,7 @@ mapfile -t test_sources < <(printf '%s\n' test/*/test_*.cpp |
 asan_tests=() tsan_tests=()
 while read -r name sanitizer left_out; do
   declare -n sanitized="${sanitizer}_tests"
-  sanitized+=("${name}${left_out:+=-${left_out}}")
+  sanitized+=("${name}=-${left_out}")
 done < <(grep -v -E '^ *(#|$)' test/sanitized_tests.txt)
 if ! "${quick}"; then
   mapfile -t asan_tests < <(basename -s .cpp "${test_sources[@]}")

@@ -61,7 +61,7 @@ struct PipelineRequest {
   /// The image repeats the picture of the call before. The motion that was found for that picture is used again.
   /// `motion` and `exposure` have to be those of the call before, too.
   bool repeats_picture = false;
-  /// The exposure time is `exposure`'s only as long as nothing is known that is better; nothing: it is certain.
+  /// If set, the exposure time of process() is a first guess that the images may replace; else it is used as given.
   std::optional<ExposureQuestion> exposure = {};
   /// No gyroscope is there, or it is silent: see flow_without_gyro.
   bool without_gyro = false;
@@ -126,8 +126,8 @@ using EngineFactory = std::function<std::unique_ptr<Engine>(const std::string& e
 /// rebuilt then. Not thread-safe, engine() aside.
 class Pipeline {
  public:
-  /// Throws OptionError. Prepares for all blur that the options let through: a tenth of a second and 20 MB where it may
-  /// be 150 px long, ten times as much for 500 px.
+  /// Throws OptionError. Prepares filters for all blur that the options let through (time and memory by max_extent:
+  /// doc/reports/performance.md).
   explicit Pipeline(const PipelineOptions& options, const EngineFactory& engine_factory = {});
   Pipeline(Pipeline&&) noexcept;
   Pipeline& operator=(Pipeline&&) noexcept;

@@ -50,7 +50,7 @@ double median_extent_px(const FrameBlur& field) {
   return extents_px.empty() ? 0 : median(std::move(extents_px));
 }
 
-/// Logarithm of the power of a straight path at even speed.
+/// Logarithm of the power of a straight path at uniform speed.
 double log_of_path(double waves) {
   // Power at the zeros: a window blends frequencies, and paths are not quite straight.
   constexpr double kLeft = 0.004;

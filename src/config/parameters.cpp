@@ -115,9 +115,10 @@ ParameterGroup camera_timing() {
            "Field or parameter that holds the exposure time, for example exposure_time or exposures[0].shutterms."},
           {"exposure_max_age", &Config::exposure_max_age_ns, within(0, 60, "s"),
            "How long the last exposure message is used for images that have none of their own. 0: never."},
-          Parameter("readout_time", &Shutter::readout_ns, within(-1, 1, "s"),
-                    "Time from the first to the last row. 0: global shutter. Negative: the bottom row comes first. '': "
-                    "not known, see self_calibration.")
+          Parameter(
+              "readout_time", &Shutter::readout_ns, within(-1, 1, "s"),
+              "Number of rows times the time of one row. 0: global shutter. Negative: the bottom row comes first. "
+              "'': not known, see self_calibration.")
               .may_be_empty(&GivenNumbers::readout_time),
           {"stamp_row", &Shutter::stamp_row, "Image row that the stamp refers to."},
           {"stamp_phase", &Shutter::stamp_phase, "Instant of that row's exposure that the stamp refers to."},
@@ -156,7 +157,8 @@ ParameterGroup gyroscope() {
            "Rotation from IMU to camera coordinates (of Kalibr's T_cam_imu), row by row. []: taken from tf, otherwise "
            "see self_calibration."},
           Parameter("gyro_bias", &Gyro::bias_rad_s, within(-1, 1, "rad/s"),
-                    "Bias that is subtracted from the angular rates. '': not known, see self_calibration.")
+                    "Bias [x, y, z] in the IMU's axes, subtracted from the angular rates. '': not known, see "
+                    "self_calibration.")
               .may_be_empty(&GivenNumbers::gyro_bias),
           {"self_calibration", &Config::self_calibration,
            "auto: the images give readout_time, time_offset, R_cam_imu and gyro_bias where these are empty; an "

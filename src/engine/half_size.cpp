@@ -12,8 +12,8 @@ namespace {
 constexpr int kPairs = kHalvingTapCount / 2;
 // Pixels before an output of downsample2x(), and behind it, in addition to the two that it lies between.
 constexpr int kReach = kPairs - 1;
-// Of the low pass an even place of the double meets every second tap from the second on, two pixels before it, the one
-// that it belongs to and one behind; an odd place the same from behind.
+// Pixels of the half on either side of its own, x, that double_size() reads: x - 2 to x + 1 for an even place, x - 1 to
+// x + 2 for an odd one.
 constexpr int kAround = 2;
 
 /// One row of downsample2x().

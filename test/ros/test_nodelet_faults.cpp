@@ -84,7 +84,7 @@ class NodeletFaultTest : public CameraTopicsTest {
   nodelet::Loader loader_{false};  // without services
 };
 
-// GYRO_DEBLUR_RELOADS in the environment: fewer, for sanitizers.
+// GYRO_DEBLUR_RELOADS in the environment: fewer, for sanitizers, whose own memory grows.
 TEST_F(NodeletFaultTest, ReloadsWhileFramesFlow) {
   constexpr int kAllReloads = 200;
   const char* fewer = std::getenv("GYRO_DEBLUR_RELOADS");
