@@ -44,7 +44,7 @@ struct Arguments {
   int frames = 40;
   int scenes = 4;
   std::vector<double> extents_px{5, 10, 20, 40};
-  double gamma = FilterOptions{}.gamma;
+  double noise_to_signal_ratio = FilterOptions{}.noise_to_signal_ratio;
   double noise = 1.5;
   std::vector<int> borders_px{TrackerOptions{}.border_px};
   std::string csv;
@@ -111,9 +111,9 @@ struct Footage {
   std::vector<cv::Mat> sharp, blurred, deblurred;
 };
 
-Footage render(Simulator& simulator, const RotationTrack& rotation, double gamma) {
+Footage render(Simulator& simulator, const RotationTrack& rotation, double noise_to_signal_ratio) {
   PipelineOptions options;
-  options.filter.gamma = gamma;
+  options.filter.noise_to_signal_ratio = noise_to_signal_ratio;
   Pipeline pipeline(options);
   pipeline.set_calibration(simulator.camera().calibration());
   Footage footage;
@@ -305,7 +305,7 @@ void run_constant(const Arguments& arguments, std::ostream& csv) {
       Simulator simulator =
           shaken_camera(target_px / 40 * target_px / probe_px, arguments.frames, arguments.noise, "", scene);
       const RotationTrack rotation = rotation_of(simulator);
-      const Footage footage = render(simulator, rotation, arguments.gamma);
+      const Footage footage = render(simulator, rotation, arguments.noise_to_signal_ratio);
       const std::vector<cv::Mat>* versions[] = {&footage.sharp, &footage.blurred, &footage.deblurred};
       for (const int border_px : arguments.borders_px) {
         TrackerOptions options;
@@ -333,7 +333,7 @@ void run_change(const Arguments& arguments, std::ostream& csv) {
   // Still until 0.9 s, shaken until 2.1 s, still again.
   Simulator simulator = shaken_camera(0.8, 50, arguments.noise, ", window: [0.9, 2.1]");
   const RotationTrack rotation = rotation_of(simulator);
-  const Footage footage = render(simulator, rotation, arguments.gamma);
+  const Footage footage = render(simulator, rotation, arguments.noise_to_signal_ratio);
   std::vector<double> extents;
   for (int i = 0; i < simulator.frames(); ++i) extents.push_back(simulator.truth_displacement(i, {376, 240}).norm());
   constexpr double kBlurredPx = 8;  // from here on a frame counts as blurred
@@ -406,7 +406,8 @@ int main_of(int argc, char** argv) {
   app.add_option("--frames", arguments.frames, "images of each sequence of constant shake [40]").range(5, 1000);
   app.add_option("--scenes", arguments.scenes, "scenes: each has its own texture, noise and shake [4]").range(1, 100);
   app.add_option("--extents", arguments.extents_px, "median blur of the sequences, px [5 10 20 40]").range(1.0, 100.0);
-  app.add_option("--gamma", arguments.gamma, "of the Wiener filter [0.01]").range(1e-5, 1.0);
+  app.add_option("--noise-to-signal-ratio", arguments.noise_to_signal_ratio, "of the Wiener filter [0.01]")
+      .range(1e-5, 1.0);
   app.add_option("--noise", arguments.noise, "standard deviation of each pixel, grey levels [1.5]").range(0.0, 64.0);
   app.add_option("--borders", arguments.borders_px,
                  "px from the image's edge at which corners start; a table each [32]")

@@ -102,16 +102,16 @@ cv::Mat taper_edges(const cv::Mat& image, const LineBlur& blur) {
   return tapered;
 }
 
-cv::Mat deblur_in_frequency(const cv::Mat& image, const LineBlur& blur, double gamma, bool taper) {
-  require_range("gamma", gamma, 1e-5, 1);
+cv::Mat deblur_in_frequency(const cv::Mat& image, const LineBlur& blur, double noise_to_signal_ratio, bool taper) {
+  require_range("noise_to_signal_ratio", noise_to_signal_ratio, 1e-5, 1);
   return filter_periodic(taper ? taper_edges(image, blur) : image, [&](double fx, double fy) {
     const double H = line_spectrum(blur, fx, fy);
-    return (1 + gamma) * H / (H * H + gamma);
+    return (1 + noise_to_signal_ratio) * H / (H * H + noise_to_signal_ratio);
   });
 }
 
 void RestorationOptions::validate() const {
-  require_range("gamma", gamma, 1e-5, 1);
+  require_range("noise_to_signal_ratio", noise_to_signal_ratio, 1e-5, 1);
   require_range("length_factor", length_factor, 2, 8);
   require_range("iterations", iterations, 0, 100);
   require_range("padding", padding, 0.5, 10);
@@ -147,7 +147,7 @@ cv::Mat restore_beyond_borders(const cv::Mat& image, const LineBlur& blur, const
   // Filters as spectra. W is the paper's kernel, a spatial one of limited length; its centre goes to the origin.
   cv::Mat inverse = cv::Mat::zeros(size, CV_32F);
   FilterOptions kernel_options;
-  kernel_options.gamma = options.gamma;
+  kernel_options.noise_to_signal_ratio = options.noise_to_signal_ratio;
   kernel_options.length_factor = options.length_factor;
   kernel_options.regularization = Regularization::PAPER;
   const LineKernel kernel = wiener_kernel(blur.extent_px, kernel_options);

@@ -32,18 +32,18 @@ cv::Mat deblur_in_space(const cv::Mat& image, const LineBlur& blur, const Filter
 cv::Mat taper_edges(const cv::Mat& image, const LineBlur& blur);
 
 /// Wiener deconvolution in the frequency domain, the whole image as one period: W = H* / (|H|^2 + gamma) scaled to unit
-/// gain, H = sinc(extent * frequency along the line), with the image's edges tapered before or not. Image: one channel;
-/// returns CV_64F, not clipped.
-cv::Mat deblur_in_frequency(const cv::Mat& image, const LineBlur& blur, double gamma, bool taper);
+/// gain, gamma being noise_to_signal_ratio and H = sinc(extent * frequency along the line), with the image's edges
+/// tapered before or not. Image: one channel; returns CV_64F, not clipped.
+cv::Mat deblur_in_frequency(const cv::Mat& image, const LineBlur& blur, double noise_to_signal_ratio, bool taper);
 
 /// Parameters of restore_beyond_borders.
 struct RestorationOptions {
-  double gamma = 0.007;        ///< [1e-5, 1]
-  double length_factor = 6;    ///< [2, 8]; length of the inverse kernel in extents
-  int iterations = 4;          ///< [0, 100]
-  double padding = 1.5;        ///< [0.5, 10]; extents that the scene continues beyond the image
-  double prior_sigma_px = 2;   ///< [0, 20]; Gaussian before every correction
-  double output_sigma_px = 3;  ///< [0, 20]; Gaussian of the result; below 20 px of extent prior_sigma_px
+  double noise_to_signal_ratio = 0.007;  ///< [1e-5, 1]
+  double length_factor = 6;              ///< [2, 8]; length of the inverse kernel in extents
+  int iterations = 4;                    ///< [0, 100]
+  double padding = 1.5;                  ///< [0.5, 10]; extents that the scene continues beyond the image
+  double prior_sigma_px = 2;             ///< [0, 20]; Gaussian before every correction
+  double output_sigma_px = 3;            ///< [0, 20]; Gaussian of the result; below 20 px of extent prior_sigma_px
 
   void validate() const;  ///< throws OptionError
 };

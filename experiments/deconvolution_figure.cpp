@@ -1,5 +1,5 @@
 // The paper's figure on deconvolution (section IV-A): the Wiener filter in space against the frequency domain, with the
-// ringing at the image's borders measured, and the kernels; and what the rules of gamma restore at other extents.
+// ringing at the image's borders measured, and the kernels; and what the regularizations restore at other extents.
 
 #include <algorithm>
 #include <cmath>
@@ -48,7 +48,7 @@ struct Method {
 
 cv::Mat frequency(const cv::Mat& blurred, bool taper) {
   cv::Mat out;
-  deblur_in_frequency(blurred, kBlur, FilterOptions().gamma, taper).convertTo(out, CV_8U);
+  deblur_in_frequency(blurred, kBlur, FilterOptions().noise_to_signal_ratio, taper).convertTo(out, CV_8U);
   return out;
 }
 
@@ -196,7 +196,7 @@ void run(const Arguments& arguments) {
                                                      {"angle_deg", kBlur.angle_rad * 180 / CV_PI},
                                                      {"extent_px", kBlur.extent_px},
                                                      {"band_px", std::lround(kBandExtents * kBlur.extent_px)},
-                                                     {"gamma", FilterOptions().gamma},
+                                                     {"noise_to_signal_ratio", FilterOptions().noise_to_signal_ratio},
                                                      {"noise_grey_levels", arguments.noise_grey_levels},
                                                      {"kernel", write_kernels(arguments.out)},
                                                      {"methods", methods},

@@ -40,7 +40,7 @@ struct Arguments {
   bool quick = false, quiet = false;
 };
 
-/// What becomes of a frame. STRAIGHT: one straight path for each block, one gamma for
+/// What becomes of a frame. STRAIGHT: one straight path for each block, one noise-to-signal ratio for
 /// all noise, the paper's validation, and what is curved passed through. FOURIER: all blocks by the 2-D filter of their
 /// whole path where that leaves a line by more than 2 % of its length.
 enum Kind : std::size_t { SHARP, BLURRED, STRAIGHT, PACKAGE, FOURIER };

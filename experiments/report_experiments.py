@@ -31,7 +31,7 @@ STYLES = {
 }
 WRONG_LINES = ["-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1))]
 PALETTE_COLORS = 128
-# Rules of gamma in deconvolution.json.
+# Regularizations in deconvolution.json.
 RULES = {"paper": "paper", "fixed": "fixed", "adaptive": "adaptive (default)"}
 
 # Files of deconvolution_figure and their titles.
@@ -120,15 +120,16 @@ def deconvolution_table(deconvolution):
     kernel = deconvolution["kernel"]
     share = kernel["taps"] / (kernel["width_px"] * kernel["height_px"])
     title = (f"RMSE [grey levels] against the sharp image, {deconvolution['images']}, {deconvolution['count']} images, "
-             f"{deconvolution['angle_deg']:g} degrees, {deconvolution['extent_px']:g} px, gamma "
-             f"{deconvolution['gamma']:g}, noise {deconvolution['noise_grey_levels']:g} grey level:")
+             f"{deconvolution['angle_deg']:g} degrees, {deconvolution['extent_px']:g} px, "
+             f"noise-to-signal ratio {deconvolution['noise_to_signal_ratio']:g}, "
+             f"noise {deconvolution['noise_grey_levels']:g} grey level:")
     return (titled_table(title, header, rows)
             + f"\n\nKernel in the plane: {kernel['width_px']} x {kernel['height_px']}, {kernel['taps']} elements "
               f"({100 * share:.1f} %) are not zero.")
 
 
 def rules_table(deconvolution):
-    """PSNR that the rules of gamma gain, a row for each noise and rule, a column for each extent."""
+    """PSNR that the regularizations gain, a row for each noise and regularization, a column for each extent."""
     records = deconvolution["rules"]
     extents = sorted({r["extent_px"] for r in records})
     by_cell = {(r["noise_grey_levels"], r["rule"], r["extent_px"]): r for r in records}

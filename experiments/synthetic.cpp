@@ -127,7 +127,7 @@ cv::Mat rounded(const cv::Mat& image) {
 
 /// What the detector of a method gets to see.
 cv::Mat restore(const Method& method, const Exposure& exposure, const LineBlur& truth) {
-  const double gamma = FilterOptions().gamma;
+  const double ratio = FilterOptions().noise_to_signal_ratio;
   switch (method.kind) {
     case Method::SHARP:
       return exposure.sharp;
@@ -136,7 +136,7 @@ cv::Mat restore(const Method& method, const Exposure& exposure, const LineBlur& 
       return exposure.blurred;
     case Method::FREQUENCY:
     case Method::FREQUENCY_TAPERED:
-      return rounded(deblur_in_frequency(exposure.blurred, truth, gamma, method.kind == Method::FREQUENCY_TAPERED));
+      return rounded(deblur_in_frequency(exposure.blurred, truth, ratio, method.kind == Method::FREQUENCY_TAPERED));
     case Method::PROPOSED:
       return deblur_in_space(exposure.blurred, {truth.angle_rad + method.error.angle_deg * CV_PI / 180,
                                                 truth.extent_px + method.error.extent_px});

@@ -61,16 +61,18 @@ struct ValidationOptions {
   void validate() const;  ///< throws OptionError
 };
 
-/// What gamma and the taps of an inverse of limited length are found by.
+/// How the noise-to-signal ratio of a block and the taps of an inverse of limited length are found.
 enum class Regularization {
-  /// As FIXED, with gamma doubled as often as makes the error least that noise and texture of the block let expect.
+  /// As FIXED, with noise_to_signal_ratio doubled as often as makes the error least that noise and texture of the block
+  /// let expect.
   /// Blocks that would still become worse are passed through.
   ADAPTIVE,
-  /// The taps that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), h the blur, g a unit pulse (the Gaussian
-  /// of smoothing_px), w' the steps from tap to tap and from and to 0 at the ends, under the condition that their sum
-  /// is the filter's. The power of photographs falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A
-  /// 4 (12), 1987), that of noise does not, so that the noise-to-signal ratio rises with it, as |w'|^2 does. s falls
-  /// linearly from 1 without blur to 0 at an extent of 36 px; whatever it is, the ratio is gamma at 1/6 cycles/px.
+  /// The taps that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), gamma being noise_to_signal_ratio, h the
+  /// blur, g a unit pulse (the Gaussian of smoothing_px), w' the steps from tap to tap and from and to 0 at the ends,
+  /// under the condition that their sum is the filter's. The power of photographs falls with the square of the
+  /// frequency (D. J. Field, J. Opt. Soc. Am. A 4 (12), 1987), that of noise does not, so that the noise-to-signal
+  /// ratio rises with it, as |w'|^2 does. s falls linearly from 1 without blur to 0 at an extent of 36 px; whatever it
+  /// is, the ratio is gamma at 1/6 cycles/px.
   FIXED,
   /// The inverse transform of the Wiener filter with the same noise-to-signal ratio at every frequency, on as many
   /// samples (paths: on as many more as make the transform fast), as in the paper. What the filter has beyond them
@@ -80,7 +82,7 @@ enum class Regularization {
 
 /// Wiener kernels (paper section IV-A).
 struct FilterOptions {
-  double gamma = 0.01;  ///< noise-to-signal ratio of the Wiener filter at 1/6 cycles/px, at least
+  double noise_to_signal_ratio = 0.01;  ///< of the Wiener filter at 1/6 cycles/px, at least
   /// Constant: length of the inverse kernel in extents. 8 restores at most 0.5 dB more at twice the cost
   /// (doc/reports/experiments.md).
   double length_factor = 4.0;

@@ -232,7 +232,7 @@ ParameterGroup wiener_filter() {
   return {"Wiener filter",
           "",
           {
-              {"noise_to_signal_ratio", &Filter::gamma, within(1e-5, 1),
+              {"noise_to_signal_ratio", &Filter::noise_to_signal_ratio, within(1e-5, 1),
                "Noise-to-signal ratio of the filter at 1/6 cycles/px. A larger value amplifies less noise and restores "
                "less detail.",
                RUNNING},

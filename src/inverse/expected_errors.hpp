@@ -1,4 +1,4 @@
-// What is left of a blurred line's texture and noise by a Wiener filter, by extent and gamma.
+// What is left of a blurred line's texture and noise by a Wiener filter, by extent and noise-to-signal ratio.
 #pragma once
 
 #include <vector>
@@ -7,16 +7,16 @@
 
 namespace gyro_deblur {
 
-constexpr double kMaxGamma = 1;
+constexpr double kMaxNoiseToSignalRatio = 1;
 
-/// The integrals that FilterBank::choose() is about, made once for a gamma and its doublings, and for extents a
-/// quarter of an octave apart.
+/// The integrals that FilterBank::choose() is about, made once for a noise-to-signal ratio and its doublings, and for
+/// extents a quarter of an octave apart.
 class ExpectedErrors {
  public:
-  /// Precondition: 0 < gamma <= kMaxGamma.
-  explicit ExpectedErrors(double gamma);
+  /// Precondition: 0 < noise_to_signal_ratio <= kMaxNoiseToSignalRatio.
+  explicit ExpectedErrors(double noise_to_signal_ratio);
 
-  /// Of gamma until it reaches kMaxGamma.
+  /// Of the ratio until it reaches kMaxNoiseToSignalRatio.
   int doublings() const { return static_cast<int>(by_extent_.front().filtered.size()) - 1; }
 
   /// See FilterBank::choose(). Extents are clamped to those that have kernels.
@@ -31,7 +31,7 @@ class ExpectedErrors {
     double blurred;               ///< texture's error before
     std::vector<Error> filtered;  ///< by doubling
   };
-  static AtExtent at_extent(double extent_px, double gamma);
+  static AtExtent at_extent(double extent_px, double noise_to_signal_ratio);
 
   std::vector<AtExtent> by_extent_;
 };

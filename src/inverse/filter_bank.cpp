@@ -69,14 +69,14 @@ std::vector<double> least_squares_inverse(const std::vector<double>& blur, doubl
   std::vector<double> lags(band);  // the last is of lag 0
   for (int lag = 0; lag < reach; ++lag) lags[band - 1 - lag] = h.head(reach - lag).dot(h.tail(reach - lag));
   const double share = spectral_share(extent_px);
-  lags[band - 1] += options.gamma * (1 + share);
-  lags[band - 2] -= options.gamma * share;
+  lags[band - 1] += options.noise_to_signal_ratio * (1 + share);
+  lags[band - 2] -= options.noise_to_signal_ratio * share;
   // Lagrange: T w = what the blur matches + multiplier * 1, so that the sum is the filter's own gain at frequency 0.
   std::vector<double> sides(2 * n, 1.0), work(5 * (n + kToeplitzRoom) + band), solved(2 * n);
   Eigen::Map<Eigen::VectorXd>(sides.data(), n) = matched_filter(blur, options.smoothing_px);
   select_for_cpu<TapSimd>().solve_toeplitz(lags.data(), band, n, sides.data(), work.data(), solved.data());
   const Eigen::Map<const Eigen::VectorXd> of_blur(solved.data(), n), of_ones(solved.data() + n, n);
-  const double multiplier = (1 / (1 + options.gamma * (1 - share)) - of_blur.sum()) / of_ones.sum();
+  const double multiplier = (1 / (1 + options.noise_to_signal_ratio * (1 - share)) - of_blur.sum()) / of_ones.sum();
   const Eigen::VectorXd w = of_blur + multiplier * of_ones;
   return {w.data(), w.data() + n};
 }
@@ -117,10 +117,10 @@ class BandedSystem {
 
 /// Coefficients of box_inverse()'s equations by lag, >= 0.
 /// @param share  spectral_share() of the box
-std::vector<std::pair<int, double>> couplings_of(const std::vector<double>& box, double gamma, double share) {
+std::vector<std::pair<int, double>> couplings_of(const std::vector<double>& box, double ratio, double share) {
   const int n = static_cast<int>(box.size());
   std::map<int, double> coupling = {
-      {0, 2 * gamma * (1 + 2 * share)}, {1, -gamma * (1 + 3 * share)}, {2, gamma * share}};
+      {0, 2 * ratio * (1 + 2 * share)}, {1, -ratio * (1 + 3 * share)}, {2, ratio * share}};
   std::vector<std::pair<int, double>> steps;
   for (int i = 0; i <= n; ++i) {
     const double step = (i < n ? box[i] : 0) - (i > 0 ? box[i - 1] : 0);
@@ -141,8 +141,8 @@ std::vector<std::pair<int, double>> couplings_of(const std::vector<double>& box,
 /// equation are close to each other.
 std::vector<double> box_inverse(const std::vector<double>& box, double extent_px, const FilterOptions& options) {
   const int n = static_cast<int>(box.size()), radius = n / 2;
-  const double share = spectral_share(extent_px), gamma = options.gamma;
-  const std::vector<std::pair<int, double>> couplings = couplings_of(box, gamma, share);
+  const double share = spectral_share(extent_px), ratio = options.noise_to_signal_ratio;
+  const std::vector<std::pair<int, double>> couplings = couplings_of(box, ratio, share);
 
   const int period = std::max(2, static_cast<int>(std::lround(extent_px / 2)) * 2);
   const auto group_of = [period](int i) { return std::min(i % period, period - 1 - i % period); };
@@ -170,7 +170,7 @@ std::vector<double> box_inverse(const std::vector<double>& box, double extent_px
         i, [&](int j, double) { width = std::max(width, number[i] - number[j]); }, [](double) {});
   }
   const Eigen::VectorXd matched = matched_filter(box, options.smoothing_px);
-  const double half_sum = 0.5 / (1 + gamma * (1 - share));
+  const double half_sum = 0.5 / (1 + ratio * (1 - share));
   BandedSystem system(radius, width);
   std::vector<double> sums(radius);
   for (int i = 0; i < radius; ++i) {
@@ -201,7 +201,7 @@ std::vector<double> fourier_inverse(const std::vector<double>& blur, int size, c
   cv::dft(h, spectrum, cv::DFT_COMPLEX_OUTPUT);
   for (int k = 0; k < size; ++k) {
     const cv::Vec2d H = spectrum.at<cv::Vec2d>(k);
-    const double scale = smoothing(k, size, options) / (H.dot(H) + options.gamma);
+    const double scale = smoothing(k, size, options) / (H.dot(H) + options.noise_to_signal_ratio);
     spectrum.at<cv::Vec2d>(k) = {H[0] * scale, -H[1] * scale};
   }
   cv::dft(spectrum, w, cv::DFT_INVERSE | cv::DFT_SCALE | cv::DFT_REAL_OUTPUT);
@@ -226,12 +226,13 @@ LineKernel wiener_kernel(double extent_px, const FilterOptions& options) {
   // Symmetric but for rounding.
   for (int i = 0; i < length; ++i) kernel.taps[i] = static_cast<float>((w[i] + w[length - 1 - i]) / (2 * sum));
   if (options.smoothing_px > 0) return kernel;
-  // gamma w = h + a constant - (what h makes of h * w): the first is the box again, the rest is smooth up to the last
-  // tap. In the Wiener filter, W = H* / gamma - H* |H|^2 / (gamma (|H|^2 + gamma)), the second term falls as |H|^3.
-  // With a ratio that rises with the frequency that holds at the highest one, where it is (1 + 3 s) gamma.
+  // With gamma, the noise-to-signal ratio: gamma w = h + a constant - (what h makes of h * w). The first is the box
+  // again, the rest is smooth up to the last tap. In the Wiener filter, W = H* / gamma - H* |H|^2 / (gamma (|H|^2 +
+  // gamma)), the second term falls as |H|^3. With a ratio that rises with the frequency that holds at the highest one,
+  // where it is (1 + 3 s) gamma.
   const double share = options.regularization == Regularization::PAPER ? 0 : spectral_share(extent_px);
   kernel.box_extent_px = extent_px;
-  kernel.box_height = 1 / (options.gamma * (1 + 3 * share) * extent_px * sum);
+  kernel.box_height = 1 / (options.noise_to_signal_ratio * (1 + 3 * share) * extent_px * sum);
   return kernel;
 }
 
@@ -254,28 +255,29 @@ LineKernel wiener_kernel(const Path1d& path_px, const FilterOptions& options) {
   return kernel;
 }
 
-// By extent / kExtentStepPx, and how often gamma is doubled.
+// By extent / kExtentStepPx, and how often the noise-to-signal ratio is doubled.
 class FilterBank::Kernels : public OnceMap<std::pair<int, int>, LineKernel> {};
 
 FilterBank::FilterBank(const FilterOptions& options) : options_(options), kernels_(std::make_unique<Kernels>()) {
   options_.validate();
-  errors_ = std::make_unique<const ExpectedErrors>(options_.gamma);
+  errors_ = std::make_unique<const ExpectedErrors>(options_.noise_to_signal_ratio);
 }
 
 FilterBank::~FilterBank() = default;
 
 std::size_t FilterBank::size() const { return kernels_->size(); }
 
-FilterOptions with_doubled_gamma(FilterOptions options, int doublings) {
-  options.gamma = std::min(std::ldexp(options.gamma, doublings), kMaxGamma);
+FilterOptions with_doubled_ratio(FilterOptions options, int doublings) {
+  options.noise_to_signal_ratio =
+      std::min(std::ldexp(options.noise_to_signal_ratio, doublings), kMaxNoiseToSignalRatio);
   return options;
 }
 
-const LineKernel& FilterBank::kernel(double extent_px, int gamma_doublings) const {
+const LineKernel& FilterBank::kernel(double extent_px, int ratio_doublings) const {
   require_range("extent", extent_px, kMinKernelExtentPx, kMaxKernelExtentPx, "px");
   const int step = static_cast<int>(std::lround(extent_px / kExtentStepPx));
-  return kernels_->get({step, gamma_doublings}, [&] {
-    return wiener_kernel(step * kExtentStepPx, with_doubled_gamma(options_, gamma_doublings));
+  return kernels_->get({step, ratio_doublings}, [&] {
+    return wiener_kernel(step * kExtentStepPx, with_doubled_ratio(options_, ratio_doublings));
   });
 }
 

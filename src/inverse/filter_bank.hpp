@@ -45,12 +45,12 @@ LineKernel wiener_kernel(double extent_px, const FilterOptions& options);
 /// its middle in time. Throws OptionError as above.
 LineKernel wiener_kernel(const Path1d& path_px, const FilterOptions& options);
 
-/// The options with gamma doubled `doublings` (>= 0) times, at most 1.
-FilterOptions with_doubled_gamma(FilterOptions options, int doublings);
+/// The options with noise_to_signal_ratio doubled `doublings` (>= 0) times, at most 1.
+FilterOptions with_doubled_ratio(FilterOptions options, int doublings);
 
 /// What to filter a block with, and what is expected of it.
 struct FilterChoice {
-  int gamma_doublings = 0;  ///< how often gamma is doubled, >= 0
+  int ratio_doublings = 0;  ///< how often the noise-to-signal ratio is doubled, >= 0
   /// Expected share of the blur's error that filtering removes, less the noise that it adds; at most 1. Below 0
   /// filtering does harm. Smoothed noise does not count as a gain.
   double gain = 1;
@@ -59,7 +59,8 @@ struct FilterChoice {
   double noise_gain = 1;
 };
 
-/// Kernels by extent in steps of kExtentStepPx, and by gamma, computed on first use and kept. Thread-safe.
+/// Kernels by extent in steps of kExtentStepPx, and by noise-to-signal ratio, computed on first use and kept.
+/// Thread-safe.
 class FilterBank {
  public:
   /// A quarter pixel: the extent is then wrong by at most 1/8 px.
@@ -70,12 +71,12 @@ class FilterBank {
   ~FilterBank();
 
   /// The kernel for the nearest multiple of kExtentStepPx. Valid as long as the bank.
-  /// @param gamma_doublings  how often options().gamma is to be doubled, >= 0; it ends at 1
-  const LineKernel& kernel(double extent_px, int gamma_doublings = 0) const;
+  /// @param ratio_doublings  how often options().noise_to_signal_ratio is to be doubled, >= 0; it ends at 1
+  const LineKernel& kernel(double extent_px, int ratio_doublings = 0) const;
 
   /// The least expected error of a block whose texture has the power c / f^2 at f cycles/px along the line (D. J.
   /// Field, J. Opt. Soc. Am. A 4 (12), 1987), and white noise of the variance v: with H the box's transform and W the
-  /// filter's, the integral over f of c |1 - W H|^2 / f^2 + v |W|^2, for each doubling of gamma.
+  /// filter's, the integral over f of c |1 - W H|^2 / f^2 + v |W|^2, for each doubling of the noise-to-signal ratio.
   /// @param noise_to_texture  v / c [cycles^2/px^2], >= 0
   FilterChoice choose(double extent_px, double noise_to_texture) const;
 

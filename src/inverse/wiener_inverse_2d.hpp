@@ -17,7 +17,7 @@ struct WienerInverse2d {
   float noise_rise_px2;   ///< >= 0
 };
 
-/// Inverse with the options' gamma as noise-to-signal ratio at 1/6 cycles/px, plus the part by noise. No other member
+/// Inverse with the options' noise_to_signal_ratio at 1/6 cycles/px, plus the part by noise. No other member
 /// of the options is used.
 /// @param noise_to_texture  see FilterBank::choose(), >= 0
 WienerInverse2d wiener_inverse_2d(const Path2d& path_px, const FilterOptions& options, double noise_to_texture = 0);

@@ -28,7 +28,7 @@ struct FieldFilters {
 };
 
 /// The inverse of a non-uniform path whose lengths count `scale` times; null where that is no blur.
-std::shared_ptr<const LineKernel> nonuniform_kernel(Path1d path_px, double scale, int gamma_doublings,
+std::shared_ptr<const LineKernel> nonuniform_kernel(Path1d path_px, double scale, int ratio_doublings,
                                                     const FilterOptions& options) {
   for (float& place_px : path_px) place_px *= static_cast<float>(scale);
   // Not blur.extent_px: rounded on its own, it may lie on the other side of a limit.
@@ -37,7 +37,7 @@ std::shared_ptr<const LineKernel> nonuniform_kernel(Path1d path_px, double scale
   if (extent_px > kMaxKernelExtentPx) {
     for (float& place_px : path_px) place_px *= static_cast<float>((kMaxKernelExtentPx - kRounding) / extent_px);
   }
-  return std::make_shared<const LineKernel>(wiener_kernel(path_px, with_doubled_gamma(options, gamma_doublings)));
+  return std::make_shared<const LineKernel>(wiener_kernel(path_px, with_doubled_ratio(options, ratio_doublings)));
 }
 
 /// The whole path of a block. That of a box is centred as a box is.
@@ -65,7 +65,7 @@ FieldFilters make_filters(const FrameBlur& field, double scale, const FilterBank
     // With half of the pixels a line's power is half as dense, at half of the frequencies.
     const bool by_noise = bank.options().regularization == Regularization::ADAPTIVE;
     const double noise_to_texture = by_noise ? blur.noise_to_texture * scale : 0;
-    const int doublings = noise_to_texture > 0 ? bank.choose(extent_px, noise_to_texture).gamma_doublings : 0;
+    const int doublings = noise_to_texture > 0 ? bank.choose(extent_px, noise_to_texture).ratio_doublings : 0;
     BlockFilter& filter = made.filters[i];
     filter.angle_rad = blur.angle_rad;
     if (blur.curved_path_px || in_2d) {

@@ -13,8 +13,8 @@
 namespace gyro_deblur {
 
 /// With Regularization::ADAPTIVE: sets noise_to_texture of each DEBLURRED block of `field`, by which make_filter_grid()
-/// chooses gamma, and sets the status of blocks that filtering would make worse to NOISY. Does nothing for other
-/// regularizations, or if field.noise is not known.
+/// chooses the noise-to-signal ratio, and sets the status of blocks that filtering would make worse to NOISY. Does
+/// nothing for other regularizations, or if field.noise is not known.
 /// @param luminance  CV_8UC1 of the field's size
 /// @param mask       empty, or of the field's size: of the pixels that noise is found in
 void adapt_regularization(const cv::Mat& luminance, const FilterBank& bank, FrameBlur& field, int threads = 0,

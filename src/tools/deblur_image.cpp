@@ -218,7 +218,7 @@ void run(const Arguments& arguments) {
                                      {"width", image.cols},
                                      {"height", image.rows},
                                      {"engine", engine->name()},
-                                     {"noise_to_signal_ratio", arguments.filter.gamma},
+                                     {"noise_to_signal_ratio", arguments.filter.noise_to_signal_ratio},
                                      {"blocks", counts},
                                      {"median_extent_px", median_extent_px(field)},
                                      {"deconvolution_ms", deconvolution_ms}});
@@ -255,7 +255,8 @@ int main_of(int argc, char** argv) {
   const auto& field_offset =
       app.add_option("--field-offset", arguments.field_offset, "value of --field that means no displacement")
           .show_default();
-  app.add_option("--noise-to-signal-ratio", arguments.filter.gamma, "least noise-to-signal ratio of the Wiener filter")
+  app.add_option("--noise-to-signal-ratio", arguments.filter.noise_to_signal_ratio,
+                 "least noise-to-signal ratio of the Wiener filter")
       .show_default();
   app.add_flag(
       "--fixed-regularization", [&] { arguments.filter.regularization = Regularization::FIXED; },

@@ -51,12 +51,14 @@ TEST(Time, RangeIsClosedAndMayBeEmpty) {
 }
 
 TEST(RequireRange, NamesValueAndRange) {
-  EXPECT_EQ(option_error([] { require_range("gamma", 2, 0.5, 1, "W"); }), "gamma = 2 is outside [0.5, 1] W");
+  EXPECT_EQ(option_error([] { require_range("noise_to_signal_ratio", 2, 0.5, 1, "W"); }),
+            "noise_to_signal_ratio = 2 is outside [0.5, 1] W");
   EXPECT_EQ(option_error([] { require_range("n", -1, 0, 10); }), "n = -1 is outside [0, 10]");
-  EXPECT_NO_THROW(require_range("gamma", 1, 0.5, 1));
-  EXPECT_NO_THROW(require_range("gamma", 0.5, 0.5, 1));
-  EXPECT_NE(option_error([] { require_range("gamma", std::nan(""), 0, 1); }), "");
-  EXPECT_NE(option_error([] { require_range("gamma", std::numeric_limits<double>::infinity(), 0, 1); }), "");
+  EXPECT_NO_THROW(require_range("noise_to_signal_ratio", 1, 0.5, 1));
+  EXPECT_NO_THROW(require_range("noise_to_signal_ratio", 0.5, 0.5, 1));
+  EXPECT_NE(option_error([] { require_range("noise_to_signal_ratio", std::nan(""), 0, 1); }), "");
+  EXPECT_NE(option_error([] { require_range("noise_to_signal_ratio", std::numeric_limits<double>::infinity(), 0, 1); }),
+            "");
 }
 
 }  // namespace

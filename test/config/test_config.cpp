@@ -56,15 +56,16 @@ std::string dump(const Config& c) {
     << c.pipeline.blur_field.block_size_px << "\nmin_extent " << c.pipeline.blur_field.min_extent_px << "\nmax_extent "
     << c.pipeline.blur_field.max_extent_px << "\ncurved_path_threshold "
     << c.pipeline.blur_field.curved_path_threshold_px << "\noptical_flow " << c.pipeline.optical_flow
-    << "\nflow_without_gyro " << c.pipeline.flow_without_gyro << "\ngamma " << c.pipeline.filter.gamma
-    << "\nlength_factor " << c.pipeline.filter.length_factor << "\nsmoothing " << c.pipeline.filter.smoothing_px
-    << "\nregularization " << static_cast<int>(c.pipeline.filter.regularization) << "\nnoise "
-    << c.pipeline.noise.read_noise << ' ' << c.pipeline.noise.photon_gain << "\nvalidation "
-    << static_cast<int>(c.pipeline.validation.rule) << ' ' << c.pipeline.validation.false_accept_rate << "\ntau "
-    << c.pipeline.validation.tau << "\ntau_contrast " << c.pipeline.validation.tau_contrast << "\nkeypoint_detector "
-    << c.pipeline.keypoints.detector << "\nkeypoint_descriptor " << c.pipeline.keypoints.descriptor
-    << "\nmax_keypoints " << c.pipeline.keypoints.max_keypoints << "\ngrid " << c.pipeline.keypoints.grid
-    << "\ntracker " << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' '
+    << "\nflow_without_gyro " << c.pipeline.flow_without_gyro << "\nnoise_to_signal_ratio "
+    << c.pipeline.filter.noise_to_signal_ratio << "\nlength_factor " << c.pipeline.filter.length_factor
+    << "\nsmoothing " << c.pipeline.filter.smoothing_px << "\nregularization "
+    << static_cast<int>(c.pipeline.filter.regularization) << "\nnoise " << c.pipeline.noise.read_noise << ' '
+    << c.pipeline.noise.photon_gain << "\nvalidation " << static_cast<int>(c.pipeline.validation.rule) << ' '
+    << c.pipeline.validation.false_accept_rate << "\ntau " << c.pipeline.validation.tau << "\ntau_contrast "
+    << c.pipeline.validation.tau_contrast << "\nkeypoint_detector " << c.pipeline.keypoints.detector
+    << "\nkeypoint_descriptor " << c.pipeline.keypoints.descriptor << "\nmax_keypoints "
+    << c.pipeline.keypoints.max_keypoints << "\ngrid " << c.pipeline.keypoints.grid << "\ntracker "
+    << c.tracker.max_tracks << ' ' << c.tracker.min_distance_px << ' ' << c.tracker.border_px << ' '
     << c.tracker.max_round_trip_px << ' ' << c.tracker.max_epipolar_px << ' ' << c.tracker.window_px << ' '
     << c.tracker.levels;
   return s.str();
@@ -168,7 +169,7 @@ TEST(ParseConfig, ReadsValuesInTheirUnits) {
             "flow_without_gyro = \"always\" needs optical_flow = true, which is false: set optical_flow to true, or "
             "flow_without_gyro to absent or never");
   EXPECT_EQ(error_of("optical_flow: false"), "") << "nothing is asked for that needs it";
-  EXPECT_EQ(c.pipeline.filter.gamma, 1e-3);
+  EXPECT_EQ(c.pipeline.filter.noise_to_signal_ratio, 1e-3);
   EXPECT_EQ(c.pipeline.filter.regularization, Regularization::PAPER);
   EXPECT_EQ(c.pipeline.validation.rule, ValidationRule::GRADIENT);
   EXPECT_EQ(c.pipeline.keypoints.detector, "ORB");
@@ -282,7 +283,7 @@ TEST(ParseConfig, TellsOfFormerParameters) {
 // rosparam's YAML 1.1 makes a string of 2e-2 and of y, and a launch file's <param> makes one of a list.
 TEST(ParseConfig, TakesStringsThatAreEntirelyValues) {
   EXPECT_EQ(parse("exposure_time: \"2e-2\"").shutter.exposure_ns, 20 * kMs);
-  EXPECT_EQ(parse("noise_to_signal_ratio: \"0.01\"").pipeline.filter.gamma, 0.01);
+  EXPECT_EQ(parse("noise_to_signal_ratio: \"0.01\"").pipeline.filter.noise_to_signal_ratio, 0.01);
   for (const char* integer : {"1e2", "\"1e2\"", "100.0", "\"100\""}) {
     EXPECT_EQ(parse(std::string("frame_queue_size: ") + integer).frame_queue_size, 100) << integer;
   }
@@ -471,7 +472,7 @@ TEST(LoadConfig, NamesTheFileThatCannotBeUsed) {
   std::ofstream(path) << "noise_to_signal_ratio: 7\n";
   EXPECT_EQ(message(path), "configuration " + path + ": noise_to_signal_ratio = 7 is outside [1e-05, 1]");
   std::ofstream(path) << "noise_to_signal_ratio: 0.5\n";
-  EXPECT_EQ(load_config(path).pipeline.filter.gamma, 0.5);
+  EXPECT_EQ(load_config(path).pipeline.filter.noise_to_signal_ratio, 0.5);
   std::remove(path.c_str());
 }
 

@@ -30,9 +30,9 @@ LineKernel without_box(int taps) {
   return kernel;
 }
 
-FilterOptions with_gamma(double gamma) {
+FilterOptions with_ratio(double ratio) {
   FilterOptions options;
-  options.gamma = gamma;
+  options.noise_to_signal_ratio = ratio;
   return options;
 }
 
@@ -54,7 +54,7 @@ std::vector<SlowCase> slow_cases() {
   LineKernel zero;
   zero.taps.assign(9, 0.0f);
   return {{FallbackReason::ZERO_KERNEL, zero, CV_8U},
-          {FallbackReason::SMALL_GAMMA, wiener_kernel(60, with_gamma(0.007)), CV_8U},
+          {FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO, wiener_kernel(60, with_ratio(0.007)), CV_8U},
           {FallbackReason::DEEP_SHORT_BLUR, wiener_kernel(35.75, {}), CV_16U},
           {FallbackReason::DEEP_NONUNIFORM_BLUR, without_box(201), CV_16U, 0.1},
           {FallbackReason::LONG_SHORT_BLUR, wiener_kernel(33, of_length(8)), CV_8U}};
@@ -74,7 +74,7 @@ TEST(FallbackReason, IsGivenForEveryKernelThatNoFastMethodTakes) {
 
 // The other side of each limit.
 TEST(FallbackReason, IsNotGivenWhereAFastMethodServes) {
-  EXPECT_EQ(fallback_reason(wiener_kernel(60, with_gamma(0.009)), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(fallback_reason(wiener_kernel(60, with_ratio(0.009)), kSlope, CV_8U), std::nullopt);
   EXPECT_EQ(fallback_reason(wiener_kernel(36, {}), kSlope, CV_16U), std::nullopt);
   EXPECT_EQ(fallback_reason(without_box(9), kSlope, CV_8U), std::nullopt);
   for (const int depth : {CV_8U, CV_16U}) {
@@ -117,11 +117,11 @@ TEST(FallbackReason, IsTheGainOfAKernelWithoutABox) {
     return kernel;
   };
   EXPECT_EQ(fallback_reason(alternating(301, 70), kSlope, CV_8U), std::nullopt);
-  EXPECT_EQ(fallback_reason(alternating(301, 90), kSlope, CV_8U), FallbackReason::SMALL_GAMMA);
+  EXPECT_EQ(fallback_reason(alternating(301, 90), kSlope, CV_8U), FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO);
   EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_8U), std::nullopt);
   EXPECT_FALSE(takes_sheared_columns(alternating(201, 90), 0.5, CV_8U));
   EXPECT_TRUE(takes_sheared_columns(alternating(201, 70), 0.5, CV_8U));
-  EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_16U), FallbackReason::SMALL_GAMMA);
+  EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_16U), FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO);
 }
 
 TEST(CpuEngineSlowBlocks, AreCountedByReason) {

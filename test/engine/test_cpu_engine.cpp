@@ -172,21 +172,21 @@ TEST_P(CpuEngineTest, StaysCloseNearAnAxis) {
   }
 }
 
-// Box and rest nearly cancel where gamma is small; whatever the engine does about it must not show.
-TEST_P(CpuEngineTest, FollowsTheFloatEngineAtAnyGamma) {
+// Box and rest nearly cancel where the noise-to-signal ratio is small; whatever the engine does about it must not show.
+TEST_P(CpuEngineTest, FollowsTheFloatEngineAtAnyNoiseToSignalRatio) {
   const cv::Mat sharp = test::textured_image(200, 150, 7);
-  for (const double gamma : {1e-5, 1e-3, 5e-3, 0.008, 0.1, 1.0}) {
-    bank_ = std::make_unique<FilterBank>(FilterOptions{gamma, gamma < 0.05 ? 4.0 : 8.0});
+  for (const double ratio : {1e-5, 1e-3, 5e-3, 0.008, 0.1, 1.0}) {
+    bank_ = std::make_unique<FilterBank>(FilterOptions{ratio, ratio < 0.05 ? 4.0 : 8.0});
     for (const double extent_px : {12.0, 35.5, 40.0, 90.0}) {
       const cv::Mat blurred = test::expose(test::blur_along_line(sharp, 0.3, extent_px), 1, 11);
       cv::Mat expected, actual;
       run(blurred, PixelLayout::GRAY, uniform_blur_field(200, 150, 0.3, extent_px, wide_options()), expected, actual);
-      EXPECT_GE(psnr_db(mean_square(expected, actual) + 1e-9), 44) << "gamma " << gamma << ", " << extent_px << " px";
+      EXPECT_GE(psnr_db(mean_square(expected, actual) + 1e-9), 44) << "ratio " << ratio << ", " << extent_px << " px";
     }
   }
 }
 
-TEST_P(CpuEngineTest, FollowsTheFloatEngineWithAnyGammaRule) {
+TEST_P(CpuEngineTest, FollowsTheFloatEngineWithAnyRegularization) {
   const cv::Mat sharp = test::textured_image(200, 150, 8);
   for (const Regularization rule : {Regularization::FIXED, Regularization::PAPER}) {
     for (const double smoothing_px : {0.0, 0.7, 2.0}) {

@@ -18,7 +18,7 @@ namespace {
 
 const cv::Size kSize(480, 360);
 constexpr LineBlur kBlur = {20 * CV_PI / 180, 31};
-constexpr double kGamma = 0.01;
+constexpr double kNoiseToSignalRatio = 0.01;
 
 /// Texture as smooth as a photograph's.
 cv::Mat scene_of(const cv::Size& size) {
@@ -60,7 +60,8 @@ TEST(AsBlurred, CountsDeblurredBlocksAsCopied) {
 }
 
 TEST(DeblurInFrequency, UndoesAPeriodicBlur) {
-  // Of a wave the filter leaves (1 + gamma) H^2 / (H^2 + gamma), H = sinc(extent * frequency along the line).
+  // Of a wave the filter leaves (1 + gamma) H^2 / (H^2 + gamma), gamma = kNoiseToSignalRatio, H = sinc(extent *
+  // frequency along the line).
   const cv::Size size(200, 100);
   const LineBlur blur = {0, 8};
   cv::Mat wave(size, CV_64F);
@@ -69,8 +70,10 @@ TEST(DeblurInFrequency, UndoesAPeriodicBlur) {
     for (int x = 0; x < size.width; ++x) wave.at<double>(y, x) = std::cos(2 * CV_PI * kPeriods * x / size.width);
   }
   const double argument = CV_PI * blur.extent_px * kPeriods / size.width, H = std::sin(argument) / argument;
-  const cv::Mat restored = deblur_in_frequency(H * wave, blur, kGamma, false);
-  EXPECT_LT(cv::norm(restored, wave * ((1 + kGamma) * H * H / (H * H + kGamma)), cv::NORM_INF), 1e-9);
+  const cv::Mat restored = deblur_in_frequency(H * wave, blur, kNoiseToSignalRatio, false);
+  EXPECT_LT(
+      cv::norm(restored, wave * ((1 + kNoiseToSignalRatio) * H * H / (H * H + kNoiseToSignalRatio)), cv::NORM_INF),
+      1e-9);
 }
 
 TEST(TaperEdges, MakesOppositeBordersAgreeAndLeavesTheInterior) {
@@ -95,14 +98,14 @@ TEST(Wiener, InSpaceBeatsFrequencyAtTheBorderAndMatchesItInside) {
   const int band = static_cast<int>(std::lround(1.5 * kBlur.extent_px));
   const cv::Rect inside(band, band, kSize.width - 2 * band, kSize.height - 2 * band);
   const cv::Mat space = deblur_in_space(example.blurred, kBlur);
-  const cv::Mat frequency = as8(deblur_in_frequency(example.blurred, kBlur, kGamma, false));
+  const cv::Mat frequency = as8(deblur_in_frequency(example.blurred, kBlur, kNoiseToSignalRatio, false));
   EXPECT_LT(rmse(space(inside), example.sharp(inside)), 1.05 * rmse(frequency(inside), example.sharp(inside)));
   const auto border_square = [&](const cv::Mat& image) {
     return std::pow(cv::norm(image, example.sharp, cv::NORM_L2), 2) -
            std::pow(cv::norm(image(inside), example.sharp(inside), cv::NORM_L2), 2);
   };
   EXPECT_LT(std::sqrt(border_square(space)), 0.8 * std::sqrt(border_square(frequency)));
-  const cv::Mat tapered = as8(deblur_in_frequency(example.blurred, kBlur, kGamma, true));
+  const cv::Mat tapered = as8(deblur_in_frequency(example.blurred, kBlur, kNoiseToSignalRatio, true));
   EXPECT_LT(border_square(tapered), border_square(frequency));
 }
 

@@ -43,7 +43,7 @@ class RunAll(unittest.TestCase):
         self.assertLess(space["rmse_border"], 0.8 * frequency["rmse_border"])
         self.assertLess(space["rmse_interior"], 1.1 * frequency["rmse_interior"])
 
-    def test_least_squares_taps_restore_more_than_the_papers_and_gamma_by_noise_no_less(self):
+    def test_least_squares_taps_restore_more_than_the_papers_and_adaptive_ones_no_less(self):
         cells = {(r["noise_grey_levels"], r["extent_px"], r["rule"]): r
                  for r in self.load("deconvolution.json")["rules"]}
         for noise, extent in {key[:2] for key in cells}:

@@ -226,7 +226,7 @@ Config random_change(const Config& config, std::uint64_t seed) {
   Config changed = config;
   switch (pick(0, 6)) {
     case 0:
-      changed.pipeline.filter.gamma = 0.001 * pick(1, 100);
+      changed.pipeline.filter.noise_to_signal_ratio = 0.001 * pick(1, 100);
       break;
     case 1:
       changed.pipeline.blur_field.block_size_px = 2 * pick(3, 64);  // 6 is refused

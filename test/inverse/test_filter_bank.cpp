@@ -82,7 +82,7 @@ TEST(PathBlurKernel, IsTheTimeInEachPixel) {
 }
 
 /// Taps, as many as the kernel's, that minimise |h * w - g|^2 + gamma (share |w'|^2 + (1 - share) |w|^2) while their
-/// sum is 1 / (1 + gamma (1 - share)), by elimination; scaled to unit sum.
+/// sum is 1 / (1 + gamma (1 - share)), gamma being noise_to_signal_ratio, by elimination; scaled to unit sum.
 Eigen::VectorXd best_taps(const std::vector<double>& blur, double share, const FilterOptions& options) {
   const int n = static_cast<int>(blur.size());
   Eigen::MatrixXd h = Eigen::MatrixXd::Zero(2 * n - 1, n);  // h * w = h w, its middle element at n - 1
@@ -102,10 +102,10 @@ Eigen::VectorXd best_taps(const std::vector<double>& blur, double share, const F
   }
   const Eigen::MatrixXd noise =
       share * differences.transpose() * differences + (1 - share) * Eigen::MatrixXd::Identity(n, n);
-  const double gain = 1 / (1 + options.gamma * (1 - share));
+  const double gain = 1 / (1 + options.noise_to_signal_ratio * (1 - share));
   // The last unknown is the multiplier of the condition.
   Eigen::MatrixXd system = Eigen::MatrixXd::Zero(n + 1, n + 1);
-  system.topLeftCorner(n, n) = h.transpose() * h + options.gamma * noise;
+  system.topLeftCorner(n, n) = h.transpose() * h + options.noise_to_signal_ratio * noise;
   system.rightCols(1).topRows(n).setOnes();
   system.bottomRows(1).leftCols(n).setOnes();
   Eigen::VectorXd side(n + 1);
@@ -120,14 +120,14 @@ void expect_taps(const LineKernel& kernel, const Eigen::VectorXd& expected, cons
 }
 
 TEST(WienerKernel, IsTheBestOfItsLength) {
-  for (const double gamma : {0.001, 0.01, 0.2}) {
+  for (const double ratio : {0.001, 0.01, 0.2}) {
     for (const double length_factor : {2.0, 4.0, 8.0}) {
       for (const double smoothing_px : {0.0, 0.3, 1.7}) {
         FilterOptions options;
-        options.gamma = gamma;
+        options.noise_to_signal_ratio = ratio;
         options.length_factor = length_factor;
         options.smoothing_px = smoothing_px;
-        const std::string what = std::to_string(gamma) + ' ' + std::to_string(length_factor) + ' ';
+        const std::string what = std::to_string(ratio) + ' ' + std::to_string(length_factor) + ' ';
         for (const double extent_px : {1.0, 2.0, 5.4, 27.0, 60.0}) {
           const LineKernel kernel = wiener_kernel(extent_px, options);
           const std::vector<double> box = box_blur_kernel(extent_px, static_cast<int>(kernel.taps.size()));
@@ -165,10 +165,10 @@ TEST(WienerKernel, OfAnEvenPathIsThatOfItsBox) {
   }
 }
 
-// H* / (|H|^2 + gamma (share |1 - exp(-iw)|^2 + 1 - share)), summed over all frequencies.
+// H* / (|H|^2 + noise_to_signal_ratio (share |1 - exp(-iw)|^2 + 1 - share)), summed over all frequencies.
 TEST(WienerKernel, IsTheFilterOfItsNoiseWhereThatIsShort) {
   FilterOptions options;
-  options.gamma = 0.5;
+  options.noise_to_signal_ratio = 0.5;
   options.length_factor = 8;
   const LineKernel kernel = wiener_kernel(13, options);
   const int radius = kernel.radius(), size = 4096;
@@ -179,7 +179,7 @@ TEST(WienerKernel, IsTheFilterOfItsNoiseWhereThatIsShort) {
     const double w = 2 * CV_PI * k / size;
     double H = 0;
     for (int i = 0; i < 15; ++i) H += box[i] * std::cos(w * (i - 7));
-    filter[k] = H / (H * H + options.gamma * (share * (2 - 2 * std::cos(w)) + 1 - share));
+    filter[k] = H / (H * H + options.noise_to_signal_ratio * (share * (2 - 2 * std::cos(w)) + 1 - share));
   }
   for (int i = -radius; i <= radius; ++i) {
     double tap = 0;
@@ -204,7 +204,7 @@ TEST(FourierKernel, IsSmoothedByAGaussian) {
     const std::vector<double> box = box_blur_kernel(extent_px, n);
     for (int k = 0; k <= n / 2; ++k) {
       const double x = 2 * CV_PI * smoothing_px * k / n, H = transform(box, k);
-      const double inverse = H * (1 + options.gamma) / (H * H + options.gamma);
+      const double inverse = H * (1 + options.noise_to_signal_ratio) / (H * H + options.noise_to_signal_ratio);
       EXPECT_NEAR(transform(kernel.taps, k), std::exp(-0.5 * x * x) * inverse, 1e-4) << extent_px << ' ' << k;
     }
   }
@@ -229,7 +229,8 @@ TEST(FourierKernel, InvertsAnNonuniformPath) {
       H += blur[i + radius] * wave;
       W += static_cast<double>(kernel.taps[i + radius]) * wave;
     }
-    const std::complex<double> expected = (1 + options.gamma) * std::conj(H) / (std::norm(H) + options.gamma);
+    const std::complex<double> expected =
+        (1 + options.noise_to_signal_ratio) * std::conj(H) / (std::norm(H) + options.noise_to_signal_ratio);
     EXPECT_LT(std::abs(W - expected), 0.05 * std::abs(expected) + 0.05) << f;
   }
   EXPECT_THROW(wiener_kernel(Path1d{}, options), OptionError);
@@ -277,18 +278,18 @@ TEST(WienerKernel, IsSymmetric) {
 }
 
 TEST(FourierKernel, ObeysTheDefinitionAtEveryFrequency) {
-  for (const double gamma : {0.001, 0.01, 0.2}) {
+  for (const double ratio : {0.001, 0.01, 0.2}) {
     FilterOptions options;
     options.regularization = Regularization::PAPER;
-    options.gamma = gamma;
+    options.noise_to_signal_ratio = ratio;
     for (const double extent : {2.0, 5.4, 27.0}) {
       const LineKernel kernel = wiener_kernel(extent, options);
       const int n = static_cast<int>(kernel.taps.size());
       const std::vector<double> box = box_blur_kernel(extent, n);
       for (int k = 0; k <= n / 2; ++k) {
         const double H = transform(box, k);
-        // Times 1 + gamma: unit gain at k = 0, where H = 1.
-        EXPECT_NEAR(transform(kernel.taps, k), (1 + gamma) * H / (H * H + gamma), 2e-5) << extent << " " << k;
+        // Times 1 + ratio: unit gain at k = 0, where H = 1.
+        EXPECT_NEAR(transform(kernel.taps, k), (1 + ratio) * H / (H * H + ratio), 2e-5) << extent << " " << k;
       }
     }
   }
@@ -299,7 +300,7 @@ TEST(WienerKernel, RefusesWhatIsOutOfRange) {
   EXPECT_THROW(wiener_kernel(500.5, {}), OptionError);
   EXPECT_THROW(wiener_kernel(std::numeric_limits<double>::quiet_NaN(), {}), OptionError);
   FilterOptions bad;
-  bad.gamma = 0;
+  bad.noise_to_signal_ratio = 0;
   EXPECT_THROW(wiener_kernel(10, bad), OptionError);
   EXPECT_THROW(FilterBank{bad}, OptionError);
   bad = {};

@@ -114,7 +114,7 @@ TEST_P(WienerGain2dTest, IsTimesItsBand) {
 
 INSTANTIATE_TEST_SUITE_P(InstructionSets, WienerGain2dTest, testing::Values("baseline", "avx2", "avx512"));
 
-TEST(WienerInverse2d, HasGammaAtASixthOfACycleAndRisesWithNoise) {
+TEST(WienerInverse2d, HasTheRatioAtASixthOfACycleAndRisesWithNoise) {
   const FilterOptions options;
   const auto ratio = [](const WienerInverse2d& inverse, double f) {
     return inverse.noise_to_signal + inverse.noise_rise_px2 * f * f;
@@ -122,7 +122,7 @@ TEST(WienerInverse2d, HasGammaAtASixthOfACycleAndRisesWithNoise) {
   Path2d path_px;
   path_px.fill(Eigen::Vector2f::Zero());
   const WienerInverse2d quiet = wiener_inverse_2d(path_px, options), noisy = wiener_inverse_2d(path_px, options, 2);
-  EXPECT_NEAR(ratio(quiet, 1.0 / 6), options.gamma, 1e-6);
+  EXPECT_NEAR(ratio(quiet, 1.0 / 6), options.noise_to_signal_ratio, 1e-6);
   EXPECT_EQ(noisy.noise_to_signal, quiet.noise_to_signal) << "noise has no share at frequency 0";
   EXPECT_NEAR(ratio(noisy, 0.5) - ratio(quiet, 0.5), 0.3 * 2 * 0.25, 1e-6);
 }

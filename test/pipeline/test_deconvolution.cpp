@@ -189,7 +189,7 @@ Weighed weigh_and_deconvolve(const cv::Mat& blurred, FrameBlur field, std::optio
 }
 
 // In good light both rules are one.
-TEST(WeighNoise, GainsInLowLightWhereGammaAsItIsLoses) {
+TEST(WeighNoise, GainsInLowLightWhereAFixedRatioLoses) {
   const cv::Mat scene = test::textured_image(400, 300, 11);
   const cv::Rect inner(32, 32, 336, 236);
   for (const double contrast : {1.0, 0.25}) {
@@ -270,7 +270,7 @@ TEST(WeighNoise, LeavesAloneWhatItWouldSpoilAndDoesNotGrainWhatIsFlat) {
       }
     }
     cv::meanStdDev(weigh_and_deconvolve(blurred, field, kNoise, Regularization::FIXED).image(flat), mean, after);
-    EXPECT_GT(after[0], 2 * before[0]) << "gamma as it is grains it, " << extent_px;
+    EXPECT_GT(after[0], 2 * before[0]) << "a fixed noise-to-signal ratio grains it, " << extent_px;
   }
 }
 

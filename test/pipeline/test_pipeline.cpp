@@ -429,7 +429,7 @@ TEST(Pipeline, TakesNewOptions) {
   const cv::Mat blurred = blurred_image(15);
   const PipelineResult before = p.process(blurred, PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), {});
   PipelineOptions changed = options();
-  changed.filter.gamma = 0.1;
+  changed.filter.noise_to_signal_ratio = 0.1;
   changed.blur_field.block_size_px = 32;
   changed.validation.rule = ValidationRule::NONE;
   changed.keypoints.max_keypoints = 20;
@@ -613,7 +613,7 @@ TEST(Pipeline, PreparesItsEngineForTheOptions) {
   o.blur_field.curved_path_threshold_px = 3;
   p.set_options(o);
   EXPECT_EQ(prepared.size(), 1u) << "nothing that kernels depend on";
-  o.filter.gamma = 0.02;
+  o.filter.noise_to_signal_ratio = 0.02;
   p.set_options(o);
   EXPECT_EQ(prepared.size(), 2u) << "other kernels";
   o.threads = 1;
@@ -632,7 +632,7 @@ TEST(Pipeline, KeepsItsStateWhenNewOptionsAreBad) {
   std::vector<PipelineOptions> bad(7, options());
   // Each also changes something good, which must not be taken over.
   for (PipelineOptions& o : bad) o.blur_field.block_size_px = 32;
-  bad[0].filter.gamma = -1;
+  bad[0].filter.noise_to_signal_ratio = -1;
   bad[1].engine = "abacus";
   bad[2].keypoints.detector = "EYE";
   bad[3].keypoints.detector = "FAST", bad[3].keypoints.descriptor = "AKAZE";

@@ -431,14 +431,14 @@ TEST(Parameters, KeepTheirTypes) {
   values["gyro_bias"][1] = 0;
   values["gyro_bias"][2] = -0.5;
   Config config = parse_config(to_yaml(values));
-  EXPECT_EQ(config.pipeline.filter.gamma, 0.05);
+  EXPECT_EQ(config.pipeline.filter.noise_to_signal_ratio, 0.05);
   EXPECT_EQ(config.pipeline.blur_field.block_size_px, 32);
   EXPECT_TRUE(config.drop_poor);
   EXPECT_EQ(config.pipeline.validation.rule, ValidationRule::NONE);
   EXPECT_EQ(config.pipeline.keypoints.detector, "ORB");
   EXPECT_EQ(config.gyro.bias_rad_s, Eigen::Vector3d(0.5, 0, -0.5));
   values["noise_to_signal_ratio"] = std::string("5e-2");
-  EXPECT_EQ(parse_config(to_yaml(values)).pipeline.filter.gamma, 0.05);
+  EXPECT_EQ(parse_config(to_yaml(values)).pipeline.filter.noise_to_signal_ratio, 0.05);
   values["noise_to_signal_ratio"] = std::string("0.05 px");
   EXPECT_TRUE(has(error_of([&] { parse_config(to_yaml(values)); }), "noise_to_signal_ratio"));
   values["noise_to_signal_ratio"] = std::numeric_limits<double>::quiet_NaN();
@@ -455,7 +455,7 @@ TEST(Parameters, BecomeYamlThatReadsTheSame) {
   const Config config = parse_config(to_yaml(values), &unknown);
   EXPECT_EQ(config.pipeline.engine, static_cast<std::string>(values["engine"]));
   EXPECT_EQ(config.calibration_camera, "7");
-  EXPECT_EQ(config.pipeline.filter.gamma, 0.1 + 0.2);
+  EXPECT_EQ(config.pipeline.filter.noise_to_signal_ratio, 0.1 + 0.2);
   EXPECT_EQ(unknown, std::vector<std::string>{"namespace of others"});
   XmlRpc::XmlRpcValue nothing, infinite(-std::numeric_limits<double>::infinity());
   EXPECT_EQ(to_yaml(nothing), "~");

@@ -612,9 +612,9 @@ TEST_F(NodeletTest, RefusedParameterIsStillRefusedAfterReloading) {
   load();
   EXPECT_TRUE(wait_for_log("noise_to_signal_ratio = 5"));
   unload();
-  double gamma = 0;
-  EXPECT_TRUE(nh_.getParam(name_ + "/noise_to_signal_ratio", gamma));
-  EXPECT_EQ(gamma, 5.0) << "what the user wrote stays on the parameter server";
+  double ratio = 0;
+  EXPECT_TRUE(nh_.getParam(name_ + "/noise_to_signal_ratio", ratio));
+  EXPECT_EQ(ratio, 5.0) << "what the user wrote stays on the parameter server";
   start();
   publish_frame(kStart);
   expect_frames(1);

@@ -147,7 +147,7 @@ TEST_F(ProcessorTest, BadConfigurationPassesFramesThroughUntilItIsMended) {
 TEST_F(ProcessorTest, ConfigurationThatCannotBeUsedChangesNothing) {
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   Config bad = config_;
-  bad.pipeline.filter.gamma = 2;
+  bad.pipeline.filter.noise_to_signal_ratio = 2;
   EXPECT_THROW(processor_.set_config(bad), OptionError);
   bad = config_;
   bad.pipeline.keypoints.detector = "nonsense";
@@ -209,7 +209,7 @@ TEST_F(ProcessorTest, ManyChangesOfParametersMakeNoNewEngine) {
   add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
   add_frame(kStart);
   for (int i = 0; i < 100; ++i) {
-    config_.pipeline.filter.gamma = 0.001 * (1 + i);
+    config_.pipeline.filter.noise_to_signal_ratio = 0.001 * (1 + i);
     config_.pipeline.keypoints.max_keypoints = 100 + i % 7;
     configure();
   }

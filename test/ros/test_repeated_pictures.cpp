@@ -406,14 +406,14 @@ TEST_F(RepeatedPictures, GlobalShutterStampsGrow) {
 }
 
 TEST_F(RepeatedPictures, ChangedParametersHoldForRepetitions) {
-  // Gamma, as rule fixed has it, changes between a picture and its repetition.
+  // The noise-to-signal ratio, with regularization: fixed, changes between a picture and its repetition.
   Player player(handheld());
   const std::vector<Shot> shots = handheld().every_picture_twice();
   player.play({shots.begin(), shots.begin() + 12});
   const auto before = player.outputs.back().image->data;
   player.outputs.clear();
   player.config.pipeline.filter.regularization = Regularization::FIXED;
-  player.config.pipeline.filter.gamma = 0.5;
+  player.config.pipeline.filter.noise_to_signal_ratio = 0.5;
   player.play({handheld().repetition(5, HandheldCamera::kPeriodNs)});
   EXPECT_FALSE(player.outputs.back().image->data == before);
 }

@@ -28,8 +28,8 @@ constexpr double kMaxShortTileSlope = 0.08;
 constexpr double kMinDeepNonuniformSlope = 0.06;
 constexpr double kMaxColumnDriftPx = 0.2;
 constexpr int kMinTileRows = 9;
-// Box and smooth rest cancel each other from this gain (1 / gamma) down to one, so that their errors grow with it.
-// The float engine filters with kernels of a smaller gamma.
+// Box and smooth rest cancel each other from this gain (1 / noise-to-signal ratio) down to one, so that their errors
+// grow with it. The float engine filters with kernels of a smaller ratio.
 constexpr double kMaxBoxGain = 128.0;
 // Exact taps of longer kernels would need a neighbourhood beyond any cache.
 constexpr int kMaxExactRadius = 128;
@@ -74,8 +74,8 @@ std::string in_words(FallbackReason reason) {
   switch (reason) {
     case FallbackReason::ZERO_KERNEL:
       return "a kernel of zeros";
-    case FallbackReason::SMALL_GAMMA:
-      return "gamma too small for the fast methods";
+    case FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO:
+      return "noise-to-signal ratio too small for the fast methods";
     case FallbackReason::DEEP_SHORT_BLUR:
       return "16 bit and " + too_short;
     case FallbackReason::DEEP_NONUNIFORM_BLUR:
@@ -90,13 +90,13 @@ std::string in_words(FallbackReason reason) {
 std::optional<FallbackReason> fallback_reason(const LineKernel& kernel, double slope, int depth) {
   const bool is_zero = std::all_of(kernel.taps.begin(), kernel.taps.end(), [](float tap) { return tap == 0; });
   if (is_zero) return FallbackReason::ZERO_KERNEL;
-  if (has_box(kernel) && !gain_is_small(kernel)) return FallbackReason::SMALL_GAMMA;
+  if (has_box(kernel) && !gain_is_small(kernel)) return FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO;
   if (exact_is_possible(kernel, depth)) return std::nullopt;
   if (extent_of(kernel) < kMinTwoScaleExtentPx) {
     return depth == CV_8U ? FallbackReason::LONG_SHORT_BLUR : FallbackReason::DEEP_SHORT_BLUR;
   }
   if (depth == CV_16U && peaks_show(kernel, slope)) return FallbackReason::DEEP_NONUNIFORM_BLUR;
-  return gain_is_small(kernel) ? std::nullopt : std::optional(FallbackReason::SMALL_GAMMA);
+  return gain_is_small(kernel) ? std::nullopt : std::optional(FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO);
 }
 
 bool takes_sheared_columns(const LineKernel& kernel, double slope, int depth) {

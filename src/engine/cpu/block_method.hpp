@@ -12,11 +12,11 @@ namespace gyro_deblur {
 
 /// Why a block is left to the float engine.
 enum class FallbackReason {
-  ZERO_KERNEL,           ///< nothing to scale fixed-point weights by
-  SMALL_GAMMA,           ///< weights so large that they cancel each other too well
-  DEEP_SHORT_BLUR,       ///< exact taps are for 8 bit, and the blur is too short for sheared columns
-  DEEP_NONUNIFORM_BLUR,  ///< exact taps are for 8 bit, and sheared columns near an axis are not close enough
-  LONG_SHORT_BLUR        ///< too many taps, and the blur is too short for sheared columns
+  ZERO_KERNEL,                  ///< nothing to scale fixed-point weights by
+  SMALL_NOISE_TO_SIGNAL_RATIO,  ///< weights so large that they cancel each other too well
+  DEEP_SHORT_BLUR,              ///< exact taps are for 8 bit, and the blur is too short for sheared columns
+  DEEP_NONUNIFORM_BLUR,         ///< exact taps are for 8 bit, and sheared columns near an axis are not close enough
+  LONG_SHORT_BLUR               ///< too many taps, and the blur is too short for sheared columns
 };
 constexpr int kSlowReasons = 5;
 
