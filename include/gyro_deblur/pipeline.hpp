@@ -25,11 +25,15 @@ namespace gyro_deblur {
 
 class Engine;
 
-/// What is to become of a frame whose field is known.
-enum class Permit {
-  DEBLUR,
-  LEAVE,  ///< every block that would be deblurred is REJECTED, and nothing is moved to the reference time
-  STOP,   ///< the field is all that there is of the frame
+/// What is done with a frame whose field is known, and why. Without either text it is deblurred.
+struct FrameAction {
+  /// Why the frame is passed through: every block that would be deblurred is REJECTED, and nothing is moved to the
+  /// reference time.
+  std::string pass_through_text;
+  /// Why the frame is dropped: the field is all that there is of it, and says what could have been deblurred.
+  std::string drop_text;
+
+  bool deblurs() const { return pass_through_text.empty() && drop_text.empty(); }
 };
 
 /// What an image's blur, and that of the images before, say of its exposure.
@@ -65,8 +69,8 @@ struct PipelineRequest {
   std::optional<ExposureQuestion> exposure = {};
   /// No gyroscope is there, or it is silent: see flow_without_gyro.
   bool without_gyro = false;
-  /// Asked with the validated field before anything is deblurred. Absent: DEBLUR.
-  std::function<Permit(const FrameBlur&)> permit = {};
+  /// Asked with the validated field before anything is deblurred. Absent: the frame is deblurred.
+  std::function<FrameAction(const FrameBlur&)> decide = {};
 };
 
 /// Wall time of each stage [ms]; 0 for a stage that did not run.

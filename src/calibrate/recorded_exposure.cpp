@@ -187,7 +187,7 @@ void RecordedExposureEstimator::add(TimeNs stamp_ns, TimeNs middle_ns, const cv:
   request.image = request.keypoints = false;
   request.luminance = true;
   request.without_gyro = without_gyro_;
-  request.permit = [](const FrameBlur&) { return Permit::STOP; };
+  request.decide = [](const FrameBlur&) { return FrameAction{"", "only the field is used"}; };
   // Answered with "not known" in any case: the pipeline then stops after the field and says what the image lacks.
   request.exposure =
       ExposureQuestion{true, 0, [&](const std::optional<ExposureEstimate>& estimate, double mean_brightness) {

@@ -169,12 +169,12 @@ void Pipeline::Impl::process(FrameContext& frame) {
   validate(frame);
   choose_regularization(frame);
 
-  const Permit permit = request.permit ? request.permit(result.field) : Permit::DEBLUR;
-  if (permit == Permit::STOP) return;
-  if (permit == Permit::LEAVE) result.field.reject_all();
+  const FrameAction action = request.decide ? request.decide(result.field) : FrameAction();
+  if (!action.drop_text.empty()) return;
+  if (!action.pass_through_text.empty()) result.field.reject_all();
 
   if (request.image || request.global_shutter) deblur_image(frame);
-  if (request.global_shutter && permit == Permit::DEBLUR) move_to_reference(frame);
+  if (request.global_shutter && action.deblurs()) move_to_reference(frame);
   if (!request.keypoints && !request.luminance) return;
 
   const cv::Mat luminance = deblurred_luminance(frame);

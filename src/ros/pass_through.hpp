@@ -36,12 +36,6 @@ LogLevel level_of(PassThroughReason reason);
 /// What to do about it. Never null.
 const char* remedy(PassThroughReason reason);
 
-/// What has been decided on a frame whose blur is known.
-struct FrameDecision {
-  std::string refusal;  ///< why nothing of it is deblurred; empty: what may be is
-  std::string drop;     ///< why it is not published, see Config::drop_poor; empty: it is
-};
-
 /// A frame that has to be passed through, with the reason and one line that has the values involved.
 class FrameError : public std::runtime_error {
  public:

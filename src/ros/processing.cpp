@@ -100,15 +100,11 @@ void add_global_shutter(const PipelineResult& result, const PendingFrame& frame,
   output->global_shutter_info = info;
 }
 
-Permit permit_of(const FrameDecision& decision) {
-  return !decision.drop.empty() ? Permit::STOP : !decision.refusal.empty() ? Permit::LEAVE : Permit::DEBLUR;
-}
-
 /// The pipeline's work, which is not done again for a picture that comes again.
-/// @param decision  set to what `decide` says of the field
-/// @param chosen    set to what `choose_exposure` says, where it is asked
+/// @param action  set to what `decide` says of the field
+/// @param chosen  set to what `choose_exposure` says, where it is asked
 PipelineResult make(const SynchronizedFrame& synchronized, const FrameRequest& request, const ImageView& view,
-                    const RotationTrack& rotation, FrameDecision* decision, ChosenExposure* chosen) {
+                    const RotationTrack& rotation, FrameAction* action, ChosenExposure* chosen) {
   const PendingFrame& frame = synchronized.frame;
   PipelineRequest wanted;
   wanted.image = request.image;
@@ -119,19 +115,19 @@ PipelineResult make(const SynchronizedFrame& synchronized, const FrameRequest& r
   wanted.without_gyro = synchronized.without_gyro;
   const std::shared_ptr<const MadePicture> made = frame.picture ? frame.picture->made : nullptr;
   if (made && frame.repeats && made->serves(synchronized, wanted)) {
-    if (request.decide) *decision = request.decide(made->result.field);
-    if (permit_of(*decision) == Permit::DEBLUR) {
+    if (request.decide) *action = request.decide(made->result.field);
+    if (action->deblurs()) {
       PipelineResult result = made->result;
       result.times = {};
       result.residual_rotation.reset();
       result.seen_rotation.reset();
       return result;
     }
-    wanted.permit = [decision](const FrameBlur&) { return permit_of(*decision); };
+    wanted.decide = [action](const FrameBlur&) { return *action; };
   } else if (request.decide) {
-    wanted.permit = [&request, decision](const FrameBlur& field) {
-      *decision = request.decide(field);
-      return permit_of(*decision);
+    wanted.decide = [&request, action](const FrameBlur& field) {
+      *action = request.decide(field);
+      return *action;
     };
   }
   if (request.choose_exposure) {
@@ -144,8 +140,8 @@ PipelineResult make(const SynchronizedFrame& synchronized, const FrameRequest& r
   }
   PipelineResult result =
       synchronized.pipeline->process(view.image, view.layout, rotation, *synchronized.exposure, wanted);
-  if (synchronized.pictures_repeat && frame.picture && permit_of(*decision) == Permit::DEBLUR) {
-    wanted.permit = nullptr;
+  if (synchronized.pictures_repeat && frame.picture && action->deblurs()) {
+    wanted.decide = nullptr;
     wanted.exposure.reset();
     frame.picture->made = std::make_shared<MadePicture>(
         MadePicture{frame.image, synchronized.configuration, *frame.calibration, synchronized.mask, wanted, result});
@@ -218,9 +214,9 @@ void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, 
   pipeline.set_mask(synchronized.mask);
   const RotationTrack rotation(synchronized.samples, synchronized.gyro, synchronized.R_cam_imu, synchronized.own_begin);
   const double preparation_ms = elapsed_ms(start);
-  FrameDecision decision;
+  FrameAction action;
   ChosenExposure chosen{synchronized.plan.origin, synchronized.plan.exposure_ns, synchronized.plan.log_stddev};
-  PipelineResult result = make(synchronized, request, view, rotation, &decision, &chosen);
+  PipelineResult result = make(synchronized, request, view, rotation, &action, &chosen);
   output->exposure = FrameExposure{chosen, result.exposure_need};
   const RowExposure exposure = synchronized.exposure->with_exposure(result.exposure_ns);
   // What is said of a picture holds for the image that shows it, as though it had been exposed by that one's stamp.
@@ -228,8 +224,8 @@ void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, 
   add_findings(synchronized, result, output);
   output->stages.blur_field_ms += preparation_ms;  // of what the field is predicted from
 
-  output->dropped = !decision.drop.empty();
-  if (output->dropped && !decision.refusal.empty()) result.field.reject_all();
+  output->dropped = !action.drop_text.empty();
+  if (output->dropped && !action.pass_through_text.empty()) result.field.reject_all();
   if (request.tracks && !output->dropped) {
     add_tracks(synchronized, view, rotation, exposure, result, tracker, output);
   }
@@ -241,16 +237,16 @@ void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, 
   start = std::chrono::steady_clock::now();
   const FrameQuality quality = assess_quality(result.field);
   add_messages(synchronized, request, view, result, quality, output);
-  if (decision.refusal.empty() || output->dropped) {
+  if (action.pass_through_text.empty() || output->dropped) {
     output->exposure_terms =
         exposure_terms(result.field, quality, synchronized.options.blur_field, synchronized.options.noise);
     add_field(synchronized, exposure, rotation, result.field, output);
     output->field = std::move(result.field);
   } else {
     output->reason = PassThroughReason::STEREO_PARTNER;
-    output->reason_text = decision.refusal;
+    output->reason_text = action.pass_through_text;
   }
-  if (output->dropped) output->blur_field->reason_text = output->reason_text = "drop_poor: " + decision.drop;
+  if (output->dropped) output->blur_field->reason_text = output->reason_text = "drop_poor: " + action.drop_text;
   output->messages_ms += elapsed_ms(start);
 }
 

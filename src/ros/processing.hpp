@@ -30,8 +30,9 @@ struct FrameRequest {
   bool tracks = false;
   bool global_shutter = false;
   bool trust_mask = false;
-  /// Asked with the validated field before anything is deblurred. Absent: everything is permitted.
-  std::function<FrameDecision(const FrameBlur&)> decide = {};
+  /// Asked with the validated field before anything is deblurred. Absent: the frame is deblurred. A frame
+  /// with a pass_through_text gets the reason STEREO_PARTNER, one with a drop_text is not published (drop_poor).
+  std::function<FrameAction(const FrameBlur&)> decide = {};
   /// Told what the blur says of the exposure time and the mean grey level; returns the exposure to deblur by. Absent:
   /// the plan's is certain.
   std::function<ChosenExposure(const std::optional<ExposureEstimate>&, double)> choose_exposure = {};

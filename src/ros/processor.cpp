@@ -14,11 +14,11 @@
 namespace gyro_deblur {
 namespace {
 
-/// What a camera that drops bad images tells its partners.
-DropTerms drop_terms(const FrameBlur& field) {
-  FrameBlur left = field;
-  left.reject_all();
-  return {assess_quality(field).grade != QualityGrade::UNKNOWN, drop_text(field), drop_text(left)};
+/// What a camera that drops poor images reports to its stereo partners.
+DropReasons drop_reasons(const FrameBlur& field) {
+  FrameBlur passed_through = field;
+  passed_through.reject_all();
+  return {assess_quality(field).grade != QualityGrade::UNKNOWN, drop_text(field), drop_text(passed_through)};
 }
 
 }  // namespace
@@ -293,7 +293,7 @@ FrameOutput Processor::process_with_partners(const SynchronizedFrame& synchroniz
   StereoCamera* const stereo = environment_.stereo.get();
   if (!stereo) {
     if (synchronized.drop_poor) {
-      request.decide = [](const FrameBlur& field) { return FrameDecision{"", drop_text(field)}; };
+      request.decide = [](const FrameBlur& field) { return FrameAction{"", drop_text(field)}; };
     }
     return process(synchronized, request, &tracker_);
   }
@@ -302,8 +302,8 @@ FrameOutput Processor::process_with_partners(const SynchronizedFrame& synchroniz
   const PassThroughReason reason = synchronized.frame.pass_through_reason;
   reason == PassThroughReason::NONE ? stereo->begin(stamp_ns) : stereo->pass_through(stamp_ns, reason);
   request.decide = [stereo, stamp_ns, drop_poor](const FrameBlur& field) {
-    return drop_poor ? stereo->decide(stamp_ns, field, drop_terms(field))
-                     : FrameDecision{stereo->decide(stamp_ns, field), ""};
+    return drop_poor ? stereo->decide(stamp_ns, field, drop_reasons(field))
+                     : FrameAction{stereo->decide(stamp_ns, field), ""};
   };
   FrameOutput output = process(synchronized, request, &tracker_);
   if (output.reason != PassThroughReason::NONE) stereo->pass_through(stamp_ns, output.reason);

@@ -77,7 +77,7 @@ void StereoRig::announce(Id id, TimeNs stamp_ns) {
       pairs_.push_back(pair);
       if (pairs_.size() > kPairsKept) pairs_.pop_front();
     }
-    pair->places[id] = {stamp_ns, Phase::COME, std::nullopt};
+    pair->places[id] = {stamp_ns, Phase::RECEIVED, std::nullopt};
     member->second.newest = pair->number;
   }
   changed_.notify_all();
@@ -85,14 +85,14 @@ void StereoRig::announce(Id id, TimeNs stamp_ns) {
 
 std::shared_ptr<StereoRig::Pair> StereoRig::find(Id id, TimeNs stamp_ns) const {
   // Of images with the same stamp the one that nothing has been said of is meant: they leave in order.
-  std::shared_ptr<Pair> stated;
+  std::shared_ptr<Pair> reported;
   for (const std::shared_ptr<Pair>& pair : pairs_) {
     const auto place = pair->places.find(id);
     if (place == pair->places.end() || place->second.stamp_ns != stamp_ns) continue;
-    if (place->second.phase != Phase::STATED) return pair;
-    stated = pair;
+    if (place->second.phase != Phase::REPORTED) return pair;
+    reported = pair;
   }
-  return stated;
+  return reported;
 }
 
 template <typename Change>
@@ -109,28 +109,28 @@ void StereoRig::change(Id id, TimeNs stamp_ns, Change change) {
 void StereoRig::begin(Id id, TimeNs stamp_ns) {
   change(id, stamp_ns, [id](const std::shared_ptr<Pair>& pair) {
     Phase& phase = pair->places[id].phase;
-    if (phase == Phase::COME) phase = Phase::BEGUN;
+    if (phase == Phase::RECEIVED) phase = Phase::PROCESSING;
   });
 }
 
-void StereoRig::refuse(const std::shared_ptr<Pair>& pair, Id id, const std::string& why) {
-  pair->places[id].phase = Phase::STATED;
-  if (!pair->agreed && pair->refusal.empty()) pair->refusal = members_[id].name + " " + why;
+void StereoRig::pass_partners_through(const std::shared_ptr<Pair>& pair, Id id, const std::string& why) {
+  pair->places[id].phase = Phase::REPORTED;
+  if (!pair->agreed && pair->pass_through_text.empty()) pair->pass_through_text = members_[id].name + " " + why;
 }
 
-void StereoRig::refuse(Id id, TimeNs stamp_ns, const std::string& why) {
-  change(id, stamp_ns, [&](const std::shared_ptr<Pair>& pair) { refuse(pair, id, why); });
+void StereoRig::pass_partners_through(Id id, TimeNs stamp_ns, const std::string& why) {
+  change(id, stamp_ns, [&](const std::shared_ptr<Pair>& pair) { pass_partners_through(pair, id, why); });
 }
 
 void StereoRig::pass_through(Id id, TimeNs stamp_ns, const std::string& why) {
   change(id, stamp_ns, [&](const std::shared_ptr<Pair>& pair) {
-    pair->leaves = true;
-    refuse(pair, id, why);
+    pair->none_dropped = true;
+    pass_partners_through(pair, id, why);
   });
 }
 
 void StereoRig::agree(Id id, TimeNs stamp_ns) {
-  change(id, stamp_ns, [id](const std::shared_ptr<Pair>& pair) { pair->places[id].phase = Phase::STATED; });
+  change(id, stamp_ns, [id](const std::shared_ptr<Pair>& pair) { pair->places[id].phase = Phase::REPORTED; });
 }
 
 StereoRig::Blocking StereoRig::blocking(const Pair& pair, Id id) const {
@@ -138,8 +138,8 @@ StereoRig::Blocking StereoRig::blocking(const Pair& pair, Id id) const {
     if (other == id) continue;
     const auto place = pair.places.find(other);
     if (place != pair.places.end()) {
-      if (place->second.phase == Phase::STATED) continue;
-      return {other, true, !member.deciding.is_bad() || place->second.phase == Phase::BEGUN};
+      if (place->second.phase == Phase::REPORTED) continue;
+      return {other, true, !member.deciding.is_bad() || place->second.phase == Phase::PROCESSING};
     }
     const bool left_out = member.newest > pair.number;
     if (member.newest > 0 && !left_out && !member.sending.is_bad()) return {other, false, true};
@@ -153,7 +153,7 @@ void StereoRig::record_habits(const Pair& pair, Id id) {
     const auto place = pair.places.find(other);
     if (place != pair.places.end()) {
       member.sending.hit();
-      if (place->second.phase == Phase::STATED) member.deciding.hit();
+      if (place->second.phase == Phase::REPORTED) member.deciding.hit();
     } else if (member.sending.is_bad()) {
       member.sending.miss();  // not waited for, and not there
     }
@@ -162,53 +162,54 @@ void StereoRig::record_habits(const Pair& pair, Id id) {
 
 void StereoRig::decide(Pair* pair) const {
   pair->agreed = true;
-  if (pair->leaves) return;
+  if (pair->none_dropped) return;
   for (const auto& [id, place] : pair->places) {
-    if (!place.drop) continue;
-    const std::string& why = pair->refusal.empty() ? place.drop->if_deblurred : place.drop->if_left;
+    if (!place.drop_reasons) continue;
+    const std::string& why =
+        pair->pass_through_text.empty() ? place.drop_reasons->if_deblurred : place.drop_reasons->if_passed_through;
     if (why.empty()) continue;
     const auto member = members_.find(id);  // it may have left the rig
-    pair->drop = "the image of " + (member == members_.end() ? "a camera" : member->second.name) + " is " + why;
+    pair->drop_text = "the image of " + (member == members_.end() ? "a camera" : member->second.name) + " is " + why;
     return;
   }
 }
 
 std::string StereoRig::give_up(const std::shared_ptr<Pair>& pair, Id id, const Blocking& blocking, bool waited,
-                               bool refuses) {
+                               bool deblurs) {
   Member& other = members_[blocking.id];
   if (waited) (blocking.has_come ? other.deciding : other.sending).miss();
   const std::string stamp = seconds_text(pair->places[id].stamp_ns) + " s";
   const std::string within = waited ? " within " + std::to_string(members_[id].patience_ns / 1'000'000) + " ms" : "";
-  pair->leaves = true;
-  if (refuses) refuse(pair, id, "has not waited for this image any longer");
+  pair->none_dropped = true;
+  if (deblurs) pass_partners_through(pair, id, "has not waited for this image any longer");
   return blocking.has_come ? other.name + " has not decided on its image of " + stamp + within
                            : other.name + " has not had an image of " + stamp + within;
 }
 
-FrameDecision StereoRig::meet(Id id, TimeNs stamp_ns, const Statement& statement) {
-  const FrameDecision alone{"", statement.drop ? statement.drop->if_deblurred : ""};
+FrameAction StereoRig::wait_for_partners(Id id, TimeNs stamp_ns, const ImageReport& report) {
+  const FrameAction alone{"", report.drop_reasons ? report.drop_reasons->if_deblurred : ""};
   std::unique_lock<std::mutex> lock(mutex_);
   const std::shared_ptr<Pair> pair = find(id, stamp_ns);
   if (!pair) return alone;
-  pair->places[id].drop = statement.drop;
-  if (statement.refusal.empty()) {
-    pair->places[id].phase = Phase::STATED;
+  pair->places[id].drop_reasons = report.drop_reasons;
+  if (report.pass_through_text.empty()) {
+    pair->places[id].phase = Phase::REPORTED;
   } else {
-    refuse(pair, id, statement.refusal);
+    pass_partners_through(pair, id, report.pass_through_text);
   }
-  if (statement.drop && !statement.drop->may_be_dropped) pair->leaves = true;
+  if (report.drop_reasons && !report.drop_reasons->may_be_dropped) pair->none_dropped = true;
   changed_.notify_all();
   const auto deadline = std::chrono::steady_clock::now() + std::chrono::nanoseconds(members_[id].patience_ns);
   bool waited = false, timed_out = false;
   Blocking blocked;
   while (true) {
     if (pair->places.count(id) == 0) return alone;  // it has left the rig
-    const bool droppable = statement.drop && statement.drop->may_be_dropped;
-    if (pair->agreed) return {pair->refusal, droppable ? pair->drop : ""};
-    const bool may_be_dropped = droppable && !pair->leaves;
-    if (!may_be_dropped && (!statement.deblurs || !pair->refusal.empty())) {
+    const bool droppable = report.drop_reasons && report.drop_reasons->may_be_dropped;
+    if (pair->agreed) return {pair->pass_through_text, droppable ? pair->drop_text : ""};
+    const bool may_be_dropped = droppable && !pair->none_dropped;
+    if (!may_be_dropped && (!report.deblurs || !pair->pass_through_text.empty())) {
       record_habits(*pair, id);
-      return {pair->refusal, ""};
+      return {pair->pass_through_text, ""};
     }
     const Blocking before = blocked;
     blocked = blocking(*pair, id);
@@ -221,10 +222,10 @@ FrameDecision StereoRig::meet(Id id, TimeNs stamp_ns, const Statement& statement
       record_habits(*pair, id);
       decide(pair.get());
       changed_.notify_all();
-      return {pair->refusal, statement.drop ? pair->drop : ""};
+      return {pair->pass_through_text, report.drop_reasons ? pair->drop_text : ""};
     }
     if (timed_out || !blocked.worth_waiting) {
-      const std::string why = give_up(pair, id, blocked, waited, statement.deblurs);
+      const std::string why = give_up(pair, id, blocked, waited, report.deblurs);
       changed_.notify_all();
       return {why, ""};
     }
@@ -256,21 +257,22 @@ bool is_all_sharp(const FrameBlur& field) {
 }  // namespace
 
 std::string StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field) {
-  if (field.count(BlockStatus::DEBLURRED) > 0) return rig_->meet(this, stamp_ns, {}).refusal;
+  if (field.count(BlockStatus::DEBLURRED) > 0) return rig_->wait_for_partners(this, stamp_ns, {}).pass_through_text;
   if (is_all_sharp(field)) {
     rig_->agree(this, stamp_ns);
   } else {
-    rig_->refuse(this, stamp_ns, kNothingToDeblur);
+    rig_->pass_partners_through(this, stamp_ns, kNothingToDeblur);
   }
   return {};
 }
 
-FrameDecision StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field, const DropTerms& drop) {
+FrameAction StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field, const DropReasons& drop_reasons) {
   const bool deblurs = field.count(BlockStatus::DEBLURRED) > 0;
   const bool is_sharp = is_all_sharp(field);
-  FrameDecision decision = rig_->meet(this, stamp_ns, {deblurs, deblurs || is_sharp ? "" : kNothingToDeblur, drop});
-  if (!deblurs) decision.refusal.clear();  // there is nothing to refuse
-  return decision;
+  FrameAction action =
+      rig_->wait_for_partners(this, stamp_ns, {deblurs, deblurs || is_sharp ? "" : kNothingToDeblur, drop_reasons});
+  if (!deblurs) action.pass_through_text.clear();  // nothing would be deblurred anyway
+  return action;
 }
 
 }  // namespace gyro_deblur

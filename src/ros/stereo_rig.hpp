@@ -11,16 +11,17 @@
 #include <string>
 
 #include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/time.hpp"
 #include "ros/pass_through.hpp"
 
 namespace gyro_deblur {
 
-/// What a camera that drops bad images says of one.
-struct DropTerms {
-  bool may_be_dropped = true;  ///< false: it is never, and so neither are its partners
-  std::string if_deblurred;    ///< why it would be dropped, were it deblurred; empty: it would not
-  std::string if_left;         ///< the same, were it left as it came
+/// Why a camera with Config::drop_poor would drop an image, for each of the two things that may become of it.
+struct DropReasons {
+  bool may_be_dropped = true;     ///< false: neither it nor its stereo partners are dropped
+  std::string if_deblurred;       ///< why it is dropped if it is deblurred; empty: it is published
+  std::string if_passed_through;  ///< the same if it is passed through
 };
 
 /// Where the cameras of a rig meet. Of each image a camera says that it has come, that work on it has begun, and what
@@ -69,11 +70,11 @@ class StereoRig {
     Habit deciding;            ///< and is decided on in time
   };
 
-  enum class Phase { COME, BEGUN, STATED };
+  enum class Phase { RECEIVED, PROCESSING, REPORTED };
   struct Place {
     TimeNs stamp_ns = 0;
-    Phase phase = Phase::COME;
-    std::optional<DropTerms> drop;  ///< once stated, of a camera that drops bad images
+    Phase phase = Phase::RECEIVED;
+    std::optional<DropReasons> drop_reasons;  ///< once reported, of a camera that drops poor images
   };
 
   /// Images of one instant.
@@ -81,17 +82,17 @@ class StereoRig {
     std::uint64_t number = 0;  ///< grows with the order in which the first images of pairs come
     TimeNs stamp_ns = 0;       ///< of the first
     std::map<Id, Place> places;
-    bool agreed = false;  ///< what follows stays
-    bool leaves = false;  ///< one of its images, whatever the others say: none is dropped
-    std::string refusal;  ///< why none is deblurred
-    std::string drop;     ///< why those are dropped whose cameras drop bad images; once agreed
+    bool agreed = false;            ///< what follows stays
+    bool none_dropped = false;      ///< one of its images is published in any case, so that no other one is dropped
+    std::string pass_through_text;  ///< why none is deblurred; empty: those that can be are
+    std::string drop_text;          ///< why those are dropped whose cameras drop poor images; once agreed
   };
 
-  /// What a camera says of an image, and waits with for what the others say of theirs.
-  struct Statement {
+  /// What a camera reports of an image before it waits for what the others report of theirs.
+  struct ImageReport {
     bool deblurs = true;            ///< there are blocks that may be deblurred
-    std::string refusal;            ///< why its partners may not be deblurred, either; empty: they may
-    std::optional<DropTerms> drop;  ///< of a camera that drops bad images
+    std::string pass_through_text;  ///< why its stereo partners have to be passed through; empty: they need not
+    std::optional<DropReasons> drop_reasons;  ///< of a camera that drops poor images
   };
 
   /// Whom an image has to wait for.
@@ -109,18 +110,18 @@ class StereoRig {
   void announce(Id id, TimeNs stamp_ns);
   void begin(Id id, TimeNs stamp_ns);
   void pass_through(Id id, TimeNs stamp_ns, const std::string& why);
-  void refuse(Id id, TimeNs stamp_ns, const std::string& why);
+  void pass_partners_through(Id id, TimeNs stamp_ns, const std::string& why);
   void agree(Id id, TimeNs stamp_ns);
-  FrameDecision meet(Id id, TimeNs stamp_ns, const Statement& statement);
+  FrameAction wait_for_partners(Id id, TimeNs stamp_ns, const ImageReport& report);
 
   // These need mutex_.
   std::shared_ptr<Pair> find(Id id, TimeNs stamp_ns) const;
-  void refuse(const std::shared_ptr<Pair>& pair, Id id, const std::string& why);
+  void pass_partners_through(const std::shared_ptr<Pair>& pair, Id id, const std::string& why);
   Blocking blocking(const Pair& pair, Id id) const;
   /// Once an image is decided on: which of the others had been in time.
   void record_habits(const Pair& pair, Id id);
-  std::string give_up(const std::shared_ptr<Pair>& pair, Id id, const Blocking& blocking, bool waited, bool refuses);
-  /// Everybody has stated.
+  std::string give_up(const std::shared_ptr<Pair>& pair, Id id, const Blocking& blocking, bool waited, bool deblurs);
+  /// All cameras have reported.
   void decide(Pair* pair) const;
 
   std::mutex mutex_;  // everything below
@@ -154,7 +155,7 @@ class StereoCamera {
   /// @return why not, with the partner's name; empty: it may
   std::string decide(TimeNs stamp_ns, const FrameBlur& field);
   /// The same of a camera that drops bad images: whatever there is to deblur, it waits.
-  FrameDecision decide(TimeNs stamp_ns, const FrameBlur& field, const DropTerms& drop);
+  FrameAction decide(TimeNs stamp_ns, const FrameBlur& field, const DropReasons& drop_reasons);
 
  private:
   const std::shared_ptr<StereoRig> rig_;

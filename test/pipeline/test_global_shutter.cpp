@@ -47,13 +47,14 @@ PipelineOptions options(ImageBorder border = ImageBorder::BLACK, bool deblurs = 
 }
 
 PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion, const RowExposure& rows,
-                       const PipelineOptions& with = options(), std::function<Permit(const FrameBlur&)> permit = {}) {
+                       const PipelineOptions& with = options(),
+                       std::function<FrameAction(const FrameBlur&)> decide = {}) {
   Pipeline pipeline(with);
   pipeline.set_calibration(test::small_camera());
   PipelineRequest request;
   request.image = request.keypoints = false;
   request.global_shutter = true;
-  request.permit = std::move(permit);
+  request.decide = std::move(decide);
   return pipeline.process(image, layout, motion, rows, request);
 }
 
@@ -189,8 +190,8 @@ TEST(PipelineGlobalShutter, WhatCannotBeMovedIsNone) {
   EXPECT_TRUE(
       process(image, PixelLayout::GRAY, pan(kRateRadS, 3 * kStampNs), exposure(kReadoutNs)).global_shutter.empty());
   EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(kRateRadS, 3 * kStampNs), exposure(0)).global_shutter.empty());
-  const auto refuse = [](const FrameBlur&) { return Permit::LEAVE; };
-  EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(kReadoutNs), options(), refuse)
+  const auto pass_through = [](const FrameBlur&) { return FrameAction{"not this one", ""}; };
+  EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(kReadoutNs), options(), pass_through)
                   .global_shutter.empty());
   Pipeline pipeline(options());
   pipeline.set_calibration(test::small_camera());

@@ -60,14 +60,14 @@ bool equal(const cv::Mat& a, const cv::Mat& b) {
   return a.size() == b.size() && a.type() == b.type() && cv::norm(a, b, cv::NORM_INF) == 0;
 }
 
-TEST(Pipeline, FrameThatIsStoppedIsItsField) {
+TEST(Pipeline, DroppedFrameHasOnlyItsField) {
   Pipeline p = pipeline();
   PipelineRequest request;
   request.luminance = request.global_shutter = true;
   std::size_t to_deblur = 0;
-  request.permit = [&to_deblur](const FrameBlur& field) {
+  request.decide = [&to_deblur](const FrameBlur& field) {
     to_deblur = field.count(BlockStatus::DEBLURRED);
-    return Permit::STOP;
+    return FrameAction{"", "only the field is wanted"};
   };
   const PipelineResult result =
       p.process(blurred_image(15), PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), request);

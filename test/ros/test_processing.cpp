@@ -23,7 +23,7 @@ TEST_F(ProcessingTest, RefusedFrameLeavesAsItCameAndIsStillTracked) {
   request_.tracks = true;
   request_.decide = [](const FrameBlur& field) {
     EXPECT_EQ(field.count(BlockStatus::DEBLURRED), field.blocks.size());
-    return FrameDecision{"/cam1 says no", ""};
+    return FrameAction{"/cam1 says no", ""};
   };
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   add_frame(kStart);
@@ -34,7 +34,7 @@ TEST_F(ProcessingTest, RefusedFrameLeavesAsItCameAndIsStillTracked) {
   for (const Keypoint& keypoint : outputs_[0].keypoints->keypoints) {
     EXPECT_FALSE(keypoint.deblurred || keypoint.rectified);
   }
-  request_.decide = [](const FrameBlur&) { return FrameDecision(); };
+  request_.decide = [](const FrameBlur&) { return FrameAction(); };
   add_imu(kStart + 105 * kMs, kStart + 200 * kMs);
   add_frame(kStart + 100 * kMs);
   advance();

@@ -96,7 +96,7 @@ TEST_F(ProcessorGlobalShutterTest, WhatPassesThroughKeepsItsStamp) {
   expect_passed_through(1, PassThroughReason::NO_GYRO, "");
   expect_unmoved(1);
   // Nor does a frame that its partner keeps from being deblurred.
-  request_.decide = [](const FrameBlur&) { return FrameDecision{"/cam1 says no", ""}; };
+  request_.decide = [](const FrameBlur&) { return FrameAction{"/cam1 says no", ""}; };
   add_imu(kStart + 700 * kMs, kStart + 900 * kMs);
   add_frame(kStart + 800 * kMs);
   advance();
@@ -140,7 +140,7 @@ TEST_F(ProcessorGlobalShutterTest, StampsNeverGoBack) {
   add_frame(kStart);
   advance();
   ASSERT_GT(moved_ns(0), kStart + 33 * kMs);
-  request_.decide = [](const FrameBlur&) { return FrameDecision{"/cam1 says no", ""}; };
+  request_.decide = [](const FrameBlur&) { return FrameAction{"/cam1 says no", ""}; };
   add_frame(kStart + 33 * kMs);
   advance();
   ASSERT_EQ(outputs_.size(), 2u);

@@ -257,19 +257,19 @@ TEST_F(StereoRigTest, RecordingThatIsPlayedAgainIsDecidedAnew) {
 /// Cameras that drop bad images.
 class DroppingRigTest : public StereoRigTest {
  protected:
-  static DropTerms fine() { return {true, "", ""}; }
-  static DropTerms bad() { return {true, "POOR", "POOR"}; }
-  static DropTerms bad_if_left() { return {true, "", "POOR"}; }
-  std::future<FrameDecision> decide_drop(std::size_t i, TimeNs stamp_ns, const FrameBlur& field,
-                                         const DropTerms& drop) {
+  static DropReasons fine() { return {true, "", ""}; }
+  static DropReasons poor() { return {true, "POOR", "POOR"}; }
+  static DropReasons poor_if_passed_through() { return {true, "", "POOR"}; }
+  std::future<FrameAction> decide_drop(std::size_t i, TimeNs stamp_ns, const FrameBlur& field,
+                                       const DropReasons& drop) {
     return std::async(std::launch::async, [this, i, stamp_ns, field, drop] {
       camera(i).begin(stamp_ns);
       return camera(i).decide(stamp_ns, field, drop);
     });
   }
   /// What becomes of both images of a new instant.
-  std::array<FrameDecision, 2> decide_both(const FrameBlur& first_field, const DropTerms& first,
-                                           const FrameBlur& second_field, const DropTerms& second) {
+  std::array<FrameAction, 2> decide_both(const FrameBlur& first_field, const DropReasons& first,
+                                         const FrameBlur& second_field, const DropReasons& second) {
     stamp_ns_ += kPeriod;
     announce(stamp_ns_);
     auto one = decide_drop(0, stamp_ns_, first_field, first);
@@ -283,48 +283,50 @@ TEST_F(DroppingRigTest, BothAreDroppedWhereOneIsBad) {
   make(kEndless);
   for (const FrameBlur& partner : {blurred(), sharp(), rejected()}) {
     for (const FrameBlur& field : {blurred(), rejected()}) {
-      for (const FrameDecision& decision : decide_both(field, bad(), partner, fine())) {
-        EXPECT_EQ(decision.drop, "the image of /cam0 is POOR");
+      for (const FrameAction& action : decide_both(field, poor(), partner, fine())) {
+        EXPECT_EQ(action.drop_text, "the image of /cam0 is POOR");
       }
     }
-    for (const FrameDecision& decision : decide_both(blurred(), fine(), partner, fine())) {
-      EXPECT_EQ(decision.drop, "");
+    for (const FrameAction& action : decide_both(blurred(), fine(), partner, fine())) {
+      EXPECT_EQ(action.drop_text, "");
     }
   }
 }
 
 TEST_F(DroppingRigTest, WhetherItIsBadGoesByWhatBecomesOfIt) {
   make(kEndless);
-  for (const FrameDecision& decision : decide_both(blurred(), bad_if_left(), blurred(), fine())) {
-    EXPECT_EQ(decision.drop + decision.refusal, "");
+  for (const FrameAction& action : decide_both(blurred(), poor_if_passed_through(), blurred(), fine())) {
+    EXPECT_EQ(action.drop_text + action.pass_through_text, "");
   }
-  for (const FrameDecision& decision : decide_both(blurred(), bad_if_left(), rejected(), fine())) {
-    EXPECT_EQ(decision.drop, "the image of /cam0 is POOR") << "its partner keeps it from being deblurred";
+  for (const FrameAction& action : decide_both(blurred(), poor_if_passed_through(), rejected(), fine())) {
+    EXPECT_EQ(action.drop_text, "the image of /cam0 is POOR") << "its partner keeps it from being deblurred";
   }
 }
 
 TEST_F(DroppingRigTest, NoneIsDroppedWhereOneLeavesWhateverTheOthersSay) {
   make(kEndless);
   announce(kPeriod);
-  auto waits = decide_drop(0, kPeriod, blurred(), bad());
+  auto waits = decide_drop(0, kPeriod, blurred(), poor());
   camera(1).pass_through(kPeriod, PassThroughReason::OVERLOAD);
-  const FrameDecision decision = waits.get();
-  EXPECT_EQ(decision.drop, "");
-  EXPECT_EQ(decision.refusal, "/cam1 passes this image through: OVERLOAD");
+  const FrameAction action = waits.get();
+  EXPECT_EQ(action.drop_text, "");
+  EXPECT_EQ(action.pass_through_text, "/cam1 passes this image through: OVERLOAD");
   stamp_ns_ = kPeriod;
-  for (const FrameDecision& each : decide_both(blurred(), bad(), blurred(), {false, "", ""})) EXPECT_EQ(each.drop, "");
+  for (const FrameAction& each : decide_both(blurred(), poor(), blurred(), {false, "", ""})) {
+    EXPECT_EQ(each.drop_text, "");
+  }
 }
 
 TEST_F(DroppingRigTest, WhoGivesUpLeavesAndSoDoesThePartner) {
   make(kNone);
   announce(kPeriod);
-  EXPECT_EQ(camera(0).decide(kPeriod, sharp(), fine()).refusal, "");
-  const FrameDecision late = camera(1).decide(kPeriod, blurred(), bad());
-  EXPECT_EQ(late.drop, "") << "a pair of which one image has left";
-  EXPECT_EQ(late.refusal, "") << "a sharp image goes with a deblurred one";
+  EXPECT_EQ(camera(0).decide(kPeriod, sharp(), fine()).pass_through_text, "");
+  const FrameAction late = camera(1).decide(kPeriod, blurred(), poor());
+  EXPECT_EQ(late.drop_text, "") << "a pair of which one image has left";
+  EXPECT_EQ(late.pass_through_text, "") << "a sharp image goes with a deblurred one";
   announce(2 * kPeriod);
-  EXPECT_NE(camera(0).decide(2 * kPeriod, blurred(), bad()).refusal, "");
-  EXPECT_EQ(camera(1).decide(2 * kPeriod, blurred(), bad()).drop, "");
+  EXPECT_NE(camera(0).decide(2 * kPeriod, blurred(), poor()).pass_through_text, "");
+  EXPECT_EQ(camera(1).decide(2 * kPeriod, blurred(), poor()).drop_text, "");
 }
 
 TEST_F(DroppingRigTest, WhoIsTooLateToBeAskedIsNotDroppedWhereItMayNotBe) {
@@ -332,26 +334,26 @@ TEST_F(DroppingRigTest, WhoIsTooLateToBeAskedIsNotDroppedWhereItMayNotBe) {
   // Nobody waits for a camera that has sent nothing yet.
   camera(0).announce(kPeriod);
   camera(0).begin(kPeriod);
-  EXPECT_NE(camera(0).decide(kPeriod, blurred(), bad()).drop, "");
+  EXPECT_NE(camera(0).decide(kPeriod, blurred(), poor()).drop_text, "");
   camera(1).announce(kPeriod);
   camera(1).begin(kPeriod);
-  EXPECT_EQ(camera(1).decide(kPeriod, blurred(), {false, "", ""}).drop, "");
+  EXPECT_EQ(camera(1).decide(kPeriod, blurred(), {false, "", ""}).drop_text, "");
 }
 
 TEST_F(DroppingRigTest, CameraThatDropsNoneLosesNone) {
   make(kEndless);
   announce(kPeriod);
-  auto dropping = decide_drop(0, kPeriod, blurred(), bad());
+  auto dropping = decide_drop(0, kPeriod, blurred(), poor());
   EXPECT_EQ(camera(1).decide(kPeriod, blurred()), "");
-  EXPECT_NE(dropping.get().drop, "");
+  EXPECT_NE(dropping.get().drop_text, "");
 }
 
 TEST_F(DroppingRigTest, AloneItGoesByItself) {
   make(kEndless, 1);
   camera(0).announce(kPeriod);
-  EXPECT_EQ(camera(0).decide(kPeriod, blurred(), bad()).drop, "the image of /cam0 is POOR");
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred(), poor()).drop_text, "the image of /cam0 is POOR");
   camera(0).set_patience(0);
-  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred(), bad()).drop, "POOR");
+  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred(), poor()).drop_text, "POOR");
 }
 
 TEST_F(StereoRigTest, CamerasOfOneImuMeet) {
