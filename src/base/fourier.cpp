@@ -1,3 +1,4 @@
+// Chooses the tile size of a Fourier transform and makes the tables that all transforms of a size share.
 #include "base/fourier.hpp"
 
 #include <cmath>

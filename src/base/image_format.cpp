@@ -1,3 +1,4 @@
+// Encodings and their pixel layouts: luminance, bit depth and colour planes of an image.
 #include "gyro_deblur/image_format.hpp"
 
 #include <stdexcept>

@@ -1,3 +1,4 @@
+// Finds out which instruction set this processor has.
 #include "base/instruction_sets.hpp"
 
 namespace gyro_deblur {

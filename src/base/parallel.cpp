@@ -1,3 +1,4 @@
+// The threads behind parallel_for().
 #include "base/parallel.hpp"
 
 #include <pthread.h>

@@ -1,3 +1,4 @@
+// Checks a number and describes its allowed range.
 #include "base/require_range.hpp"
 
 #include <sstream>

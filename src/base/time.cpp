@@ -1,3 +1,4 @@
+// Conversion between seconds and nanoseconds.
 #include "gyro_deblur/time.hpp"
 
 #include <cmath>

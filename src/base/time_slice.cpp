@@ -1,3 +1,4 @@
+// Asks Linux for longer time slices.
 #include "base/time_slice.hpp"
 
 #include <sched.h>

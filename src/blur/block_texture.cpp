@@ -1,3 +1,4 @@
+// Measures the texture of a block by its gradients.
 #include "blur/block_texture.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Predicts the blur of every block from the camera's motion and sets its status.
 #include "gyro_deblur/blur_field.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Compares a block's power spectrum with those of the predicted blur and of less blur.
 #include "blur/blur_likelihood.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Rejects the blocks that contradict their predicted blur, by likelihood or gradient.
 #include "blur/blur_validation.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Finds the longest exposure time whose blur can still be removed.
 #include "blur/exposure_advice.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Estimates the exposure time of one image from its power spectra.
 #include "blur/exposure_estimate.hpp"
 
 #include <algorithm>

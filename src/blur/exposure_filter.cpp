@@ -1,3 +1,4 @@
+// Combines the exposure estimates of many images.
 #include "blur/exposure_filter.hpp"
 
 #include <algorithm>

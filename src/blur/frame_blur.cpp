@@ -1,3 +1,4 @@
+// Names of block statuses, and geometry of the grid of blocks.
 #include "gyro_deblur/frame_blur.hpp"
 
 #include <algorithm>

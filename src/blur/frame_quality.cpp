@@ -1,3 +1,4 @@
+// Grades an image by the blur that remains in its blocks.
 #include "blur/frame_quality.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Estimates the noise of an image from its flattest parts.
 #include "blur/image_noise.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Computes power spectra along the motion.
 #include "blur/motion_spectrum.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Draws the blur field.
 #include "gyro_deblur/overlay.hpp"
 
 #include <algorithm>

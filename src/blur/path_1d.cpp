@@ -1,3 +1,4 @@
+// Extent of a straight path and its PSF.
 #include "blur/path_1d.hpp"
 
 #include <algorithm>

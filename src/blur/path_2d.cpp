@@ -1,3 +1,4 @@
+// Extent of a curved path.
 #include "blur/path_2d.hpp"
 
 #include <Eigen/Geometry>

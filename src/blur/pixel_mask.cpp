@@ -1,3 +1,4 @@
+// Marks the blocks that a mask covers, and those whose filter would read masked pixels.
 #include "gyro_deblur/pixel_mask.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Fits the ratio of true to assumed path length to power spectra.
 #include "blur/ratio_fit.hpp"
 
 #include <algorithm>

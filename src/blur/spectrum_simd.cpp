@@ -1,3 +1,4 @@
+// Makes the tables that the SIMD kernels of validation by likelihood read.
 #include "blur/spectrum_simd.hpp"
 
 #include <cmath>

@@ -1,3 +1,4 @@
+// Finds content that does not move with the camera.
 #include "blur/static_content.hpp"
 
 #include <algorithm>

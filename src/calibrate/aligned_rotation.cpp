@@ -1,3 +1,4 @@
+// Rotations in closed form, robust against outliers.
 #include "calibrate/aligned_rotation.hpp"
 
 #include <algorithm>

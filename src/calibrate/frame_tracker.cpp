@@ -1,3 +1,4 @@
+// Tracks points through a few frames and rejects those that do not move with their neighbours.
 #include "calibrate/frame_tracker.hpp"
 
 #include <algorithm>

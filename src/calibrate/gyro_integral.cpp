@@ -1,3 +1,4 @@
+// Integrates gyroscope samples.
 #include "calibrate/gyro_integral.hpp"
 
 #include <algorithm>

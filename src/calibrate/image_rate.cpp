@@ -1,3 +1,4 @@
+// Estimates the rotation rate of the camera between two images.
 #include "calibrate/image_rate.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Searches the time offset by correlation, then refines offset, rotation and bias by least squares.
 #include "calibrate/rate_alignment.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Estimates the exposure time of a recording, image by image.
 #include "calibrate/recorded_exposure.hpp"
 
 #include <algorithm>

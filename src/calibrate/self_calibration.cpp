@@ -1,3 +1,4 @@
+// Calibrates from the rates of images and gyroscope, and says what is missing for it.
 #include "calibrate/self_calibration.hpp"
 
 #include <algorithm>

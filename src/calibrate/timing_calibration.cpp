@@ -1,3 +1,4 @@
+// The steps of the timing calibration: track, start, solve, check.
 #include "calibrate/timing_calibration.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Checks of an estimated timing, and what to record if one fails.
 #include "calibrate/timing_checks.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Predicts the points of a window from the gyroscope, with derivatives by timing.
 #include "calibrate/timing_model.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Solves for timing, translation and depths by robust least squares.
 #include "calibrate/timing_solver.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Finds a first time offset and rotation.
 #include "calibrate/timing_start.hpp"
 
 #include <cmath>

@@ -1,3 +1,4 @@
+// Eliminates the depths of a window and solves for the rest.
 #include "calibrate/window_structure.hpp"
 
 #include <cmath>

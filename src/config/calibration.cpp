@@ -1,3 +1,4 @@
+// Loads calibration files, merges them and checks that they agree.
 #include "gyro_deblur/calibration.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Reads each format of calibration files.
 #include "config/calibration_formats.hpp"
 
 #include <algorithm>

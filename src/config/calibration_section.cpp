@@ -1,3 +1,4 @@
+// Reads values from a map of a calibration file.
 #include "config/calibration_section.hpp"
 
 #include <set>

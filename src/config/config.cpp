@@ -1,3 +1,4 @@
+// Reads and checks the configuration; names the new parameter if a former name is used.
 #include "gyro_deblur/config.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// The table of parameters.
 #include "config/parameters.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Reads values from YAML nodes.
 #include "config/yaml_reading.hpp"
 
 #include <fstream>

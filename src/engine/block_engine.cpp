@@ -1,3 +1,4 @@
+// Checks, and copies of blocks without a filter, that all engines share.
 #include "engine/block_engine.hpp"
 
 #include <algorithm>

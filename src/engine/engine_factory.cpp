@@ -1,3 +1,4 @@
+// Makes the engine that an option names.
 #include <memory>
 #include <string>
 #include <utility>

@@ -1,3 +1,4 @@
+// Replaces an engine that has failed.
 #include "engine/fallback_engine.hpp"
 
 #include <utility>

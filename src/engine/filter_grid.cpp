@@ -1,3 +1,4 @@
+// Borders of the blocks of a filter grid.
 #include "engine/engine.hpp"
 
 namespace gyro_deblur {

@@ -1,3 +1,4 @@
+// Filters tiles in the frequency domain and adds them up.
 #include "engine/fourier_filter.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Downsamples an image by two and upsamples the result.
 #include "engine/half_size.hpp"
 
 #include <algorithm>

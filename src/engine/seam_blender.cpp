@@ -1,3 +1,4 @@
+// Blends the results of neighbouring blocks.
 #include "engine/seam_blender.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Aligns a blurred patch with another that is blurred differently, by Gauss-Newton steps.
 #include "features/blur_alignment.hpp"
 
 #include <algorithm>

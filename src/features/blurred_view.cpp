@@ -1,3 +1,4 @@
+// Paths of an image's points during its exposure.
 #include "features/blurred_view.hpp"
 
 #include <algorithm>

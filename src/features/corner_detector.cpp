@@ -1,3 +1,4 @@
+// Finds new corners by their strength.
 #include "features/corner_detector.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Follows corners by pyramidal Lucas-Kanade tracking, forth and back.
 #include "features/corner_following.hpp"
 
 #include <cstddef>

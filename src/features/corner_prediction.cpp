@@ -1,3 +1,4 @@
+// Predicts corners by the camera's rotation.
 #include "features/corner_prediction.hpp"
 
 #include <algorithm>

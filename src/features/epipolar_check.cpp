@@ -1,3 +1,4 @@
+// Fits the translation between two images and rejects the points that contradict it.
 #include "features/epipolar_check.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Tracks corners from image to image, with covariances.
 #include "gyro_deblur/feature_tracker.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Compares the rotation rates of images and gyroscope.
 #include "features/gyro_unit_watch.hpp"
 
 namespace gyro_deblur {

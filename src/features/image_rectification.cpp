@@ -1,3 +1,4 @@
+// Moves the pixels of a rolling-shutter image to one instant.
 #include "features/image_rectification.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Changes of residual velocities, from the accelerometer.
 #include "features/inertial_change.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Detects and describes keypoints with OpenCV.
 #include "gyro_deblur/keypoints.hpp"
 
 #include <algorithm>

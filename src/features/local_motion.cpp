@@ -1,3 +1,4 @@
+// Fits a plane to the displacements around a point.
 #include "features/local_motion.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Rays near a known one, by the lens model's derivative.
 #include "features/nearby_rays.hpp"
 
 #include <Eigen/LU>

@@ -1,3 +1,4 @@
+// Covariance of a keypoint, from noise, structure and the uncertainty of its motion.
 #include "features/point_covariance.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Moves a point from one instant to another.
 #include "features/point_motion.hpp"
 
 namespace gyro_deblur {

@@ -1,3 +1,4 @@
+// Moves keypoints to the reference time.
 #include "features/rectification.hpp"
 
 #include <algorithm>

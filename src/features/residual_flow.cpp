@@ -1,3 +1,4 @@
+// Estimates the residual velocity of every block from followed corners.
 #include "features/residual_flow.hpp"
 
 #include <algorithm>

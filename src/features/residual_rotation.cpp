@@ -1,3 +1,4 @@
+// Fits a rotation to residual velocities.
 #include "features/residual_rotation.hpp"
 
 #include <algorithm>

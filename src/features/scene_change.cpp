@@ -1,3 +1,4 @@
+// Fits the common change of residual velocities between two images.
 #include "features/scene_change.hpp"
 
 #include <algorithm>

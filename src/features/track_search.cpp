@@ -1,3 +1,4 @@
+// Searches the points of one image in the next.
 #include "features/track_search.hpp"
 
 #include <algorithm>

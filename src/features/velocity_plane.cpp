@@ -1,3 +1,4 @@
+// Fits a plane to the velocities of corners.
 #include "features/velocity_plane.hpp"
 
 #include <algorithm>

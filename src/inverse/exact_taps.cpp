@@ -1,3 +1,4 @@
+// Rounds taps to fixed-point weights.
 #include "inverse/exact_taps.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Integrates the expected errors of a Wiener filter over frequency.
 #include "inverse/expected_errors.hpp"
 
 #include <algorithm>

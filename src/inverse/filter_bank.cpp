@@ -1,3 +1,4 @@
+// Computes Wiener inverses by least squares or Fourier transform, and keeps them.
 #include "inverse/filter_bank.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Distributes the taps of a rotated line over pixels.
 #include "inverse/line_taps.hpp"
 
 #include <algorithm>

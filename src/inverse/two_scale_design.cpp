@@ -1,3 +1,4 @@
+// Designs the weights of two scales by least squares.
 #include "inverse/two_scale_design.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Makes the weights of two scales of a kernel.
 #include "inverse/two_scale_taps.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Computes the gain of a curved path's inverse.
 #include "inverse/wiener_gain_2d.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Noise-to-signal ratio of the 2-D filter.
 #include "inverse/wiener_inverse_2d.hpp"
 
 namespace gyro_deblur {

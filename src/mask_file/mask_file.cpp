@@ -1,3 +1,4 @@
+// Reads masks from image files.
 #include "mask_file/mask_file.hpp"
 
 #include <algorithm>

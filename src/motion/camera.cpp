@@ -1,3 +1,4 @@
+// Projects rays to pixels and back.
 #include "gyro_deblur/camera.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Exposure times of rows, and the frame period.
 #include "gyro_deblur/exposure.hpp"
 
 #include <algorithm>

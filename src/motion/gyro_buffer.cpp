@@ -1,3 +1,4 @@
+// Stores gyroscope samples in order and estimates their bias at rest.
 #include "gyro_deblur/gyro_buffer.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Distortion of each lens model and its inverse.
 #include "motion/lens_models.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Integrates the gyroscope to rotations.
 #include "gyro_deblur/rotation_track.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Projection of fisheyes and mirrors.
 #include "motion/sphere_lenses.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Chooses a filter for each block and deblurs an image with an engine.
 #include "pipeline/deconvolution.hpp"
 
 #include <algorithm>

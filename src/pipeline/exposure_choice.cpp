@@ -1,3 +1,4 @@
+// Chooses between given and estimated exposure times.
 #include "pipeline/exposure_choice.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Luminance and motion of the image in progress.
 #include "pipeline/frame_context.hpp"
 
 namespace gyro_deblur {

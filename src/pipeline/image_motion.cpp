@@ -1,3 +1,4 @@
+// Runs optical flow for a pipeline.
 #include "pipeline/image_motion.hpp"
 
 #include <cstddef>

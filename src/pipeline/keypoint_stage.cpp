@@ -1,3 +1,4 @@
+// Finds and rectifies the keypoints of an image.
 #include "pipeline/keypoint_stage.hpp"
 
 #include <cstddef>

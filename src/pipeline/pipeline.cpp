@@ -1,3 +1,4 @@
+// The stages of processing one frame, in order.
 #include "gyro_deblur/pipeline.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Converts camera_info to a calibration and back.
 #include "ros/calibration_conversion.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Chooses between given and estimated calibrations and reports contradictions.
 #include "ros/calibration_in_use.hpp"
 
 #include <cmath>

@@ -1,3 +1,4 @@
+// Compares the stamps of images and IMU samples.
 #include "ros/clock_check.hpp"
 
 #include <algorithm>

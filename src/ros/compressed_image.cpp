@@ -1,3 +1,4 @@
+// Decodes compressed images.
 #include "ros/compressed_image.hpp"
 
 #include <cstddef>

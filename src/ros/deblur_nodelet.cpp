@@ -1,3 +1,4 @@
+// Subscriptions, publishers, services and the worker thread of the nodelet.
 #include "ros/deblur_nodelet.hpp"
 
 #include <chrono>

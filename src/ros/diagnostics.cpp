@@ -1,3 +1,4 @@
+// Composes the diagnostic statuses.
 #include "ros/diagnostics.hpp"
 
 #include <algorithm>

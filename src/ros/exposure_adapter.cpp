@@ -1,3 +1,4 @@
+// Reads exposure times from the messages of drivers.
 #include "ros/exposure_adapter.hpp"
 
 #include <cmath>

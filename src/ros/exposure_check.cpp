@@ -1,3 +1,4 @@
+// Checks exposure times of messages and parameters.
 #include "ros/exposure_check.hpp"
 
 #include <cstdio>

@@ -1,3 +1,4 @@
+// Keeps frames in the order of their arrival.
 #include "ros/frame_queue.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Decides when a frame has all its inputs, and how long it waits for them.
 #include "ros/frame_synchronizer.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Averages the samples of an IMU at rest.
 #include "ros/gyro_bias.hpp"
 
 #include <vector>

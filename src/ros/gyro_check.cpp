@@ -1,3 +1,4 @@
+// Checks the samples of an IMU.
 #include "ros/gyro_check.hpp"
 
 #include <algorithm>

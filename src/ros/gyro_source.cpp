@@ -1,3 +1,4 @@
+// Takes in the samples of an IMU and rejects those whose stamps do not fit.
 #include "ros/gyro_source.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Converts image messages to pixels and back.
 #include "ros/image_conversion.hpp"
 
 #include <cstdint>

@@ -1,3 +1,4 @@
+// Takes in images and the messages that belong to them.
 #include "ros/input_buffers.hpp"
 
 #include <utility>

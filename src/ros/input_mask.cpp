@@ -1,3 +1,4 @@
+// Provides the mask for an image.
 #include "ros/input_mask.hpp"
 
 #include <exception>

@@ -1,3 +1,4 @@
+// Logs problems of inputs and keeps them for the diagnostics.
 #include "ros/input_problems.hpp"
 
 namespace gyro_deblur {

@@ -1,3 +1,4 @@
+// Finds a field in a serialised message by the message's definition.
 #include "ros/message_fields.hpp"
 
 #include <cstring>

@@ -1,3 +1,4 @@
+// Reports inputs that have never arrived.
 #include "ros/missing_inputs.hpp"
 
 namespace gyro_deblur {

@@ -1,3 +1,4 @@
+// Converts results to messages.
 #include "ros/output_conversion.hpp"
 
 #include <cstddef>

@@ -1,3 +1,4 @@
+// Decides which frames are passed through under overload.
 #include "ros/overload.hpp"
 
 #include <vector>

@@ -1,3 +1,4 @@
+// Converts ROS parameters to and from the configuration's text.
 #include "ros/param_conversion.hpp"
 
 #include <cmath>

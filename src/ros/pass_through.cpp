@@ -1,3 +1,4 @@
+// Name, log level and remedy of each reason.
 #include "ros/pass_through.hpp"
 
 #include <cstddef>

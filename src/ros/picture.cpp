@@ -1,3 +1,4 @@
+// Compares images pixel by pixel.
 #include "ros/picture.hpp"
 
 #include <cstddef>

@@ -1,3 +1,4 @@
+// Runs the pipeline on a synchronized frame and makes its messages.
 #include "ros/processing.hpp"
 
 #include <algorithm>

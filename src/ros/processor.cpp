@@ -1,3 +1,4 @@
+// Takes frames from input to output, with stereo partners, calibration and overload.
 #include "ros/processor.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Publishes what a frame has become.
 #include "ros/publishers.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Reports images that repeat the picture before.
 #include "ros/repetition_watch.hpp"
 
 #include <algorithm>

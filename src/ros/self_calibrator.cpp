@@ -1,3 +1,4 @@
+// Runs the self-calibration on a thread of its own.
 #include "ros/self_calibrator.hpp"
 
 #include <sys/resource.h>

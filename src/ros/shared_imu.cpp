@@ -1,3 +1,4 @@
+// Shares the subscription to an IMU among cameras.
 #include "ros/shared_imu.hpp"
 
 #include <tuple>

@@ -1,3 +1,4 @@
+// Counts frames by outcome.
 #include "ros/statistics.hpp"
 
 namespace gyro_deblur {

@@ -1,3 +1,4 @@
+// Lets the cameras of a rig wait for each other and decides what is done with a pair.
 #include "ros/stereo_rig.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Stores the estimated calibration in a file and loads it.
 #include "ros/stored_calibration.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Looks up rotations in tf.
 #include "ros/tf_conversion.hpp"
 
 #include <tf2/exceptions.h>

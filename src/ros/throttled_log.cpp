@@ -1,3 +1,4 @@
+// Writes log lines, each kind at most once in a while.
 #include "ros/throttled_log.hpp"
 
 namespace gyro_deblur {

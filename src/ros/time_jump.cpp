@@ -1,3 +1,4 @@
+// Detects stamps that go back, and counts the resets of time.
 #include "ros/time_jump.hpp"
 
 #include <algorithm>

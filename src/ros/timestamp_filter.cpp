@@ -1,3 +1,4 @@
+// Limits of the stamps of each kind of stream.
 #include "ros/timestamp_filter.hpp"
 
 namespace gyro_deblur {

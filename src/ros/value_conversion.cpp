@@ -1,3 +1,4 @@
+// Converts and writes times, vectors and samples.
 #include "ros/value_conversion.hpp"
 
 #include <algorithm>

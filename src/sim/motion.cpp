@@ -1,3 +1,4 @@
+// The motions that the simulator offers.
 #include "sim/motion.hpp"
 
 #include <algorithm>

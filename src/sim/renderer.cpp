@@ -1,3 +1,4 @@
+// Renders images with rolling shutter and motion blur.
 #include "sim/renderer.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Reads a scene from YAML.
 #include "sim/scene.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Simulates images, their noise, and IMU samples.
 #include "sim/simulator.hpp"
 
 #include <algorithm>

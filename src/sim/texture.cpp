@@ -1,3 +1,4 @@
+// Makes and samples the textures of the simulator.
 #include "sim/texture.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Opens bags, and says why one cannot be opened.
 #include "tools/bag_file.hpp"
 
 #include <array>

@@ -1,3 +1,4 @@
+// Makes the messages of a camera and an IMU.
 #include "tools/bag_messages.hpp"
 
 #include <cstdint>

@@ -1,3 +1,4 @@
+// Lists the topics of a bag and chooses one.
 #include "tools/bag_topics.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Writes the reports of calibrate.
 #include "tools/calibration_report.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Says how well each value of a calibration is known.
 #include "tools/calibration_verdicts.hpp"
 
 #include <algorithm>

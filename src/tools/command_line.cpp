@@ -1,3 +1,4 @@
+// Reads command-line arguments and prints the help.
 #include "tools/command_line.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Loads the configuration of a tool.
 #include "tools/config_file.hpp"
 
 #include <iostream>

@@ -1,3 +1,4 @@
+// Feeds the messages of a bag to a processor.
 #include "tools/deblur_feed.hpp"
 
 #include <algorithm>

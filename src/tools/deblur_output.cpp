@@ -1,3 +1,4 @@
+// Writes the output of deblur_bag.
 #include "tools/deblur_output.hpp"
 
 #include <cmath>

@@ -1,3 +1,4 @@
+// Finds the input topics of deblur_bag and names its outputs.
 #include "tools/deblur_topics.hpp"
 
 #include <stdexcept>

@@ -1,3 +1,4 @@
+// Calibrates a camera and its IMU from a recording.
 #include "tools/footage_calibration.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Writes the report on each frame.
 #include "tools/frame_report.hpp"
 
 #include <stdexcept>

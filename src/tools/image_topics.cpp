@@ -1,3 +1,4 @@
+// Chooses the image topic of a bag.
 #include "tools/image_topics.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Reads the messages of a topic by their stamps.
 #include "tools/message_stream.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Writes text and JSON, and replaces a file only once it is complete.
 #include "tools/output_file.hpp"
 
 #include <filesystem>

@@ -1,3 +1,4 @@
+// Prints the progress of a tool.
 #include "tools/progress.hpp"
 
 #include <unistd.h>

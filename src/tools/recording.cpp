@@ -1,3 +1,4 @@
+// Reads folders of recorded images and IMU samples.
 #include "tools/recording.hpp"
 
 #include <zlib.h>

@@ -1,3 +1,4 @@
+// Reads images and gyroscope samples of a bag for calibration.
 #include "tools/timing_footage.hpp"
 
 #include <algorithm>

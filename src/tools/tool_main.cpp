@@ -1,3 +1,4 @@
+// Runs a tool and reports its errors.
 #include "tools/tool_main.hpp"
 
 #include <exception>

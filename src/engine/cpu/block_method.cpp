@@ -1,3 +1,4 @@
+// Chooses the method for a block by its extent, slope and pixel depth.
 #include "engine/cpu/block_method.hpp"
 
 #include <algorithm>

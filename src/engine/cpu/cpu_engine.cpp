@@ -1,3 +1,4 @@
+// Filters tiles of blocks with the SIMD kernels, and falls back on the float engine.
 #include "engine/cpu/cpu_engine.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Copies pixels between an image and line order.
 #include "engine/cpu/line_order.hpp"
 
 #include <algorithm>

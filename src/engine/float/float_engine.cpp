@@ -1,3 +1,4 @@
+// Filters each pixel with all taps, in float.
 #include "engine/float/float_engine.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Lists the OpenCL devices and chooses one.
 #include "engine/opencl/opencl_devices.hpp"
 
 #include <algorithm>

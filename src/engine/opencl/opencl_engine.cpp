@@ -1,3 +1,4 @@
+// Filters blocks on an OpenCL device.
 #include "engine/opencl/opencl_engine.hpp"
 
 #include <algorithm>
