@@ -89,7 +89,7 @@ class FeatureTracker {
   void follow(const std::shared_ptr<const BlurredView>& view, const Camera& camera,
               const CameraMotion& motion_of_camera);
   /// Drops those that do not agree with the epipolar geometry of the others.
-  void check_geometry(const Camera& camera, const std::vector<Eigen::Vector3d>& turned_rays);
+  void check_geometry(const Camera& camera, const std::vector<Eigen::Vector3d>& rotated_rays);
   void add_corners(const std::shared_ptr<const BlurredView>& view, const Camera& camera, const CameraMotion& motion);
 
   TrackerOptions options_;

@@ -212,12 +212,12 @@ std::optional<ImageRate> ImageRateTracker::follow(const std::vector<cv::Mat>& py
   rate.end_ns = exposure.middle(middle_row(camera));
   const double step_s = to_seconds(rate.end_ns - rate.begin_ns);
   const auto pixel_of = [this](const cv::Point2f& p) { return Eigen::Vector2d(scale_ * p.x, scale_ * p.y); };
-  const Eigen::Matrix3d turned = so3_exp(-step_s * rate_rad_s_).toRotationMatrix();
+  const Eigen::Matrix3d rotation = so3_exp(-step_s * rate_rad_s_).toRotationMatrix();
   std::vector<cv::Point2f> before, start;
   std::vector<Eigen::Vector3d> rays;
   for (const cv::Point2f& corner : corners_) {
     const Eigen::Vector3d ray = camera.ray(pixel_of(corner));
-    const Eigen::Vector2d at_px = camera.project(turned * ray) / scale_;
+    const Eigen::Vector2d at_px = camera.project(rotation * ray) / scale_;
     if (!ray.allFinite() || !at_px.allFinite()) continue;
     before.push_back(corner);
     start.emplace_back(static_cast<float>(at_px.x()), static_cast<float>(at_px.y()));

@@ -35,36 +35,36 @@ struct Correlated {
   }
 };
 
-TimeRange shifted(const ImageRate& turn, TimeNs offset_ns) {
-  return {turn.begin_ns + offset_ns, turn.end_ns + offset_ns};
+TimeRange shifted(const ImageRate& rate, TimeNs offset_ns) {
+  return {rate.begin_ns + offset_ns, rate.end_ns + offset_ns};
 }
 
 /// Turns that are faster than the gyroscope ever turned are wrong; their weight falls with their square.
-std::vector<double> prior_weights(const std::vector<ImageRate>& turns, const GyroIntegral& gyro, TimeNs offset_ns) {
+std::vector<double> prior_weights(const std::vector<ImageRate>& rates, const GyroIntegral& gyro, TimeNs offset_ns) {
   std::vector<double> weights, speeds;
-  for (const ImageRate& turn : turns) speeds.push_back(gyro.mean_rate(shifted(turn, offset_ns)).norm());
+  for (const ImageRate& rate : rates) speeds.push_back(gyro.mean_rate(shifted(rate, offset_ns)).norm());
   const auto fast = speeds.begin() + static_cast<std::ptrdiff_t>(speeds.size() * 19 / 20);
   std::nth_element(speeds.begin(), fast, speeds.end());
   const double limit_rad_s = *fast + kLeastMovingRadS;
-  for (const ImageRate& turn : turns) {
-    const double excess = std::max(1.0, turn.rate_rad_s.norm() / limit_rad_s);
-    weights.push_back(1 / (excess * excess * (kFloorRadS * kFloorRadS + turn.stddev_rad_s * turn.stddev_rad_s)));
+  for (const ImageRate& rate : rates) {
+    const double excess = std::max(1.0, rate.rate_rad_s.norm() / limit_rad_s);
+    weights.push_back(1 / (excess * excess * (kFloorRadS * kFloorRadS + rate.stddev_rad_s * rate.stddev_rad_s)));
   }
   return weights;
 }
 
-Correlated correlate(const std::vector<ImageRate>& turns, const std::vector<double>& weights, std::size_t stride,
+Correlated correlate(const std::vector<ImageRate>& rates, const std::vector<double>& weights, std::size_t stride,
                      const GyroIntegral& gyro, TimeNs offset_ns) {
   double sum = 0, image_squares = 0, gyro_squares = 0;
   Eigen::Vector3d image_sum = Eigen::Vector3d::Zero(), gyro_sum = Eigen::Vector3d::Zero();
   Correlated correlated;
-  for (std::size_t i = 0; i < turns.size(); i += stride) {
-    const Eigen::Vector3d rate_rad_s = gyro.mean_rate(shifted(turns[i], offset_ns));
-    const Eigen::Vector3d weighted = weights[i] * turns[i].rate_rad_s;
+  for (std::size_t i = 0; i < rates.size(); i += stride) {
+    const Eigen::Vector3d rate_rad_s = gyro.mean_rate(shifted(rates[i], offset_ns));
+    const Eigen::Vector3d weighted = weights[i] * rates[i].rate_rad_s;
     sum += weights[i];
     image_sum += weighted;
     gyro_sum += weights[i] * rate_rad_s;
-    image_squares += weighted.dot(turns[i].rate_rad_s);
+    image_squares += weighted.dot(rates[i].rate_rad_s);
     gyro_squares += weights[i] * rate_rad_s.squaredNorm();
     correlated.moment += weighted * rate_rad_s.transpose();
   }
@@ -96,7 +96,7 @@ using Unknowns = Eigen::Matrix<double, kUnknowns, 1>;
 
 /// Parts of the time that are left out one after the other.
 constexpr std::size_t kParts = 8;
-constexpr std::size_t kFewestTurns = 3 * kParts;
+constexpr std::size_t kFewestRates = 3 * kParts;
 
 /// What is not known at all is known to this: 1 rad, 1 s, 0.5 rad/s, a factor of 1.6, 30 ms.
 Normal prior() {
@@ -114,20 +114,20 @@ Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
 /// One step of Gauss-Newton, and its residual.
 class Step {
  public:
-  Step(const std::vector<ImageRate>& turns, const GyroIntegral& gyro, const RateAlignment& at)
-      : turns_(turns), predicted_(turns.size()), differences_(turns.size()) {
+  Step(const std::vector<ImageRate>& rates, const GyroIntegral& gyro, const RateAlignment& at)
+      : rates_(rates), predicted_(rates.size()), differences_(rates.size()) {
     constexpr TimeNs kHalfNs = 3'000'000;
     std::vector<double> lengths;
-    std::vector<Eigen::Matrix<double, 3, kUnknowns>> derivatives(turns.size());
+    std::vector<Eigen::Matrix<double, 3, kUnknowns>> derivatives(rates.size());
     const Eigen::Matrix3d scaled = at.scale * at.R_cam_imu;
-    for (std::size_t i = 0; i < turns.size(); ++i) {
-      const Eigen::Vector3d before = gyro.mean_rate(shifted(turns[i], at.offset_ns - kHalfNs));
-      const Eigen::Vector3d after = gyro.mean_rate(shifted(turns[i], at.offset_ns + kHalfNs));
+    for (std::size_t i = 0; i < rates.size(); ++i) {
+      const Eigen::Vector3d before = gyro.mean_rate(shifted(rates[i], at.offset_ns - kHalfNs));
+      const Eigen::Vector3d after = gyro.mean_rate(shifted(rates[i], at.offset_ns + kHalfNs));
       const Eigen::Vector3d change = scaled * (after - before) / to_seconds(2 * kHalfNs);
-      const Eigen::Vector3d by_rows = turns[i].by_rows * change;
-      const Eigen::Vector3d rate_rad_s = scaled * (gyro.mean_rate(shifted(turns[i], at.offset_ns)) - at.bias_rad_s);
+      const Eigen::Vector3d by_rows = rates[i].by_rows * change;
+      const Eigen::Vector3d rate_rad_s = scaled * (gyro.mean_rate(shifted(rates[i], at.offset_ns)) - at.bias_rad_s);
       predicted_[i] = rate_rad_s + at.readout_s * by_rows;
-      differences_[i] = turns[i].rate_rad_s - predicted_[i];
+      differences_[i] = rates[i].rate_rad_s - predicted_[i];
       derivatives[i] << -cross_matrix(rate_rad_s), change, -scaled, rate_rad_s, by_rows;
       lengths.push_back(differences_[i].norm());
     }
@@ -135,9 +135,9 @@ class Step {
     double squares = 0, sum = 0, robust_sum = 0;
     normal_.fill(Normal::Zero());
     right_.fill(Unknowns::Zero());
-    for (std::size_t i = 0; i < turns.size(); ++i) {
+    for (std::size_t i = 0; i < rates.size(); ++i) {
       const double weight = weight_of(i);
-      const std::size_t part = i * kParts / turns.size();
+      const std::size_t part = i * kParts / rates.size();
       normal_[part] += weight * derivatives[i].transpose() * derivatives[i];
       right_[part] += weight * derivatives[i].transpose() * differences_[i];
       squares += weight * differences_[i].squaredNorm();
@@ -152,7 +152,7 @@ class Step {
   /// From `at` to where the squares are least.
   Unknowns solution() const { return solve(normal_sum(), right_sum()); }
   double weight_of(std::size_t i) const {
-    return robust_[i] / (kFloorRadS * kFloorRadS + turns_[i].stddev_rad_s * turns_[i].stddev_rad_s);
+    return robust_[i] / (kFloorRadS * kFloorRadS + rates_[i].stddev_rad_s * rates_[i].stddev_rad_s);
   }
   double spread_rad_s() const { return spread_rad_s_; }
   const std::vector<Eigen::Vector3d>& predicted() const { return predicted_; }
@@ -191,7 +191,7 @@ class Step {
     return (normal / variance_ + prior()).ldlt().solve(right / variance_);
   }
 
-  const std::vector<ImageRate>& turns_;
+  const std::vector<ImageRate>& rates_;
   std::vector<Eigen::Vector3d> predicted_, differences_;
   std::vector<double> robust_;
   std::array<Normal, kParts> normal_;
@@ -204,7 +204,7 @@ double worst_stddev(const Eigen::Matrix3d& covariance) {
 }
 
 /// How well it fits, and about which axes the camera has turned.
-void describe(const std::vector<ImageRate>& turns, const Step& step, RateAlignment* alignment) {
+void describe(const std::vector<ImageRate>& rates, const Step& step, RateAlignment* alignment) {
   const Normal covariance = step.covariance();
   alignment->rotation_stddev_rad = worst_stddev(covariance.topLeftCorner<3, 3>());
   alignment->offset_stddev_s = std::sqrt(covariance(kOffset, kOffset));
@@ -213,25 +213,25 @@ void describe(const std::vector<ImageRate>& turns, const Step& step, RateAlignme
   alignment->spread_rad_s = step.spread_rad_s();
   double sum = 0, differing = 0, squares = 0;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero(), image_mean = Eigen::Vector3d::Zero();
-  for (std::size_t i = 0; i < turns.size(); ++i) {
+  for (std::size_t i = 0; i < rates.size(); ++i) {
     const double weight = step.weight_of(i);
     sum += weight;
     mean += weight * step.predicted()[i];
-    image_mean += weight * turns[i].rate_rad_s;
+    image_mean += weight * rates[i].rate_rad_s;
   }
   mean /= sum;
   image_mean /= sum;
   Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
   double agreeing = 0, moving = 0;
-  for (std::size_t i = 0; i < turns.size(); ++i) {
+  for (std::size_t i = 0; i < rates.size(); ++i) {
     const double weight = step.weight_of(i) / sum, off_rad_s = step.differences()[i].norm();
-    const Eigen::Vector3d turned = step.predicted()[i] - mean;
-    scatter += weight * turned * turned.transpose();
+    const Eigen::Vector3d rotated = step.predicted()[i] - mean;
+    scatter += weight * rotated * rotated.transpose();
     differing += weight * step.differences()[i].squaredNorm();
-    squares += weight * (turns[i].rate_rad_s - image_mean).squaredNorm();
+    squares += weight * (rates[i].rate_rad_s - image_mean).squaredNorm();
     // A third of the rate is what translation makes of it in a room.
     constexpr double kAgreeing = 0.4;
-    const double speed_rad_s = std::max(turns[i].rate_rad_s.norm(), step.predicted()[i].norm());
+    const double speed_rad_s = std::max(rates[i].rate_rad_s.norm(), step.predicted()[i].norm());
     if (speed_rad_s < kLeastMovingRadS) continue;
     ++moving;
     if (off_rad_s < std::max(kAgreeing * speed_rad_s, kLeastMovingRadS)) ++agreeing;
@@ -246,15 +246,15 @@ void describe(const std::vector<ImageRate>& turns, const Step& step, RateAlignme
 
 }  // namespace
 
-OffsetPeak search_rate_offset(const std::vector<ImageRate>& turns, const GyroIntegral& gyro, TimeNs center_ns,
+OffsetPeak search_rate_offset(const std::vector<ImageRate>& rates, const GyroIntegral& gyro, TimeNs center_ns,
                               TimeNs search_ns) {
-  const std::vector<double> weights = prior_weights(turns, gyro, center_ns);
-  const std::size_t stride = (turns.size() + kMostCoarse - 1) / kMostCoarse;
+  const std::vector<double> weights = prior_weights(rates, gyro, center_ns);
+  const std::size_t stride = (rates.size() + kMostCoarse - 1) / kMostCoarse;
   std::vector<TimeNs> offsets_ns;
   std::vector<double> values;
   for (TimeNs shift_ns = -search_ns; shift_ns <= search_ns; shift_ns += kCoarseStepNs) {
     offsets_ns.push_back(center_ns + shift_ns);
-    values.push_back(correlate(turns, weights, stride, gyro, offsets_ns.back()).correlation());
+    values.push_back(correlate(rates, weights, stride, gyro, offsets_ns.back()).correlation());
   }
   const auto best = static_cast<std::size_t>(std::max_element(values.begin(), values.end()) - values.begin());
   const std::size_t second = second_peak(values, best);
@@ -273,7 +273,7 @@ OffsetPeak search_rate_offset(const std::vector<ImageRate>& turns, const GyroInt
   const TimeNs first_ns = std::max(center_ns - search_ns, offsets_ns[best] - kCoarseStepNs);
   const TimeNs last_ns = std::min(center_ns + search_ns, offsets_ns[best] + kCoarseStepNs);
   for (TimeNs offset_ns = first_ns; offset_ns <= last_ns; offset_ns += kFineStepNs) {
-    const double value = correlate(turns, weights, stride, gyro, offset_ns).correlation();
+    const double value = correlate(rates, weights, stride, gyro, offset_ns).correlation();
     if (value <= largest) continue;
     largest = value;
     peak.offset_ns = offset_ns;
@@ -283,22 +283,22 @@ OffsetPeak search_rate_offset(const std::vector<ImageRate>& turns, const GyroInt
 
 std::optional<RateAlignment> align_rates(const std::vector<ImageRate>& all, const GyroIntegral& gyro, TimeNs begin_ns) {
   constexpr TimeNs kRoomNs = 40'000'000;  // for the offset to move in
-  std::vector<ImageRate> turns;
-  for (const ImageRate& turn : all) {
-    const TimeRange range = shifted(turn, begin_ns);
-    if (gyro.covers({range.begin_ns - kRoomNs, range.end_ns + kRoomNs})) turns.push_back(turn);
+  std::vector<ImageRate> rates;
+  for (const ImageRate& rate : all) {
+    const TimeRange range = shifted(rate, begin_ns);
+    if (gyro.covers({range.begin_ns - kRoomNs, range.end_ns + kRoomNs})) rates.push_back(rate);
   }
-  if (turns.size() < kFewestTurns) return std::nullopt;
-  const Correlated start = correlate(turns, prior_weights(turns, gyro, begin_ns), 1, gyro, begin_ns);
+  if (rates.size() < kFewestRates) return std::nullopt;
+  const Correlated start = correlate(rates, prior_weights(rates, gyro, begin_ns), 1, gyro, begin_ns);
   if (!(start.gyro_energy > 0) || !(wahba_trace(start.moment) > 0)) return std::nullopt;
   RateAlignment alignment;
   alignment.offset_ns = begin_ns;
   alignment.R_cam_imu = solve_wahba(start.moment);
   alignment.scale = wahba_trace(start.moment) / start.gyro_energy;
   std::vector<double> biases[3];
-  for (const ImageRate& turn : turns) {
+  for (const ImageRate& rate : rates) {
     const Eigen::Vector3d bias_rad_s =
-        gyro.mean_rate(shifted(turn, begin_ns)) - alignment.R_cam_imu.transpose() * turn.rate_rad_s / alignment.scale;
+        gyro.mean_rate(shifted(rate, begin_ns)) - alignment.R_cam_imu.transpose() * rate.rate_rad_s / alignment.scale;
     for (int axis = 0; axis < 3; ++axis) biases[axis].push_back(bias_rad_s[axis]);
   }
   for (int axis = 0; axis < 3; ++axis) alignment.bias_rad_s[axis] = median(biases[axis]);
@@ -306,7 +306,7 @@ std::optional<RateAlignment> align_rates(const std::vector<ImageRate>& all, cons
   constexpr int kIterations = 6;
   constexpr TimeNs kInsideNs = kRoomNs - 5'000'000;  // room for the derivative
   for (int iteration = 0; iteration < kIterations; ++iteration) {
-    const Unknowns step = Step(turns, gyro, alignment).solution();
+    const Unknowns step = Step(rates, gyro, alignment).solution();
     alignment.R_cam_imu = so3_exp(step.head<3>()).toRotationMatrix() * alignment.R_cam_imu;
     alignment.offset_ns =
         std::clamp(alignment.offset_ns + to_ns(step[kOffset]), begin_ns - kInsideNs, begin_ns + kInsideNs);
@@ -314,7 +314,7 @@ std::optional<RateAlignment> align_rates(const std::vector<ImageRate>& all, cons
     alignment.scale *= std::exp(step[kScale]);
     alignment.readout_s += step[kReadout];
   }
-  describe(turns, Step(turns, gyro, alignment), &alignment);
+  describe(rates, Step(rates, gyro, alignment), &alignment);
   return alignment;
 }
 

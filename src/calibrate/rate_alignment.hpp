@@ -23,11 +23,11 @@ struct OffsetPeak {
   bool is_ambiguous = false;  ///< the second explains the images about as well
 };
 
-/// @param turns   rates of the images, covered by gyroscope samples at every offset of the search; at least one
+/// @param rates   of the images, covered by gyroscope samples at every offset of the search; at least one
 /// @param center  of the search, which goes `search_ns` (> 0) to either side
 /// The correlation of vectors, with the rotation that makes it largest (Wahba's problem): signs and directions count,
 /// so that a motion whose speed alone repeats itself is not taken for one that repeats.
-OffsetPeak search_rate_offset(const std::vector<ImageRate>& turns, const GyroIntegral& gyro, TimeNs center_ns,
+OffsetPeak search_rate_offset(const std::vector<ImageRate>& rates, const GyroIntegral& gyro, TimeNs center_ns,
                               TimeNs search_ns);
 
 /// Parameters that fit gyroscope and images best: image rate = scale * R_cam_imu (gyroscope's rate - bias).
@@ -50,7 +50,7 @@ struct RateAlignment {
 /// Robust least squares (Gauss-Newton with Cauchy's weights) from the offset on.
 /// @param begin_ns  where the correlation is largest
 /// Nothing if the gyroscope covers too few rates, or does not rotate.
-std::optional<RateAlignment> align_rates(const std::vector<ImageRate>& turns, const GyroIntegral& gyro,
+std::optional<RateAlignment> align_rates(const std::vector<ImageRate>& rates, const GyroIntegral& gyro,
                                          TimeNs begin_ns);
 
 }  // namespace gyro_deblur

@@ -20,11 +20,11 @@ constexpr double kDegrees = 180 / M_PI;
 constexpr TimeNs kSecondNs = 1'000'000'000;
 constexpr TimeNs kWindowNs = 30 * kSecondNs, kUpdateNs = kSecondNs;
 /// Of 30 images a second and more.
-constexpr std::size_t kMostTurns = 1000;
+constexpr std::size_t kMostRates = 1000;
 
 /// Motion that counts: at 460 px of focal length and 20 ms a blur of 1 px.
-constexpr double kTurningRadS = 0.1;
-constexpr double kLeastTurningS = 2, kLeastReadoutS = 5;
+constexpr double kRotatingRadS = 0.1;
+constexpr double kLeastRotatingS = 2, kLeastReadoutS = 5;
 /// Of images and gyroscope; unrelated motions of some seconds reach .6 at one offset of a hundred.
 constexpr double kLeastCorrelation = 0.7, kLeastAgreeing = 0.6;
 /// Beyond it the rates have another unit, or the focal length is wrong.
@@ -74,7 +74,7 @@ void take(const Value& value, double stddev, double seconds, double difference, 
 }
 
 template <typename Value>
-void tell_missing(const std::string& missing, Learned<Value>* learned) {
+void set_missing(const std::string& missing, Learned<Value>* learned) {
   if (!learned->known) learned->missing = missing;
 }
 
@@ -102,7 +102,7 @@ SelfCalibration::SelfCalibration(const SelfCalibrationOptions& options)
 
 void SelfCalibration::restart() {
   gyro_.clear();
-  turns_.clear();
+  rates_.clear();
   still_since_ns_.reset();
   updated_ns_.reset();
 }
@@ -116,43 +116,43 @@ void SelfCalibration::clear() {
 
 void SelfCalibration::add_sample(const GyroSample& sample) { gyro_.add(sample); }
 
-void SelfCalibration::add_rate(const ImageRate& turn) {
-  if (!turns_.empty() && turn.begin_ns < turns_.back().begin_ns) {
-    turns_.clear();
+void SelfCalibration::add_rate(const ImageRate& rate) {
+  if (!rates_.empty() && rate.begin_ns < rates_.back().begin_ns) {
+    rates_.clear();
     updated_ns_.reset();
     still_since_ns_.reset();
   }
-  if (!updated_ns_) updated_ns_ = turn.begin_ns;
-  if (turn.speed_rad_s > kStillRadS || (!turns_.empty() && turn.begin_ns > turns_.back().end_ns)) {
+  if (!updated_ns_) updated_ns_ = rate.begin_ns;
+  if (rate.speed_rad_s > kStillRadS || (!rates_.empty() && rate.begin_ns > rates_.back().end_ns)) {
     still_since_ns_.reset();
   }
-  if (turn.speed_rad_s <= kStillRadS && !still_since_ns_) still_since_ns_ = turn.begin_ns;
-  turns_.push_back(turn);
-  while (turns_.size() > kMostTurns || turn.end_ns - turns_.front().begin_ns > kWindowNs) turns_.pop_front();
+  if (rate.speed_rad_s <= kStillRadS && !still_since_ns_) still_since_ns_ = rate.begin_ns;
+  rates_.push_back(rate);
+  while (rates_.size() > kMostRates || rate.end_ns - rates_.front().begin_ns > kWindowNs) rates_.pop_front();
 }
 
-bool SelfCalibration::is_due() const { return updated_ns_ && turns_.back().end_ns - *updated_ns_ >= kUpdateNs; }
+bool SelfCalibration::is_due() const { return updated_ns_ && rates_.back().end_ns - *updated_ns_ >= kUpdateNs; }
 
 void SelfCalibration::update() {
-  if (turns_.empty()) return;
-  updated_ns_ = turns_.back().end_ns;
+  if (rates_.empty()) return;
+  updated_ns_ = rates_.back().end_ns;
   learn_alignment();
   learn_resting_bias();
 }
 
 void SelfCalibration::refuse(const std::string& missing) {
-  tell_missing(missing, &learned_.R_cam_imu);
-  tell_missing(missing, &learned_.time_offset_s);
-  tell_missing(missing, &learned_.readout_s);
-  tell_missing(missing, &learned_.bias_rad_s);
+  set_missing(missing, &learned_.R_cam_imu);
+  set_missing(missing, &learned_.time_offset_s);
+  set_missing(missing, &learned_.readout_s);
+  set_missing(missing, &learned_.bias_rad_s);
 }
 
 std::vector<ImageRate> SelfCalibration::usable_rates() const {
   std::vector<ImageRate> usable;
-  for (const ImageRate& turn : turns_) {
-    const TimeNs begin_ns = turn.begin_ns + options_.expected_offset_ns - options_.search_ns;
-    const TimeNs end_ns = turn.end_ns + options_.expected_offset_ns + options_.search_ns;
-    if (gyro_.covers({begin_ns, end_ns})) usable.push_back(turn);
+  for (const ImageRate& rate : rates_) {
+    const TimeNs begin_ns = rate.begin_ns + options_.expected_offset_ns - options_.search_ns;
+    const TimeNs end_ns = rate.end_ns + options_.expected_offset_ns + options_.search_ns;
+    if (gyro_.covers({begin_ns, end_ns})) usable.push_back(rate);
   }
   return usable;
 }
@@ -160,7 +160,7 @@ std::vector<ImageRate> SelfCalibration::usable_rates() const {
 std::string SelfCalibration::missing_data() const {
   const TimeRange gyro = gyro_.available();
   if (gyro.empty()) return "there are no gyroscope samples";
-  const double ahead_s = to_seconds(turns_.back().end_ns + options_.expected_offset_ns - gyro.end_ns);
+  const double ahead_s = to_seconds(rates_.back().end_ns + options_.expected_offset_ns - gyro.end_ns);
   if (std::abs(ahead_s) > 2 * to_seconds(options_.search_ns) + 1) {
     return format(
         "stamps of images are %.3f s %s those of the gyroscope, and offsets within %.1f s of %.6g s are looked "
@@ -172,26 +172,26 @@ std::string SelfCalibration::missing_data() const {
 }
 
 void SelfCalibration::learn_alignment() {
-  const std::vector<ImageRate> turns = usable_rates();
-  if (turns.empty()) return refuse(missing_data());
+  const std::vector<ImageRate> rates = usable_rates();
+  if (rates.empty()) return refuse(missing_data());
   double image_s = 0, gyro_s = 0;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-  const auto gyro_rate = [this](const ImageRate& turn) {
-    return gyro_.mean_rate({turn.begin_ns + options_.expected_offset_ns, turn.end_ns + options_.expected_offset_ns});
+  const auto gyro_rate = [this](const ImageRate& rate) {
+    return gyro_.mean_rate({rate.begin_ns + options_.expected_offset_ns, rate.end_ns + options_.expected_offset_ns});
   };
-  for (const ImageRate& turn : turns) mean += gyro_rate(turn) / static_cast<double>(turns.size());
-  for (const ImageRate& turn : turns) {
-    const double step_s = to_seconds(turn.end_ns - turn.begin_ns);
-    if (turn.rate_rad_s.norm() > kTurningRadS) image_s += step_s;
-    if ((gyro_rate(turn) - mean).norm() > kTurningRadS) gyro_s += step_s;
+  for (const ImageRate& rate : rates) mean += gyro_rate(rate) / static_cast<double>(rates.size());
+  for (const ImageRate& rate : rates) {
+    const double step_s = to_seconds(rate.end_ns - rate.begin_ns);
+    if (rate.rate_rad_s.norm() > kRotatingRadS) image_s += step_s;
+    if ((gyro_rate(rate) - mean).norm() > kRotatingRadS) gyro_s += step_s;
   }
-  const double turning_s = std::min(image_s, gyro_s);
-  if (turning_s < kLeastTurningS) {
+  const double rotating_s = std::min(image_s, gyro_s);
+  if (rotating_s < kLeastRotatingS) {
     return refuse(format("the camera has turned faster than %.1f rad/s for %.1f of the %.0f s that it takes: turn it",
-                         kTurningRadS, turning_s, kLeastTurningS));
+                         kRotatingRadS, rotating_s, kLeastRotatingS));
   }
-  const OffsetPeak peak = search_rate_offset(turns, gyro_, options_.expected_offset_ns, options_.search_ns);
-  const std::optional<RateAlignment> found = align_rates(turns, gyro_, peak.offset_ns);
+  const OffsetPeak peak = search_rate_offset(rates, gyro_, options_.expected_offset_ns, options_.search_ns);
+  const std::optional<RateAlignment> found = align_rates(rates, gyro_, peak.offset_ns);
   if (!found || found->correlation < kLeastCorrelation || found->agreeing < kLeastAgreeing || peak.at_edge) {
     return refuse(
         format("at no offset within %.1f s of %.6g s images turn as the gyroscope does: the best correlation "
@@ -219,31 +219,31 @@ void SelfCalibration::learn_alignment() {
     return refuse(format("the time offset is known to %.0f ms, and %.0f ms are needed: turn the camera faster",
                          1e3 * offset_stddev_s, 1e3 * UsefulStddev::kOffsetS));
   }
-  take(offset_s, offset_stddev_s, turning_s, std::abs(offset_s - learned_.time_offset_s.value),
+  take(offset_s, offset_stddev_s, rotating_s, std::abs(offset_s - learned_.time_offset_s.value),
        &learned_.time_offset_s);
-  learn_readout(*found, turning_s);
-  learn_rotation_and_bias(*found, turning_s);
+  learn_readout(*found, rotating_s);
+  learn_rotation_and_bias(*found, rotating_s);
 }
 
-void SelfCalibration::learn_readout(const RateAlignment& found, double turning_s) {
+void SelfCalibration::learn_readout(const RateAlignment& found, double rotating_s) {
   const double stddev_s =
       std::hypot(found.readout_stddev_s, kReadoutFloorS + kReadoutFloorShare * std::abs(found.readout_s));
-  if (turning_s < kLeastReadoutS) {
-    return tell_missing(format("the camera has turned for %.1f of the %.0f s that the readout time takes: turn it",
-                               turning_s, kLeastReadoutS),
-                        &learned_.readout_s);
+  if (rotating_s < kLeastReadoutS) {
+    return set_missing(format("the camera has turned for %.1f of the %.0f s that the readout time takes: turn it",
+                              rotating_s, kLeastReadoutS),
+                       &learned_.readout_s);
   }
   if (stddev_s > UsefulStddev::kReadoutS) {
-    return tell_missing(format("the readout time is known to %.0f ms, and %.0f ms are needed: turn the camera faster",
-                               1e3 * stddev_s, 1e3 * UsefulStddev::kReadoutS),
-                        &learned_.readout_s);
+    return set_missing(format("the readout time is known to %.0f ms, and %.0f ms are needed: turn the camera faster",
+                              1e3 * stddev_s, 1e3 * UsefulStddev::kReadoutS),
+                       &learned_.readout_s);
   }
   // A global shutter's is 0, and not nearly.
   const double readout_s = std::abs(found.readout_s) < 2 * stddev_s ? 0 : found.readout_s;
-  take(readout_s, stddev_s, turning_s, std::abs(readout_s - learned_.readout_s.value), &learned_.readout_s);
+  take(readout_s, stddev_s, rotating_s, std::abs(readout_s - learned_.readout_s.value), &learned_.readout_s);
 }
 
-void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double turning_s) {
+void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double rotating_s) {
   const double rotation_stddev_rad = std::hypot(found.rotation_stddev_rad, kRotationFloorRad);
   std::string missing;
   if (found.second_rad_s < std::max(kLeastSecondRadS, found.spread_rad_s / 2)) {
@@ -254,24 +254,24 @@ void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double
                      kDegrees * rotation_stddev_rad, kDegrees * UsefulStddev::kRotationRad);
   }
   if (!missing.empty()) {
-    tell_missing(missing, &learned_.R_cam_imu);
-    tell_missing(missing + ", or let it stand still", &learned_.bias_rad_s);
+    set_missing(missing, &learned_.R_cam_imu);
+    set_missing(missing + ", or let it stand still", &learned_.bias_rad_s);
     return;
   }
-  take(found.R_cam_imu, rotation_stddev_rad, turning_s, angle_rad(found.R_cam_imu, learned_.R_cam_imu.value),
+  take(found.R_cam_imu, rotation_stddev_rad, rotating_s, angle_rad(found.R_cam_imu, learned_.R_cam_imu.value),
        &learned_.R_cam_imu);
   const double bias_stddev_rad_s = std::hypot(found.bias_stddev_rad_s, kBiasFloorRadS);
   if (bias_stddev_rad_s > UsefulStddev::kBiasRadS) {
-    tell_missing(format("the bias is known to %.3f rad/s, and %.3f are needed: let the camera stand still",
-                        bias_stddev_rad_s, UsefulStddev::kBiasRadS),
-                 &learned_.bias_rad_s);
+    set_missing(format("the bias is known to %.3f rad/s, and %.3f are needed: let the camera stand still",
+                       bias_stddev_rad_s, UsefulStddev::kBiasRadS),
+                &learned_.bias_rad_s);
     return;
   }
   // At rest it is known better, but it drifts, and a slow pan passes for rest.
   const double change_rad_s = (found.bias_rad_s - learned_.bias_rad_s.value).norm();
   if (bias_of_rest_ && change_rad_s < std::max(2 * UsefulStddev::kBiasRadS, 4 * bias_stddev_rad_s)) return;
   bias_of_rest_ = false;
-  take(found.bias_rad_s, bias_stddev_rad_s, turning_s, change_rad_s, &learned_.bias_rad_s);
+  take(found.bias_rad_s, bias_stddev_rad_s, rotating_s, change_rad_s, &learned_.bias_rad_s);
 }
 
 void SelfCalibration::learn_resting_bias() {
@@ -281,7 +281,7 @@ void SelfCalibration::learn_resting_bias() {
   const TimeNs offset_ns =
       learned_.time_offset_s.known ? to_ns(learned_.time_offset_s.value) : options_.expected_offset_ns;
   TimeNs begin_ns = *still_since_ns_ + offset_ns + around_ns;
-  const TimeNs end_ns = std::min(turns_.back().end_ns + offset_ns - around_ns, gyro_.available().end_ns);
+  const TimeNs end_ns = std::min(rates_.back().end_ns + offset_ns - around_ns, gyro_.available().end_ns);
   begin_ns = std::max(begin_ns, end_ns - 4 * kSecondNs);
   if (end_ns - begin_ns < kStillNs || !gyro_.covers({begin_ns, end_ns})) return;
   std::vector<Eigen::Vector3d> pieces;

@@ -62,8 +62,8 @@ class SelfCalibration {
 
   /// @param sample  IMU axes and clock, in the order of time
   void add_sample(const GyroSample& sample);
-  /// @param turn  in the order of time; begins anew where time goes back
-  void add_rate(const ImageRate& turn);
+  /// @param rate  in the order of time; begins anew where time goes back
+  void add_rate(const ImageRate& rate);
 
   /// A second of images has come since the last update.
   bool is_due() const;
@@ -81,14 +81,14 @@ class SelfCalibration {
   /// Why no rate is usable.
   std::string missing_data() const;
   void learn_alignment();
-  void learn_readout(const RateAlignment& found, double turning_s);
-  void learn_rotation_and_bias(const RateAlignment& found, double turning_s);
+  void learn_readout(const RateAlignment& found, double rotating_s);
+  void learn_rotation_and_bias(const RateAlignment& found, double rotating_s);
   void learn_resting_bias();
   void refuse(const std::string& missing);
 
   SelfCalibrationOptions options_;
   GyroIntegral gyro_;
-  std::deque<ImageRate> turns_;           // of the last half minute
+  std::deque<ImageRate> rates_;           // of the last half minute
   std::optional<TimeNs> still_since_ns_;  // camera clock
   std::optional<TimeNs> updated_ns_;      // camera clock
   LearnedCalibration learned_;

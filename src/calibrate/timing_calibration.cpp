@@ -82,7 +82,7 @@ std::vector<std::vector<Eigen::Vector2d>> rotation_residuals(const TimingModel& 
   std::vector<std::vector<Eigen::Vector2d>> residuals;
   for (const WindowPoints& points : windows) {
     std::vector<Eigen::Vector2d> of_window;
-    const std::vector<Eigen::Vector3d> rays = model.turned_rays(points, gyro, state);
+    const std::vector<Eigen::Vector3d> rays = model.rotated_rays(points, gyro, state);
     for (std::size_t i = 0; i < rays.size(); ++i) {
       of_window.emplace_back(points.sightings[i].px - model.camera().project(rays[i]));
     }

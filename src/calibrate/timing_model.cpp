@@ -42,7 +42,7 @@ Eigen::VectorXd position_shares(const Eigen::VectorXd& frames_s, Eigen::Index ne
 
 /// Axes at `from_ns` to the mean of those during an exposure: a smeared corner is where it was on the mean (Gauss'
 /// quadrature with two nodes).
-Eigen::Matrix3d mean_turn(const RotationTrack& gyro, TimeNs from_ns, TimeNs middle_ns, TimeNs exposure_ns) {
+Eigen::Matrix3d mean_rotation(const RotationTrack& gyro, TimeNs from_ns, TimeNs middle_ns, TimeNs exposure_ns) {
   const auto node_ns = static_cast<TimeNs>(static_cast<double>(exposure_ns) / std::sqrt(12.0));
   if (node_ns == 0) return gyro.rotation(from_ns, middle_ns);
   return 0.5 * (gyro.rotation(from_ns, middle_ns - node_ns) + gyro.rotation(from_ns, middle_ns + node_ns));
@@ -76,13 +76,13 @@ TimeNs TimingModel::middle_of(const FrameTime& frame, double readout_s) const {
   return time_of(frame, 0.5 * (camera_.calibration().height_px - 1), readout_s);
 }
 
-std::vector<Eigen::Vector3d> TimingModel::turned_rays(const WindowPoints& points, const RotationTrack& gyro,
-                                                      const TimingState& state) const {
+std::vector<Eigen::Vector3d> TimingModel::rotated_rays(const WindowPoints& points, const RotationTrack& gyro,
+                                                       const TimingState& state) const {
   std::vector<RowExposure> rows;
   for (const FrameTime& frame : points.window->frames) rows.push_back(rows_of(frame, state.readout_s));
   std::vector<Eigen::Vector3d> result;
   result.reserve(points.sightings.size());
-  std::size_t turned = points.anchors.size();
+  std::size_t rotated = points.anchors.size();
   Eigen::Vector3d ray;
   for (const Sighting& sighting : points.sightings) {
     const Anchor& anchor = points.anchors[sighting.anchor];
@@ -93,11 +93,11 @@ std::vector<Eigen::Vector3d> TimingModel::turned_rays(const WindowPoints& points
       result.emplace_back(Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN()));
       continue;
     }
-    if (turned != sighting.anchor) {
-      ray = mean_turn(gyro, from_ns, from_ns, from.exposure_ns).inverse() * anchor.ray;
-      turned = sighting.anchor;
+    if (rotated != sighting.anchor) {
+      ray = mean_rotation(gyro, from_ns, from_ns, from.exposure_ns).inverse() * anchor.ray;
+      rotated = sighting.anchor;
     }
-    result.emplace_back(mean_turn(gyro, from_ns, to_ns, to.exposure_ns) * ray);
+    result.emplace_back(mean_rotation(gyro, from_ns, to_ns, to.exposure_ns) * ray);
   }
   return result;
 }
@@ -171,12 +171,12 @@ TimingDerivatives::TimingDerivatives(const TimingModel& model, const TimingState
 }
 
 std::vector<Eigen::Matrix3Xd> TimingDerivatives::of(const WindowPoints& points,
-                                                    const std::vector<Eigen::Vector3d>& turned_rays) const {
+                                                    const std::vector<Eigen::Vector3d>& rotated_rays) const {
   const std::vector<FrameTime>& frames = points.window->frames;
   const double last_row = model_.camera().calibration().height_px - 1;
   const Eigen::Vector3d rows(0, 0.5 * last_row, last_row);
   const TimeNs reference_ns = model_.middle_of(frames.front(), center_.state.readout_s);
-  const auto turn = [&](const Side& side, const FrameTime& frame, double row) -> Eigen::Matrix3d {
+  const auto rotation_of = [&](const Side& side, const FrameTime& frame, double row) -> Eigen::Matrix3d {
     const TimeNs t_ns = model_.time_of(frame, row, side.state.readout_s);
     if (!side.gyro.covers({std::min(reference_ns, t_ns), std::max(reference_ns, t_ns)})) {
       return Eigen::Matrix3d::Constant(std::numeric_limits<double>::quiet_NaN());
@@ -184,23 +184,23 @@ std::vector<Eigen::Matrix3Xd> TimingDerivatives::of(const WindowPoints& points,
     return side.gyro.rotation(reference_ns, t_ns);
   };
   // Of each frame and row: the rotation vectors by which the axes there turn, 3 x values.
-  std::vector<std::array<Eigen::Matrix3Xd, 3>> turns(frames.size());
+  std::vector<std::array<Eigen::Matrix3Xd, 3>> rotations(frames.size());
   for (std::size_t f = 0; f < frames.size(); ++f) {
     for (Eigen::Index r = 0; r < 3; ++r) {
-      Eigen::Matrix3Xd& by_value = turns[f][static_cast<std::size_t>(r)];
+      Eigen::Matrix3Xd& by_value = rotations[f][static_cast<std::size_t>(r)];
       by_value.resize(3, model_.values());
       for (std::size_t k = 0; k < steps_.size(); ++k) {
         const Eigen::Matrix3d R =
-            turn(ahead_[k], frames[f], rows[r]) * turn(behind_[k], frames[f], rows[r]).transpose();
+            rotation_of(ahead_[k], frames[f], rows[r]) * rotation_of(behind_[k], frames[f], rows[r]).transpose();
         // The vector of the skew part: the turn is small.
         by_value.col(static_cast<Eigen::Index>(k)) =
             Eigen::Vector3d(R(2, 1) - R(1, 2), R(0, 2) - R(2, 0), R(1, 0) - R(0, 1)) / (4 * steps_[k]);
       }
     }
   }
-  const auto turn_at = [&](std::size_t frame, double row) -> Eigen::Matrix3Xd {
+  const auto rotation_at = [&](std::size_t frame, double row) -> Eigen::Matrix3Xd {
     const Eigen::VectorXd shares = lagrange(rows, row);
-    return shares[0] * turns[frame][0] + shares[1] * turns[frame][1] + shares[2] * turns[frame][2];
+    return shares[0] * rotations[frame][0] + shares[1] * rotations[frame][1] + shares[2] * rotations[frame][2];
   };
   std::vector<Eigen::Matrix3Xd> result;
   result.reserve(points.sightings.size());
@@ -211,12 +211,12 @@ std::vector<Eigen::Matrix3Xd> TimingDerivatives::of(const WindowPoints& points,
     const TimeNs from_ns = model_.time_of(frames.front(), anchor.px.y(), center_.state.readout_s);
     const TimeNs to_ns = model_.time_of(frames[sighting.frame], sighting.px.y(), center_.state.readout_s);
     Eigen::Matrix3Xd J(3, model_.values());
-    if (!turned_rays[i].allFinite()) {
+    if (!rotated_rays[i].allFinite()) {
       J.setConstant(std::numeric_limits<double>::quiet_NaN());
     } else {
-      const Eigen::Matrix3Xd difference =
-          turn_at(sighting.frame, sighting.px.y()) - center_.gyro.rotation(from_ns, to_ns) * turn_at(0, anchor.px.y());
-      for (Eigen::Index k = 0; k < J.cols(); ++k) J.col(k) = difference.col(k).cross(turned_rays[i]);
+      const Eigen::Matrix3Xd difference = rotation_at(sighting.frame, sighting.px.y()) -
+                                          center_.gyro.rotation(from_ns, to_ns) * rotation_at(0, anchor.px.y());
+      for (Eigen::Index k = 0; k < J.cols(); ++k) J.col(k) = difference.col(k).cross(rotated_rays[i]);
     }
     result.push_back(std::move(J));
   }

@@ -66,8 +66,8 @@ class TimingModel {
 
   /// Rays of the anchors of all sightings, turned by the gyroscope from the mean of their row's exposure into camera
   /// axes at the mean of the sighting's; NaN where it does not cover the time between.
-  std::vector<Eigen::Vector3d> turned_rays(const WindowPoints& points, const RotationTrack& gyro,
-                                           const TimingState& state) const;
+  std::vector<Eigen::Vector3d> rotated_rays(const WindowPoints& points, const RotationTrack& gyro,
+                                            const TimingState& state) const;
 
   /// The way of the camera is a cubic through its positions at the middles of four neighbouring frames (a parabola or a
   /// line in windows that are shorter).
@@ -99,9 +99,9 @@ class TimingDerivatives {
   TimingDerivatives(const TimingModel& model, const TimingState& state);
 
   /// By numeric differentiation in three rows of every frame, and a parabola between them.
-  /// @param turned_rays  see TimingModel
+  /// @param rotated_rays  see TimingModel
   /// @return for each sighting the derivative of its turned ray: 3 x values
-  std::vector<Eigen::Matrix3Xd> of(const WindowPoints& points, const std::vector<Eigen::Vector3d>& turned_rays) const;
+  std::vector<Eigen::Matrix3Xd> of(const WindowPoints& points, const std::vector<Eigen::Vector3d>& rotated_rays) const;
 
  private:
   struct Side {

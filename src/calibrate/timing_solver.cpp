@@ -27,7 +27,7 @@ std::vector<WindowFit> TimingSolver::fits_of(const TimingState& state) const {
   std::vector<WindowFit> fits;
   fits.reserve(windows_.size());
   for (const WindowPoints& points : windows_) {
-    fits.emplace_back(model_.camera(), points, model_.turned_rays(points, gyro, state),
+    fits.emplace_back(model_.camera(), points, model_.rotated_rays(points, gyro, state),
                       model_.passages(points, gyro, state), model_.frame_times_s(points, state));
   }
   return fits;
@@ -44,7 +44,7 @@ std::vector<ReducedEquations> TimingSolver::linearise(const TimingState& state) 
   std::vector<ReducedEquations> result;
   result.reserve(fits_.size());
   for (std::size_t i = 0; i < fits_.size(); ++i) {
-    result.push_back(fits_[i].reduce(structures_[i], priors_, derivatives.of(windows_[i], fits_[i].turned_rays())));
+    result.push_back(fits_[i].reduce(structures_[i], priors_, derivatives.of(windows_[i], fits_[i].rotated_rays())));
   }
   return result;
 }

@@ -63,11 +63,11 @@ struct WindowFit::Equations {
   }
 };
 
-WindowFit::WindowFit(const Camera& camera, const WindowPoints& points, std::vector<Eigen::Vector3d> turned_rays,
+WindowFit::WindowFit(const Camera& camera, const WindowPoints& points, std::vector<Eigen::Vector3d> rotated_rays,
                      std::vector<Passage> passages, Eigen::VectorXd frames_s)
     : camera_(camera),
       points_(points),
-      turned_rays_(std::move(turned_rays)),
+      rotated_rays_(std::move(rotated_rays)),
       passages_(std::move(passages)),
       frames_s_(std::move(frames_s)) {}
 
@@ -84,7 +84,7 @@ Eigen::Vector3d WindowFit::displacement(std::size_t sighting, const WindowStruct
 
 Eigen::Vector3d WindowFit::ray(std::size_t sighting, const WindowStructure& structure) const {
   const double inverse_depth = structure.inverse_depths[static_cast<Eigen::Index>(points_.sightings[sighting].anchor)];
-  return turned_rays_[sighting] - inverse_depth * displacement(sighting, structure);
+  return rotated_rays_[sighting] - inverse_depth * displacement(sighting, structure);
 }
 
 std::vector<Eigen::Vector2d> WindowFit::residuals(const WindowStructure& structure) const {

@@ -32,10 +32,10 @@ class WindowFit {
  public:
   /// Keeps references to camera and points.
   /// @param frames_s  see TimingModel::frame_times_s
-  WindowFit(const Camera& camera, const WindowPoints& points, std::vector<Eigen::Vector3d> turned_rays,
+  WindowFit(const Camera& camera, const WindowPoints& points, std::vector<Eigen::Vector3d> rotated_rays,
             std::vector<Passage> passages, Eigen::VectorXd frames_s);
 
-  const std::vector<Eigen::Vector3d>& turned_rays() const { return turned_rays_; }
+  const std::vector<Eigen::Vector3d>& rotated_rays() const { return rotated_rays_; }
 
   /// A camera that only rotates.
   WindowStructure at_rest() const;
@@ -67,7 +67,7 @@ class WindowFit {
 
   const Camera& camera_;
   const WindowPoints& points_;
-  std::vector<Eigen::Vector3d> turned_rays_;
+  std::vector<Eigen::Vector3d> rotated_rays_;
   std::vector<Passage> passages_;
   Eigen::VectorXd frames_s_;
 };

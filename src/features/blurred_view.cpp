@@ -84,13 +84,13 @@ PredictedPoint predict_point(const Eigen::Vector2d& place_px, const NearbyRays& 
                              const BlurredView& to, const CameraMotion& motion) {
   bool by_residual = true;
   const auto predict = [&](const Eigen::Vector2d& at_px) -> Eigen::Vector2d {
-    const Eigen::Vector2d turned_px =
+    const Eigen::Vector2d rotated_px =
         predicted_pixel(at_px, rays.ray(at_px), rays.camera(), motion, from.exposure(), to.exposure()).value_or(at_px);
-    const BlurredView::Residual before = from.residual_at(at_px), now = to.residual_at(turned_px);
+    const BlurredView::Residual before = from.residual_at(at_px), now = to.residual_at(rotated_px);
     by_residual = by_residual && (before.is_known || now.is_known);
     const double both = (before.is_known ? 1 : 0) + (now.is_known ? 1 : 0);
-    const double seconds = to_seconds(to.exposure().middle(turned_px.y()) - from.exposure().middle(at_px.y()));
-    return turned_px + seconds / std::max(1.0, both) * (before.velocity_px_s + now.velocity_px_s);
+    const double seconds = to_seconds(to.exposure().middle(rotated_px.y()) - from.exposure().middle(at_px.y()));
+    return rotated_px + seconds / std::max(1.0, both) * (before.velocity_px_s + now.velocity_px_s);
   };
   constexpr double kHalfStepPx = 7;  // as far as the compared patch reaches in most directions
   PredictedPoint predicted{predict(place_px), Eigen::Matrix2d::Identity(), false};

@@ -5,13 +5,13 @@
 
 namespace gyro_deblur {
 
-std::optional<Eigen::Vector3d> turned_ray(const Eigen::Vector2d& pixel_px, const Camera& camera,
-                                          const CameraMotion& motion, TimeNs from_ns, TimeNs to_ns) {
-  return turned_ray(camera.ray(pixel_px), motion, from_ns, to_ns);
+std::optional<Eigen::Vector3d> rotated_ray(const Eigen::Vector2d& pixel_px, const Camera& camera,
+                                           const CameraMotion& motion, TimeNs from_ns, TimeNs to_ns) {
+  return rotated_ray(camera.ray(pixel_px), motion, from_ns, to_ns);
 }
 
-std::optional<Eigen::Vector3d> turned_ray(const Eigen::Vector3d& ray, const CameraMotion& motion, TimeNs from_ns,
-                                          TimeNs to_ns) {
+std::optional<Eigen::Vector3d> rotated_ray(const Eigen::Vector3d& ray, const CameraMotion& motion, TimeNs from_ns,
+                                           TimeNs to_ns) {
   if (!motion.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) return std::nullopt;
   return motion.rotation(from_ns, to_ns) * ray;
 }

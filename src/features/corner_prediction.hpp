@@ -13,12 +13,12 @@ namespace gyro_deblur {
 
 /// Direction, at `to_ns`, of what the pixel saw at `from_ns`, by the camera's rotation; nothing where that is not
 /// known.
-std::optional<Eigen::Vector3d> turned_ray(const Eigen::Vector2d& pixel_px, const Camera& camera,
-                                          const CameraMotion& motion, TimeNs from_ns, TimeNs to_ns);
+std::optional<Eigen::Vector3d> rotated_ray(const Eigen::Vector2d& pixel_px, const Camera& camera,
+                                           const CameraMotion& motion, TimeNs from_ns, TimeNs to_ns);
 
 /// The same of a direction.
-std::optional<Eigen::Vector3d> turned_ray(const Eigen::Vector3d& ray, const CameraMotion& motion, TimeNs from_ns,
-                                          TimeNs to_ns);
+std::optional<Eigen::Vector3d> rotated_ray(const Eigen::Vector3d& ray, const CameraMotion& motion, TimeNs from_ns,
+                                           TimeNs to_ns);
 
 /// Pixel, at `to_ns`, of what `pixel_px` shows in the image of `from`, whatever row it is in then.
 std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,

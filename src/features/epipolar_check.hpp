@@ -11,11 +11,11 @@ namespace gyro_deblur {
 /// of a static scene is one translation, which two points determine and the others confirm. Where most points do not,
 /// the rotation is not that of the camera (or not known), and any epipolar geometry counts. The same for the same
 /// points.
-/// @param turned    directions in the first image, turned by the camera's rotation; any length, z > 0
+/// @param rotated   directions in the first image, rotated by the camera's rotation; any length, z > 0
 /// @param seen      directions of the same points in the second image; the same
 /// @param focal_px  pixels for a direction's change by 1
 /// @return one for each point; too few points have nothing to disagree with
-std::vector<char> agree_with_epipolar_geometry(const std::vector<Eigen::Vector3d>& turned,
+std::vector<char> agree_with_epipolar_geometry(const std::vector<Eigen::Vector3d>& rotated,
                                                const std::vector<Eigen::Vector3d>& seen, double focal_px,
                                                double max_distance_px);
 

@@ -118,7 +118,7 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
   const cv::Size size = view->luminance().size();
   std::vector<Track> tracks;
   std::vector<TrackState> states;
-  std::vector<Eigen::Vector3d> turned_rays;
+  std::vector<Eigen::Vector3d> rotated_rays;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
     if (!candidates[i].found) continue;
     Track track = tracks_[i];
@@ -126,9 +126,9 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
     const Eigen::Vector2d& at_px = state.point.place_px;
     if (!inside(at_px, size) || !mask_.uses({cvRound(at_px.x()), cvRound(at_px.y())})) continue;
     if (!state.ray.allFinite()) continue;
-    turned_rays.push_back(turned_ray(rays_before[i], motion, view_->exposure().middle(track.pixel_px.y()),
-                                     view->exposure().middle(at_px.y()))
-                              .value_or(rays_before[i]));
+    rotated_rays.push_back(rotated_ray(rays_before[i], motion, view_->exposure().middle(track.pixel_px.y()),
+                                       view->exposure().middle(at_px.y()))
+                               .value_or(rays_before[i]));
     state.unpredicted_px_s.reset();
     if (!candidates[i].predicted.by_residual) {
       state.unpredicted_px_s = (candidates[i].found->place_px - candidates[i].predicted.place_px) / dt_s;
@@ -145,14 +145,14 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
   }
   tracks_ = std::move(tracks);
   states_ = std::move(states);
-  check_geometry(camera, turned_rays);
+  check_geometry(camera, rotated_rays);
 }
 
-void FeatureTracker::check_geometry(const Camera& camera, const std::vector<Eigen::Vector3d>& turned_rays) {
+void FeatureTracker::check_geometry(const Camera& camera, const std::vector<Eigen::Vector3d>& rotated_rays) {
   std::vector<Eigen::Vector3d> rays;
   for (const TrackState& state : states_) rays.push_back(state.ray);
   const std::vector<char> agrees_with_others =
-      agree_with_epipolar_geometry(turned_rays, rays, camera.calibration().fx_px, options_.max_epipolar_px);
+      agree_with_epipolar_geometry(rotated_rays, rays, camera.calibration().fx_px, options_.max_epipolar_px);
   std::size_t kept = 0;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
     if (!agrees_with_others[i]) continue;

@@ -60,20 +60,20 @@ std::optional<GyroUnitFault> GyroUnitWatch::find_no_rates() const {
   // A camera that is carried along without turning must not look like one that turns.
   constexpr double kLeastSeenRadS = 0.1;
   constexpr std::size_t kFewest = 8;
-  std::size_t turning = 0;
+  std::size_t rotating = 0;
   double energy = 0, less_rotation = 0, less_translation = 0;
   GyroUnitFault fault;
   fault.kind = GyroUnitFault::Kind::NO_RATES;
   for (const Entry& entry : entries_) {
     const double seen_rad_s = entry.seen.rate_rad_s.norm();
     if (seen_rad_s < kLeastSeenRadS) continue;
-    ++turning;
+    ++rotating;
     energy += entry.seen.energy_px2_s2;
     less_rotation += entry.seen.energy_less_rotation_px2_s2;
     less_translation += entry.seen.energy_less_translation_px2_s2;
     if (seen_rad_s > fault.seen_rad_s) fault.seen_rad_s = seen_rad_s;
   }
-  if (turning < kFewest || 2 * less_rotation > energy || less_rotation > less_translation) return std::nullopt;
+  if (rotating < kFewest || 2 * less_rotation > energy || less_rotation > less_translation) return std::nullopt;
   return fault;
 }
 

@@ -148,10 +148,10 @@ GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera
   };
   cv::Mat moves_px(rows, cols, CV_32FC2);  // of the image as it arrived
   parallel_for(rows, threads, 1, [&](int row) {
-    const PointMotion::Turn turn = point_motion.turn(times_ns[row], reference_ns);
+    const PointMotion::Movement movement = point_motion.movement(times_ns[row], reference_ns);
     for (int col = 0; col < cols; ++col) {
       const Eigen::Vector2d pixel_px(node_px(col), node_px(row));
-      moves_px.at<cv::Vec2f>(row, col) = to_node(point_motion.moved(pixel_px, turn).pixel_px - pixel_px);
+      moves_px.at<cv::Vec2f>(row, col) = to_node(point_motion.moved(pixel_px, movement).pixel_px - pixel_px);
     }
   });
   if (!fill_gaps(&moves_px)) return {};

@@ -25,16 +25,16 @@ PointMotion::Mean PointMotion::mean_at(const Eigen::Vector2d& pixel_px) const {
   return mean;
 }
 
-PointMotion::Turn PointMotion::turn(TimeNs from_ns, TimeNs to_ns) const {
+PointMotion::Movement PointMotion::movement(TimeNs from_ns, TimeNs to_ns) const {
   return {motion_.rotation(from_ns, to_ns), to_seconds(to_ns - from_ns)};
 }
 
-PointMotion::Place PointMotion::moved(const Eigen::Vector2d& shown_px, const Turn& turn) const {
+PointMotion::Place PointMotion::moved(const Eigen::Vector2d& shown_px, const Movement& movement) const {
   const Mean mean = mean_at(shown_px);
-  const Eigen::Vector3d direction = turn.rotation * camera_.ray(shown_px - mean.apparent_offset_px);
-  const Eigen::Vector2d turned_px = camera_.project(direction);
-  if (mean.share_with_residual == 0) return {turned_px, direction};
-  return {turned_px + turn.seconds * mean.velocity_px_s, std::nullopt};
+  const Eigen::Vector3d direction = movement.rotation * camera_.ray(shown_px - mean.apparent_offset_px);
+  const Eigen::Vector2d rotated_px = camera_.project(direction);
+  if (mean.share_with_residual == 0) return {rotated_px, direction};
+  return {rotated_px + movement.seconds * mean.velocity_px_s, std::nullopt};
 }
 
 }  // namespace gyro_deblur

@@ -21,12 +21,12 @@ class PointMotion {
   PointMotion(const FrameBlur& field, const Camera& camera, const CameraMotion& motion);
 
   /// Motion between two instants.
-  struct Turn {
+  struct Movement {
     Eigen::Matrix3d rotation;
     double seconds;
   };
   /// Precondition: the motion covers the time between the two.
-  Turn turn(TimeNs from_ns, TimeNs to_ns) const;
+  Movement movement(TimeNs from_ns, TimeNs to_ns) const;
 
   struct Place {
     Eigen::Vector2d pixel_px;
@@ -35,7 +35,7 @@ class PointMotion {
   };
   /// Where a scene point goes in a turn that the image shows at `shown_px` at its beginning. Not finite beyond the
   /// range of the lens model.
-  Place moved(const Eigen::Vector2d& shown_px, const Turn& turn) const;
+  Place moved(const Eigen::Vector2d& shown_px, const Movement& movement) const;
 
  private:
   /// Of the blocks around a pixel.

@@ -286,12 +286,12 @@ std::optional<Eigen::Vector2d> ResidualFlow::velocity_before(int block, const Re
   constexpr double kArrowS = 0.01;
   const RowExposure& then = *exposure_;
   const TimeNs then_ns = then.middle(there_px->y());
-  const auto foot = turned_ray(*there_px, camera, motion, then_ns, now_ns);
-  const auto head = turned_ray(*there_px + kArrowS * velocity_px_s, camera, motion, then_ns, now_ns);
+  const auto foot = rotated_ray(*there_px, camera, motion, then_ns, now_ns);
+  const auto head = rotated_ray(*there_px + kArrowS * velocity_px_s, camera, motion, then_ns, now_ns);
   if (!foot || !head) return std::nullopt;
-  const Eigen::Vector2d turned_px_s = (camera.project(*head) - camera.project(*foot)) / kArrowS;
-  if (!turned_px_s.allFinite()) return std::nullopt;
-  return turned_px_s;
+  const Eigen::Vector2d rotated_px_s = (camera.project(*head) - camera.project(*foot)) / kArrowS;
+  if (!rotated_px_s.allFinite()) return std::nullopt;
+  return rotated_px_s;
 }
 
 void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,

@@ -72,7 +72,7 @@ std::optional<ResidualRotation> fit_residual_rotation(const ResidualField& resid
   const double middle_row = 0.5 * (grid.height_px() - 1);
   const TimeRange exposed{exposure.start(middle_row), exposure.end(middle_row)};
   if (residuals.empty() || !motion.covers(exposed)) return std::nullopt;
-  std::vector<Row> turned, moved;
+  std::vector<Row> rotated, moved;
   for (std::size_t i = 0; i < residuals.size(); ++i) {
     if (!residuals[i]) continue;
     const Eigen::Vector3d ray = camera.ray(grid.center(static_cast<int>(i)));
@@ -81,17 +81,17 @@ std::optional<ResidualRotation> fit_residual_rotation(const ResidualField& resid
     if (!jacobian.allFinite()) continue;
     const double weight = 1 / (residuals[i]->stddev_px_s * residuals[i]->stddev_px_s);
     // In a camera that turns by w and moves by t, the direction r at depth d moves by -w x r and -t / d.
-    turned.push_back({jacobian * cross_matrix(ray), residuals[i]->velocity_px_s, weight});
+    rotated.push_back({jacobian * cross_matrix(ray), residuals[i]->velocity_px_s, weight});
     moved.push_back({-jacobian, residuals[i]->velocity_px_s, weight});
   }
-  if (turned.empty() || 2 * turned.size() < static_cast<std::size_t>(grid.size())) return std::nullopt;
+  if (rotated.empty() || 2 * rotated.size() < static_cast<std::size_t>(grid.size())) return std::nullopt;
   ResidualRotation rotation;
-  rotation.rate_rad_s = robust_fit(turned);
+  rotation.rate_rad_s = robust_fit(rotated);
   // What the camera turns by, directions turn by the other way.
-  const Eigen::AngleAxisd turn(motion.rotation(exposed.begin_ns, exposed.end_ns));
-  rotation.known_rad_s = -turn.angle() / to_seconds(exposed.end_ns - exposed.begin_ns) * turn.axis();
-  rotation.energy_px2_s2 = energy_less(turned, Eigen::Vector3d::Zero());
-  rotation.energy_less_rotation_px2_s2 = energy_less(turned, rotation.rate_rad_s);
+  const Eigen::AngleAxisd known(motion.rotation(exposed.begin_ns, exposed.end_ns));
+  rotation.known_rad_s = -known.angle() / to_seconds(exposed.end_ns - exposed.begin_ns) * known.axis();
+  rotation.energy_px2_s2 = energy_less(rotated, Eigen::Vector3d::Zero());
+  rotation.energy_less_rotation_px2_s2 = energy_less(rotated, rotation.rate_rad_s);
   rotation.energy_less_translation_px2_s2 = energy_less(moved, robust_fit(moved));
   return rotation;
 }
@@ -107,7 +107,7 @@ constexpr std::size_t kLeastFrames = 5 * kParts;
 /// component.
 constexpr double kSignificance = 5;
 /// Below these it is less than a tenth of the blur that it adds to, or below 0.2 px.
-constexpr double kLeastBiasRadS = 0.01, kLeastTurnRad = 0.02, kLeastOffsetS = 0.002;
+constexpr double kLeastBiasRadS = 0.01, kLeastRotationRad = 0.02, kLeastOffsetS = 0.002;
 
 /// Residual rates of the watched images and what they are explained with: e = bias + turn x w + offset * dw/dt.
 struct Watched {
@@ -193,7 +193,7 @@ std::optional<GyroError> GyroErrorWatch::find() const {
   if (stands_out(watched, unknowns, 0, kLeastBiasRadS)) {
     error.kind = GyroError::Kind::BIAS;
     error.vector = -unknowns.segment<3>(0);
-  } else if (stands_out(watched, unknowns, 1, kLeastTurnRad)) {
+  } else if (stands_out(watched, unknowns, 1, kLeastRotationRad)) {
     error.kind = GyroError::Kind::EXTRINSIC;
     error.vector = unknowns.segment<3>(3);
   } else if (stands_out(watched, unknowns, 2, kLeastOffsetS)) {

@@ -76,7 +76,7 @@ struct TrackSearch::Thread {
     candidate->predicted.map += step.seconds * state.unpredicted_slope_1_s;
     const double row = candidate->predicted.place_px.y();
     candidate->near_ray =
-        turned_ray(state.ray, motion, step.before.exposure().middle(place_px.y()), step.now.exposure().middle(row))
+        rotated_ray(state.ray, motion, step.before.exposure().middle(place_px.y()), step.now.exposure().middle(row))
             .value_or(state.ray);
     candidate->near_ray /= candidate->near_ray.z();
     candidate->near_px = step.camera.project(candidate->near_ray);

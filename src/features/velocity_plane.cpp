@@ -54,8 +54,8 @@ VelocityPlane fit_plane(const std::vector<NearbyVelocity>& velocities, int itera
     Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
     for (std::size_t k = 0; k < velocities.size(); ++k) {
       const Eigen::Vector3d row(1, velocities[k].from_center_px.x(), velocities[k].from_center_px.y());
-      const double belief = robust_weight(distances[k], plane.spread_px_s), weight = belief * velocities[k].nearness;
-      inlier_weight += belief;
+      const double inlier = robust_weight(distances[k], plane.spread_px_s), weight = inlier * velocities[k].nearness;
+      inlier_weight += inlier;
       normal += weight * row * row.transpose();
       squares += weight * weight * row * row.transpose();
       right += weight * row * velocities[k].velocity_px_s.transpose();

@@ -44,7 +44,7 @@ constexpr double kImageSilenceS = 5;
 DeblurNodelet::~DeblurNodelet() {
   // First of all: a change of parameters may subscribe anew.
   reconfigure_.reset();
-  if (stereo_) stereo_->set_patience(0);  // nobody waits for its partners, nor they for it
+  if (stereo_) stereo_->set_timeout(0);  // nobody waits for its partners, nor they for it
   // Shutting a subscription down waits for its callback in progress; after this no callback runs any more.
   if (imu_) imu_->stop_listening(this);
   exposure_subscriber_.shutdown();

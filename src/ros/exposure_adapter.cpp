@@ -20,8 +20,8 @@ namespace {
 std::optional<TimeNs> stamp_of(const MessageLayout& layout, const std::string& field, const std::uint8_t* bytes,
                                std::size_t size) {
   const std::size_t dot = field.rfind('.');
-  const std::string beside = (dot == std::string::npos ? "" : field.substr(0, dot + 1)) + "stamp";
-  for (const std::string& path : {std::string("header.stamp"), beside}) {
+  const std::string next_to_field = (dot == std::string::npos ? "" : field.substr(0, dot + 1)) + "stamp";
+  for (const std::string& path : {std::string("header.stamp"), next_to_field}) {
     const std::optional<FieldValue> value = layout.find(path, bytes, size);
     if (value && std::holds_alternative<FieldTime>(*value) && std::get<FieldTime>(*value).ns != 0) {
       return std::get<FieldTime>(*value).ns;

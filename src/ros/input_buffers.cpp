@@ -134,7 +134,7 @@ void InputBuffers::count_without_imu(TimeNs begin_ns) {
 }
 
 void InputBuffers::record_liveness(TimeNs now_ns) {
-  const auto tell = [this](const char* topic, std::optional<bool> awaited) {
+  const auto report = [this](const char* topic, std::optional<bool> awaited) {
     if (!awaited) return;
     const std::string kind = std::string(topic) + " liveness";
     throttled_log_(*awaited ? LogLevel::INFO : LogLevel::WARNING, kind,
@@ -143,9 +143,9 @@ void InputBuffers::record_liveness(TimeNs now_ns) {
                                   std::to_string(StreamLiveness::kMissesEndWaiting) +
                                   " images in a row: images no longer wait for theirs, until it comes again");
   };
-  tell("camera_info", infos_.update(now_ns, config_.input_timeout_ns));
+  report("camera_info", infos_.update(now_ns, config_.input_timeout_ns));
   // A setting serves all.
-  if (!exposure_setting_ns_) tell("exposure message", exposures_.update(now_ns, config_.input_timeout_ns));
+  if (!exposure_setting_ns_) report("exposure message", exposures_.update(now_ns, config_.input_timeout_ns));
 }
 
 TimeNs InputBuffers::now() {

@@ -69,7 +69,7 @@ void Processor::set_config(const Config& config) {
   input_buffers_.set_config(config);
   exposures_.set_policy(config.on_exposure_conflict);
   gyro_errors_.clear();
-  if (environment_.stereo) environment_.stereo->set_patience(config.stereo_sync_timeout_ns);
+  if (environment_.stereo) environment_.stereo->set_timeout(config.stereo_sync_timeout_ns);
 }
 
 void Processor::set_config_error(const std::string& text) {
@@ -79,7 +79,7 @@ void Processor::set_config_error(const std::string& text) {
   config_error_ = text;
   record_calibration_file();
   if (environment_.stereo)
-    environment_.stereo->set_patience(Config().stereo_sync_timeout_ns);  // its partners pass through, too
+    environment_.stereo->set_timeout(Config().stereo_sync_timeout_ns);  // its partners pass through, too
 }
 
 void Processor::add_imu(const sensor_msgs::Imu& imu) {

@@ -19,21 +19,21 @@ constexpr std::size_t kReported = 3;
 constexpr TimeNs kWatchedNs = 5'000'000'000;
 /// A bias that nobody has told is smaller than this rate, and noise turns less far than the scene by this much.
 constexpr double kLeastRateRadS = 0.1, kLeastShiftPx = 1;
-constexpr TimeNs kLongestTurnNs = 1'000'000'000;
+constexpr TimeNs kLongestRotationNs = 1'000'000'000;
 
 /// Whether the image's scene has moved since its picture was exposed, as far as samples reach.
-bool has_turned(const PendingFrame& frame, const GyroReader& gyro, const GyroOptions& options) {
+bool has_rotated(const PendingFrame& frame, const GyroReader& gyro, const GyroOptions& options) {
   if (!frame.calibration) return false;
-  TimeRange turn_cam{std::max(frame.picture_ns(), frame.stamp_ns - kLongestTurnNs), frame.stamp_ns};
+  TimeRange range_cam{std::max(frame.picture_ns(), frame.stamp_ns - kLongestRotationNs), frame.stamp_ns};
   const TimeNs offset_ns = options.time_offset_ns;
-  turn_cam.end_ns = std::min(turn_cam.end_ns, gyro.available().end_ns - offset_ns);
-  if (turn_cam.begin_ns >= turn_cam.end_ns) return false;
-  const RotationTrack track(gyro.window({turn_cam.begin_ns + offset_ns, turn_cam.end_ns + offset_ns}), options,
+  range_cam.end_ns = std::min(range_cam.end_ns, gyro.available().end_ns - offset_ns);
+  if (range_cam.begin_ns >= range_cam.end_ns) return false;
+  const RotationTrack track(gyro.window({range_cam.begin_ns + offset_ns, range_cam.end_ns + offset_ns}), options,
                             Eigen::Matrix3d::Identity());
-  if (!track.covers(turn_cam)) return false;
-  const double turned_rad = Eigen::AngleAxisd(track.rotation(turn_cam.begin_ns, turn_cam.end_ns)).angle();
-  return turned_rad >= kLeastRateRadS * to_seconds(turn_cam.end_ns - turn_cam.begin_ns) &&
-         turned_rad * frame.calibration->fx_px >= kLeastShiftPx;
+  if (!track.covers(range_cam)) return false;
+  const double rotated_rad = Eigen::AngleAxisd(track.rotation(range_cam.begin_ns, range_cam.end_ns)).angle();
+  return rotated_rad >= kLeastRateRadS * to_seconds(range_cam.end_ns - range_cam.begin_ns) &&
+         rotated_rad * frame.calibration->fx_px >= kLeastShiftPx;
 }
 
 }  // namespace
@@ -46,7 +46,7 @@ void RepetitionWatch::add(const PendingFrame& frame, const GyroReader& gyro, con
     proven_ns_.pop_front();
   }
   if (reported && proven_ns_.empty()) problems_.resolve(kKind);
-  if (!frame.repeats || !has_turned(frame, gyro, options)) return;
+  if (!frame.repeats || !has_rotated(frame, gyro, options)) return;
   proven_ns_.push_back(frame.stamp_ns);
   if (proven_ns_.size() < kReported) return;
   problems_.report(kKind, std::to_string(counts.repeated_pictures) + " of " + std::to_string(counts.frames_in) +

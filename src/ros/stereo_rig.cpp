@@ -43,10 +43,10 @@ std::shared_ptr<StereoRig> StereoRig::get(const std::string& imu_topic) {
   return rig;
 }
 
-void StereoRig::join(Id id, const std::string& name, TimeNs patience_ns) {
+void StereoRig::join(Id id, const std::string& name, TimeNs timeout_ns) {
   const std::lock_guard<std::mutex> lock(mutex_);
   members_[id].name = name;
-  members_[id].patience_ns = patience_ns;
+  members_[id].timeout_ns = timeout_ns;
 }
 
 void StereoRig::leave(Id id) {
@@ -180,7 +180,7 @@ std::string StereoRig::give_up(const std::shared_ptr<Pair>& pair, Id id, const B
   Member& other = members_[blocking.id];
   if (waited) (blocking.has_come ? other.deciding : other.sending).miss();
   const std::string stamp = seconds_text(pair->places[id].stamp_ns) + " s";
-  const std::string within = waited ? " within " + std::to_string(members_[id].patience_ns / 1'000'000) + " ms" : "";
+  const std::string within = waited ? " within " + std::to_string(members_[id].timeout_ns / 1'000'000) + " ms" : "";
   pair->none_dropped = true;
   if (deblurs) pass_partners_through(pair, id, "has not waited for this image any longer");
   return blocking.has_come ? other.name + " has not decided on its image of " + stamp + within
@@ -200,7 +200,7 @@ FrameAction StereoRig::wait_for_partners(Id id, TimeNs stamp_ns, const ImageRepo
   }
   if (report.drop_reasons && !report.drop_reasons->may_be_dropped) pair->none_dropped = true;
   changed_.notify_all();
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::nanoseconds(members_[id].patience_ns);
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::nanoseconds(members_[id].timeout_ns);
   bool waited = false, timed_out = false;
   Blocking blocked;
   while (true) {
@@ -240,8 +240,8 @@ StereoCamera::StereoCamera(std::shared_ptr<StereoRig> rig, std::string name)
 
 StereoCamera::~StereoCamera() { rig_->leave(this); }
 
-void StereoCamera::set_patience(TimeNs patience_ns) {
-  patience_ns > 0 ? rig_->join(this, name_, patience_ns) : rig_->leave(this);
+void StereoCamera::set_timeout(TimeNs timeout_ns) {
+  timeout_ns > 0 ? rig_->join(this, name_, timeout_ns) : rig_->leave(this);
 }
 
 void StereoCamera::pass_through(TimeNs stamp_ns, PassThroughReason reason) {

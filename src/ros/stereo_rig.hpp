@@ -64,7 +64,7 @@ class StereoRig {
 
   struct Member {
     std::string name;
-    TimeNs patience_ns = 0;
+    TimeNs timeout_ns = 0;
     std::uint64_t newest = 0;  ///< number of the pair that its last image belongs to; 0: none has come
     Habit sending;             ///< its image has come when a partner's is ready
     Habit deciding;            ///< and is decided on in time
@@ -105,7 +105,7 @@ class StereoRig {
   /// Changes what is known of the image's pair, if it has one, and wakes those who wait.
   template <typename Change>
   void change(Id id, TimeNs stamp_ns, Change change);
-  void join(Id id, const std::string& name, TimeNs patience_ns);
+  void join(Id id, const std::string& name, TimeNs timeout_ns);
   void leave(Id id);
   void announce(Id id, TimeNs stamp_ns);
   void begin(Id id, TimeNs stamp_ns);
@@ -142,7 +142,7 @@ class StereoCamera {
 
   /// How long an image of it waits at most for its partners. 0, as at first: it neither waits nor is waited for;
   /// whoever waits already goes on.
-  void set_patience(TimeNs patience_ns);
+  void set_timeout(TimeNs timeout_ns);
 
   /// An image has come in; before anything else is said of it.
   void announce(TimeNs stamp_ns) { rig_->announce(this, stamp_ns); }

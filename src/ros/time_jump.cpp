@@ -23,7 +23,7 @@ int straggler_limit(Stream stream) {
 }
 
 /// A camera_info or an exposure that is late says nothing about the clock; the image that it belongs to does.
-bool tells_of_resets(Stream stream) { return stream != Stream::CAMERA_INFO && stream != Stream::EXPOSURE; }
+bool detects_resets(Stream stream) { return stream != Stream::CAMERA_INFO && stream != Stream::EXPOSURE; }
 
 }  // namespace
 
@@ -45,22 +45,22 @@ const char* to_string(Stream stream) {
 
 TimeJumpDetector::Result TimeJumpDetector::update(Stream stream, TimeNs stamp_ns, std::size_t messages) {
   State& own = state(stream);
-  if (own.rule.add({stamp_ns}, limits_).reset) return tell(stream);
+  if (own.rule.add({stamp_ns}, limits_).reset) return note_reset(stream);
   own.stragglers_left -= static_cast<int>(std::min(messages, static_cast<std::size_t>(own.stragglers_left)));
   return Result::FORWARD;
 }
 
 TimeJumpDetector::Result TimeJumpDetector::went_back(Stream stream, TimeNs stamp_ns) {
   state(stream).rule.restart({stamp_ns});
-  return tell(stream);
+  return note_reset(stream);
 }
 
-TimeJumpDetector::Result TimeJumpDetector::tell(Stream stream) {
+TimeJumpDetector::Result TimeJumpDetector::note_reset(Stream stream) {
   State& own = state(stream);
   const bool known = own.stragglers_left > 0;
   own.stragglers_left = 0;
   if (known) return Result::FOLLOWS;
-  if (!tells_of_resets(stream)) return Result::FORWARD;
+  if (!detects_resets(stream)) return Result::FORWARD;
   for (std::size_t i = 0; i < kStreams; ++i) {
     const auto other = static_cast<Stream>(i);
     // A stream that has not started yet has nothing old to bring.

@@ -55,7 +55,7 @@ class TimeJumpDetector {
     TimestampFilter<Stamp> rule;
     int stragglers_left = 0;  // messages of the old epoch that may still come after a jump
   };
-  Result tell(Stream stream);
+  Result note_reset(Stream stream);
   State& state(Stream stream) { return states_[static_cast<std::size_t>(stream)]; }
   const State& state(Stream stream) const { return states_[static_cast<std::size_t>(stream)]; }
 

@@ -38,11 +38,11 @@ FrameBlur rejected() { return field({BlockStatus::SHARP, BlockStatus::REJECTED})
 
 class StereoRigTest : public testing::Test {
  protected:
-  void make(TimeNs patience_ns, int cameras = 2) {
-    patience_ns_ = patience_ns;
+  void make(TimeNs timeout_ns, int cameras = 2) {
+    timeout_ns_ = timeout_ns;
     for (int i = 0; i < cameras; ++i) {
       cameras_.push_back(std::make_unique<StereoCamera>(rig_, "/cam" + std::to_string(i)));
-      cameras_.back()->set_patience(patience_ns_);
+      cameras_.back()->set_timeout(timeout_ns_);
     }
   }
   StereoCamera& camera(std::size_t i) { return *cameras_[i]; }
@@ -57,7 +57,7 @@ class StereoRigTest : public testing::Test {
     });
   }
 
-  TimeNs patience_ns_ = 0;
+  TimeNs timeout_ns_ = 0;
   const std::shared_ptr<StereoRig> rig_ = std::make_shared<StereoRig>();
   std::vector<std::unique_ptr<StereoCamera>> cameras_;
 };
@@ -230,10 +230,10 @@ TEST_F(StereoRigTest, LeavingWakesThePartnerAndOneself) {
   cameras_[1].reset();
   EXPECT_EQ(partner.get(), "");
   cameras_[1] = std::make_unique<StereoCamera>(rig_, "/cam1");
-  cameras_[1]->set_patience(patience_ns_);
+  cameras_[1]->set_timeout(timeout_ns_);
   announce(2 * kPeriod);
   auto oneself = decide(0, 2 * kPeriod);
-  camera(0).set_patience(0);
+  camera(0).set_timeout(0);
   EXPECT_EQ(oneself.get(), "");
   EXPECT_EQ(camera(1).decide(2 * kPeriod, blurred()), "");
 }
@@ -352,7 +352,7 @@ TEST_F(DroppingRigTest, AloneItGoesByItself) {
   make(kEndless, 1);
   camera(0).announce(kPeriod);
   EXPECT_EQ(camera(0).decide(kPeriod, blurred(), poor()).drop_text, "the image of /cam0 is POOR");
-  camera(0).set_patience(0);
+  camera(0).set_timeout(0);
   EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred(), poor()).drop_text, "POOR");
 }
 
@@ -415,7 +415,7 @@ TEST_F(StereoRigTest, WhateverHappensPairsAreAlike) {
       });
     }
     for (std::thread& worker : workers) worker.join();
-    for (const auto& camera : cameras_) camera->set_patience(kMs);
+    for (const auto& camera : cameras_) camera->set_timeout(kMs);
   }
   int deblurred = 0;
   for (TimeNs i = 0; i < kImages; ++i) {
