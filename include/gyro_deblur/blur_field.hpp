@@ -56,7 +56,7 @@ class BlurFieldEstimator {
 
   /// Paper eq. 2-5 for every block centre, with the exposure of the centre's row. The path is that of the scene point
   /// which the centre sees at the middle of the exposure (the paper starts the path at the centre; with a centred
-  /// kernel that turns the angle by half the camera's roll during the exposure). Blocks whose exposure `motion` does
+  /// PSF that rotates the angle by half the camera's roll during the exposure). Blocks whose exposure `motion` does
   /// not cover are NO_GYRO with extent 0; so are those whose centre, or whose path, lies beyond the range of the lens
   /// model.
   /// @param residuals  of the blocks of grid(), or empty: added to the paths where it is certain, see is_certain(). A

@@ -55,7 +55,7 @@ class Camera {
   Eigen::Vector2d project(const Eigen::Vector3d& direction) const;
 
   /// Direction (any length, z > 0 in the image's frame) to where an ideal image of focal length 1 has it: x/z, y/z of
-  /// the image's frame, which for rectified images is turned against the camera's.
+  /// the image's frame, which for rectified images is rotated against the camera's.
   Eigen::Vector2d normalized(const Eigen::Vector3d& direction) const;
 
  private:

@@ -11,7 +11,7 @@
 namespace gyro_deblur {
 
 /// The image row and the phase of its exposure that a driver's stamp refers to. FIRST is row y = 0 of the image and
-/// LAST row N - 1, whichever way the sensor is read.
+/// LAST row N - 1, whichever row the sensor reads first.
 enum class StampRow { FIRST, MIDDLE, LAST };
 enum class StampPhase { START, MIDDLE, END };
 
@@ -44,7 +44,7 @@ class FramePeriod {
   /// period, a readout that is not longer than the true one passes.
   void require_plausible_readout(const char* name, TimeNs readout_ns) const;
   /// The same of an exposure: an image's ends before the next one's begins. Goes by the longer of the period and the
-  /// newest intervals, as a camera that exposes for longer may lower its rate. Until there are enough frames to tell a
+  /// newest intervals, as a camera that exposes for longer may lower its rate. Until there are enough frames to know a
   /// period to a tenth, only what is far above it is refused.
   void require_plausible_exposure(const char* name, TimeNs exposure_ns) const;
 

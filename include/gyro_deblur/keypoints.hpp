@@ -30,7 +30,7 @@ struct RectifiedPoint {
 std::vector<std::string> available_detectors();
 std::vector<std::string> available_descriptors();
 
-/// Radius of the patch that settles where the detector puts a keypoint [px], > 0. What it calls a keypoint's size is
+/// Radius of the patch that determines where the detector puts a keypoint [px], > 0. What it calls a keypoint's size is
 /// that patch (FAST, GFTT), a multiple of it (ORB's and BRISK's descriptors), or the scale of a blob (SIFT, AKAZE).
 double corner_radius_px(const cv::KeyPoint& keypoint, const std::string& detector);
 

@@ -36,7 +36,7 @@ struct BlurFieldOptions {
 enum class ValidationRule {
   /// The block's power spectrum has to fit the predicted blur better than less blur, see BlurLikelihood. Noise, low
   /// contrast, hot pixels and saturation do not deceive it. Blocks with little texture follow their neighbours and the
-  /// frame. A spectrum tells little about blur below 5 px: there GRADIENT has to agree.
+  /// frame. A spectrum says little about blur below 5 px: there GRADIENT has to agree.
   LIKELIHOOD,
   /// The strongest gradient along the motion may be at most tau(r) = tau + tau_contrast / r (paper section III-D). A
   /// box of extent r cannot leave more than contrast / r grey levels a pixel, so the threshold falls with the extent.
@@ -167,9 +167,9 @@ struct PipelineOptions {
   FilterOptions filter;
   NoiseModel noise;
   KeypointOptions keypoints;
-  bool optical_flow = true;  ///< what the gyroscope does not know of a motion, see ResidualFlow
-  /// Which frames that the gyroscope does not cover go by the images alone: "absent", where there is no gyroscope or
-  /// it is silent; "always", also at its gaps and where it is saturated; "never".
+  bool optical_flow = true;  ///< image motion that the rotation does not explain, see ResidualFlow
+  /// Which frames that the gyroscope does not cover are deblurred by optical flow alone: "absent", where there is no
+  /// gyroscope or it is silent; "always", also at its gaps and where it is saturated; "never".
   std::string flow_without_gyro = "absent";
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
   ImageBorder global_shutter_border = ImageBorder::BLACK;  ///< constant: shows where the image ends

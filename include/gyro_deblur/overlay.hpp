@@ -28,7 +28,7 @@ cv::Vec3b residual_color_rgb();
 std::optional<BlurSegment> residual_segment(const FrameBlur& field, int index);
 
 /// Which blocks' paths to draw so that none comes nearer to another than `gap_px` (>= 0): 1 for those, else 0, row by
-/// row. Of paths in each other's way the first is drawn. Where all are far enough apart all are drawn.
+/// row. Of paths that overlap the first is drawn. Where all are far enough apart all are drawn.
 std::vector<char> paths_apart(const FrameBlur& field, double gap_px);
 
 /// `luminance` (CV_8UC1, the field's size) as CV_8UC3 BGR with a dot in the colour of its status on every block, the

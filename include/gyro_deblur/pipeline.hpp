@@ -106,12 +106,12 @@ struct PipelineResult {
   /// About how much of the image does not move with the camera and is not masked, in [0, 1], see StaticContent; blocks
   /// at its edge are STATIC_EDGE.
   double static_share = 0;
-  /// How the image turns as a whole (`rate_rad_s`), and how by `motion`. Where corners are not found
+  /// Rotation of the image as a whole (`rate_rad_s`), and that by `motion`. Where corners are not found
   /// where the gyroscope says, or most blocks are TOO_LARGE, they are followed without its help.
   std::optional<ResidualRotation> seen_rotation;
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;
-  /// How many blocks left the engine's fast path, for each reason in words.
+  /// How many blocks did not take the engine's fast path, for each reason in words.
   std::map<std::string, std::size_t> fallback_counts;
   /// The exposure that was used, or assumed.
   TimeNs exposure_ns = 0;
@@ -145,7 +145,7 @@ class Pipeline {
   /// Throws OptionError and keeps the former calibration when the new one is not valid. Cheap when nothing changed.
   void set_calibration(const CameraCalibration& calibration);
 
-  /// Masked pixels leave as they came, and are neither followed nor described nor counted; see mark_masked() and
+  /// Masked pixels are passed through, and are neither followed nor described nor counted; see mark_masked() and
   /// mark_static_edges() for what becomes of blocks. The global-shutter image has them where they are.
   /// @param mask  empty, or of the size of the images to come
   void set_mask(const PixelMask& mask);
@@ -165,8 +165,8 @@ class Pipeline {
   /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
   /// @param motion  of the camera over the frame; blocks it does not cover are NO_GYRO. What it does not know of the
   ///                motion is found in the images, where it reaches back to the one before. Of a frame
-  ///                that it does not cover wholly, and that flow_without_gyro allows for, the images tell all of it, or
-  ///                the block is NO_GYRO
+  ///                that it does not cover wholly, and that flow_without_gyro allows for, optical flow gives all of it,
+  ///                or the block is NO_GYRO
   /// Throws std::invalid_argument when the image or the mask does not fit, std::logic_error before set_calibration.
   PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                          const RowExposure& exposure, const PipelineRequest& request);

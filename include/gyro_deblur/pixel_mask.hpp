@@ -46,7 +46,7 @@ struct FilterReach {
 };
 
 /// Sets the status of DEBLURRED blocks to STATIC_EDGE if a pixel of theirs, or one that their filter would read, is
-/// masked: a filter turns an edge that is not blurred into rings.
+/// masked: a filter makes rings of an edge that is not blurred.
 /// Throws std::invalid_argument if the mask is neither empty nor of the field's size.
 void mark_static_edges(const PixelMask& mask, const FilterReach& reach, FrameBlur* field);
 

@@ -20,8 +20,8 @@ struct VelocityGain {
   Eigen::Vector3d mean_m_s;   ///< mean velocity less that at the begin
 };
 
-/// How the camera moved over a stretch of the camera clock, as far as its IMU tells: all that the blur field and the
-/// rectification know of it.
+/// How the camera moved over a stretch of the camera clock, as far as its IMU measures it: all that the blur field and
+/// the rectification know of it.
 class CameraMotion {
  public:
   virtual ~CameraMotion() = default;
@@ -92,8 +92,8 @@ Eigen::Quaterniond so3_exp(const Eigen::Vector3d& rotation_rad);
 Eigen::Quaterniond integrate_linear_rate(const Eigen::Vector3d& w0_rad_s, const Eigen::Vector3d& w1_rad_s, double dt_s);
 
 /// Returns R projected to the nearest rotation when it is one to within 1e-3 (calibrations are printed with few
-/// digits). Throws OptionError that names `name`, the determinant and what is expected otherwise; det = -1 is told
-/// apart.
+/// digits). Throws OptionError that names `name`, the determinant and what is expected otherwise; det = -1 has a
+/// message of its own.
 Eigen::Matrix3d require_rotation(const char* name, const Eigen::Matrix3d& R);
 
 }  // namespace gyro_deblur

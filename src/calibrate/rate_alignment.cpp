@@ -17,11 +17,11 @@ namespace gyro_deblur {
 namespace {
 
 constexpr TimeNs kCoarseStepNs = 10'000'000, kFineStepNs = 2'000'000;
-/// The coarse search goes through no more turns than these.
+/// The coarse search goes through no more rates than these.
 constexpr std::size_t kMostCoarse = 300;
 /// Error of a rate from images, in addition to its own standard deviation [rad/s].
 constexpr double kFloorRadS = 0.01;
-/// Slower turns say nothing of agreement.
+/// Lower rates say nothing of agreement.
 constexpr double kLeastMovingRadS = 0.04;
 
 /// Sums of one offset.
@@ -39,7 +39,7 @@ TimeRange shifted(const ImageRate& rate, TimeNs offset_ns) {
   return {rate.begin_ns + offset_ns, rate.end_ns + offset_ns};
 }
 
-/// Turns that are faster than the gyroscope ever turned are wrong; their weight falls with their square.
+/// Rates above all of the gyroscope's are wrong; their weight falls with their square.
 std::vector<double> prior_weights(const std::vector<ImageRate>& rates, const GyroIntegral& gyro, TimeNs offset_ns) {
   std::vector<double> weights, speeds;
   for (const ImageRate& rate : rates) speeds.push_back(gyro.mean_rate(shifted(rate, offset_ns)).norm());
@@ -203,7 +203,7 @@ double worst_stddev(const Eigen::Matrix3d& covariance) {
   return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2]);
 }
 
-/// How well it fits, and about which axes the camera has turned.
+/// How well it fits, and about which axes the camera has rotated.
 void describe(const std::vector<ImageRate>& rates, const Step& step, RateAlignment* alignment) {
   const Normal covariance = step.covariance();
   alignment->rotation_stddev_rad = worst_stddev(covariance.topLeftCorner<3, 3>());

@@ -41,9 +41,9 @@ struct RateAlignment {
   /// axis.
   double offset_stddev_s = 0, rotation_stddev_rad = 0, bias_stddev_rad_s = 0, readout_stddev_s = 0;
   double correlation = 0;                                ///< [0, 1], without what disagrees
-  double agreeing = 0;                                   ///< [0, 1] of the turns
+  double agreeing = 0;                                   ///< [0, 1] of the rates
   double spread_rad_s = 0;                               ///< of the differences, one axis
-  Eigen::Vector3d main_axis = Eigen::Vector3d::UnitX();  ///< unit vector in camera axes: about which it turned most
+  Eigen::Vector3d main_axis = Eigen::Vector3d::UnitX();  ///< unit vector in camera axes: about which it rotated most
   double main_rad_s = 0, second_rad_s = 0;               ///< root mean square of the rates about it, and about another
 };
 

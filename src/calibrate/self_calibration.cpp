@@ -39,7 +39,7 @@ constexpr double kStillRadS = 0.02;
 constexpr TimeNs kStillNs = kSecondNs, kStillPieceNs = kSecondNs / 4;
 /// Of the mean rates of quarters of a second: what a sensor at rest is below.
 constexpr double kRestingRadS = 0.01;
-/// No gyroscope's is larger; it is a turn that the images do not show.
+/// No gyroscope's is larger; it is a rotation that the images do not show.
 constexpr double kLargestBiasRadS = 0.3;
 
 __attribute__((format(printf, 1, 2))) std::string format(const char* pattern, ...) {
@@ -187,14 +187,15 @@ void SelfCalibration::learn_alignment() {
   }
   const double rotating_s = std::min(image_s, gyro_s);
   if (rotating_s < kLeastRotatingS) {
-    return refuse(format("the camera has turned faster than %.1f rad/s for %.1f of the %.0f s that it takes: turn it",
-                         kRotatingRadS, rotating_s, kLeastRotatingS));
+    return refuse(
+        format("the camera has rotated faster than %.1f rad/s for %.1f of the %.0f s that it takes: rotate it",
+               kRotatingRadS, rotating_s, kLeastRotatingS));
   }
   const OffsetPeak peak = search_rate_offset(rates, gyro_, options_.expected_offset_ns, options_.search_ns);
   const std::optional<RateAlignment> found = align_rates(rates, gyro_, peak.offset_ns);
   if (!found || found->correlation < kLeastCorrelation || found->agreeing < kLeastAgreeing || peak.at_edge) {
     return refuse(
-        format("at no offset within %.1f s of %.6g s images turn as the gyroscope does: the best correlation "
+        format("at no offset within %.1f s of %.6g s images rotate as the gyroscope does: the best correlation "
                "is %.2f, %.1f is needed, and %.0f %% of the images agree, %.0f %% have to; move the camera "
                "before a scene that stands still",
                to_seconds(options_.search_ns), to_seconds(options_.expected_offset_ns),
@@ -203,20 +204,20 @@ void SelfCalibration::learn_alignment() {
   }
   if (found->scale < kLeastScale || found->scale > kLargestScale) {
     return refuse(
-        format("images turn %.3g times as fast as the gyroscope says: check that its rates are in rad/s, and "
+        format("images rotate %.3g times as fast as the gyroscope says: check that its rates are in rad/s, and "
                "the focal length",
                found->scale));
   }
   if (peak.is_ambiguous) {
     return refuse(
-        format("the motion repeats itself, so that time offsets of %.3f s and %.3f s fit equally well: turn the "
+        format("the motion repeats itself, so that time offsets of %.3f s and %.3f s fit equally well: rotate the "
                "camera irregularly",
                to_seconds(peak.offset_ns), to_seconds(peak.second_ns)));
   }
   const double offset_s = to_seconds(found->offset_ns);
   const double offset_stddev_s = std::hypot(found->offset_stddev_s, kOffsetFloorS);
   if (offset_stddev_s > UsefulStddev::kOffsetS) {
-    return refuse(format("the time offset is known to %.0f ms, and %.0f ms are needed: turn the camera faster",
+    return refuse(format("the time offset is known to %.0f ms, and %.0f ms are needed: rotate the camera faster",
                          1e3 * offset_stddev_s, 1e3 * UsefulStddev::kOffsetS));
   }
   take(offset_s, offset_stddev_s, rotating_s, std::abs(offset_s - learned_.time_offset_s.value),
@@ -229,12 +230,12 @@ void SelfCalibration::learn_readout(const RateAlignment& found, double rotating_
   const double stddev_s =
       std::hypot(found.readout_stddev_s, kReadoutFloorS + kReadoutFloorShare * std::abs(found.readout_s));
   if (rotating_s < kLeastReadoutS) {
-    return set_missing(format("the camera has turned for %.1f of the %.0f s that the readout time takes: turn it",
+    return set_missing(format("the camera has rotated for %.1f of the %.0f s that the readout time takes: rotate it",
                               rotating_s, kLeastReadoutS),
                        &learned_.readout_s);
   }
   if (stddev_s > UsefulStddev::kReadoutS) {
-    return set_missing(format("the readout time is known to %.0f ms, and %.0f ms are needed: turn the camera faster",
+    return set_missing(format("the readout time is known to %.0f ms, and %.0f ms are needed: rotate the camera faster",
                               1e3 * stddev_s, 1e3 * UsefulStddev::kReadoutS),
                        &learned_.readout_s);
   }
@@ -247,10 +248,10 @@ void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double
   const double rotation_stddev_rad = std::hypot(found.rotation_stddev_rad, kRotationFloorRad);
   std::string missing;
   if (found.second_rad_s < std::max(kLeastSecondRadS, found.spread_rad_s / 2)) {
-    missing = format("the camera has turned about one axis only, %s: turn it about another one, too",
+    missing = format("the camera has rotated about one axis only, %s: rotate it about another one, too",
                      axis_name(found.main_axis));
   } else if (rotation_stddev_rad > UsefulStddev::kRotationRad) {
-    missing = format("the rotation is known to %.1f degrees, and %.1f are needed: turn the camera about all axes",
+    missing = format("the rotation is known to %.1f degrees, and %.1f are needed: rotate the camera about all axes",
                      kDegrees * rotation_stddev_rad, kDegrees * UsefulStddev::kRotationRad);
   }
   if (!missing.empty()) {

@@ -48,7 +48,7 @@ struct Estimate {
 /// Mean rates between two frames, for a plot.
 struct RatePair {
   TimeNs t_ns = 0;              ///< middle between the frames, camera clock
-  Eigen::Vector3d image_rad_s;  ///< of the camera, as the image moved (a global shutter that only turned)
+  Eigen::Vector3d image_rad_s;  ///< of the camera, as the image moved (a global shutter that only rotated)
   Eigen::Vector3d gyro_rad_s;   ///< of the camera, by the gyroscope with the estimated values
 };
 

@@ -27,7 +27,7 @@ std::string stabilised(const TimingEstimate& estimate, const TimingOptions& opti
     return {};
   }
   return text_of(
-             "the images do not move as the gyroscope turned: the median residual is %.2f px without the gyroscope, "
+             "the images do not move as the gyroscope rotated: the median residual is %.2f px without the gyroscope, "
              "%.2f px with it, and %.2f px after the estimation; switch electronic stabilisation off",
              without_px, estimate.median_at_start_px, estimate.median_px) +
          (options.R_cam_imu ? ", or let --estimate-rotation find another R_cam_imu" : "");
@@ -38,7 +38,7 @@ std::string motionless(const TimingEstimate& estimate) {
   constexpr double kLeastPx = 1;
   if (estimate.median_without_px >= kLeastPx) return {};
   return text_of(
-      "the images hardly move: corners move by %.2f px within three frames in the median, %g px are needed; turn the "
+      "the images hardly move: corners move by %.2f px within three frames in the median, %g px are needed; rotate the "
       "camera about all axes",
       estimate.median_without_px, kLeastPx);
 }
@@ -58,7 +58,8 @@ std::string loose_offset(const TimingEstimate& estimate) {
   const double stddev_s = estimate.time_offset_s.stddev;
   if (stddev_s <= UsefulStddev::kOffsetS) return {};
   return text_of(
-      "time_offset has a standard deviation of %.0f ms, %g at most are of use: turn the camera faster, and for longer",
+      "time_offset has a standard deviation of %.0f ms, %g at most are of use: rotate the camera faster, and for "
+      "longer",
       1e3 * stddev_s, 1e3 * UsefulStddev::kOffsetS);
 }
 
@@ -69,7 +70,7 @@ std::string contradicted_offset(const TimingEstimate& estimate, const LearnedCal
   if (!other.known || off_s < std::max(kForgivenS, kSignificance * other.stddev)) return {};
   return text_of(
       "time_offset = %.4f s by the angular speeds, %.4f s by the angular rates about all axes: the motion repeats "
-      "itself; turn the camera irregularly",
+      "itself; rotate the camera irregularly",
       estimate.time_offset_s.value, other.value);
 }
 
@@ -78,7 +79,7 @@ std::string loose_rotation(const TimingEstimate& estimate) {
   const double stddev_rad = estimate.rotation_stddev_rad.maxCoeff();
   if (stddev_rad <= UsefulStddev::kRotationRad) return {};
   return text_of(
-      "R_cam_imu has a standard deviation of %.1f degrees, %g at most are of use: turn the camera about all axes, or "
+      "R_cam_imu has a standard deviation of %.1f degrees, %g at most are of use: rotate the camera about all axes, or "
       "give R_cam_imu",
       kDegPerRad * stddev_rad, kDegPerRad * UsefulStddev::kRotationRad);
 }
@@ -87,7 +88,8 @@ std::string loose_readout(const TimingEstimate& estimate) {
   const double stddev_s = estimate.readout_s.stddev;
   if (stddev_s <= UsefulStddev::kReadoutS) return {};
   return text_of(
-      "readout_time has a standard deviation of %.0f ms, %g at most are of use: turn the camera faster, or give it in "
+      "readout_time has a standard deviation of %.0f ms, %g at most are of use: rotate the camera faster, or give it "
+      "in "
       "--config with --fixed-readout",
       1e3 * stddev_s, 1e3 * UsefulStddev::kReadoutS);
 }
@@ -106,7 +108,7 @@ std::string impossible_readout(const TimingEstimate& estimate, const FramePeriod
   try {
     period.require_plausible_readout("readout_time", to_ns(estimate.readout_s.value));
   } catch (const OptionError& error) {
-    return std::string(error.what()) + " Record faster turns, or give it in --config with --fixed-readout";
+    return std::string(error.what()) + " Record faster rotation, or give it in --config with --fixed-readout";
   }
   return {};
 }

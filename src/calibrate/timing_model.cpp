@@ -183,7 +183,7 @@ std::vector<Eigen::Matrix3Xd> TimingDerivatives::of(const WindowPoints& points,
     }
     return side.gyro.rotation(reference_ns, t_ns);
   };
-  // Of each frame and row: the rotation vectors by which the axes there turn, 3 x values.
+  // Of each frame and row: the rotation vectors of the axes there, 3 x values.
   std::vector<std::array<Eigen::Matrix3Xd, 3>> rotations(frames.size());
   for (std::size_t f = 0; f < frames.size(); ++f) {
     for (Eigen::Index r = 0; r < 3; ++r) {
@@ -192,7 +192,7 @@ std::vector<Eigen::Matrix3Xd> TimingDerivatives::of(const WindowPoints& points,
       for (std::size_t k = 0; k < steps_.size(); ++k) {
         const Eigen::Matrix3d R =
             rotation_of(ahead_[k], frames[f], rows[r]) * rotation_of(behind_[k], frames[f], rows[r]).transpose();
-        // The vector of the skew part: the turn is small.
+        // The vector of the skew part: the rotation is small.
         by_value.col(static_cast<Eigen::Index>(k)) =
             Eigen::Vector3d(R(2, 1) - R(1, 2), R(0, 2) - R(2, 0), R(1, 0) - R(0, 1)) / (4 * steps_[k]);
       }
@@ -207,7 +207,7 @@ std::vector<Eigen::Matrix3Xd> TimingDerivatives::of(const WindowPoints& points,
   for (std::size_t i = 0; i < points.sightings.size(); ++i) {
     const Sighting& sighting = points.sightings[i];
     const Anchor& anchor = points.anchors[sighting.anchor];
-    // The anchor's turn in the axes of the sighting.
+    // The anchor's rotation in the axes of the sighting.
     const TimeNs from_ns = model_.time_of(frames.front(), anchor.px.y(), center_.state.readout_s);
     const TimeNs to_ns = model_.time_of(frames[sighting.frame], sighting.px.y(), center_.state.readout_s);
     Eigen::Matrix3Xd J(3, model_.values());

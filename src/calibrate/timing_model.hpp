@@ -64,13 +64,13 @@ class TimingModel {
   TimeNs time_of(const FrameTime& frame, double row_px, double readout_s) const;
   TimeNs middle_of(const FrameTime& frame, double readout_s) const;
 
-  /// Rays of the anchors of all sightings, turned by the gyroscope from the mean of their row's exposure into camera
+  /// Rays of the anchors of all sightings, rotated by the gyroscope from the mean of their row's exposure into camera
   /// axes at the mean of the sighting's; NaN where it does not cover the time between.
   std::vector<Eigen::Vector3d> rotated_rays(const WindowPoints& points, const RotationTrack& gyro,
                                             const TimingState& state) const;
 
-  /// The way of the camera is a cubic through its positions at the middles of four neighbouring frames (a parabola or a
-  /// line in windows that are shorter).
+  /// The path of the camera is a cubic through its positions at the middles of four neighbouring frames (a parabola or
+  /// a line in windows that are shorter).
   std::vector<Passage> passages(const WindowPoints& points, const RotationTrack& gyro, const TimingState& state) const;
 
   /// Seconds from the middle of the first frame to that of each after it.
@@ -100,7 +100,7 @@ class TimingDerivatives {
 
   /// By numeric differentiation in three rows of every frame, and a parabola between them.
   /// @param rotated_rays  see TimingModel
-  /// @return for each sighting the derivative of its turned ray: 3 x values
+  /// @return for each sighting the derivative of its rotated ray: 3 x values
   std::vector<Eigen::Matrix3Xd> of(const WindowPoints& points, const std::vector<Eigen::Vector3d>& rotated_rays) const;
 
  private:

@@ -136,7 +136,8 @@ void TimingStart::find_rotation(TimingState* state) const {
   constexpr double kLeastSpread = 0.02;
   if (spread[1] < kLeastSpread * spread[0]) {
     throw TimingError(
-        "the rotation between IMU and camera is not determined: the recording turns about one axis only; turn it about "
+        "the rotation between IMU and camera is not determined: the recording rotates about one axis only; rotate it "
+        "about "
         "others too, or give R_cam_imu");
   }
 }

@@ -9,8 +9,8 @@
 namespace gyro_deblur {
 namespace {
 
-/// Inverse depths scatter by half of their mean: a room, a street. It settles the scale, and with it how far a way that
-/// is not seen may go; points that are seen to move outweigh it by far.
+/// Inverse depths scatter by half of their mean: a room, a street. It determines the scale, and with it how long a path
+/// that is not seen may be; points that are seen to move outweigh it by far.
 constexpr double kInverseDepthScatter = 0.5;
 
 /// A point that left the image's range costs as much as a gross error.
@@ -39,7 +39,7 @@ double prior_weight(double noise_px, double stddev) { return noise_px * noise_px
 
 }  // namespace
 
-/// Of timing and positions, in this order, and inverse depths, each of which meets only its own point's sightings.
+/// Of timing and positions, in this order, and inverse depths, each of which affects only its own point's sightings.
 struct WindowFit::Equations {
   struct Depth {
     double h = 0, gradient = 0;

@@ -49,7 +49,7 @@ class WindowFit {
   /// Moves the structure to the least cost (Levenberg-Marquardt) and returns that.
   double improve(WindowStructure* structure, const StructurePriors& priors) const;
 
-  /// @param derivatives  of the turned rays by each value of the timing, one 3 x values matrix a sighting
+  /// @param derivatives  of the rotated rays by each value of the timing, one 3 x values matrix a sighting
   ReducedEquations reduce(const WindowStructure& structure, const StructurePriors& priors,
                           const std::vector<Eigen::Matrix3Xd>& derivatives) const;
 

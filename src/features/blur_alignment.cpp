@@ -188,7 +188,7 @@ bool BlurAligner::crop_window(const cv::Size& from, const Eigen::Vector2d& from_
                               const Eigen::Vector2d& to_px, const Eigen::Matrix2d& inverse_map, int window_px) {
   const int half_px = window_px / 2;
   window_ = {-half_px, half_px, -half_px, half_px};
-  // A map that turns or stretches moves the first image's edge by more than what is cut off: again then.
+  // A map that rotates or stretches moves the first image's edge by more than what is cut off: again then.
   constexpr int kAttempts = 3;
   for (int attempt = 0; attempt < kAttempts; ++attempt) {
     const Box first = template_box(from_px, inverse_map).grown(psf_of_first_.reach),

@@ -60,7 +60,7 @@ void CornerDetector::rate(const cv::Mat& luminance) {
   half_.resize(width_, height_);
   strengths_.resize(width_, height_);
   constexpr int kRows = 3;
-  products_.resize(width_, 3 * kRows);  // in turn
+  products_.resize(width_, 3 * kRows);  // one after the other
   const auto products = [this](int y) {
     const int first = 3 * (y % kRows);
     return GradientProducts{products_.row(first), products_.row(first + 1), products_.row(first + 2)};

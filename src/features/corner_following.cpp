@@ -26,7 +26,7 @@ FollowedCorners follow_there_and_back(const std::vector<cv::Mat>& from, const st
   std::vector<cv::Point2f> places = start, back;
   cv::calcOpticalFlowPyrLK(from, to, before, places, found, unused, window, search.levels, search.criteria,
                            cv::OPTFLOW_USE_INITIAL_FLOW);
-  // On the way back the search starts as far from its goal as it did on the way there.
+  // Backwards the search starts as far from its goal as it did forwards.
   for (std::size_t i = 0; i < places.size(); ++i) back.push_back(places[i] - (start[i] - before[i]));
   cv::calcOpticalFlowPyrLK(to, from, places, back, found_back, unused, window, search.levels, search.criteria,
                            cv::OPTFLOW_USE_INITIAL_FLOW);

@@ -1,4 +1,4 @@
-// Which points move as one camera that has turned and moved would see them.
+// Which points move as one camera that has rotated and moved would see them.
 #pragma once
 
 #include <vector>

@@ -12,7 +12,7 @@ void GyroUnitWatch::add(TimeNs t_ns, const ResidualRotation& seen) {
   if (!entries_.empty() && t_ns <= entries_.back().t_ns) entries_.clear();
   entries_.push_back({t_ns, seen});
   while (t_ns - entries_.front().t_ns > kWatchedNs) entries_.pop_front();
-  // What turns more slowly is seen with an error of as much.
+  // What rotates more slowly is seen with an error of as much.
   constexpr double kLeastRadS = 0.05;
   const double gyro_rad_s = seen.known_rad_s.norm(), seen_rad_s = seen.rate_rad_s.norm();
   if (gyro_rad_s > kLeastRadS && gyro_rad_s < 3 * seen_rad_s && seen_rad_s < 3 * gyro_rad_s) ++agreeing_;
@@ -57,7 +57,7 @@ std::optional<GyroUnitFault> GyroUnitWatch::find_degrees() const {
 }
 
 std::optional<GyroUnitFault> GyroUnitWatch::find_no_rates() const {
-  // A camera that is carried along without turning must not look like one that turns.
+  // A camera that only translates must not look like one that rotates.
   constexpr double kLeastSeenRadS = 0.1;
   constexpr std::size_t kFewest = 8;
   std::size_t rotating = 0;

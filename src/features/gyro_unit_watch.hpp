@@ -1,4 +1,4 @@
-// Whether images turn as fast as the gyroscope says: its rates may be in another unit, or none at all.
+// Whether images rotate as fast as the gyroscope says: its rates may be in another unit, or none at all.
 #pragma once
 
 #include <cstddef>
@@ -14,7 +14,7 @@ namespace gyro_deblur {
 struct GyroUnitFault {
   enum class Kind {
     DEGREES,  ///< they are in degrees/s
-    NO_RATES  ///< they are 0 while the images turn
+    NO_RATES  ///< they are 0 while the images rotate
   };
   Kind kind = Kind::DEGREES;
   double gyro_rad_s = 0;  ///< largest rate of the gyroscope, as if it were in rad/s
@@ -28,17 +28,17 @@ class GyroUnitWatch {
   static constexpr double kLeastGyroRadS = 0.8;
 
   /// @param t_ns  increasing; begins anew where it is not
-  /// @param seen  of an image: `rate_rad_s` by which it turns as a whole, `known_rad_s` by which the gyroscope says
+  /// @param seen  of an image: `rate_rad_s` by which it rotates as a whole, `known_rad_s` by which the gyroscope says
   void add(TimeNs t_ns, const ResidualRotation& seen);
   void clear();
 
   /// @param rates_are_zero  all rates of the last second are exactly 0, as no gyroscope's are
   std::optional<GyroUnitFault> find(bool rates_are_zero) const;
 
-  /// Some images have turned about as fast as the gyroscope said.
+  /// Some images have rotated about as fast as the gyroscope said.
   bool is_confirmed() const { return agreeing_ >= kConfirming; }
 
-  /// Not confirmed yet, nor have the images had the time to show a fault: 5 s from the first that is asked for.
+  /// Not confirmed yet, nor have 5 s passed since the first image, in which a fault would have shown.
   /// @param t_ns  stamp of an image
   bool is_doubted(TimeNs t_ns);
 
@@ -53,7 +53,7 @@ class GyroUnitWatch {
 
   std::deque<Entry> entries_;  // of the last seconds
   std::size_t agreeing_ = 0;
-  std::optional<TimeNs> begin_ns_;  // of doubt
+  std::optional<TimeNs> begin_ns_;  // stamp of the first image while it is not confirmed
 };
 
 }  // namespace gyro_deblur

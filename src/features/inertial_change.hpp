@@ -1,4 +1,4 @@
-// What the accelerometer tells of how residual velocities change within the time between two images.
+// How residual velocities change, by the accelerometer, within the time between two images.
 #pragma once
 
 #include <optional>
@@ -9,8 +9,8 @@
 
 namespace gyro_deblur {
 
-/// Means over the times between images tell that a velocity changes, at an even rate. How unevenly it does, the
-/// accelerometer knows, in metres; how much the scene moves in the image for a metre is found by comparing how the
+/// Means over the times between images show that a velocity changes, at a constant rate. How the rate varies, the
+/// accelerometer measures, in metres; how much the scene moves in the image for a metre is found by comparing how the
 /// acceleration changes in both. A constant acceleration cancels everywhere, and with it gravity and the sensor's bias.
 /// Not thread-safe.
 class InertialChange {
@@ -28,9 +28,8 @@ class InertialChange {
   };
 
   /// Takes a step in.
-  /// @return what residual velocities are at its end beyond their mean carried on at an even rate [px/s], at the mean
-  /// of
-  ///         one over the scene's depth; 0 where that is not known, or nothing can be compared in this step
+  /// @return what residual velocities are at its end beyond their mean extrapolated at a constant rate [px/s], at the
+  ///         mean of one over the scene's depth; 0 where that is not known, or nothing can be compared in this step
   Eigen::Vector2d beyond_even(const Step& step);
 
   void clear() { *this = {}; }

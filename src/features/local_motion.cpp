@@ -25,7 +25,7 @@ double median_of(std::array<double, kNeighbours> values, std::size_t count) {
 }  // namespace
 
 LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen::Vector2d& place_px) {
-  // Slopes are believed where displacements known to 0.1 px say more than that they are about 0.01.
+  // Slopes are used where displacements known to 0.1 px say more than that they are about 0.01.
   constexpr double kSlopePriorPx2 = 100;
   constexpr int kIterations = 2;
   LocalMotion motion{Eigen::Vector2d::Zero(), Eigen::Matrix2d::Zero()};

@@ -1,4 +1,4 @@
-// What neighbours say of the motion around a point.
+// Motion around a point, by that of its neighbours.
 #pragma once
 
 #include <vector>

@@ -50,7 +50,7 @@ GradientSum sum_gradients(const cv::Mat& image, const cv::Point& middle, int ste
 
 /// Gradients of an image's window times themselves, without those of noise [grey levels^2].
 Eigen::Matrix2d texture_of(const cv::Mat& image, const Eigen::Vector2d& pixel_px, double radius_px, double variance) {
-  // Large patches belong to coarse features, which coarse differences tell.
+  // Large patches belong to coarse features, which coarse differences show.
   constexpr double kMostSteps = 6;
   const int step_px = std::max(1, static_cast<int>(std::ceil(radius_px / kMostSteps)));
   const int steps = static_cast<int>(radius_px / step_px);

@@ -33,7 +33,7 @@ class PointMotion {
     /// In the camera's frame, any length; nothing where it is that of the pixel, which takes undistorting it.
     std::optional<Eigen::Vector3d> direction;
   };
-  /// Where a scene point goes in a turn that the image shows at `shown_px` at its beginning. Not finite beyond the
+  /// Where a scene point is after a movement at whose beginning the image shows it at `shown_px`. Not finite beyond the
   /// range of the lens model.
   Place moved(const Eigen::Vector2d& shown_px, const Movement& movement) const;
 

@@ -26,8 +26,8 @@ constexpr double kLeastStepPx = 0.03;
 constexpr TimeNs kLongestStepNs = 250'000'000;
 /// Error of Lucas-Kanade on blurred frames where all neighbours agree, in the smaller image [px].
 constexpr double kFloorPx = 0.05;
-/// Of the change that is carried on: a velocity need not go on changing as it did. More than on recorded flights, so
-/// that a velocity that is nothing but carried on is not certain (see is_certain).
+/// Of the change that is extrapolated: a velocity need not go on changing as it did. More than on recorded flights, so
+/// that a velocity that is only extrapolated is not certain (see is_certain).
 constexpr double kDoubtOfChange = 0.3;
 /// Part of the corners. Where fewer are found again the image shows another scene, or one that has jumped beyond the
 /// search: one in a hundred is found by chance, eight in ten where the scene is the same.
@@ -230,7 +230,7 @@ ResidualField ResidualFlow::extrapolated(const ResidualField& means,
   if (step.gain) step.R_now_before = motion.rotation(before_ns, now_ns);
   const cv::Size size(camera.calibration().width_px, camera.calibration().height_px);
   step.px_per_ray = projection_jacobian(camera, camera.ray({0.5 * (size.width - 1), 0.5 * (size.height - 1)}));
-  // In the image the axes turn by the camera's roll.
+  // In the image the axes rotate by the camera's roll.
   const Eigen::Rotation2Dd roll(std::atan2(step.R_now_before(1, 0), step.R_now_before(0, 0)));
 
   std::vector<BlockChange> changes;
@@ -282,7 +282,7 @@ std::optional<Eigen::Vector2d> ResidualFlow::velocity_before(int block, const Re
     if (!means_[neighbour.index]) return std::nullopt;
     velocity_px_s += neighbour.share * means_[neighbour.index]->velocity_px_s;
   }
-  // As an arrow in the image it turns, and grows towards the border, with the camera's rotation.
+  // As an arrow in the image it rotates, and grows towards the border, with the camera's rotation.
   constexpr double kArrowS = 0.01;
   const RowExposure& then = *exposure_;
   const TimeNs then_ns = then.middle(there_px->y());

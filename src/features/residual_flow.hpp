@@ -59,7 +59,8 @@ class ResidualFlow {
   /// @param motion     from the image before to this one; corners beyond what it covers are left out
   /// @param grid       of the blocks
   /// @param threads    of what is made for blocks, at most; 0: one for each core. Corners are followed on one.
-  /// @return of each block of this image, at the middle of its exposure: the mean since the image before, carried on by
+  /// @return of each block of this image, at the middle of its exposure: the mean since the image before, extrapolated
+  /// by
   ///         what has changed since the one before that and by the accelerometer, see common_changes() and
   ///         InertialChange; nothing where too few corners are near
   ResidualField follow(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
@@ -97,7 +98,7 @@ class ResidualFlow {
   std::optional<Eigen::Vector2d> velocity_before(int block, const ResidualVelocity& mean, const BlockGrid& grid,
                                                  const Camera& camera, const CameraMotion& motion,
                                                  const RowExposure& exposure) const;
-  /// The means at the middle of the newest image's exposure, as far as their changes tell.
+  /// The means at the middle of the newest image's exposure, extrapolated by their changes.
   /// @param before_px_s     of each block, the mean before as it would be seen now
   /// @param since_before_s  between the middles of the times that the two are means over
   ResidualField extrapolated(const ResidualField& means, const std::vector<std::optional<Eigen::Vector2d>>& before_px_s,
@@ -114,7 +115,7 @@ class ResidualFlow {
   std::optional<RowExposure> exposure_;
   std::vector<Sample> samples_;
   ResidualField means_;   // since the image before
-  ResidualField newest_;  // they, carried on to the newest image
+  ResidualField newest_;  // they, extrapolated to the newest image
   TimeNs mean_ns_ = 0;    // the middle of the time that they are means over
   using Accelerations = std::vector<std::optional<Eigen::Vector2d>>;
   Accelerations accelerations_;  // of each block, between the last two means [px/s^2]

@@ -80,14 +80,14 @@ std::optional<ResidualRotation> fit_residual_rotation(const ResidualField& resid
     const Columns jacobian = projection_jacobian(camera, ray);
     if (!jacobian.allFinite()) continue;
     const double weight = 1 / (residuals[i]->stddev_px_s * residuals[i]->stddev_px_s);
-    // In a camera that turns by w and moves by t, the direction r at depth d moves by -w x r and -t / d.
+    // In a camera that rotates by w and moves by t, the direction r at depth d moves by -w x r and -t / d.
     rotated.push_back({jacobian * cross_matrix(ray), residuals[i]->velocity_px_s, weight});
     moved.push_back({-jacobian, residuals[i]->velocity_px_s, weight});
   }
   if (rotated.empty() || 2 * rotated.size() < static_cast<std::size_t>(grid.size())) return std::nullopt;
   ResidualRotation rotation;
   rotation.rate_rad_s = robust_fit(rotated);
-  // What the camera turns by, directions turn by the other way.
+  // Directions rotate in the opposite direction to the camera.
   const Eigen::AngleAxisd known(motion.rotation(exposed.begin_ns, exposed.end_ns));
   rotation.known_rad_s = -known.angle() / to_seconds(exposed.end_ns - exposed.begin_ns) * known.axis();
   rotation.energy_px2_s2 = energy_less(rotated, Eigen::Vector3d::Zero());
@@ -109,11 +109,11 @@ constexpr double kSignificance = 5;
 /// Below these it is less than a tenth of the blur that it adds to, or below 0.2 px.
 constexpr double kLeastBiasRadS = 0.01, kLeastRotationRad = 0.02, kLeastOffsetS = 0.002;
 
-/// Residual rates of the watched images and what they are explained with: e = bias + turn x w + offset * dw/dt.
+/// Residual rates of the watched images and what they are explained with: e = bias + rotation x w + offset * dw/dt.
 struct Watched {
   int part;
   Eigen::Vector3d rate_rad_s;
-  std::array<Eigen::Matrix3d, 3> terms;  // for bias, turn and offset, which is in the first column
+  std::array<Eigen::Matrix3d, 3> terms;  // for bias, rotation and offset, which is in the first column
 };
 
 using Unknowns = Eigen::Matrix<double, 9, 1>;  // the last two are always 0
@@ -127,7 +127,7 @@ Unknowns solve(const std::vector<Watched>& watched) {
     normal += row.transpose() * row;
     right += row.transpose() * each.rate_rad_s;
   }
-  // What hardly moves tells nothing of extrinsic and clock: a rate of 0.01 rad/s is none.
+  // What hardly moves says nothing of extrinsic and clock: a rate of 0.01 rad/s is none.
   normal.bottomRightCorner<6, 6>().diagonal().array() += 1e-4 * static_cast<double>(watched.size());
   return normal.ldlt().solve(right);
 }

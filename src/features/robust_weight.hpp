@@ -1,4 +1,4 @@
-// Least squares in the plane that do not follow outliers.
+// Least squares in two dimensions that do not follow outliers.
 #pragma once
 
 #include <algorithm>

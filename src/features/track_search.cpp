@@ -193,8 +193,8 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
 
 void TrackSearch::search_far(const TrackStep& step, const std::vector<TrackState>& states,
                              std::vector<TrackCandidate>* candidates) {
-  // Where residual velocities predict most points right, those that are not found have left or are hidden. So they have
-  // where the last motion does for nearly all; a few are not worth both images' pyramids.
+  // Where residual velocities predict most points right, those that are not found are outside the image or hidden. So
+  // they have where the last motion does for nearly all; a few are not worth both images' pyramids.
   const auto found =
       std::count_if(candidates->begin(), candidates->end(), [](const TrackCandidate& each) { return each.found; });
   const double share = static_cast<double>(found) / static_cast<double>(std::max<std::size_t>(1, states.size()));

@@ -49,7 +49,7 @@ VelocityPlane fit_plane(const std::vector<NearbyVelocity>& velocities, int itera
     normal.setZero();
     squares.setZero();
     inlier_weight = 0;
-    // A slope is believed where the corners tell it.
+    // A slope is used where the corners show it.
     normal(1, 1) = normal(2, 2) = slope_prior * reach_px2;
     Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
     for (std::size_t k = 0; k < velocities.size(); ++k) {

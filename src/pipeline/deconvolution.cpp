@@ -278,7 +278,7 @@ FallbackCounts deconvolve(const cv::Mat& image, PixelLayout layout, const FrameB
     engine.filter(image, grid, dst);
     return engine.fallback_counts();
   }
-  // Alpha is no light: filter the three colours and put the input's alpha beside them.
+  // Alpha is no light: filter the three colours and append the input's alpha.
   cv::Mat color(image.size(), CV_MAKETYPE(image.depth(), 3)), filtered;
   const int colors[] = {0, 0, 1, 1, 2, 2}, alpha[] = {3, 3};
   cv::mixChannels({image}, {color}, colors, 3);

@@ -1,4 +1,4 @@
-// One image on its way through the stages of a pipeline.
+// One image while the stages of a pipeline process it.
 #pragma once
 
 #include <optional>
@@ -44,7 +44,7 @@ class FrameContext {
   const CameraMotion& motion;  ///< by the gyroscope
   RowExposure exposure;        ///< the assumed one, from the exposure stage on the one that was found
   const PipelineRequest& request;
-  bool images_alone = false;    ///< optical flow tells all of the motion
+  bool images_alone = false;    ///< optical flow gives all of the motion
   ResidualField residuals;      ///< relative to known_motion()
   std::optional<double> noise;  ///< that was found in the image, see image_noise()
   PipelineResult result;

@@ -20,7 +20,7 @@ ResidualField of_used(ResidualField residuals, const BlockGrid& grid, const Pixe
 }
 
 /// Rate of a camera [rad/s], in its axes; 0 where its motion is not known. At most 3000 rad/s, where the rotation
-/// within the time that it is taken over is half a turn.
+/// within the time that it is taken over is half a revolution.
 Eigen::Vector3d rate_at(const CameraMotion& motion, TimeNs t_ns) {
   constexpr TimeNs kHalfNs = 500'000;
   const TimeRange range{t_ns - kHalfNs, t_ns + kHalfNs};

@@ -1,4 +1,4 @@
-// The stage that finds what images tell of the motion, in addition to the gyroscope or without it.
+// The optical-flow stage: motion from the images, in addition to the gyroscope or without it.
 #pragma once
 
 #include <memory>

@@ -64,7 +64,8 @@ ExposureNeed exposure_need(double contrast, const std::optional<double>& noise, 
   return noise && *noise > kTooNoisy * contrast ? ExposureNeed::LIGHT : ExposureNeed::TEXTURE;
 }
 
-/// Where images tell all of the motion: that a block has no residual velocity does not say that it does not move.
+/// Where optical flow gives all of the motion: that a block has no residual velocity does not say that it does not
+/// move.
 void require_residuals(FrameBlur* field) {
   field->images_alone = true;
   for (BlockBlur& block : field->blocks) {

@@ -19,7 +19,7 @@ namespace gyro_deblur {
 struct CalibrationRow {
   std::string key;         ///< as the parameter's
   std::string text;        ///< the value, where it is from, how well it is known, or what is missing to know it
-  bool by_images = false;  ///< it is used as the images told it
+  bool by_images = false;  ///< it was estimated from the images
 };
 
 /// Takes estimates for what nobody has given, and reports what is given and contradicted. An estimate that is used is
@@ -30,15 +30,15 @@ class CalibrationInUse {
   CalibrationInUse(InputProblems* problems, Log log);
 
   void set_config(const Config& config);
-  /// What was learned before, e.g. at the last start: used until the images tell something surer, or something else.
+  /// What was learned before, e.g. at the last start: used until an estimate from the images is surer, or differs.
   void remember(const LearnedCalibration& before);
   /// As after the start, with nothing remembered.
   void forget();
-  /// What is used as the images told it, and nothing else.
+  /// What is used of the estimates from the images, and nothing else.
   LearnedCalibration by_images() const;
   /// The configuration, with what has been learned in place of what is not given.
   const Config& config() const { return config_; }
-  /// True when nobody has given a rotation, and the images have told it. tf goes before it.
+  /// True when no rotation is given, and one has been estimated from the images. tf goes before it.
   const std::optional<Eigen::Matrix3d>& R_cam_imu() const { return R_cam_imu_; }
   /// Why there is no rotation by the images.
   std::string missing_rotation() const;

@@ -27,7 +27,7 @@ constexpr std::uint32_t kImageQueue = 100;
 constexpr std::uint32_t kFastQueue = 1000;
 constexpr std::uint32_t kTfQueue = 100;
 
-/// What can leave at once (all that waited for the same message), and what a subscriber may lag behind besides.
+/// What can be published at once (all that waited for the same message), and what a subscriber may lag behind besides.
 std::uint32_t output_queue(const Config& config) {
   constexpr int kLag = 10;
   return static_cast<std::uint32_t>(config.frame_queue_size + kLag);
@@ -44,7 +44,7 @@ constexpr double kImageSilenceS = 5;
 DeblurNodelet::~DeblurNodelet() {
   // First of all: a change of parameters may subscribe anew.
   reconfigure_.reset();
-  if (stereo_) stereo_->set_timeout(0);  // nobody waits for its partners, nor they for it
+  if (stereo_) stereo_->set_timeout(0);  // it no longer waits for its stereo partners, nor they for it
   // Shutting a subscription down waits for its callback in progress; after this no callback runs any more.
   if (imu_) imu_->stop_listening(this);
   exposure_subscriber_.shutdown();
@@ -76,7 +76,7 @@ DeblurNodelet::~DeblurNodelet() {
   if (worker_.joinable()) worker_.join();
   // What has come in goes out, with what is there.
   if (processor_ && ros::ok()) {
-    // A frame whose processing or publishing fails must not keep those behind it from leaving.
+    // A frame whose processing or publishing fails must not keep those behind it from being published.
     for (std::size_t tries = processor_->waiting() + 1; tries > 0 && processor_->waiting() > 0; --tries) {
       guarded("processing the last frames", [this] {
         processor_->finish([this](FrameOutput&& output) {
@@ -149,7 +149,7 @@ void DeblurNodelet::onInit() {
     NODELET_ERROR_STREAM("parameters cannot be used, frames pass through unchanged: " << error);
     processor_->set_config_error(error);
   }
-  // Before somebody can mend what was refused, which does both again.
+  // Before a user can correct the refused parameter, which does both again.
   configured_ = config.has_value();
   subscribe_exposure(config ? config->exposure_source : ExposureSource());
   start_reconfigure();

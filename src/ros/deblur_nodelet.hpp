@@ -77,7 +77,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   void work();
   void publish(const FrameOutput& output);
   void log(LogLevel level, const std::string& text) const;
-  /// Stores what the images have told of the calibration, if it is stored at all, and they have. Throws
+  /// Stores the calibration that was estimated from the images, if there is one and it is to be stored. Throws
   /// std::runtime_error.
   /// @return the path of the file; empty: nothing was stored
   std::string save_calibration() const;

@@ -13,8 +13,8 @@
 
 namespace gyro_deblur {
 
-/// What ros::serialization::IStream is, but an array that is longer than the bytes that are left is refused before room
-/// is made for it. roscpp makes the room first: a damaged length costs up to 32 GiB then, and in 32 bits the bytes of
+/// What ros::serialization::IStream is, but an array that is longer than the bytes that remain is refused before memory
+/// is allocated for it. roscpp allocates first: a damaged length costs up to 32 GiB then, and in 32 bits the bytes of
 /// 2^29 + 1 doubles are 8, so that the message even counts as whole.
 class CheckedStream : public ros::serialization::Stream {
  public:

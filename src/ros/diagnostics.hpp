@@ -37,7 +37,7 @@ class DiagnosticReport {
   /// From here on; the IMU may have been counted for others before.
   void start(const ProcessorStatistics& statistics, Time time);
 
-  /// A frame leaves.
+  /// A frame is published.
   void add(const FrameOutput& output);
 
   struct Moment {
@@ -56,7 +56,7 @@ class DiagnosticReport {
     std::size_t count = 0;
     void add(double ms);
   };
-  /// What the images of a period tell beside the gyroscope.
+  /// What the images of a period show in addition to the gyroscope.
   struct FromImages {
     std::vector<double> blocks_px;  ///< within the exposure, of the blocks for which it is used
     Eigen::Vector3d rotation_sum_rad_s = Eigen::Vector3d::Zero();

@@ -16,7 +16,7 @@
 namespace gyro_deblur {
 namespace {
 
-/// The stamp that belongs to a field: the header's, or the one beside the field. A stamp of 0 was never set.
+/// The stamp that belongs to a field: the header's, or the one next to the field. A stamp of 0 was never set.
 std::optional<TimeNs> stamp_of(const MessageLayout& layout, const std::string& field, const std::uint8_t* bytes,
                                std::size_t size) {
   const std::size_t dot = field.rfind('.');

@@ -27,7 +27,7 @@ struct ExposureReading {
 /// colour stream says under auto exposure, see doc/guides/calibration.md. The end of the other rules' names is the
 /// unit: us, 10us, 100us, ms or s.
 /// - field_UNIT: a number, time or duration anywhere in a message. Its image's stamp is the message's `header.stamp`,
-///   else the `stamp` beside the field.
+///   else the `stamp` next to the field.
 /// - realsense_metadata_UNIT: a number in the JSON of realsense2_camera/Metadata, by default "actual_exposure": in us
 ///   for infrared streams, in units of 100 us for colour streams, see doc/guides/calibration.md.
 /// - dynamic_reconfigure_UNIT: a parameter of dynamic_reconfigure/Config, which a driver's server publishes as
@@ -39,7 +39,7 @@ class ExposureAdapter {
 
   /// @param type, definition  of the connection the message came by
   /// @param bytes, size       the serialised message
-  /// @return nothing when the message does not tell the exposure time of its image
+  /// @return nothing when the message does not have the exposure time of its image
   /// Throws std::runtime_error that names the type, the field, and what there is instead.
   std::optional<ExposureReading> read(const std::string& type, const std::string& definition, const std::uint8_t* bytes,
                                       std::size_t size);

@@ -62,7 +62,7 @@ std::string unknown_exposure_text(ExposureNeed need) {
       "the exposure time is not known yet: there is no exposure message, no exposure_time that fits, and the blur ";
   switch (need) {
     case ExposureNeed::MOTION:
-      return text + "is too short to estimate it: turn the camera faster, or set exposure_time";
+      return text + "is too short to estimate it: rotate the camera faster, or set exposure_time";
     case ExposureNeed::TEXTURE:
       return text + "shows too little of it: show a scene with more texture, or set exposure_time";
     case ExposureNeed::LIGHT:

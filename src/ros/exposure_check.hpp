@@ -25,10 +25,10 @@ std::optional<std::string> exposure_fault(const std::string& name, TimeNs exposu
 /// That the blur contradicts an exposure time: both values, what is done, what to do.
 std::string conflict_text(const ExposureConflict& conflict);
 
-/// What the images lack to tell the exposure time, e.g. "motion". Never null; empty: nothing.
+/// What the images lack for an estimate of the exposure time, e.g. "motion". Never null; empty: nothing.
 const char* to_string(ExposureNeed need);
 
-/// Why an exposure time is not known that nothing but the images could tell.
+/// Why an exposure time that only the images could give is not known.
 std::string unknown_exposure_text(ExposureNeed need);
 
 }  // namespace gyro_deblur

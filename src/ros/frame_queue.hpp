@@ -21,7 +21,7 @@ namespace gyro_deblur {
 /// What may keep a frame waiting.
 enum class Awaited { NOTHING, CAMERA_INFO, EXPOSURE, IMU, TRANSFORM };
 
-/// An image on its way through the node.
+/// An image that the node has not published yet.
 struct PendingFrame {
   sensor_msgs::ImageConstPtr image;              ///< never null
   sensor_msgs::CameraInfoConstPtr info;          ///< null until known
@@ -39,7 +39,7 @@ struct PendingFrame {
   std::string pass_through_text;
   Awaited awaits = Awaited::NOTHING;  ///< when it was checked last
   std::string missing_extrinsic;      ///< why it waits for the rotation between IMU and camera; empty: it does not
-  bool partners_notified = false;     ///< to the partners of a stereo camera
+  bool partners_notified = false;     ///< to the stereo partners
 
   /// Stamp of the picture: of the first image that showed it.
   TimeNs picture_ns() const { return picture ? picture->stamp_ns : stamp_ns; }
@@ -50,7 +50,7 @@ struct PendingFrame {
   }
 };
 
-/// First in, first out; nothing is ever lost: a frame that cannot wait any longer passes through in its turn.
+/// First in, first out; nothing is ever lost: a frame that cannot wait any longer passes through in order.
 /// Not thread-safe.
 class FrameQueue {
  public:
@@ -81,7 +81,7 @@ class FrameQueue {
   /// Precondition: not empty.
   PendingFrame pop();
 
-  /// The frame that pop() gave last could not leave: it is the foremost one again.
+  /// The frame that pop() gave last could not be published: it is the foremost one again.
   void put_back(PendingFrame frame) { frames_.push_front(std::move(frame)); }
 
  private:

@@ -79,7 +79,7 @@ TimeRange own_range(const Config& config, const SynchronizedFrame& synchronized,
   return {std::min(frame_cam.begin_ns, reference_ns) + offset_ns, std::max(frame_cam.end_ns, reference_ns) + offset_ns};
 }
 
-/// The same, however long it may turn out to have been exposed.
+/// The same, for the longest exposure that is possible.
 TimeRange longest_range(const Config& config, const SynchronizedFrame& synchronized) {
   const TimeRange planned = own_range(config, synchronized, synchronized.plan.exposure_ns),
                   longest = own_range(config, synchronized, synchronized.plan.longest_ns);
@@ -190,7 +190,7 @@ Readiness FrameSynchronizer::find_calibration(const Context& context, PendingFra
   const InputBuffers::CameraInfos& infos = input_buffers_.infos();
   const bool overtaken = infos.later(frame->stamp_ns) >= InputBuffers::CameraInfos::kOvertaking;
   const bool give_up = context.timed_out || !infos.awaited() || overtaken;
-  // Only camera_info can tell which part of the sensor an image of another size shows.
+  // Only camera_info says which part of the sensor an image of another size shows.
   const bool file_fits = file && file->width_px == static_cast<int>(frame->image->width) &&
                          file->height_px == static_cast<int>(frame->image->height);
   if (const sensor_msgs::CameraInfoConstPtr* info = infos.find(frame->stamp_ns)) {

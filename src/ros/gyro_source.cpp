@@ -48,7 +48,7 @@ bool GyroSource::add(const sensor_msgs::Imu& imu) {
   }
   frame_id_ = imu.header.frame_id;
   if (!sample->rate_rad_s.allFinite()) {
-    // The stamp of such a message tells nothing.
+    // The stamp of such a message means nothing.
     ++statistics_.imu_not_finite;
     log_(LogLevel::WARNING, "imu not finite",
          "imu sample at " + seconds_text(sample->t_ns) + " s dropped: its angular velocity " +

@@ -31,7 +31,7 @@ struct PixelType {
 std::optional<PixelType> find_pixel_type(const std::string& encoding) {
   const std::optional<PixelLayout> layout = layout_of_encoding(encoding);
   if (!layout) return std::nullopt;
-  // sensor_msgs' own function does not know all of them; of those that have a layout the names tell.
+  // sensor_msgs' own function does not know all of them; the names of those that have a layout contain the depth.
   const int depth = encoding.find("16") == std::string::npos ? CV_8U : CV_16U;
   return PixelType{*layout, CV_MAKETYPE(depth, channels_of(*layout))};
 }

@@ -138,10 +138,10 @@ void InputBuffers::record_liveness(TimeNs now_ns) {
     if (!awaited) return;
     const std::string kind = std::string(topic) + " liveness";
     throttled_log_(*awaited ? LogLevel::INFO : LogLevel::WARNING, kind,
-                   *awaited ? std::string(topic) + " comes again: images wait for theirs"
-                            : "no " + std::string(topic) + " with the stamps of " +
-                                  std::to_string(StreamLiveness::kMissesEndWaiting) +
-                                  " images in a row: images no longer wait for theirs, until it comes again");
+                   *awaited
+                       ? std::string(topic) + " has resumed: images wait for it again"
+                       : std::to_string(StreamLiveness::kMissesEndWaiting) + " consecutive images had no matching " +
+                             topic + ": images no longer wait for it until it resumes");
   };
   report("camera_info", infos_.update(now_ns, config_.input_timeout_ns));
   // A setting serves all.
@@ -163,7 +163,8 @@ TimeNs InputBuffers::now() {
 }
 
 bool InputBuffers::has_timed_out(const PendingFrame& frame, TimeNs now_ns, TimeNs timeout_ns) const {
-  // Simulated time can stop, at the end of a bag for example: after so many timeouts of real time frames leave anyway.
+  // Simulated time can stop, at the end of a bag for example: after so many timeouts of real time frames are passed
+  // through anyway.
   constexpr TimeNs kSteadyTimeoutFactor = 10;
   return now_ns - frame.arrival_ns >= timeout_ns ||
          (clocks_.steady && steady_now() - frame.arrival_steady_ns >= kSteadyTimeoutFactor * timeout_ns);
@@ -203,7 +204,7 @@ void InputBuffers::check_parameters() {
   if (const auto fault = exposure_fault(kParameterExposure, config_.shutter.exposure_ns, frame_period_)) {
     const bool replaced = config_.on_exposure_conflict == OnExposureConflict::IMAGES;
     problems_.report("exposure_time",
-                     *fault + (replaced ? ". It is not used: images pass through until their blur tells the exposure "
+                     *fault + (replaced ? ". It is not used: images pass through until their blur gives the exposure "
                                           "time. Correct exposure_time, or leave it empty"
                                         : ""));
   } else {
@@ -224,7 +225,7 @@ void InputBuffers::add_exposure(const Exposure& exposure) {
       "exposure message has the stamp 0: it is used until the next one, like a driver's setting. Publish it with "
       "the stamp of its image");
   if (is_unset(stamp_ns)) {
-    // Beside messages with stamps it says nothing: each image has its own.
+    // Where other messages have stamps it says nothing: each image has its own.
     if (exposures_.seen() || exposure.exposure_time <= ros::Duration()) return;
     add_exposure_setting(exposure.exposure_time.toNSec());
     setting_lacks_stamp_ = true;

@@ -75,7 +75,7 @@ class InputBuffers {
   /// As after the start: waiting frames pass through as TIME_JUMP.
   void reset();
 
-  /// Nothing more will come: tells what never has.
+  /// Nothing more will come: reports what never has.
   void finish() { missing_.finish(config_, seen()); }
 
   /// Reads the clock, and notices what it and the source of samples have done since.
@@ -104,7 +104,7 @@ class InputBuffers {
   std::string imu_frame() const { return gyro_source_->frame_id(); }
   /// True while the IMU is expected to follow a reset of time: what it brings is still old.
   bool imu_is_stale() const { return jumps_.is_stale(Stream::IMU); }
-  /// An image leaves whose exposure began after the newest sample.
+  /// An image is passed through whose exposure began after the newest sample.
   /// @param begin_ns  IMU clock
   void count_without_imu(TimeNs begin_ns);
   /// There have been a few of these images in a row and no sample since, and the newest one is a second older than this
@@ -128,10 +128,10 @@ class InputBuffers {
   /// Stops waiting for per-image messages that do not come, and reports it.
   void record_liveness(TimeNs now_ns);
   MissingInputs::Seen seen() const;
-  /// Tells of an exposure time that a message or a setting has, and that cannot be used.
+  /// Reports an exposure time of a message or a setting that cannot be used.
   /// @param name  what the time is of
   void check_exposure(const std::string& name, TimeNs exposure_ns);
-  /// Tells of parameters that the frame period contradicts.
+  /// Reports parameters that the frame period contradicts.
   void check_parameters();
 
   const Clocks clocks_;

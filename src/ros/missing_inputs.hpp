@@ -1,4 +1,4 @@
-// Tells of inputs that images need and that have never come.
+// Reports inputs that images need and that have never arrived.
 #pragma once
 
 #include <optional>

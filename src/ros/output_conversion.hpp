@@ -1,4 +1,4 @@
-// The messages that leave, from the core's types.
+// The published messages, from the core's types.
 #pragma once
 
 #include <string>

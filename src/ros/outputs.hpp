@@ -1,4 +1,4 @@
-// Everything that a frame is published as. Nodelet and deblur_bag take their topics from here alone.
+// All topics that a frame is published on. Nodelet and deblur_bag take their topics from here alone.
 #pragma once
 
 #include "ros/processing.hpp"

@@ -1,4 +1,4 @@
-// Tells overload from a burst: which frames are passed over because processing does not keep up.
+// Overload: which frames are passed through because processing is slower than the camera.
 #pragma once
 
 #include <cstddef>
@@ -16,7 +16,7 @@ namespace gyro_deblur {
 /// Not thread-safe.
 class OverloadRule {
  public:
-  /// Frames that are ready behind the foremost one before that can be passed over.
+  /// Frames that are ready behind the foremost one before that can be passed through.
   static constexpr std::size_t kReadyQueue = 2;
 
   /// Processing of a frame begins. How long it takes counts when it is behind the camera's rate, or takes less than
@@ -28,14 +28,14 @@ class OverloadRule {
   /// The next frame is asked for: what was begun has ended, its publishing included.
   void end(TimeNs steady_ns);
 
-  /// Why the foremost frame, which is ready since `ready_ns`, is passed over; empty when it is processed.
+  /// Why the foremost frame, which is ready since `ready_ns`, is passed through; empty when it is processed.
   /// @param ready_behind     frames behind it that are ready, too
   /// @param frame_period_ns  of the camera, > 0; absent while it is not known
   std::string judge(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
                     std::optional<TimeNs> frame_period_ns) const;
 
   /// Whether the foremost frame has waited for so long that it should take as little time as it can, so that none has
-  /// to be passed over. Arguments as above.
+  /// to be passed through. Arguments as above.
   static bool is_behind_camera_rate(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
                                     std::optional<TimeNs> frame_period_ns);
 

@@ -37,8 +37,8 @@ constexpr Row kRows[] = {
      "the data of the image does not fit its header: check cable, driver and decoder"},
     {PassThroughReason::BAD_CONFIGURATION, "BAD_CONFIGURATION", kError, "correct the parameter that the message names"},
     {PassThroughReason::OVERLOAD, "OVERLOAD", kWarning,
-     "frames come faster than they can leave: reduce max_keypoints, use a faster detector (ORB), smaller images or "
-     "fewer subscribers"},
+     "frames arrive faster than they are processed: reduce max_keypoints, use a faster detector (ORB), smaller images "
+     "or fewer subscribers"},
     {PassThroughReason::TIME_JUMP, "TIME_JUMP", kError, "expected when a bag loops; otherwise synchronise the clocks"},
     {PassThroughReason::INTERNAL_ERROR, "INTERNAL_ERROR", kError, "see the error in the log"},
     {PassThroughReason::GYRO_SATURATED, "GYRO_SATURATED", kWarning,

@@ -25,7 +25,7 @@ struct PictureMotion {
   GyroOptions gyro;  ///< with the bias in use
   Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
   bool R_by_tf = false;
-  /// Over the exposure, and the way from the picture before it that is tracked.
+  /// Over the exposure, and the time since the picture before it, across which corners are tracked.
   std::vector<GyroSample> samples;
   std::size_t own_begin = 0, own_end = 0;  ///< indices of those that the picture itself needs
   bool without_gyro = false;               ///< it is absent or silent, see PipelineOptions::flow_without_gyro
@@ -47,7 +47,7 @@ struct Picture {
 /// Precondition: both pass check_image().
 bool show_same_pixels(const sensor_msgs::Image& a, const sensor_msgs::Image& b);
 
-/// Tells images that show a new picture from those that repeat the one before. Not thread-safe.
+/// Distinguishes images that show a new picture from those that repeat the one before. Not thread-safe.
 class PictureTracker {
  public:
   struct Shown {

@@ -289,7 +289,7 @@ sensor_msgs::ImagePtr no_trust(const sensor_msgs::Image& input) {
   return to_mono_image(cv::Mat::zeros(size, CV_8UC1), input.header);
 }
 
-/// The output of a frame that failed. What was made of it before does not leave.
+/// The output of a frame that failed. What was made of it before is not published.
 FrameOutput pass_through_failed(const std::string& text, const FrameOutput& made) {
   FrameOutput output;
   output.input = output.image = made.input;

@@ -1,4 +1,4 @@
-// Makes of an synchronized frame what leaves.
+// Makes the output of a synchronized frame.
 #pragma once
 
 #include <functional>
@@ -33,7 +33,7 @@ struct FrameRequest {
   /// Asked with the validated field before anything is deblurred. Absent: the frame is deblurred. A frame
   /// with a pass_through_text gets the reason STEREO_PARTNER, one with a drop_text is not published (drop_poor).
   std::function<FrameAction(const FrameBlur&)> decide = {};
-  /// Told what the blur says of the exposure time and the mean grey level; returns the exposure to deblur by. Absent:
+  /// Gets the exposure time by the blur and the mean grey level; returns the exposure to deblur by. Absent:
   /// the plan's is certain.
   std::function<ChosenExposure(const std::optional<ExposureEstimate>&, double)> choose_exposure = {};
 };
@@ -41,10 +41,10 @@ struct FrameRequest {
 /// The exposure time that a frame was deblurred by.
 struct FrameExposure {
   ChosenExposure chosen;
-  ExposureNeed need = ExposureNeed::NOTHING;  ///< what the images lack to tell it, where it is not known
+  ExposureNeed need = ExposureNeed::NOTHING;  ///< what the images lack for it, where it is not known
 };
 
-/// A frame on its way out: one for every frame that came in, in the same order.
+/// The output of a frame: one for every frame that came in, in the same order.
 struct FrameOutput {
   sensor_msgs::ImageConstPtr input;
   /// It is not published: image, keypoints, tracks, global_shutter and both camera_infos are null. What is said of it
@@ -70,9 +70,9 @@ struct FrameOutput {
   std::optional<FrameBlur> field;                     ///< of the core; absent when the pipeline did not run
   std::optional<FrameExposure> exposure;              ///< absent when the pipeline did not run
   std::optional<ExposureTerms> exposure_terms;        ///< of the field, where they are known
-  FallbackCounts fallback_counts;                     ///< that left the engine's fast path, by reason
-  std::string engine_warning;                         ///< what the engine has to tell; mostly empty
-  std::optional<ResidualRotation> residual_rotation;  ///< axes of the IMU; absent where images tell too little
+  FallbackCounts fallback_counts;                     ///< that did not take the engine's fast path, by reason
+  std::string engine_warning;                         ///< warning of the engine; mostly empty
+  std::optional<ResidualRotation> residual_rotation;  ///< axes of the IMU; absent where images show too little
   double static_share = 0;                            ///< of the image, see PipelineResult::static_share
   std::optional<ResidualRotation> seen_rotation;      ///< axes of the camera; of the image as a whole
   StageTimes stages;                                  ///< [ms]

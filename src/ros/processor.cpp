@@ -79,7 +79,7 @@ void Processor::set_config_error(const std::string& text) {
   config_error_ = text;
   record_calibration_file();
   if (environment_.stereo)
-    environment_.stereo->set_timeout(Config().stereo_sync_timeout_ns);  // its partners pass through, too
+    environment_.stereo->set_timeout(Config().stereo_sync_timeout_ns);  // its stereo partners pass through, too
 }
 
 void Processor::add_imu(const sensor_msgs::Imu& imu) {
@@ -160,7 +160,7 @@ void Processor::mark_ready() {
       frame.ready_steady_ns = input_buffers_.steady_now();
     }
   } catch (const std::exception&) {
-    // next_frame meets it again, and tells.
+    // next_frame gets it again, and reports it.
   }
 }
 
@@ -246,7 +246,8 @@ std::optional<SynchronizedFrame> Processor::next_frame(bool finishing) {
       const bool doubts_unit = config_->pipeline.optical_flow && gyro_unit_.is_doubted(frame.stamp_ns);
       if (doubts_unit || gyro_unit_is_wrong_ || gyro_source_->unit_is_wrong()) synchronized.drop_poor = false;
       if (readiness == Readiness::WAITS) return std::nullopt;
-      // A fast camera fills the queue before its images time out: those that leave it for that are without IMU too.
+      // A fast camera fills the queue before its images time out: those that are passed through for that are without
+      // IMU too.
       if (synchronized.exposure || frame.pass_through_reason == PassThroughReason::OVERLOAD) {
         const TimeNs begin_ns = (synchronized.exposure ? synchronized.exposure->frame().begin_ns : frame.stamp_ns) +
                                 context.config.gyro.time_offset_ns;
@@ -342,7 +343,7 @@ void Processor::advance(const Sink& sink, bool finishing) {
         log_(LogLevel::ERROR, "self-calibration", std::string("self-calibration failed: ") + error.what());
       }
     } catch (...) {
-      // Even passing it through failed, for lack of memory for example: it stays the first to leave.
+      // Even passing it through failed, for lack of memory for example: it stays the first to be published.
       const std::lock_guard<std::mutex> lock(mutex_);
       --in_progress_;
       synchronized->frame.pass_through_reason = PassThroughReason::INTERNAL_ERROR;

@@ -36,8 +36,8 @@
 
 namespace gyro_deblur {
 
-/// A frame's way and its locks: messages go into the input buffers (from any thread), a frame is synchronised from
-/// what is there, processed, and given out, in order (to the one thread at a time that calls advance).
+/// The steps of a frame and their locks: messages go into the input buffers (from any thread), a frame is synchronised
+/// from what is there, processed, and given out, in order (to the one thread at a time that calls advance).
 class Processor {
  public:
   /// Where the outside world comes in. None may call back into the processor: most are called with a lock held.
@@ -46,7 +46,7 @@ class Processor {
     Log log;                        ///< required
     /// Samples that others use as well; whoever adds to it calls on_imu_sample. Absent: one of its own, for add_imu.
     std::shared_ptr<GyroSource> gyro;
-    /// The camera's place in a stereo rig; absent: it has no partners.
+    /// The camera's place in a stereo rig; absent: it has no stereo partners.
     std::shared_ptr<StereoCamera> stereo;
     /// A clock that keeps going when a simulated one stops, by which processing keeps up or not. Absent: frames wait
     /// for `clock` alone, and there is all the time of the world to process them.
@@ -90,20 +90,21 @@ class Processor {
   bool add_compressed_image(const sensor_msgs::CompressedImage& compressed);
   /// Replaces the configuration's mask, see InputMask.
   void add_mask(const sensor_msgs::Image& mask);
-  /// Tells of a message that could not be read, or no longer does (empty text).
+  /// Reports a message that could not be read; an empty text ends the report.
   void record_unreadable(const std::string& kind, const std::string& text);
 
-  /// Hands every frame that can leave to `sink`. Exceptions of processing become INTERNAL_ERROR; those of `sink` pass.
+  /// Hands every frame that is finished to `sink`. Exceptions of processing become INTERNAL_ERROR; those of `sink`
+  /// pass.
   void advance(const Sink& sink);
   /// The same for all frames, with what is there: nothing more will come.
   void finish(const Sink& sink);
 
-  /// Frames that have not left.
+  /// Frames that are not published yet.
   std::size_t waiting() const;
   /// What the foremost of them waits for, as of the last call of advance.
   Awaited awaited() const;
 
-  /// As after the start: waiting frames leave as TIME_JUMP, samples and an estimated bias are forgotten.
+  /// As after the start: waiting frames are passed through as TIME_JUMP, samples and an estimated bias are forgotten.
   void reset();
 
   /// Averages the newest samples over the configured window and uses the result as bias.
@@ -113,7 +114,7 @@ class Processor {
   /// Forgets the calibration that was estimated from the images.
   void reset_calibration();
 
-  /// What is used as the images told it, of images of this size.
+  /// The calibration estimated from the images and in use, for images of this size.
   struct CalibrationByImages {
     LearnedCalibration calibration;
     int width_px = 0, height_px = 0;
@@ -142,10 +143,10 @@ class Processor {
   FrameOutput process_with_partners(const SynchronizedFrame& synchronized);
   /// Uses what is stored for images of this size. Needs mutex_.
   void remember_calibration(const sensor_msgs::Image& image);
-  /// The frame tells something of the calibration. Takes mutex_.
+  /// Learns the calibration from the frame. Takes mutex_.
   /// @param found  what the frame was deblurred by, where its blur was examined
   void learn_from(const SynchronizedFrame& synchronized, const std::optional<FrameExposure>& found);
-  /// What is used beside messages. Needs mutex_ and a configuration.
+  /// What is used in addition to messages. Needs mutex_ and a configuration.
   FrameSynchronizer::Context context() const;
   /// What the frame is deblurred by; its picture goes by that from now on.
   ChosenExposure choose_exposure(const SynchronizedFrame& synchronized, const std::optional<ExposureEstimate>& estimate,
@@ -156,9 +157,9 @@ class Processor {
   void keep_global_shutter_in_order(FrameOutput* output);
   /// Reports what does not move with the camera.
   void record_static_content(const FrameOutput& output);
-  /// Counts a frame that leaves, and tells what is wrong with it.
+  /// Counts a published frame, and reports what is wrong with it.
   void record(const FrameOutput& output);
-  /// Tells when images do not turn as the gyroscope says. Needs mutex_.
+  /// Reports when images do not rotate as the gyroscope says. Needs mutex_.
   void check_gyro_unit(const FrameOutput& output);
 
   const Environment environment_;

@@ -1,4 +1,4 @@
-// What the processor reports of its input and of the frames that leave it, and its counts.
+// What the processor reports of its input and of the frames that it publishes, and its counts.
 #include <cstdio>
 #include <string>
 #include <utility>

@@ -17,7 +17,7 @@ constexpr char kKind[] = "repeated pictures";
 /// One image that is repeated now and then disturbs nobody.
 constexpr std::size_t kReported = 3;
 constexpr TimeNs kWatchedNs = 5'000'000'000;
-/// A bias that nobody has told is smaller than this rate, and noise turns less far than the scene by this much.
+/// An unknown bias is smaller than this rate, and noise moves the scene by less than this shift.
 constexpr double kLeastRateRadS = 0.1, kLeastShiftPx = 1;
 constexpr TimeNs kLongestRotationNs = 1'000'000'000;
 
@@ -49,13 +49,13 @@ void RepetitionWatch::add(const PendingFrame& frame, const GyroReader& gyro, con
   if (!frame.repeats || !has_rotated(frame, gyro, options)) return;
   proven_ns_.push_back(frame.stamp_ns);
   if (proven_ns_.size() < kReported) return;
-  problems_.report(kKind, std::to_string(counts.repeated_pictures) + " of " + std::to_string(counts.frames_in) +
-                              " images repeat the picture before under a new stamp although the camera turns, the one "
-                              "of " +
-                              seconds_text(frame.stamp_ns) + " s that of " + seconds_text(frame.picture_ns()) +
-                              " s: they are deblurred as that picture, and images tell no motion across them. If the "
-                              "camera has stopped or sees nothing, restart or uncover it; else let its driver publish "
-                              "every picture once");
+  problems_.report(kKind,
+                   std::to_string(counts.repeated_pictures) + " of " + std::to_string(counts.frames_in) +
+                       " images repeat the picture before under a new stamp although the camera rotates, the one of " +
+                       seconds_text(frame.stamp_ns) + " s that of " + seconds_text(frame.picture_ns()) +
+                       " s: they are deblurred as that picture, and there is no optical flow across them. If the "
+                       "camera has stopped or sees nothing, restart or uncover it; else let its driver publish "
+                       "every picture once");
 }
 
 }  // namespace gyro_deblur

@@ -13,13 +13,13 @@
 namespace gyro_deblur {
 
 /// A picture that repeats while the camera is at rest may be a new one without noise (a simulated or compressed image).
-/// While the gyroscope turns it cannot. Not thread-safe.
+/// While the gyroscope rotates it cannot. Not thread-safe.
 class RepetitionWatch {
  public:
   /// @param problems  has to outlive this
   explicit RepetitionWatch(InputProblems* problems) : problems_(*problems) {}
 
-  /// An image leaves with all that belongs to it.
+  /// An image is published with all that belongs to it.
   /// @param gyro    that is mounted on the camera, with `options`
   /// @param counts  of images since the start
   void add(const PendingFrame& frame, const GyroReader& gyro, const GyroOptions& options,

@@ -19,13 +19,13 @@ namespace gyro_deblur {
 /// as somebody holds it.
 class SharedImu {
  public:
-  /// Told of every message that the source has taken in, in order. Must neither throw nor call back.
+  /// Called for every message that the source has taken in, in order. Must neither throw nor call back.
   using Listener = std::function<void()>;
 
   /// The one of this process for the topic and the same limits of samples, which is made when nobody has one.
   /// @param topic  resolved name
   static std::shared_ptr<SharedImu> get(const std::string& topic, const GyroSource::Options& options);
-  /// One for whoever cannot tell what it would agree to.
+  /// One for a camera whose limits of samples are not known.
   static std::shared_ptr<SharedImu> unshared(const std::string& topic, const GyroSource::Options& options);
   /// How many of those that get() made are held.
   static std::size_t count();

@@ -22,14 +22,14 @@
 
 namespace gyro_deblur {
 
-/// What has left.
+/// What was published.
 struct OutputStatistics {
   std::size_t frames_out = 0;
-  std::size_t dropped_poor = 0;  ///< frames that drop_poor kept from leaving
+  std::size_t dropped_poor = 0;  ///< frames that drop_poor kept from being published
   std::map<PassThroughReason, std::size_t> passed_through;
   std::map<BlockStatus, std::size_t> blocks;  ///< of the frames that were not passed through
   std::size_t blocks_from_images = 0;         ///< of those, whose motion is also from the images
-  FallbackCounts fallback_counts;             ///< that left the engine's fast path, by reason
+  FallbackCounts fallback_counts;             ///< that did not take the engine's fast path, by reason
   std::size_t frames_by_images_alone = 0;     ///< deblurred without a gyroscope
   std::string keypoints_text;                 ///< why the newest frame could have no keypoints; else empty
 
@@ -38,7 +38,7 @@ struct OutputStatistics {
 
 /// Of a processor; those of the IMU are since the start of its source.
 struct ProcessorStatistics : ImuStatistics, InputStatistics, OutputStatistics {
-  std::size_t waiting = 0;                               ///< frames that have not left
+  std::size_t waiting = 0;                               ///< frames that are not published yet
   std::optional<TimeNs> frame_period_ns;                 ///< by the stamps
   std::optional<TimeNs> newest_imu_ns;                   ///< IMU clock
   TimeRange gyro_available;                              ///< IMU clock

@@ -85,7 +85,7 @@ void StereoRig::announce(Id id, TimeNs stamp_ns) {
 }
 
 std::shared_ptr<StereoRig::Pair> StereoRig::find(Id id, TimeNs stamp_ns) const {
-  // Of images with the same stamp the one that nothing has been said of is meant: they leave in order.
+  // Of images with the same stamp the first that is not reported yet is meant: they are published in order.
   std::shared_ptr<Pair> reported;
   for (const std::shared_ptr<Pair>& pair : pairs_) {
     const auto place = pair->places.find(id);

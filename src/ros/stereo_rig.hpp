@@ -24,17 +24,18 @@ struct DropReasons {
   std::string if_passed_through;  ///< the same if it is passed through
 };
 
-/// Where the cameras of a rig meet. Of each image a camera says that it has come, that work on it has begun, and what
-/// would become of it. An image that would be deblurred waits, in its camera's worker, for what the others say of
-/// theirs with the same stamp. One that stays blurred is refused to all: it passes through, has no block that may be
-/// deblurred though some are blurred, or its camera would have to wait too long. What has been agreed on stays.
+/// Cameras that share an IMU deblur all images of an instant or none. Each camera reports that an image has arrived,
+/// that processing has begun, and whether it can be deblurred. An image that can waits, in its camera's worker, for the
+/// reports on its stereo partners, the others' images with the same stamp. If one of them is passed through, has
+/// blurred blocks of which none may be deblurred, or is not reported in time, all are passed through. A decision is
+/// final.
 ///
-/// Cameras that drop bad images say, with what would become of theirs, whether that would be bad: then all cameras of
-/// the rig that drop bad images drop theirs of that instant, and for this also those wait that have nothing to deblur.
-/// Where one of them has left, or is going to whatever the others say, none is dropped.
+/// Cameras with drop_poor also report whether their image would be poor. If one would be, all cameras of the rig with
+/// drop_poor drop their image of that instant, and for this also those wait that have nothing to deblur. If one of the
+/// images is published in any case, none is dropped.
 ///
-/// An image of which nothing has to be removed agrees with everything. There is no waiting for an image that its camera
-/// has left out (a later one has come), nor for a camera that has sent none yet.
+/// A sharp image agrees with every decision. No camera waits for an image that was skipped (a later one has arrived),
+/// nor for a camera that has sent none yet.
 class StereoRig {
  public:
   /// Stamps of a pair: VINS-Fusion pairs images up to so far apart, exact matching has them within.
@@ -48,8 +49,8 @@ class StereoRig {
   friend class StereoCamera;
   using Id = const void*;
 
-  /// How well another camera has been in time. Three misses in a row, or more than a third in the long run, and nobody
-  /// waits any more, until it is in time again.
+  /// How often another camera has been in time. After three misses in a row, or more than a third in the long run, no
+  /// camera waits for it until it is in time again.
   class Habit {
    public:
     void miss();
@@ -66,7 +67,7 @@ class StereoRig {
     std::string name;
     TimeNs timeout_ns = 0;
     std::uint64_t newest = 0;  ///< number of the pair that its last image belongs to; 0: none has come
-    Habit sending;             ///< its image has come when a partner's is ready
+    Habit sending;             ///< its image has arrived when a stereo partner is ready
     Habit deciding;            ///< and is decided on in time
   };
 
@@ -95,14 +96,14 @@ class StereoRig {
     std::optional<DropReasons> drop_reasons;  ///< of a camera that drops poor images
   };
 
-  /// Whom an image has to wait for.
+  /// The camera that an image has to wait for.
   struct Blocking {
     Id id = nullptr;
     bool has_come = false;
     bool worth_waiting = false;
   };
 
-  /// Changes what is known of the image's pair, if it has one, and wakes those who wait.
+  /// Changes what is known of the image's pair, if it has one, and wakes those that wait.
   template <typename Change>
   void change(Id id, TimeNs stamp_ns, Change change);
   void join(Id id, const std::string& name, TimeNs timeout_ns);
@@ -131,30 +132,30 @@ class StereoRig {
   std::uint64_t pairs_made_ = 0;
 };
 
-/// A camera's place in a rig; any thread. It takes part while it has patience.
+/// A camera's place in a rig; any thread. It takes part while its timeout is above 0.
 class StereoCamera {
  public:
-  /// @param name  that partners know it by
+  /// @param name  in the messages of stereo partners
   StereoCamera(std::shared_ptr<StereoRig> rig, std::string name);
   ~StereoCamera();
   StereoCamera(const StereoCamera&) = delete;
   StereoCamera& operator=(const StereoCamera&) = delete;
 
-  /// How long an image of it waits at most for its partners. 0, as at first: it neither waits nor is waited for;
-  /// whoever waits already goes on.
+  /// How long an image of it waits at most for its stereo partners. 0, as at first: it neither waits nor is waited for;
+  /// partners that wait already go on.
   void set_timeout(TimeNs timeout_ns);
 
-  /// An image has come in; before anything else is said of it.
+  /// An image has arrived; before any other report on it.
   void announce(TimeNs stamp_ns) { rig_->announce(this, stamp_ns); }
   /// Work on it begins.
   void begin(TimeNs stamp_ns) { rig_->begin(this, stamp_ns); }
-  /// It passes through; whatever was said before, if not too late.
+  /// It passes through, whatever was reported before, unless the decision has been made.
   void pass_through(TimeNs stamp_ns, PassThroughReason reason);
-  /// May the image be deblurred? Waits for the partners, as long as it has patience, where blocks are to be deblurred.
+  /// May the image be deblurred? Waits for the stereo partners, at most for the timeout, if it has blocks to deblur.
   /// @param field  validated
-  /// @return why not, with the partner's name; empty: it may
+  /// @return why not, with the stereo partner's name; empty: it may
   std::string decide(TimeNs stamp_ns, const FrameBlur& field);
-  /// The same of a camera that drops bad images: whatever there is to deblur, it waits.
+  /// The same for a camera with drop_poor, which waits even if there is nothing to deblur.
   FrameAction decide(TimeNs stamp_ns, const FrameBlur& field, const DropReasons& drop_reasons);
 
  private:

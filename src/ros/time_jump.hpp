@@ -16,9 +16,9 @@ constexpr std::size_t kStreams = 5;
 
 const char* to_string(Stream stream);
 
-/// Watches the newest time of every stream. The first stream to go back tells of a jump (camera_info and exposures do
-/// not: late ones are no reset); the others, whose last old messages may still be on their way, then follow it without
-/// telling again. A stream that goes on for long without going back has not been reset. Which stamps are believed is
+/// Watches the newest time of every stream. The first stream to go back reports a jump (camera_info and exposures do
+/// not: late ones are no reset); the others, whose last old messages may still arrive, then follow it without
+/// a second report. A stream that goes on for long without going back has not been reset. Which stamps count is
 /// decided by TimestampFilter with watched_stamps.
 class TimeJumpDetector {
  public:
@@ -63,10 +63,10 @@ class TimeJumpDetector {
   std::array<State, kStreams> states_;
 };
 
-/// Tells what a stream brought before time was reset from what it brought after. Recordings that are shorter than the
-/// threshold step back by less, so the first messages of the new epoch may come before the reset is sure. A stream that
-/// afterwards gets beyond where it stepped back was out of order, and not reset. (No matter for TimestampFilter: all
-/// these messages are kept, whatever their stamps; that another stream was reset decides which of them are old.)
+/// Separates what a stream brought before time was reset from what it brought after. Recordings that are shorter than
+/// the threshold step back by less, so the first messages of the new epoch may come before the reset is sure. A stream
+/// that afterwards gets beyond where it stepped back was out of order, and not reset. (No matter for TimestampFilter:
+/// all these messages are kept, whatever their stamps; that another stream was reset decides which of them are old.)
 class EpochCounter {
  public:
   /// Epoch of a message that has come.

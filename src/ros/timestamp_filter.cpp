@@ -14,8 +14,8 @@ StampLimits imu_stamps(TimeNs max_gap_ns, TimeNs time_jump_ns) {
   // they follow stamps that were ahead, or a clock that was set a little: they catch up before the hole is too long.
   limits.late_needed = 10;
   limits.late_reset_ns = max_gap_ns;
-  // Samples come in turn. After one whose stamp is ahead by a step or more, the next one's is not after it: half a step
-  // from either, to know it from one that is late itself. At once: at 4 kHz hundreds may follow before its stamp.
+  // Samples come in order. After one whose stamp is ahead by a step or more, the next one's is not after it: half a
+  // step from either, to know it from one that is late itself. At once: at 4 kHz hundreds may follow before its stamp.
   limits.ahead_steps = 1.5;
   return limits;
 }
@@ -27,7 +27,8 @@ StampLimits watched_stamps(TimeNs time_jump_ns) {
   limits.repeats_agree = true;
   // One stamp far ahead would make the next right one look like a reset.
   limits.ahead_needed = 2;
-  // At once: frames wait for what is not going to come, and each of the streams has to be told from its old messages.
+  // At once: frames wait for what is not going to come, and in each stream new messages have to be separated from old
+  // ones.
   limits.back_needed = 1;
   return limits;
 }

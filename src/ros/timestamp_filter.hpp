@@ -15,7 +15,7 @@
 
 namespace gyro_deblur {
 
-/// What fits a stream, and how many messages in a row have to agree with each other before they are believed against
+/// What fits a stream, and how many messages in a row have to agree with each other before they count against
 /// those that came before. Times > 0.
 struct StampLimits {
   static constexpr TimeNs kAnyTime = std::numeric_limits<TimeNs>::max();
@@ -178,7 +178,7 @@ class TimestampFilter {
     }
   }
 
-  /// Whether the newest came before its turn, when this one comes and is not after it.
+  /// Whether the newest came too early, when this one comes and is not after it.
   bool newest_is_ahead(TimeNs stamp_ns, const StampLimits& limits) const {
     if (limits.ahead_steps <= 0 || steps_ < kEnoughSteps) return false;
     if (!before_newest_ || stamp_ns <= before_newest_->t_ns) return false;

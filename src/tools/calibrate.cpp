@@ -85,7 +85,7 @@ int main_of(int argc, char** argv) {
   CommandLine app{
       "Estimates the time offset between camera and IMU, the readout time, the exposure time, the gyroscope's bias "
       "and, where neither the configuration nor tf has it, the rotation between the two, from a bag in which the "
-      "camera turns about all axes. Says of each number how well it is known, or why the bag does not determine it. "
+      "camera rotates about all axes. Says of each number how well it is known, or why the bag does not determine it. "
       "Topics that are not named are taken when the bag has exactly one of the type.",
       "calibrate"};
   app.add_option("BAG", arguments.bag, "bag with images, camera_info and imu").required();

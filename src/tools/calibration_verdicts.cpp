@@ -134,7 +134,7 @@ ExposureGap exposure_gap(const RecordedExposure& exposure, std::size_t frames) {
                           to_seconds(exposure.longest_tried_ns), to_seconds(exposure.frame_interval_ns)),
             "Set exposure_time"};
   }
-  return {few + "their blur is too short, 6 px are needed", "Turn the camera faster, or set exposure_time"};
+  return {few + "their blur is too short, 6 px are needed", "Rotate the camera faster, or set exposure_time"};
 }
 
 /// How the images judge an exposure that is given.

@@ -177,7 +177,7 @@ TEST(SelfCalibration, LearnsNothingFromTranslation) {
   EXPECT_FALSE(learned.R_cam_imu.known);
   EXPECT_FALSE(learned.time_offset_s.known);
   EXPECT_FALSE(learned.bias_rad_s.known);
-  EXPECT_NE(learned.R_cam_imu.missing.find("turn it"), std::string::npos) << learned.R_cam_imu.missing;
+  EXPECT_NE(learned.R_cam_imu.missing.find("rotate it"), std::string::npos) << learned.R_cam_imu.missing;
 }
 
 TEST(SelfCalibration, LearnsNothingFromMotionsThatHaveNothingInCommon) {

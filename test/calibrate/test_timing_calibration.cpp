@@ -295,7 +295,7 @@ TEST(EstimateTiming, SaysWhatIsNotDetermined) {
                          0.5;
     sample.rate_rad_s = {0, 0.03 / 0.05 * std::sin(0.5 * frame), 0};
   }
-  expect(error(one_axis, one_axis_gyro, {}), "turns about one axis only");
+  expect(error(one_axis, one_axis_gyro, {}), "rotates about one axis only");
   TimingOptions given;
   given.R_cam_imu = Eigen::Matrix3d::Identity();
   EXPECT_EQ(error(one_axis, one_axis_gyro, given), "accepted");

@@ -146,7 +146,7 @@ class Calibrate(unittest.TestCase):
         self.assertAlmostEqual(keys["time_offset"], 0.123 + 0.001, delta=0.0005)
         self.assertEqual(keys["stamp_phase"], "middle")
         self.assertEqual(self.verdict("exposure_time")["state"], "not determined")
-        self.assertIn("Turn the camera faster, or set exposure_time", self.verdict("exposure_time")["text"])
+        self.assertIn("Rotate the camera faster, or set exposure_time", self.verdict("exposure_time")["text"])
         with open(self.path("out.yaml")) as file:
             self.assertIn("# exposure_time is not here: 0 of 40 images determine it", file.read())
 

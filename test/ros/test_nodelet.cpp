@@ -737,7 +737,7 @@ TEST_F(NodeletTest, CameraInfoOfEveryHabitServes) {
       {"stamp 0", [](sensor_msgs::CameraInfo* info) { info->header.stamp = ros::Time(); },
        "camera_info has the stamp 0"},
       {"latched", [](sensor_msgs::CameraInfo* info) { info->header.stamp = ros::Time(5); },
-       "images no longer wait for theirs", true},
+       "images no longer wait for it", true},
       {"no size", [](sensor_msgs::CameraInfo* info) { info->width = info->height = 0; },
        "camera_info has width and height 0"},
   };

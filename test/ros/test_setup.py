@@ -151,7 +151,7 @@ class Setup(unittest.TestCase):
         self.assertEqual(sorted(path.name for path in folder.iterdir()),
                          ["mine.json", "mine.launch", "mine.png", "mine.yaml"])
         self.assertIn(f"roslaunch {folder}/mine.launch", result.stdout)
-        self.assertRegex(result.stderr, r"  \d of 9 s, motion \[#+-*\] +\d+ %, \d+ images, \d+ samples: keep turning")
+        self.assertRegex(result.stderr, r"  \d of 9 s, motion \[#+-*\] +\d+ %, \d+ images, \d+ samples: keep rotating")
         parameters = self.parameters_of(folder / "mine.launch")
         self.assertEqual(parameters["/camera/gyro_deblur/time_offset"], keys["time_offset"])
 

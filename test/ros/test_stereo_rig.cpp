@@ -1,5 +1,5 @@
-// Cameras that decide together. Who waits, waits in a thread of its own for as long as it takes: the patience is either
-// none or longer than any test, so that time decides nothing.
+// Cameras that decide together. Who waits, waits in a thread of its own for as long as it takes: the timeout is either
+// 0 or longer than any test, so that time decides nothing.
 #include "ros/stereo_rig.hpp"
 
 #include <algorithm>
@@ -363,9 +363,9 @@ TEST_F(StereoRigTest, CamerasOfOneImuMeet) {
   EXPECT_NE(StereoRig::get("/imu1"), rig);
 }
 
-/// Cameras that lose, pass through and reject at random: what comes out of an instant is alike. With endless patience
-/// all that may be deblurred is, with hardly any whatever threads have time for.
-TEST_F(StereoRigTest, WhateverHappensPairsAreAlike) {
+/// Cameras that lose, pass through and reject at random: both images of an instant are deblurred or none. With an
+/// endless timeout all that may be deblurred is, with a short one whatever threads have time for.
+TEST_F(StereoRigTest, WhateverHappensBothAreDeblurredOrNone) {
   constexpr std::size_t kCameras = 2;
   constexpr TimeNs kImages = 3000;
   make(kEndless, kCameras);

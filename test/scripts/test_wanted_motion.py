@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What setup asks of the one who turns the camera."""
+"""What setup asks of the one who rotates the camera."""
 
 import pathlib
 import sys
@@ -34,7 +34,7 @@ class WantedMotionTest(unittest.TestCase):
         self.assertEqual(WantedMotion().state(), (0.0, "no samples of the IMU yet"))
         share, text = after(10, lambda t_s: 0.01 * shake(t_s, [PAN]))
         self.assertEqual(share, 0)
-        self.assertIn("turn the camera: back and forth", text)
+        self.assertIn("rotate the camera: back and forth", text)
 
     def test_axes_one_after_the_other(self):
         shares = []
@@ -52,7 +52,7 @@ class WantedMotionTest(unittest.TestCase):
         self.assertIn("change the direction more often", text)
 
     def test_too_short(self):
-        self.assertIn("keep turning", after(3, lambda t_s: shake(t_s, [PAN, TILT, ROLL]))[1])
+        self.assertIn("keep rotating", after(3, lambda t_s: shake(t_s, [PAN, TILT, ROLL]))[1])
 
     def test_samples_that_are_no_good(self):
         motion = WantedMotion()

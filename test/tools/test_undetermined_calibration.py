@@ -102,7 +102,7 @@ class UndeterminedCalibration(unittest.TestCase):
     def test_stabilised_footage(self):
         """The gyroscope feels all of the shake, the images show some of it."""
         path = self.changed(lambda *entry: entry, images=self.simulate("stabilised", LEFT_OF_SHAKE))
-        parts = ("nothing is written", "--force", "the images do not move as the gyroscope turned", "stabilisation")
+        parts = ("nothing is written", "--force", "the images do not move as the gyroscope rotated", "stabilisation")
         text = self.refused(path, *parts)
         without_px, with_px = map(float, re.search(r"is ([\d.]+) px without the gyroscope, ([\d.]+) px with it",
                                                    text).groups())
@@ -110,12 +110,12 @@ class UndeterminedCalibration(unittest.TestCase):
         self.refused(path, *parts, arguments=["--estimate-rotation"])
         keys, text = self.written(path, "--force")
         self.assertIn("time_offset", keys)
-        self.assertIn("the images do not move as the gyroscope turned", text)
+        self.assertIn("the images do not move as the gyroscope rotated", text)
 
     def test_smooth_images(self):
         """Nothing is left of the shake: what is estimated is impossible, too."""
         path = self.changed(lambda *entry: entry, images=self.simulate("smooth", 0))
-        self.refused(path, "the images do not move as the gyroscope turned", "is longer than the frame period 0.05 s")
+        self.refused(path, "the images do not move as the gyroscope rotated", "is longer than the frame period 0.05 s")
 
     def test_impossible_readout(self):
         config = self.folder / "config.yaml"
@@ -160,11 +160,11 @@ class UndeterminedCalibration(unittest.TestCase):
                 self.assertEqual(verdict["state"], "not determined", key)
 
     def test_camera_at_rest(self):
-        self.refused(self.simulate("rest", 0, pan=0.1), "the images hardly move", "turn the camera about all axes")
+        self.refused(self.simulate("rest", 0, pan=0.1), "the images hardly move", "rotate the camera about all axes")
         self.assertEqual(self.verdicts()["time_offset"]["state"], "not determined")
         self.refused(self.simulate("still", 0, pan=0, frames=50), "do not agree at any offset")
         for key in ("time_offset", "readout_time", "R_cam_imu"):
-            self.assertRegex(self.verdicts()[key]["text"], r"turned faster than 0\.1 rad/s for \d\.\d of the 2 s", key)
+            self.assertRegex(self.verdicts()[key]["text"], r"rotated faster than 0\.1 rad/s for \d\.\d of the 2 s", key)
 
     def test_an_exposure_that_is_longer_than_what_is_tried(self):
         """Of a slow camera. That its blur is too short would be wrong."""
@@ -180,7 +180,7 @@ class UndeterminedCalibration(unittest.TestCase):
 
     def test_a_turn_about_one_axis_leaves_the_rotation_open(self):
         path = self.simulate("one_axis", 1, only_axis=1, frames=50)
-        self.refused(path, "the recording turns about one axis only", arguments=["--estimate-rotation"])
+        self.refused(path, "the recording rotates about one axis only", arguments=["--estimate-rotation"])
         self.assertIn("about one axis only, left and right (about y)", self.verdicts()["R_cam_imu"]["text"])
 
 
