@@ -11,6 +11,7 @@
 #include <map>
 #include <memory>
 #include <regex>
+#include <set>
 #include <sstream>
 #include <stdexcept>
 #include <utility>
@@ -18,6 +19,7 @@
 #include <yaml-cpp/yaml.h>
 #include <Eigen/LU>
 
+#include "base/join.hpp"
 #include "base/require_range.hpp"
 #include "config/yaml_reading.hpp"
 #include "gyro_deblur/calibration.hpp"
@@ -88,8 +90,11 @@ double parse_number(const std::string& text) {
   return value;
 }
 
-/// Integer nanoseconds are read as such: 19 digits do not fit a double.
-TimeNs parse_ns(const std::string& text) {
+constexpr double kNanosecond = 1e-9;
+
+/// Nanoseconds are read as integers: 19 digits do not fit a double.
+TimeNs parse_time(const std::string& text, double unit_s) {
+  if (unit_s != kNanosecond) return to_ns(parse_number(text) * unit_s);
   char* end = nullptr;
   const long long value = std::strtoll(text.c_str(), &end, 10);
   if (text.empty() || *end != '\0') {
@@ -98,12 +103,12 @@ TimeNs parse_ns(const std::string& text) {
   return value;
 }
 
-Eigen::Vector3d parse_vector(const std::vector<std::string>& fields, std::size_t first) {
-  return {parse_number(field_at(fields, first)), parse_number(field_at(fields, first + 1)),
-          parse_number(field_at(fields, first + 2))};
+Eigen::Vector3d parse_vector(const std::vector<std::string>& fields, const std::array<std::size_t, 3>& columns) {
+  return {parse_number(field_at(fields, columns[0])), parse_number(field_at(fields, columns[1])),
+          parse_number(field_at(fields, columns[2]))};
 }
 
-/// A file of keys; errors name file and key.
+/// A file of keys, or a section of it; errors name file, section, key and value.
 class Description {
  public:
   explicit Description(const std::string& path) : path_(path), node_(load_yaml_file(path)) {}
@@ -119,7 +124,8 @@ class Description {
     try {
       return node_[key].template as<T>();
     } catch (const YAML::Exception&) {
-      throw std::runtime_error(path_ + ": '" + key + "' has another type than in the examples in config/recordings/");
+      throw std::runtime_error(path_ + ": '" + key + "' = " + describe(node_[key]) +
+                               " has another type than in the examples in config/recordings/");
     }
   }
 
@@ -128,7 +134,14 @@ class Description {
     return has(key) ? get<T>(key) : fallback;
   }
 
-  Description child(const std::string& key) const { return {path_, get<YAML::Node>(key)}; }
+  Description child(const std::string& key) const { return {path_ + ": " + key, get<YAML::Node>(key)}; }
+
+  /// Columns count from 1 in descriptions, from 0 here.
+  std::size_t column(const std::string& key) const {
+    const int number = get<int>(key);
+    require_range((path_ + ": " + key).c_str(), number, 1, 100);
+    return static_cast<std::size_t>(number) - 1;
+  }
 
   std::vector<double> numbers(const std::string& key, std::size_t count) const {
     const auto values = get<std::vector<double>>(key);
@@ -179,39 +192,41 @@ void require_content(const Recording& recording, const std::string& folder) {
   }
 }
 
-/// Line i (from 1) belongs to image number i.
-std::vector<TimeNs> read_stamps(const fs::path& folder, const Description& stamps) {
-  const double unit_s = stamps.get<double>("unit");
-  std::vector<TimeNs> stamps_ns;
-  for_each_line((folder / stamps.get<std::string>("file")).string(), [&](const std::string& line) {
-    stamps_ns.push_back(to_ns(parse_number(field_at(split(line), 0)) * unit_s));
-  });
-  return stamps_ns;
-}
-
-/// By the number of the image.
-std::map<int, TimeNs> read_exposures(const fs::path& folder, const Description& exposures) {
-  const std::regex pattern(exposures.get<std::string>("pattern"));
-  const double unit_s = exposures.get<double>("unit");
-  std::map<int, TimeNs> exposures_ns;
-  for_each_line((folder / exposures.get<std::string>("file")).string(), [&](const std::string& line) {
+/// Times by the number of the image: in a column, where line i (from 1) belongs to image number i, or by a pattern.
+std::map<int, TimeNs> read_times(const fs::path& folder, const Description& times) {
+  const bool has_pattern = times.has("pattern");
+  if (has_pattern == times.has("column")) {
+    throw std::runtime_error(times.path() + ": needs either 'column' or 'pattern', and has " +
+                             (has_pattern ? "both" : "none"));
+  }
+  const std::regex pattern(times.get<std::string>("pattern", ""));
+  const std::size_t column = has_pattern ? 0 : times.column("column");
+  const double unit_s = times.get<double>("unit");
+  std::map<int, TimeNs> times_ns;
+  for_each_line((folder / times.get<std::string>("file")).string(), [&](const std::string& line) {
     std::smatch match;
-    if (std::regex_search(line, match, pattern) && match.size() == 3) {
-      exposures_ns[std::stoi(match[1])] = to_ns(parse_number(match[2]) * unit_s);
+    if (!has_pattern) {
+      times_ns[static_cast<int>(times_ns.size()) + 1] = parse_time(field_at(split(line), column), unit_s);
+    } else if (std::regex_search(line, match, pattern) && match.size() == 3) {
+      times_ns[std::stoi(match[1])] = parse_time(match[2], unit_s);
     }
   });
-  return exposures_ns;
+  return times_ns;
 }
 
-/// Images with their stamps; exposures are left out.
-/// @param on_image  takes a frame and its number
-void for_each_image(const fs::path& folder, const Description& images, const std::vector<TimeNs>& stamps_ns,
-                    const std::function<void(RecordedFrame, int)>& on_image) {
+std::vector<RecordedFrame> read_images(const fs::path& folder, const Description& description) {
+  const Description images = description.child("images");
   const fs::path image_folder = folder / images.get<std::string>("folder");
   const std::regex name_pattern(images.get<std::string>("pattern"));
   if (!fs::is_directory(image_folder)) {
     throw std::runtime_error(image_folder.string() + ": no such folder");
   }
+  const Description stamps = description.child("frame_stamps");
+  const std::map<int, TimeNs> stamps_ns = read_times(folder, stamps);
+  std::map<int, TimeNs> exposures_ns;
+  if (description.has("exposures")) exposures_ns = read_times(folder, description.child("exposures"));
+  const TimeNs common_exposure_ns = to_ns(description.get<double>("exposure_time", 0.0));
+  std::vector<RecordedFrame> frames;
   for (const fs::directory_entry& entry : fs::directory_iterator(image_folder)) {
     std::smatch match;
     const std::string name = entry.path().filename().string();
@@ -219,35 +234,69 @@ void for_each_image(const fs::path& folder, const Description& images, const std
       continue;
     }
     const int number = std::stoi(match[1]);
-    if (number < 1 || static_cast<std::size_t>(number) > stamps_ns.size()) {
-      throw std::runtime_error(entry.path().string() + ": there are stamps for images 1 to " +
-                               std::to_string(stamps_ns.size()));
+    const auto stamp = stamps_ns.find(number);
+    if (stamp == stamps_ns.end()) {
+      throw std::runtime_error(entry.path().string() + ": no stamp for image " + std::to_string(number) + " in " +
+                               stamps.get<std::string>("file") + ", which has " + std::to_string(stamps_ns.size()));
     }
-    on_image({stamps_ns[static_cast<std::size_t>(number) - 1], 0, entry.path().string()}, number);
+    const auto exposure = exposures_ns.find(number);
+    frames.push_back(
+        {stamp->second, exposure == exposures_ns.end() ? common_exposure_ns : exposure->second, entry.path().string()});
   }
+  return frames;
 }
 
-std::vector<RecordedImu> read_gyro(const fs::path& folder, const Description& gyro) {
-  const auto column = [&gyro](const char* key) {
-    const int number = gyro.get<int>(key);
-    require_range(key, number, 1, 100);
-    return static_cast<std::size_t>(number) - 1;
-  };
-  const std::size_t columns_xyz[] = {column("x_column"), column("y_column"), column("z_column")};
-  const std::size_t column_t = column("time_column");
-  const double unit_s = gyro.get<double>("time_unit");
-  const double unit_rad_s = gyro.get<double>("rate_unit");
-  std::vector<RecordedImu> samples;
-  for_each_line((folder / gyro.get<std::string>("file")).string(), [&](const std::string& line) {
+using Samples = std::vector<std::pair<TimeNs, Eigen::Vector3d>>;
+
+/// Samples of a sensor with three axes; with a kind, only the rows of that kind.
+Samples read_samples(const fs::path& folder, const Description& sensor, const std::string& unit_key) {
+  const std::array<std::size_t, 3> columns_xyz = {sensor.column("x_column"), sensor.column("y_column"),
+                                                  sensor.column("z_column")};
+  const std::size_t column_t = sensor.column("time_column");
+  const double unit_s = sensor.get<double>("time_unit");
+  const double unit = sensor.get<double>(unit_key);
+  const bool has_kind = sensor.has("kind") || sensor.has("kind_column");
+  const std::string kind = has_kind ? sensor.get<std::string>("kind") : "";
+  const std::size_t column_kind = has_kind ? sensor.column("kind_column") : 0;
+  const std::string path = (folder / sensor.get<std::string>("file")).string();
+  constexpr std::size_t kMostKinds = 10;  // that an error lists
+  std::set<std::string> kinds;
+  Samples samples;
+  for_each_line(path, [&](const std::string& line) {
     const std::vector<std::string> fields = split(line);
-    RecordedImu sample;
-    sample.t_ns = to_ns(parse_number(field_at(fields, column_t)) * unit_s);
-    for (int axis = 0; axis < 3; ++axis) {
-      sample.rate_rad_s[axis] = parse_number(field_at(fields, columns_xyz[axis])) * unit_rad_s;
+    if (has_kind && field_at(fields, column_kind) != kind) {
+      if (kinds.size() < kMostKinds) kinds.insert(fields[column_kind]);
+      return;
     }
-    samples.push_back(sample);
+    samples.emplace_back(parse_time(field_at(fields, column_t), unit_s), parse_vector(fields, columns_xyz) * unit);
   });
+  if (samples.empty() && !kinds.empty()) {
+    throw std::runtime_error(path + ": no row is of the kind '" + kind + "'; column " +
+                             std::to_string(column_kind + 1) + " has " + join(kinds));
+  }
   return samples;
+}
+
+/// An acceleration belongs to the rate with the same time.
+std::vector<RecordedImu> read_imu(const fs::path& folder, const Description& description) {
+  std::map<TimeNs, Eigen::Vector3d> accelerations_m_s2;
+  if (description.has("accelerometer")) {
+    const Samples samples = read_samples(folder, description.child("accelerometer"), "acceleration_unit");
+    accelerations_m_s2.insert(samples.begin(), samples.end());
+  }
+  std::vector<RecordedImu> imu;
+  for (const auto& [t_ns, rate_rad_s] : read_samples(folder, description.child("gyro"), "rate_unit")) {
+    RecordedImu& sample = imu.emplace_back(RecordedImu{t_ns, rate_rad_s, std::nullopt});
+    const auto acceleration = accelerations_m_s2.find(t_ns);
+    if (acceleration != accelerations_m_s2.end()) sample.acceleration_m_s2 = acceleration->second;
+  }
+  const auto has_none = [](const RecordedImu& sample) { return !sample.acceleration_m_s2; };
+  if (description.has("accelerometer") && !imu.empty() && std::all_of(imu.begin(), imu.end(), has_none)) {
+    throw std::runtime_error(description.path() +
+                             ": accelerometer: no sample has the time of a gyroscope sample: "
+                             "leave the section out, or give samples of the same times");
+  }
+  return imu;
 }
 
 }  // namespace
@@ -264,12 +313,13 @@ Recording read_euroc(const std::string& folder, const std::string& camera, TimeN
 
   for_each_line((camera_folder / "data.csv").string(), [&](const std::string& line) {
     const std::vector<std::string> fields = split(line);
-    recording.frames.push_back(
-        {parse_ns(field_at(fields, 0)), exposure_ns, (camera_folder / "data" / field_at(fields, 1)).string()});
+    recording.frames.push_back({parse_time(field_at(fields, 0), kNanosecond), exposure_ns,
+                                (camera_folder / "data" / field_at(fields, 1)).string()});
   });
   for_each_line((root / "imu0" / "data.csv").string(), [&](const std::string& line) {
     const std::vector<std::string> fields = split(line);
-    recording.imu.push_back({parse_ns(field_at(fields, 0)), parse_vector(fields, 1), parse_vector(fields, 4)});
+    recording.imu.push_back({parse_time(field_at(fields, 0), kNanosecond), parse_vector(fields, {1, 2, 3}),
+                             parse_vector(fields, {4, 5, 6})});
   });
   require_content(recording, folder);
   std::stable_sort(recording.frames.begin(), recording.frames.end(),
@@ -298,8 +348,8 @@ Recording read_shield(const std::string& folder, const std::string& description_
       throw std::runtime_error("there are only " + std::to_string(paths.size()) +
                                " images, and more lines: one line an image is needed");
     }
-    recording.frames.push_back(
-        {parse_ns(field_at(fields, 0)), parse_ns(field_at(fields, 1)), paths[recording.frames.size()]});
+    recording.frames.push_back({parse_time(field_at(fields, 0), kNanosecond),
+                                parse_time(field_at(fields, 1), kNanosecond), paths[recording.frames.size()]});
   });
   if (recording.frames.size() != paths.size()) {
     throw std::runtime_error(list + ": " + std::to_string(recording.frames.size()) + " lines for " +
@@ -311,12 +361,12 @@ Recording read_shield(const std::string& folder, const std::string& description_
   std::map<TimeNs, Eigen::Vector3d> accelerations;
   for_each_line((fs::path(folder) / "imu" / "imu.txt").string(), [&](const std::string& line) {
     const std::vector<std::string> fields = split(line);
-    const TimeNs t_ns = parse_ns(field_at(fields, 1));
+    const TimeNs t_ns = parse_time(field_at(fields, 1), kNanosecond);
     const int type = static_cast<int>(parse_number(field_at(fields, 0)));
     if (type == kAccelerometer) {
-      accelerations[t_ns] = parse_vector(fields, 2);
+      accelerations[t_ns] = parse_vector(fields, {2, 3, 4});
     } else if (type == kGyroscope) {
-      recording.imu.push_back({t_ns, parse_vector(fields, 2), std::nullopt});
+      recording.imu.push_back({t_ns, parse_vector(fields, {2, 3, 4}), std::nullopt});
     }
   });
   for (RecordedImu& sample : recording.imu) {
@@ -332,18 +382,10 @@ Recording read_shield(const std::string& folder, const std::string& description_
 Recording read_frames(const std::string& folder, const std::string& description_path) {
   const Description description(description_path);
   Recording recording = read_calibration(description);
-  const std::vector<TimeNs> stamps_ns = read_stamps(folder, description.child("frame_stamps"));
-  std::map<int, TimeNs> exposures_ns;
-  if (description.has("exposures")) exposures_ns = read_exposures(folder, description.child("exposures"));
-  const TimeNs common_exposure_ns = to_ns(description.get<double>("exposure_time", 0.0));
-  for_each_image(folder, description.child("images"), stamps_ns, [&](RecordedFrame frame, int number) {
-    const auto exposure = exposures_ns.find(number);
-    frame.exposure_ns = exposure == exposures_ns.end() ? common_exposure_ns : exposure->second;
-    recording.frames.push_back(std::move(frame));
-  });
+  recording.frames = read_images(folder, description);
   std::sort(recording.frames.begin(), recording.frames.end(),
             [](const RecordedFrame& a, const RecordedFrame& b) { return a.stamp_ns < b.stamp_ns; });
-  recording.imu = read_gyro(folder, description.child("gyro"));
+  recording.imu = read_imu(folder, description);
   require_content(recording, folder);
   return recording;
 }

@@ -48,8 +48,8 @@ Recording read_euroc(const std::string& folder, const std::string& camera, TimeN
 /// @param description_path  YAML with the calibration: see config/recordings/shield_burst.yaml
 Recording read_shield(const std::string& folder, const std::string& description_path);
 
-/// A folder of numbered images, a file of frame stamps and a file of gyroscope rates.
-/// @param description_path  YAML with calibration and file formats: see config/recordings/phone_sharp.yaml
+/// A folder of numbered images, files of their stamps and exposure times, and a file of IMU samples.
+/// @param description_path  YAML with calibration and file formats: see config/recordings/
 Recording read_frames(const std::string& folder, const std::string& description_path);
 
 }  // namespace gyro_deblur

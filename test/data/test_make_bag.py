@@ -22,9 +22,19 @@ readout_time: 0.01
 """
 FRAMES = CAMERA + r"""
 images: {folder: pictures, pattern: 'shot(\d+)\.png'}
-frame_stamps: {file: stamps.txt, unit: 0.001}
+frame_stamps: {file: stamps.txt, column: 1, unit: 0.001}
 exposures: {file: log.txt.gz, pattern: 'frame (\d+) took ([0-9.]+) ms', unit: 0.001}
 gyro: {file: gyro.csv, time_column: 1, x_column: 2, y_column: 3, z_column: 4, time_unit: 1.0, rate_unit: 0.0174532925199433}
+"""
+# Columns of one file for each image, rows of several sensors in another.
+COLUMNS = CAMERA + r"""
+images: {folder: images, pattern: '(\d+)\.png'}
+frame_stamps: {file: images/images.txt, column: 1, unit: 1.0e-9}
+exposures: {file: images/images.txt, column: 2, unit: 1.0e-6}
+gyro: {file: imu/imu.txt, kind_column: 1, kind: 4, time_column: 2, x_column: 3, y_column: 4, z_column: 5,
+       time_unit: 1.0e-9, rate_unit: 1.0}
+accelerometer: {file: imu/imu.txt, kind_column: 1, kind: 1, time_column: 2, x_column: 3, y_column: 4, z_column: 5,
+                time_unit: 1.0e-9, acceleration_unit: 2.0}
 """
 
 
@@ -156,6 +166,63 @@ class MakeBag(unittest.TestCase):
         os.remove(self.path("out.bag"))
         self.assert_fails(expected, "--format", "shield", "--description", self.path("description.yaml"))
 
+    def make_columns(self):
+        self.write("description.yaml", COLUMNS)
+        self.write("in/images/images.txt", "1403715273262142977 20000\n1403715273295474977,10000\n")
+        self.image("in/images/0001.png", picture(1))
+        self.image("in/images/0002.png", picture(2))
+        self.write("in/imu/imu.txt", "2 1403715273262142970 1 2 3\n1 1403715273262142979 7 8 9\n"
+                                     "4 1403715273262142979 -3 -4 -5\n4 1403715273272142979 -6 -7 -8\n")
+
+    def test_columns_and_kinds(self):
+        self.make_columns()
+        result = self.frames()
+        self.assertEqual(result.returncode, 0, result.stderr)
+        # 19 digits do not fit a double: times must be exact.
+        self.assertEqual([m.header.stamp.to_nsec() for m, _ in self.messages("/camera/image_raw")],
+                         [1403715273262142977, 1403715273295474977])
+        self.assertEqual([m.data for m, _ in self.messages("/camera/image_raw")],
+                         [picture(1).tobytes(), picture(2).tobytes()])
+        self.assertEqual([m.exposure_time.to_nsec() for m, _ in self.messages("/camera/exposure")],
+                         [20000000, 10000000])
+        imu = [m for m, _ in self.messages("/imu")]
+        self.assertEqual([m.header.stamp.to_nsec() for m in imu], [1403715273262142979, 1403715273272142979])
+        self.assertEqual((imu[0].angular_velocity.y, imu[0].linear_acceleration.y), (-4, 16))
+        self.assertEqual(imu[1].linear_acceleration_covariance[0], -1)
+
+    def test_bad_columns_and_kinds(self):
+        frames = ("--format", "frames", "--description", self.path("description.yaml"))
+        for before, after, expected in (
+                ("kind: 4", "kind: 5", "imu.txt: no row is of the kind '5'; column 1 has 1, 2, 4"),
+                ("kind: 4, ", "", "description.yaml: gyro: 'kind' is missing"),
+                ("kind_column: 1, kind: 4", "kind: 4", "description.yaml: gyro: 'kind_column' is missing"),
+                ("kind_column: 1, kind: 4", "kind_column: 6, kind: 4", "imu.txt:1: has 5 columns, column 6 is needed"),
+                ("kind_column: 1, kind: 4", "kind_column: 0, kind: 4",
+                 "description.yaml: gyro: kind_column = 0 is outside [1, 100]"),
+                ("kind: 4, time_column: 2", "kind: 4, time_column: t",
+                 "description.yaml: gyro: 'time_column' = t has another type"),
+                ("column: 2, unit", "column: 3, unit", "images.txt:1: has 2 columns, column 3 is needed"),
+                ("column: 2, unit", "column: -1, unit", "description.yaml: exposures: column = -1 is outside [1, 100]"),
+                ("column: 2, unit", "unit", "exposures: needs either 'column' or 'pattern', and has none"),
+                ("column: 2, unit", "column: 2, pattern: x, unit",
+                 "exposures: needs either 'column' or 'pattern', and has both"),
+                (", acceleration_unit: 2.0", "", "description.yaml: accelerometer: 'acceleration_unit' is missing"),
+                ("kind: 1", "kind: 2", "description.yaml: accelerometer: no sample has the time of a gyroscope"),
+                ("frame_stamps: {file: images/images.txt", "frame_stamps: {file: none.txt",
+                 "in/none.txt: cannot be opened"),
+                ("gyro: {file: imu/imu.txt", "gyro: {file: imu/none.txt", "imu/none.txt: cannot be opened"),
+                ("folder: images", "folder: none", "in/none: no such folder")):
+            with self.subTest(after=after):
+                self.make_columns()
+                self.assertEqual(COLUMNS.count(before), 1)
+                self.write("description.yaml", COLUMNS.replace(before, after))
+                self.assert_fails(expected, *frames)
+        self.make_columns()
+        self.write("in/images/images.txt", "1403715273262142977 20000\n")
+        self.assert_fails("0002.png: no stamp for image 2 in images/images.txt, which has 1", *frames)
+        self.write("in/images/images.txt", "1403715273.262 20000\n")
+        self.assert_fails("images.txt:1: '1403715273.262' is no time in integer nanoseconds", *frames)
+
     def test_euroc(self):
         self.write("in/mav0/cam0/sensor.yaml", """%YAML:1.0
 T_BS:
@@ -205,7 +272,7 @@ distortion_coefficients: [-0.28, 0.07, 0.0002, 1.7e-05]
         self.assert_fails("shot10.png: cannot be read as an image", *frames)
         self.make_frames()
         self.image("in/pictures/shot13.png", picture(13))
-        self.assert_fails("shot13.png: there are stamps for images 1 to 12", *frames)
+        self.assert_fails("shot13.png: no stamp for image 13 in stamps.txt, which has 12", *frames)
         os.remove(self.path("in/pictures/shot13.png"))
         self.write("description.yaml", FRAMES.replace("readout_time: 0.01", ""))
         self.assert_fails("'readout_time' is missing", *frames)
