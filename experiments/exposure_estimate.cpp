@@ -298,7 +298,7 @@ void Study::recorded() {
     }
   };
   const std::string descriptions = GYRO_DEBLUR_CONFIG_DIR "/recordings/";
-  add("shield_burst", read_shield(arguments_.data + "/shield_burst", descriptions + "shield_burst.yaml"), {10, 20, 30});
+  add("shield_burst", read_frames(arguments_.data + "/shield_burst", descriptions + "shield_burst.yaml"), {10, 20, 30});
   add("phone_sharp", read_frames(arguments_.data + "/phone_sharp", descriptions + "phone_sharp.yaml"), {2, 5, 15, 30});
 }
 

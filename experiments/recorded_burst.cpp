@@ -61,7 +61,7 @@ void fill_ratios(const FrameBlur& field, const Camera& camera, const RotationTra
 }  // namespace
 
 std::vector<BurstFrame> burst_frames(const std::string& folder, const std::string& description) {
-  const Recording recording = read_shield(folder, description);
+  const Recording recording = read_frames(folder, description);
   std::vector<GyroSample> samples;
   for (const RecordedImu& sample : recording.imu) samples.push_back({sample.t_ns, sample.rate_rad_s});
   GyroOptions gyro;

@@ -181,10 +181,9 @@ Recording read_recording(const Arguments& arguments) {
     return read_euroc(arguments.input, arguments.euroc_camera, to_ns(arguments.exposure_s));
   }
   if (arguments.description.empty()) {
-    throw std::runtime_error("--format " + arguments.format + " needs --description FILE with the calibration");
+    throw std::runtime_error("--format frames needs --description FILE with the calibration and the files' formats");
   }
-  return arguments.format == "shield" ? read_shield(arguments.input, arguments.description)
-                                      : read_frames(arguments.input, arguments.description);
+  return read_frames(arguments.input, arguments.description);
 }
 
 void run(const Arguments& arguments) {
@@ -204,12 +203,11 @@ int main_of(int argc, char** argv) {
   app.add_option("OUT", arguments.output, "bag to write").required();
   app.add_option("INPUT_DIR", arguments.input, "recorded folder").required();
   app.add_option("--format", arguments.format,
-                 "euroc: EuRoC's ASL layout; shield: images/images.txt and imu/imu.txt; "
-                 "frames: numbered images, a file of stamps and a file of gyroscope rates")
+                 "euroc: EuRoC's ASL layout; frames: numbered images and files of their stamps and of IMU samples")
       .required()
-      .one_of({"euroc", "shield", "frames"});
+      .one_of({"euroc", "frames"});
   app.add_option("--description", arguments.description,
-                 "YAML with the calibration and, for frames, the files' formats: see config/recordings/");
+                 "frames: YAML with the calibration and the files' formats: see config/recordings/");
   app.add_option("--camera", arguments.euroc_camera, "euroc: the camera's folder [cam0]");
   app.add_option("--exposure-time", arguments.exposure_s, "euroc: exposure time of every image [s]; none is recorded")
       .range(0.0, 1.0);

@@ -327,58 +327,6 @@ Recording read_euroc(const std::string& folder, const std::string& camera, TimeN
   return recording;
 }
 
-Recording read_shield(const std::string& folder, const std::string& description_path) {
-  Recording recording = read_calibration(Description(description_path));
-  const fs::path images = fs::path(folder) / "images";
-  if (!fs::is_directory(images)) {
-    throw std::runtime_error(images.string() + ": no such folder");
-  }
-  std::vector<std::string> paths;
-  for (const fs::directory_entry& entry : fs::directory_iterator(images)) {
-    if (entry.path().extension() == ".jpg" || entry.path().extension() == ".png") {
-      paths.push_back(entry.path().string());
-    }
-  }
-  std::sort(paths.begin(), paths.end());
-
-  const std::string list = (images / "images.txt").string();
-  for_each_line(list, [&](const std::string& line) {
-    const std::vector<std::string> fields = split(line);
-    if (recording.frames.size() == paths.size()) {
-      throw std::runtime_error("there are only " + std::to_string(paths.size()) +
-                               " images, and more lines: one line an image is needed");
-    }
-    recording.frames.push_back({parse_time(field_at(fields, 0), kNanosecond),
-                                parse_time(field_at(fields, 1), kNanosecond), paths[recording.frames.size()]});
-  });
-  if (recording.frames.size() != paths.size()) {
-    throw std::runtime_error(list + ": " + std::to_string(recording.frames.size()) + " lines for " +
-                             std::to_string(paths.size()) + " images; one line an image is needed");
-  }
-
-  constexpr int kAccelerometer = 1;
-  constexpr int kGyroscope = 4;
-  std::map<TimeNs, Eigen::Vector3d> accelerations;
-  for_each_line((fs::path(folder) / "imu" / "imu.txt").string(), [&](const std::string& line) {
-    const std::vector<std::string> fields = split(line);
-    const TimeNs t_ns = parse_time(field_at(fields, 1), kNanosecond);
-    const int type = static_cast<int>(parse_number(field_at(fields, 0)));
-    if (type == kAccelerometer) {
-      accelerations[t_ns] = parse_vector(fields, {2, 3, 4});
-    } else if (type == kGyroscope) {
-      recording.imu.push_back({t_ns, parse_vector(fields, {2, 3, 4}), std::nullopt});
-    }
-  });
-  for (RecordedImu& sample : recording.imu) {
-    const auto found = accelerations.find(sample.t_ns);
-    if (found != accelerations.end()) {
-      sample.acceleration_m_s2 = found->second;
-    }
-  }
-  require_content(recording, folder);
-  return recording;
-}
-
 Recording read_frames(const std::string& folder, const std::string& description_path) {
   const Description description(description_path);
   Recording recording = read_calibration(description);

@@ -43,11 +43,6 @@ struct Recording {
 /// calibrations that cannot be used.
 Recording read_euroc(const std::string& folder, const std::string& camera, TimeNs exposure_ns);
 
-/// Images with images/images.txt (start of exposure [ns], exposure [ns]; line i is the i-th image by name) and
-/// imu/imu.txt (type, t [ns], x, y, z; type 1: acceleration [m/s^2], 4: rate [rad/s], others are left out).
-/// @param description_path  YAML with the calibration: see config/recordings/shield_burst.yaml
-Recording read_shield(const std::string& folder, const std::string& description_path);
-
 /// A folder of numbered images, files of their stamps and exposure times, and a file of IMU samples.
 /// @param description_path  YAML with calibration and file formats: see config/recordings/
 Recording read_frames(const std::string& folder, const std::string& description_path);

@@ -17,7 +17,7 @@ const std::string kData = GYRO_DEBLUR_DATA_DIR, kDescriptions = GYRO_DEBLUR_SOUR
 TEST(RecordedExposure, OfShieldBurstIsTwentyMilliseconds) {
   const std::string folder = kData + "/shield_burst";
   if (!std::filesystem::exists(folder)) GTEST_SKIP() << "no " << folder;
-  const Recording recording = read_shield(folder, kDescriptions + "shield_burst.yaml");
+  const Recording recording = read_frames(folder, kDescriptions + "shield_burst.yaml");
   for (const double assumed_ms : {10.0, 20.0, 30.0}) {
     SCOPED_TRACE(assumed_ms);
     const auto estimates = test::recorded_exposures(recording, std::llround(assumed_ms * kMs));

@@ -126,7 +126,7 @@ class Recording(unittest.TestCase):
 class ShieldBurst(Recording):
     """Seven rolling-shutter frames with about 100 px of real blur, by the gyroscope alone."""
 
-    FOLDER, FORMAT, CONFIG = "shield_burst", "shield", "shield_burst.yaml"
+    FOLDER, FORMAT, CONFIG = "shield_burst", "frames", "shield_burst.yaml"
     MORE_CONFIG = "optical_flow: false\n"
     LARGEST_CENTER_EXTENT_PX, GAIN = 113, 1.5
     NODELET_RATE = 0.02  # SIFT takes longest
