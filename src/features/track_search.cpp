@@ -30,8 +30,8 @@ double model_variance_px2(const Path2d& first_px, const Path2d& second_px) {
 }
 
 bool is_usable(const Alignment& found) {
-  // What is less certain helps no estimator, and may have been found by chance. Smaller limits end half of the tracks
-  // in low light (doc/reports/tracks.md).
+  // What is less certain helps no estimator, and may have been found by chance. A limit of 0.7 px halves the length of
+  // tracks in low light (doc/reports/tracks.md).
   constexpr double kMaxStddevPx = 1.4;
   const Eigen::Matrix2d& c = found.covariance_px2;
   const double largest = 0.5 * (c.trace() + std::hypot(c(0, 0) - c(1, 1), 2 * c(0, 1)));
