@@ -215,7 +215,7 @@ ParameterGroup blur_field() {
               {"max_extent", &Blur::max_extent_px, within(1, 500, "px"),
                "Blocks with a longer blur are passed through unchanged. At least min_extent.", RUNNING},
               {"curved_path_threshold", &Blur::curved_path_threshold_px, within(0, 100, "px"),
-               "Distance of a path from a straight line, beyond 2 % of its length, up to which it counts as straight. "
+               "A path counts as curved if it deviates from a straight line by more than this plus 2 % of its length. "
                "Curved blur gets 2-D filters, which take about three times as long as 1-D filters.",
                RUNNING},
               {"optical_flow", &PipelineOptions::optical_flow,
