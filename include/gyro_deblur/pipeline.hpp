@@ -128,6 +128,23 @@ using EngineFactory = std::function<std::unique_ptr<Engine>(const std::string& e
 
 /// The paper's method for one camera. Calibration and options may change between frames; what depends on them is
 /// rebuilt then. Not thread-safe, engine() aside.
+///
+/// A calibration file (calibration.hpp) goes to three places: `camera` to the pipeline, `R_cam_imu` and the time offset
+/// to the motion, the readout time to the exposure of the rows.
+///
+///     const SensorCalibration file = load_calibration("camchain-imucam.yaml");
+///     Pipeline pipeline({});
+///     pipeline.set_calibration(file.camera.value());
+///     GyroOptions gyro;
+///     gyro.time_offset_ns = file.time_offset_ns.value_or(0);
+///     ShutterTiming timing;
+///     timing.readout_ns = file.readout_ns.value_or(0);
+///     timing.exposure_ns = 20'000'000;
+///     // For each image, with samples from before the exposure of the image before to after its own:
+///     const RotationTrack motion(samples, gyro, file.R_cam_imu.value());
+///     const RowExposure exposure(stamp_ns, image.rows, timing);
+///     const PipelineResult result = pipeline.process(image, PixelLayout::GRAY, motion, exposure, {});
+///     const cv::Mat& deblurred = result.image.empty() ? image : result.image;  // empty: no block was changed
 class Pipeline {
  public:
   /// Throws OptionError. Prepares filters for all blur that the options let through (time and memory by max_extent:
