@@ -63,7 +63,7 @@ install(DIRECTORY config launch rviz workflow
 catkin_install_python(
   PROGRAMS scripts/bag_transport.py scripts/play_bag.py scripts/plot_calibration.py scripts/report.py scripts/setup
   DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
-# What they import is installed beside them. The devel space has relays of the programs, so it has links to these.
+# What they import is installed next to them. The devel space has relays of the programs, so it has links to these.
 foreach(module bag_input.py live_inputs.py missing_packages.py report_bags.py report_measures.py report_pictures.py
         report_tables.py wanted_motion.py)
   install(FILES scripts/${module} DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})

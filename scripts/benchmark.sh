@@ -51,7 +51,7 @@ if "${quick}"; then
   suite_arguments=(--benchmark_min_time=0.05 '--benchmark_filter=blur_field|validation|orb|frame|(cpu|float)/1920')
 fi
 
-step ${STEPS} "Engines in turn"
+step ${STEPS} "Engines, alternating"
 "${build}/benchmark/compare_engines" "${compare_arguments[@]}" --json "${results}/compare.json" |
   tee "${results}/compare.txt"
 

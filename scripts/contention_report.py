@@ -11,7 +11,7 @@ from report_tables import add_table_arguments, number, one_line_about, read_json
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend has to be chosen first)
 
-BESIDE = {
+OTHERS = {
     "alone": "nothing",
     "busy": "a busy process on every core",
     "consumer": "a consumer like SLAM",
@@ -26,9 +26,9 @@ def title(stream):
 
 def latency_table(stream):
     rows = []
-    for key, beside in BESIDE.items():
+    for key, others in OTHERS.items():
         run = stream[key]
-        rows.append([beside, run["frames"], run["deblurred"],
+        rows.append([others, run["frames"], run["deblurred"],
                      *(number(run[f"{name}_ms"], 2) for name in ("p50", "p95", "p99")), number(run["late_p95_ms"], 2),
                      number(run["processor_s"] / run["wall_s"], 1, 100)])
     return titled_table(title(stream) + ":", ["other processes", "frames", "deblurred", "p50 [ms]", "p95 [ms]",
@@ -56,10 +56,10 @@ def draw(report, path):
     figure, axes = plt.subplots(len(streams), 2, figsize=(10, 3.4 * len(streams)), squeeze=False,
                                 constrained_layout=True)
     for (latency, processor), stream in zip(axes, streams):
-        places = range(len(BESIDE))
+        places = range(len(OTHERS))
         for name, color in (("p99", "tab:red"), ("p95", "tab:orange"), ("p50", "tab:green")):
-            latency.barh(places, [stream[key][f"{name}_ms"] for key in BESIDE], color=color, label=name)
-        processor.barh(places, [100 * stream[key]["processor_s"] / stream[key]["wall_s"] for key in BESIDE],
+            latency.barh(places, [stream[key][f"{name}_ms"] for key in OTHERS], color=color, label=name)
+        processor.barh(places, [100 * stream[key]["processor_s"] / stream[key]["wall_s"] for key in OTHERS],
                        color="tab:blue")
         latency.axvline(2 * stream["alone"]["p95_ms"], color="black", linestyle="--", label="twice p95 alone")
         processor.axvline(130 * stream["alone"]["processor_s"] / stream["alone"]["wall_s"], color="black",
@@ -69,8 +69,8 @@ def draw(report, path):
             axis.invert_yaxis()
             axis.grid(axis="x", alpha=0.3)
             axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncol=4, frameon=False)
-        latency.set_yticks(places, BESIDE.values())
-        processor.set_yticks(places, [""] * len(BESIDE))
+        latency.set_yticks(places, OTHERS.values())
+        processor.set_yticks(places, [""] * len(OTHERS))
         latency.set_title(title(stream))
     figure.savefig(path, dpi=110)
 

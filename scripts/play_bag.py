@@ -24,7 +24,7 @@ from bag_input import image_topic, open_bag
 from report_tables import fail
 
 POLL_S = 0.2  # between two looks at something that has no event
-SILENT_S = 5.0  # of waiting, before the user is told what for
+SILENT_S = 5.0  # of waiting, before a line says what for
 
 
 class Patience:
@@ -35,19 +35,19 @@ class Patience:
 
     def until(self, condition, what, progress=lambda: None):
         """Returns when condition() is true; fails when progress() has not changed for too long."""
-        last, since, told = progress(), time.monotonic(), False
+        last, since, reported = progress(), time.monotonic(), False
         while not condition():
             if rospy.is_shutdown():
                 fail("interrupted while waiting for " + what)
             now = progress()
             if now != last:
-                last, since, told = now, time.monotonic(), False
+                last, since, reported = now, time.monotonic(), False
             waited_s = time.monotonic() - since
             if waited_s > self.seconds:
                 fail("waited %.0f s in vain for %s" % (self.seconds, what))
-            if waited_s > SILENT_S and not told:
+            if waited_s > SILENT_S and not reported:
                 print("waiting for %s, for %.0f s at most" % (what, self.seconds), flush=True)
-                told = True
+                reported = True
             time.sleep(POLL_S)
 
 
@@ -114,7 +114,7 @@ class Outputs:
 
 
 class Player:
-    """rosbag play, which ends only when it is told to, or when it fails."""
+    """rosbag play, which ends only on request, or when it fails."""
 
     def __init__(self, bag, topics, arguments):
         command = ["rosbag", "play", "--clock", "--quiet", "--wait-for-subscribers", "--rate=%g" % arguments.rate,

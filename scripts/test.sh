@@ -147,7 +147,7 @@ fi
 if ((${#failed_checks[@]} > 0)); then
   # Once more at the end: often that is all that is kept of a run.
   [[ " ${failed_checks[*]} " != *" Extended tests "* ]] || tail -n 80 "${extended_log}"
-  (IFS=, && printf '\nFailed beside the tests: %s\n' "${failed_checks[*]}")
+  (IFS=, && printf '\nOther checks that failed: %s\n' "${failed_checks[*]}")
 fi
 printf '\n%d passed, %d failed, %d skipped\n' $((total - failed - skipped + extended_passed)) \
   $((failed + ${#failed_checks[@]})) $((skipped + extended_skipped))

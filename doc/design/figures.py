@@ -598,9 +598,9 @@ class MotionSpectrum:
         def squared(waves):
             return np.sinc(ratio * self.extent * waves) ** 2
 
-        beside = 1 / 6 + 1 / 24
-        return ((1 - 2 * beside) * squared(self.frequency) +
-                beside * (squared(self.frequency - 1) + squared(self.frequency + 1)) + 0.003)
+        side = 1 / 6 + 1 / 24
+        return ((1 - 2 * side) * squared(self.frequency) +
+                side * (squared(self.frequency - 1) + squared(self.frequency + 1)) + 0.003)
 
 
 class RatioFit:

@@ -88,7 +88,7 @@ def state_errors(estimate, truth):
 
 class OpenVins:
     """OpenVINS (Geneva et al., ICRA 2020), where the user has built it for ROS 1: its reader of bags. One camera, the
-    settings that come with it for EuRoC, but calibrated: it is told the true calibration and estimates none, and it
+    settings that come with it for EuRoC, but calibrated: it gets the true calibration and estimates none, and it
     starts from the true state, so that all start the same."""
 
     name = "OpenVINS"
