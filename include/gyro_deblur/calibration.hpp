@@ -25,10 +25,9 @@ struct SensorCalibration {
 };
 
 /// Reads a calibration file. Its keys say which format it has:
-/// - Kalibr's camchain.yaml and camchain-imucam.yaml (github.com/ethz-asl/kalibr/wiki/yaml-formats), also as OpenVINS
-/// has
-///   them: pinhole with radtan, equidistant or none, ds, eucm, and omni with radtan or none; `T_cam_imu` or its inverse
-///   `T_imu_cam`, `timeshift_cam_imu`;
+/// - Kalibr's camchain.yaml and camchain-imucam.yaml (github.com/ethz-asl/kalibr/wiki/yaml-formats), also those of
+///   OpenVINS: pinhole with radtan, equidistant or none, ds, eucm, and omni with radtan or none; `T_cam_imu` or its
+///   inverse `T_imu_cam`, `timeshift_cam_imu`;
 /// - EuRoC's sensor.yaml of a camera (Burri et al., IJRR 2016): pinhole with radial-tangential or equidistant, `T_BS`
 ///   from camera to body, `rate_hz`. The IMU's own `T_BS` is read from ../imu0/sensor.yaml where that is; without it
 ///   the body is the IMU;

@@ -106,8 +106,8 @@ struct PipelineResult {
   /// About how much of the image does not move with the camera and is not masked, in [0, 1], see StaticContent; blocks
   /// at its edge are STATIC_EDGE.
   double static_share = 0;
-  /// Rotation of the image as a whole (`rate_rad_s`), and that by `motion`. Where corners are not found
-  /// where the gyroscope says, or most blocks are TOO_LARGE, they are followed without its help.
+  /// Rotation of the image as a whole (`rate_rad_s`), and that by `motion`. If corners are not found where the gyroscope
+  /// says, or most blocks are TOO_LARGE, they are followed without its help.
   std::optional<ResidualRotation> seen_rotation;
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;
@@ -180,10 +180,9 @@ class Pipeline {
   std::optional<TimeRange> newest_frame() const;
 
   /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
-  /// @param motion  of the camera over the frame; blocks it does not cover are NO_GYRO. What it does not know of the
-  ///                motion is found in the images, where it reaches back to the one before. Of a frame
-  ///                that it does not cover wholly, and that flow_without_gyro allows for, optical flow gives all of it,
-  ///                or the block is NO_GYRO
+  /// @param motion  of the camera over the frame and, for optical flow, back to newest_frame(). Blocks that it does not
+  ///                cover are NO_GYRO. If it does not cover the frame wholly and flow_without_gyro allows it, optical
+  ///                flow alone gives the motion of every block, or the block is NO_GYRO
   /// Throws std::invalid_argument when the image or the mask does not fit, std::logic_error before set_calibration.
   PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                          const RowExposure& exposure, const PipelineRequest& request);
