@@ -54,13 +54,6 @@ build_jobs() {
   printf '%d' $((cores < memory ? cores : memory))
 }
 
-# long_tests: a regular expression for the names of the tests in test/long_tests.txt, for ctest.
-long_tests() {
-  local names
-  names="$(grep -v -E '^ *(#|$)' "${GYRO_DEBLUR_ROOT}/test/long_tests.txt" | paste -s -d '|')"
-  printf '^(%s)$' "${names}"
-}
-
 # take_update_doc ARGUMENTS...: sets `update_doc`, whether --update-doc is among them, and `arguments`, the others.
 # shellcheck disable=SC2034
 take_update_doc() {

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs what is missing, builds, checks format, package and documents, and runs the tests. Ends with the line 'N
-# passed, N failed, N skipped'. Tests that take minutes (test/long_tests.txt) are left out, unless arguments for ctest
-# are given: scripts/extended_tests.sh runs them. --extended, first: sanitizers and fuzzers too, after the tests
+# passed, N failed, N skipped'. Tests that take minutes (label long) are left out, unless arguments for ctest are
+# given: scripts/extended_tests.sh runs them. --extended, first: sanitizers and fuzzers too, after the tests
 # (scripts/extended_tests.sh --quick), which count as one test more, and as a skipped one when 75 minutes are over, from
 # the beginning, before their last part begins. Further arguments go to ctest.
 set -euo pipefail
@@ -92,21 +92,16 @@ ctest_status=0
 # Those that somebody asks for by name are not left out.
 chosen=("$@")
 if (($# == 0)); then
-  chosen=(-E "$(long_tests)")
-  count="$(grep -c -v -E '^ *(#|$)' test/long_tests.txt)"
-  say "left out: ${count} long tests (scripts/extended_tests.sh --only long runs them)"
+  chosen=(-LE '^long$')
+  say "left out: tests with the label long (scripts/extended_tests.sh --only long runs them)"
 fi
 # The devel space is for these alone: its path of libraries would have the sanitizers' programs load this build's.
 (source_devel_space && cd "${GYRO_DEBLUR_BUILD}" && ctest --output-on-failure --no-tests=error --parallel "$(nproc)" "${chosen[@]}") 2>&1 |
   tee "${log}" || ctest_status=$?
 
-# ctest counts a skipped test among the passed ones.
-total="$(sed -n 's/^.* tests passed, .* out of \([0-9]*\)$/\1/p' "${log}" | tail -n 1)"
-failed="$(sed -n 's/^.* tests passed, \([0-9]*\) tests\? failed out of [0-9]*$/\1/p' "${log}" | tail -n 1)"
-skipped="$(grep -c -E '^ *[0-9]+/[0-9]+ Test +#[0-9]+: .*\*\*\*Skipped' "${log}" || true)"
-if [[ -z "${total}" || -z "${failed}" ]]; then
+summary="$(/usr/bin/python3 scripts/test_summary.py "${log}" "${GYRO_DEBLUR_BUILD}/Testing/Temporary/LastTest.log")" ||
   fail "ctest ran no test (status ${ctest_status}); see ${log}"
-fi
+read -r passed failed skipped <<< "${summary##*$'\n'}"
 took
 
 if "${extended}"; then
@@ -130,25 +125,13 @@ if "${extended}"; then
   took
 fi
 
-if ((skipped > 0)); then
-  printf '\nSkipped tests and why:\n'
-  # The reason stands below the line 'FILE:LINE: Skipped' in the tests' own output.
-  sed -n 's/^ *[0-9]*\/[0-9]* Test *#[0-9]*: \(.*[^ .]\) *\.*\*\*\*Skipped.*$/  \1/p' "${log}"
-  grep -h -A 1 -E '(: Skipped$|^SKIPPED:)' "${GYRO_DEBLUR_BUILD}/Testing/Temporary/LastTest.log" |
-    grep -v -E '(: Skipped$|^SKIPPED:|^--$)' | sort | uniq -c | sort -rn | sed 's/^/  /' || true
-fi
-if ((failed > 0)); then
-  # Here, where a log that is cut at its beginning still has it.
-  printf '\nFailed tests, the end of what each said:\n'
-  awk '/^[0-9]+\/[0-9]+ Testing: / { n = 0 } { line[n++] = $0 }
-    /^Test Failed\.$/ { for (i = n > 60 ? n - 60 : 0; i < n; ++i) print "  " line[i]; n = 0 }' \
-    "${GYRO_DEBLUR_BUILD}/Testing/Temporary/LastTest.log"
-fi
+# Here, where a log that is cut at its beginning still has it.
+printf '%s\n' "${summary%$'\n'*}"
 if ((${#failed_checks[@]} > 0)); then
   # Once more at the end: often that is all that is kept of a run.
   [[ " ${failed_checks[*]} " != *" Extended tests "* ]] || tail -n 80 "${extended_log}"
   (IFS=, && printf '\nOther checks that failed: %s\n' "${failed_checks[*]}")
 fi
-printf '\n%d passed, %d failed, %d skipped\n' $((total - failed - skipped + extended_passed)) \
+printf '\n%d passed, %d failed, %d skipped\n' $((passed + extended_passed)) \
   $((failed + ${#failed_checks[@]})) $((skipped + extended_skipped))
 ((failed == 0 && ${#failed_checks[@]} == 0 && ctest_status == 0))
