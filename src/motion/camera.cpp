@@ -11,11 +11,6 @@
 #include "motion/lens_models.hpp"
 
 namespace gyro_deblur {
-namespace {
-
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-
-}  // namespace
 
 std::string require_distortion_model(const std::string& name) { return name.empty() ? "none" : lens_model(name).name; }
 

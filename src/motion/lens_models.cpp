@@ -17,9 +17,6 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-constexpr double kHalfPi = 1.57079632679489661923;
-
 using Polynomial = std::array<double, 5>;
 
 struct ValueAndSlope {

@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstddef>
+#include <limits>
 #include <memory>
 #include <string>
 #include <vector>
@@ -11,6 +12,10 @@
 #include <Eigen/Core>
 
 namespace gyro_deblur {
+
+inline constexpr double kHalfPi = 1.57079632679489661923;
+/// Of what no lens shows.
+inline constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 /// A lens with its coefficients.
 class LensModel {

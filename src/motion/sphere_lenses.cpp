@@ -11,8 +11,7 @@
 namespace gyro_deblur {
 namespace {
 
-const Eigen::Vector2d kInvalid = Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
-constexpr double kHalfPi = 1.57079632679489661923;
+const Eigen::Vector2d kInvalid = Eigen::Vector2d::Constant(kNan);
 
 /// (x/z, y/z) of a ray; NaN outside of the cone about the optical axis, and for rays that are not in front of the image
 /// plane, which these coordinates cannot express.
