@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Extended tests, in build/extended_tests: every test of the package itself, nodelets included, under AddressSanitizer
 # and UndefinedBehaviorSanitizer, those of what works with threads under ThreadSanitizer, the fuzz targets for a minute
-# each, the soak for ten minutes of simulated time, and the long tests (test/long_tests.txt). Fails when one of them
+# each, the soak for ten minutes of simulated time, and the long tests (label long). Fails when one of them
 # finds something, or a test hangs. --quick, as in continuous integration: the tests of test/sanitized_tests.txt,
 # fuzzers for 10 s each, 20 reloads of the nodelet, the soak for a minute, no long tests.
 #

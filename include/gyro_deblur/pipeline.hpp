@@ -106,8 +106,8 @@ struct PipelineResult {
   /// About how much of the image does not move with the camera and is not masked, in [0, 1], see StaticContent; blocks
   /// at its edge are STATIC_EDGE.
   double static_share = 0;
-  /// Rotation of the image as a whole (`rate_rad_s`), and that by `motion`. If corners are not found where the gyroscope
-  /// says, or most blocks are TOO_LARGE, they are followed without its help.
+  /// Rotation of the image as a whole (`rate_rad_s`), and that by `motion`. If corners are not found where the
+  /// gyroscope says, or most blocks are TOO_LARGE, they are followed without its help.
   std::optional<ResidualRotation> seen_rotation;
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;

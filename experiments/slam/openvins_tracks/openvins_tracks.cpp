@@ -1,5 +1,5 @@
-// OpenVINS (Geneva et al., ICRA 2020) on the feature_tracks of a bag in place of corners of its own: all weighed equally,
-// or each weighed by its covariance. Starts from a given state and writes the poses that it estimates.
+// OpenVINS (Geneva et al., ICRA 2020) on the feature_tracks of a bag in place of corners of its own: all weighed
+// equally, or each weighed by its covariance. Starts from a given state and writes the poses that it estimates.
 #include <cmath>
 #include <cstddef>
 #include <cstdio>
