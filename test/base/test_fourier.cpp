@@ -9,7 +9,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
-namespace gyro_deblur {
+namespace gyro_deblur::fourier_test {
 namespace {
 
 using Gain = cv::Mat_<std::complex<double>>;  // frequencies v down, u across, as cv::dft has them
@@ -135,4 +135,4 @@ TEST(Fourier, LoopsOfTheWidestSetAreTheBest) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::fourier_test

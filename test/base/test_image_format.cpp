@@ -12,7 +12,7 @@
 
 #include "gyro_deblur/options.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::image_format_test {
 namespace {
 
 TEST(LayoutOfEncoding, KnowsEveryEncodingThatCanBeDeblurred) {
@@ -255,4 +255,4 @@ TEST(KeepRange, TakesBackWhatFilteringAdded) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::image_format_test

@@ -6,7 +6,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::join_test {
 namespace {
 
 using Words = std::vector<std::string>;
@@ -25,4 +25,4 @@ TEST(Join, PutsAConjunctionBeforeTheLast) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::join_test

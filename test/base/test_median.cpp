@@ -8,7 +8,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::median_test {
 namespace {
 
 TEST(Median, MiddleOfAnOddNumberInAnyOrder) {
@@ -57,4 +57,4 @@ TEST(Median, AgreesWithSortingAndLeavesItsArgumentAlone) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::median_test

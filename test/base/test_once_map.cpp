@@ -7,7 +7,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::once_map_test {
 namespace {
 
 TEST(OnceMap, MakesEachValueOnceForAllThreads) {
@@ -57,4 +57,4 @@ TEST(OnceMap, ForgetsWhatIsNotKept) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::once_map_test

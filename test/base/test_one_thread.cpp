@@ -9,7 +9,7 @@
 
 #include <opencv2/core.hpp>
 
-namespace gyro_deblur {
+namespace gyro_deblur::one_thread_test {
 namespace {
 
 /// Threads that OpenCV runs a loop's stripes on.
@@ -48,4 +48,4 @@ TEST(OnOneThread, PassesOnWhatIsThrown) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::one_thread_test

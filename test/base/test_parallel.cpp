@@ -19,7 +19,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::parallel_test {
 namespace {
 
 constexpr int kThreads = 4;
@@ -199,4 +199,4 @@ TEST(AvailableCores, AreThoseOfTheAffinity) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::parallel_test

@@ -10,7 +10,7 @@
 #include "base/require_range.hpp"
 #include "option_error_text.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::time_test {
 namespace {
 
 using test::option_error;
@@ -62,4 +62,4 @@ TEST(RequireRange, NamesValueAndRange) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::time_test

@@ -4,7 +4,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::time_slice_test {
 namespace {
 
 TEST(TurnsOfAFrame, AreOfTheThreadThatAsksAlone) {
@@ -27,4 +27,4 @@ TEST(TurnsOfAFrame, AreOfTheThreadThatAsksAlone) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::time_slice_test

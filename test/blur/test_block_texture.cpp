@@ -6,7 +6,7 @@
 
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::block_texture_test {
 namespace {
 
 /// A texture of which any line has the power `strength` / f^2: random waves whose power falls with the cube of the
@@ -71,4 +71,4 @@ TEST(TextureAlongLine, TakesBlocksOfAnySize) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::block_texture_test

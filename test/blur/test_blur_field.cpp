@@ -13,7 +13,7 @@
 #include "base/median.hpp"
 #include "euroc_camera.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::blur_field_test {
 namespace {
 
 using test::AnalyticMotion;
@@ -527,4 +527,4 @@ TEST(BlurFieldFromDisplacement, RefusesMatricesThatDoNotFit) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::blur_field_test

@@ -12,7 +12,7 @@
 #include "paths_2d.hpp"
 #include "validation_scores.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::blur_likelihood_test {
 namespace {
 
 constexpr int kWidthPx = 640, kHeightPx = 512;
@@ -241,4 +241,4 @@ TEST(WithNeighbours, LimitsWhatTheOthersSay) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::blur_likelihood_test

@@ -8,7 +8,7 @@
 #include "gyro_deblur/blur_field.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::blur_validation_test {
 namespace {
 
 double radians(double degrees) { return degrees * CV_PI / 180; }
@@ -184,4 +184,4 @@ TEST(ValidateBlurField, RefusesImagesThatDoNotFit) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::blur_validation_test

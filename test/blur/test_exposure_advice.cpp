@@ -6,7 +6,7 @@
 
 #include "gyro_deblur/blur_field.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::exposure_advice_test {
 namespace {
 
 constexpr TimeNs kMs = 1'000'000, kSecond = 1000 * kMs;
@@ -145,4 +145,4 @@ TEST(ExposureTerms, AreThoseOfTheField) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::exposure_advice_test

@@ -10,7 +10,7 @@
 #include "paths_2d.hpp"
 #include "validation_scores.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::exposure_estimate_test {
 namespace {
 
 constexpr int kWidthPx = 640, kHeightPx = 480;
@@ -179,4 +179,4 @@ TEST(ExposureEstimate, TakesImagesOfAnySizeAndRefusesOthers) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::exposure_estimate_test

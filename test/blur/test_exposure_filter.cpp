@@ -7,7 +7,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
-namespace gyro_deblur {
+namespace gyro_deblur::exposure_filter_test {
 namespace {
 
 constexpr TimeNs kFrameNs = 50'000'000;
@@ -197,4 +197,4 @@ TEST(ExposureFilter, ForgetsWhenTimeJumpsBack) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::exposure_filter_test

@@ -6,7 +6,7 @@
 
 #include "gyro_deblur/blur_field.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::frame_quality_test {
 namespace {
 
 constexpr double kNoise = 2, kContrast = 50;
@@ -157,4 +157,4 @@ TEST(TrustMask, GoesByTheWholeOfABentPath) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::frame_quality_test

@@ -8,7 +8,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::gradient_simd_test {
 namespace {
 
 /// Pixel by pixel, with the Sobel pair as in textbooks.
@@ -62,4 +62,4 @@ TEST(GradientSimd, OfTheWidestSetAreTheBest) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::gradient_simd_test

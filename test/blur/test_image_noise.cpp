@@ -7,7 +7,7 @@
 
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::image_noise_test {
 namespace {
 
 constexpr double kLevels[] = {0.5, 1, 2, 4, 8, 12};  // [grey levels]
@@ -127,4 +127,4 @@ TEST(ImageNoise, IsNotKnownWithoutPixelsToSeeItOn) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::image_noise_test

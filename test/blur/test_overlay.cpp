@@ -13,7 +13,7 @@
 
 #include "gyro_deblur/blur_field.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::overlay_test {
 namespace {
 
 cv::Vec3b bgr(BlockStatus status) {
@@ -206,4 +206,4 @@ TEST(DrawOverlay, RefusesImagesThatDoNotFit) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::overlay_test

@@ -11,7 +11,7 @@
 #include "gyro_deblur/blur_field.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::pixel_mask_test {
 namespace {
 
 constexpr int kWidthPx = 330, kHeightPx = 250;
@@ -181,4 +181,4 @@ TEST(PixelMask, MaskedPixelsTellNothingOfTheNoise) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::pixel_mask_test

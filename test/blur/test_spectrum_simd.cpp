@@ -14,7 +14,7 @@
 
 #include "blur/blur_likelihood.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::spectrum_simd_test {
 namespace {
 
 class SpectrumSimdTest : public testing::TestWithParam<const char*> {
@@ -151,4 +151,4 @@ TEST_P(SpectrumSimdTest, LeastCost) {
 INSTANTIATE_TEST_SUITE_P(InstructionSets, SpectrumSimdTest, testing::Values("baseline", "avx2", "avx512"));
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::spectrum_simd_test

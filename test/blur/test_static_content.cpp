@@ -9,7 +9,7 @@
 
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::static_content_test {
 namespace {
 
 constexpr int kWidthPx = 480, kHeightPx = 360;
@@ -206,4 +206,4 @@ TEST(StaticContent, StartsAnewWithImagesOfAnotherSize) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::static_content_test

@@ -10,7 +10,7 @@
 #include "base/median.hpp"
 #include "sim/simulator.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::frame_tracker_test {
 namespace {
 
 cv::Mat grey_texture() {
@@ -93,4 +93,4 @@ TEST(FrameTracker, IsNotPulledAlongByAPatchThatTurnsAndGrows) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::frame_tracker_test

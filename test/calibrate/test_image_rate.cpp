@@ -11,7 +11,7 @@
 #include "gyro_deblur/rotation_track.hpp"
 #include "sim/simulator.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::image_rate_test {
 namespace {
 
 constexpr int kWidth = 320, kHeight = 240;
@@ -142,4 +142,4 @@ TEST(ImageRate, IsNotThereWithoutTextureOrAfterABreak) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::image_rate_test

@@ -7,7 +7,7 @@
 #include "calibrate/recorded_exposure.hpp"
 #include "sim/simulator.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::recording_exposure_test {
 namespace {
 
 constexpr TimeNs kMs = 1'000'000;
@@ -129,4 +129,4 @@ TEST(RecordedExposure, IsComparedWithMessages) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::recording_exposure_test

@@ -11,7 +11,7 @@
 #include "calibrate/self_calibration.hpp"
 #include "timing_truth.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::self_calibration_test {
 namespace {
 
 using namespace test;
@@ -402,4 +402,4 @@ TEST(SelfCalibration, RefusesOptionsOutOfRange) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::self_calibration_test

@@ -11,7 +11,7 @@
 #include "sim/simulator.hpp"
 #include "timing_truth.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::timing_calibration_test {
 namespace {
 
 using namespace test;
@@ -305,4 +305,4 @@ TEST(EstimateTiming, SaysWhatIsNotDetermined) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::timing_calibration_test

@@ -11,7 +11,7 @@
 #include "sim/simulator.hpp"
 #include "timing_truth.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::timing_footage_test {
 namespace {
 
 using namespace test;
@@ -118,4 +118,4 @@ TEST(TimingFootage, MeetsTheLimits) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::timing_footage_test

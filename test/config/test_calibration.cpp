@@ -17,7 +17,7 @@
 
 #include "gyro_deblur/config.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::calibration_test {
 namespace {
 
 const std::string kFolder = GYRO_DEBLUR_SOURCE_DIR "/test/config/calibration/";
@@ -474,4 +474,4 @@ TEST(CalibrationFileInTheConfiguration, IsRelativeToIt) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::calibration_test

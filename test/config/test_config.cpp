@@ -14,7 +14,7 @@
 
 #include "config/parameters.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::config_test {
 namespace {
 
 constexpr TimeNs kMs = 1'000'000;
@@ -477,4 +477,4 @@ TEST(LoadConfig, NamesTheFileThatCannotBeUsed) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::config_test

@@ -11,7 +11,7 @@
 #include "gyro_deblur/config.hpp"
 #include "option_error_text.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::options_test {
 namespace {
 
 using test::option_error;
@@ -132,4 +132,4 @@ TEST(Options, GyroLimits) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::options_test

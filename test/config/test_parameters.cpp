@@ -13,7 +13,7 @@
 
 #include "parameter_documents.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::parameters_test {
 namespace {
 
 /// Parameters and constants.
@@ -220,7 +220,7 @@ void expect_file(const std::string& name, const std::string& expected) {
   const std::string path = GYRO_DEBLUR_SOURCE_DIR "/" + name;
   if (std::getenv("GYRO_DEBLUR_UPDATE") != nullptr) std::ofstream(path) << expected;
   EXPECT_TRUE(read_file(path) == expected)
-      << name << " is not what src/config/parameters.cpp says. GYRO_DEBLUR_UPDATE=1 test_parameters writes it.";
+      << name << " is not what src/config/parameters.cpp says. GYRO_DEBLUR_UPDATE=1 test_config writes it.";
 }
 
 TEST(ParameterDocuments, DefaultYaml) { expect_file("config/default.yaml", test::default_yaml()); }
@@ -238,4 +238,4 @@ TEST(ParameterDocuments, Page) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::parameters_test

@@ -13,7 +13,7 @@
 #include "inverse/filter_bank.hpp"
 #include "naive_convolution.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::block_engine_test {
 namespace {
 
 using test::equal;
@@ -139,4 +139,4 @@ TEST_F(BlockEngineTest, IsCalledForFramesWithNothingToFilterToo) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::block_engine_test

@@ -15,7 +15,7 @@
 #include "images.hpp"
 #include "inverse/filter_bank.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::block_method_test {
 namespace {
 
 using test::random_image;
@@ -163,4 +163,4 @@ TEST(CpuEngineSlowBlocks, AreNoneWhereNothingIsFiltered) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::block_method_test

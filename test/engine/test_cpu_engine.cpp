@@ -16,7 +16,7 @@
 #include "pipeline/deconvolution.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::cpu_engine_test {
 namespace {
 
 double psnr_db(double mean_square, double full_scale = 255) {
@@ -296,4 +296,4 @@ TEST_P(CpuEngineTest, RefusesOtherTypes) {
 INSTANTIATE_TEST_SUITE_P(InstructionSets, CpuEngineTest, testing::Values("baseline", "avx2", "avx512"));
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::cpu_engine_test

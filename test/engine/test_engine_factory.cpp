@@ -6,7 +6,7 @@
 
 #include "gyro_deblur/options.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::engine_factory_test {
 namespace {
 
 TEST(MakeEngine, KnowsItsNames) {
@@ -39,4 +39,4 @@ TEST(MakeEngine, TakesADeviceForOpenClAlone) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::engine_factory_test

@@ -14,7 +14,7 @@
 #include "inverse/filter_bank.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::fallback_engine_test {
 namespace {
 
 /// Works for some frames, then throws having spoilt the result.
@@ -133,4 +133,4 @@ TEST_F(FallbackEngineTest, IsNotForUnknownNames) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::fallback_engine_test

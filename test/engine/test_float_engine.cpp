@@ -12,7 +12,7 @@
 #include "inverse/filter_bank.hpp"
 #include "naive_convolution.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::float_engine_test {
 namespace {
 
 using test::equal;
@@ -103,4 +103,4 @@ TEST(FloatEngine, RefusesOtherTypes) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::float_engine_test

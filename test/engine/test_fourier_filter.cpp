@@ -20,7 +20,7 @@
 #include "roll_scene.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::fourier_filter_test {
 namespace {
 
 using test::equal;
@@ -307,4 +307,4 @@ TEST(FourierFilter, LeavesNoSeams) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::fourier_filter_test

@@ -11,7 +11,7 @@
 #include "images.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::half_size_test {
 namespace {
 
 /// A wave of (fx, fy) cycles/px around the middle of the range.
@@ -113,4 +113,4 @@ TEST(HalfSize, DoesNotDependOnThreads) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::half_size_test

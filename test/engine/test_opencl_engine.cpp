@@ -17,7 +17,7 @@
 #include "inverse/filter_bank.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::opencl_engine_test {
 namespace {
 
 constexpr int kThreads = 2;
@@ -229,4 +229,4 @@ TEST_F(OpenClDeviceTest, ListsWhatThereIsWhenNoneFits) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::opencl_engine_test

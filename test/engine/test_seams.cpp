@@ -18,7 +18,7 @@
 #include "roll_scene.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::seams_test {
 namespace {
 
 constexpr int kThreads = 2;
@@ -263,4 +263,4 @@ INSTANTIATE_TEST_SUITE_P(Engines, SeamsTest,
                          testing::Values("float", "cpu-baseline", "cpu-avx2", "cpu-avx512", "opencl"), engine_name);
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::seams_test

@@ -9,7 +9,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::alignment_simd_test {
 namespace {
 
 class AlignmentSimdTest : public testing::TestWithParam<const char*> {
@@ -216,4 +216,4 @@ TEST(AlignmentSimd, OfTheWidestSetAreTheBest) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::alignment_simd_test

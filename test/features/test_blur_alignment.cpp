@@ -10,7 +10,7 @@
 #include "blurred_texture.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::blur_alignment_test {
 namespace {
 
 using test::SinusoidTexture;
@@ -273,4 +273,4 @@ TEST_F(BlurAlignmentTest, FindsNothingWhereThereIsNothingToFind) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::blur_alignment_test

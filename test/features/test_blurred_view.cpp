@@ -7,7 +7,7 @@
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::blurred_view_test {
 namespace {
 
 constexpr TimeNs kExposureNs = 20'000'000, kPeriodNs = 50'000'000;
@@ -109,4 +109,4 @@ TEST_F(BlurredViewTest, PredictsPlaceAndMap) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::blurred_view_test

@@ -6,7 +6,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
 
-namespace gyro_deblur {
+namespace gyro_deblur::corner_detector_test {
 namespace {
 
 const cv::Size kSize(321, 243);  // odd: the last column and row have no half
@@ -77,4 +77,4 @@ TEST(CornerDetector, FindsNoneWhereThereIsNone) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::corner_detector_test

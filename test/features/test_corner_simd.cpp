@@ -8,7 +8,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::corner_simd_test {
 namespace {
 
 /// With the room that is promised and no more, so that AddressSanitizer sees what is read or written beyond it.
@@ -127,4 +127,4 @@ TEST(CornerSimd, OfTheWidestSetAreTheBest) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::corner_simd_test

@@ -7,7 +7,7 @@
 #include <gtest/gtest.h>
 #include <Eigen/Geometry>
 
-namespace gyro_deblur {
+namespace gyro_deblur::epipolar_check_test {
 namespace {
 
 constexpr double kFocalPx = 450, kMaxPx = 1;
@@ -90,4 +90,4 @@ TEST_F(EpipolarCheckTest, WhatStaysAgreesAndSoDoTooFewPoints) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::epipolar_check_test

@@ -15,7 +15,7 @@
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::feature_tracker_test {
 namespace {
 
 using sim::Simulator;
@@ -315,4 +315,4 @@ TEST_F(FeatureTrackerTest, RepeatedPictureHasTheTracksOfTheFirstTime) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::feature_tracker_test

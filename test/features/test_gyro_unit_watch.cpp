@@ -7,7 +7,7 @@
 
 #include "gyro_deblur/frame_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::gyro_unit_watch_test {
 namespace {
 
 constexpr TimeNs kPeriod = 50'000'000;
@@ -85,4 +85,4 @@ TEST(GyroUnitWatch, OldImagesAreForgotten) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::gyro_unit_watch_test

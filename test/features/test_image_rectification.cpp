@@ -18,7 +18,7 @@
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::image_rectification_test {
 namespace {
 
 using sim::Simulator;
@@ -346,4 +346,4 @@ motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3,
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::image_rectification_test

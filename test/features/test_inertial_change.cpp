@@ -5,7 +5,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::inertial_change_test {
 namespace {
 
 constexpr double kStepS = 0.05, kInverseDepth = 0.4, kFocalPx = 400;
@@ -149,4 +149,4 @@ TEST(InertialChange, OfGravityIsNoneWhateverTheStep) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::inertial_change_test

@@ -12,7 +12,7 @@
 #include "option_error_text.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::keypoints_test {
 namespace {
 
 const std::vector<std::string> kDetectors = available_detectors();
@@ -263,4 +263,4 @@ TEST(FeatureExtractor, TakesSmallAndFlatImages) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::keypoints_test

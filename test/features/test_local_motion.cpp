@@ -5,7 +5,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
-namespace gyro_deblur {
+namespace gyro_deblur::local_motion_test {
 namespace {
 
 const Eigen::Vector2d kMiddle(300, 200), kDisplacement(0.7, -0.4);
@@ -52,4 +52,4 @@ TEST(LocalMotion, OfTooFewIsNone) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::local_motion_test

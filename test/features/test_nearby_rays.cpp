@@ -7,7 +7,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::nearby_rays_test {
 namespace {
 
 class NearbyRaysTest : public testing::TestWithParam<std::pair<const char*, std::vector<double>>> {
@@ -55,4 +55,4 @@ INSTANTIATE_TEST_SUITE_P(Lenses, NearbyRaysTest,
                          [](const auto& lens) { return std::string(lens.param.first); });
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::nearby_rays_test

@@ -9,7 +9,7 @@
 
 #include "gyro_deblur/frame_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::point_covariance_test {
 namespace {
 
 constexpr int kSidePx = 129, kMiddlePx = 64;
@@ -227,4 +227,4 @@ TEST(PointCovariance, WantsTheFieldsLuminance) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::point_covariance_test

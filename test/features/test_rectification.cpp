@@ -10,7 +10,7 @@
 #include "euroc_camera.hpp"
 #include "gyro_deblur/blur_field.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::rectification_test {
 namespace {
 
 using test::AnalyticMotion;
@@ -250,4 +250,4 @@ TEST(RectifyPointsByStatus, NormalizedCoordinatesAreTheImagesOwn) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::rectification_test

@@ -3,7 +3,7 @@
 #include <gtest/gtest.h>
 #include <Eigen/Geometry>
 
-namespace gyro_deblur {
+namespace gyro_deblur::remembered_motion_test {
 namespace {
 
 /// Turns at a constant rate, and counts how often it is asked.
@@ -42,4 +42,4 @@ TEST(RememberedMotion, NeverTakesOnePairForAnother) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::remembered_motion_test

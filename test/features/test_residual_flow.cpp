@@ -13,7 +13,7 @@
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::residual_flow_test {
 namespace {
 
 using sim::Simulator;
@@ -277,4 +277,4 @@ TEST_F(StillCamera, KnowsNothingAcrossACutOrALongBreakOrWithoutTexture) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::residual_flow_test

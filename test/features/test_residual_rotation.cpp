@@ -13,7 +13,7 @@
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::residual_rotation_test {
 namespace {
 
 Camera wide_lens() {
@@ -246,4 +246,4 @@ TEST(GyroErrorOfImages, IsNoneOfACameraThatCirclesWhatItSees) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::residual_rotation_test

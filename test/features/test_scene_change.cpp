@@ -6,7 +6,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::scene_change_test {
 namespace {
 
 using Complex = std::complex<double>;
@@ -92,4 +92,4 @@ TEST(CommonChanges, OfOneVelocityAreFinite) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::scene_change_test

@@ -12,7 +12,7 @@
 
 #include "inverse/filter_bank.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::exact_taps_test {
 namespace {
 
 std::int32_t low_half(const PairTap& tap) { return static_cast<std::int16_t>(tap.weights & 0xffff); }
@@ -87,4 +87,4 @@ TEST(ExactTaps, KeepTheSumAndStayWithinTheirBits) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::exact_taps_test

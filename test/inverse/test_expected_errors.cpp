@@ -8,7 +8,7 @@
 #include "inverse/filter_bank.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::expected_errors_test {
 namespace {
 
 constexpr double kNoiseToSignalRatio = 0.01;
@@ -96,4 +96,4 @@ TEST(ExpectedErrors, EndAtTheLargestNoiseToSignalRatio) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::expected_errors_test

@@ -14,7 +14,7 @@
 
 #include "blur/path_1d.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::filter_bank_test {
 namespace {
 
 double sum(const std::vector<double>& v) { return std::accumulate(v.begin(), v.end(), 0.0); }
@@ -334,4 +334,4 @@ TEST(FilterBank, SharesKernelsAmongThreads) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::filter_bank_test

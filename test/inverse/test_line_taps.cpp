@@ -9,7 +9,7 @@
 
 #include "inverse/filter_bank.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::line_taps_test {
 namespace {
 
 double radians(double degrees) { return degrees * CV_PI / 180; }
@@ -115,4 +115,4 @@ TEST(LineSteps, LieOnTheLineAndHaveTheWeightsOfTheAxis) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::line_taps_test

@@ -12,7 +12,7 @@
 #include "inverse/filter_bank.hpp"
 #include "inverse/line_taps.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::tap_simd_test {
 namespace {
 
 class TapSimdTest : public testing::TestWithParam<const char*> {
@@ -106,4 +106,4 @@ TEST(TapSimd, AreThereForKnownNamesAlone) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::tap_simd_test

@@ -13,7 +13,7 @@
 #include "inverse/filter_bank.hpp"
 #include "inverse/line_taps.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::two_scale_taps_test {
 namespace {
 
 class TwoScaleTapsTest : public testing::TestWithParam<const char*> {
@@ -200,4 +200,4 @@ TEST(ShearedTaps, MakeTheKernelAgain) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::two_scale_taps_test

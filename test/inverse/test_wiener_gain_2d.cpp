@@ -13,7 +13,7 @@
 #include "blur/path_2d.hpp"
 #include "paths_2d.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::wiener_gain_2d_test {
 namespace {
 
 class WienerGain2dTest : public testing::TestWithParam<const char*> {
@@ -134,4 +134,4 @@ TEST(Path2d, CoversItsPlacesAndTheMiddle) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::wiener_gain_2d_test

@@ -10,7 +10,7 @@
 #include <Eigen/Geometry>
 #include <opencv2/calib3d.hpp>
 
-namespace gyro_deblur {
+namespace gyro_deblur::camera_test {
 namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
@@ -263,4 +263,4 @@ TEST(CameraCalibration, EqualityLooksAtEverything) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::camera_test

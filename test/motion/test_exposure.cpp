@@ -5,7 +5,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::exposure_test {
 namespace {
 
 constexpr TimeNs kMs = 1'000'000;
@@ -281,4 +281,4 @@ TEST(FramePeriod, BoundsTheReadout) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::exposure_test

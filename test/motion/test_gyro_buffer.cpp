@@ -6,7 +6,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::gyro_buffer_test {
 namespace {
 
 using AddResult = GyroBuffer::AddResult;
@@ -127,4 +127,4 @@ TEST(StationaryBias, RefusesTooFewOrBrokenSamples) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::gyro_buffer_test

@@ -14,7 +14,7 @@
 
 #include "gyro_deblur/camera.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::lens_models_test {
 namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
@@ -353,4 +353,4 @@ TEST(LensModels, AnUnknownNameListsWhatThereIs) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::lens_models_test

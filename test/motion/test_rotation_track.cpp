@@ -12,7 +12,7 @@
 
 #include "analytic_motion.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::rotation_track_test {
 namespace {
 
 using test::AnalyticMotion;
@@ -367,4 +367,4 @@ TEST(VelocityGain, IsNoneWithoutAnAccelerometerOrBeyondWhatIsCovered) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::rotation_track_test

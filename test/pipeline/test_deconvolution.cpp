@@ -19,7 +19,7 @@
 #include "paths_2d.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::deconvolution_test {
 namespace {
 
 using test::equal;
@@ -537,4 +537,4 @@ TEST(PrepareDeconvolution, LeavesNothingToMakeForAFrame) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::deconvolution_test

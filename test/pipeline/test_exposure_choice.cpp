@@ -6,7 +6,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::exposure_choice_test {
 namespace {
 
 constexpr TimeNs kMs = 1'000'000, kPeriod = 50 * kMs;
@@ -178,4 +178,4 @@ TEST_F(Choice, ResetForgetsButKeepsThePolicy) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::exposure_choice_test

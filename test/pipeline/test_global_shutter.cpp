@@ -12,7 +12,7 @@
 #include "panning_camera.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::global_shutter_test {
 namespace {
 
 using test::kFocalPx;
@@ -200,4 +200,4 @@ TEST(PipelineGlobalShutter, WhatCannotBeMovedIsNone) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::global_shutter_test

@@ -18,7 +18,7 @@
 #include "repeated_pictures.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::pipeline_test {
 namespace {
 
 using test::kFocalPx;
@@ -711,4 +711,4 @@ TEST(Pipeline, FollowsTheCalibration) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::pipeline_test

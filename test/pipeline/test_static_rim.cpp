@@ -12,7 +12,7 @@
 #include "gyro_deblur/pipeline.hpp"
 #include "synthetic_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::static_rim_test {
 namespace {
 
 constexpr int kWidthPx = 480, kHeightPx = 352, kRadiusPx = 220;
@@ -301,4 +301,4 @@ TEST(StaticRim, MaskOfAnotherSizeIsRefused) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::static_rim_test

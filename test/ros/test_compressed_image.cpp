@@ -10,7 +10,7 @@
 
 #include "message_builders.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::compressed_image_test {
 namespace {
 
 using namespace test;
@@ -160,4 +160,4 @@ TEST(DecodeImage, EndOfAPreviewIsNotThatOfTheImage) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::compressed_image_test

@@ -13,7 +13,7 @@
 #include "ros/param_conversion.hpp"
 #include "ros/pass_through.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::conversions_test {
 namespace {
 
 using namespace test;
@@ -583,4 +583,4 @@ TEST(Names, AgreeWithTheMessage) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::conversions_test

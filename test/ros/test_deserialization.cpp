@@ -8,7 +8,7 @@
 #include "message_builders.hpp"
 #include "spoilt_message.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::deserialization_test {
 namespace {
 
 using namespace test;
@@ -72,4 +72,4 @@ TEST(DeserializeChecked, EveryCutIsAnError) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::deserialization_test

@@ -11,7 +11,7 @@
 #include "features/residual_rotation.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::diagnostics_test {
 namespace {
 
 using diagnostic_msgs::DiagnosticStatus;
@@ -376,4 +376,4 @@ TEST(OutputStatistics, AddsUpWhatLeaves) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::diagnostics_test

@@ -15,7 +15,7 @@
 #include "message_builders.hpp"
 #include "ros/messages.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::exposure_adapter_test {
 namespace {
 
 using namespace test;
@@ -261,4 +261,4 @@ TEST(MessageLayout, SkipsPixels) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::exposure_adapter_test

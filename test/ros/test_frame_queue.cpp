@@ -4,7 +4,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::frame_queue_test {
 namespace {
 
 PendingFrame frame(TimeNs stamp_ns) {
@@ -68,4 +68,4 @@ TEST(FrameQueue, SettledFramesNeedNoRoom) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::frame_queue_test

@@ -9,7 +9,7 @@
 #include "gyro_deblur/frame_blur.hpp"
 #include "processor_test.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::frame_synchronizer_test {
 namespace {
 
 using namespace test;
@@ -921,4 +921,4 @@ TEST_F(FrameSynchronizerTest, FrameThatCannotBePreparedDoesNotHoldUpOthers) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::frame_synchronizer_test

@@ -13,7 +13,7 @@
 #include "message_builders.hpp"
 #include "ros/conversions.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::gyro_source_test {
 namespace {
 
 using namespace test;
@@ -277,4 +277,4 @@ TEST_F(GyroSourceTest, ReadersMayReadWhileItIsFed) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::gyro_source_test

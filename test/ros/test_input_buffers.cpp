@@ -8,7 +8,7 @@
 #include "gyro_deblur/frame_blur.hpp"
 #include "processor_test.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::input_buffers_test {
 namespace {
 
 using namespace test;
@@ -397,4 +397,4 @@ TEST_F(InputBuffersTest, FramePeriodCountsNewPicturesOnly) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::input_buffers_test

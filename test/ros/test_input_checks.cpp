@@ -7,7 +7,7 @@
 #include "message_builders.hpp"
 #include "processor_test.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::input_checks_test {
 namespace {
 
 using namespace test;
@@ -342,4 +342,4 @@ TEST_F(InputChecksTest, StreamsThatPauseAreNoClocksApart) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::input_checks_test

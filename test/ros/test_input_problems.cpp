@@ -5,7 +5,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::input_problems_test {
 namespace {
 
 class InputProblemsTest : public testing::Test {
@@ -46,4 +46,4 @@ TEST_F(InputProblemsTest, ResolvedProblemsAreKeptAndBecomeActiveAgain) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::input_problems_test

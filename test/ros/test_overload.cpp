@@ -5,7 +5,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::overload_test {
 namespace {
 
 constexpr TimeNs kMs = 1'000'000, kPeriod = 33 * kMs;
@@ -76,4 +76,4 @@ TEST(OverloadRule, AFrameHurriesBeforeAnyIsPassedOver) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::overload_test

@@ -4,7 +4,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::per_image_messages_test {
 namespace {
 
 constexpr std::size_t kCapacity = 100;
@@ -132,4 +132,4 @@ TEST_F(StreamLivenessTest, ClockThatIsSetBackDoesNotKeepImages) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::per_image_messages_test

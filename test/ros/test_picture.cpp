@@ -9,7 +9,7 @@
 
 #include "message_builders.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::picture_test {
 namespace {
 
 using namespace test;
@@ -93,4 +93,4 @@ TEST(PictureTracker, TimeThatWentBackOrAForgottenPictureBeginsAnew) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::picture_test

@@ -12,7 +12,7 @@
 #include "gyro_deblur/frame_blur.hpp"
 #include "processor_test.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::processing_test {
 namespace {
 
 using namespace test;
@@ -489,4 +489,4 @@ TEST_F(ProcessingTest, ByteOrderMakesNoDifference) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::processing_test

@@ -14,7 +14,7 @@
 
 #include "processor_test.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::processor_test {
 namespace {
 
 using namespace test;
@@ -396,4 +396,4 @@ TEST_F(ProcessorTest, ResetLetsWaitingFramesOutAndForgets) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::processor_test

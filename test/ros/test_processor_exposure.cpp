@@ -9,7 +9,7 @@
 #include "processor_test.hpp"
 #include "repeated_pictures.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::processor_exposure_test {
 namespace {
 
 using namespace test;
@@ -170,4 +170,4 @@ TEST_F(ProcessorTest, ACameraAtRestNeedsNoExposureTime) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::processor_exposure_test

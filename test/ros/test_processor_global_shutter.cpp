@@ -6,7 +6,7 @@
 
 #include "gyro_deblur/frame_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::processor_global_shutter_test {
 namespace {
 
 using namespace test;
@@ -171,4 +171,4 @@ TEST_F(ProcessorGlobalShutterTest, StampsGoBackWhereTimeDoes) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::processor_global_shutter_test

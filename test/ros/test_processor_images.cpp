@@ -13,7 +13,7 @@
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::processor_images_test {
 namespace {
 
 using namespace test;
@@ -259,4 +259,4 @@ TEST_F(ProcessorImagesTest, ABiasIsToldInTheGyroscopesAxes) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::processor_images_test

@@ -9,7 +9,7 @@
 #include "mask_file/mask_file.hpp"
 #include "processor_test.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::processor_mask_test {
 namespace {
 
 using namespace test;
@@ -248,4 +248,4 @@ TEST_F(StaticContentTest, OfTheSceneIsNotReported) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::processor_mask_test

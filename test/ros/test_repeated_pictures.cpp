@@ -13,7 +13,7 @@
 #include "processor_test.hpp"
 #include "repeated_pictures.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::repeated_pictures_test {
 namespace {
 
 // What processor_test.hpp has of a camera of its own is not used here.
@@ -455,4 +455,4 @@ TEST_F(RepeatedPictures, StereoPartnersOfRepetitionsAreDeblurred) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::repeated_pictures_test

@@ -15,7 +15,7 @@
 
 #include "gyro_deblur/frame_blur.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::stereo_rig_test {
 namespace {
 
 constexpr TimeNs kMs = 1'000'000;
@@ -429,4 +429,4 @@ TEST_F(StereoRigTest, WhateverHappensBothAreDeblurredOrNone) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::stereo_rig_test

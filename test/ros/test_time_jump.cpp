@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::time_jump_test {
 namespace {
 
 using Result = TimeJumpDetector::Result;
@@ -127,4 +127,4 @@ TEST(EpochCounter, OwnMessageBeginsTheNewEpoch) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::time_jump_test

@@ -6,7 +6,7 @@
 
 #include <gtest/gtest.h>
 
-namespace gyro_deblur {
+namespace gyro_deblur::timestamp_filter_test {
 namespace {
 
 struct Message {
@@ -250,4 +250,4 @@ TEST(TimestampFilter, RestartForgetsWhatCameBefore) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::timestamp_filter_test

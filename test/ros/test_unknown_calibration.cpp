@@ -18,7 +18,7 @@
 #include "ros/stored_calibration.hpp"
 #include "turning_camera.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::unknown_calibration_test {
 namespace {
 
 using namespace test;
@@ -322,6 +322,21 @@ TEST_F(InUse, AContradictionIsReportedAgainAfterAReset) {
   EXPECT_EQ(problems_.all().count("time_offset by images"), 1U);
 }
 
+/// Of the environment; as it was when this ends.
+class SavedVariable {
+ public:
+  explicit SavedVariable(const char* name) : name_(name) {
+    if (const char* value = std::getenv(name)) value_ = value;
+  }
+  ~SavedVariable() { value_ ? setenv(name_, value_->c_str(), 1) : unsetenv(name_); }
+  SavedVariable(const SavedVariable&) = delete;
+  SavedVariable& operator=(const SavedVariable&) = delete;
+
+ private:
+  const char* name_;
+  std::optional<std::string> value_;
+};
+
 class StoredCalibration : public testing::Test {
  protected:
   StoredCalibration() {
@@ -377,6 +392,7 @@ TEST_F(StoredCalibration, ThatCannotBeUsedIsRefusedWithItsPath) {
 }
 
 TEST_F(StoredCalibration, HasAFileForEachNodeAndImageSize) {
+  const SavedVariable ros_home("ROS_HOME"), home("HOME");
   setenv("ROS_HOME", folder_.c_str(), 1);
   EXPECT_EQ(stored_calibration_path("/camera/gyro_deblur", 752, 480),
             folder_ + "/gyro_deblur/camera.gyro_deblur.752x480.json");
@@ -416,4 +432,4 @@ TEST(SelfCalibrator, LearnsInTheBackgroundAndLeavesOutWhatItCannotKeepUpWith) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::unknown_calibration_test

@@ -22,7 +22,7 @@
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
 
-namespace gyro_deblur {
+namespace gyro_deblur::accuracy_test {
 namespace {
 
 using sim::Simulator;
@@ -387,4 +387,4 @@ TEST(Orbit, TheImagesAddTranslationAndNoSharpBlockIsDeblurred) {
 }
 
 }  // namespace
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::accuracy_test
