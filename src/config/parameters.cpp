@@ -80,7 +80,7 @@ ParameterGroup calibration_files() {
   return {"calibration files",
           "Formats: Kalibr's camchain-imucam.yaml (also used by OpenVINS), EuRoC's sensor.yaml, the configuration of "
           "VINS-Mono and VINS-Fusion, Basalt's JSON, camera_calibration's YAML. Values of a file need no key below. "
-          "Where file and key give the same value, both have to agree.",
+          "If both give a value, they have to agree.",
           {
               {"calibration_file", &Config::calibration_files,
                "Path of a calibration file, or a list of paths, relative to the configuration file. The nodelet needs "
@@ -88,8 +88,9 @@ ParameterGroup calibration_files() {
               {"calibration_camera", &Config::calibration_camera,
                "Name of the camera within the calibration file: cam0, cam1, ..."},
               {"on_calibration_conflict", &Config::on_calibration_conflict,
-               "What happens when camera_info or tf contradict the parameters or the calibration file. error: frames "
-               "are passed through unchanged. configured: parameters and file are used."},
+               "What happens when calibrations contradict each other. error: parameters that contradict the "
+               "calibration file are refused, and frames are passed through unchanged if camera_info or tf "
+               "contradict either. configured: parameters win over the file, and both over camera_info and tf."},
           }};
 }
 
@@ -109,9 +110,10 @@ ParameterGroup camera_timing() {
            "actual_exposure unless set. dynamic_reconfigure_UNIT: the parameter exposure_field of a driver's "
            "parameter_updates."},
           {"on_exposure_conflict", &Config::on_exposure_conflict,
-           "What happens when the blur contradicts an exposure time for 2 s. images: the estimate from the images "
-           "replaces "
-           "exposure_time, but not exposure messages. configured: the given time stays in use. Both report it."},
+           "What happens when the blur contradicts an exposure time by more than 8 % for 2 s, or exposure_time "
+           "is longer than the frame period. images: the estimate from the images replaces exposure_time, but "
+           "not exposure messages. configured: the given time stays in use; while exposure_time is longer than "
+           "the frame period, frames are passed through unchanged. Both report it."},
           {"exposure_field", &ExposureSource::field,
            "Field or parameter that holds the exposure time, for example exposure_time or exposures[0].shutterms."},
           {"exposure_max_age", &Config::exposure_max_age_ns, within(0, 60, "s"),
@@ -163,15 +165,15 @@ ParameterGroup gyroscope() {
               .may_be_empty(&GivenNumbers::gyro_bias),
           {"self_calibration", &Config::self_calibration,
            "auto: the images give readout_time, time_offset, R_cam_imu and gyro_bias where these are empty; an "
-           "estimate is used once it is certain. Values that are set, 0 included, stay in use, and a contradiction is "
-           "reported. never: nothing is estimated or compared."},
+           "estimate is used once it is certain. Values that are set stay in use (only a calibration file "
+           "replaces a 0), and a contradiction is reported. never: nothing is estimated or compared."},
           {"max_gyro_gap", &Gyro::max_gap_ns, within(0.001, 1, "s"),
-           "Longest gap between gyroscope samples that is integrated across. The gyroscope does not cover frames with "
-           "a longer one."},
+           "Longest gap between gyroscope samples that is integrated across. The gyroscope does not cover rows "
+           "whose exposure meets a longer one."},
           // Up to the fastest sensors, 20000 degrees/s.
           {"gyro_range", &Gyro::range_rad_s, within(0, 400, "rad/s"),
-           "Range of the gyroscope on each axis (2000 degrees/s: 34.9). A sample that reaches it is saturated, and the "
-           "gyroscope does not cover its frame. 0: not known, nothing is checked."},
+           "Range of the gyroscope on each axis (2000 degrees/s: 34.9). A sample that reaches it is saturated, "
+           "and the gyroscope does not cover rows whose exposure needs it. 0: not known, nothing is checked."},
           {"input_timeout", &Config::input_timeout_ns, within(0, 10, "s"),
            "Longest time that a frame waits for gyroscope samples, camera_info, exposure and tf."},
           {"frame_queue_size", &Config::frame_queue_size, within(1, 1000),
@@ -223,8 +225,9 @@ ParameterGroup blur_field() {
                "translation. false: the blur follows from the rotation alone.",
                RUNNING},
               {"flow_without_gyro", &PipelineOptions::flow_without_gyro, one_of({"absent", "always", "never"}),
-               "Which frames that the gyroscope does not cover are deblurred by optical flow alone. absent: those of a "
-               "camera whose IMU is absent or silent. always: also those at gaps and saturated samples. never: none.",
+               "Which frames with rows that the gyroscope does not cover are deblurred by optical flow alone; in "
+               "others these rows are passed through unchanged. absent: those of a camera whose IMU is absent or "
+               "silent. always: also those at gaps and saturated samples. never: none.",
                RUNNING},
           }};
 }
