@@ -59,9 +59,10 @@ class BlurFieldEstimator {
   /// PSF that rotates the angle by half the camera's roll during the exposure). Blocks whose exposure `motion` does
   /// not cover are NO_GYRO with extent 0; so are those whose centre, or whose path, lies beyond the range of the lens
   /// model.
-  /// @param residuals  of the blocks of grid(), or empty: added to the paths where it is certain, see is_certain(). A
-  ///                   block is SHARP whose extent may be below min_extent_px: less their deviation, or less what an
-  ///                   uncertain one of min_extent_px or more would add
+  /// @param residuals  of the blocks of grid(), or empty. A certain one (is_certain()) is added to the path. A block is
+  ///                   SHARP if its extent minus its uncertainty is below min_extent_px. The uncertainty is the blur by
+  ///                   one standard deviation of a certain residual velocity, or all blur by an uncertain one that
+  ///                   makes min_extent_px or more
   /// @param straight_only  as of classify_path()
   FrameBlur estimate(const CameraMotion& motion, const RowExposure& exposure, const ResidualField& residuals = {},
                      bool straight_only = false) const;

@@ -25,8 +25,8 @@ enum class SelfCalibrationMode {
   NEVER,  ///< R_cam_imu is missing, the others are 0
 };
 
-/// Whether numbers were given, 0 included. One that was not is 0 until it is estimated. A configuration made in
-/// code gives them all.
+/// Whether numbers were given, 0 included (only a calibration file replaces a 0). One that was not is 0 until it is
+/// estimated. A configuration made in code gives them all.
 struct GivenNumbers {
   bool time_offset = true;
   bool readout_time = true;
@@ -52,7 +52,7 @@ struct ExposureSource {
     DYNAMIC_RECONFIGURE,  ///< a parameter of dynamic_reconfigure/Config
   };
   Kind kind = Kind::AUTO;
-  ExposureUnit unit = ExposureUnit::SECONDS;  ///< of numbers; times and durations bring their own; none of AUTO
+  ExposureUnit unit = ExposureUnit::SECONDS;  ///< of a number; times and durations have their own; AUTO knows it
   std::string field;                          ///< path of the field, key or parameter; empty for AUTO and MESSAGE
 };
 

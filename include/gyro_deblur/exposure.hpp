@@ -28,7 +28,7 @@ struct ShutterTiming {
 /// Throws OptionError "NAME = ... s is longer than the frame period ..." when rows would still be read while the next
 /// frame is: a wrong unit, most likely.
 /// @param frame_period_ns  > 0
-/// @param tolerance        of the period, > 0; by default that of a reported one, as it is of rounded data sheets
+/// @param tolerance        > 0: share of the period by which the readout may exceed it; data sheets are rounded
 void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns, double tolerance = 0.1);
 
 /// The time from frame to frame, from the stamps as they come, which scatter when a driver stamps on arrival. Lost
@@ -37,8 +37,8 @@ class FramePeriod {
  public:
   void add(TimeNs stamp_ns);
   void clear();
-  /// Median time [ns], > 0, from each of the last frames to the one a span later, over the span; nothing before there
-  /// are enough of them. A few bad stamps do not disturb it.
+  /// Frame period [ns], > 0: over the last frames, the median of the time from one to the frame span() later, divided
+  /// by span(). Nothing before there are enough frames. A few bad stamps do not disturb it.
   std::optional<TimeNs> get() const;
   /// Throws OptionError as the function does, once enough frames have come to know. However stamps scatter within a
   /// period, a readout that is not longer than the true one passes.

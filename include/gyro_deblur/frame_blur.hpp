@@ -1,4 +1,4 @@
-// The blur of one image: a grid of blocks, each blurred along a line of its own.
+// The blur of one image: a grid of blocks, each blurred along a straight or curved path of its own.
 #pragma once
 
 #include <array>
@@ -20,7 +20,7 @@ enum class BlockStatus : std::uint8_t {
   DEBLURRED = 1,   ///< deconvolved (before validation: to be deconvolved)
   REJECTED = 2,    ///< the image contradicts the predicted blur: copied unchanged, keypoints not rectified
   TOO_LARGE = 3,   ///< extent above max_extent_px: copied unchanged
-  NO_GYRO = 4,     ///< no usable gyroscope samples for this block's exposure: copied unchanged
+  NO_GYRO = 4,     ///< no usable gyroscope samples, or beyond the range of the lens model: copied unchanged
   TOO_CURVED = 5,  ///< curved path, too long for the 2-D filter or no time for it: copied unchanged
   NOISY = 6,       ///< filtering would add more noise than it removes blur: copied unchanged
   MASKED = 7,      ///< no pixel of it is used, see PixelMask: copied unchanged
@@ -114,7 +114,7 @@ using Path2d = std::array<Eigen::Vector2f, kPathInstants>;
 /// (doc/design/blur_model.md).
 constexpr float kMax2dExtentPx = 596;
 
-/// Blur of one block along a line, or near it.
+/// Blur of one block along a straight or curved path.
 struct BlockBlur {
   float angle_rad = 0;  ///< axial, [0, pi), x right, y down
   /// >= 0: length of the path within the exposure; at non-uniform speed how much of its line it covers.

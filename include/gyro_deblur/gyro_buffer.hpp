@@ -17,7 +17,7 @@ namespace gyro_deblur {
 struct GyroSample {
   TimeNs t_ns = 0;
   Eigen::Vector3d rate_rad_s = Eigen::Vector3d::Zero();  ///< body rate
-  /// Acceleration less gravity. Not finite: there is no accelerometer.
+  /// Acceleration minus gravity: 9.8 m/s^2 upwards at rest. Not finite: there is no accelerometer.
   Eigen::Vector3d specific_force_m_s2 = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
 };
 

@@ -24,9 +24,9 @@ struct BlurFieldOptions {
   /// Smaller blur is passed through: there noise costs more than deblurring gains (doc/reports/experiments.md).
   double min_extent_px = 3.0;
   double max_extent_px = 150.0;  ///< >= min_extent_px; larger blur is TOO_LARGE
-  /// How far the path may lie to either side of a straight line, less 2 % of the extent (kStraightPathShare). What is
-  /// more curved is deconvolved by the 2-D filter, which takes three times as long. 0.8 px balances quality and time
-  /// (doc/reports/hand_shake.md).
+  /// A path is curved if it deviates from a straight line by more than this plus 2 % of the extent
+  /// (kStraightPathShare). Curved paths get the 2-D filter, which takes three times as long. 0.8 px balances quality
+  /// and time (doc/reports/hand_shake.md).
   double curved_path_threshold_px = 0.8;
 
   void validate() const;  ///< throws OptionError
@@ -49,9 +49,9 @@ enum class ValidationRule {
 /// significant bits.
 struct ValidationOptions {
   ValidationRule rule = ValidationRule::LIKELIHOOD;
-  /// Constant: share of blocks blurred by a third of what is predicted that LIKELIHOOD may accept. Recorded blur is a
-  /// fifth longer than predicted at times, and less than 0.1 rejects it (doc/reports/validation.md). Up to 0.052 blocks
-  /// of which nothing is known are rejected, above they are accepted.
+  /// Constant: share that LIKELIHOOD may accept of blocks with a third of the predicted blur. Less than 0.1 rejects
+  /// recorded blur, which is at times a fifth longer than predicted (doc/reports/validation.md). Blocks without
+  /// evidence are accepted from 0.052 on.
   double false_accept_rate = 0.1;
   /// Constants of GRADIENT: they accept 98.6 % of truly blurred blocks at every extent (doc/reports/validation.md).
   double tau = 6.0;             ///< [grey levels / px] that noise and compression may add
@@ -63,9 +63,8 @@ struct ValidationOptions {
 
 /// How the noise-to-signal ratio of a block and the taps of an inverse of limited length are found.
 enum class Regularization {
-  /// As FIXED, with noise_to_signal_ratio doubled as often as makes the error least that noise and texture of the block
-  /// let expect.
-  /// Blocks that would still become worse are passed through.
+  /// As FIXED, but noise_to_signal_ratio is doubled as often as makes the error least that noise and texture of the
+  /// block predict. Blocks that would still become worse are passed through.
   ADAPTIVE,
   /// The taps that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), gamma being noise_to_signal_ratio, h the
   /// blur, g a unit pulse (the Gaussian of smoothing_px), w' the steps from tap to tap and from and to 0 at the ends,
@@ -152,7 +151,7 @@ struct GyroOptions {
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< subtracted once, in RotationTrack
   TimeNs time_offset_ns = 0;                             ///< t_imu = t_cam + time_offset
   TimeNs buffer_ns = 5'000'000'000;                      ///< constant: samples kept, for images that arrive late
-  TimeNs max_gap_ns = 50'000'000;                        ///< a longer hole between samples is not integrated across
+  TimeNs max_gap_ns = 50'000'000;                        ///< a longer gap between samples is not integrated across
   /// What the sensor can measure on each axis, before the bias is subtracted; 0: not known. A sample
   /// that reaches it gives no rate, see is_saturated.
   double range_rad_s = 0;

@@ -106,8 +106,8 @@ struct PipelineResult {
   /// About how much of the image does not move with the camera and is not masked, in [0, 1], see StaticContent; blocks
   /// at its edge are STATIC_EDGE.
   double static_share = 0;
-  /// Rotation of the image as a whole (`rate_rad_s`), and that by `motion`. If corners are not found where the
-  /// gyroscope says, or most blocks are TOO_LARGE, they are followed without its help.
+  /// Rotation of the image as a whole (`rate_rad_s`), and that by `motion`. Its corners are followed without the
+  /// gyroscope if they are not found where the gyroscope predicts them, or if most blocks are TOO_LARGE.
   std::optional<ResidualRotation> seen_rotation;
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
   StageTimes times;
@@ -140,7 +140,7 @@ using EngineFactory = std::function<std::unique_ptr<Engine>(const std::string& e
 ///     ShutterTiming timing;
 ///     timing.readout_ns = file.readout_ns.value_or(0);
 ///     timing.exposure_ns = 20'000'000;
-///     // For each image, with samples from before the exposure of the image before to after its own:
+///     // For each image. Samples reach from before the previous image's exposure to after its own:
 ///     const RotationTrack motion(samples, gyro, file.R_cam_imu.value());
 ///     const RowExposure exposure(stamp_ns, image.rows, timing);
 ///     const PipelineResult result = pipeline.process(image, PixelLayout::GRAY, motion, exposure, {});

@@ -49,7 +49,7 @@ bool is_saturated(const GyroSample& sample, const GyroOptions& options);
 class RotationTrack : public CameraMotion {
  public:
   /// @param samples    strictly increasing in time (IMU clock), rates finite; may be empty
-  /// @param options    bias, time offset and longest hole; validated
+  /// @param options    bias, time offset, longest gap and range; validated
   /// @param R_cam_imu  takes IMU coordinates to camera coordinates; a rotation (see require_rotation)
   /// @param origin     index of the sample that the others are integrated from, both ways: samples before it change no
   ///                   bit of what lies after it
@@ -81,7 +81,7 @@ class RotationTrack : public CameraMotion {
   };
   std::vector<Knot> knots_;
   TimeNs origin_ns_ = 0;
-  std::vector<TimeRange> holes_;  // intervals longer than max_gap_ns or with a saturated end, camera clock
+  std::vector<TimeRange> holes_;  // open intervals longer than max_gap_ns or with a saturated end, camera clock
 };
 
 /// Exp: rotation vector [rad] to quaternion; exact for small angles.

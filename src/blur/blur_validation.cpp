@@ -56,8 +56,8 @@ float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double
 
 namespace {
 
-/// Of blocks that the image contradicts to those it does not, beyond which the whole frame's prediction is wrong. Of
-/// truly blurred blocks 1.4 % are rejected, of sharp ones 68 % or more (see ValidationOptions).
+/// Ratio of REJECTED to DEBLURRED blocks above which the prediction is wrong for the whole frame. Of truly blurred
+/// blocks 1.4 % are rejected, of sharp ones 68 % or more (see ValidationOptions).
 constexpr std::size_t kOutvotingFactor = 4;
 
 /// Rejects DEBLURRED blocks of whose neighbours, as far as they were judged, more than half are REJECTED. A block with
@@ -119,10 +119,10 @@ FrameBlur validate_by_gradient(const FrameBlur& field, const cv::Mat& luminance,
   return reject_outvoted(validated);
 }
 
-/// Log likelihood ratio, with neighbours and frame, that a share of falsely believed blocks exceeds: a fit to measured
-/// quantiles (see ValidationOptions::false_accept_rate), within 2 from .1 to .005. With the default it is below 0: a
-/// block of which nothing is known is believed. Deblurring it gains nothing, but its keypoints lie where the prediction
-/// puts them, which mostly holds.
+/// Log likelihood ratio, neighbours and frame included, below which a block is rejected. Of blocks with a wrong
+/// prediction that share exceeds it: a fit to measured quantiles (see ValidationOptions::false_accept_rate), within 2
+/// from .1 to .005. The default is below 0, which accepts blocks without evidence. Deblurring them gains nothing, but
+/// their keypoints lie where the prediction puts them, which mostly holds.
 double least_log_ratio(double false_accept_rate) { return 18 * std::log(0.052 / false_accept_rate); }
 
 /// Of shorter blur a spectrum tells little; an edge that is sharper than it may be tells more. Noise does not come near

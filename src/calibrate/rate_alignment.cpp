@@ -94,11 +94,11 @@ constexpr int kOffset = 3, kBias = 4, kScale = 7, kReadout = 8;
 using Normal = Eigen::Matrix<double, kUnknowns, kUnknowns>;
 using Unknowns = Eigen::Matrix<double, kUnknowns, 1>;
 
-/// Parts of the time that are left out one after the other.
+/// Parts of the time that the jackknife leaves out one after the other.
 constexpr std::size_t kParts = 8;
 constexpr std::size_t kFewestRates = 3 * kParts;
 
-/// What is not known at all is known to this: 1 rad, 1 s, 0.5 rad/s, a factor of 1.6, 30 ms.
+/// Standard deviations before any measurement: 1 rad, 1 s, 0.5 rad/s, a factor of 1.6, 30 ms.
 Normal prior() {
   Unknowns stddev;
   stddev << 1, 1, 1, 1, 0.5, 0.5, 0.5, 0.5, 0.03;
@@ -263,7 +263,8 @@ OffsetPeak search_rate_offset(const std::vector<ImageRate>& rates, const GyroInt
   peak.correlation = values[best];
   peak.second_ns = offsets_ns[second];
   peak.second = second == best ? 0 : values[second];
-  // What is left unexplained, which rates from images never bring to 0; a half more of it is another motion.
+  // The offset is ambiguous unless the second peak leaves half as much again unexplained. Images' rates always leave
+  // kNeverExplained.
   constexpr double kNeverExplained = 0.02, kFarWorse = 1.5;
   const auto unexplained = [](double correlation) { return 1 - correlation * correlation + kNeverExplained; };
   peak.is_ambiguous = unexplained(peak.second) < kFarWorse * unexplained(peak.correlation);

@@ -32,7 +32,7 @@ struct TimingOptions {
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< where the estimation begins, or what holds
   std::optional<Eigen::Matrix3d> R_cam_imu;              ///< absent: estimated from nothing
   bool refine_rotation = false;                          ///< estimate it although it is given
-  TimeNs max_gap_ns = 50'000'000;  ///< [1 ms, 1 s]; pairs of frames across a longer hole between samples are left out
+  TimeNs max_gap_ns = 50'000'000;  ///< [1 ms, 1 s]; pairs of frames across a longer gap between samples are left out
   double gyro_range_rad_s = 0;     ///< [0, 400]; so are those across a saturated sample; 0: not known
 
   void validate() const;  ///< throws OptionError

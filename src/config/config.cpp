@@ -89,8 +89,8 @@ void read(const Parameter& p, const YAML::Node& node, std::optional<Eigen::Matri
   value = matrix;
 }
 
-/// Puts what a calibration file says into the configuration, where no key has said the same already. Keys hold against
-/// the file with on_calibration_conflict: configured, and must not contradict it otherwise.
+/// Takes the calibration file's values into the configuration. A key that contradicts one (0 and empty do not) wins
+/// with on_calibration_conflict: configured, and is refused otherwise.
 void apply_calibration(const SensorCalibration& calibration, Config& config) {
   const std::string key = "the parameter";
   const bool key_holds = config.on_calibration_conflict == OnCalibrationConflict::CONFIGURED;

@@ -38,7 +38,8 @@ bool is_usable(const Alignment& found) {
   return agrees(found) && largest < kMaxStddevPx * kMaxStddevPx;
 }
 
-/// Blurs that differ add the noise of what each lacks, and a second template helps. Of two short ones it does not.
+/// Whether blur is short in the newest image and in the older template, which then needs no second one. Long blurs that
+/// differ make the comparison noisy.
 bool is_sharp(const TrackState& state) {
   constexpr double kShortPx = 3;
   return std::hypot(extent_of(state.point.path_px).norm(), extent_of(state.anchor.path_px).norm()) < kShortPx;
@@ -181,7 +182,8 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
                                          : local_motion(of_last, state.point.place_px).displacement_px;
     }
     thread.find(state, start_px, &candidate);
-    // Otherwise it may have been found by chance: a search there and back decides.
+    // Without a residual velocity it may have been found by chance, unless it is certain and near: search_far()
+    // decides.
     constexpr double kSurePx = 0.5, kMaxSurprisePx = 2;
     if (!candidate.predicted.by_residual && candidate.found &&
         (stddev_px(*candidate.found) > kSurePx || (candidate.found->place_px - start_px).norm() > kMaxSurprisePx)) {
@@ -193,8 +195,8 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
 
 void TrackSearch::search_far(const TrackStep& step, const std::vector<TrackState>& states,
                              std::vector<TrackCandidate>* candidates) {
-  // Where residual velocities predict most points right, those that are not found are outside the image or hidden. So
-  // they have where the last motion does for nearly all; a few are not worth both images' pyramids.
+  // If half of the points were found, the others that residual velocities predict are outside the image or hidden. If
+  // nearly all were, so are those that the last motion predicts; a few are not worth both images' pyramids.
   const auto found =
       std::count_if(candidates->begin(), candidates->end(), [](const TrackCandidate& each) { return each.found; });
   const double share = static_cast<double>(found) / static_cast<double>(std::max<std::size_t>(1, states.size()));

@@ -129,7 +129,7 @@ TimeRange RotationTrack::available() const {
 
 bool RotationTrack::covers(const TimeRange& range) const {
   if (!available().contains(range)) return false;
-  // The samples at both ends of a hole are known, so it is open.
+  // A hole ends at samples, which do not belong to it.
   const auto hole = std::partition_point(holes_.begin(), holes_.end(),
                                          [&](const TimeRange& h) { return h.end_ns <= range.begin_ns; });
   return hole == holes_.end() || range.end_ns <= hole->begin_ns;

@@ -129,7 +129,7 @@ Readiness FrameSynchronizer::find_all(const Context& context, PendingFrame* fram
   frame->awaits = Awaited::NOTHING;
   if (frame->pass_through_reason != PassThroughReason::NONE) return Readiness::PASS_THROUGH;
   Readiness readiness = Readiness::READY;
-  // A frame that goes by the file, and still waits, goes by its camera_info as soon as that has come.
+  // A waiting frame that uses the calibration file takes its camera_info instead once that has come.
   if (!frame->described_by_topic) readiness = find_calibration(context, frame);
   if (readiness == Readiness::READY && frame->picture && frame->picture->motion) {
     static_cast<PictureMotion&>(*synchronized) = *frame->picture->motion;
@@ -243,12 +243,12 @@ Readiness FrameSynchronizer::find_timing(const Context& context, PendingFrame* f
   }
   const Exposure* neighbour = exposures.find_if_neighbours_agree(stamp_ns);
   if (is_known(neighbour)) return take(*neighbour);
-  // Exposures change all the time, so that this is what a lost one costs: two frame periods.
+  // Exposures of neighbours rarely agree, so a lost message costs as many frame periods.
   constexpr std::size_t kOvertaking = 2;
   bool waits = !context.timed_out && exposures.later(stamp_ns) < kOvertaking;
   const bool expected = input_buffers_.exposure_expected();
   if (own) {
-    // Of a driver that does not know yet, no neighbour knows either.
+    // If no message before had a time either, the driver does not know it yet, and later messages will not help.
     waits = waits && (timing->exposure_ns == 0 || is_known(exposures.find_before(stamp_ns, 0)));
   } else {
     waits = waits && expected && exposures.awaited() && !setting_ns;
