@@ -67,7 +67,7 @@ const std::array<Profile, 4> kProfiles = {
     {{"speeds up to fourfold", [](double t) { return t * (0.4 + 0.6 * t); }},
      {"starts from rest", [](double t) { return t * t; }},
      {"slows down twice", [](double t) { return t + 0.06 * std::sin(4 * CV_PI * t); }},
-     {"turns back", [](double t) { return (t - 0.3) * (t - 0.3); }}}};
+     {"reverses", [](double t) { return (t - 0.3) * (t - 0.3); }}}};
 
 /// `profile` over `extent_px`, from where it is at the middle of the exposure.
 Path1d path_of(const Profile& profile, double extent_px) {

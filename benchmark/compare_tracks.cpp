@@ -264,7 +264,7 @@ std::string table_head(const char* second) {
   return names + " |\n" + line + " |\n";
 }
 
-/// The table of all corners, and that of the differences scene by scene, which tells what is chance.
+/// The table of all corners, and that of the differences scene by scene, which shows what is chance.
 void print_tables(const std::map<double, std::vector<Scores>>& scenes_by_extent) {
   std::cout << table_head("images");
   for (const auto& [extent_px, scenes] : scenes_by_extent) {

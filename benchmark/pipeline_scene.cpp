@@ -35,8 +35,8 @@ PipelineScene make_pipeline_scene(cv::Size size, double mean_extent_px) {
   scene.calibration.model = "plumb_bob";
   scene.calibration.coefficients = {-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05};
 
-  // A scene that turns by +turn in the image is a camera that turns by -turn.
-  const auto motion = test::AnalyticMotion::constant_rate({0, 0, -roll.turn_rad / to_seconds(kExposureNs)});
+  // A scene that rotates by an angle in the image is a camera that rotates by its negative.
+  const auto motion = test::AnalyticMotion::constant_rate({0, 0, -roll.rotation_rad / to_seconds(kExposureNs)});
   scene.motion =
       std::make_unique<RotationTrack>(motion.sample({kStampNs - 100'000'000, kStampNs + 100'000'000}, kGyroPeriodNs),
                                       GyroOptions{}, Eigen::Matrix3d::Identity());
@@ -56,11 +56,11 @@ PipelineSequence make_pipeline_sequence(cv::Size size, double mean_extent_px, in
   const test::Roll roll = test::Roll::about_center(size.width, size.height, mean_extent_px);
   const cv::Mat sharp = extend(natural_images().front(), size);
   for (int i = 0; i < frames; ++i) {
-    const double turn_rad = -roll.turn_rad * i * to_seconds(kFramePeriodNs) / to_seconds(kExposureNs);
-    const cv::Mat map = cv::getRotationMatrix2D(cv::Point2f(roll.pivot_px), turn_rad * 180 / CV_PI, 1);
-    cv::Mat turned;
-    cv::warpAffine(sharp, turned, map, size, cv::INTER_CUBIC, cv::BORDER_REFLECT_101);
-    sequence.frames.push_back(test::expose(roll.blur(turned), 1, static_cast<std::uint64_t>(i) + 1));
+    const double rotation_rad = -roll.rotation_rad * i * to_seconds(kFramePeriodNs) / to_seconds(kExposureNs);
+    const cv::Mat map = cv::getRotationMatrix2D(cv::Point2f(roll.pivot_px), rotation_rad * 180 / CV_PI, 1);
+    cv::Mat rotated;
+    cv::warpAffine(sharp, rotated, map, size, cv::INTER_CUBIC, cv::BORDER_REFLECT_101);
+    sequence.frames.push_back(test::expose(roll.blur(rotated), 1, static_cast<std::uint64_t>(i) + 1));
   }
   return sequence;
 }

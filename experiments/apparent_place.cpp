@@ -24,11 +24,11 @@ namespace {
 
 constexpr int kWidthPx = 640, kHeightPx = 448;
 
-/// A point that runs along a line at a speed that changes evenly: even * t + bend * t^2, t from -1/2 to 1/2.
+/// A point that runs along a line at a speed that changes evenly: uniform * t + change * t^2, t from -1/2 to 1/2.
 struct AcceleratedPath {
-  double angle_rad, even_px, bend_px;
+  double angle_rad, uniform_px, change_px;
 
-  double along_px(double t) const { return even_px * t + bend_px * t * t; }
+  double along_px(double t) const { return uniform_px * t + change_px * t * t; }
   std::array<Eigen::Vector2d, kPathInstants> places_px() const {
     std::array<Eigen::Vector2d, kPathInstants> places;
     for (int k = 0; k < kPathInstants; ++k) {
@@ -49,13 +49,14 @@ cv::Mat blurred(const cv::Mat& sharp, const AcceleratedPath& path) {
       table[e] += std::polar(1.0 / kSteps, -2 * CV_PI * e * step * path.along_px((k + 0.5) / kSteps - 0.5));
     }
   }
-  cv::Mat image = test::filter_along_line(sharp, path.angle_rad, path.even_px + std::abs(path.bend_px), [&](double f) {
-    const double entry = std::min(std::abs(f) / step, kEntries - 2.0);
-    const auto below = static_cast<std::size_t>(entry);
-    const double part = entry - static_cast<double>(below);
-    const std::complex<double> value = (1 - part) * table[below] + part * table[below + 1];
-    return f < 0 ? std::conj(value) : value;
-  });
+  cv::Mat image =
+      test::filter_along_line(sharp, path.angle_rad, path.uniform_px + std::abs(path.change_px), [&](double f) {
+        const double entry = std::min(std::abs(f) / step, kEntries - 2.0);
+        const auto below = static_cast<std::size_t>(entry);
+        const double part = entry - static_cast<double>(below);
+        const std::complex<double> value = (1 - part) * table[below] + part * table[below + 1];
+        return f < 0 ? std::conj(value) : value;
+      });
   cv::Mat noise(image.size(), CV_64F);
   cv::RNG rng(7);
   rng.fill(noise, cv::RNG::NORMAL, 0, 2);
@@ -100,7 +101,7 @@ std::vector<ApparentPlace> apparent_places(int images) {
                  cv::COLOR_BGR2GRAY);
     for (const double extent_px : kExtentsPx) {
       for (const double share : kShares) {
-        // A parabola departs from its chord by a quarter of the bend, half of it to either side of the best shift.
+        // A parabola departs from its chord by a quarter of the change, half of it to either side of the best shift.
         const AcceleratedPath path{0.3 + 1.1 * i, extent_px, 8 * share * even_path_px(extent_px)};
         const BlockBlur blur = classify_path(path.places_px(), options);
         FrameBlur field;

@@ -65,7 +65,7 @@ def similarity(source, target):
 
 
 def robust_similarity(source, target, rng):
-    """As similarity(), from the largest set of cameras that agree, so that a few wrong ones do not bend it."""
+    """As similarity(), from the largest set of cameras that agree, so that a few wrong ones do not distort it."""
     best = numpy.ones(len(source), bool)
     best_count = 0
     for _ in range(TRAJECTORY_TRIALS):
@@ -110,10 +110,10 @@ def measure(model, truth, camera, rng):
     for name in names:
         pose = poses[name]
         center = scale * R @ pose.center + t
-        turn = pose.R @ R.T @ truth[name]["R_world_cam"]
+        R_error = pose.R @ R.T @ truth[name]["R_world_cam"]
         seen = [(pixel, i) for pixel, i in zip(pose.pixels, pose.ids) if i in kept]
         row = {"height_m": -center[1], "position_error_m": numpy.linalg.norm(center - truth[name]["position"]),
-               "rotation_error_deg": numpy.degrees(numpy.arccos(numpy.clip((numpy.trace(turn) - 1) / 2, -1, 1))),
+               "rotation_error_deg": numpy.degrees(numpy.arccos(numpy.clip((numpy.trace(R_error) - 1) / 2, -1, 1))),
                "points": len(seen)}
         if seen:
             local = numpy.array([pose.R @ kept[i] + pose.t for _, i in seen])

@@ -19,7 +19,7 @@ struct BlockErrors {
   int frame = 0;
   double residual_px = 0;    ///< truth less rotation: what there was to find; the error of the gyroscope alone
   double velocity_px = 0;    ///< error with the true velocity and the frame's true median depth
-  double images_px = 0;      ///< error with what the images tell
+  double images_px = 0;      ///< error with optical flow
   double change_px = 0;      ///< what the images changed of the displacement by rotation
   double normalized = 0;     ///< error of the images' velocity in its own standard deviations; NaN where there is none
   bool from_images = false;  ///< the images were certain enough to be used

@@ -20,7 +20,7 @@
 namespace gyro_deblur::experiments {
 namespace {
 
-/// As Pipeline, for residual velocities that are told.
+/// As Pipeline, for residual velocities that are given.
 class ToldDeblurring {
  public:
   explicit ToldDeblurring(const Camera& camera)

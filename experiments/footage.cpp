@@ -19,20 +19,20 @@ constexpr int kGrey = 120;
 /// Another motion without its translation, and without its rotation, too.
 class HeldMotion : public sim::Motion {
  public:
-  HeldMotion(std::shared_ptr<const Motion> motion, bool turns) : motion_(std::move(motion)), turns_(turns) {}
+  HeldMotion(std::shared_ptr<const Motion> motion, bool rotates) : motion_(std::move(motion)), rotates_(rotates) {}
   sim::Span span() const override { return motion_->span(); }
   sim::Pose pose(double t_s) const override {
     const sim::Pose first = motion_->pose(0);
-    return turns_ ? sim::Pose{motion_->pose(t_s).R_world_cam, first.p_world_m} : first;
+    return rotates_ ? sim::Pose{motion_->pose(t_s).R_world_cam, first.p_world_m} : first;
   }
   Eigen::Vector3d rate(double t_s) const override {
-    return turns_ ? motion_->rate(t_s) : Eigen::Vector3d(Eigen::Vector3d::Zero());
+    return rotates_ ? motion_->rate(t_s) : Eigen::Vector3d(Eigen::Vector3d::Zero());
   }
   Eigen::Vector3d acceleration(double) const override { return Eigen::Vector3d::Zero(); }
 
  private:
   std::shared_ptr<const Motion> motion_;
-  bool turns_;
+  bool rotates_;
 };
 
 cv::Mat checkered(const cv::Size& size_px, double width_m) {
@@ -92,7 +92,7 @@ sim::Scene scene_of(const FootageCase& c, const std::string& data, double second
   scene.imu.R_cam_imu = c.flight.R_cam_imu;
   scene.gravity_m_s2 = {0, 0, -9.80665};  // up is z where motion is captured
   if (c.path != CameraPath::FLIGHT) {
-    scene.motion = std::make_shared<HeldMotion>(scene.motion, c.path == CameraPath::TURNING);
+    scene.motion = std::make_shared<HeldMotion>(scene.motion, c.path == CameraPath::ROTATING);
   }
   paint(c.walls, c.first_photograph, data, &scene.planes);
   return scene;
@@ -147,10 +147,10 @@ std::vector<sim::ImuSample> Footage::imu(std::uint64_t seed) const {
   std::vector<sim::ImuSample> samples;
   for (std::size_t i = 1; i + 1 < at_camera.size(); ++i) {
     sim::ImuSample& sample = samples.emplace_back(at_camera[i]);
-    const Eigen::Vector3d turn_rad_s2 = (at_camera[i + 1].rate_rad_s - at_camera[i - 1].rate_rad_s) /
-                                        to_seconds(at_camera[i + 1].t_ns - at_camera[i - 1].t_ns);
+    const Eigen::Vector3d rotation_rad_s2 = (at_camera[i + 1].rate_rad_s - at_camera[i - 1].rate_rad_s) /
+                                            to_seconds(at_camera[i + 1].t_ns - at_camera[i - 1].t_ns);
     sample.specific_force_m_s2 +=
-        turn_rad_s2.cross(lever_m) + sample.rate_rad_s.cross(sample.rate_rad_s.cross(lever_m));
+        rotation_rad_s2.cross(lever_m) + sample.rate_rad_s.cross(sample.rate_rad_s.cross(lever_m));
   }
   return samples;
 }

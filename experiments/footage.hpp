@@ -29,7 +29,7 @@ constexpr Light kDaylight{"", 1, 2}, kLowLight{"low light", 0.35, 4};
 /// @param wide  CV_16UC1 without noise, 257 a grey level
 cv::Mat lit(const cv::Mat& wide, const Light& light, std::uint64_t seed);
 
-enum class CameraPath { FLIGHT, TURNING, RESTING };  ///< as recorded; at the first position; in the first pose
+enum class CameraPath { FLIGHT, ROTATING, RESTING };  ///< as recorded; at the first position; in the first pose
 enum class Walls {
   PAPERED,   ///< with photographs, see load_pairs()
   PLAIN,     ///< all but two are of one grey

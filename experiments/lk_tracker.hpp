@@ -18,7 +18,7 @@ namespace gyro_deblur::experiments {
 
 /// Follows corners through the images of one camera. Not thread-safe.
 ///
-/// A corner is looked for where the gyroscope says it has gone, so that a turn between two images costs no pyramid
+/// A corner is looked for where the gyroscope says it has gone, so that a rotation between two images costs no pyramid
 /// levels; it is kept when tracking it back returns to where it came from, and when it agrees with the epipolar
 /// geometry of the others, from which rotation (row by row) has been taken out first.
 class LkTracker {

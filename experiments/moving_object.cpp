@@ -58,9 +58,9 @@ void count(const BlockBlur& blur, const Eigen::Vector2d& displacement_px, const 
 
 /// @param all_of_it  of the exposure: where nothing but the object is seen
 /// @param any_of_it  where anything of it is seen
-void judge(const FrameBlur& field, const Footage& footage, int i, const RotationTrack& rotation,
-           const cv::Rect2d& all_of_it, const cv::Rect2d& any_of_it, const Eigen::Vector2d& path_px,
-           ObjectResult* result) {
+void evaluate(const FrameBlur& field, const Footage& footage, int i, const RotationTrack& rotation,
+              const cv::Rect2d& all_of_it, const cv::Rect2d& any_of_it, const Eigen::Vector2d& path_px,
+              ObjectResult* result) {
   const RowExposure exposure = footage.exposure(i);
   for (int b = 0; b < field.grid.size(); ++b) {
     const cv::Rect2d block(field.grid.rect(b));
@@ -114,7 +114,7 @@ ObjectScene film_object(const Footage& footage, const cv::Point2d& velocity_px_s
     for (auto [pipeline, counts] : {std::pair(&images, &scene.images), std::pair(&alone, &scene.alone)}) {
       const PipelineResult result = pipeline->process(image, PixelLayout::GRAY, rotation, exposure, request);
       if (is_middle) counts->shown = result.image.empty() ? image : result.image;
-      if (i >= kFirst) judge(result.field, footage, i, rotation, all_of_it, any_of_it, {path.x, path.y}, counts);
+      if (i >= kFirst) evaluate(result.field, footage, i, rotation, all_of_it, any_of_it, {path.x, path.y}, counts);
     }
   }
   return scene;

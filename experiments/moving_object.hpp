@@ -1,4 +1,4 @@
-// A scene with an object that moves by itself, before a camera that turns.
+// A scene with an object that moves by itself, before a camera that rotates.
 #pragma once
 
 #include <vector>
@@ -24,13 +24,13 @@ struct ObjectResult {
   cv::Mat shown;             ///< the middle frame as it comes out, CV_8UC1
 };
 
-/// An object in front of a turning camera, deblurred by the gyroscope alone and with the images.
+/// An object in front of a rotating camera, deblurred by the gyroscope alone and with the images.
 struct ObjectScene {
   ObjectResult alone, images;
   cv::Mat blurred;  ///< the middle frame as it arrived
 };
 
-/// @param footage        of a camera that turns, with a global shutter
+/// @param footage        of a camera that rotates, with a global shutter
 /// @param velocity_px_s  of the object in the image; zero: the camera follows it
 ObjectScene film_object(const Footage& footage, const cv::Point2d& velocity_px_s);
 

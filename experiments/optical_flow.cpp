@@ -1,4 +1,4 @@
-// What the images tell of the motion that the gyroscope does not know, on recorded flights through a simulated room.
+// What optical flow measures of the motion that the gyroscope does not, on recorded flights through a simulated room.
 // Writes the tables of doc/reports/optical_flow.md.
 #include <algorithm>
 #include <array>
@@ -142,7 +142,7 @@ void Study::displacement(const FootageCase& c, const Footage& footage, const Lig
 void Study::wrong_bias(const FootageCase& c, const Footage& footage) {
   constexpr double kBiasRadS = 0.05;
   const auto errors = displacement_errors(all_frames(footage), kDaylight, footage.rotation(kBiasRadS));
-  bias_.add({c.flight.name, c.path == CameraPath::TURNING ? "turns" : "flies",
+  bias_.add({c.flight.name, c.path == CameraPath::ROTATING ? "rotates" : "flies",
              median_and_p90(of(errors, &BlockErrors::residual_px)), median_and_p90(of(errors, &BlockErrors::images_px)),
              used_share(errors)});
 }
@@ -168,7 +168,7 @@ void Study::held(const FootageCase& c, const Footage& footage, const Light& ligh
     if (cv::norm(shown[0], shown[1], cv::NORM_INF) != 0) ++altered;
   }
   const std::vector<double> changes = of(errors, &BlockErrors::change_px);
-  held_.add({c.flight.name, c.path == CameraPath::TURNING ? "turns" : "rests", conditions(c, light),
+  held_.add({c.flight.name, c.path == CameraPath::ROTATING ? "rotates" : "rests", conditions(c, light),
              text_of(quantile(changes, 0.99), 2), text_of(quantile(changes, 1), 2), used_share(errors),
              std::to_string(altered) + " of " + std::to_string(footage.frames())});
 }
@@ -347,15 +347,15 @@ std::vector<std::function<void()>> Study::flight_steps(const test::RecordedFligh
     if (moving) displacement(c, footage, kDaylight), displacement(c, footage, kLowLight);
     if (asked("features")) features(c, &footage, kDaylight), features(c, &footage, kLowLight);
   });
-  for (const CameraPath path : {CameraPath::TURNING, CameraPath::RESTING}) {
+  for (const CameraPath path : {CameraPath::ROTATING, CameraPath::RESTING}) {
     steps.push_back([=] {
       const FootageCase c{flight, kLongNs, 0, 1, path};
-      const bool turns = path == CameraPath::TURNING;
-      if (!asked("held") && !(turns && (asked("objects") || asked("bias")))) return;
+      const bool rotates = path == CameraPath::ROTATING;
+      if (!asked("held") && !(rotates && (asked("objects") || asked("bias")))) return;
       const Footage footage = film(c, few_seconds);
       if (asked("held")) held(c, footage, kDaylight), held(c, footage, kLowLight);
-      if (turns && asked("bias")) wrong_bias(c, footage);
-      if (turns && asked("objects")) objects(c, footage);
+      if (rotates && asked("bias")) wrong_bias(c, footage);
+      if (rotates && asked("objects")) objects(c, footage);
     });
   }
   for (const Walls walls : {Walls::PLAIN, Walls::CHECKERED}) {

@@ -41,7 +41,7 @@ const std::vector<Light> kLights{{"contrast 1, noise 1", 1, 1},
                                  {"contrast 1, noise 6", 1, 6},
                                  {"contrast .35, noise 4", 0.35, 4}};
 
-/// One place that was told, and by how much it was wrong.
+/// One place that was published, and by how much it was wrong.
 struct Sample {
   std::string points;  ///< what they are, and since when
   BlockStatus status = BlockStatus::SHARP;
@@ -140,7 +140,7 @@ class Study {
   std::map<Bin, Calibration> bins_;
 };
 
-/// Large enough to tell texture from none.
+/// Large enough to distinguish texture from none.
 constexpr double kUnseenPx = 10;
 constexpr PointErrors kNoiseAlone{1, kUnseenPx, 0, 0, 0, 0, 1, 0, 0};
 

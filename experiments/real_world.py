@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """The paper's real-world table (section V-B) on simulated bursts with real hand-shake.
 
-Two walls of photographs are seen by a rolling-shutter camera that turns as a recorded hand-shake gyroscope says. Each
+Two walls of photographs are seen by a rolling-shutter camera that rotates as a recorded hand-shake gyroscope says. Each
 pair of viewpoints is a pair of bursts sharp - blurred - sharp. Exposures are drawn from the recording with a fixed
 seed: once among those whose motion is even and straight, as the paper takes it to be, once among the rest. One
-recording shakes mostly in one direction, ten photographs do not: for each burst the recorder is turned about the
+recording shakes mostly in one direction, ten photographs do not: for each burst the recorder is rotated about the
 optical axis by a random angle, so that blur has any direction. The same exposures are rendered at two strengths: as
 recorded, and weakened until the baseline alone fares as in the paper (--calibrate). Writes real_world.csv,
 real_world.md, and for each strength a plot, real_world_STRENGTH.png.
@@ -56,8 +56,8 @@ GROUND_TRUTHS = {
 # The paper's table II: repeatability [%] and error [px].
 PAPER = {"dog": (26.8, 6.5), "pretto": (35.5, 4.4), "proposed": (52.8, 3.9)}
 
-# Photographs of a wall; each hangs there twice, the second time mirrored (which SIFT tells apart), small enough that the
-# frames show detail down to the pixel.
+# Photographs of a wall; each hangs there twice, the second time mirrored (which SIFT distinguishes), small enough that
+# the frames show detail down to the pixel.
 WALLS = {
     "Oxford": ["bark", "bikes", "boat", "leuven", "graf", "trees", "ubc", "wall", "graf3.png", "building.jpg"],
     "OpenCV": ["aero1.jpg", "aloeL.jpg", "baboon.jpg", "board.jpg", "starry_night.jpg", "leuvenA.jpg",
@@ -109,34 +109,36 @@ class Exposures:
         return numpy.column_stack([fx * (x * y * wx - (1 + x * x) * wy + y * wz),
                                    fy * ((1 + y * y) * wx - x * y * wy - x * wz)])
 
-    def describe(self, index, turn):
-        """Extent [px], change of speed and bend [deg] of the exposure that begins at times[index], for a recorder that
-        is turned about the optical axis by `turn` [rad]; None when the extent in the top, middle or bottom row is
-        outside RECORDED_EXTENT_PX times the factor. Change and bend are the largest of the three rows'."""
+    def describe(self, index, roll_rad):
+        """Extent [px], change of speed, and deviation [deg] from the mean direction, of the exposure that begins at
+        times[index], for a recorder that is rotated about the optical axis by `roll_rad`; None when the extent in the
+        top, middle or bottom row is outside RECORDED_EXTENT_PX times the factor. Change and deviation are the largest
+        of the three rows'."""
         height, samples = self.camera["size"][1], int(round(self.exposure / self.step))
-        extents, changes, bends = [], [], []
+        extents, changes, deviations = [], [], []
         for row in (0, height / 2, height - 1):
             begin = index + int(round(self.camera["readout_time"] * row / height / self.step))
-            velocity = self._velocity(self.rates[begin:begin + samples + 1] @ about_optical_axis(turn).T, row)
+            velocity = self._velocity(self.rates[begin:begin + samples + 1] @ about_optical_axis(roll_rad).T, row)
             speed = numpy.linalg.norm(velocity, axis=1)
             mean = velocity.mean(axis=0)
             extents.append(numpy.linalg.norm(mean) * self.exposure)
             changes.append((speed.max() - speed.min()) / speed.mean())
             across = mean[0] * velocity[:, 1] - mean[1] * velocity[:, 0]
-            bends.append(numpy.degrees(numpy.abs(numpy.arctan2(across, velocity @ mean)).max()))
+            deviations.append(numpy.degrees(numpy.abs(numpy.arctan2(across, velocity @ mean)).max()))
         if min(extents) < self.factor * RECORDED_EXTENT_PX[0] or max(extents) > self.factor * RECORDED_EXTENT_PX[1]:
             return None
-        return {"index": index, "turn": turn, "extent": extents[1], "change": max(changes), "bend": max(bends)}
+        return {"index": index, "roll_rad": roll_rad, "extent": extents[1], "change": max(changes),
+                "deviation_deg": max(deviations)}
 
     def candidates(self):
-        """All exposures that are neither too weak nor too strong, every 2 ms, for a recorder that is not turned."""
+        """All exposures that are neither too weak nor too strong, every 2 ms, for a recorder that is not rotated."""
         # The burst begins one frame before the middle one and ends one after it, with gyroscope on both sides.
         margin = int((1 / self.camera["fps"] + 0.2) / self.step)
         described = (self.describe(i, 0.0) for i in range(margin, len(self.times) - margin, 2))
         return [d for d in described if d]
 
     def draw(self, pool, is_right, rng, taken):
-        """One exposure of the pool and a turn of the recorder, both at random, such that is_right(exposure) and that it
+        """One exposure of the pool and a rotation of the recorder, both at random, such that is_right(exposure) and it
         does not overlap with those in `taken`, which grows."""
         for i in rng.permutation(len(pool)):
             index = pool[i]["index"]
@@ -148,9 +150,9 @@ class Exposures:
                 return dict(drawn, start=self.times[index])
         fail(f"the recording has no more than {len(taken)} of the exposures asked for")
 
-    def rotation(self, begin, end, turn):
+    def rotation(self, begin, end, roll_rad):
         """Of the camera from one time of the recording to another: camera(end) -> camera(begin)."""
-        R, axis = numpy.eye(3), about_optical_axis(turn)
+        R, axis = numpy.eye(3), about_optical_axis(roll_rad)
         for t in numpy.arange(begin, end, self.step):
             dt = min(self.step, end - t)
             rate = [numpy.interp(t + dt / 2, self.times, self.rates[:, k]) for k in range(3)]
@@ -158,8 +160,8 @@ class Exposures:
         return R
 
 
-def about_optical_axis(turn):
-    return cv2.Rodrigues(numpy.array([0.0, 0.0, turn]))[0]
+def about_optical_axis(roll_rad):
+    return cv2.Rodrigues(numpy.array([0.0, 0.0, roll_rad]))[0]
 
 
 def photographs(names, data):
@@ -180,12 +182,12 @@ def viewpoint(rng):
 def write_scene(path, base, plane, trace_path, exposures, drawn, rng, seed):
     """A burst whose middle frame is the exposure `drawn` (see Exposures.draw)."""
     scene = dict(base, planes=[plane], seed=int(seed), frames=3)
-    R_cam_imu = about_optical_axis(drawn["turn"]) @ exposures.R_cam_imu
+    R_cam_imu = about_optical_axis(drawn["roll_rad"]) @ exposures.R_cam_imu
     scene["imu"] = dict(base["imu"], R_cam_imu=[float(v) for v in R_cam_imu.ravel()])
     begin = drawn["start"] - 1 / base["camera"]["fps"] - base["lead_time"]
     position, look = viewpoint(rng)
     middle = drawn["start"] + exposures.exposure / 2 + base["camera"]["readout_time"] / 2
-    orientation = look @ exposures.rotation(begin, middle, drawn["turn"]).T
+    orientation = look @ exposures.rotation(begin, middle, drawn["roll_rad"]).T
     scene["motion"] = {
         "type": "gyro_trace", "file": str(trace_path), "start": float(begin), "scale": exposures.factor,
         "orientation": [math.degrees(v) for v in cv2.Rodrigues(orientation)[0].ravel()],
@@ -205,7 +207,7 @@ def plan_pairs(exposures, kinds, count, base, walls, trace_path, folder, seed):
     """Draws `count` pairs of each kind and wall and writes their scenes. With the same seed they are the same exposures,
     seen from the same viewpoints, whatever the strength."""
     rng = numpy.random.default_rng(seed)
-    is_even = lambda e: e["change"] < EVEN and e["bend"] < STRAIGHT_DEG  # noqa: E731
+    is_even = lambda e: e["change"] < EVEN and e["deviation_deg"] < STRAIGHT_DEG  # noqa: E731
     candidates = exposures.candidates()
     pairs = []
     for kind in kinds:
@@ -222,9 +224,9 @@ def plan_pairs(exposures, kinds, count, base, walls, trace_path, folder, seed):
                     write_scene(pair.folder / f"scene{view}.yaml", base, walls[scene], trace_path, exposures, drawn,
                                 rng, seed=1000 * seed + 10 * len(pairs) + view)
                     pair.description.update({
-                        f"start{view}_s": drawn["start"], f"turn{view}_deg": math.degrees(drawn["turn"]),
+                        f"start{view}_s": drawn["start"], f"roll{view}_deg": math.degrees(drawn["roll_rad"]),
                         f"extent{view}_px": drawn["extent"], f"change{view}": drawn["change"],
-                        f"bend{view}_deg": drawn["bend"]})
+                        f"deviation{view}_deg": drawn["deviation_deg"]})
                 pairs.append(pair)
     return pairs
 
@@ -273,7 +275,7 @@ def pair_table(rows, kind, truth):
         pair = next(iter(here.values()))
         lines.append([name, f"{pair['extent1_px']:.0f}, {pair['extent2_px']:.0f}",
                       f"{100 * pair['change1']:.0f} %, {100 * pair['change2']:.0f} %",
-                      f"{pair['bend1_deg']:.0f}, {pair['bend2_deg']:.0f} deg",
+                      f"{pair['deviation1_deg']:.0f}, {pair['deviation2_deg']:.0f} deg",
                       *(cell for m in methods for cell in (number(here[m]["repeatability"], 1, 100),
                                                            number(here[m]["error_px"]))),
                       number(pair["protocol_error_px"]) + " px"])

@@ -8,7 +8,7 @@ namespace gyro_deblur::experiments {
 
 struct BurstFrame {
   int number = 0;           ///< the first is 1
-  double extent_px = 0;     ///< by the gyroscope, median of the blocks that the images tell, or of all without any
+  double extent_px = 0;     ///< by the gyroscope, median of the blocks that have optical flow, or of all without any
   double ratio_median = 0;  ///< extent with the images over the gyroscope's, of those blocks; NaN without any
   double ratio_low = 0, ratio_high = 0;                                  ///< quartiles
   double from_images = 0;                                                ///< share of blocks

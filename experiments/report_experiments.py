@@ -124,7 +124,7 @@ def deconvolution_table(deconvolution):
              f"noise-to-signal ratio {deconvolution['noise_to_signal_ratio']:g}, "
              f"noise {deconvolution['noise_grey_levels']:g} grey level:")
     return (titled_table(title, header, rows)
-            + f"\n\nKernel in the plane: {kernel['width_px']} x {kernel['height_px']}, {kernel['taps']} elements "
+            + f"\n\n2-D kernel: {kernel['width_px']} x {kernel['height_px']}, {kernel['taps']} elements "
               f"({100 * share:.1f} %) are not zero.")
 
 

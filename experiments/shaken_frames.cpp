@@ -32,8 +32,8 @@ sim::Simulator shaken(const ShakenCamera& camera, const std::vector<sim::TraceSa
     return sim::make_gyro_trace_motion(trace, view.middle_s - middle_s, scale, Eigen::Matrix3d::Identity(),
                                        R_world_cam_0, {});
   };
-  const Eigen::Quaterniond turned = motion(Eigen::Quaterniond::Identity())->pose(middle_s).R_world_cam;
-  scene.motion = motion(view.R_world_cam * turned.conjugate());
+  const Eigen::Quaterniond rotated = motion(Eigen::Quaterniond::Identity())->pose(middle_s).R_world_cam;
+  scene.motion = motion(view.R_world_cam * rotated.conjugate());
   const cv::Size size_px(cvRound(kWallViews * camera.width_px), cvRound(kWallViews * camera.height_px));
   const double tiles = size_px.width / kTileWidthPx;
   sim::Plane wall;

@@ -65,9 +65,9 @@ CurvedFrame most_curved_frame(const Footage& footage) {
       const Eigen::Vector2d shown_px(x, y);
       return footage.truth().truth_rectified(i, shown_px, footage.truth().reference_time(i)) - shown_px;
     };
-    const double bent_px = (moved_px(0.5 * right_px, 0) - moved_px(0.5 * right_px, bottom_px)).norm();
-    if (!(bent_px > largest_px)) continue;
-    largest_px = bent_px;
+    const double sheared_px = (moved_px(0.5 * right_px, 0) - moved_px(0.5 * right_px, bottom_px)).norm();
+    if (!(sheared_px > largest_px)) continue;
+    largest_px = sheared_px;
     curved = {image, result.global_shutter.empty() ? image : result.global_shutter};
   }
   return curved;

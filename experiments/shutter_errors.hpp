@@ -13,7 +13,7 @@ namespace gyro_deblur::experiments {
 /// of all frames after the first two; one list for each of kAllKnowledge. NONE: every row stays where it is.
 std::array<std::vector<double>, 4> shutter_errors(const Footage& footage, const Light& light);
 
-/// The frame that the rolling shutter bends most, in daylight.
+/// The frame that the rolling shutter distorts most, in daylight.
 struct CurvedFrame {
   cv::Mat arrived, global_shutter;  ///< CV_8UC1; the second as the pipeline makes it
 };

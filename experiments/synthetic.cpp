@@ -34,7 +34,7 @@ const LineBlur kBlurs[] = {{30 * CV_PI / 180, 27}, {110 * CV_PI / 180, 47}};
 constexpr int kMarginPx = 32;
 constexpr double kNormalizedRadiusPx = 30;  // Mikolajczyk et al. 2005
 
-/// Error of the blur that a method is told, as the paper gives it.
+/// Error of the blur that a method is given, as in the paper.
 struct BlurError {
   double angle_deg = 0, extent_px = 0;
 };

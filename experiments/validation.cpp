@@ -1,4 +1,4 @@
-// How well validation tells predicted blur from none and from a third of it: areas under the receiver operating
+// How well validation distinguishes predicted blur from none and from a third of it: areas under the receiver operating
 // characteristic, and what is accepted, by extent, noise and contrast.
 
 #include <algorithm>

@@ -64,7 +64,7 @@ class OneCamera {
 
   Processor& processor() { return processor_; }
 
-  /// A gyroscope that turns, from before the frame at kStart until after it.
+  /// A gyroscope that rotates, from before the frame at kStart until after it.
   void add_motion() {
     for (TimeNs t_ns = kStart - 100 * kMs; t_ns <= kStart + 200 * kMs; t_ns += 5 * kMs) {
       sensor_msgs::Imu imu;

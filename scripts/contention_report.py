@@ -44,7 +44,8 @@ def verdict_table(stream):
 def tables(report):
     quiet = "" if all(stream["quiet"] for stream in report["streams"]) else " **Others used the machine: no verdict.**"
     lowest = min(min(stream["quiet_before"] + stream["quiet_after"]) for stream in report["streams"])
-    parts = [("%d cores, %g s of each, in %d turns; before and after, a busy process had at least %s %% of every core." %
+    parts = [("%d cores, %g s of each, in %d rounds; before and after, a busy process had at least %s %% of every "
+              "core." %
               (report["cores"], report["seconds"], report["rounds"], number(lowest, 0, 100))) + quiet]
     for stream in report["streams"]:
         parts += [latency_table(stream), verdict_table(stream)]

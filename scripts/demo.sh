@@ -71,7 +71,7 @@ launch "${OUT}/nodelet.log" bag:="${OUT}/input.bag" config:="${CONFIG}" record:=
 step ${STEPS} "Full HD at 30 frames a second"
 say "config/scenes/fast_1080p.yaml -> demo_output/full_hd_input.bag"
 rosrun gyro_deblur simulate_bag "${OUT}/full_hd_input.bag" --scene config/scenes/fast_1080p.yaml --no-truth --quiet
-# Only what is subscribed to is computed: the image, and the blur field that tells what became of it.
+# Only what is subscribed to is computed: the image, and the blur field that says what happened to it.
 launch "${OUT}/full_hd.log" bag:="${OUT}/full_hd_input.bag" config:="${GYRO_DEBLUR_ROOT}/config/default.yaml" \
   record:="${OUT}/full_hd_output.bag" outputs:="deblurred/camera_info blur_field" \
   conductor_args:="--json ${OUT}/full_hd.json"

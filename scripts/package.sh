@@ -42,7 +42,7 @@ show_cmake_warnings "${FOLDER}/configure.log"
 cmake --build "${FOLDER}" --parallel "$(build_jobs)" > "${FOLDER}/build.log" 2>&1 ||
   { tail -n 40 "${FOLDER}/build.log" >&2; fail "the build failed; its log is ${FOLDER}/build.log"; }
 rm -f "${FOLDER}"/*.deb
-# CPack before 3.20 does not tell dpkg-shlibdeps where the package's own libraries are.
+# CPack before 3.20 does not pass the folder of the package's own libraries to dpkg-shlibdeps.
 libraries="${FOLDER}/devel/lib:${FOLDER}/src${LD_LIBRARY_PATH:+:${LD_LIBRARY_PATH}}"
 (cd "${FOLDER}" && LD_LIBRARY_PATH="${libraries}" cpack -G DEB) > "${FOLDER}/cpack.log" 2>&1 ||
   { cat "${FOLDER}/cpack.log" >&2; fail "cpack failed; the output is above"; }

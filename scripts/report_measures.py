@@ -13,7 +13,7 @@ MATCH_RATIO = 0.8  # Lowe's ratio, as in the paper's matching
 CORRECT_PX = 3.0  # a match with the truth is correct when it is this near
 RANSAC_PX = 5.0  # inliers between consecutive frames; rolling shutter leaves a homography some slack
 FLOW_CHECK_PX = 0.1  # forward and backward flow between the truth images must agree to this
-MOVED_PX = 1.0  # keypoints that the rolling shutter moved less would only tell the noise of the measurement
+MOVED_PX = 1.0  # keypoints that the rolling shutter moved less would only show the noise of the measurement
 
 
 def psnr(image, truth, mask=None):

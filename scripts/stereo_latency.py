@@ -149,7 +149,7 @@ def main():
     parser.add_argument("--camera", default="/camera", help="namespace in the bag [%(default)s]")
     parser.add_argument("--imu", default="/imu", help="topic in the bag [%(default)s]")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE",
-                        help="parameter of the nodelets besides keypoint_detector ORB, 1000 features, one thread each")
+                        help="parameter of the nodelets, which have keypoint_detector ORB, 1000 features, one thread each")
     parser.add_argument("--set1", action="append", default=[], metavar="KEY=VALUE", help="of the second one alone")
     parser.add_argument("--seconds", type=float, default=1e9, help="play only so much of the bag")
     parser.add_argument("--json", metavar="FILE", help="write everything to this file")

@@ -47,9 +47,9 @@ class Shake:
         rotation, result, k = np.eye(3), [], 0
         for time_s in times_s:
             while k + 1 < len(grid_s) and grid_s[k + 1] <= time_s + 1e-9:
-                rotation = turn(-self.STEP_S * rates[k]) @ rotation
+                rotation = rotation_matrix(-self.STEP_S * rates[k]) @ rotation
                 k += 1
-            result.append(turn(-(time_s - grid_s[k]) * rates[k]) @ rotation)
+            result.append(rotation_matrix(-(time_s - grid_s[k]) * rates[k]) @ rotation)
         return result
 
     def path(self, place_px, start_s, exposure_s=EXPOSURE_S):
@@ -58,11 +58,11 @@ class Shake:
         middle = rotations[INSTANTS // 2]
         center_px = np.array([(WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2])
         ray = np.append((np.asarray(place_px) - center_px) / FOCAL_PX, 1)
-        turned = np.array([rotation @ middle.T @ ray for rotation in rotations])
-        return FOCAL_PX * turned[:, :2] / turned[:, 2:] + center_px - place_px
+        rotated = np.array([rotation @ middle.T @ ray for rotation in rotations])
+        return FOCAL_PX * rotated[:, :2] / rotated[:, 2:] + center_px - place_px
 
 
-def turn(vector_rad):
+def rotation_matrix(vector_rad):
     """Rotation matrix of a rotation vector."""
     angle = np.linalg.norm(vector_rad)
     if angle == 0:
@@ -430,7 +430,7 @@ def optical_flow(data, folder):
     field.add_patch(plt.Rectangle((425, 160), 150, 140, fill=False, color=ORANGE, linewidth=1.5))
     field.text(428, 318, "object", color=ORANGE, fontsize=8)
     field.set(xlim=(0, WIDTH_PX), ylim=(HEIGHT_PX, 0), aspect="equal", xlabel="x [px]", ylabel="y [px]",
-              title=f"residual velocity, as way within {shown_s} s")
+              title=f"displacement by the residual velocity in {shown_s} s")
     field.legend(fontsize=7, loc="lower right")
 
     chosen = int(np.argmin(((centers - (415, 160)) ** 2).sum(axis=1)))
@@ -813,7 +813,7 @@ PATH_CALLS = (
     ("ros", "push", 5, 6, 11.6), ("ros", "is_ready", 5, 12, 22), ("ros", "find_all", 6, 12, 22),
     ("ros", "work", 1, 37, 130), ("ros", "guarded", 2, 39, 130), ("ros", "Processor::advance(sink)", 3, 40.5, 130),
     ("ros", "Processor::advance(sink, finishing)", 4, 40.5, 130), ("ros", "next_frame", 5, 40.5, 52.5),
-    ("ros", "assemble", 6, 40.5, 52.5), ("ros", "find_all", 7, 40.5, 46.4), ("ros", "collect", 7, 46.8, 52.5),
+    ("ros", "synchronize", 6, 40.5, 52.5), ("ros", "find_all", 7, 40.5, 46.4), ("ros", "collect", 7, 46.8, 52.5),
     ("ros", "process_with_partners", 5, 52.9, 107), ("ros", "process", 6, 54, 107), ("ros", "deblur", 7, 54.5, 107),
     ("ros", "make", 8, 55, 94.4), ("ros", "add_messages", 8, 94.8, 107), ("ros", "to_image", 9, 94.8, 107),
     ("pipeline", "Pipeline::process", 9, 55.5, 94.4),

@@ -1,7 +1,7 @@
-"""What judges a sequence: a SLAM stack by the error of its trajectory, or, without one, the package's own tracks.
+"""What evaluates a sequence: a SLAM stack by the error of its trajectory, or, without one, the package's own tracks.
 
-A judge has a name, reads_tracks (whether it is given feature_tracks, not images), the metrics that it gives ({key:
-(title, digits)}, the first of which decides; less is better), judge(recording, folder, name), which raises Lost, and
+An evaluator has a name, reads_tracks (whether it is given feature_tracks, not images), the metrics that it gives ({key:
+(title, digits)}, the first of which decides; less is better), evaluate(recording, folder, name), which raises Lost, and
 close(). Another stack is another class here: it gets a bag with images, or tracks, and an IMU, and its poses of the IMU
 are compared by state_errors.
 """
@@ -50,7 +50,7 @@ def run_logged(command, log, environment=None, timeout_s=1800):
 
 
 class Lost(Exception):
-    """The judge did its work, and what it was given was too bad for it."""
+    """The evaluator did its work, and what it was given was too bad for it."""
 
 
 class Master:
@@ -234,7 +234,7 @@ class OpenVins:
             command.append("_path_gt:=%s" % (folder / "start.csv"))
         return self.run(command, states, folder / (name + ".log"), self.environment())
 
-    def judge(self, recording, folder, name):
+    def evaluate(self, recording, folder, name):
         return self.errors(self.estimate(recording, folder, name), recording.truth)
 
     @classmethod
@@ -261,7 +261,7 @@ class OpenVinsTracks:
     def close(self):
         pass
 
-    def judge(self, recording, folder, name):
+    def evaluate(self, recording, folder, name):
         settings, start = OpenVins.write_settings(recording, folder), folder / "start.csv"
         OpenVins.write_start(recording, start)
         metrics = {}
@@ -304,7 +304,7 @@ class OwnTracks:
                "tracks": ("tracks through six images", 0)}
     APART = 5          # images between the two of a pair
     MIN_TRACKS = 12
-    MIN_WAY_M = 0.05   # less tells no direction
+    MIN_WAY_M = 0.05   # less determines no direction
     LOST_DEG = 90.0    # of a pair without enough tracks: what a guess would be off
     COVARIANCE = ("covariance_uu_of_point", "covariance_uv_of_point", "covariance_vv_of_point")
 
@@ -320,7 +320,7 @@ class OwnTracks:
         return {int(i): (np.array([p.x, p.y]), c)
                 for i, p, c in zip(channels["id_of_point"], cloud.points, covariances)}
 
-    def judge(self, recording, folder, name):
+    def evaluate(self, recording, folder, name):
         del folder
         focal_px = recording.camera["intrinsics"][0]
         with rosbag.Bag(str(recording.bag)) as bag:
@@ -369,7 +369,7 @@ class OwnTracks:
 
 def relative_motion(first, second, focal_px):
     """Of the camera between two images, from normalised points: rotation first to second, unit translation; None when
-    they tell none."""
+    they determine none."""
     E, inliers = cv2.findEssentialMat(first, second, np.eye(3), cv2.RANSAC, 0.999, 1.5 / focal_px)
     if E is None or E.shape != (3, 3):
         return None

@@ -87,13 +87,13 @@ class Load:
         self._thread.join()
 
 
-def play(judge, recording, config, folder, patience_s):
+def play(openvins, recording, config, folder, patience_s):
     """Through live.launch. Returns what was seen."""
     states, report = folder / "live_states.txt", folder / "play.json"
-    settings = judge.write_settings(recording, folder, OWN_START)
+    settings = openvins.write_settings(recording, folder, OWN_START)
     # The stack's packages come from its own devel space, in addition to this one.
     launch = pathlib.Path(__file__).resolve().parent / "live.launch"
-    command = "source '%s/setup.bash' --extend && exec roslaunch '%s'" % (judge.devel, launch)
+    command = "source '%s/setup.bash' --extend && exec roslaunch '%s'" % (openvins.devel, launch)
     for key, value in {"bag": recording.bag, "config": config, "settings": settings, "topic": recording.image_topic,
                        "states": states, "json": report}.items():
         command += " '%s:=%s'" % (key, value)
@@ -101,7 +101,7 @@ def play(judge, recording, config, folder, patience_s):
     monitor = Monitor(["/camera/image_raw", recording.image_topic, "/stack/poseimu"])
     with open(folder / "live.log", "w", encoding="utf-8") as log:
         process = subprocess.Popen(["bash", "-c", command], stdout=log, stderr=subprocess.STDOUT,
-                                   env=judge.environment())
+                                   env=openvins.environment())
         try:
             status = process.wait(patience_s)
         finally:
@@ -118,7 +118,7 @@ def play(judge, recording, config, folder, patience_s):
             "deblurred_ms": monitor.latencies_ms("/camera/image_raw", recording.image_topic),
             # Stamped in the IMU's clock, with the instant that the image stands for.
             "pose_ms": monitor.latencies_ms("/camera/image_raw", "/stack/poseimu", round(1e9 * recording.shift_s)),
-            "processor_s": load.seconds, "states": judge.read_states(states)}
+            "processor_s": load.seconds, "states": openvins.read_states(states)}
 
 
 def quantiles(values):
@@ -144,9 +144,9 @@ def main():
     seeds = list(range(1, arguments.seeds + 1))
     runs = []
     with tempfile.TemporaryDirectory() as folder, bags_of(case, ["day"], seeds, arguments) as bags, \
-            contextlib.closing(OpenVins(arguments.openvins, arguments.out, OWN_START)) as judge:
+            contextlib.closing(OpenVins(arguments.openvins, arguments.out, OWN_START)) as openvins:
         folder = pathlib.Path(folder)
-        os.environ.update(judge.environment())
+        os.environ.update(openvins.environment())
         rospy.init_node("monitor", disable_signals=True)
         config = folder / "nodelet.yaml"
         config.write_text("{}\n")
@@ -155,8 +155,8 @@ def main():
             own.mkdir()
             recording = read_recording(case, bags, "day", seed, "blurred")
             offline = deblur(recording, {}, False, own)
-            by_bag = judge.estimate(offline, own, "bag_%d" % seed)
-            live = play(judge, dataclasses.replace(recording, image_topic=offline.image_topic), config, own,
+            by_bag = openvins.estimate(offline, own, "bag_%d" % seed)
+            live = play(openvins, dataclasses.replace(recording, image_topic=offline.image_topic), config, own,
                         10 * case.seconds(arguments.seconds) + 120)
             states = live.pop("states")
             runs.append(dict(live, seed=seed, live=state_errors(states, recording.truth), states=len(states.t_s),

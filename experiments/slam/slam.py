@@ -1,9 +1,9 @@
 #!/usr/bin/python3
 """What deblurring is worth to a SLAM stack: recorded flights through a simulated room, sharp, blurred and deblurred.
 
-Renders each flight (slam_sequences), deblurs it (deblur_bag), lets a stack, or the package's own tracks, judge all of
-them, and writes results.json, tables (slam.md) and a plot (slam.png) into --out. What is in results.json already is
-not measured again. Needs the devel space of this package (scripts/build.sh, then source build/devel/setup.bash) and
+Renders each flight (slam_sequences), deblurs it (deblur_bag), evaluates all by a stack or by the package's own tracks,
+and writes results.json, tables (slam.md) and a plot (slam.png) into --out. What is in results.json already is not
+measured again. Needs the devel space of this package (scripts/build.sh, then source build/devel/setup.bash) and
 the program slam_sequences (cmake --build build --target slam_sequences).
 """
 
@@ -62,9 +62,9 @@ class Case:
             parts.append("x%g" % self.speed)
         return ", ".join(parts)
 
-    def suits(self, judge):
-        """Tracks are those of each row's own time, and whoever judges them takes an image for one instant."""
-        return not (judge.reads_tracks and self.readout_ms)
+    def suits(self, evaluator):
+        """Tracks are those of each row's own time, and whoever evaluates them takes an image for one instant."""
+        return not (evaluator.reads_tracks and self.readout_ms)
 
 
 READOUT_MS = 20  # of the rolling shutter
@@ -73,7 +73,7 @@ REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms in (0, R
 # What is chosen is chosen on another flight.
 TUNED = [Case(TUNING, exposure_ms, speed) for speed in (1.7, 1.0) for exposure_ms in (30, 15)]
 
-# How the images get to the judge: keys of config/default.yaml; None: as they are in the bag.
+# How the images get to the evaluator: keys of config/default.yaml; None: as they are in the bag.
 VARIANTS = {"sharp": None, "blurred": None, "gyroscope": {"optical_flow": False}, "package": {}}
 TITLES = {"sharp": "sharp", "blurred": "blurred", "gyroscope": "gyroscope alone", "package": "the package"}
 COLORS = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue"}
@@ -97,7 +97,7 @@ def options_of(variant):
     return options
 
 
-KEY = ("case", "seconds", "light", "seed", "variant", "judge")  # of a result
+KEY = ("case", "seconds", "light", "seed", "variant", "judge")  # of a result; the last is the evaluator's name
 
 
 class Study:
@@ -109,8 +109,8 @@ class Study:
         self.results = json.loads(self.path.read_text()) if self.path.exists() else []
         self._lock = threading.Lock()
 
-    def _key(self, judge, case, light, seed, variant):
-        return case.key, case.seconds(self.arguments.seconds), light, seed, variant, judge.name
+    def _key(self, evaluator, case, light, seed, variant):
+        return case.key, case.seconds(self.arguments.seconds), light, seed, variant, evaluator.name
 
     def keep(self, key, metrics):
         with self._lock:
@@ -122,9 +122,9 @@ class Study:
     def run(self, evaluators, cases, variants):
         seeds = list(range(1, self.arguments.seeds + 1))
         known = {tuple(r[k] for k in KEY) for r in self.results}
-        missing = {case: [(judge, case, light, seed, variant) for judge in evaluators if case.suits(judge)
+        missing = {case: [(evaluator, case, light, seed, variant) for evaluator in evaluators if case.suits(evaluator)
                           for light in self.arguments.lights for seed in seeds for variant in variants
-                          if self._key(judge, case, light, seed, variant) not in known] for case in cases}
+                          if self._key(evaluator, case, light, seed, variant) not in known] for case in cases}
         total = sum(map(len, missing.values()))
         with tqdm(total=total, unit="run", disable=None) as bar, \
                 concurrent.futures.ThreadPoolExecutor(self.arguments.jobs) as pool:
@@ -137,20 +137,20 @@ class Study:
                         done.result()
                         bar.update()
 
-    def measure(self, folder, judge, case, light, seed, variant):
+    def measure(self, folder, evaluator, case, light, seed, variant):
         name = "%s_%s_%d_%s" % (case.key, light, seed, variant)
         recording = read_recording(case, folder, light, seed, "sharp" if variant == "sharp" else "blurred")
         options = options_of(variant)
         with tempfile.TemporaryDirectory(dir=folder) as own:
             own = pathlib.Path(own)
-            if options is not None or judge.reads_tracks:
-                recording = deblur(recording, UNTOUCHED if options is None else options, judge.reads_tracks, own)
+            if options is not None or evaluator.reads_tracks:
+                recording = deblur(recording, UNTOUCHED if options is None else options, evaluator.reads_tracks, own)
             try:
-                metrics = judge.judge(recording, own, name)
+                metrics = evaluator.evaluate(recording, own, name)
             except Lost as error:
                 tqdm.write("%s: lost: %s" % (name, error), file=sys.stderr)
-                metrics = dict.fromkeys(judge.metrics)
-        self.keep(self._key(judge, case, light, seed, variant), metrics)
+                metrics = dict.fromkeys(evaluator.metrics)
+        self.keep(self._key(evaluator, case, light, seed, variant), metrics)
 
 
 @contextlib.contextmanager
@@ -213,12 +213,12 @@ def cell(values):
 
 
 class Cells:
-    """Results of one judge by case, light and variant."""
+    """Results of one evaluator by case, light and variant."""
 
-    def __init__(self, results, judge, seconds):
+    def __init__(self, results, evaluator, seconds):
         """seconds: of a case, at most."""
-        self.judge = judge
-        self._results = [r for r in results if r["judge"] == judge.name]
+        self.evaluator = evaluator
+        self._results = [r for r in results if r["judge"] == evaluator.name]
         self._seconds = seconds
 
     def of(self, case, light, variant, metric):
@@ -240,7 +240,7 @@ class Column:
 
 
 def columns_of(cells, variants, metric, tracks=None):
-    """tracks: cells of the judge that weighs the package's tracks; a column of their own."""
+    """tracks: cells of the evaluator that weighs the package's tracks; a column of their own."""
     columns = [Column(TITLES.get(v, v), COLORS.get(v), cells, v, metric) for v in variants]
     if tracks is not None and "package" in variants:
         columns.append(Column("the package's tracks, weighed", "tab:purple", tracks, "package", "weighed_" + metric))
@@ -248,7 +248,7 @@ def columns_of(cells, variants, metric, tracks=None):
 
 
 def share_of_the_way(cells, case, light, variant, metric):
-    """From blurred to sharp [%]; nothing where blur costs nothing that can be told from noise."""
+    """From blurred to sharp [%]; nothing where what blur costs is within the noise."""
     (sharp, sharp_se), (blurred, blurred_se) = (cells.of(case, light, v, metric) for v in ("sharp", "blurred"))
     if not blurred - sharp > 2 * np.hypot(sharp_se, blurred_se):
         return None
@@ -257,16 +257,16 @@ def share_of_the_way(cells, case, light, variant, metric):
 
 
 def markdown(cells, tracks, cases, lights, variants):
-    judge = cells.judge
-    cases = [case for case in cases if case.suits(judge)]
+    evaluator = cells.evaluator
+    cases = [case for case in cases if case.suits(evaluator)]
     lines = []
     if not cases:
         return lines
-    for metric, (title, digits) in judge.metrics.items():
+    for metric, (title, digits) in evaluator.metrics.items():
         columns = columns_of(cells, variants, metric, tracks)
-        way = metric == next(iter(judge.metrics)) and "package" in variants
+        way = metric == next(iter(evaluator.metrics)) and "package" in variants
         header = ["flight", "conditions"] + [c.title for c in columns] + (["of the way to sharp"] if way else [])
-        lines += ["%s: %s; mean of seeds ± its standard error" % (judge.name, title), "",
+        lines += ["%s: %s; mean of seeds ± its standard error" % (evaluator.name, title), "",
                   "| " + " | ".join(header) + " |", "| " + " | ".join(["---"] * len(header)) + " |"]
         for case in cases:
             for light in lights:
@@ -286,15 +286,15 @@ def markdown(cells, tracks, cases, lights, variants):
 
 def plot(cells, tracks, cases, lights, variants, path):
     """A group of bars for each case and light; a row for each shutter."""
-    metric, (title, _) = next(iter(cells.judge.metrics.items()))
+    metric, (title, _) = next(iter(cells.evaluator.metrics.items()))
     columns = columns_of(cells, variants, metric, tracks)
     rows = [[(case, light) for case in cases if case.readout_ms == readout_ms for light in lights]
             for readout_ms in sorted({case.readout_ms for case in cases})]
     figure, all_axes = plt.subplots(len(rows), 1, figsize=(max(5, 1.5 + 0.62 * max(map(len, rows))), 4.3 * len(rows)),
                                     sharey=True, squeeze=False)
     for groups, axes in zip(rows, all_axes[:, 0]):
-        draw_bars([c for c in columns if all(case.suits(c.cells.judge) for case, _ in groups)], groups, axes)
-        axes.set_ylabel("%s: %s" % (cells.judge.name, title))
+        draw_bars([c for c in columns if all(case.suits(c.cells.evaluator) for case, _ in groups)], groups, axes)
+        axes.set_ylabel("%s: %s" % (cells.evaluator.name, title))
     all_axes[0, 0].legend(fontsize=8, ncol=len(columns), loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
     figure.tight_layout()
     figure.savefig(path, dpi=110)
@@ -327,9 +327,9 @@ def parse_arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=pathlib.Path, required=True, help="folder for the results")
     parser.add_argument("--openvins", type=pathlib.Path, metavar="DEVEL",
-                        help="devel space of a workspace with OpenVINS (ROS 1) [the package's own tracks judge]")
+                        help="devel space of a workspace with OpenVINS (ROS 1) [the package's own tracks evaluate]")
     parser.add_argument("--tracks", action="store_true",
-                        help="with --openvins: judge by it on the package's tracks, too, not on corners of its own")
+                        help="with --openvins: evaluate by it on the package's tracks, too, not on corners of its own")
     parser.add_argument("--tuning", action="store_true",
                         help="on the flight that defaults are chosen on, instead of those that are reported")
     parser.add_argument("--variants", nargs="+", default=list(VARIANTS), metavar="VARIANT",
@@ -368,9 +368,9 @@ def main():
     if not arguments.report:
         with contextlib.ExitStack() as stack:
             evaluators = [stack.enter_context(contextlib.closing(
-                judge(arguments.openvins, arguments.out) if arguments.openvins else judge())) for judge in types]
+                make(arguments.openvins, arguments.out) if arguments.openvins else make())) for make in types]
             study.run(evaluators, cases, arguments.variants)
-    cells = [Cells(study.results, judge, arguments.seconds) for judge in types]
+    cells = [Cells(study.results, evaluator, arguments.seconds) for evaluator in types]
     tracks = cells[1] if len(cells) > 1 else None
     lines = markdown(cells[0], tracks, cases, arguments.lights, arguments.variants)
     if tracks is not None:

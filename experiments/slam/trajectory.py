@@ -57,8 +57,8 @@ def aligned(estimate, truth):
     from_m, to_m = estimate.p_m - estimate.p_m.mean(0), truth.p_m - truth.p_m.mean(0)
     covariance = to_m[:, :2].T @ from_m[:, :2]
     yaw = np.arctan2(covariance[1, 0] - covariance[0, 1], covariance[0, 0] + covariance[1, 1])
-    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    return from_m @ turn.T + truth.p_m.mean(0)
+    about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    return from_m @ about_z.T + truth.p_m.mean(0)
 
 
 def absolute_error_m(estimate, truth):

@@ -19,7 +19,7 @@ enum class OnCalibrationConflict {
   CONFIGURED,  ///< the parameters and the file hold
 };
 
-/// What to do about rotation, time offset, readout time and bias that nobody has given.
+/// What to do about rotation, time offset, readout time and bias that are not given.
 enum class SelfCalibrationMode {
   AUTO,   ///< they are estimated from the images, and used once they are sure; what is given is checked
   NEVER,  ///< R_cam_imu is missing, the others are 0

@@ -36,7 +36,7 @@ struct BlurFieldOptions {
 enum class ValidationRule {
   /// The block's power spectrum has to fit the predicted blur better than less blur, see BlurLikelihood. Noise, low
   /// contrast, hot pixels and saturation do not deceive it. Blocks with little texture follow their neighbours and the
-  /// frame. A spectrum says little about blur below 5 px: there GRADIENT has to agree.
+  /// frame. Blur below 5 px changes a spectrum little: there GRADIENT has to agree.
   LIKELIHOOD,
   /// The strongest gradient along the motion may be at most tau(r) = tau + tau_contrast / r (paper section III-D). A
   /// box of extent r cannot leave more than contrast / r grey levels a pixel, so the threshold falls with the extent.
@@ -140,9 +140,9 @@ enum class ImageBorder {
   REPLICATE  ///< the nearest pixel
 };
 
-/// What to do when the blur says for seconds that an exposure time is another one than was given.
+/// What to do when the blur contradicts a given exposure time for seconds.
 enum class OnExposureConflict {
-  IMAGES,      ///< exposure_time is replaced by what the images say; a message's value is reported and kept
+  IMAGES,      ///< exposure_time is replaced by the estimate from the blur; a message's value is reported and kept
   CONFIGURED,  ///< what is given is reported and kept
 };
 

@@ -45,8 +45,8 @@ struct ExposureAnswer {
 /// How an exposure time is found that is not certain.
 struct ExposureQuestion {
   bool estimate = true;   ///< the exposure is estimated from the blur (doc/design/exposure.md)
-  TimeNs longest_ns = 0;  ///< that the exposure may turn out to be; 0: not known
-  /// Called once, with what the blur says (nothing: it says nothing, or was not examined) and the mean grey level of
+  TimeNs longest_ns = 0;  ///< longest time that the exposure may be; 0: not known
+  /// Called once, with the estimate from the blur (nothing: there is none, or none was made) and the mean grey level of
   /// the image, 0 to 255.
   std::function<ExposureAnswer(const std::optional<ExposureEstimate>&, double)> answer;
 };

@@ -25,7 +25,7 @@ class PixelMask {
   /// Eroded mask: CV_8UC1, 255 where every pixel of the (2 half_px + 1)^2 window around is used, else 0; empty: all are
   /// used. Precondition: half_px >= 0.
   cv::Mat with_used_window(int half_px) const;
-  /// True if both share their pixels. An equal mask with pixels of its own is another one.
+  /// True if both share their pixels. An equal mask with pixels of its own counts as different.
   bool is_same(const PixelMask& other) const { return used_.data == other.used_.data; }
   /// Number of masked pixels in the rectangle [px]; pixels outside of the image count as used.
   int masked_in(const cv::Rect& rect) const;

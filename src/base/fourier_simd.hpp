@@ -2,7 +2,7 @@
 //
 // A tile of real numbers has rows of fourier_stride(across.size) floats, on a cache line. Its spectrum takes its place:
 // rows of frequency v = 0 .. down.size / 2 - 1 (cycles in the tile, down), the real parts in row v, the imaginary parts
-// in row down.size / 2 + v. Frequencies of half a cycle a pixel, whose phase a real tile does not tell, are left out.
+// in row down.size / 2 + v. Frequencies of half a cycle a pixel, whose phase a real tile does not have, are left out.
 #pragma once
 
 #include "base/fourier.hpp"

@@ -19,7 +19,7 @@ inline Complex times_i(const Complex& z) { return {-z.im, z.re}; }
 
 /// Times exp(-2 pi i / 4), or its conjugate.
 template <bool kForward>
-inline Complex quarter_turn(const Complex& z) {
+inline Complex quarter_rotation(const Complex& z) {
   return kForward ? Complex{z.im, -z.re} : times_i(z);
 }
 
@@ -47,8 +47,8 @@ inline void transform(Complex (&x)[2]) {
 
 template <bool kForward>
 inline void transform(Complex (&x)[3]) {
-  constexpr float kSin = 0.866025404f;  // of a third of a turn
-  const Complex sum = x[1] + x[2], side = quarter_turn<kForward>(kSin * (x[1] - x[2])), middle = x[0] - 0.5f * sum;
+  constexpr float kSin = 0.866025404f;  // of a third of a revolution
+  const Complex sum = x[1] + x[2], side = quarter_rotation<kForward>(kSin * (x[1] - x[2])), middle = x[0] - 0.5f * sum;
   x[0] = x[0] + sum;
   x[1] = middle + side;
   x[2] = middle - side;
@@ -56,21 +56,22 @@ inline void transform(Complex (&x)[3]) {
 
 template <bool kForward>
 inline void transform(Complex (&x)[4]) {
-  const Complex even = x[0] + x[2], odd = x[1] + x[3], rest = x[0] - x[2], turned = quarter_turn<kForward>(x[1] - x[3]);
+  const Complex even = x[0] + x[2], odd = x[1] + x[3], rest = x[0] - x[2],
+                rotated = quarter_rotation<kForward>(x[1] - x[3]);
   x[0] = even + odd;
-  x[1] = rest + turned;
+  x[1] = rest + rotated;
   x[2] = even - odd;
-  x[3] = rest - turned;
+  x[3] = rest - rotated;
 }
 
 template <bool kForward>
 inline void transform(Complex (&x)[5]) {
-  constexpr float kCos1 = 0.309016994f, kCos2 = -0.809016994f;  // of one and two fifths of a turn
+  constexpr float kCos1 = 0.309016994f, kCos2 = -0.809016994f;  // of one and two fifths of a revolution
   constexpr float kSin1 = 0.951056516f, kSin2 = 0.587785252f;
   const Complex sum1 = x[1] + x[4], sum2 = x[2] + x[3], apart1 = x[1] - x[4], apart2 = x[2] - x[3];
   const Complex middle1 = x[0] + kCos1 * sum1 + kCos2 * sum2, middle2 = x[0] + kCos2 * sum1 + kCos1 * sum2;
-  const Complex side1 = quarter_turn<kForward>(kSin1 * apart1 + kSin2 * apart2);
-  const Complex side2 = quarter_turn<kForward>(kSin2 * apart1 - kSin1 * apart2);
+  const Complex side1 = quarter_rotation<kForward>(kSin1 * apart1 + kSin2 * apart2);
+  const Complex side2 = quarter_rotation<kForward>(kSin2 * apart1 - kSin1 * apart2);
   x[0] = x[0] + sum1 + sum2;
   x[1] = middle1 + side1;
   x[2] = middle2 + side2;
@@ -80,13 +81,13 @@ inline void transform(Complex (&x)[5]) {
 
 template <bool kForward>
 inline void transform(Complex (&x)[8]) {
-  constexpr float kHalf = 0.707106781f;  // sine of an eighth of a turn
+  constexpr float kHalf = 0.707106781f;  // sine of an eighth of a revolution
   Complex even[4] = {x[0], x[2], x[4], x[6]}, odd[4] = {x[1], x[3], x[5], x[7]};
   transform<kForward>(even);
   transform<kForward>(odd);
-  odd[1] = kHalf * (odd[1] + quarter_turn<kForward>(odd[1]));
-  odd[2] = quarter_turn<kForward>(odd[2]);
-  odd[3] = kHalf * (quarter_turn<kForward>(odd[3]) - odd[3]);
+  odd[1] = kHalf * (odd[1] + quarter_rotation<kForward>(odd[1]));
+  odd[2] = quarter_rotation<kForward>(odd[2]);
+  odd[3] = kHalf * (quarter_rotation<kForward>(odd[3]) - odd[3]);
   for (int i = 0; i < 4; ++i) {
     x[i] = even[i] + odd[i];
     x[i + 4] = even[i] - odd[i];

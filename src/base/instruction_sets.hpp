@@ -1,4 +1,4 @@
-// SIMD kernels: loops that are compiled once per instruction set, and which copy runs here.
+// SIMD kernels: loops that are compiled once per instruction set; which variant runs here.
 //
 // The kernels of one task are a struct of function pointers, whose first member is `const char* name`. X_simd.hpp
 // declares it, with GYRO_DEBLUR_SIMD_KERNELS behind it. X_simd_impl.hpp has the functions, and
@@ -12,9 +12,9 @@ namespace gyro_deblur {
 /// Whether this processor runs what is compiled for "baseline", "avx2" or "avx512"; false for any other name.
 bool runs_instruction_set(const char* name);
 
-/// kWidestFirst: the copies of `Kernels`. The last one is "baseline", which every processor runs.
+/// kWidestFirst: the variants of `Kernels`. The last one is "baseline", which every processor runs.
 template <typename Kernels>
-struct SimdCopies;
+struct SimdVariants;
 
 // No functions: headers of kernels are compiled for AVX-512, too, and the linker may keep that copy of an inline one.
 #if defined(__x86_64__)
@@ -29,7 +29,7 @@ struct SimdCopies;
   extern const Kernels k##Kernels;                                                                                    \
   }                                                                                                                   \
   template <>                                                                                                         \
-  struct SimdCopies<Kernels> {                                                                                        \
+  struct SimdVariants<Kernels> {                                                                                      \
     static constexpr const Kernels* kWidestFirst[] = {&avx512::k##Kernels, &avx2::k##Kernels, &baseline::k##Kernels}; \
   };
 #else
@@ -38,27 +38,27 @@ struct SimdCopies;
   extern const Kernels k##Kernels;                                            \
   }                                                                           \
   template <>                                                                 \
-  struct SimdCopies<Kernels> {                                                \
+  struct SimdVariants<Kernels> {                                              \
     static constexpr const Kernels* kWidestFirst[] = {&baseline::k##Kernels}; \
   };
 #endif
 
-/// The copy for the widest instruction set that this processor runs.
+/// The variant for the widest instruction set that this processor runs.
 template <typename Kernels>
 const Kernels& select_for_cpu() {
   const Kernels* selected = nullptr;
-  for (const Kernels* copy : SimdCopies<Kernels>::kWidestFirst) {
-    selected = copy;
-    if (runs_instruction_set(copy->name)) break;
+  for (const Kernels* variant : SimdVariants<Kernels>::kWidestFirst) {
+    selected = variant;
+    if (runs_instruction_set(variant->name)) break;
   }
   return *selected;
 }
 
-/// The copy of this name; null when this build does not have it, or this processor does not run it.
+/// The variant of this name; null when this build does not have it, or this processor does not run it.
 template <typename Kernels>
 const Kernels* find_for_cpu(const char* name) {
-  for (const Kernels* copy : SimdCopies<Kernels>::kWidestFirst) {
-    if (std::strcmp(copy->name, name) == 0) return runs_instruction_set(name) ? copy : nullptr;
+  for (const Kernels* variant : SimdVariants<Kernels>::kWidestFirst) {
+    if (std::strcmp(variant->name, name) == 0) return runs_instruction_set(name) ? variant : nullptr;
   }
   return nullptr;
 }

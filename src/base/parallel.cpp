@@ -61,7 +61,7 @@ class Loop {
     if (failure_) std::rethrow_exception(std::exchange(failure_, nullptr));
   }
 
-  // Of the helpers, under their lock:
+  // Counts of helpers, under their lock.
   int wanted = 0, joined = 0, at_work = 0;
   std::condition_variable all_left;
 
@@ -112,7 +112,7 @@ class Helpers {
 
   void help() {
     pthread_setname_np(pthread_self(), "gyro_deblur");
-    ask_for_turns_of_a_frame();
+    ask_for_time_slice_of_a_frame();
     std::unique_lock<std::mutex> lock(mutex_);
     while (true) {
       Loop* loop = nullptr;
@@ -154,7 +154,7 @@ int serial_until_worthwhile(Loop& loop, int most) {
     elapsed += now - before;
     longest = std::max(longest, now - before);
     before = now;
-    // The longest step may have been interrupted: it tells nothing.
+    // The longest step may have been interrupted: it is no measure.
     constexpr int kStepsThatTell = 3;
     if (steps < kStepsThatTell) continue;
     const int begun = loop.begun();

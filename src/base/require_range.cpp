@@ -10,7 +10,7 @@ namespace gyro_deblur {
 void require_range(const char* name, double value, double min, double max, const char* unit) {
   if (value >= min && value <= max) return;
   std::ostringstream message;
-  message.precision(10);  // tells an open end one nanosecond from its bound
+  message.precision(10);  // distinguishes an open end one nanosecond from its bound
   message << name << " = " << value << " is outside [" << min << ", " << max << "]";
   if (*unit != '\0') message << ' ' << unit;
   throw OptionError(message.str());

@@ -13,13 +13,13 @@ std::optional<SchedulingAttributes> scheduling_attributes() {
   return attributes;
 }
 
-void ask_for_turns_of_a_frame() {
+void ask_for_time_slice_of_a_frame() {
   // See "EEVDF Scheduler" in the kernel's documentation, and doc/reports/contention.md.
-  constexpr std::uint64_t kTurnNs = 3'000'000;
+  constexpr std::uint64_t kTimeSliceNs = 3'000'000;
   constexpr std::uint64_t kResetOnFork = 1;  // SCHED_FLAG_RESET_ON_FORK
   std::optional<SchedulingAttributes> attributes = scheduling_attributes();
   if (!attributes || (attributes->policy != SCHED_OTHER && attributes->policy != SCHED_BATCH)) return;
-  attributes->runtime_ns = kTurnNs;
+  attributes->runtime_ns = kTimeSliceNs;
   // Libraries of others start threads from this one and keep them for the whole process. From those with a negative
   // nice value the flag would take that too.
   if (attributes->nice >= 0) attributes->flags |= kResetOnFork;

@@ -1,4 +1,4 @@
-// Vectors of one instruction set, for the bodies of loops that are compiled once per set. Such a body is an *_impl.hpp,
+// Vectors of one instruction set, for the bodies of SIMD kernels. Such a body is an *_impl.hpp,
 // included by one source file per set, each of which is compiled with its own flags and defines GYRO_DEBLUR_ISA (a
 // namespace), GYRO_DEBLUR_ISA_NAME and GYRO_DEBLUR_VECTOR_BYTES. Everything in it has internal linkage and nothing
 // comes from the standard library's templates: a shared inline function compiled for AVX-512 could otherwise be the

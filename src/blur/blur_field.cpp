@@ -56,9 +56,9 @@ LineFit fit_to_line(const std::array<Eigen::Vector2d, kPathInstants>& path_px, d
   return fit;
 }
 
-/// How far a path along a line departs from an even run from its first to its last place, less the best shift [px].
+/// Largest deviation [px] of a path along a line from uniform motion between its ends, after the best shift.
 double nonuniformity_px(const Path1d& path_px) {
-  double least = 0, most = 0;  // the ends do not depart
+  double least = 0, most = 0;  // the ends do not deviate
   for (int k = 0; k < kPathInstants; ++k) {
     const double even = path_px.front() + k / (kPathInstants - 1.0) * (path_px.back() - path_px.front());
     least = std::min(least, path_px[k] - even);
@@ -67,7 +67,7 @@ double nonuniformity_px(const Path1d& path_px) {
   return 0.5 * (most - least);
 }
 
-/// Mean in time of a path that is even between its instants.
+/// Mean in time of a path of uniform speed between its instants.
 Eigen::Vector2d mean_place(const std::array<Eigen::Vector2d, kPathInstants>& path_px) {
   Eigen::Vector2d sum_px = -0.5 * (path_px.front() + path_px.back());
   for (const Eigen::Vector2d& place_px : path_px) sum_px += place_px;
@@ -82,7 +82,7 @@ float fitted_angle(const std::array<Eigen::Vector2d, kPathInstants>& path_px) {
   for (const Eigen::Vector2d& place_px : path_px) {
     scatter_px2 += (place_px - mean_px) * (place_px - mean_px).transpose();
   }
-  // Of the eigenvector with the larger eigenvalue.
+  // The angle of the eigenvector with the larger eigenvalue.
   const double angle_rad = 0.5 * std::atan2(2 * scatter_px2(0, 1), scatter_px2(0, 0) - scatter_px2(1, 1));
   return axial_float(std::cos(angle_rad), std::sin(angle_rad));
 }
@@ -90,7 +90,7 @@ float fitted_angle(const std::array<Eigen::Vector2d, kPathInstants>& path_px) {
 }  // namespace
 
 double even_path_px(double extent_px) {
-  // As measured: the loss is the same along a parabola, down to a quarter of a pixel.
+  // Measured: along a parabola the filter of a box loses equally at all extents, down to a quarter of a pixel.
   const double share = extent_px / 40;
   return std::max(0.25, share * share);
 }
@@ -108,10 +108,10 @@ BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_p
   }
   blur.chord_middle_px = (0.5 * (path_px.front() + path_px.back())).cast<float>();
   blur.mean_place_px = mean_place(path_px).cast<float>();
-  const double bend_px = 0.5 * fit.across_px - kStraightPathShare * fit.along_px;
-  if (blur.status != BlockStatus::DEBLURRED || bend_px <= options.curved_path_threshold_px) return blur;
+  const double excess_px = 0.5 * fit.across_px - kStraightPathShare * fit.along_px;
+  if (blur.status != BlockStatus::DEBLURRED || excess_px <= options.curved_path_threshold_px) return blur;
   if (straight_only) {
-    if (bend_px > kMaxStraightDeviationPx) blur.status = BlockStatus::TOO_CURVED;
+    if (excess_px > kMaxStraightDeviationPx) blur.status = BlockStatus::TOO_CURVED;
   } else {
     Path2d& curved_path_px = blur.curved_path_px.emplace();
     for (int k = 0; k < kPathInstants; ++k) curved_path_px[k] = path_px[k].cast<float>();
@@ -121,7 +121,7 @@ BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_p
 }
 
 bool is_certain(const ResidualVelocity& residual, TimeNs exposure_ns) {
-  // Of a normal error, one block in 3000 is farther out than the first; less than the second is not seen in an image.
+  // A normal error exceeds the first limit in one block of 3000. Motion below the second is invisible in an image.
   constexpr double kSigmas = 4, kLeastPx = 0.2;
   const double speed_px_s = residual.velocity_px_s.norm();
   return speed_px_s > kSigmas * residual.stddev_px_s && speed_px_s * to_seconds(exposure_ns) > kLeastPx;
@@ -154,11 +154,11 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
     const double y_px = grid_.center(first).y();
     const TimeNs start_ns = exposure.start(y_px), middle_ns = exposure.middle(y_px), end_ns = exposure.end(y_px);
     if (!motion.covers({start_ns, end_ns})) continue;
-    std::array<Eigen::Matrix3d, kPathInstants> turns;  // from the middle of the exposure
+    std::array<Eigen::Matrix3d, kPathInstants> rotations;  // from the middle of the exposure
     std::array<double, kPathInstants> since_middle_s;
     for (int k = 0; k < kPathInstants; ++k) {
       const TimeNs instant_ns = start_ns + (end_ns - start_ns) * k / (kPathInstants - 1);
-      turns[k] = motion.rotation(middle_ns, instant_ns);
+      rotations[k] = motion.rotation(middle_ns, instant_ns);
       since_middle_s[k] = to_seconds(instant_ns - middle_ns);
     }
     for (int i = first; i < first + grid_.cols(); ++i) {
@@ -172,12 +172,12 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
           residual = residuals[i];
           uncertainty_px = exposure_s * residual->stddev_px_s;
         } else if (moved_px >= options_.min_extent_px) {
-          uncertainty_px = moved_px;  // what is uncertain is not used, and may be so all the same
+          uncertainty_px = moved_px;  // an uncertain velocity is not used, but may be real
         }
       }
       std::array<Eigen::Vector2d, kPathInstants> path_px;
       for (int k = 0; k < kPathInstants; ++k) {
-        path_px[k] = camera_.project(turns[k] * rays_[i]) - center_px;
+        path_px[k] = camera_.project(rotations[k] * rays_[i]) - center_px;
         if (residual) path_px[k] += since_middle_s[k] * residual->velocity_px_s;
       }
       if (!std::all_of(path_px.begin(), path_px.end(), [](const auto& place_px) { return place_px.allFinite(); })) {
@@ -186,7 +186,7 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
       BlockBlur& block = field.blocks[i];
       block = classify_path(path_px, options_, straight_only);
       block.residual = residual;
-      // Where it cancels the rotation, little blur may be none.
+      // A residual velocity that cancels the rotation may leave no blur.
       if (block.status == BlockStatus::DEBLURRED && block.extent_px - uncertainty_px < options_.min_extent_px) {
         block.status = BlockStatus::SHARP;
       }

@@ -56,15 +56,15 @@ template <std::size_t kPlaces>
 std::array<double, kFineBins> squared_transfer(const std::array<double, kPlaces>& places_px, double step) {
   // The integral of exp(-i w p) over a segment from a to b is (exp(-i w a) - exp(-i w b)) / (i w (b - a)).
   constexpr double kRestPx = 1e-3;  // a segment that does not move
-  std::array<std::complex<double>, kPlaces> phase, turn;
+  std::array<std::complex<double>, kPlaces> phase, phase_step;
   for (std::size_t k = 0; k < kPlaces; ++k) {
     phase[k] = 1;
-    turn[k] = std::polar(1.0, -2 * CV_PI * step * places_px[k]);
+    phase_step[k] = std::polar(1.0, -2 * CV_PI * step * places_px[k]);
   }
   std::array<double, kFineBins> squared;
   squared[0] = 1;
   for (int i = 1; i < kFineBins; ++i) {
-    for (std::size_t k = 0; k < kPlaces; ++k) phase[k] *= turn[k];
+    for (std::size_t k = 0; k < kPlaces; ++k) phase[k] *= phase_step[k];
     std::complex<double> sum = 0;
     for (std::size_t k = 0; k + 1 < kPlaces; ++k) {
       const double moved_px = places_px[k + 1] - places_px[k];
@@ -264,9 +264,9 @@ std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& lik
 }
 
 std::vector<double> with_neighbours(const BlockGrid& grid, const std::vector<double>& log_ratios) {
-  // Larger limits judge noisy blocks better, but let more of a moving object's edge follow its surroundings.
+  // Larger limits decide better on blocks with noise, but let more of a moving object's edge follow its surroundings.
   constexpr double kOfNeighbour = 5, kOfFrame = 10;
-  // What an error of the noise makes of blocks without texture, which all together would decide for a frame.
+  // Effect of an error of the noise on blocks without texture, which all together would decide for a frame.
   constexpr double kNothing = 1;
   const auto limited = [&](double value) {
     return std::copysign(std::clamp(std::abs(value) - kNothing, 0.0, kOfNeighbour), value);

@@ -11,7 +11,7 @@ namespace gyro_deblur {
 
 struct PathPhases;
 
-/// Of a path times `scale`, for SpectrumSimd::multiply_path_gain.
+/// Phases of a path times `scale`, for SpectrumSimd::multiply_path_gain.
 PathPhases phases_of(const Path2d& path_px, double scale);
 
 /// One image, made ready for the likelihood of many blurs.
@@ -23,7 +23,7 @@ class BlurLikelihood {
   BlurLikelihood(const cv::Mat& luminance, double noise_grey_levels, int threads = 0);
 
   /// Natural logarithm of the likelihood of `blur` over the mean likelihood of less blur, from the power spectrum of a
-  /// window around the block (doc/design/validation.md). 0, which says nothing, where no window fits into the image.
+  /// window around the block (doc/design/validation.md). 0, no evidence, where no window fits into the image.
   /// @param block  inside the image
   double log_ratio(const cv::Rect& block, const BlockBlur& blur) const;
 

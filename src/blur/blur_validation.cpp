@@ -60,18 +60,18 @@ namespace {
 /// blocks 1.4 % are rejected, of sharp ones 68 % or more (see ValidationOptions).
 constexpr std::size_t kOutvotingFactor = 4;
 
-/// Rejects DEBLURRED blocks of whose neighbours, as far as they were judged, more than half are REJECTED. A block with
-/// little texture along the motion passes whatever its blur; what makes a prediction wrong (translation, a wrong
+/// Rejects DEBLURRED blocks of whose neighbours, as far as they were validated, more than half are REJECTED. A block
+/// with little texture along the motion passes whatever its blur; what makes a prediction wrong (translation, a wrong
 /// extrinsic) is wrong for its neighbours too.
-FrameBlur reject_outvoted(const FrameBlur& judged) {
-  FrameBlur field = judged;
-  const int cols = judged.grid.cols(), rows = judged.grid.rows();
-  for (int i = 0; i < judged.grid.size(); ++i) {
-    if (judged.blocks[i].status != BlockStatus::DEBLURRED) continue;
+FrameBlur reject_outvoted(const FrameBlur& validated) {
+  FrameBlur field = validated;
+  const int cols = validated.grid.cols(), rows = validated.grid.rows();
+  for (int i = 0; i < validated.grid.size(); ++i) {
+    if (validated.blocks[i].status != BlockStatus::DEBLURRED) continue;
     int rejected = 0, deblurred = 0;
     for (int row = std::max(i / cols - 1, 0); row <= std::min(i / cols + 1, rows - 1); ++row) {
       for (int col = std::max(i % cols - 1, 0); col <= std::min(i % cols + 1, cols - 1); ++col) {
-        const BlockStatus status = judged.blocks[row * cols + col].status;
+        const BlockStatus status = validated.blocks[row * cols + col].status;
         rejected += status == BlockStatus::REJECTED ? 1 : 0;
         deblurred += status == BlockStatus::DEBLURRED && row * cols + col != i ? 1 : 0;
       }
@@ -125,8 +125,8 @@ FrameBlur validate_by_gradient(const FrameBlur& field, const cv::Mat& luminance,
 /// their keypoints lie where the prediction puts them, which mostly holds.
 double least_log_ratio(double false_accept_rate) { return 18 * std::log(0.052 / false_accept_rate); }
 
-/// Of shorter blur a spectrum tells little; an edge that is sharper than it may be tells more. Noise does not come near
-/// what so short a blur allows.
+/// Shorter blur changes a spectrum little; an edge that is sharper than it may be is better evidence. Noise does not
+/// come near what so short a blur allows.
 constexpr double kShortPx = 5;
 
 FrameBlur validate_by_likelihood(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,

@@ -19,11 +19,11 @@ float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double
 /// speed, less at non-uniform speed.
 double steepest_box_px(const BlockBlur& blur);
 
-/// Returns `field` with those DEBLURRED blocks turned REJECTED that the image contradicts, by options.rule. LIKELIHOOD:
+/// Returns `field` with those DEBLURRED blocks set to REJECTED that the image contradicts, by options.rule. LIKELIHOOD:
 /// those whose log likelihood ratio, with what the neighbours and the frame say, is below the threshold for
 /// options.false_accept_rate; without evidence the prediction holds; and those below 5 px that GRADIENT
 /// rejects, asked of them alone. GRADIENT: those whose gradient along the predicted motion exceeds
-/// options.threshold(steepest_box_px), and those more than half of whose judged neighbours were rejected so; all of
+/// options.threshold(steepest_box_px), and those more than half of whose validated neighbours were rejected so; all of
 /// them when more than four in five were. NONE: no block. On at most `threads` threads (0: one for each core).
 /// @param noise_grey_levels  image_noise() of the luminance where that is known already
 /// Throws std::invalid_argument when luminance is not CV_8UC1 of the field's size.

@@ -160,7 +160,7 @@ std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const 
     if (!peak) return std::nullopt;
     log_scale += peak->log_ratio;
     if (std::abs(peak->log_ratio) > kSameWindows) continue;
-    // Of a log likelihood: what neither noise nor the texture of some windows makes.
+    // A gain of log likelihood that neither noise nor the texture of some windows explains.
     constexpr double kLeastMore = 5;
     // Zeros, rather than texture that departs from a cubic.
     constexpr double kLeastDepth = 0.35;

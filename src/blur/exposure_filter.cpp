@@ -15,13 +15,13 @@ constexpr double kLeastStddev = 0.004;
 constexpr double kSharedStddev = 0.008;
 // Farther from the state than this many standard deviations, an estimate contradicts it.
 constexpr double kGate = 3;
-// Of an exposure at rest: 1 % after a second, a quarter after ten minutes.
+// Growth of the variance of a constant exposure: a deviation of 1 % after a second, a quarter after ten minutes.
 constexpr double kRestVariancePerS = 1e-4;
-// Of the speed of one that moves: 0.3 / s within a tenth of a second. Auto exposure goes six times up or down within
-// two seconds, and ends at once.
+// Growth of the variance of the speed of a changing exposure: 0.3 / s within a tenth of a second. Auto exposure changes
+// by a factor of six within two seconds, and stops at once.
 constexpr double kSpeedVariancePerS = 0.3 * 0.3 / 0.1;
-// Without estimates a movement is carried on for so long: then it may have ended.
-constexpr double kCarriedOnS = 0.3;
+// Without estimates a movement is extrapolated for so long: then it may have ended.
+constexpr double kExtrapolatedS = 0.3;
 // An estimate that contradicts the state is forgotten after this time.
 constexpr TimeNs kCandidateNs = 1'000'000'000;
 // The part of a change of brightness that may come from the exposure rather than the scene: one standard deviation.
@@ -38,7 +38,7 @@ ExposureFilter::Value ExposureFilter::predicted() const {
   now.stamp_ns = *stamp_ns_;
   now.variance += kRestVariancePerS * since_s;
   if (!now.moves) return now;
-  const double t_s = std::min(since_s, kCarriedOnS);
+  const double t_s = std::min(since_s, kExtrapolatedS);
   now.log_ns += now.per_s * t_s;
   now.variance += 2 * now.covariance * t_s + now.speed_variance * squared(t_s) +
                   kSpeedVariancePerS * squared(t_s) * t_s / 3 + squared(now.per_s * (since_s - t_s));
@@ -48,7 +48,7 @@ ExposureFilter::Value ExposureFilter::predicted() const {
 }
 
 /// What contradiction and brightness add to the variance.
-double ExposureFilter::doubt() const {
+double ExposureFilter::extra_variance() const {
   const double contradicted = candidate_ ? 0.5 * (candidate_->log_ns - value_->log_ns) : 0;
   return squared(contradicted) + squared(kExposureShare * (brightest_ - darkest_));
 }
@@ -70,7 +70,7 @@ void ExposureFilter::update(const Value& measured) {
   constexpr double kSlowPerS = 0.2;  // is not seen above the noise of estimates
   constexpr int kSlowUpdates = 4;
   Value now = predicted();
-  const double variance = now.variance + doubt(), sum = variance + measured.variance;
+  const double variance = now.variance + extra_variance(), sum = variance + measured.variance;
   const double innovation = measured.log_ns - now.log_ns;
   now.log_ns += variance / sum * innovation;
   now.per_s += now.covariance / sum * innovation;
@@ -125,7 +125,8 @@ void ExposureFilter::add(TimeNs stamp_ns, TimeNs assumed_ns, const std::optional
   const std::optional<Value> candidate = candidate_;
   candidate_.reset();  // it does not widen the gate
   const std::optional<Value> now = value_ ? std::optional<Value>(predicted()) : std::nullopt;
-  if (now && squared(measured.log_ns - now->log_ns) <= squared(kGate) * (now->variance + doubt() + measured.variance)) {
+  if (now && squared(measured.log_ns - now->log_ns) <=
+                 squared(kGate) * (now->variance + extra_variance() + measured.variance)) {
     update(measured);
   } else if (jumps) {
     candidate_ = candidate;
@@ -142,7 +143,7 @@ void ExposureFilter::add(TimeNs stamp_ns, TimeNs assumed_ns, const std::optional
 std::optional<ExposureFilter::State> ExposureFilter::state() const {
   if (!value_) return std::nullopt;
   const Value now = predicted();
-  const double stddev = std::sqrt(now.variance + doubt() + squared(kSharedStddev));
+  const double stddev = std::sqrt(now.variance + extra_variance() + squared(kSharedStddev));
   if (stddev > kUnknown) return std::nullopt;
   return State{static_cast<TimeNs>(std::llround(std::exp(now.log_ns))), stddev};
 }

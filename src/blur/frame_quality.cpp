@@ -101,10 +101,10 @@ FrameQuality assess_quality(const FrameBlur& field) {
   quality.before = spread_of(before);
   quality.after = spread_of(after);
   const double unmasked = 1 - quality.share(BlockStatus::MASKED);
-  // Of an image of which most is not known the rest says little.
+  // Where most of an image is not known, the rest is no measure of it.
   if (2 * known <= unmasked * pixels_of_all) return quality;
   quality.score = score / known;
-  constexpr double kNearlyAll = 0.9;  // ImageQuality.msg tells users
+  constexpr double kNearlyAll = 0.9;  // ImageQuality.msg says so
   const double sharp = quality.share(BlockStatus::SHARP) / unmasked,
                deblurred = quality.share(BlockStatus::DEBLURRED) / unmasked;
   quality.grade = *quality.score < kPoorScore       ? QualityGrade::POOR

@@ -25,7 +25,7 @@ enum class QualityGrade : std::uint8_t {
 /// Name of the grade, e.g. "PARTLY_DEBLURRED". Never null.
 const char* to_string(QualityGrade grade);
 
-/// Images with a score below it are POOR: three of four corners that are found are wrong. ImageQuality.msg tells users.
+/// Images with a score below it are POOR: three of four corners that are found are wrong. ImageQuality.msg says so.
 constexpr double kPoorScore = 0.25;
 
 /// Median and 95th percentile of the blocks' extents [px].

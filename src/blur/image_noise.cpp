@@ -17,7 +17,7 @@ constexpr int kSquarePx = 8;
 constexpr int kReachPx = 2;                 // of the filter
 constexpr int kMinSquares = 30;             // for a median that is right within 10 %
 constexpr std::size_t kManySquares = 1500;  // as many in the smallest class of texture
-constexpr std::size_t kMaxSquares = 2048;   // more of a large image would tell no more
+constexpr std::size_t kMaxSquares = 2048;   // more of a large image would add nothing
 // 1, -4, 6, -4, 1 has the most power at half a cycle a pixel that five weights can have alone there.
 constexpr float kInner = 6, kOuter = -4;
 constexpr double kFilterPower = 70.0 * 70.0;  // sum of squared weights, in both directions

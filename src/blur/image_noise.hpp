@@ -1,4 +1,4 @@
-// How noisy an image is, and what noise is to be compared with.
+// The noise level of an image, and what it is to be compared with.
 #pragma once
 
 #include <optional>
@@ -13,8 +13,8 @@ namespace gyro_deblur {
 
 /// Standard deviation of the noise in an image's pixels, [grey levels of 8 bits], rounding included (0.29 for whole
 /// grey levels): what is left of a 5 x 5 px filter that passes the finest checkerboard alone, in those squares of 8 x 8
-/// px that have the least texture at twice its size, carried on to none. Of the green channel, of a mosaic of one plane
-/// of green. Nothing where fewer than 30 squares are neither black nor saturated anywhere.
+/// px that have the least texture at twice its size, extrapolated to none. Of the green channel, of a mosaic of one
+/// plane of green. Nothing where fewer than 30 squares are neither black nor saturated anywhere.
 ///
 /// Accuracy: doc/reports/experiments.md#noise. In a sharp image that is texture everywhere the finest of it counts as
 /// noise. Noise that demosaicing or compression has smoothed is underestimated.

@@ -198,7 +198,7 @@ struct Sample {
 std::vector<SpectrumPoint> points_of(const std::vector<Sample>& samples) {
   // Powers of neighbouring frequencies are correlated, by Hann's window: 1.94 of them along each axis have the
   // information of one that is independent.
-  constexpr float kAlike = 1.94F * 1.94F;
+  constexpr float kCorrelatedPowers = 1.94F * 1.94F;
   constexpr int kFewest = 4;
   std::array<Sums, kWaves + 1> sums;
   std::array<float, kWaves + 1> signal;
@@ -234,7 +234,7 @@ std::vector<SpectrumPoint> points_of(const std::vector<Sample>& samples) {
     point.power = sum.power / sum.weight;
     point.noise = sum.noise / sum.weight;
     // An exponential distribution's deviation is its mean: with the weights above that of their mean is this.
-    point.log_variance = kAlike / (sum.weight * point.power * point.power);
+    point.log_variance = kCorrelatedPowers / (sum.weight * point.power * point.power);
     point.tilt = sum.tilt / sum.weight;
   }
   return points;

@@ -54,7 +54,7 @@ inline float fast_exp(float x) {
 // Between entries transfer functions are straight lines: next to a zero that is 1e-4 too much.
 constexpr double kStraightCycles = 1.0 / 48;
 
-/// |H|^2 of a straight even path of one wave's length, by kStraightCycles.
+/// |H|^2 of a straight path of uniform speed and one wave's length, by kStraightCycles.
 std::shared_ptr<const std::vector<float>> straight_transfer() {
   constexpr double kLastCycles = 400;  // as far as any path leads
   static const auto kSquared = [] {
@@ -94,15 +94,15 @@ RatioFit::Transfer::Transfer(const std::array<float, kPathInstants>& path, doubl
   constexpr double kStepCycles = 1.0 / 24;
   const double step = std::min(0.5, kStepCycles / extent);
   per_wave_ = static_cast<float>(1 / step);
-  std::array<std::complex<double>, kPathInstants> phase, turn;
+  std::array<std::complex<double>, kPathInstants> phase, phase_step;
   for (int k = 0; k < kPathInstants; ++k) {
     phase[k] = 1;
-    turn[k] = std::polar(1.0, -2 * CV_PI * step * path[k]);
+    phase_step[k] = std::polar(1.0, -2 * CV_PI * step * path[k]);
   }
   std::vector<float> squared(static_cast<std::size_t>(std::ceil(last_frequency / step)) + 2);
   squared[0] = 1;
   for (std::size_t i = 1; i < squared.size(); ++i) {
-    for (int k = 0; k < kPathInstants; ++k) phase[k] *= turn[k];
+    for (int k = 0; k < kPathInstants; ++k) phase[k] *= phase_step[k];
     std::complex<double> sum = 0;
     for (int k = 0; k + 1 < kPathInstants; ++k) {
       const double moved = path[k + 1] - path[k];
@@ -126,7 +126,7 @@ inline float RatioFit::Transfer::at(float frequency) const {
 RatioFit::RatioFit(const std::vector<MotionSpectrum>& spectra, double largest_ratio) {
   constexpr float kMiddleWave = 12;
   // Of Hann's window, whose amplitudes are 1/2, 1, 1/2, and of the bins of one wave.
-  constexpr float kBeside = 1.0F / 6 + 1.0F / 24;
+  constexpr float kAdjacent = 1.0F / 6 + 1.0F / 24;
   common_ << 0, 0, 0, 1;
   for (const MotionSpectrum& spectrum : spectra) {
     const double last = largest_ratio * (spectrum.points.back().frequency + 1);
@@ -134,8 +134,8 @@ RatioFit::RatioFit(const std::vector<MotionSpectrum>& spectra, double largest_ra
     float sum = 0, weights = 0;
     for (const SpectrumPoint& p : spectrum.points) {
       const float x = std::log(p.frequency / kMiddleWave), weight = 1 / (p.log_variance + kOwnTexture);
-      const float before = kBeside * std::exp(p.tilt), behind = kBeside * std::exp(-p.tilt),
-                  all = 1 - 2 * kBeside + before + behind;
+      const float before = kAdjacent * std::exp(p.tilt), behind = kAdjacent * std::exp(-p.tilt),
+                  all = 1 - 2 * kAdjacent + before + behind;
       points_.x.push_back(x);
       points_.x2.push_back(x * x);
       points_.x3.push_back(x * x * x);

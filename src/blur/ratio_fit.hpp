@@ -28,7 +28,7 @@ class RatioFit {
   ///               ratio to ratio
   std::vector<double> costs(double ratio, int steps = 1);
 
-  /// Of the zeros, at the newest ratio: 1 where they are as deep as the path makes them, 0 where there are none.
+  /// Depth of the spectrum's zeros at the newest ratio: 1 as deep as the path predicts, 0 none.
   double depth() const { return common_[kCommon - 1]; }
 
  private:

@@ -13,7 +13,7 @@ namespace gyro_deblur {
 constexpr int kSpectrumWindow = 64;
 
 /// Frequencies of a spectrum along each axis: 0 .. kSpectrumWaves - 1 waves in a window. Beyond a quarter of the
-/// sampling frequency photographs hold too little to tell blur of 5 px and more by.
+/// sampling frequency photographs have too little power to show blur of 5 px and more.
 constexpr int kSpectrumWaves = 16;
 
 /// Frequencies of a spectrum: (x, y) is at y * kSpectrumWaves + x, (x, -y) behind all of those.
@@ -26,8 +26,8 @@ struct SpectrumTables {
   float cosine_of_wave[kSpectrumWaves][kSpectrumWindow / 2], sine_of_wave[kSpectrumWaves][kSpectrumWindow / 2];
 };
 
-/// A path in the plane that is straight and even from place to place: exp(-2 pi i f p) at the middles of its segments
-/// is the product of what frequencies across and down make of it.
+/// A curved path that is straight and of uniform speed from place to place: exp(-2 pi i f p) at the middles of its
+/// segments is the product of what frequencies across and down make of it.
 struct PathPhases {
   static constexpr int kAcross = 32;  // > kSpectrumWaves, whole vectors
   static constexpr int kDown = 2 * kSpectrumWaves + 1;
@@ -39,7 +39,7 @@ struct PathPhases {
   Segment segments[kPathInstants - 1];
 };
 
-/// The functions of one instruction set. Sums differ between sets by rounding.
+/// The functions of one instruction set. Sums differ between instruction sets by rounding.
 struct SpectrumSimd {
   const char* name;
   /// out[x] = row[x], at most `margin` above the second largest of its eight neighbours and as little below the second

@@ -12,24 +12,24 @@ namespace gyro_deblur {
 namespace {
 
 constexpr int kCellPx = 8;
-/// Between two images: less than what a gyroscope's bias makes of a camera at rest, and less blur is not deblurred.
+/// Smaller steps [px] between two images are not used: a gyroscope's bias may cause them in a camera at rest.
 constexpr double kLeastStepPx = 4;
-/// The scene has to be in so many places, as far apart as two cells, in so many images: less than 5 s at 10 Hz.
+/// The scene has to be seen at so many places, two cells apart, in so many images: less than 5 s at 10 Hz.
 constexpr std::size_t kPlaces = 8;
 constexpr double kPlacePx = 2 * kCellPx;
 constexpr int kImages = 30;
-/// A camera that shakes between few places only.
+/// Limit for a camera that shakes between few places.
 constexpr int kMostImages = 300;
-/// Grey levels that stand still: noise, and this share of the level as light changes.
+/// A cell is still if its grey level changes by at most this: noise, plus a share of the level for changes of light.
 constexpr double kStillLevels = 6, kStillShare = 0.04;
-/// Grey levels of an edge, and of a cell that has changed. Filters make rings of a tenth of an edge.
+/// Least change of grey levels at an edge, and of a changed cell. Filters make rings of a tenth of an edge.
 constexpr int kEdgeLevels = 24;
 constexpr double kEdgeShare = 0.6;  ///< of the images
-/// The cell between two that differ is on their edge.
+/// Distance of compared cells: the cell between them is on their edge.
 constexpr int kApart = 2;
-/// Of all cells, so many have changed when the image moves with the gyroscope at all.
+/// Least share of changed cells for an image that moves with the gyroscope.
 constexpr double kLeastChanged = 0.2;
-/// So many have changed for each that is at a static edge: 13 along a rim around the image, 0.9 where people walk
+/// Least number of changed cells for each at a static edge: 13 with a rim around the image, 0.9 where people walk
 /// before a camera at rest.
 constexpr int kChangedPerEdge = 3;
 constexpr int kLeastEdges = 6;
@@ -73,7 +73,7 @@ cv::Mat masked_cells(const PixelMask& mask, const cv::Size& cells) {
   return masked;
 }
 
-/// Drops pairs without an adjacent one: chance.
+/// Drops pairs without an adjacent one, which are chance.
 void drop_lonely(cv::Mat& pairs) {
   cv::Mat ones, around;
   pairs.convertTo(ones, CV_8U, 1.0 / 255);
@@ -171,7 +171,7 @@ void StaticContent::decide(Axis& axis, bool is_x, const PixelMask& mask) {
   drop_lonely(pairs);
   const int edges = cv::countNonZero(pairs), changed = cv::countNonZero(range >= kEdgeLevels);
   const int used = static_cast<int>(masked.total()) - cv::countNonZero(masked);
-  // Where most edges stand still, it is the gyroscope that does not turn with the image.
+  // Where most edges stand still, the gyroscope does not rotate with the camera.
   if (changed < kLeastChanged * used || changed < kChangedPerEdge * edges) return;
   axis.found = cv::Mat::zeros(cells_.size(), CV_8UC1);
   axis.static_cells = cv::Mat::zeros(cells_.size(), CV_8UC1);

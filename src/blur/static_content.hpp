@@ -12,7 +12,7 @@
 
 namespace gyro_deblur {
 
-/// Finds static content in the images of a camera that turns. Not thread-safe.
+/// Finds static content in the images of a camera that rotates. Not thread-safe.
 ///
 /// The image is seen in cells. A cell stands still when its grey level is the same in many images between which the
 /// scene has moved along an axis. That alone may be sky, or a wall. Static content has an edge as well: the cell
@@ -47,7 +47,7 @@ class StaticContent {
   };
 
   void add_to(Axis& axis, bool is_x, double place_px);
-  /// Of the images so far; these are forgotten.
+  /// Finds the static cells of the images so far, and forgets these images.
   void decide(Axis& axis, bool is_x, const PixelMask& mask);
   void combine();
 

@@ -7,7 +7,7 @@
 namespace gyro_deblur {
 namespace {
 
-/// Of a fast gyroscope one integral in so long is kept: a hand's rate changes by 0.25 rad/s in it at most.
+/// Distance of the integrals that are kept of a fast gyroscope: a hand's rate changes by at most 0.25 rad/s within it.
 constexpr TimeNs kKnotStepNs = 2'500'000;
 constexpr TimeNs kLongestGapNs = 50'000'000;
 constexpr TimeNs kJumpNs = 1'000'000'000;

@@ -28,7 +28,7 @@ constexpr double kCornerQuality = 0.01;
 constexpr int kWindowPx = 13, kLevels = 3;
 constexpr int kIterations = 10;
 constexpr double kLeastStepPx = 0.03, kMaxRoundTripPx = 0.5;
-/// As those of flow: over a longer time a mean rate says little.
+/// As in optical flow: over a longer time a mean rate is no measure of the rate at an instant.
 constexpr TimeNs kLongestStepNs = 250'000'000;
 constexpr std::size_t kFewestPoints = 12;
 /// Part of the corners that has to be found again, see ResidualFlow.
@@ -106,7 +106,7 @@ class RayMotionFit {
 
   void iterate() {
     constexpr double kDepthsDiffer = 0.5, kScale = 2;
-    /// Of a normal variable's absolute value: its median.
+    /// Median of the absolute value of a normal variable.
     constexpr double kMedianNormal = 0.6745;
     normal_ = Normal::Zero();
     normal_.bottomRightCorner<3, 3>().diagonal().setConstant(1 / (translation_stddev_ * translation_stddev_));

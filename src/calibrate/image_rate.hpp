@@ -58,7 +58,7 @@ class ImageRateTracker {
   std::vector<cv::Point2f> corners_;
   std::optional<RowExposure> exposure_;
   Eigen::Vector3d rate_rad_s_ = Eigen::Vector3d::Zero();  // where the next corners are looked for
-  double translation_rad_s_ = kFirstTranslationRadS;      // what it makes of directions, one axis, root mean square
+  double translation_rad_s_ = kFirstTranslationRadS;      // its effect on directions, one axis, root mean square
 };
 
 }  // namespace gyro_deblur

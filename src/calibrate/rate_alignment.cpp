@@ -17,11 +17,11 @@ namespace gyro_deblur {
 namespace {
 
 constexpr TimeNs kCoarseStepNs = 10'000'000, kFineStepNs = 2'000'000;
-/// The coarse search goes through no more rates than these.
+/// Number of rates that the coarse search uses at most.
 constexpr std::size_t kMostCoarse = 300;
 /// Error of a rate from images, in addition to its own standard deviation [rad/s].
 constexpr double kFloorRadS = 0.01;
-/// Lower rates say nothing of agreement.
+/// Agreement is measured on rates above this.
 constexpr double kLeastMovingRadS = 0.04;
 
 /// Sums of one offset.
@@ -229,7 +229,7 @@ void describe(const std::vector<ImageRate>& rates, const Step& step, RateAlignme
     scatter += weight * rotated * rotated.transpose();
     differing += weight * step.differences()[i].squaredNorm();
     squares += weight * (rates[i].rate_rad_s - image_mean).squaredNorm();
-    // A third of the rate is what translation makes of it in a room.
+    // Indoors, translation changes a rate by a third.
     constexpr double kAgreeing = 0.4;
     const double speed_rad_s = std::max(rates[i].rate_rad_s.norm(), step.predicted()[i].norm());
     if (speed_rad_s < kLeastMovingRadS) continue;

@@ -88,7 +88,7 @@ double stddev_of_median(double stddev, std::size_t count, double common) {
   return std::hypot(kMedian * stddev / std::sqrt(static_cast<double>(count)), common);
 }
 
-/// Of the images without an estimate.
+/// What most images without an estimate lack.
 ExposureNeed most_frequent_need(const std::vector<ImageExposure>& images) {
   const auto count = [&images](ExposureNeed need) {
     return std::count_if(images.begin(), images.end(),

@@ -25,21 +25,21 @@ constexpr std::size_t kMostRates = 1000;
 /// Motion that counts: at 460 px of focal length and 20 ms a blur of 1 px.
 constexpr double kRotatingRadS = 0.1;
 constexpr double kLeastRotatingS = 2, kLeastReadoutS = 5;
-/// Of images and gyroscope; unrelated motions of some seconds reach .6 at one offset of a hundred.
+/// Least correlation of images and gyroscope: unrelated motions of some seconds reach .6 at one offset of a hundred.
 constexpr double kLeastCorrelation = 0.7, kLeastAgreeing = 0.6;
 /// Beyond it the rates have another unit, or the focal length is wrong.
 constexpr double kLeastScale = 0.6, kLargestScale = 1.6;
 /// About a second axis, root mean square: a twentieth of a degree a frame.
 constexpr double kLeastSecondRadS = 0.03;
-/// Of what the parts of one window have in common: exposures that jitter, tracking that pulls to one side.
+/// Errors that the parts of one window share: exposures that jitter, tracking that pulls to one side.
 constexpr double kOffsetFloorS = 0.0005, kRotationFloorRad = 0.1 / kDegrees, kBiasFloorRadS = 0.001,
                  kReadoutFloorS = 0.0005, kReadoutFloorShare = 0.08;
 
 constexpr double kStillRadS = 0.02;
 constexpr TimeNs kStillNs = kSecondNs, kStillPieceNs = kSecondNs / 4;
-/// Of the mean rates of quarters of a second: what a sensor at rest is below.
+/// Largest mean rate over a quarter of a second of a sensor at rest.
 constexpr double kRestingRadS = 0.01;
-/// No gyroscope's is larger; it is a rotation that the images do not show.
+/// Largest bias of a gyroscope. A larger estimate is a rotation that the images do not show.
 constexpr double kLargestBiasRadS = 0.3;
 
 __attribute__((format(printf, 1, 2))) std::string format(const char* pattern, ...) {

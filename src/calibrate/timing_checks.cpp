@@ -44,7 +44,7 @@ std::string motionless(const TimingEstimate& estimate) {
 }
 
 std::string at_search_limit(const TimingEstimate& estimate, const TimingOptions& options) {
-  // Of the search by correlation; the estimation moves on by some.
+  // Tolerance at the end of the search by correlation: the estimation changes the offset by some.
   constexpr double kMarginS = 2e-3;
   const double search_s = to_seconds(options.search_ns), center_s = to_seconds(options.time_offset_ns);
   if (options.search_ns == 0 || std::abs(estimate.time_offset_s.value - center_s) < search_s - kMarginS) return {};

@@ -45,7 +45,7 @@ class Section {
   /// A rigid transform as 4x4 numbers.
   Eigen::Isometry3d transform(const std::string& key) const;
 
-  /// These keys may be there, and say nothing that matters here.
+  /// Keys that are allowed and not used.
   void ignore(std::initializer_list<const char*> keys) const;
   void ignore(const std::string& key) const;
   /// Keys of this map and of its maps that were read, which nobody has asked for.

@@ -29,7 +29,7 @@ struct BlockFilter {
 struct FilterGrid {
   std::vector<int> x, y;            ///< borders between columns and rows [px], rising from 0 to the image's size
   std::vector<BlockFilter> blocks;  ///< row by row
-  /// Kernels that `blocks` point to and nobody else keeps.
+  /// Kernels that `blocks` point to and that have no other owner.
   std::vector<std::shared_ptr<const LineKernel>> own_kernels = {};
   /// Inverses that `blocks` point to.
   std::vector<std::shared_ptr<const WienerInverse2d>> own_inverses = {};

@@ -21,7 +21,7 @@ constexpr int kMaxCellPx = 64;
 constexpr float kAroundExtents = 1.5;
 static_assert(2 * kMaxCellPx + kAroundExtents * kMax2dExtentPx <= kMaxFourierSize, "paths of fields have their tiles");
 
-// Of the one step towards a continuation outside the image that fits (doc/reports/filter_constants.md).
+// Length of the single step towards a consistent continuation outside the image (doc/reports/filter_constants.md).
 constexpr float kOverRelaxation = 2.5f;
 
 // At half the size, what is restored falls off between these [cycles/px]; beyond, halving mixes it with other

@@ -329,8 +329,8 @@ void SeamBlender::fade(int block, const cv::Mat& src, cv::Mat& dst) const {
   const int ys[] = {rect.y, rect.y + m.top, rect.br().y - m.bottom, rect.br().y};
   for (int dy = -1; dy <= 1; ++dy) {
     for (int dx = -1; dx <= 1; ++dx) {
-      const bool beside = dx != 0 && copied(dx, 0), above = dy != 0 && copied(0, dy), across = copied(dx, dy);
-      if (!(beside || above || across) || (dx == 0 && dy == 0)) continue;
+      const bool sideways = dx != 0 && copied(dx, 0), above = dy != 0 && copied(0, dy), across = copied(dx, dy);
+      if (!(sideways || above || across) || (dx == 0 && dy == 0)) continue;
       const int x0 = xs[dx + 1], x1 = xs[dx + 2];
       for (int y = ys[dy + 1]; y < ys[dy + 2]; ++y) {
         const int of_y = dy == 0  ? kOne
@@ -347,7 +347,7 @@ void SeamBlender::fade(int block, const cv::Mat& src, cv::Mat& dst) const {
         for (int i = 0; i < count; ++i) {
           const int x = x0 + i / channels_;
           const int of_x = dx < 0 ? fade_weight(m.left, x - rect.x) : fade_weight(m.right, rect.br().x - 1 - x);
-          const int weight = std::max({beside ? of_x : 0, above ? of_y : 0, across ? std::min(of_x, of_y) : 0});
+          const int weight = std::max({sideways ? of_x : 0, above ? of_y : 0, across ? std::min(of_x, of_y) : 0});
           ramp.weights[i] = static_cast<std::uint16_t>(weight);
         }
         mix(to, from, ramp.weights, count, to);

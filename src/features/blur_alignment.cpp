@@ -264,7 +264,7 @@ double BlurAligner::pattern_energy(double noise_variance) {
   return std::max(kLeastShare * energy, energy - noise_variance * template_.size());
 }
 
-Eigen::Matrix2d BlurAligner::gradients_beside_gain(double pattern) {
+Eigen::Matrix2d BlurAligner::gradients_without_gain(double pattern) {
   const int width = template_.width(), height = template_.height(), stride = template_.stride();
   std::array<float, 3> sums;
   for (Patch* gradient : {&gradient_x_, &gradient_y_}) {
@@ -285,7 +285,7 @@ Eigen::Matrix2d BlurAligner::gradients_beside_gain(double pattern) {
 double BlurAligner::residual(double gain) {
   const int width = template_.width(), height = template_.height();
   const float* middle = patch_.row(kPatchMargin) + kPatchMargin;
-  // Of the patch less the template; the room behind its rows does not count, and need not be 0.
+  // The patch less the template; the memory behind its rows is not used, and need not be 0.
   difference_.resize(width, height);
   simd_.combine(middle, patch_.stride(), 1, template_.row(0), template_.stride(), static_cast<float>(-gain), -*middle,
                 difference_.row(0), difference_.stride(), width, height);
@@ -419,7 +419,7 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
   sample_template(in_from.place_px, inverse_map);
   const double template_noise = psf_of_first_.energy * interpolated_share(in_from.place_px, in_to.path_px),
                pattern = pattern_energy(std::pow(in_from.noise, 2) * template_noise);
-  const Eigen::Matrix2d gradients = gradients_beside_gain(pattern);
+  const Eigen::Matrix2d gradients = gradients_without_gain(pattern);
   if (!(least_eigenvalue(gradients) > kLeastInformation * template_.size())) return std::nullopt;
 
   Alignment result{};

@@ -41,7 +41,7 @@ struct Alignment {
   double gain;                     ///< contrast of the second patch over that of the first, noise apart
   double contrast;                 ///< standard deviation of the compared patch without noise [second image's levels]
   double residual;                 ///< root mean square of the difference of the patches [same]
-  double expected_residual;        ///< what the noise of both images makes of it [same]
+  double expected_residual;        ///< residual that the noise of both images causes [same]
   /// Smaller eigenvalue of the blurred gradients' matrix, a pixel, noise apart [grey levels^2/px^2].
   double min_information;
 };
@@ -126,7 +126,7 @@ class BlurAligner {
   double pattern_energy(double noise_variance);
   /// Takes out of the gradients what gain and offset can explain: these are fitted with the place, not after it.
   /// @return sums of the products of what is left of them
-  Eigen::Matrix2d gradients_beside_gain(double pattern);
+  Eigen::Matrix2d gradients_without_gain(double pattern);
   /// Root mean square of what template_ and patch_ differ by.
   double residual(double gain);
   /// Searches from *place_px; on success patch_ is what the second image shows there, with a margin for derivatives.

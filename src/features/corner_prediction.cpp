@@ -66,7 +66,7 @@ std::optional<Eigen::Vector2d> mean_offset(const Eigen::Vector2d& pixel_px, cons
 }
 
 Eigen::Matrix<double, 2, 3> projection_jacobian(const Camera& camera, const Eigen::Vector3d& ray) {
-  constexpr double kStep = 1e-4;  // a twentieth of a pixel: far above rounding, far below what bends a lens
+  constexpr double kStep = 1e-4;  // a twentieth of a pixel: far above rounding, far below what distorts a lens
   Eigen::Matrix<double, 2, 3> jacobian;
   for (int axis = 0; axis < 3; ++axis) {
     const Eigen::Vector3d step = kStep * Eigen::Vector3d::Unit(axis);

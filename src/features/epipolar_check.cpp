@@ -49,7 +49,7 @@ class Translation {
   }
   /// RANSAC: most points, and nearest.
   Eigen::Vector3d find() const {
-    // What moves by less than LK errs by says nothing about a direction.
+    // Motion below the error of Lucas-Kanade has no usable direction.
     constexpr double kLeastPx = 0.3;
     constexpr int kSamples = 60;  // of two points: one of two right ones is among them, were half of all points wrong
     std::vector<std::size_t> moved;

@@ -24,7 +24,7 @@ void GyroUnitWatch::clear() {
   begin_ns_.reset();
 }
 
-bool GyroUnitWatch::is_doubted(TimeNs t_ns) {
+bool GyroUnitWatch::is_uncertain(TimeNs t_ns) {
   if (!begin_ns_ || t_ns < *begin_ns_) begin_ns_ = t_ns;
   return !is_confirmed() && t_ns - *begin_ns_ < kUnitWatchedNs;
 }
@@ -39,12 +39,12 @@ std::optional<GyroUnitFault> GyroUnitWatch::find_degrees() const {
   constexpr double kLeastRatio = 40, kLargestRatio = 80;
   constexpr double kLeastSeenRadS = kLeastGyroRadS / kLeastRatio;
   constexpr std::size_t kFewest = 5;
-  std::size_t judged = 0, agreeing = 0;
+  std::size_t compared = 0, agreeing = 0;
   GyroUnitFault fault;
   for (const Entry& entry : entries_) {
     const double gyro_rad_s = entry.seen.known_rad_s.norm(), seen_rad_s = entry.seen.rate_rad_s.norm();
     if (gyro_rad_s < kLeastGyroRadS) continue;
-    ++judged;
+    ++compared;
     if (seen_rad_s < kLeastSeenRadS || gyro_rad_s < kLeastRatio * seen_rad_s ||
         gyro_rad_s > kLargestRatio * seen_rad_s) {
       continue;
@@ -52,7 +52,7 @@ std::optional<GyroUnitFault> GyroUnitWatch::find_degrees() const {
     ++agreeing;
     if (gyro_rad_s > fault.gyro_rad_s) fault = {GyroUnitFault::Kind::DEGREES, gyro_rad_s, seen_rad_s};
   }
-  if (agreeing < kFewest || 2 * agreeing < judged) return std::nullopt;
+  if (agreeing < kFewest || 2 * agreeing < compared) return std::nullopt;
   return fault;
 }
 

@@ -24,7 +24,7 @@ struct GyroUnitFault {
 /// Watches the rotations of one camera's images over the last seconds. Not thread-safe.
 class GyroUnitWatch {
  public:
-  /// Images are judged where the gyroscope measures at least this [rad/s].
+  /// Images are compared where the gyroscope measures at least this [rad/s].
   static constexpr double kLeastGyroRadS = 0.8;
 
   /// @param t_ns  increasing; begins anew where it is not
@@ -40,7 +40,7 @@ class GyroUnitWatch {
 
   /// Not confirmed yet, nor have 5 s passed since the first image, in which a fault would have shown.
   /// @param t_ns  stamp of an image
-  bool is_doubted(TimeNs t_ns);
+  bool is_uncertain(TimeNs t_ns);
 
  private:
   static constexpr std::size_t kConfirming = 3;

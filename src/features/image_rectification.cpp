@@ -20,15 +20,15 @@ namespace {
 
 constexpr int kStepPx = GlobalShutterMap::kStepPx;
 
-/// What is known at nodes kStepPx apart, cubic between them (Catmull and Rom): the displacement bends most where a lens
-/// distorts most, and linear between nodes it would be wrong by a third of a pixel in the corners of a wide lens.
+/// What is known at nodes kStepPx apart, cubic between them (Catmull and Rom): the displacement changes most where a
+/// lens distorts most, and linear between nodes it would be wrong by a third of a pixel in the corners of a wide lens.
 Eigen::Vector4f cubic_weights(double u) {
   return Eigen::Vector4d(0.5 * u * (u * (2 - u) - 1), 0.5 * (u * u * (3 * u - 5) + 2), 0.5 * u * (u * (4 - 3 * u) + 1),
                          0.5 * u * u * (u - 1))
       .cast<float>();
 }
 
-/// Of the four nodes around a cell in each of its pixels, which lie half a pixel behind the places that they begin at.
+/// Weights of the four nodes around a cell for each of its pixels, which lie half a pixel behind their begin.
 using CellWeights = Eigen::Matrix<float, kStepPx, 4>;
 CellWeights weights_of_cell() {
   CellWeights weights;

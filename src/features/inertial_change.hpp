@@ -23,7 +23,7 @@ class InertialChange {
     /// How the acceleration of the scene's residual velocities changed since the step before, in the newest image;
     /// nothing where that is not known.
     std::optional<Eigen::Vector2d> acceleration_changed_px_s2;
-    /// Of the projection, in the middle of the image: pixels for what (x, y, 1) moves.
+    /// Derivative of the projection in the middle of the image [px], by the ray (x, y, 1).
     Eigen::Matrix<double, 2, 3> px_per_ray = Eigen::Matrix<double, 2, 3>::Zero();
   };
 
@@ -42,7 +42,7 @@ class InertialChange {
   double step_s_ = 0;                                 // of the step before
   std::optional<Eigen::Vector3d> acceleration_m_s2_;  // from the mean before that to its mean, likewise
   double explained_ = 0, energy_ = 0;                 // of the comparisons so far, the older the less
-  double doubt_ = 0;                                  // added to the energy
+  double noise_energy_ = 0;                           // added to the energy
 };
 
 }  // namespace gyro_deblur

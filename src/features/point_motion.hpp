@@ -38,7 +38,7 @@ class PointMotion {
   Place moved(const Eigen::Vector2d& shown_px, const Movement& movement) const;
 
  private:
-  /// Of the blocks around a pixel.
+  /// Mean of the blocks around a pixel.
   struct Mean {
     Eigen::Vector2d apparent_offset_px, velocity_px_s;  ///< where there is no residual velocity, it counts as 0
     double share_with_residual;                         ///< [0, 1]

@@ -20,19 +20,19 @@ namespace gyro_deblur {
 namespace {
 
 constexpr double kCornerQuality = 0.01;
-/// Of the search, in the smaller image: below what a corner there is known to.
+/// The search stops below this step, in the smaller image: corners are less accurate there.
 constexpr double kLeastStepPx = 0.03;
-/// Over a longer one a mean velocity says little of the one within an exposure.
+/// Over a longer time a mean velocity is no measure of the velocity within an exposure.
 constexpr TimeNs kLongestStepNs = 250'000'000;
 /// Error of Lucas-Kanade on blurred frames where all neighbours agree, in the smaller image [px].
 constexpr double kFloorPx = 0.05;
-/// Of the change that is extrapolated: a velocity need not go on changing as it did. More than on recorded flights, so
-/// that a velocity that is only extrapolated is not certain (see is_certain).
-constexpr double kDoubtOfChange = 0.3;
+/// Relative uncertainty of an extrapolated change of velocity. It is larger than on recorded flights, so that a
+/// velocity that is only extrapolated is not certain (see is_certain).
+constexpr double kChangeUncertainty = 0.3;
 /// Part of the corners. Where fewer are found again the image shows another scene, or one that has jumped beyond the
 /// search: one in a hundred is found by chance, eight in ten where the scene is the same.
 constexpr double kLeastFollowed = 0.2;
-/// Of the square of the farthest neighbour's distance: where a neighbour has half the weight.
+/// A neighbour has half the weight at this share of the square of the farthest neighbour's distance.
 constexpr double kNearShare = 0.3;
 
 /// Whether a window around `p` lies in the image: one that is cut by its border drags the corner along.
@@ -42,7 +42,7 @@ bool has_window(const cv::Point2f& p, const cv::Size& size, int window_px) {
          p.y <= static_cast<float>(size.height - 1) - half_px;
 }
 
-/// Of the middle row's exposure: the instant that stands for an image.
+/// Middle of the middle row's exposure, the instant of an image.
 TimeNs middle_of(const RowExposure& exposure, const Camera& camera) {
   return exposure.middle(0.5 * (camera.calibration().height_px - 1));
 }
@@ -261,8 +261,8 @@ ResidualField ResidualFlow::extrapolated(const ResidualField& means,
     ResidualVelocity& velocity = *carried[changed[k]];
     const Eigen::Vector2d even_px_s = step.step_s / 2 / since_before_s * common_px_s[k];
     velocity.velocity_px_s += even_px_s + beyond_px_s;
-    velocity.stddev_px_s =
-        std::hypot(velocity.stddev_px_s, kDoubtOfChange * even_px_s.norm(), kDoubtOfChange * beyond_px_s.norm());
+    velocity.stddev_px_s = std::hypot(velocity.stddev_px_s, kChangeUncertainty * even_px_s.norm(),
+                                      kChangeUncertainty * beyond_px_s.norm());
   }
   return carried;
 }

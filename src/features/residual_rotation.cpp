@@ -127,7 +127,7 @@ Unknowns solve(const std::vector<Watched>& watched) {
     normal += row.transpose() * row;
     right += row.transpose() * each.rate_rad_s;
   }
-  // What hardly moves says nothing of extrinsic and clock: a rate of 0.01 rad/s is none.
+  // Slow motion is no evidence of extrinsic and clock: a rate of 0.01 rad/s counts as none.
   normal.bottomRightCorner<6, 6>().diagonal().array() += 1e-4 * static_cast<double>(watched.size());
   return normal.ldlt().solve(right);
 }

@@ -10,7 +10,7 @@ namespace gyro_deblur {
 
 /// Standard deviation of each component of vectors, from their lengths' median; not 0.
 inline double spread_of_median(double distance) {
-  /// Of the length of a vector whose components are normal, with a deviation of 1: its median.
+  /// Median length of a vector whose two components are normal, with a standard deviation of 1.
   constexpr double kMedianLength = 1.1774;
   constexpr double kLeast = 1e-3;
   return std::max(distance / kMedianLength, kLeast);

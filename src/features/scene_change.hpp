@@ -16,7 +16,7 @@ struct BlockChange {
   Eigen::Vector2d change_px_s;    ///< of it, since the mean before that
 };
 
-/// Three times what the fit has unknowns; fewer blocks say nothing of the scene.
+/// Three times the number of unknowns of the fit; fewer blocks are no measure of the scene.
 constexpr std::size_t kLeastBlocksOfScene = 9;
 
 /// The changes without most of their noise: with vectors as complex numbers,

@@ -17,12 +17,12 @@
 namespace gyro_deblur {
 namespace {
 
-/// An alignment that is known better than this is worth no second one [px].
+/// An alignment with a smaller standard deviation [px] is not improved by a second one.
 constexpr double kClearPx = 0.15;
 
 double stddev_px(const Alignment& found) { return std::sqrt(found.covariance_px2.trace()); }
 
-/// Of what noise does not make: patches that no affine map takes to each other, and paths that are not exact.
+/// Errors that are not noise: patches that no affine map takes to each other, and inexact paths.
 double model_variance_px2(const Path2d& first_px, const Path2d& second_px) {
   constexpr double kFloorPx = 0.04, kShareOfExtent = 0.0045;  // fits, see doc/reports/tracks.md
   const double extent_px = std::hypot(extent_of(first_px).norm(), extent_of(second_px).norm());
@@ -30,7 +30,7 @@ double model_variance_px2(const Path2d& first_px, const Path2d& second_px) {
 }
 
 bool is_usable(const Alignment& found) {
-  // What is less certain helps no estimator, and may have been found by chance. A limit of 0.7 px halves the length of
+  // A less certain place helps no estimator, and may have been found by chance. A limit of 0.7 px halves the length of
   // tracks in low light (doc/reports/tracks.md).
   constexpr double kMaxStddevPx = 1.4;
   const Eigen::Matrix2d& c = found.covariance_px2;
@@ -85,7 +85,7 @@ struct TrackSearch::Thread {
 
   std::optional<Alignment> find(const BlurredView& from, const BlurredPoint& in_from, const Eigen::Vector2d& start_px,
                                 const Eigen::Matrix2d& map, TrackCandidate* candidate) const {
-    // Nearer than this the path is the same to a hundredth of its length.
+    // Within this distance paths differ by less than a hundredth of their length.
     constexpr double kSamePathPx = 3;
     if (!((start_px - candidate->near_start.place_px).norm() < kSamePathPx)) {
       candidate->near_start = point_at(start_px, NearbyRays(step.camera, candidate->near_px, candidate->near_ray));

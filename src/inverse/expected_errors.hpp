@@ -16,7 +16,7 @@ class ExpectedErrors {
   /// Precondition: 0 < noise_to_signal_ratio <= kMaxNoiseToSignalRatio.
   explicit ExpectedErrors(double noise_to_signal_ratio);
 
-  /// Of the ratio until it reaches kMaxNoiseToSignalRatio.
+  /// How often the ratio is doubled until it reaches kMaxNoiseToSignalRatio.
   int doublings() const { return static_cast<int>(by_extent_.front().filtered.size()) - 1; }
 
   /// See FilterBank::choose(). Extents are clamped to those that have kernels.

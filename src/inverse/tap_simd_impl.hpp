@@ -86,8 +86,8 @@ inline double sum_of(DoubleVector v) {
   return sum;
 }
 
-// The forward vector solves the leading m equations for an error in the first, the backward vector, the same turned
-// round, for one in the last. The backward vector begins an element earlier each time, so that all are contiguous.
+// The forward vector solves the leading m equations for an error in the first, the backward vector, the same
+// reversed, for one in the last. The backward vector begins an element earlier each time, so that all are contiguous.
 // Behind their ends all are 0, as far as whole vectors reach.
 void solve_toeplitz(const double* lags, int band, int n, const double* sides, double* work, double* solved) {
   static_assert(2 * kDoubleLanes <= kToeplitzRoom, "the room behind a vector is for two of these");

@@ -130,7 +130,7 @@ void make_sheared_taps(const LineKernel& kernel, double major, bool fixed_point,
   const int steps = static_cast<int>(taps.on_axis.size() / 2), radius = steps + kBeyond, count = 2 * radius + 1;
   taps.coarse.assign(count + 2 * kCoarseGuard, 0.0f);
   float* weights = taps.coarse.data() + kCoarseGuard;
-  // In correlation order: turned round.
+  // In correlation order: reversed.
   double before = 0;
   taps.running.resize(count);
   for (int i = 0; i < count; ++i) {

@@ -56,7 +56,7 @@ void require_within_period(const char* name, TimeNs time_ns, TimeNs frame_period
 }
 
 /// Of a frame period. The longest span makes the tolerance a tenth; there are more than as many of them among the
-/// frames that are kept, so that the median can tell.
+/// frames that are kept, so that the median shows it.
 constexpr std::size_t kShortestSpan = 2, kLongestSpan = 30, kKeptFrames = 75, kFewestFrames = 6;
 /// One period of scatter over a span of n makes the estimate 1 / n too short, for which a tolerance of 2 / n would do.
 /// Three are a tenth at the longest span, and allow for frames that wait for their stamps in a queue of three.

@@ -14,7 +14,7 @@
 namespace gyro_deblur {
 
 inline constexpr double kHalfPi = 1.57079632679489661923;
-/// Of what no lens shows.
+/// Coordinates of points that the lens does not show.
 inline constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 /// A lens with its coefficients.

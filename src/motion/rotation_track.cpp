@@ -107,18 +107,19 @@ RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroO
   if (knots_.empty()) return;
   origin_ns_ = knots_[origin].t_ns;
   // Nobody may ask across a hole, so only orientations relative to each other on one side of it matter.
-  const auto turn = [](const Knot& from, const Knot& to) {
+  const auto rotation_between = [](const Knot& from, const Knot& to) {
     return integrate_linear_rate(from.rate_rad_s, to.rate_rad_s, to_seconds(to.t_ns - from.t_ns));
   };
   for (std::size_t i = origin + 1; i < knots_.size(); ++i) {
     const Knot& before = knots_[i - 1];
     Knot& knot = knots_[i];
-    knot.R_0_cam = knot.follows_hole ? before.R_0_cam : (before.R_0_cam * turn(before, knot)).normalized();
+    knot.R_0_cam = knot.follows_hole ? before.R_0_cam : (before.R_0_cam * rotation_between(before, knot)).normalized();
   }
   for (std::size_t i = origin; i > 0; --i) {
     Knot& knot = knots_[i - 1];
     const Knot& after = knots_[i];
-    knot.R_0_cam = after.follows_hole ? after.R_0_cam : (after.R_0_cam * turn(knot, after).conjugate()).normalized();
+    knot.R_0_cam =
+        after.follows_hole ? after.R_0_cam : (after.R_0_cam * rotation_between(knot, after).conjugate()).normalized();
   }
 }
 

@@ -17,11 +17,11 @@
 namespace gyro_deblur {
 namespace {
 
-// Of places within a path of 500 px as floats.
+// Rounding error [px] of places within a path of 500 px, as floats.
 constexpr double kRounding = 1e-3;
 
-/// Filters of a field's blocks, empty for those that are not filtered. Kernels of non-uniform paths, and inverses, are
-/// nobody else's.
+/// Filters of a field's blocks, empty for those that are not filtered. Owns the kernels of non-uniform paths, and the
+/// inverses.
 struct FieldFilters {
   std::vector<BlockFilter> filters;
   std::vector<std::shared_ptr<const LineKernel>> kernels;
@@ -41,7 +41,7 @@ std::shared_ptr<const LineKernel> nonuniform_kernel(Path1d path_px, double scale
   return std::make_shared<const LineKernel>(wiener_kernel(path_px, with_doubled_ratio(options, ratio_doublings)));
 }
 
-/// The whole path of a block. That of a box is centred as a box is.
+/// The whole path of a block, centred if its filter is that of a box.
 Path2d path_2d(const BlockBlur& blur) {
   if (blur.curved_path_px) return *blur.curved_path_px;
   const Eigen::Vector2f line(std::cos(blur.angle_rad), std::sin(blur.angle_rad));
@@ -160,7 +160,7 @@ FallbackCounts deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, c
 
 namespace {
 
-/// The rectangle, or where it is smaller than that, as much of its surroundings, as far as the image reaches.
+/// The rectangle, widened to at least `side_px` on each side within the image.
 cv::Rect at_least(int side_px, const cv::Rect& rect, const cv::Size& image) {
   const auto widen = [side_px](int& begin, int& length, int limit) {
     const int wanted = std::min(std::max(length, side_px), limit);
@@ -182,7 +182,7 @@ void adapt_regularization(const cv::Mat& luminance, const FilterBank& bank, Fram
     return;
   if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
       luminance.rows != field.grid.height_px()) {
-    throw std::invalid_argument("noise is weighed by 8-bit luminance of the blur field's size");
+    throw std::invalid_argument("regularization: adaptive needs 8-bit luminance of the blur field's size");
   }
   // A camera that smooths its noise, or compresses its images, leaves more of it in coarser detail than in the finest.
   // Of texture blur of 10 px leaves an eighth or less there (0.25 cycles/px); up to half as much again may be that.
@@ -195,11 +195,11 @@ void adapt_regularization(const cv::Mat& luminance, const FilterBank& bank, Fram
     if (block.status != BlockStatus::DEBLURRED) return;
     const bool is_short = block.extent_px < kMinCoarseExtentPx;
     const double noise = is_short ? *field.noise : coarse, variance = noise * noise;
-    // Colours' and mosaics' luminance has less noise than they have.
+    // The luminance of a colour image or a mosaic has less noise than its pixels.
     const double of_luminance = found == 0 ? noise : is_short ? std::min(found, noise) : found;
     const double texture = texture_along_line(luminance, at_least(kMinSidePx, field.grid.rect(i), luminance.size()),
                                               block.angle_rad, block.extent_px, of_luminance * of_luminance);
-    // Of the photographs' texture much is in few edges, which stand out from noise better than its power says. With a
+    // Much of a photograph's texture is in few edges, which stand out from noise more than their power suggests. With a
     // fifth of it photographs gain most, of .1, .2, .35, .6 and 1 (doc/reports/experiments.md, "Noise").
     constexpr double kNoiseWeight = 0.2;
     // Without any texture no filter gains.

@@ -37,7 +37,7 @@ constexpr double kContradictingRatio = 1.08;
 struct ExposurePlan {
   ExposureOrigin origin = ExposureOrigin::ASSUMED;
   TimeNs exposure_ns = 0;
-  TimeNs longest_ns = 0;  ///< that the exposure may turn out to be: gyroscope samples are wanted up to there
+  TimeNs longest_ns = 0;  ///< longest time that the exposure may be: gyroscope samples are needed up to there
   double log_stddev = 0;  ///< of exposure_ns where it is from the images
   bool estimate = false;  ///< it is to be estimated from the blur
   /// Once it has been chosen: nothing changes any more, for images that repeat its picture.
@@ -76,7 +76,7 @@ class ExposureChoice {
   ChosenExposure decide(TimeNs stamp_ns, const ExposurePlan& plan, const std::optional<ExposureEstimate>& estimate,
                         double mean_brightness);
 
-  /// Of the newest image; nothing where the images agree with what is given, or have no estimate.
+  /// Conflict at the newest image; nothing where the estimate agrees with the given value, or there is none.
   const std::optional<ExposureConflict>& conflict() const { return conflict_; }
 
   /// Forgets all estimates: after a time jump.

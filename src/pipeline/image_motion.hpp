@@ -1,4 +1,4 @@
-// The optical-flow stage: motion from the images, in addition to the gyroscope or without it.
+// The optical-flow stage: residual velocities, in addition to the gyroscope or without it.
 #pragma once
 
 #include <memory>

@@ -21,7 +21,7 @@ std::vector<Eigen::Vector2d> positions(const std::vector<cv::KeyPoint>& keypoint
   return points;
 }
 
-/// Of a result's rectified points. @param luminance  deblurred
+/// Covariances of a result's rectified points. @param luminance  deblurred
 std::vector<Eigen::Matrix2d> covariances(const cv::Mat& luminance, const std::string& detector,
                                          const RowExposure& exposure, const PipelineResult& result) {
   const PointCovariance covariance(luminance, result.field);
@@ -64,7 +64,7 @@ void KeypointStage::find_unrectified(const cv::Mat& luminance, const PixelMask& 
     point.normalized = Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
     if (camera) point.normalized = camera->normalized(camera->ray(pixel_px));
     result->points.push_back(point);
-    // Nobody knows how blurred the image is.
+    // The blur of the image is not known.
     result->covariances_px2.push_back(Eigen::Vector2d::Constant(std::numeric_limits<double>::infinity()).asDiagonal());
   }
 }

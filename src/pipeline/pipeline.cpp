@@ -43,7 +43,7 @@ void require_fit(const cv::Mat& image, PixelLayout layout, const CameraCalibrati
   }
 }
 
-/// Of the blocks whose motion is known [px].
+/// Longest extent of the blocks whose motion is known [px].
 double longest_extent_px(const FrameBlur& field) {
   double longest_px = 0;
   for (const BlockBlur& block : field.blocks) {

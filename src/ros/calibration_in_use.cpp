@@ -54,7 +54,7 @@ CalibrationRow given_row(const std::string& key, const Value& value, const std::
   return {key, text, false};
 }
 
-/// A row, of a value that nobody has given.
+/// A row for a value that is not given.
 /// @param without  what is done meanwhile
 template <typename Value>
 CalibrationRow learned_row(const std::string& key, bool learns, const Learned<Value>& taken, const std::string& missing,
@@ -89,8 +89,8 @@ bool CalibrationInUse::take(const std::string& key, const Learned<Value>& newest
   const double change = difference(newest.value, taken->value);
   if (taken->known && newest.stddev > kSurer * taken->stddev && change < kAnother * newest.stddev) return false;
   if (remembered_.erase(key) > 0 && change > kContradicting * std::hypot(newest.stddev, taken->stddev)) {
-    log_(LogLevel::WARNING, key + " of before this start is dropped: it was " + text_of(taken->value) +
-                                ", the images say " + text_of(newest.value));
+    log_(LogLevel::WARNING, key + " of the last start is dropped: it was " + text_of(taken->value) +
+                                ", the images now give " + text_of(newest.value));
   }
   *taken = newest;
   return true;
@@ -121,7 +121,7 @@ void CalibrationInUse::forget() {
 LearnedCalibration CalibrationInUse::by_images() const {
   LearnedCalibration used = taken_;
   used.R_cam_imu.known = used.R_cam_imu.known && learns() && !given_.R_cam_imu;
-  // Without half of a readout time that nobody knows: the next start may know it.
+  // Without half of an unknown readout time: the next start may know it.
   used.time_offset_s = time_offset();
   used.time_offset_s.known =
       used.time_offset_s.known && learns() && !given_.given.time_offset && (has_readout() || taken_.readout_s.known);
@@ -203,7 +203,7 @@ UsedCalibration CalibrationInUse::used() const {
   } else if (from_tf_) {
     used.R_cam_imu = {{*from_tf_, "tf"}};
   }
-  // Half of a readout time that nobody knows would pass for an offset.
+  // Half of an unknown readout time would pass for an offset.
   if (given_.given.time_offset && (has_readout() || taken_.readout_s.known)) {
     used.time_offset_ns = {{given_.gyro.time_offset_ns, source(file.time_offset_ns.has_value())}};
   }

@@ -22,8 +22,8 @@ struct CalibrationRow {
   bool by_images = false;  ///< it was estimated from the images
 };
 
-/// Takes estimates for what nobody has given, and reports what is given and contradicted. An estimate that is used is
-/// replaced when a later one is surer or another one. Its owner serialises access.
+/// Takes estimates for values that are not given, and reports what is given and contradicted. An estimate that is used
+/// is replaced when a later one is surer or another one. Its owner serialises access.
 class CalibrationInUse {
  public:
   /// Both have to outlive this.
@@ -64,9 +64,9 @@ class CalibrationInUse {
   template <typename Value>
   bool take(const std::string& key, const Learned<Value>& newest, Learned<Value>* taken);
   void check();
-  /// Of a value that is given: "parameter", or the calibration file that has it.
+  /// Where a given value is from: "parameter", or the calibration file that has it.
   std::string source(bool file_has_it) const;
-  /// Whether images are learned by exposures with a readout time.
+  /// Whether the estimates were made with a readout time.
   bool has_readout() const { return given_.given.readout_time || readout_by_messages_; }
   /// What a learned offset contains of a readout time that the exposures were without.
   double readout_in_offset_s() const;

@@ -27,7 +27,7 @@ constexpr std::uint32_t kImageQueue = 100;
 constexpr std::uint32_t kFastQueue = 1000;
 constexpr std::uint32_t kTfQueue = 100;
 
-/// What can be published at once (all that waited for the same message), and what a subscriber may lag behind besides.
+/// What can be published at once (all that waited for the same message), plus what a subscriber may lag behind.
 std::uint32_t output_queue(const Config& config) {
   constexpr int kLag = 10;
   return static_cast<std::uint32_t>(config.frame_queue_size + kLag);
@@ -376,7 +376,7 @@ void DeblurNodelet::wake_worker() {
 }
 
 void DeblurNodelet::work() {
-  ask_for_turns_of_a_frame();
+  ask_for_time_slice_of_a_frame();
   const auto sink = [this](FrameOutput&& output) {
     publish(output);
     const std::lock_guard<std::mutex> lock(worker_mutex_);
@@ -424,8 +424,9 @@ void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {
     if (++diagnostics_reports_ % kStoredEvery == 0) save_calibration();
     const double silence_s = to_seconds(steady_now_ns() - last_image_ns_);
     if (subscribed && silence_s > kImageSilenceS) {
-      NODELET_WARN_STREAM_THROTTLE(
-          30.0, "no image on " << getNodeHandle().resolveName("image_raw") << " for " << std::round(silence_s) << " s");
+      NODELET_WARN_STREAM_THROTTLE(30.0, "no image on " << getNodeHandle().resolveName("image_raw") << " for "
+                                                        << std::round(silence_s)
+                                                        << " s: check the camera's driver and the topic's name");
     }
   });
 }

@@ -24,7 +24,7 @@ std::size_t count_of(const std::map<Key, std::size_t>& counts, const Key& key) {
   return found == counts.end() ? 0 : found->second;
 }
 
-/// Counters that are zero say nothing.
+/// Counters that are zero are left out.
 void add_count(const std::string& key, std::size_t count, DiagnosticStatusWrapper* status) {
   if (count > 0) status->add(key, count);
 }
@@ -202,13 +202,13 @@ void DiagnosticReport::add_blocks(const Moment& now, DiagnosticStatusWrapper* st
   const auto fresh = [&](BlockStatus block_status) {
     return count_of(now.statistics.blocks, block_status) - count_of(last_.blocks, block_status);
   };
-  const std::size_t rejected = fresh(BlockStatus::REJECTED), judged = rejected + fresh(BlockStatus::DEBLURRED);
-  if (2 * rejected > judged) {
+  const std::size_t rejected = fresh(BlockStatus::REJECTED), validated = rejected + fresh(BlockStatus::DEBLURRED);
+  if (2 * rejected > validated) {
     status->mergeSummaryf(
         DiagnosticStatus::WARN,
         "%zu of %zu blurred blocks rejected: the images contradict the predicted blur; check R_cam_imu, "
         "time_offset and exposure_time with blur_overlay",
-        rejected, judged);
+        rejected, validated);
   }
 }
 
@@ -262,7 +262,7 @@ void DiagnosticReport::add_exposure_advice(const Moment& now, DiagnosticStatusWr
 
 void DiagnosticReport::add_optical_flow(const Moment& now, DiagnosticStatusWrapper* status) const {
   add_count("blocks with optical flow", now.statistics.blocks_from_images, status);
-  add_count("frames by images alone", now.statistics.frames_by_images_alone, status);
+  add_count("frames by optical flow alone", now.statistics.frames_by_images_alone, status);
   if (!from_images_.blocks_px.empty()) {
     status->addf("optical flow, median [px]", "%.2f", median(from_images_.blocks_px));
   }

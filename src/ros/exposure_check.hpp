@@ -17,7 +17,7 @@ constexpr char kSettingExposure[] = "the driver's exposure setting";
 constexpr char kParameterExposure[] = "exposure_time";
 
 /// Why an exposure time cannot be one, with the value and what is allowed; nothing where it can be. 0 is not for it to
-/// judge: drivers mean that they do not know.
+/// check: drivers mean that they do not know.
 /// @param name    one of the above
 /// @param period  of the camera's frames
 std::optional<std::string> exposure_fault(const std::string& name, TimeNs exposure_ns, const FramePeriod& period);

@@ -105,8 +105,8 @@ FrameSynchronizer::FrameSynchronizer(const InputBuffers& input_buffers, Extrinsi
                                      InputProblems* problems)
     : input_buffers_(input_buffers), extrinsic_(std::move(extrinsic)), log_(*log), problems_(*problems) {}
 
-Readiness FrameSynchronizer::assemble(const Context& context, PendingFrame* frame,
-                                      SynchronizedFrame* synchronized) const {
+Readiness FrameSynchronizer::synchronize(const Context& context, PendingFrame* frame,
+                                         SynchronizedFrame* synchronized) const {
   synchronized->options = context.config.pipeline;
   synchronized->tracker_options = context.config.tracker;
   synchronized->rectified_input = context.config.rectified_input;
@@ -367,7 +367,7 @@ Readiness FrameSynchronizer::find_motion(const Context& context, PendingFrame* f
   const bool silent = input_buffers_.imu_is_silent(own.begin_ns);
   if (!context.timed_out && !(by_flow && silent)) {
     if (empty || available.end_ns < own.end_ns) return wait_for(Awaited::IMU, frame);
-    // After a jump late samples of the old epoch say nothing about frames of the new one.
+    // After a jump late samples of the old epoch do not belong to frames of the new one.
     if (input_buffers_.imu_is_stale() && own.end_ns < available.begin_ns) return wait_for(Awaited::IMU, frame);
   }
   synchronized->without_gyro = empty || silent;

@@ -70,7 +70,7 @@ class FrameSynchronizer {
   FrameSynchronizer(const InputBuffers& input_buffers, Extrinsic extrinsic, ThrottledLog* log, InputProblems* problems);
 
   /// Records in `frame` what was found and whether it passes through, in `synchronized` everything but the frame.
-  Readiness assemble(const Context& context, PendingFrame* frame, SynchronizedFrame* synchronized) const;
+  Readiness synchronize(const Context& context, PendingFrame* frame, SynchronizedFrame* synchronized) const;
 
   /// The same without collecting anything: cheap enough for every message.
   Readiness is_ready(const Context& context, PendingFrame* frame) const;

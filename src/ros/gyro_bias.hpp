@@ -11,7 +11,7 @@
 
 namespace gyro_deblur {
 
-/// A mean of fewer samples says little about a bias.
+/// A mean of fewer samples is too uncertain for a bias.
 constexpr std::size_t kMinBiasSamples = 20;
 
 /// Averages the newest samples over the configured window.

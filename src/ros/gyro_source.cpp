@@ -52,7 +52,7 @@ bool GyroSource::add(const sensor_msgs::Imu& imu) {
     ++statistics_.imu_not_finite;
     log_(LogLevel::WARNING, "imu not finite",
          "imu sample at " + seconds_text(sample->t_ns) + " s dropped: its angular velocity " +
-             vector_text(sample->rate_rad_s) + " rad/s is not finite");
+             vector_text(sample->rate_rad_s) + " rad/s is not finite. Check the IMU's driver");
     return false;
   }
   check_.add(*sample, options_.gyro);
@@ -86,17 +86,21 @@ void GyroSource::refuse(const TimestampFilterResult<GyroSample>::Refused& refuse
   switch (refused.why) {
     case RejectReason::REPEATED:
       ++statistics_.imu_duplicate;
-      log_(LogLevel::WARNING, "imu duplicate", "imu sample dropped: a second one with the stamp " + stamp_text + " s");
+      log_(LogLevel::WARNING, "imu duplicate",
+           "imu sample dropped: a second one with the stamp " + stamp_text +
+               " s. Check that one driver publishes to imu");
       break;
     case RejectReason::LATE:  // counted when it came
       log_(LogLevel::WARNING, "imu out of order",
-           "imu sample dropped: its stamp " + stamp_text + " s is before that of the one before it");
+           "imu sample dropped: its stamp " + stamp_text +
+               " s is before that of the previous one. Check the IMU's driver");
       break;
     case RejectReason::FAR:
     case RejectReason::AHEAD:
       ++statistics_.imu_stray;
       log_(LogLevel::WARNING, "imu stray",
-           "imu sample dropped: its stamp " + stamp_text + " s is far from those around it");
+           "imu sample dropped: its stamp " + stamp_text +
+               " s is far from those of the samples around it. Check the IMU's clock");
       break;
   }
 }
@@ -123,7 +127,7 @@ std::string GyroSource::frame_id() const {
 
 GyroReader::GyroReader(std::shared_ptr<GyroSource> source) : source_(std::move(source)) {
   const std::lock_guard<std::mutex> lock(source_->mutex_);
-  // A restart that nobody here has seen the time before of is none.
+  // A restart before this reader was made does not count for it.
   seen_.epoch = source_->epoch_;
   forgotten_.epoch = seen_.epoch;
 }

@@ -102,7 +102,7 @@ void InputBuffers::record_time(Stream stream, TimeNs stamp_ns) {
 
 void InputBuffers::record_imu() {
   const GyroReader::News news = gyro_.update();
-  // Whoever has seen no sample from before cannot miss one.
+  // Without a sample from before none can be missing.
   if (news.restarted && jumps_.newest_ns(Stream::IMU)) {
     handle(jumps_.went_back(Stream::IMU, news.to_ns), Stream::IMU, news.from_ns, news.to_ns);
   }
@@ -199,7 +199,7 @@ void InputBuffers::check_exposure(const std::string& name, TimeNs exposure_ns) {
 }
 
 void InputBuffers::check_parameters() {
-  // Where exposures come, the parameter only stands in for lost ones.
+  // Where exposure messages come, the parameter only replaces lost ones.
   if (exposure_known_ || config_.shutter.exposure_ns == 0) return;
   if (const auto fault = exposure_fault(kParameterExposure, config_.shutter.exposure_ns, frame_period_)) {
     const bool replaced = config_.on_exposure_conflict == OnExposureConflict::IMAGES;
@@ -225,7 +225,7 @@ void InputBuffers::add_exposure(const Exposure& exposure) {
       "exposure message has the stamp 0: it is used until the next one, like a driver's setting. Publish it with "
       "the stamp of its image");
   if (is_unset(stamp_ns)) {
-    // Where other messages have stamps it says nothing: each image has its own.
+    // Where other messages have stamps it is not used: each image has its own message.
     if (exposures_.seen() || exposure.exposure_time <= ros::Duration()) return;
     add_exposure_setting(exposure.exposure_time.toNSec());
     setting_lacks_stamp_ = true;

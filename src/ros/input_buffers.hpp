@@ -93,7 +93,7 @@ class InputBuffers {
   const Exposures& exposures() const { return exposures_; }
   /// True when images have exposure messages, or somebody will send some.
   bool exposure_expected() const;
-  /// Of the newest setting; 0: the driver does not know.
+  /// Exposure time of the newest setting; 0: the driver does not know it.
   std::optional<TimeNs> exposure_setting_ns() const { return exposure_setting_ns_; }
   /// The exposure time is known from the images.
   void set_exposure_from_images() { exposure_of_images_ = true; }

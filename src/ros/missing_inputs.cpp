@@ -5,12 +5,12 @@ namespace gyro_deblur {
 namespace {
 
 /// After the first image. Topics connect and drivers start within it; the report comes within a second.
-constexpr TimeNs kPatienceNs = 600'000'000;
+constexpr TimeNs kTimeoutNs = 600'000'000;
 
 }  // namespace
 
 void MissingInputs::check(const Config& config, const Seen& seen, TimeNs steady_ns) {
-  if (!first_image_ns_ || steady_ns - *first_image_ns_ < kPatienceNs) return;
+  if (!first_image_ns_ || steady_ns - *first_image_ns_ < kTimeoutNs) return;
   report(config, seen, "0.6 s after the first image");
 }
 
@@ -44,7 +44,7 @@ void MissingInputs::report(const Config& config, const Seen& seen, const std::st
           : "no IMU message with angular rates has come " + when + ": " +
                 (by_flow ? "images are deblurred by optical flow alone, which is less accurate. Connect" : "connect") +
                 " imu to the gyroscope's topic");
-  // Whoever finds it resolves the report.
+  // The code that finds the rotation resolves the report.
   if (!seen.extrinsic.empty()) set(kNoExtrinsic, seen.extrinsic);
 }
 

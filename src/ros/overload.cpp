@@ -22,8 +22,8 @@ TimeNs OverloadRule::usual_ns() const {
   return median(std::vector<TimeNs>(durations_ns_.begin(), durations_ns_.end()));
 }
 
-std::string OverloadRule::judge(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
-                                std::optional<TimeNs> frame_period_ns) const {
+std::string OverloadRule::pass_through_text(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
+                                            std::optional<TimeNs> frame_period_ns) const {
   // One slow frame (the first, or the first with a longer blur) is no overload: the median of three is another's.
   constexpr std::size_t kEnough = 3;
   if (ready_behind < kReadyQueue || !frame_period_ns || durations_ns_.size() < kEnough) return {};

@@ -31,8 +31,8 @@ class OverloadRule {
   /// Why the foremost frame, which is ready since `ready_ns`, is passed through; empty when it is processed.
   /// @param ready_behind     frames behind it that are ready, too
   /// @param frame_period_ns  of the camera, > 0; absent while it is not known
-  std::string judge(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
-                    std::optional<TimeNs> frame_period_ns) const;
+  std::string pass_through_text(TimeNs now_ns, TimeNs ready_ns, std::size_t ready_behind,
+                                std::optional<TimeNs> frame_period_ns) const;
 
   /// Whether the foremost frame has waited for so long that it should take as little time as it can, so that none has
   /// to be passed through. Arguments as above.

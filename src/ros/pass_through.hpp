@@ -24,13 +24,13 @@ enum class PassThroughReason : std::uint8_t {
   INTERNAL_ERROR = 10,       ///< an exception while processing; the log has its text
   GYRO_SATURATED = 11,       ///< no block's exposure is free of samples at the gyroscope's limit
   STEREO_PARTNER = 12,       ///< the other image of a stereo pair stays blurred
-  NO_STAMP = 13,             ///< the image's stamp is 0: nobody has set it
+  NO_STAMP = 13,             ///< the image's stamp is 0: its driver has not set it
 };
 
 /// Name of the reason, e.g. "NO_GYRO". Never null.
 const char* to_string(PassThroughReason reason);
 
-/// Of the line that the log gets for such a frame.
+/// Level of the log line for such a frame.
 LogLevel level_of(PassThroughReason reason);
 
 /// What to do about it. Never null.

@@ -11,22 +11,22 @@
 
 namespace gyro_deblur {
 
-/// Whether images find what belongs to them, image after image: a stream that has been silent for some images in a row
-/// is no longer waited for, until it comes again. Not thread-safe.
+/// Whether images wait for the messages of a stream that has one for each image. A stream that has been silent for some
+/// images in a row is no longer waited for, until it resumes. Not thread-safe.
 class StreamLiveness {
  public:
-  /// So many images in a row without end the waiting, so many with bring it back. A stream that comes with one image in
-  /// three still costs less latency than it brings; one that comes with fewer images never comes with two in a row.
+  /// So many images in a row without a message end the waiting, so many with one resume it. A stream with one message
+  /// in three images is still worth its latency. One with fewer never has two in a row.
   static constexpr std::size_t kMissesEndWaiting = 3, kHitsBringItBack = 2;
 
-  /// An image has come; `there`: before it, what belongs to it.
+  /// An image has arrived. @param there  its message had arrived before
   void expect(TimeNs stamp_ns, TimeNs now_ns, bool there) { undecided_.push_back({stamp_ns, now_ns, there}); }
 
   void came(TimeNs stamp_ns) {
     for (Image& image : undecided_) image.there = image.there || image.stamp_ns == stamp_ns;
   }
 
-  /// Decides over images, oldest first: those without have missed it when it is `lost(stamp_ns)`, or they have waited
+  /// Decides over images, oldest first: one has missed its message when that is `lost(stamp_ns)`, or when it has waited
   /// for `timeout_ns`.
   /// @return whether it is waited for from now on, where that has changed
   template <typename Lost>
@@ -46,7 +46,7 @@ class StreamLiveness {
   }
 
   bool awaited() const { return awaited_; }
-  /// Two images in a row have had theirs, so that the stream is one of single images.
+  /// Two images in a row have had their messages: the stream has one for each image.
   bool is_per_image() const { return is_per_image_; }
   void clear() { *this = {}; }
 
@@ -60,7 +60,7 @@ class StreamLiveness {
   bool awaited_ = true, is_per_image_ = false;
 };
 
-/// The newest messages of such a stream, and what stands for one that is lost. Not thread-safe.
+/// The newest messages of such a stream, and substitutes of lost ones. Not thread-safe.
 /// @tparam Same  says whether two messages differ in nothing but the stamp
 template <typename T, typename Same>
 class PerImageMessages {
@@ -70,7 +70,7 @@ class PerImageMessages {
   static constexpr std::size_t kOvertaking = 3;
 
   void add(TimeNs stamp_ns, T value, std::size_t capacity) {
-    // Whoever begins to speak is waited for at once.
+    // A stream that begins is waited for at once.
     if (!seen_stamped_) liveness_.clear();
     seen_ = seen_stamped_ = true;
     take_newest(value);
@@ -83,7 +83,7 @@ class PerImageMessages {
     take_newest(std::move(value));
   }
 
-  /// An image has come that has to have one.
+  /// An image has arrived that needs a message.
   void expect(TimeNs stamp_ns, TimeNs now_ns) {
     if (has_no_stamps()) return;
     liveness_.expect(stamp_ns, now_ns, find(stamp_ns) != nullptr);
@@ -92,46 +92,46 @@ class PerImageMessages {
   std::optional<bool> update(TimeNs now_ns, TimeNs timeout_ns) {
     return liveness_.update(now_ns, timeout_ns, [this](TimeNs stamp_ns) { return later(stamp_ns) >= kOvertaking; });
   }
-  /// False: so many images had to do without that none waits any more, or there are no stamps to wait for.
+  /// False: too many images in a row had no message, or messages have no stamps.
   bool awaited() const { return liveness_.awaited() && !has_no_stamps(); }
   bool seen() const { return seen_; }
 
   const T* find(TimeNs stamp_ns) const { return store_.find(stamp_ns); }
   const T* find_before(TimeNs stamp_ns, TimeNs oldest_ns) const { return store_.find_before(stamp_ns, oldest_ns); }
 
-  /// How many have come for later stamps.
+  /// Number of messages with later stamps.
   std::size_t later(TimeNs stamp_ns) const { return store_.around(stamp_ns, 0, kReachNs).later; }
 
-  /// Once a later one has come, the stamp's own is lost or out of order; either way it is this one, where its
-  /// neighbours agree. Null: not known, or they differ.
+  /// The substitute of a message: once a later one has arrived, the one with the stamp is lost or out of order. If its
+  /// neighbours agree, it equals them. Null: not known, or they differ.
   const T* find_if_neighbours_agree(TimeNs stamp_ns) const {
     const Around around = store_.around(stamp_ns, kReachNs, kReachNs);
     const T* other = around.before != nullptr ? around.before : around.after_that;
     return around.after != nullptr && other != nullptr && Same()(*around.after, *other) ? around.after : nullptr;
   }
-  /// The last before the stamp, where none came after it and nothing changed before; else null.
+  /// The last message before the stamp, if it equals the one before it and none is later; else null.
   const T* find_last_unchanged(TimeNs stamp_ns) const {
     const Around around = store_.around(stamp_ns, stamp_ns, kReachNs);
     if (around.after != nullptr || around.before == nullptr || around.before_that == nullptr) return nullptr;
     return Same()(*around.before, *around.before_that) ? around.before : nullptr;
   }
 
-  /// Messages that do not come with single images (latched ones, seldom ones, ones without a stamp) hold from one to
-  /// the next: the newest to come. Null where they do, or where so many have come after the stamp that its own is lost.
+  /// Messages that do not belong to single images (latched, rare, or without a stamp) hold until the next one: the
+  /// newest. Null for a stream with one for each image, or where so many are later than the stamp that its own is lost.
   const T* find_standing(TimeNs stamp_ns) const {
     return newest_ && !liveness_.is_per_image() && later(stamp_ns) < kOvertaking ? &*newest_ : nullptr;
   }
-  /// For an image without a stamp: the newest to come, if it is as the one before, or holds for all. Else null.
+  /// For an image without a stamp: the newest message, if it equals the one before it or holds for all. Else null.
   const T* find_newest() const {
     return newest_ && (newest_is_as_before_ || !liveness_.is_per_image()) ? &*newest_ : nullptr;
   }
-  /// How many have come for other stamps that are near enough to say something.
+  /// Number of messages within kReachNs of the stamp.
   std::size_t near(TimeNs stamp_ns) const {
     const Around around = store_.around(stamp_ns, kReachNs, kReachNs);
     return around.later + (around.before != nullptr) + (around.before_that != nullptr);
   }
 
-  /// As after the start; one that holds from one to the next is not sent again, and stays.
+  /// As after the start. A latched message is not sent again, so that it stays.
   void reset() {
     std::optional<T> standing;
     if (!liveness_.is_per_image()) standing.swap(newest_);
@@ -141,7 +141,7 @@ class PerImageMessages {
     seen_ = newest_.has_value();
     seen_stamped_ = had_stamps;
   }
-  /// See StampedStore; what belongs to an image is judged by the new epoch alone.
+  /// See StampedStore; what belongs to an image is decided by the new epoch alone.
   void clear() {
     store_.clear();
     begin_epoch();
@@ -153,7 +153,7 @@ class PerImageMessages {
 
  private:
   using Around = typename StampedStore<T>::Around;
-  /// Farther apart, messages say nothing about each other: a stamp may be wrong, or be of another epoch.
+  /// Messages farther apart are not compared: a stamp may be wrong, or be of another epoch.
   static constexpr TimeNs kReachNs = 1'000'000'000;
 
   bool has_no_stamps() const { return seen_ && !seen_stamped_; }
@@ -169,7 +169,7 @@ class PerImageMessages {
   StampedStore<T> store_;
   StreamLiveness liveness_;
   std::optional<T> newest_;           // to come
-  bool newest_is_as_before_ = false;  // the one that came before it is like it
+  bool newest_is_as_before_ = false;  // it equals the one before
   bool seen_ = false, seen_stamped_ = false;
 };
 

@@ -38,7 +38,7 @@ struct MadePicture;
 struct Picture {
   TimeNs stamp_ns = 0;                  ///< of the first image that shows it, camera clock
   std::optional<PictureMotion> motion;  ///< once one of the images has had what belongs to it
-  /// What process() made of it; of the thread that calls it alone.
+  /// The result of process() for it; used by the thread that calls process() alone.
   std::shared_ptr<const MadePicture> made;
 };
 

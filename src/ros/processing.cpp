@@ -24,7 +24,7 @@
 
 namespace gyro_deblur {
 
-/// What the pipeline made of a picture, for images that repeat it.
+/// Result of the pipeline for a picture, for images that repeat it.
 struct MadePicture {
   sensor_msgs::ImageConstPtr image;  ///< some of the result may share its memory
   int configuration = 0;
@@ -33,7 +33,7 @@ struct MadePicture {
   PipelineRequest request;
   PipelineResult result;
 
-  /// Whether it is what would be made of this frame for this request.
+  /// Whether it is the result for this frame and this request.
   bool serves(const SynchronizedFrame& synchronized, const PipelineRequest& wanted) const {
     return configuration == synchronized.configuration && calibration == *synchronized.frame.calibration &&
            mask.is_same(synchronized.mask) && (request.image || !wanted.image) &&
@@ -82,7 +82,7 @@ void add_field(const SynchronizedFrame& synchronized, const RowExposure& exposur
     output->blur_field = pass_through_message(output->reason, output->reason_text, image);
   }
   if (field.images_alone && output->reason == PassThroughReason::NONE) {
-    output->reason_text = "images alone: " + (saturation.empty() ? synchronized.coverage_text : saturation);
+    output->reason_text = "optical flow alone: " + (saturation.empty() ? synchronized.coverage_text : saturation);
   }
   output->blur_field->reason_text = output->reason_text;
 }
@@ -289,7 +289,7 @@ sensor_msgs::ImagePtr no_trust(const sensor_msgs::Image& input) {
   return to_mono_image(cv::Mat::zeros(size, CV_8UC1), input.header);
 }
 
-/// The output of a frame that failed. What was made of it before is not published.
+/// The output of a frame that failed. Outputs made before the failure are not published.
 FrameOutput pass_through_failed(const std::string& text, const FrameOutput& made) {
   FrameOutput output;
   output.input = output.image = made.input;

@@ -241,10 +241,10 @@ std::optional<SynchronizedFrame> Processor::next_frame(bool finishing) {
       FrameSynchronizer::Context context = this->context();
       context.followed_cam = {tracker_.newest_frame(), pipeline_ ? pipeline_->newest_frame() : std::nullopt};
       context.timed_out = timed_out;
-      const Readiness readiness = frame_synchronizer_.assemble(context, &frame, &synchronized);
+      const Readiness readiness = frame_synchronizer_.synchronize(context, &frame, &synchronized);
       // By rates of a wrong unit every image looks POOR.
-      const bool doubts_unit = config_->pipeline.optical_flow && gyro_unit_.is_doubted(frame.stamp_ns);
-      if (doubts_unit || gyro_unit_is_wrong_ || gyro_source_->unit_is_wrong()) synchronized.drop_poor = false;
+      const bool unit_is_uncertain = config_->pipeline.optical_flow && gyro_unit_.is_uncertain(frame.stamp_ns);
+      if (unit_is_uncertain || gyro_unit_is_wrong_ || gyro_source_->unit_is_wrong()) synchronized.drop_poor = false;
       if (readiness == Readiness::WAITS) return std::nullopt;
       // A fast camera fills the queue before its images time out: those that are passed through for that are without
       // IMU too.
@@ -282,7 +282,7 @@ void Processor::check_overload(TimeNs steady_ns, PendingFrame* frame, Synchroniz
   const TimeNs ready_ns = frame->ready_steady_ns.value_or(steady_ns);
   const std::size_t ready_behind = input_buffers_.queue().ready_behind_front();
   const std::optional<TimeNs> period_ns = input_buffers_.frame_period().get();
-  const std::string overload = overload_.judge(steady_ns, ready_ns, ready_behind, period_ns);
+  const std::string overload = overload_.pass_through_text(steady_ns, ready_ns, ready_behind, period_ns);
   if (!overload.empty()) frame->pass_through(PassThroughReason::OVERLOAD, overload);
   synchronized->behind_camera_rate = OverloadRule::is_behind_camera_rate(steady_ns, ready_ns, ready_behind, period_ns);
 }

@@ -59,7 +59,7 @@ class Processor {
     std::function<FrameRequest()> request;
     /// Absent: make_engine.
     EngineFactory make_engine;
-    /// Where the calibration is learned that nobody has given.
+    /// Where a calibration that is not given is estimated.
     SelfCalibrator::Work self_calibration = SelfCalibrator::Work::AT_ONCE;
     /// What was learned before of images of this width and height; asked once. Absent: nothing.
     std::function<std::optional<LearnedCalibration>(int, int)> stored_calibration;

@@ -14,7 +14,7 @@ namespace gyro_deblur {
 namespace {
 
 constexpr char kKind[] = "repeated pictures";
-/// One image that is repeated now and then disturbs nobody.
+/// Fewer repeated images do no harm.
 constexpr std::size_t kReported = 3;
 constexpr TimeNs kWatchedNs = 5'000'000'000;
 /// An unknown bias is smaller than this rate, and noise moves the scene by less than this shift.

@@ -19,7 +19,7 @@ namespace {
 constexpr TimeNs kShortestStepNs = 30'000'000;
 /// More than one that waits, and the work is behind: the next image takes its place.
 constexpr std::size_t kMostWaiting = 2;
-/// Of a minute of a fast gyroscope.
+/// A minute of samples of a fast gyroscope.
 constexpr std::size_t kMostSamples = 100'000;
 
 /// Linux has a nice value for each thread.

@@ -27,7 +27,7 @@ namespace gyro_deblur {
 class SelfCalibrator {
  public:
   enum class Work {
-    AT_ONCE,        ///< in add(): the same images give the same values, whatever the machine does besides
+    AT_ONCE,        ///< in add(): the same images give the same values under any processor load
     IN_BACKGROUND,  ///< on a thread of low priority, which leaves images out when it cannot keep up
   };
 
@@ -87,7 +87,7 @@ class SelfCalibrator {
   std::size_t clears_ = 0;
   bool stops_ = false;
 
-  // Of the thread that runs jobs.
+  // Used by the thread that runs jobs alone.
   ImageRateTracker tracker_;
   BitDepth bit_depth_;
   SelfCalibration calibration_;

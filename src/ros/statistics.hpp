@@ -36,7 +36,7 @@ struct OutputStatistics {
   void count(const FrameOutput& output);
 };
 
-/// Of a processor; those of the IMU are since the start of its source.
+/// Counts of a processor; those of the IMU are since the start of its source.
 struct ProcessorStatistics : ImuStatistics, InputStatistics, OutputStatistics {
   std::size_t waiting = 0;                               ///< frames that are not published yet
   std::optional<TimeNs> frame_period_ns;                 ///< by the stamps

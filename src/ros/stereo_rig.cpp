@@ -28,11 +28,11 @@ Registry& registry() {
 
 }  // namespace
 
-void StereoRig::Habit::miss() { score_ = std::min(score_ + kMiss, kMost); }
+void StereoRig::Punctuality::miss() { score_ = std::min(score_ + kMiss, kMost); }
 
-void StereoRig::Habit::hit() { score_ = std::max(score_ - 1, 0); }
+void StereoRig::Punctuality::hit() { score_ = std::max(score_ - 1, 0); }
 
-void StereoRig::Habit::came_late() { score_ = std::max(score_ - kMiss - 1, 0); }
+void StereoRig::Punctuality::came_late() { score_ = std::max(score_ - kMiss - 1, 0); }
 
 std::shared_ptr<StereoRig> StereoRig::get(const std::string& imu_topic) {
   Registry& all = registry();
@@ -85,7 +85,7 @@ void StereoRig::announce(Id id, TimeNs stamp_ns) {
 }
 
 std::shared_ptr<StereoRig::Pair> StereoRig::find(Id id, TimeNs stamp_ns) const {
-  // Of images with the same stamp the first that is not reported yet is meant: they are published in order.
+  // Images are published in order, so that the first with this stamp that is not reported yet is meant.
   std::shared_ptr<Pair> reported;
   for (const std::shared_ptr<Pair>& pair : pairs_) {
     const auto place = pair->places.find(id);
@@ -114,19 +114,19 @@ void StereoRig::begin(Id id, TimeNs stamp_ns) {
   });
 }
 
-void StereoRig::pass_partners_through(const std::shared_ptr<Pair>& pair, Id id, const std::string& why) {
+void StereoRig::pass_stereo_partners_through(const std::shared_ptr<Pair>& pair, Id id, const std::string& why) {
   pair->places[id].phase = Phase::REPORTED;
   if (!pair->agreed && pair->pass_through_text.empty()) pair->pass_through_text = members_[id].name + " " + why;
 }
 
-void StereoRig::pass_partners_through(Id id, TimeNs stamp_ns, const std::string& why) {
-  change(id, stamp_ns, [&](const std::shared_ptr<Pair>& pair) { pass_partners_through(pair, id, why); });
+void StereoRig::pass_stereo_partners_through(Id id, TimeNs stamp_ns, const std::string& why) {
+  change(id, stamp_ns, [&](const std::shared_ptr<Pair>& pair) { pass_stereo_partners_through(pair, id, why); });
 }
 
 void StereoRig::pass_through(Id id, TimeNs stamp_ns, const std::string& why) {
   change(id, stamp_ns, [&](const std::shared_ptr<Pair>& pair) {
     pair->none_dropped = true;
-    pass_partners_through(pair, id, why);
+    pass_stereo_partners_through(pair, id, why);
   });
 }
 
@@ -140,22 +140,22 @@ StereoRig::Blocking StereoRig::blocking(const Pair& pair, Id id) const {
     const auto place = pair.places.find(other);
     if (place != pair.places.end()) {
       if (place->second.phase == Phase::REPORTED) continue;
-      return {other, true, !member.deciding.is_bad() || place->second.phase == Phase::PROCESSING};
+      return {other, true, !member.deciding.is_unreliable() || place->second.phase == Phase::PROCESSING};
     }
     const bool left_out = member.newest > pair.number;
-    if (member.newest > 0 && !left_out && !member.sending.is_bad()) return {other, false, true};
+    if (member.newest > 0 && !left_out && !member.sending.is_unreliable()) return {other, false, true};
   }
   return {};
 }
 
-void StereoRig::record_habits(const Pair& pair, Id id) {
+void StereoRig::record_punctuality(const Pair& pair, Id id) {
   for (auto& [other, member] : members_) {
     if (other == id || member.newest == 0) continue;
     const auto place = pair.places.find(other);
     if (place != pair.places.end()) {
       member.sending.hit();
       if (place->second.phase == Phase::REPORTED) member.deciding.hit();
-    } else if (member.sending.is_bad()) {
+    } else if (member.sending.is_unreliable()) {
       member.sending.miss();  // not waited for, and not there
     }
   }
@@ -182,12 +182,12 @@ std::string StereoRig::give_up(const std::shared_ptr<Pair>& pair, Id id, const B
   const std::string stamp = seconds_text(pair->places[id].stamp_ns) + " s";
   const std::string within = waited ? " within " + std::to_string(members_[id].timeout_ns / 1'000'000) + " ms" : "";
   pair->none_dropped = true;
-  if (deblurs) pass_partners_through(pair, id, "has not waited for this image any longer");
+  if (deblurs) pass_stereo_partners_through(pair, id, "has not waited for this image any longer");
   return blocking.has_come ? other.name + " has not decided on its image of " + stamp + within
                            : other.name + " has not had an image of " + stamp + within;
 }
 
-FrameAction StereoRig::wait_for_partners(Id id, TimeNs stamp_ns, const ImageReport& report) {
+FrameAction StereoRig::wait_for_stereo_partners(Id id, TimeNs stamp_ns, const ImageReport& report) {
   const FrameAction alone{"", report.drop_reasons ? report.drop_reasons->if_deblurred : ""};
   std::unique_lock<std::mutex> lock(mutex_);
   const std::shared_ptr<Pair> pair = find(id, stamp_ns);
@@ -196,7 +196,7 @@ FrameAction StereoRig::wait_for_partners(Id id, TimeNs stamp_ns, const ImageRepo
   if (report.pass_through_text.empty()) {
     pair->places[id].phase = Phase::REPORTED;
   } else {
-    pass_partners_through(pair, id, report.pass_through_text);
+    pass_stereo_partners_through(pair, id, report.pass_through_text);
   }
   if (report.drop_reasons && !report.drop_reasons->may_be_dropped) pair->none_dropped = true;
   changed_.notify_all();
@@ -209,7 +209,7 @@ FrameAction StereoRig::wait_for_partners(Id id, TimeNs stamp_ns, const ImageRepo
     if (pair->agreed) return {pair->pass_through_text, droppable ? pair->drop_text : ""};
     const bool may_be_dropped = droppable && !pair->none_dropped;
     if (!may_be_dropped && (!report.deblurs || !pair->pass_through_text.empty())) {
-      record_habits(*pair, id);
+      record_punctuality(*pair, id);
       return {pair->pass_through_text, ""};
     }
     const Blocking before = blocked;
@@ -220,7 +220,7 @@ FrameAction StereoRig::wait_for_partners(Id id, TimeNs stamp_ns, const ImageRepo
       left_out->second.sending.miss();  // waited for in vain
     }
     if (!blocked.id) {
-      record_habits(*pair, id);
+      record_punctuality(*pair, id);
       decide(pair.get());
       changed_.notify_all();
       return {pair->pass_through_text, report.drop_reasons ? pair->drop_text : ""};
@@ -250,7 +250,7 @@ void StereoCamera::pass_through(TimeNs stamp_ns, PassThroughReason reason) {
 
 namespace {
 
-/// Of what is not masked.
+/// Whether all blocks that are not masked are sharp.
 bool is_all_sharp(const FrameBlur& field) {
   return field.count(BlockStatus::SHARP) + field.count(BlockStatus::MASKED) == field.blocks.size();
 }
@@ -258,11 +258,13 @@ bool is_all_sharp(const FrameBlur& field) {
 }  // namespace
 
 std::string StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field) {
-  if (field.count(BlockStatus::DEBLURRED) > 0) return rig_->wait_for_partners(this, stamp_ns, {}).pass_through_text;
+  if (field.count(BlockStatus::DEBLURRED) > 0) {
+    return rig_->wait_for_stereo_partners(this, stamp_ns, {}).pass_through_text;
+  }
   if (is_all_sharp(field)) {
     rig_->agree(this, stamp_ns);
   } else {
-    rig_->pass_partners_through(this, stamp_ns, kNothingToDeblur);
+    rig_->pass_stereo_partners_through(this, stamp_ns, kNothingToDeblur);
   }
   return {};
 }
@@ -270,8 +272,8 @@ std::string StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field) {
 FrameAction StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field, const DropReasons& drop_reasons) {
   const bool deblurs = field.count(BlockStatus::DEBLURRED) > 0;
   const bool is_sharp = is_all_sharp(field);
-  FrameAction action =
-      rig_->wait_for_partners(this, stamp_ns, {deblurs, deblurs || is_sharp ? "" : kNothingToDeblur, drop_reasons});
+  FrameAction action = rig_->wait_for_stereo_partners(
+      this, stamp_ns, {deblurs, deblurs || is_sharp ? "" : kNothingToDeblur, drop_reasons});
   if (!deblurs) action.pass_through_text.clear();  // nothing would be deblurred anyway
   return action;
 }

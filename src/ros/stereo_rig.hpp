@@ -51,15 +51,15 @@ class StereoRig {
 
   /// How often another camera has been in time. After three misses in a row, or more than a third in the long run, no
   /// camera waits for it until it is in time again.
-  class Habit {
+  class Punctuality {
    public:
     void miss();
     void hit();
     void came_late();  ///< a miss counted that was a hit
-    bool is_bad() const { return score_ >= kBad; }
+    bool is_unreliable() const { return score_ >= kUnreliable; }
 
    private:
-    static constexpr int kMiss = 2, kBad = 3 * kMiss, kMost = kBad + kMiss;
+    static constexpr int kMiss = 2, kUnreliable = 3 * kMiss, kMost = kUnreliable + kMiss;
     int score_ = 0;
   };
 
@@ -67,8 +67,8 @@ class StereoRig {
     std::string name;
     TimeNs timeout_ns = 0;
     std::uint64_t newest = 0;  ///< number of the pair that its last image belongs to; 0: none has come
-    Habit sending;             ///< its image has arrived when a stereo partner is ready
-    Habit deciding;            ///< and is decided on in time
+    Punctuality sending;       ///< its image has arrived when a stereo partner is ready
+    Punctuality deciding;      ///< and is decided on in time
   };
 
   enum class Phase { RECEIVED, PROCESSING, REPORTED };
@@ -111,16 +111,16 @@ class StereoRig {
   void announce(Id id, TimeNs stamp_ns);
   void begin(Id id, TimeNs stamp_ns);
   void pass_through(Id id, TimeNs stamp_ns, const std::string& why);
-  void pass_partners_through(Id id, TimeNs stamp_ns, const std::string& why);
+  void pass_stereo_partners_through(Id id, TimeNs stamp_ns, const std::string& why);
   void agree(Id id, TimeNs stamp_ns);
-  FrameAction wait_for_partners(Id id, TimeNs stamp_ns, const ImageReport& report);
+  FrameAction wait_for_stereo_partners(Id id, TimeNs stamp_ns, const ImageReport& report);
 
   // These need mutex_.
   std::shared_ptr<Pair> find(Id id, TimeNs stamp_ns) const;
-  void pass_partners_through(const std::shared_ptr<Pair>& pair, Id id, const std::string& why);
+  void pass_stereo_partners_through(const std::shared_ptr<Pair>& pair, Id id, const std::string& why);
   Blocking blocking(const Pair& pair, Id id) const;
   /// Once an image is decided on: which of the others had been in time.
-  void record_habits(const Pair& pair, Id id);
+  void record_punctuality(const Pair& pair, Id id);
   std::string give_up(const std::shared_ptr<Pair>& pair, Id id, const Blocking& blocking, bool waited, bool deblurs);
   /// All cameras have reported.
   void decide(Pair* pair) const;

@@ -22,7 +22,7 @@ int straggler_limit(Stream stream) {
   return 30;
 }
 
-/// A camera_info or an exposure that is late says nothing about the clock; the image that it belongs to does.
+/// A late camera_info or exposure is no evidence of a time jump. Its image is.
 bool detects_resets(Stream stream) { return stream != Stream::CAMERA_INFO && stream != Stream::EXPOSURE; }
 
 }  // namespace

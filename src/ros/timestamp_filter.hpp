@@ -73,11 +73,11 @@ class TimestampFilter {
   /// Takes, refuses, or holds a message back, and decides over those that were held back before it.
   Result add(const Message& message, const StampLimits& limits) {
     Result result;
-    judge(message, limits, &result);
+    check(message, limits, &result);
     return result;
   }
 
-  /// Of those that were taken; nothing before the first.
+  /// Newest stamp of the messages that were taken; nothing before the first.
   std::optional<TimeNs> newest_ns() const {
     return newest_ ? std::optional<TimeNs>(newest_->t_ns) : std::optional<TimeNs>();
   }
@@ -114,7 +114,7 @@ class TimestampFilter {
     return (order == Order::BACK || order == Order::AHEAD) && step_ns > 0 && step_ns <= limits.step_ns;
   }
 
-  void judge(const Message& message, const StampLimits& limits, Result* result) {
+  void check(const Message& message, const StampLimits& limits, Result* result) {
     const Order order = order_of(message.t_ns, limits);
     if (agrees_with_far(message.t_ns, order, limits)) return hold_far(message, limits, result);
     switch (order) {
@@ -154,7 +154,7 @@ class TimestampFilter {
     refuse(&late_, RejectReason::LATE, result);
     if (!ahead) reset(first_ns, result);
     take_held(&far_, result);
-    judge(message, limits, result);  // against them; it may repeat the last
+    check(message, limits, result);  // against them; it may repeat the last
   }
 
   void hold_late(const Message& message, const StampLimits& limits, Result* result) {

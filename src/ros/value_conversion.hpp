@@ -17,7 +17,7 @@ namespace gyro_deblur {
 TimeNs to_time_ns(const ros::Time& time);
 ros::Time to_ros_time(TimeNs time_ns);
 
-/// A stamp of 0 has not been set: it says nothing about time. (At the start of a simulation it may be right. What such
+/// A stamp of 0 has not been set: it is not used as a time. (At the start of a simulation it may be right. What such
 /// an image loses there is one frame.)
 constexpr bool is_unset(TimeNs stamp_ns) { return stamp_ns == 0; }
 

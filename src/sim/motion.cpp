@@ -141,8 +141,8 @@ class TrajectoryMotion : public Motion {
       R_world_cam_.push_back(samples[i].pose.R_world_cam.normalized());
     }
     for (std::size_t i = 0; i + 1 < n; ++i) {
-      turn_.push_back(log_rotation(R_world_cam_[i].conjugate() * R_world_cam_[i + 1]));
-      mean_rate[i] = turn_[i] / (times_[i + 1] - times_[i]);
+      rotation_.push_back(log_rotation(R_world_cam_[i].conjugate() * R_world_cam_[i + 1]));
+      mean_rate[i] = rotation_[i] / (times_[i + 1] - times_[i]);
     }
     rates_.push_back(mean_rate.front());
     for (std::size_t i = 1; i + 1 < n; ++i) {
@@ -174,19 +174,19 @@ class TrajectoryMotion : public Motion {
     return CubicSpline(std::move(times), std::move(values));
   }
 
-  // Rotation vector from sample i, or its derivative: cubic Hermite from 0 to turn_[i] with the rates of both samples.
+  // Rotation vector from sample i, or its derivative: cubic Hermite from 0 to rotation_[i] with both samples' rates.
   Eigen::Vector3d local(std::size_t i, double t, int derivative) const {
     const double h = times_[i + 1] - times_[i], s = (t - times_[i]) / h;
     const Eigen::Vector3d v0 = h * rates_[i];
-    const Eigen::Vector3d v1 = h * (right_jacobian(turn_[i]).inverse() * rates_[i + 1]);
-    if (derivative == 0) return s * (1 - s) * ((1 - s) * v0 - s * v1) + s * s * (3 - 2 * s) * turn_[i];
-    return ((1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1 + 6 * s * (1 - s) * turn_[i]) / h;
+    const Eigen::Vector3d v1 = h * (right_jacobian(rotation_[i]).inverse() * rates_[i + 1]);
+    if (derivative == 0) return s * (1 - s) * ((1 - s) * v0 - s * v1) + s * s * (3 - 2 * s) * rotation_[i];
+    return ((1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1 + 6 * s * (1 - s) * rotation_[i]) / h;
   }
 
   std::vector<double> times_;
   std::vector<Eigen::Quaterniond> R_world_cam_;
-  std::vector<Eigen::Vector3d> turn_;   // rotation vector from sample i to i + 1
-  std::vector<Eigen::Vector3d> rates_;  // body rate at sample i
+  std::vector<Eigen::Vector3d> rotation_;  // rotation vector from sample i to i + 1
+  std::vector<Eigen::Vector3d> rates_;     // body rate at sample i
   CubicSpline position_;
 };
 
@@ -275,8 +275,8 @@ CubicSpline::CubicSpline(std::vector<double> times_s, std::vector<Eigen::Vector3
     const double before = times_[i] - times_[i - 1], after = times_[i + 1] - times_[i];
     const double pivot = 2 * (before + after) - before * upper[i - 1];
     upper[i] = after / pivot;
-    const Eigen::Vector3d bend = (values_[i + 1] - values_[i]) / after - (values_[i] - values_[i - 1]) / before;
-    curvatures_[i] = (6 * bend - before * curvatures_[i - 1]) / pivot;
+    const Eigen::Vector3d slope_change = (values_[i + 1] - values_[i]) / after - (values_[i] - values_[i - 1]) / before;
+    curvatures_[i] = (6 * slope_change - before * curvatures_[i - 1]) / pivot;
   }
   for (std::size_t i = n - 1; i-- > 1;) curvatures_[i] -= upper[i] * curvatures_[i + 1];
 }

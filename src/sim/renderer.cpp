@@ -19,7 +19,7 @@ struct PlaneMap {
   float cu, cv;
 };
 
-// Everything a row needs besides its result.
+// Everything that a row needs, without its result.
 struct RowScratch {
   explicit RowScratch(int width, int channels)
       : inverse_depth(static_cast<std::size_t>(width)),

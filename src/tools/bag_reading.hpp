@@ -20,7 +20,7 @@
 namespace gyro_deblur {
 
 /// A message that cannot be used; what() names its topic, the time at which it was recorded and its type, but not the
-/// bag, which rosbag does not tell.
+/// bag, which rosbag does not report.
 class MessageError : public std::runtime_error {
  public:
   MessageError(const rosbag::MessageInstance& instance, const std::string& problem)

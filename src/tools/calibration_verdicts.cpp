@@ -137,7 +137,7 @@ ExposureGap exposure_gap(const RecordedExposure& exposure, std::size_t frames) {
   return {few + "their blur is too short, 6 px are needed", "Rotate the camera faster, or set exposure_time"};
 }
 
-/// How the images judge an exposure that is given.
+/// How an exposure that is given agrees with the images.
 std::string agreement_text(const std::optional<ExposureEstimate>& over_given, const std::string& source,
                            const std::string& remedy, const std::string& why_not) {
   if (!over_given) return source + "; not checked: " + why_not;

@@ -106,7 +106,7 @@ Log log_clearing(Progress& progress) {
   };
 }
 
-/// Of what is read [s].
+/// Duration of the part that is read [s].
 double length_s(const rosbag::Bag& bag, const Slice& slice) {
   rosbag::View read(bag, slice.read_from());
   if (read.size() == 0) return 0;

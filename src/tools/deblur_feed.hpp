@@ -66,7 +66,7 @@ class DeblurFeed {
   MessageStream::Read driver_reader();
   MessageStream::Read transform_reader();
   MessageStream::Read mask_reader();
-  /// Of what the foremost frame waits for; null when it waits for nothing.
+  /// Stream of the message that the foremost frame waits for; null when it waits for nothing.
   MessageStream* awaited_stream();
   /// The foremost image goes in, with what belongs to it, and out again.
   void pass_front(const Expect& expect, const Processor::Sink& sink);

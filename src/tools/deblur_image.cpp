@@ -160,7 +160,7 @@ double median_extent_px(const FrameBlur& field) {
   return median(extents);
 }
 
-/// The blur that the arguments tell of.
+/// The blur that the arguments describe.
 FrameBlur given_field(const Arguments& arguments, const cv::Size& size) {
   if (!arguments.field.empty()) {
     return blur_field_from_displacement(

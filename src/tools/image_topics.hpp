@@ -23,7 +23,7 @@ struct NamedImages {
 /// Adds --camera-ns and --image-topic.
 void add_image_options(CommandLine& app, NamedImages* named);
 
-/// Of a camera's mask, in its namespace.
+/// Name of the topic of a camera's mask, in the camera's namespace.
 inline constexpr char kMaskTopic[] = "mask";
 
 struct ImageTopic {

@@ -16,7 +16,7 @@
 namespace gyro_deblur {
 
 /// Gives out messages in the order of their recording, as soon as somebody needs them, whenever they were recorded:
-/// up to a minute from the image. Stamps that are farther apart say nothing about each other.
+/// up to a minute from the image. Stamps that are farther apart are not compared.
 class MessageStream {
  public:
   struct Message {
@@ -48,7 +48,7 @@ class MessageStream {
  private:
   /// The next message; null at the end.
   const Message* front();
-  /// Of the next message and two that follow, so that one wrong stamp does not count. Precondition: front() has one.
+  /// Among the next message and two that follow, so that one wrong stamp does not count. Precondition: front() has one.
   TimeNs earliest_stamp_ns() const;
   TimeNs latest_stamp_ns() const;
 

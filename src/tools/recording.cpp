@@ -32,7 +32,7 @@ namespace {
 namespace fs = std::filesystem;
 
 /// Calls `on_line` with every line that is neither empty nor a comment ('#'), and adds the place to what it throws.
-/// Reads plain and gzipped files alike.
+/// Reads plain and gzipped files.
 void for_each_line(const std::string& path, const std::function<void(const std::string&)>& on_line) {
   const std::unique_ptr<gzFile_s, int (*)(gzFile)> file(gzopen(path.c_str(), "rb"), gzclose);
   if (file == nullptr) {

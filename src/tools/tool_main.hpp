@@ -9,7 +9,7 @@
 
 namespace gyro_deblur {
 
-/// Exit codes, which tell scripts bad input from bad usage.
+/// Exit codes, by which scripts distinguish bad input from bad usage.
 enum ExitCode { SUCCESS = 0, BAD_INPUT = 1, BAD_USAGE = 2 };
 
 /// Arguments of every tool.

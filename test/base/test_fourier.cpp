@@ -105,7 +105,7 @@ TEST_P(FourierTest, MultiplyByAGainAsOpenCvDoes) {
   }
 }
 
-TEST_P(FourierTest, TurnAndScaleAWave) {
+TEST_P(FourierTest, RotateAndScaleAWave) {
   const int size = 96;
   for (const auto& [u, v] : {std::pair(5, 0), std::pair(0, 7), std::pair(-3, 11), std::pair(47, 47)}) {
     const std::complex<double> factor = std::polar(1.5, 0.7);

@@ -70,7 +70,7 @@ TEST(Luminance8, ReturnsGreyWithoutACopy) {
   EXPECT_EQ(luminance8(grey, PixelLayout::GRAY).data, grey.data);
 }
 
-TEST(Luminance8, TellsChannelOrdersApart) {
+TEST(Luminance8, DistinguishesChannelOrders) {
   // ITU-R BT.601: 0.299 R + 0.587 G + 0.114 B.
   const double expected = 0.299 * 200 + 0.587 * 100 + 0.114 * 30;
   const cv::Mat rgb(4, 4, CV_8UC3, cv::Scalar(200, 100, 30)), bgr(4, 4, CV_8UC3, cv::Scalar(30, 100, 200));
@@ -159,7 +159,7 @@ TEST(Luminance8, RefusesWhatDoesNotFit) {
   EXPECT_THROW(luminance8(cv::Mat(2, 2, CV_8SC1), PixelLayout::GRAY), std::invalid_argument);
 }
 
-TEST(Luminance8, LeavesItsInputAlone) {
+TEST(Luminance8, DoesNotChangeItsInput) {
   for (const PixelLayout layout :
        {PixelLayout::GRAY, PixelLayout::BGR, PixelLayout::RGB, PixelLayout::BGRA, PixelLayout::RGBA,
         PixelLayout::BAYER_RGGB, PixelLayout::BAYER_BGGR, PixelLayout::BAYER_GBRG, PixelLayout::BAYER_GRBG}) {

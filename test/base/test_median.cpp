@@ -43,7 +43,7 @@ TEST(Median, KeepsEveryBitOfItsType) {
   EXPECT_EQ(median(std::vector<float>{0.1f, 0.1f}), 0.1f);
 }
 
-TEST(Median, AgreesWithSortingAndLeavesItsArgumentAlone) {
+TEST(Median, AgreesWithSortingAndDoesNotChangeItsArgument) {
   std::mt19937 random(5);
   for (std::size_t size = 1; size <= 200; ++size) {
     std::vector<int> values(size);

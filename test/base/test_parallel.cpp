@@ -89,7 +89,7 @@ TEST(RunParallel, GivesThreadsThatWorkAtTheSameTimeNumbersOfTheirOwn) {
   EXPECT_EQ(wrong, 0);
 }
 
-// The cause of frames that take twenty times as long beside a busy process, and of the time that is taken from it.
+// The cause of frames that take twenty times as long next to a busy process, and of the time that is taken from it.
 TEST(RunParallel, ThreadsSleepBetweenLoops) {
   constexpr int kLoops = 20, kAllCores = 0;
   constexpr double kWorkS = 250e-6;
@@ -118,7 +118,8 @@ TEST(RunParallel, ThreadsSleepBetweenLoops) {
 #ifdef GYRO_DEBLUR_TSAN
   GTEST_SKIP() << "ThreadSanitizer takes processor time itself";
 #endif
-  EXPECT_LT(idle_s / kLoops, 300e-6) << "processor time of the threads that help beside their work, a loop";
+  EXPECT_LT(idle_s / kLoops, 300e-6)
+      << "processor time that the helping threads take in addition to their work, a loop";
 }
 
 TEST(RunParallel, SmallWorkStartsNoThread) {

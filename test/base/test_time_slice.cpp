@@ -7,12 +7,12 @@
 namespace gyro_deblur::time_slice_test {
 namespace {
 
-TEST(TurnsOfAFrame, AreOfTheThreadThatAsksAlone) {
+TEST(TimeSliceOfAFrame, IsOfTheThreadThatAsksAlone) {
   const auto others = scheduling_attributes();
-  if (!others || others->runtime_ns == 0) GTEST_SKIP() << "this kernel has no turns to ask for";
+  if (!others || others->runtime_ns == 0) GTEST_SKIP() << "this kernel has no time slice to ask for";
   std::optional<SchedulingAttributes> asking, started_by_it;
   std::thread([&] {
-    ask_for_turns_of_a_frame();
+    ask_for_time_slice_of_a_frame();
     asking = scheduling_attributes();
     std::thread([&] { started_by_it = scheduling_attributes(); }).join();
   }).join();

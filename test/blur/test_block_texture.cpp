@@ -10,7 +10,7 @@ namespace gyro_deblur::block_texture_test {
 namespace {
 
 /// A texture of which any line has the power `strength` / f^2: random waves whose power falls with the cube of the
-/// frequency in the plane.
+/// frequency in two dimensions.
 cv::Mat texture(double strength, std::uint64_t seed) {
   constexpr int kSize = 512;
   cv::Mat white(kSize, kSize, CV_64F), spectrum, plane;

@@ -72,7 +72,7 @@ TEST(BlockGrid, FindsTheBlockOfAPixel) {
   for (int i = 0; i < grid.size(); ++i) EXPECT_EQ(grid.index_at(grid.center(i).x(), grid.center(i).y()), i);
 }
 
-TEST(AxialAngle, IsFoldedIntoHalfATurn) {
+TEST(AxialAngle, IsFoldedIntoHalfARevolution) {
   EXPECT_DOUBLE_EQ(axial_angle(1, 0), 0);
   EXPECT_DOUBLE_EQ(axial_angle(-1, 0), 0);
   EXPECT_DOUBLE_EQ(axial_angle(-1, -0.0), 0);
@@ -88,7 +88,7 @@ TEST(AxialAngle, IsFoldedIntoHalfATurn) {
   }
 }
 
-TEST(AxialDifference, WrapsAtHalfATurn) {
+TEST(AxialDifference, WrapsAtHalfARevolution) {
   EXPECT_NEAR(axial_difference(1 * kDeg, 179 * kDeg), 2 * kDeg, 1e-12);
   EXPECT_NEAR(axial_difference(179 * kDeg, 1 * kDeg), 2 * kDeg, 1e-12);
   EXPECT_NEAR(axial_difference(0, 90 * kDeg), 90 * kDeg, 1e-12);
@@ -115,10 +115,10 @@ std::array<Eigen::Vector2d, kPathInstants> path_of(const std::function<Eigen::Ve
   return path_px;
 }
 
-TEST(ClassifyPath, StraightAtEvenSpeedIsTheBox) {
-  for (const Eigen::Vector2d& way : {Eigen::Vector2d(30, 0), {-12, 20}, {0, -7}, {1, 1}, {0, 0}, {200, 0}}) {
-    const BlockBlur blur = classify_path(path_of([&](double t) { return t * way; }), {});
-    const BlockBlur expected = classify_blur(way.x(), way.y(), {});
+TEST(ClassifyPath, StraightAtUniformSpeedIsTheBox) {
+  for (const Eigen::Vector2d& along : {Eigen::Vector2d(30, 0), {-12, 20}, {0, -7}, {1, 1}, {0, 0}, {200, 0}}) {
+    const BlockBlur blur = classify_path(path_of([&](double t) { return t * along; }), {});
+    const BlockBlur expected = classify_blur(along.x(), along.y(), {});
     EXPECT_EQ(blur.angle_rad, expected.angle_rad);
     EXPECT_FLOAT_EQ(blur.extent_px, expected.extent_px);
     EXPECT_EQ(blur.status, expected.status);
@@ -130,19 +130,19 @@ TEST(ClassifyPath, StraightAtEvenSpeedIsTheBox) {
 // the halves' lengths lies on either side of the even run, half of that at a time.
 TEST(ClassifyPath, AStepOfTheSpeedDepartsByAQuarterOfTheDifference) {
   for (const double degrees : {0.0, 30.0, 90.0, 150.0, 200.0, 300.0}) {
-    const Eigen::Vector2d way(std::cos(degrees * kDeg), std::sin(degrees * kDeg));
+    const Eigen::Vector2d along(std::cos(degrees * kDeg), std::sin(degrees * kDeg));
     const auto stepped = [&](double difference_px) {
-      return classify_path(path_of([&](double t) { return 2 * t * (t < 0 ? 10 : 10 + difference_px) * way; }), {});
+      return classify_path(path_of([&](double t) { return 2 * t * (t < 0 ? 10 : 10 + difference_px) * along; }), {});
     };
     // Of an extent of 20 px and the difference, a quarter of which is the limit at 1.115 px.
     EXPECT_FALSE(stepped(1.10).nonuniform_path_px);
     const BlockBlur blur = stepped(10);
     EXPECT_NEAR(blur.extent_px, 30, 1e-4);
-    EXPECT_LT(axial_difference(blur.angle_rad, axial_angle(way.x(), way.y())), 1e-6);
+    EXPECT_LT(axial_difference(blur.angle_rad, axial_angle(along.x(), along.y())), 1e-6);
     EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
     ASSERT_TRUE(blur.nonuniform_path_px);
     // Forwards or backwards along the axial angle.
-    const double sign = way.dot(Eigen::Vector2d(std::cos(blur.angle_rad), std::sin(blur.angle_rad)));
+    const double sign = along.dot(Eigen::Vector2d(std::cos(blur.angle_rad), std::sin(blur.angle_rad)));
     EXPECT_NEAR(std::abs(sign), 1, 1e-6);
     const double expected[] = {-10, -7.5, -5, -2.5, 0, 5, 10, 15, 20};
     for (int k = 0; k < kPathInstants; ++k) EXPECT_NEAR((*blur.nonuniform_path_px)[k], sign * expected[k], 1e-4) << k;
@@ -152,10 +152,10 @@ TEST(ClassifyPath, AStepOfTheSpeedDepartsByAQuarterOfTheDifference) {
 
 // A point that speeds up along a line and leaves it along a flat arc.
 TEST(ClassifyPath, SaysWhereTheImageShowsThePoint) {
-  const Eigen::Vector2d way(std::cos(0.4), std::sin(0.4)), across(-way.y(), way.x());
-  const auto blur_of = [&](double gain_px, double bow_px) {
+  const Eigen::Vector2d along(std::cos(0.4), std::sin(0.4)), across(-along.y(), along.x());
+  const auto blur_of = [&](double gain_px, double arc_px) {
     return classify_path(path_of([&](double t) -> Eigen::Vector2d {
-                           return (40 * t + 4 * gain_px * t * t) * way + 4 * bow_px * t * t * across;
+                           return (40 * t + 4 * gain_px * t * t) * along + 4 * arc_px * t * t * across;
                          }),
                          {});
   };
@@ -165,14 +165,15 @@ TEST(ClassifyPath, SaysWhereTheImageShowsThePoint) {
   ASSERT_EQ(even.status, BlockStatus::DEBLURRED);
   ASSERT_FALSE(even.nonuniform_path_px);
   constexpr double kMiddle = 1 - 7.5 / 40;  // how near it is to the middle of the line
-  EXPECT_LT((even.apparent_offset_px() - ((kMiddle + (1 - kMiddle) * kMean) * 1.5 * way + kMean * 0.9 * across)).norm(),
-            1e-3);
+  EXPECT_LT(
+      (even.apparent_offset_px() - ((kMiddle + (1 - kMiddle) * kMean) * 1.5 * along + kMean * 0.9 * across)).norm(),
+      1e-3);
   even.status = BlockStatus::SHARP;
-  EXPECT_LT((even.apparent_offset_px() - kMean * (1.5 * way + 0.9 * across)).norm(), 1e-4);
+  EXPECT_LT((even.apparent_offset_px() - kMean * (1.5 * along + 0.9 * across)).norm(), 1e-4);
   const BlockBlur nonuniform = blur_of(6, 0.9);
   ASSERT_EQ(nonuniform.status, BlockStatus::DEBLURRED);
   ASSERT_TRUE(nonuniform.nonuniform_path_px);
-  // Its line is fitted to the places, so that it is a little off the way.
+  // Its line is fitted to the places, so that it is a little off that direction.
   EXPECT_LT((nonuniform.apparent_offset_px() - kMean * 0.9 * across).norm(), 0.1);
   EXPECT_EQ(uniform_blur_field(64, 64, 1, 20, {}).blocks[0].apparent_offset_px(), Eigen::Vector2d::Zero());
 }
@@ -185,54 +186,54 @@ TEST(ClassifyPath, ThereAndBackCoversTheLineOnce) {
   EXPECT_TRUE(blur.nonuniform_path_px);
 }
 
-TEST(ClassifyPath, ABowIsBentBeyondTheLimit) {
+TEST(ClassifyPath, AnArcIsCurvedBeyondTheThreshold) {
   constexpr double kRadius = 60;
-  const auto arc = [](double turn_rad) {
+  const auto arc = [](double rotation_rad) {
     return path_of([=](double t) {
-      return Eigen::Vector2d(kRadius * std::sin(turn_rad * t), kRadius * (1 - std::cos(turn_rad * t)));
+      return Eigen::Vector2d(kRadius * std::sin(rotation_rad * t), kRadius * (1 - std::cos(rotation_rad * t)));
     });
   };
   // An arc of a circle lies within half of its rise to either side of a line.
-  const double turn_rad = 0.9, bend_px = 0.5 * kRadius * (1 - std::cos(0.5 * turn_rad));
-  const double allowed_px = kStraightPathShare * 2 * kRadius * std::sin(0.5 * turn_rad);
+  const double rotation_rad = 0.9, deviation_px = 0.5 * kRadius * (1 - std::cos(0.5 * rotation_rad));
+  const double allowed_px = kStraightPathShare * 2 * kRadius * std::sin(0.5 * rotation_rad);
   BlurFieldOptions options;
-  options.curved_path_threshold_px = 1.001 * bend_px - allowed_px;
-  BlockBlur blur = classify_path(arc(turn_rad), options);
+  options.curved_path_threshold_px = 1.001 * deviation_px - allowed_px;
+  BlockBlur blur = classify_path(arc(rotation_rad), options);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
   EXPECT_FALSE(blur.curved_path_px);
-  EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
+  EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * rotation_rad), 1e-3);
   EXPECT_LT(axial_difference(blur.angle_rad, 0), 1e-6);
-  options.curved_path_threshold_px = 0.999 * bend_px - allowed_px;
-  blur = classify_path(arc(turn_rad), options);
+  options.curved_path_threshold_px = 0.999 * deviation_px - allowed_px;
+  blur = classify_path(arc(rotation_rad), options);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
   ASSERT_TRUE(blur.curved_path_px);
   for (int k = 0; k < kPathInstants; ++k) {
-    EXPECT_LT(((*blur.curved_path_px)[k].cast<double>() - arc(turn_rad)[k]).norm(), 1e-5) << k;
+    EXPECT_LT(((*blur.curved_path_px)[k].cast<double>() - arc(rotation_rad)[k]).norm(), 1e-5) << k;
   }
   EXPECT_EQ(blur.apparent_offset_px(), Eigen::Vector2d::Zero()) << "the whole path is undone";
-  EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * turn_rad), 1e-3);
+  EXPECT_NEAR(blur.extent_px, 2 * kRadius * std::sin(0.5 * rotation_rad), 1e-3);
   EXPECT_TRUE(classify_path(arc(2 * M_PI), {}).curved_path_px) << "a whole circle";
-  // Where there is no time for the plane.
-  blur = classify_path(arc(turn_rad), options, true);
+  // Where there is no time for the 2-D filter.
+  blur = classify_path(arc(rotation_rad), options, true);
   EXPECT_EQ(blur.status, BlockStatus::TOO_CURVED);
   EXPECT_FALSE(blur.curved_path_px);
   // 2 px high: 1 px to either side of a line, of which 0.6 are allowed.
-  const auto slight_bow = path_of([](double t) { return Eigen::Vector2d(30 * t, 8 * t * (1 - t)); });
+  const auto slight_arc = path_of([](double t) { return Eigen::Vector2d(30 * t, 8 * t * (1 - t)); });
   options.curved_path_threshold_px = 0.2;
-  EXPECT_TRUE(classify_path(slight_bow, options).curved_path_px);
-  blur = classify_path(slight_bow, options, true);
+  EXPECT_TRUE(classify_path(slight_arc, options).curved_path_px);
+  blur = classify_path(slight_arc, options, true);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
   EXPECT_FALSE(blur.curved_path_px);
   // Longer than any tile.
   options.max_extent_px = 2 * kMax2dExtentPx;
-  const auto long_bow = path_of([](double t) { return Eigen::Vector2d(1.01 * kMax2dExtentPx * t, 200 * t * t); });
-  EXPECT_EQ(classify_path(long_bow, options).status, BlockStatus::TOO_CURVED);
+  const auto long_arc = path_of([](double t) { return Eigen::Vector2d(1.01 * kMax2dExtentPx * t, 200 * t * t); });
+  EXPECT_EQ(classify_path(long_arc, options).status, BlockStatus::TOO_CURVED);
   // What is too small or too large anyway stays that.
   options.curved_path_threshold_px = 0;
   options.min_extent_px = 5;
   EXPECT_EQ(classify_path(arc(0.06), options).status, BlockStatus::SHARP);
   options.max_extent_px = 10;
-  EXPECT_EQ(classify_path(arc(turn_rad), options).status, BlockStatus::TOO_LARGE);
+  EXPECT_EQ(classify_path(arc(rotation_rad), options).status, BlockStatus::TOO_LARGE);
 }
 
 TEST(BlurFieldEstimator, PanBlursAlongX) {
@@ -276,7 +277,7 @@ TEST(BlurFieldEstimator, AddsWhatTheImagesAreCertainOf) {
   }
 }
 
-TEST(BlurFieldEstimator, LeavesAloneWhatMayBeSharp) {
+TEST(BlurFieldEstimator, PassesThroughWhatMayBeSharp) {
   const auto is_deblurred = [](double pan_px, double residual_px, double stddev_px) {
     return middle_block(pan_px, residual_px, stddev_px).status == BlockStatus::DEBLURRED;
   };
@@ -292,7 +293,7 @@ TEST(BlurFieldEstimator, LeavesAloneWhatMayBeSharp) {
 }
 
 // About its axis a camera with square pixels moves points on circles: the chord is at right angles to the radius when
-// it is centred in time, and turned by half the roll when it starts at the block's centre.
+// it is centred in time, and rotated by half the roll when it starts at the block's centre.
 TEST(BlurFieldEstimator, RollBlursAtRightAnglesToTheRadius) {
   const double rate = 6, exposure_s = 0.03;
   const BlurFieldEstimator estimator(Camera(pinhole()), {});
@@ -351,7 +352,7 @@ TEST(BlurFieldEstimator, RollingShutterLensAndGyroscopeAgreeWithTheTruth) {
     const FieldError good = error(options, exposure);
     EXPECT_LT(good.median_angle_deg, 0.1);
     EXPECT_LT(good.median_extent_px, 0.05);
-    // Each convention matters: turned round, the field is wrong by far more than that.
+    // Each convention matters: reversed, the field is wrong by far more than that.
     GyroOptions flipped = options;
     flipped.time_offset_ns *= -1;
     EXPECT_GT(error(flipped, exposure).median_extent_px, 1);
@@ -464,7 +465,7 @@ TEST(BlurFieldFromDisplacement, OneCellCoversTheImage) {
 }
 
 TEST(BlurFieldFromDisplacement, CellsCoverTheImageEvenly) {
-  // Per pixel, dx = 10 + x / 10, so the value at a block's centre tells where it was read; with fewer cells the same
+  // Per pixel, dx = 10 + x / 10, so the value at a block's centre shows where it was read; with fewer cells the same
   // ramp is sampled at the cells' centres.
   for (const int cols : {640, 320, 64, 10}) {
     cv::Mat dx(3, cols, CV_64F), dy = cv::Mat::zeros(3, cols, CV_64F);

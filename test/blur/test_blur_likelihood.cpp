@@ -37,7 +37,7 @@ struct Scene {
 
 class BlurLikelihoodTest : public testing::TestWithParam<Scene> {};
 
-TEST_P(BlurLikelihoodTest, TellsTheBlurFromNoneAndFromAThird) {
+TEST_P(BlurLikelihoodTest, DistinguishesTheBlurFromNoneAndFromAThird) {
   const auto& [extent_px, angle_rad, how] = GetParam();
   const test::PredictedBlur images =
       test::predict_blur(test::textured_image(kWidthPx + 64, kHeightPx + 64, 31), angle_rad, extent_px);
@@ -52,7 +52,7 @@ INSTANTIATE_TEST_SUITE_P(Scenes, BlurLikelihoodTest,
                                          Scene{40, 2.0, {1}}, Scene{40, 0.7, {8}}, Scene{90, 0.2, {2}},
                                          Scene{20, 1.0, {2, 1, 1000}}));
 
-TEST(BlurLikelihood, HotPixelsChangeNoVerdict) {
+TEST(BlurLikelihood, HotPixelsDoNotChangeTheStatus) {
   for (const double extent_px : {5.0, 20.0}) {
     const test::PredictedBlur images =
         test::predict_blur(test::textured_image(kWidthPx + 64, kHeightPx + 64, 32), 0.8, extent_px);
@@ -121,7 +121,7 @@ TEST(BlurLikelihood, AnNonuniformPathHasItsOwnSpectrum) {
   EXPECT_LE(accepted(field, test::expose(sharp, 1, 10)), 0.02);
 }
 
-TEST(BlurLikelihood, AnEvenPathIsABox) {
+TEST(BlurLikelihood, APathOfUniformSpeedIsABox) {
   const cv::Mat image = test::expose(test::blur_along_line(test::textured_image(128, 128, 37), 0.6, 12), 2, 11);
   const BlurLikelihood likelihood(image, 2);
   BlockBlur blur{0.6f, 12, BlockStatus::DEBLURRED};
@@ -133,7 +133,7 @@ TEST(BlurLikelihood, AnEvenPathIsABox) {
   EXPECT_GT(box, 5);
 }
 
-TEST(BlurLikelihood, AStraightPathInThePlaneIsABox) {
+TEST(BlurLikelihood, AStraight2dPathIsABox) {
   const cv::Mat image = test::expose(test::blur_along_line(test::textured_image(256, 256, 37), 0.6, 20), 2, 11);
   const BlurLikelihood likelihood(image, 2);
   BlockBlur blur{0.6f, 20, BlockStatus::DEBLURRED};
@@ -144,7 +144,7 @@ TEST(BlurLikelihood, AStraightPathInThePlaneIsABox) {
   EXPECT_GT(box, 5);
 }
 
-TEST(BlurLikelihood, ABentPathHasItsOwnSpectrum) {
+TEST(BlurLikelihood, ACurvedPathHasItsOwnSpectrum) {
   const cv::Mat sharp = test::textured_image(kWidthPx, kHeightPx, 42);
   for (const auto& [extent_px, sagitta_px] : {std::pair(12.0, 4.0), std::pair(24.0, 10.0), std::pair(80.0, 30.0)}) {
     const Path2d path_px = test::arc_path(extent_px, sagitta_px, 0.9);
@@ -158,7 +158,7 @@ TEST(BlurLikelihood, ABentPathHasItsOwnSpectrum) {
   }
 }
 
-// Of which a spectrum tells little: an edge that is too sharp for it does. Hot pixels are no such edges.
+// It changes a spectrum little: an edge that is too sharp for it is better evidence. Hot pixels are no such edges.
 TEST(BlurLikelihood, ShortBlurHasNoSharpEdges) {
   constexpr double kExtentPx = 3.5;
   const cv::Mat sharp = test::textured_image(kWidthPx, kHeightPx, 43);
@@ -174,7 +174,7 @@ TEST(BlurLikelihood, ShortBlurHasNoSharpEdges) {
   EXPECT_GE(accepted(field, blurred), 0.97);
 }
 
-TEST(BlurLikelihood, WhatNothingIsKnownOfIsBelieved) {
+TEST(BlurLikelihood, WhatNothingIsKnownOfIsAccepted) {
   const FrameBlur field = uniform_blur_field(kWidthPx, kHeightPx, 0.3, 20, {});
   EXPECT_EQ(accepted(field, cv::Mat(kHeightPx, kWidthPx, CV_8UC1, cv::Scalar(90))), 1);
   EXPECT_EQ(accepted(field, test::expose(cv::Mat(kHeightPx, kWidthPx, CV_64F, cv::Scalar(90)), 4, 12)), 1);
@@ -196,7 +196,7 @@ TEST(BlurLikelihood, WindowsStayInsideTheImage) {
   }
 }
 
-TEST(BlurLikelihood, AnObjectIsToldFromItsSurroundings) {
+TEST(BlurLikelihood, AnObjectIsDistinguishedFromItsSurroundings) {
   // A sharp object of 3 x 3 blocks before a blurred background.
   const cv::Mat sharp = test::textured_image(kWidthPx, kHeightPx, 40);
   cv::Mat scene = test::blur_along_line(sharp, 0.2, 15);

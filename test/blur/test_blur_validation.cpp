@@ -108,14 +108,14 @@ TEST(ValidateBlurField, UsesAThresholdThatFallsWithTheExtent) {
   EXPECT_EQ(validate_blur_field(field, image, options).blocks[0].status, BlockStatus::DEBLURRED);
 }
 
-TEST(SteepestBox, IsTheExtentOfAnEvenPathAndShortWhereThePointLingers) {
+TEST(SteepestBox, IsTheExtentOfAUniformPathAndShortWhereThePointLingers) {
   BlockBlur blur;
   blur.extent_px = 16;
   EXPECT_EQ(steepest_box_px(blur), 16);
   // Half of the exposure on 4 px, the other half on 12: a box of 8 px is as dense as the first half.
   blur.nonuniform_path_px = Path1d{-4, -3, -2, -1, 0, 3, 6, 9, 12};
   EXPECT_NEAR(steepest_box_px(blur), 8, 1e-9);
-  // There and back: two eighths of the exposure on the last pixel but one from the turn, as on each before.
+  // There and back: two eighths of the exposure on the last pixel but one from the reversal, as on each before.
   blur.nonuniform_path_px = Path1d{-8, -6, -4, -2, 0, -2, -4, -6, -8};
   blur.extent_px = 8;
   EXPECT_NEAR(steepest_box_px(blur), 8, 1e-9);
@@ -143,7 +143,7 @@ TEST(ValidateBlurField, TouchesOnlyBlocksThatWouldBeDeblurred) {
 }
 
 // Grey, but for noise in the columns from `first_col` on: those contradict any blur along x.
-cv::Mat grey_beside_noise(int first_col, int cols = 8, int rows = 8) {
+cv::Mat grey_next_to_noise(int first_col, int cols = 8, int rows = 8) {
   cv::Mat image(rows * 64, cols * 64, CV_8UC1, cv::Scalar(128));
   cv::RNG rng(1);
   // Not at the border, where the gradient looks across.
@@ -153,7 +153,7 @@ cv::Mat grey_beside_noise(int first_col, int cols = 8, int rows = 8) {
 
 TEST(ValidateBlurField, ByThePaperABlockWithoutTextureFollowsItsNeighbours) {
   FrameBlur field = uniform_blur_field(512, 512, 0, 10, {});
-  cv::Mat image = grey_beside_noise(4);
+  cv::Mat image = grey_next_to_noise(4);
 
   image(cv::Rect(6 * 64 - 8, 5 * 64 - 8, 80, 80)) = 128;  // nothing in the block itself does
   const FrameBlur validated = validate_blur_field(field, image, kGradient);
@@ -164,12 +164,12 @@ TEST(ValidateBlurField, ByThePaperABlockWithoutTextureFollowsItsNeighbours) {
   }
 }
 
-TEST(ValidateBlurField, ByThePaperAFrameWhosePredictionsHardlyEverHoldIsLeftAlone) {
+TEST(ValidateBlurField, ByThePaperAFrameWhosePredictionsHardlyEverHoldIsUnchanged) {
   const FrameBlur field = uniform_blur_field(512, 512, 0, 10, {});
   // One grey column of eight, and two.
-  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(1), kGradient).count(BlockStatus::DEBLURRED), 0u);
-  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(2), kGradient).count(BlockStatus::DEBLURRED), 16u);
-  EXPECT_EQ(validate_blur_field(field, grey_beside_noise(8), kGradient).count(BlockStatus::DEBLURRED), 64u);
+  EXPECT_EQ(validate_blur_field(field, grey_next_to_noise(1), kGradient).count(BlockStatus::DEBLURRED), 0u);
+  EXPECT_EQ(validate_blur_field(field, grey_next_to_noise(2), kGradient).count(BlockStatus::DEBLURRED), 16u);
+  EXPECT_EQ(validate_blur_field(field, grey_next_to_noise(8), kGradient).count(BlockStatus::DEBLURRED), 64u);
 }
 
 TEST(ValidateBlurField, RefusesImagesThatDoNotFit) {

@@ -117,7 +117,7 @@ TEST(AdviseExposure, StaysWithinTheLimitAndMaxExtent) {
   EXPECT_NEAR(500 * to_seconds(advise_exposure(terms, kSecond)->longest_ns), 10, 0.01);
 }
 
-TEST(AdviseExposure, SaysNothingWhereEveryExposureIsBad) {
+TEST(AdviseExposure, SaysNothingWhereEveryExposureIsPoor) {
   EXPECT_TRUE(advise_exposure(terms_of(1000, 0.3), kSecond));
   EXPECT_FALSE(advise_exposure(terms_of(5000, 1), kSecond));
   EXPECT_FALSE(advise_exposure(terms_of(1000, 0.3), kMs / 100)) << "too dark within the limit";

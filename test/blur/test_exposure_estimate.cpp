@@ -143,7 +143,7 @@ TEST(ExposureEstimate, IsLessCertainWithNoise) {
   EXPECT_LT(1.3 * little->log_stddev, much->log_stddev);
 }
 
-TEST(ExposureEstimate, LeavesBlocksOutWhoseBlurIsNotTold) {
+TEST(ExposureEstimate, LeavesBlocksOutWhoseBlurIsNotKnown) {
   // Of the left third nothing is known, and what is there is other blur.
   const cv::Mat scene = test::blur_along_line(texture(62), 0.3, 12),
                 other = test::blur_along_line(texture(63), 0.3, 20);

@@ -46,7 +46,7 @@ double error(const ExposureFilter& filter, double exposure_ns) {
   return state ? std::abs(std::log(static_cast<double>(state->exposure_ns) / exposure_ns)) : 10;
 }
 
-TEST(ExposureFilter, KnowsNothingBeforeImagesTellIt) {
+TEST(ExposureFilter, KnowsNothingBeforeAnEstimate) {
   ExposureFilter filter;
   EXPECT_FALSE(filter.state());
   EXPECT_TRUE(filter.wants_estimate());

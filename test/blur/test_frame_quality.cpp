@@ -143,7 +143,7 @@ TEST(TrustMask, LeavesOutWhatBlurHasMixedWithWhatIsNotInTheImage) {
   EXPECT_EQ(cv::countNonZero(trust_mask(field)), 0) << "none of it";
 }
 
-TEST(TrustMask, GoesByTheWholeOfABentPath) {
+TEST(TrustMask, GoesByTheWholeOfACurvedPath) {
   FrameBlur field = uniform_blur_field(640, 256, 0, 40, {});
   Path2d path_px;
   for (int k = 0; k < kPathInstants; ++k) {

@@ -101,12 +101,12 @@ TEST(DrawOverlay, DrawsEachBlockInTheColourOfItsStatus) {
   const cv::Mat image = draw_overlay(grey, field);
   ASSERT_EQ(image.type(), CV_8UC3);
   ASSERT_EQ(image.size(), grey.size());
-  EXPECT_EQ(grey.at<uchar>(500, 500), 120);  // the input is left alone
+  EXPECT_EQ(grey.at<uchar>(500, 500), 120);  // the input is unchanged
   for (int i = 0; i < field.grid.size(); ++i) {
     const Eigen::Vector2d center = field.grid.center(i);
     if (center.x() < 520 && center.y() < 320) continue;  // the legend may be there
     const int x = static_cast<int>(center.x()), y = static_cast<int>(center.y());
-    // The line is 2 px wide, so that the pixel beside the centre is full.
+    // The line is 2 px wide, so that the pixel next to the centre is full.
     EXPECT_LT(cv::norm(image.at<cv::Vec3b>(y, x) - bgr(field.blocks[i].status)), 40) << i;
     EXPECT_LT(cv::norm(image.at<cv::Vec3b>(y, x + 18) - bgr(field.blocks[i].status)), 40) << i;
     EXPECT_EQ(image.at<cv::Vec3b>(y, x + 28), cv::Vec3b(120, 120, 120)) << i;  // beyond the end
@@ -114,7 +114,7 @@ TEST(DrawOverlay, DrawsEachBlockInTheColourOfItsStatus) {
   }
 }
 
-TEST(DrawOverlay, LegendTellsFieldsApart) {
+TEST(DrawOverlay, LegendDistinguishesFields) {
   const cv::Mat grey(480, 752, CV_8UC1, cv::Scalar(120));
   FrameBlur a = field_of(752, 480, M_PI / 2, 40);
   FrameBlur b = a;
@@ -157,9 +157,9 @@ TEST(DrawOverlay, MarksBlocksThatHaveOpticalFlowAndDrawsIt) {
   EXPECT_EQ(image.at<cv::Vec3b>(y + 26, x), cv::Vec3b(120, 120, 120)) << "beyond its end";
   EXPECT_LT(distance(image.at<cv::Vec3b>(y - 10, x), orange), 60) << "the ring";
   EXPECT_LT(distance(image.at<cv::Vec3b>(y, x), bgr(BlockStatus::DEBLURRED)), 40) << "the status stays";
-  const cv::Rect beside = field.grid.rect(without);
-  EXPECT_EQ(cv::norm(image(beside), before(beside), cv::NORM_INF), 0) << "nothing is from images there";
-  // Where its path is not drawn, the ring alone tells.
+  const cv::Rect next = field.grid.rect(without);
+  EXPECT_EQ(cv::norm(image(next), before(next), cv::NORM_INF), 0) << "nothing is from images there";
+  // Where its path is not drawn, the ring alone shows the block.
   for (BlockBlur& blur : field.blocks) blur.extent_px = 150;
   const std::vector<char> drawn = paths_apart(field, 16);
   const int hidden = static_cast<int>(std::find(drawn.begin() + with, drawn.end(), 0) - drawn.begin());

@@ -103,7 +103,7 @@ TEST(PixelMask, KeepsFiltersOffMaskedPixels) {
         const double half_px = 0.5 * length_factor * extent_px;
         for (int i = 0; i < field.grid.size(); ++i) {
           const cv::Rect rect = field.grid.rect(i);
-          // Up to twice the width of a seam is left out beside what has to be.
+          // Up to twice the width of a seam is left out around what has to be.
           constexpr int kMarginPx = 9;
           const cv::Rect wide(rect.x - kMarginPx, rect.y - kMarginPx, rect.width + 2 * kMarginPx,
                               rect.height + 2 * kMarginPx);
@@ -119,7 +119,7 @@ TEST(PixelMask, KeepsFiltersOffMaskedPixels) {
   }
 }
 
-TEST(PixelMask, KeepsInversesInThePlaneFartherOff) {
+TEST(PixelMask, Keeps2dInversesFartherOff) {
   const PixelMask mask(round_window(120));
   FrameBlur lines = field_of(0.4, 6), planes = lines;
   mark_static_edges(mask, {4, false}, &lines);
@@ -157,7 +157,7 @@ TEST(PixelMask, MaskedBlocksDoNotCount) {
   EXPECT_GT(cv::countNonZero(trust), 1000);
 }
 
-TEST(PixelMask, MaskedPixelsTellNothingOfTheNoise) {
+TEST(PixelMask, MaskedPixelsDoNotChangeTheNoise) {
   const cv::Mat scene = test::textured_image(kWidthPx, kHeightPx, 5);
   const cv::Mat used = round_window(110);
   cv::Mat noisy = test::expose(64 + 0.4 * scene, 4, 2), rim = noisy.clone(), bright = noisy.clone();

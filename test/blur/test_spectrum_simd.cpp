@@ -89,7 +89,7 @@ TEST_P(SpectrumSimdTest, MultiplyGain) {
   }
 }
 
-// A path that turns, from its definition: the mean of exp(-2 pi i f p) over many instants.
+// A path that reverses, from its definition: the mean of exp(-2 pi i f p) over many instants.
 TEST_P(SpectrumSimdTest, MultiplyPathGain) {
   constexpr int kSegments = kPathInstants - 1, kInstants = 400;
   constexpr float kLeft = 0.01f;

@@ -21,7 +21,7 @@ const cv::Mat& scene() {
   return kScene;
 }
 
-/// Where the camera looks: turning to and fro across the scene, in whole pixels.
+/// Where the camera looks: rotating to and fro across the scene, in whole pixels.
 cv::Point place(int image, double along_x_px, double along_y_px) {
   return {static_cast<int>(std::lround(560 + along_x_px * std::sin(0.13 * image))),
           static_cast<int>(std::lround(320 + along_y_px * std::sin(0.17 * image + 1)))};
@@ -156,8 +156,8 @@ TEST(StaticContent, OfTheSceneIsNone) {
   EXPECT_EQ(after(vignette).share(), 0);
 }
 
-// The scene's own edges stand still, and the gyroscope says that the camera turns: it is not this camera's.
-TEST(StaticContent, ImageThatDoesNotTurnWithTheGyroscopeIsNone) {
+// The scene's own edges stand still, and the gyroscope says that the camera rotates: it is not this camera's.
+TEST(StaticContent, ImageThatDoesNotRotateWithTheGyroscopeIsNone) {
   const Change stands = [](cv::Mat& image, int) { image = view({560, 320}); };
   EXPECT_EQ(after(stands).share(), 0);
   const Change with_people = [](cv::Mat& image, int i) {

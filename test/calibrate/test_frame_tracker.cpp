@@ -70,7 +70,7 @@ TEST(FrameTracker, KnowsNothingAcrossACut) {
   EXPECT_EQ(windows[1].frames[0].stamp_ns, 2);
 }
 
-TEST(FrameTracker, IsNotPulledAlongByAPatchThatTurnsAndGrows) {
+TEST(FrameTracker, IsNotPulledAlongByAPatchThatRotatesAndGrows) {
   // 2 degrees and 3 % a frame: what pulls on a point is the same in every frame, and adds up over a window.
   const cv::Mat grey = grey_texture();
   FrameTracker tracker;

@@ -28,7 +28,7 @@ CameraCalibration calibration() {
 }
 
 /// A rate that changes evenly about each axis, from 0 s on, of a scene at infinity.
-struct Turning {
+struct Rotating {
   Eigen::Vector3d rate_rad_s, change_rad_s2 = Eigen::Vector3d::Zero();
 
   Eigen::Vector3d mean(double from_s, double to_s) const { return rate_rad_s + 0.5 * (from_s + to_s) * change_rad_s2; }
@@ -37,7 +37,7 @@ struct Turning {
 };
 
 /// Rows are exposed, for an instant, one after the other.
-cv::Mat image(const Turning& turning, TimeNs stamp_ns, TimeNs readout_ns = 0) {
+cv::Mat image(const Rotating& rotating, TimeNs stamp_ns, TimeNs readout_ns = 0) {
   static const cv::Mat kScene = [] {
     cv::Mat grey;
     cv::extractChannel(sim::procedural_texture(900, 700, 3), grey, 1);
@@ -46,7 +46,7 @@ cv::Mat image(const Turning& turning, TimeNs stamp_ns, TimeNs readout_ns = 0) {
   const CameraCalibration c = calibration();
   cv::Mat at(kHeight, kWidth, CV_32FC2);
   for (int y = 0; y < kHeight; ++y) {
-    const Eigen::Matrix3d R = turning.orientation(to_seconds(stamp_ns + kExposure / 2 + readout_ns * y / kHeight));
+    const Eigen::Matrix3d R = rotating.orientation(to_seconds(stamp_ns + kExposure / 2 + readout_ns * y / kHeight));
     for (int x = 0; x < kWidth; ++x) {
       const Eigen::Vector3d ray = R * Eigen::Vector3d((x - c.cx_px) / c.fx_px, (y - c.cy_px) / c.fy_px, 1);
       at.at<cv::Vec2f>(y, x) = {static_cast<float>(450 + c.fx_px * ray.x() / ray.z()),
@@ -61,13 +61,13 @@ cv::Mat image(const Turning& turning, TimeNs stamp_ns, TimeNs readout_ns = 0) {
 RowExposure exposure(TimeNs stamp_ns, TimeNs readout_ns = 0) { return {stamp_ns, kHeight, {kExposure, readout_ns}}; }
 
 /// Of the second of two images.
-std::optional<ImageRate> rate_of(const Turning& turning, TimeNs readout_ns, TimeNs told_readout_ns,
+std::optional<ImageRate> rate_of(const Rotating& rotating, TimeNs readout_ns, TimeNs given_readout_ns,
                                  const PixelMask& mask = {}) {
   const Camera camera(calibration());
   ImageRateTracker tracker;
   tracker.set_mask(mask);
-  EXPECT_FALSE(tracker.add(image(turning, 0, readout_ns), camera, exposure(0, told_readout_ns)));
-  return tracker.add(image(turning, kPeriod, readout_ns), camera, exposure(kPeriod, told_readout_ns));
+  EXPECT_FALSE(tracker.add(image(rotating, 0, readout_ns), camera, exposure(0, given_readout_ns)));
+  return tracker.add(image(rotating, kPeriod, readout_ns), camera, exposure(kPeriod, given_readout_ns));
 }
 
 TEST(ImageRate, IsThatOfTheCamera) {
@@ -84,13 +84,13 @@ TEST(ImageRate, IsThatOfTheCamera) {
   }
 }
 
-TEST(ImageRate, TellsWhatARollingShutterMakesOfIt) {
+TEST(ImageRate, ReportsWhatARollingShutterMakesOfIt) {
   constexpr TimeNs kReadout = 20 * kMs;
   const double readout_s = to_seconds(kReadout), from_s = to_seconds(kExposure / 2) + readout_s / 2;
   for (const Eigen::Vector3d& change_rad_s2 : {Eigen::Vector3d(0, 8, 0), Eigen::Vector3d(8, 0, 0)}) {
-    const Turning turning{{0.1, 0.1, 0}, change_rad_s2};
-    const Eigen::Vector3d truth = turning.mean(from_s, from_s + to_seconds(kPeriod));
-    const std::optional<ImageRate> rate = rate_of(turning, kReadout, kReadout);
+    const Rotating rotating{{0.1, 0.1, 0}, change_rad_s2};
+    const Eigen::Vector3d truth = rotating.mean(from_s, from_s + to_seconds(kPeriod));
+    const std::optional<ImageRate> rate = rate_of(rotating, kReadout, kReadout);
     ASSERT_TRUE(rate);
     EXPECT_NEAR(static_cast<double>(rate->begin_ns), 1e9 * from_s - 0.5 * kReadout / kHeight, 2)
         << "the row in the middle";
@@ -106,11 +106,11 @@ TEST(ImageRate, TellsWhatARollingShutterMakesOfIt) {
 TEST(ImageRate, FollowsNothingThatIsMasked) {
   cv::Mat pixels(kHeight, kWidth, CV_8UC1, cv::Scalar(255));
   pixels(cv::Rect(40, 40, 200, 150)).setTo(0);
-  const Turning turning{{0.2, 0.5, 0}};
+  const Rotating rotating{{0.2, 0.5, 0}};
   const Camera camera(calibration());
   // What is masked stands still in the image, as a part of the vehicle does.
   const auto with_vehicle = [&](TimeNs stamp_ns) {
-    cv::Mat shown = image(turning, stamp_ns);
+    cv::Mat shown = image(rotating, stamp_ns);
     image({{0, 0, 0}}, 0)(cv::Rect(40, 40, 200, 150)).copyTo(shown(cv::Rect(40, 40, 200, 150)));
     return shown;
   };
@@ -119,21 +119,21 @@ TEST(ImageRate, FollowsNothingThatIsMasked) {
   tracker.add(with_vehicle(0), camera, exposure(0));
   const std::optional<ImageRate> rate = tracker.add(with_vehicle(kPeriod), camera, exposure(kPeriod));
   ASSERT_TRUE(rate);
-  EXPECT_LT((rate->rate_rad_s - turning.rate_rad_s).norm(), 0.03) << rate->rate_rad_s.transpose();
+  EXPECT_LT((rate->rate_rad_s - rotating.rate_rad_s).norm(), 0.03) << rate->rate_rad_s.transpose();
   tracker.set_mask(PixelMask(cv::Mat(10, 10, CV_8UC1, cv::Scalar(255))));
   EXPECT_THROW(tracker.add(with_vehicle(2 * kPeriod), camera, exposure(2 * kPeriod)), std::invalid_argument);
 }
 
 TEST(ImageRate, IsNotThereWithoutTextureOrAfterABreak) {
   const Camera camera(calibration());
-  const Turning turning{{0.2, 0.5, 0}};
+  const Rotating rotating{{0.2, 0.5, 0}};
   ImageRateTracker tracker;
-  tracker.add(image(turning, 0), camera, exposure(0));
-  EXPECT_FALSE(tracker.add(image(turning, kPeriod), camera, exposure(300 * kMs))) << "a break";
-  EXPECT_FALSE(tracker.add(image(turning, 0), camera, exposure(0))) << "time went back";
-  EXPECT_TRUE(tracker.add(image(turning, kPeriod), camera, exposure(kPeriod)));
+  tracker.add(image(rotating, 0), camera, exposure(0));
+  EXPECT_FALSE(tracker.add(image(rotating, kPeriod), camera, exposure(300 * kMs))) << "a break";
+  EXPECT_FALSE(tracker.add(image(rotating, 0), camera, exposure(0))) << "time went back";
+  EXPECT_TRUE(tracker.add(image(rotating, kPeriod), camera, exposure(kPeriod)));
   tracker.reset();
-  EXPECT_FALSE(tracker.add(image(turning, 2 * kPeriod), camera, exposure(2 * kPeriod)));
+  EXPECT_FALSE(tracker.add(image(rotating, 2 * kPeriod), camera, exposure(2 * kPeriod)));
   const cv::Mat plain(kHeight, kWidth, CV_8UC1, cv::Scalar(90));
   EXPECT_FALSE(tracker.add(plain, camera, exposure(3 * kPeriod)));
   EXPECT_FALSE(tracker.add(plain, camera, exposure(4 * kPeriod)));

@@ -13,8 +13,8 @@ namespace {
 constexpr TimeNs kMs = 1'000'000;
 constexpr int kFrames = 24;
 
-/// A camera that turns on the spot before a wall, as fast as `speed` times 2 rad/s.
-sim::Scene turning_camera(const std::vector<TimeNs>& exposures_ns, double speed) {
+/// A camera that rotates on the spot before a wall, as fast as `speed` times 2 rad/s.
+sim::Scene rotating_camera(const std::vector<TimeNs>& exposures_ns, double speed) {
   sim::Scene scene;
   CameraCalibration& calibration = scene.camera.calibration;
   calibration.width_px = 376;
@@ -45,7 +45,7 @@ sim::Scene turning_camera(const std::vector<TimeNs>& exposures_ns, double speed)
 /// @param exposures_ns  of the frames in turn
 RecordedExposure recorded(const std::vector<TimeNs>& exposures_ns, double speed, bool with_gyro,
                           double given_over_true = 0) {
-  sim::Simulator simulator(turning_camera(exposures_ns, speed));
+  sim::Simulator simulator(rotating_camera(exposures_ns, speed));
   std::optional<RotationTrack> motion;
   if (with_gyro) {
     std::vector<GyroSample> samples;

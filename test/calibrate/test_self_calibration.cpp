@@ -17,7 +17,7 @@ namespace {
 using namespace test;
 
 /// A rate of the camera: sums of sines, whose integrals are exact.
-struct Turning {
+struct Rotating {
   struct Sine {
     Eigen::Vector3d amplitude_rad_s;
     double frequency_hz, phase_rad;
@@ -42,19 +42,19 @@ struct Turning {
 };
 
 /// A hand's: no frequency is a multiple of another.
-Turning hand_held() {
+Rotating hand_held() {
   return {{{{0.5, 0.2, 0.1}, 0.37, 0.4},
            {{-0.1, 0.6, 0.2}, 0.83, 1.9},
            {{0.2, -0.3, 0.4}, 1.71, 0.2},
            {{0.1, 0.2, -0.2}, 2.93, 5.1}}};
 }
 
-Turning about_one_axis() { return {{{{0, 0.5, 0}, 0.37, 0.4}, {{0, 0.4, 0}, 0.83, 1.9}, {{0, 0.3, 0}, 1.71, 0.2}}}; }
+Rotating about_one_axis() { return {{{{0, 0.5, 0}, 0.37, 0.4}, {{0, 0.4, 0}, 0.83, 1.9}, {{0, 0.3, 0}, 1.71, 0.2}}}; }
 
 struct Recording {
   Truth truth{0, 0, {0.01, -0.03, 0.02}, rotation({2.2, -1.1, 0.4})};
-  Turning camera;          ///< by which images and gyroscope turn
-  Turning apparent;        ///< of the images alone: translation
+  Rotating camera;         ///< by which images and gyroscope rotate
+  Rotating apparent;       ///< of the images alone: translation
   double gyro_factor = 1;  ///< of a wrong unit
   double noise_rad_s = 0.03, gyro_noise_rad_s = 0.005;
   double outliers = 0;       ///< share of the images
@@ -90,17 +90,17 @@ void play(const Recording& recording, double from_s, double to_s, SelfCalibratio
           {to_ns(sample_s + offset_s),
            recording.gyro_factor * (rate_rad_s + recording.truth.bias_rad_s + noise(recording.gyro_noise_rad_s))});
     }
-    ImageRate turn{to_ns(t_s), to_ns(t_s + kFrameS), {}, recording.noise_rad_s, recording.speed_rad_s};
-    turn.rate_rad_s = recording.camera.mean_rate(t_s, t_s + kFrameS) + noise(recording.noise_rad_s) +
+    ImageRate rate{to_ns(t_s), to_ns(t_s + kFrameS), {}, recording.noise_rad_s, recording.speed_rad_s};
+    rate.rate_rad_s = recording.camera.mean_rate(t_s, t_s + kFrameS) + noise(recording.noise_rad_s) +
                       recording.apparent.mean_rate(t_s, t_s + kFrameS);
     const double half_s = recording.readout_s / 2;
-    turn.by_rows = by_rows(t_s);
-    turn.rate_rad_s += turn.by_rows * (recording.camera.mean_rate(t_s + half_s, t_s + kFrameS + half_s) -
+    rate.by_rows = by_rows(t_s);
+    rate.rate_rad_s += rate.by_rows * (recording.camera.mean_rate(t_s + half_s, t_s + kFrameS + half_s) -
                                        recording.camera.mean_rate(t_s - half_s, t_s + kFrameS - half_s));
     if (share(random) < recording.outliers) {
-      turn.rate_rad_s = Eigen::Vector3d(uniform(random), uniform(random), uniform(random));
+      rate.rate_rad_s = Eigen::Vector3d(uniform(random), uniform(random), uniform(random));
     }
-    calibration->add_rate(turn);
+    calibration->add_rate(rate);
     if (!calibration->is_due()) continue;
     calibration->update();
     if (on_update) on_update(t_s + kFrameS);
@@ -153,7 +153,7 @@ TEST(SelfCalibration, KnowsWithinSecondsOfMotion) {
   EXPECT_LE(known_s, 5);
 }
 
-TEST(SelfCalibration, LearnsTheOffsetAloneFromTurningAboutOneAxis) {
+TEST(SelfCalibration, LearnsTheOffsetAloneFromRotatingAboutOneAxis) {
   Recording recording;
   recording.camera = about_one_axis();
   recording.truth.time_offset_ns = -60'000'000;
@@ -169,7 +169,7 @@ TEST(SelfCalibration, LearnsTheOffsetAloneFromTurningAboutOneAxis) {
 }
 
 TEST(SelfCalibration, LearnsNothingFromTranslation) {
-  Recording recording;  // the camera does not turn, and images move
+  Recording recording;  // the camera does not rotate, and images move
   recording.apparent = hand_held();
   SelfCalibration calibration;
   play(recording, 0, 30, &calibration);
@@ -184,19 +184,19 @@ TEST(SelfCalibration, LearnsNothingFromMotionsThatHaveNothingInCommon) {
   std::mt19937 random(7);
   std::uniform_real_distribution<double> frequency(0.2, 3), phase(0, 2 * M_PI), amplitude(-0.4, 0.4);
   const auto any = [&] {
-    Turning turning;
+    Rotating rotating;
     for (int i = 0; i < 6; ++i) {
-      turning.sines.push_back(
+      rotating.sines.push_back(
           {{amplitude(random), amplitude(random), amplitude(random)}, frequency(random), phase(random)});
     }
-    return turning;
+    return rotating;
   };
   int learned = 0;
   for (int i = 0; i < 20; ++i) {
     Recording recording;
     recording.camera = any();
     recording.apparent = any();
-    for (Turning::Sine sine : recording.camera.sines) {  // the images do not turn with the camera
+    for (Rotating::Sine sine : recording.camera.sines) {  // the images do not rotate with the camera
       sine.amplitude_rad_s *= -1;
       recording.apparent.sines.push_back(sine);
     }
@@ -248,11 +248,11 @@ TEST(SelfCalibration, MotionCorrectsABiasThatHasDriftedSinceItWasAtRest) {
   EXPECT_LT((calibration.learned().bias_rad_s.value - recording.truth.bias_rad_s).norm(), 0.02);
 }
 
-TEST(SelfCalibration, TakesNoTurnThatImagesDoNotShowForABias) {
-  Recording recording;  // images of the camera's own mount, while it turns
+TEST(SelfCalibration, TakesNoRotationThatImagesDoNotShowForABias) {
+  Recording recording;  // images of the camera's own mount, while it rotates
   recording.camera = hand_held();
   recording.apparent = recording.camera;
-  for (Turning::Sine& sine : recording.apparent.sines) sine.amplitude_rad_s *= -1;
+  for (Rotating::Sine& sine : recording.apparent.sines) sine.amplitude_rad_s *= -1;
   recording.noise_rad_s = recording.speed_rad_s = 0.005;
   SelfCalibration calibration;
   play(recording, 0, 10, &calibration);

@@ -19,7 +19,7 @@ using namespace test;
 /// A shaken camera that sees points 1.5 to 4.5 m away, each row at its own time.
 class Footage {
  public:
-  /// @param sway_m  of the camera; zero: it turns on the spot
+  /// @param sway_m  of the camera; zero: it rotates on the spot
   explicit Footage(const Truth& truth, const Eigen::Vector3d& sway_m = Eigen::Vector3d::Zero())
       : truth_(truth), camera_(calibration()), motion_(motion(sway_m)) {}
 
@@ -168,7 +168,7 @@ TEST(EstimateTiming, StandardDeviationsAreThoseOfTheErrors) {
 }
 
 TEST(EstimateTiming, EverySignMatters) {
-  // The same footage with one thing turned round must not fit: the estimate follows, or the residual grows.
+  // The same footage with one thing reversed must not fit: the estimate follows, or the residual grows.
   const Truth truth{4'000'000, 25'000'000, {0.01, -0.02, 0.03}, rotation({0.1, -0.05, 1.6})};
   const Footage footage(truth);
   constexpr int kFrames = 20;
@@ -233,9 +233,9 @@ TEST(EstimateTiming, FindsTheTruthOfACameraThatMoves) {
     for (int axis = 0; axis < 3; ++axis) {
       add(estimate.bias_rad_s[axis].value - truth.bias_rad_s[axis], estimate.bias_rad_s[axis].stddev);
     }
-    const Eigen::AngleAxisd turn(Eigen::Matrix3d(estimate.R_cam_imu * truth.R_cam_imu.transpose()));
+    const Eigen::AngleAxisd error(Eigen::Matrix3d(estimate.R_cam_imu * truth.R_cam_imu.transpose()));
     for (int axis = 0; axis < 3; ++axis) {
-      add(turn.angle() * turn.axis()[axis], estimate.rotation_stddev_rad[axis]);
+      add(error.angle() * error.axis()[axis], estimate.rotation_stddev_rad[axis]);
     }
   }
   // A quarter: standard deviations allow for errors of tracking that these points do not have.
@@ -279,7 +279,7 @@ TEST(EstimateTiming, SaysWhatIsNotDetermined) {
   auto still = gyro;
   for (GyroSample& sample : still) sample.rate_rad_s = truth.bias_rad_s;
   expect(error(pairs, still, {}), "do not agree");
-  // Motion about one axis: without a rotation to start from, the turn about that axis is open.
+  // Motion about one axis: without a rotation to start from, the rotation about that axis is open.
   auto one_axis_gyro = gyro;
   auto one_axis = pairs;
   for (std::size_t i = 0; i < one_axis.size(); ++i) {

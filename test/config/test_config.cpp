@@ -192,7 +192,7 @@ std::string given(const std::string& yaml) {
          (numbers.gyro_bias ? "b" : "-");
 }
 
-TEST(ParseConfig, TellsZeroFromNothing) {
+TEST(ParseConfig, DistinguishesZeroFromNothing) {
   EXPECT_EQ(given(""), "---");
   EXPECT_EQ(given("{noise_to_signal_ratio: 0.1}"), "---");
   EXPECT_EQ(given("{time_offset: 0, readout_time: 0.0, gyro_bias: [0, 0, 0]}"), "orb");
@@ -233,7 +233,7 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
   EXPECT_NE(unknown_key_message("odometry_clock").find("optical_flow"), std::string::npos);
 }
 
-TEST(ParseConfig, TellsOfFormerParameters) {
+TEST(ParseConfig, NamesTheSuccessorsOfFormerParameters) {
   const std::vector<std::pair<std::string, std::string>> constants{{"tau", "6 grey levels / px"},
                                                                    {"tau_contrast", "200 grey levels"},
                                                                    {"false_acceptance", "0.1"},

@@ -36,7 +36,7 @@ motion:
 R_CAM_IMU = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 
 
-# Blur of 9 px and more in most images, of an exposure that no message tells.
+# Blur of 9 px and more in most images, of an exposure that no message has.
 BLURRED_SCENE = SCENE.replace("exposure_time: [0.008, 0.012]", "exposure_time: 0.02").replace(
     "[4, 7, 2]", "[8, 14, 4]").replace("[-3, 2, 5]", "[-6, 4, 10]")
 EXPOSURE_S = 0.02

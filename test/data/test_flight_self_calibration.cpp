@@ -41,7 +41,7 @@ void expect_learned(std::size_t flight, double seconds, double speed, TimeNs exp
       calibration.add_sample({samples[next].t_ns, samples[next].rate_rad_s});
     }
     const RowExposure exposure(frame.stamp_ns, frame.image.rows, {exposure_ns, 0});
-    if (const auto turn = tracker.add(frame.image, simulator.camera(), exposure)) calibration.add_rate(*turn);
+    if (const auto rate = tracker.add(frame.image, simulator.camera(), exposure)) calibration.add_rate(*rate);
     if (!calibration.is_due()) continue;
     calibration.update();
     const LearnedCalibration& learned = calibration.learned();

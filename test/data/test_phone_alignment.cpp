@@ -88,8 +88,10 @@ BlurredPoint blurred(const Frame& frame, const Eigen::Vector2d& place_px, const 
   BlurredPoint point{place_px, still_path(), frame.noise};
   const TimeNs start_ns = frame.exposure.start(0), middle_ns = frame.exposure.middle(0), end_ns = frame.exposure.end(0);
   for (int k = 0; k < kPathInstants; ++k) {
-    const Eigen::Matrix3d turn = motion.rotation(middle_ns, start_ns + (end_ns - start_ns) * k / (kPathInstants - 1));
-    point.path_px[static_cast<std::size_t>(k)] = (camera.project(turn * camera.ray(place_px)) - place_px).cast<float>();
+    const Eigen::Matrix3d from_middle =
+        motion.rotation(middle_ns, start_ns + (end_ns - start_ns) * k / (kPathInstants - 1));
+    point.path_px[static_cast<std::size_t>(k)] =
+        (camera.project(from_middle * camera.ray(place_px)) - place_px).cast<float>();
   }
   return point;
 }

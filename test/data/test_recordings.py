@@ -186,7 +186,7 @@ class ShieldBurst(Recording):
 
 
 class ShieldBurstByImages(ShieldBurst):
-    """The same with motion from the images: the tablet was also shifted, by up to a quarter of what it turned."""
+    """The same with optical flow: the tablet was also shifted, by up to a quarter of what it rotated."""
 
     MORE_CONFIG = ""
     LARGEST_CENTER_EXTENT_PX, GAIN = 1.25 * 113, 1.3
@@ -258,7 +258,7 @@ class PhoneSharp(Recording):
 
 
 class PhoneSharpByImages(Recording):
-    """The same with motion from the images: what passes near by is blurred by 3 to 5 px."""
+    """The same with optical flow: what passes near by is blurred by 3 to 5 px."""
 
     FOLDER, FORMAT, CONFIG = "phone_sharp", "frames", "phone_sharp.yaml"
 

@@ -93,8 +93,8 @@ TEST_P(ShieldBlurFields, ComeOutSharper) {
   EXPECT_LT(wrong.balance(), before.balance());
 }
 
-TEST_P(ShieldBlurFields, AreBelieved) {
-  const cv::Mat deblurred = deblur(path("blurx"), path("blury"), kOffset, "believed");
+TEST_P(ShieldBlurFields, AreAccepted) {
+  const cv::Mat deblurred = deblur(path("blurx"), path("blury"), kOffset, "accepted");
   const FrameBlur field = blur_field_from_displacement(blurred_.cols, blurred_.rows, dx_, dy_, {});
   int changed = 0;
   for (int i = 0; i < field.grid.size(); ++i) {

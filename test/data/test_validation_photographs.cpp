@@ -1,5 +1,5 @@
-// How well validation tells predicted blur from none and from a third of it on the first images of the Oxford affine
-// sets, of which nothing was tuned on.
+// How well validation distinguishes predicted blur from none and from a third of it on the first images of the Oxford
+// affine sets, of which nothing was tuned on.
 
 #include <algorithm>
 #include <array>

@@ -11,12 +11,12 @@
 namespace gyro_deblur {
 namespace {
 
-class EngineBesideAGpu : public testing::Test {
+class EngineWithAGpu : public testing::Test {
  protected:
   static void SetUpTestSuite() { setenv("OCL_ICD_VENDORS", OPENCL_VENDORS, 1); }  // read at the first call of OpenCL
 };
 
-TEST_F(EngineBesideAGpu, IsTheProcessorsUnlessSomebodyAsks) {
+TEST_F(EngineWithAGpu, IsTheProcessorsUnlessSomebodyAsks) {
   ASSERT_EQ(opencl_devices(), std::vector<std::string>{"test: a GPU"});
   EXPECT_EQ(make_engine("auto")->name(), make_engine("cpu")->name());
   const std::string asked_for = make_engine("opencl")->name();

@@ -1,4 +1,4 @@
-// Which blocks leave the fast methods of the CPU engine, and that this is told.
+// Which blocks no fast method of the CPU engine takes, and that they are counted.
 #include "engine/cpu/block_method.hpp"
 
 #include <algorithm>
@@ -42,15 +42,15 @@ FilterOptions of_length(double factor) {
   return options;
 }
 
-/// Kernels that are slow for one reason each, and of what depth.
-struct SlowCase {
+/// Kernels that no fast method takes, for one reason each, and the depth of their image.
+struct FallbackCase {
   FallbackReason reason;
   LineKernel kernel;
   int depth;
   double angle_rad = kAngle_rad;
 };
 
-std::vector<SlowCase> slow_cases() {
+std::vector<FallbackCase> fallback_cases() {
   LineKernel zero;
   zero.taps.assign(9, 0.0f);
   return {{FallbackReason::ZERO_KERNEL, zero, CV_8U},
@@ -61,14 +61,14 @@ std::vector<SlowCase> slow_cases() {
 }
 
 TEST(FallbackReason, IsGivenForEveryKernelThatNoFastMethodTakes) {
-  const std::vector<SlowCase> cases = slow_cases();
-  ASSERT_EQ(static_cast<int>(cases.size()), kSlowReasons);
+  const std::vector<FallbackCase> cases = fallback_cases();
+  ASSERT_EQ(static_cast<int>(cases.size()), kFallbackReasons);
   std::set<std::string> words;
-  for (const SlowCase& c : cases) {
+  for (const FallbackCase& c : cases) {
     EXPECT_EQ(fallback_reason(c.kernel, std::tan(c.angle_rad), c.depth), c.reason) << in_words(c.reason);
     words.insert(in_words(c.reason));
   }
-  EXPECT_EQ(words.size(), cases.size()) << "reasons can be told apart";
+  EXPECT_EQ(words.size(), cases.size()) << "reasons have different texts";
   EXPECT_EQ(words.count(""), 0u);
 }
 
@@ -90,7 +90,7 @@ TEST(FallbackReason, IsNotGivenWhereAFastMethodServes) {
 }
 
 // Near an axis: not along it, where short tiles serve, nor further off.
-TEST(FallbackReason, IsGivenForDeepNonuniformBlurBesideAnAxisAlone) {
+TEST(FallbackReason, IsGivenForDeepNonuniformBlurNearAnAxisAlone) {
   for (const double slope : {0.07, -0.07, 0.14, -0.14}) {
     EXPECT_EQ(fallback_reason(without_box(145), slope, CV_16U), FallbackReason::DEEP_NONUNIFORM_BLUR) << slope;
     EXPECT_EQ(fallback_reason(without_box(145), slope, CV_8U), std::nullopt) << slope;
@@ -124,8 +124,8 @@ TEST(FallbackReason, IsTheGainOfAKernelWithoutABox) {
   EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_16U), FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO);
 }
 
-TEST(CpuEngineSlowBlocks, AreCountedByReason) {
-  const std::vector<SlowCase> cases = slow_cases();
+TEST(CpuEngineFallbackCounts, AreCountedByReason) {
+  const std::vector<FallbackCase> cases = fallback_cases();
   const LineKernel fast = wiener_kernel(90, {});
   CpuEngine engine(2);
   EXPECT_EQ(engine.fallback_counts(), FallbackCounts{}) << "before the first image";
@@ -134,7 +134,7 @@ TEST(CpuEngineSlowBlocks, AreCountedByReason) {
     FallbackCounts expected;
     const cv::Mat image = random_image(static_cast<int>(cases.size()) * 3 * 24, 20, depth, 3);
     const FilterGrid grid = test::make_grid(image.size(), 24, [&](int i) -> BlockFilter {
-      const SlowCase& c = cases[i / 3];
+      const FallbackCase& c = cases[i / 3];
       if (i % 3 == 1) return {kAngle_rad, i % 2 == 0 ? nullptr : &fast};
       if (c.depth != depth) return {kAngle_rad, &fast};
       ++expected[in_words(c.reason)];
@@ -151,7 +151,7 @@ TEST(CpuEngineSlowBlocks, AreCountedByReason) {
   }
 }
 
-TEST(CpuEngineSlowBlocks, AreNoneWhereNothingIsFiltered) {
+TEST(CpuEngineFallbackCounts, AreNoneWhereNothingIsFiltered) {
   CpuEngine engine(1);
   const cv::Mat image = random_image(40, 30, CV_16UC1, 3);
   cv::Mat dst;

@@ -43,10 +43,10 @@ FrameBlur roll_field(int width_px, int height_px, double mean_extent_px) {
   for (int i = 0; i < field.grid.size(); ++i) {
     mean_radius += (field.grid.center(i) - Eigen::Vector2d(width_px / 3.0, height_px / 3.0)).norm();
   }
-  const double turn = mean_extent_px * field.grid.size() / mean_radius;
+  const double rotation_rad = mean_extent_px * field.grid.size() / mean_radius;
   for (int i = 0; i < field.grid.size(); ++i) {
     const Eigen::Vector2d r = field.grid.center(i) - Eigen::Vector2d(width_px / 3.0, height_px / 3.0);
-    field.blocks.push_back(classify_blur(-turn * r.y(), turn * r.x(), wide_options()));
+    field.blocks.push_back(classify_blur(-rotation_rad * r.y(), rotation_rad * r.x(), wide_options()));
   }
   return field;
 }
@@ -116,7 +116,7 @@ TEST_P(CpuEngineTest, LongKernelsStayCloseAndRestoreAsWell) {
 // float engine.
 TEST_P(CpuEngineTest, LongNonuniformPathsStayCloseAndRestoreAsWell) {
   const Path1d paths[] = {{-0.29f, -0.245f, -0.18f, -0.1f, 0, 0.125f, 0.275f, 0.45f, 0.71f},  // speeds up
-                          {0.9f, 0.7f, 0.5f, 0.25f, 0, -0.05f, -0.1f, -0.05f, 0}};            // turns back
+                          {0.9f, 0.7f, 0.5f, 0.25f, 0, -0.05f, -0.1f, -0.05f, 0}};            // reverses
   const cv::Mat sharp = test::textured_image(256, 192, 2);
   for (const Path1d& path : paths) {
     for (const double extent_px : {40.0, 50.0, 66.0, 105.0}) {
@@ -141,9 +141,9 @@ TEST_P(CpuEngineTest, LongNonuniformPathsStayCloseAndRestoreAsWell) {
         CpuEngine fast(2, *kernels_);
         cv::Mat deep, of_deep;
         blurred.convertTo(deep, CV_16U, 257);
-        const bool beside_axis = degrees == 5 || degrees == 85 || degrees == 176;
+        const bool near_axis = degrees == 5 || degrees == 85 || degrees == 176;
         EXPECT_EQ(deconvolve(deep, PixelLayout::GRAY, field, *bank_, fast, of_deep).empty(),
-                  !beside_axis || extent_px > 57);
+                  !near_axis || extent_px > 57);
         of_deep.convertTo(of_deep, CV_8U, 1 / 257.0);
         const double deep_loss_db = psnr_db(mean_square(expected, sharp)) - psnr_db(mean_square(of_deep, sharp));
         EXPECT_LE(deep_loss_db, 0.1) << extent_px << " px, " << degrees << " deg, 16 bit";

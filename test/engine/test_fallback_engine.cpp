@@ -90,7 +90,7 @@ TEST_F(FallbackEngineTest, LosesNoFrameWhenTheDeviceFailsInMidRun) {
   EXPECT_EQ(calls_, 3) << "the device is not tried again";
 }
 
-TEST_F(FallbackEngineTest, TellsTheSlowBlocksOfTheEngineInUse) {
+TEST_F(FallbackEngineTest, HasTheFallbackCountsOfTheEngineInUse) {
   FallbackEngine engine = failing_after(1);
   EXPECT_TRUE(gives_the_right_frame(engine));
   EXPECT_EQ(engine.fallback_counts(), (FallbackCounts{{"the device is slow", 3}}));

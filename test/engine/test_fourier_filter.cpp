@@ -241,7 +241,7 @@ TEST(FourierFilter, RestoresAsMuchAsTheKernelOfALine) {
   }
 }
 
-TEST(FourierFilter, RestoresWhereThePathIsBent) {
+TEST(FourierFilter, RestoresWhereThePathIsCurved) {
   const cv::Mat sharp = test::textured_image(512, 384, 9);
   const FilterBank bank({});
   for (const auto& [extent_px, sagitta_px] : {std::pair(15.0, 5.0), std::pair(30.0, 8.0), std::pair(60.0, 12.0)}) {

@@ -155,7 +155,7 @@ TEST_P(OpenClEngineTest, FiltersKernelsOfAnyShape) {
   }
 }
 
-TEST_P(OpenClEngineTest, TellsHowLongDeviceAndHostTook) {
+TEST_P(OpenClEngineTest, ReportsHowLongDeviceAndHostTook) {
   const cv::Mat image = textured(300, 200, 1, CV_8U);
   const FilterGrid blocks = varied_blocks(300, 200, 64, 60, bank_);
   cv::Mat dst;

@@ -128,14 +128,14 @@ TEST_P(SeamsTest, AreLinearRamps) {
   half.taps = {0.5f};
   whole.taps = {1.0f};
   const cv::Mat src(64, 64, CV_8UC1, cv::Scalar(180));
-  const cv::Mat beside = convolved(src, {{0, 32, 64}, {0, 64}, {{0, &half}, {0, &whole}}});
+  const cv::Mat sideways = convolved(src, {{0, 32, 64}, {0, 64}, {{0, &half}, {0, &whole}}});
   const cv::Mat above = convolved(src, {{0, 64}, {0, 32, 64}, {{0, &half}, {0, &whole}}});
   const cv::Mat faded = convolved(src, {{0, 32, 64}, {0, 64}, {{0, &half}, {0, nullptr}}});
   for (int y = 0; y < 64; ++y) {
     for (int x = 0; x < 64; ++x) {
       // Nine steps of 10 grey levels.
       const int expected = 90 + 10 * std::clamp(x - 27, 0, 9);
-      EXPECT_EQ(beside.at<uchar>(y, x), expected) << x << " " << y;
+      EXPECT_EQ(sideways.at<uchar>(y, x), expected) << x << " " << y;
       EXPECT_EQ(above.at<uchar>(x, y), expected) << x << " " << y;
     }
   }

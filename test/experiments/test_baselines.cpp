@@ -123,7 +123,7 @@ TEST(RestoreBeyondBorders, IsBetterThanWienerOnAPhotograph) {
   const cv::Rect middle(32, 32, photograph.cols - 64, photograph.rows - 64);
   const cv::Mat blurred =
       test::expose(test::blur_along_line(photograph, kBlur.angle_rad, kBlur.extent_px)(middle), 3, 1);
-  // It gives the scene smoothed by output_sigma_px; the other is judged after the same smoothing.
+  // It gives the scene smoothed by output_sigma_px; the other is compared after the same smoothing.
   const auto smooth = [](const cv::Mat& image) {
     cv::Mat out;
     cv::GaussianBlur(image, out, cv::Size(), RestorationOptions().output_sigma_px);

@@ -66,7 +66,7 @@ Eigen::Vector2d seen(const Burst& burst, BurstIndex i, const Eigen::Vector2d& st
 
 class Interpolation : public ::testing::TestWithParam<double> {};
 
-TEST_P(Interpolation, IsExactForStraightEvenMotion) {
+TEST_P(Interpolation, IsExactForStraightUniformMotion) {
   const Burst burst = make_burst(GetParam());
   for (const Eigen::Vector2d& velocity :
        {Eigen::Vector2d(0, 0), Eigen::Vector2d(1500, 0), Eigen::Vector2d(-300, 2000), Eigen::Vector2d(900, -1800)}) {
@@ -177,7 +177,7 @@ TEST(PairHomography, SaysThatThereIsNone) {
   EXPECT_THROW(estimate_pair_homography(none, none, {}), std::runtime_error);
 }
 
-// A camera that turns evenly in front of a wall, seen from another place for `view` 1.
+// A camera that rotates evenly in front of a wall, seen from another place for `view` 1.
 sim::Simulator make_simulator(int view) {
   const std::string motion = view == 0 ? "{type: constant_rate, rate: [10, 25, 5], orientation: [-2, -4, 0]}"
                                        : "{type: constant_rate, rate: [-15, 20, 0], orientation: [2, 0, 6], "
@@ -202,7 +202,7 @@ TEST(Simulator, ScenePointsComeBackToTheirPixels) {
   EXPECT_FALSE(simulator.pixel_of(MIDDLE, {0, 0, -1}).allFinite());
 }
 
-TEST(Protocol, AgreesWithTheSimulatorWhereMotionIsEven) {
+TEST(Protocol, AgreesWithTheSimulatorWhereMotionIsUniform) {
   sim::Simulator simulators[] = {make_simulator(0), make_simulator(1)};
   BurstPoints points[2];
   for (int v = 0; v < 2; ++v) {

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The SLAM experiment: errors of trajectories against analytic truth; a stack's files; a short flight, judged by the
+"""The SLAM experiment: errors of trajectories against analytic truth; a stack's files; a short flight, evaluated by the
 package's own tracks, from bag to table."""
 
 import argparse
@@ -62,8 +62,8 @@ class Trajectories(unittest.TestCase):
 
     def test_yaw_and_place_cost_nothing(self):
         truth = circle()
-        turn = rotations([yaw(1.1)])[0]
-        moved = Trajectory(truth.t_s, truth.p_m @ turn.T + [3, -2, 1], truth.q)
+        R = rotations([yaw(1.1)])[0]
+        moved = Trajectory(truth.t_s, truth.p_m @ R.T + [3, -2, 1], truth.q)
         self.assertLess(absolute_error_m(moved, truth), 1e-12)
         np.testing.assert_allclose(aligned(moved, truth), truth.p_m, atol=1e-12)
 
@@ -171,22 +171,22 @@ class OpenVinsFiles(unittest.TestCase):
                 OpenVins.read_states(path)
 
 
-# Gives the states that lie beside it, and ends as when the library ends the process; refuses where there are none.
-STAND_IN = """#!/usr/bin/python3
+# Gives the states in the files next to it, and ends as when the library ends the process; refuses where there are none.
+SUBSTITUTE = """#!/usr/bin/python3
 import pathlib, shutil, sys
 states = pathlib.Path(sys.argv[sys.argv.index("--states") + 1])
 settings = pathlib.Path(sys.argv[1]).read_text()
 assert "up_msckf_sigma_px: 1\\n" in settings and "up_slam_sigma_px: 1\\n" in settings
-source = pathlib.Path(__file__).parent / ("weighed.txt" if "--weigh" in sys.argv else "alike.txt")
+source = pathlib.Path(__file__).parent / ("weighed.txt" if "--weigh" in sys.argv else "equal.txt")
 if not source.exists():
-    sys.exit("the stand-in refuses")
+    sys.exit("the substitute refuses")
 shutil.copy(source, states)
 sys.exit(1)
 """
 
 
 class OpenVinsOnTracks(unittest.TestCase):
-    """Its judge, with a stand-in for the program that reads tracks."""
+    """Its evaluator, with a substitute for the program that reads tracks."""
 
     def setUp(self):
         folder = tempfile.TemporaryDirectory()
@@ -196,10 +196,10 @@ class OpenVinsOnTracks(unittest.TestCase):
         with rosbag.Bag(str(self.folder / "tracks.bag"), "w") as bag:
             bag.write("/tracks", Header(), rospy.Time.from_sec(1.0))
         reader = self.folder / "reader"
-        reader.write_text(STAND_IN)
+        reader.write_text(SUBSTITUTE)
         reader.chmod(0o755)
         with unittest.mock.patch("evaluators.built_reader", return_value=reader):
-            self.judge = OpenVinsTracks(self.folder, self.folder)
+            self.evaluator = OpenVinsTracks(self.folder, self.folder)
 
     def states(self, name, scale, until_s=20.0):
         rows = ["%.9f %.9f %.9f %.9f %.9f %.9f %.9f %.9f" % (t_s, *q, *(scale * p_m)) for t_s, p_m, q in
@@ -207,10 +207,10 @@ class OpenVinsOnTracks(unittest.TestCase):
         (self.folder / name).write_text("# t q p\n" + "\n".join(rows) + "\n")
 
     def metrics(self):
-        return self.judge.judge(recording(self.folder / "tracks.bag", "/tracks"), self.folder, "run")
+        return self.evaluator.evaluate(recording(self.folder / "tracks.bag", "/tracks"), self.folder, "run")
 
     def test_each_way_has_its_own_states(self):
-        self.states("alike.txt", 1.1)
+        self.states("equal.txt", 1.1)
         self.states("weighed.txt", 1.05)
         metrics = self.metrics()
         self.assertEqual(set(metrics), set(OpenVinsTracks.metrics))
@@ -218,7 +218,7 @@ class OpenVinsOnTracks(unittest.TestCase):
         self.assertAlmostEqual(metrics["ate_m"], 2 * metrics["weighed_ate_m"], 6)
 
     def test_one_that_is_lost_leaves_the_other(self):
-        self.states("alike.txt", 1.0)
+        self.states("equal.txt", 1.0)
         self.states("weighed.txt", 1.0, until_s=5)
         metrics = self.metrics()
         self.assertLess(metrics["ate_m"], 1e-6)
@@ -226,13 +226,13 @@ class OpenVinsOnTracks(unittest.TestCase):
         self.assertIsNone(metrics["weighed_rte_percent"])
 
     def test_a_refusal_is_no_result(self):
-        self.states("alike.txt", 1.0)
-        with self.assertRaisesRegex(RuntimeError, "the stand-in refuses"):
+        self.states("equal.txt", 1.0)
+        with self.assertRaisesRegex(RuntimeError, "the substitute refuses"):
             self.metrics()
 
 
 class Report(unittest.TestCase):
-    def test_two_judges_side_by_side(self):
+    def test_two_evaluators_side_by_side(self):
         errors_m = {"sharp": 0.01, "blurred": 0.05, "gyroscope": 0.04, "package": 0.02}
         results = []
         for case in "V1_02_medium_30ms_x1.7_r0", "V1_02_medium_30ms_x1.7_r20":
@@ -267,7 +267,7 @@ class Report(unittest.TestCase):
 
 
 class ShortFlight(unittest.TestCase):
-    def test_own_tracks_judge(self):
+    def test_own_tracks_evaluate(self):
         with tempfile.TemporaryDirectory() as folder:
             out = pathlib.Path(folder)
             command = [*SLAM, "--out", out, "--data", arguments.data, "--programs", arguments.programs, "--only",

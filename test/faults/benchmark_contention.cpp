@@ -34,7 +34,7 @@ namespace {
 constexpr TimeNs kTransferNs = 10'000'000;
 /// Buffers and kernels are made in the first of it, which does not count.
 constexpr double kWarmUpS = 2;
-/// What is compared is measured in turns, so many times: the machine's own speed may drift by a third within minutes.
+/// What is compared is measured in rounds, so many times: the machine's own speed may drift by a third within minutes.
 constexpr int kRounds = 4;
 /// What every core must have to give to a process that is always busy.
 constexpr double kQuietShare = 0.97;
@@ -183,7 +183,7 @@ struct CameraStream {
   double rate_hz;
 };
 
-/// A process that plays a stream when told to: what is measured of it is the package's alone.
+/// A process that plays a stream on request: what is measured of it is the package's alone.
 class Package {
  public:
   /// Forks: the parent must not have had threads.
@@ -295,7 +295,7 @@ Quietness look_around(SharedCounts* counts) {
   return quietness;
 }
 
-/// One stream beside everything.
+/// One stream under each load.
 class Measurement {
  public:
   Measurement(const CameraStream& stream, const Config& config, const FrameRequest& request, double seconds,
@@ -319,20 +319,20 @@ class Measurement {
     ConsumerSpeed consumer_speed;
     for (int round = 0; round < kRounds; ++round) {
       alone.add(run(seconds_ / kRounds));
-      busy.add(beside_busy(seconds_ / kRounds, &busy_speed));
-      consumed.add(beside_consumers(seconds_ / kRounds, before.units_per_s, &consumer_speed));
+      busy.add(with_busy(seconds_ / kRounds, &busy_speed));
+      consumed.add(with_consumers(seconds_ / kRounds, before.units_per_s, &consumer_speed));
       package_.start(seconds_ / kRounds, false);
       second_.start(seconds_ / kRounds, false);
       one.add(package_.finish());
       other.add(second_.finish());
     }
     report_["alone"] = alone.report();
-    judge_run("busy", busy, alone);
-    judge_busy_speed(busy_speed, busy);
+    check_run("busy", busy, alone);
+    check_busy_speed(busy_speed, busy);
     report_["consumer"] = consumed.report();
-    judge_consumer_speed(consumer_speed, consumed);
-    judge_run("two at once", one, alone);
-    judge_run("two at once, the other", other, alone);
+    check_consumer_speed(consumer_speed, consumed);
+    check_run("two at once", one, alone);
+    check_run("two at once, the other", other, alone);
     const Quietness after = look_around(counts_);
     report_["quiet_before"] = before.shares;
     report_["quiet_after"] = after.shares;
@@ -347,17 +347,17 @@ class Measurement {
     return package_.finish();
   }
 
-  void judge(const std::string& what, double value, double limit) {
+  void check(const std::string& what, double value, double limit) {
     const bool good = value <= limit;
     report_["verdicts"].push_back({{"what", what}, {"value", value}, {"limit", limit}, {"good", good}});
     good_ = good_ && good;
   }
 
-  void judge_run(const std::string& beside, const Run& run, const Run& alone) {
-    report_[beside] = run.report();
-    judge(beside + ": p95 against alone", percentile(run.latency_ms, 0.95) / percentile(alone.latency_ms, 0.95),
+  void check_run(const std::string& load, const Run& run, const Run& alone) {
+    report_[load] = run.report();
+    check(load + ": p95 against alone", percentile(run.latency_ms, 0.95) / percentile(alone.latency_ms, 0.95),
           kMaxLatencyRatio);
-    judge(beside + ": processor time against alone", run.processor_s / alone.processor_s, kMaxProcessorRatio);
+    check(load + ": processor time against alone", run.processor_s / alone.processor_s, kMaxProcessorRatio);
   }
 
   /// What busy processes do in a time; their sum over rounds.
@@ -373,22 +373,22 @@ class Measurement {
     *seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   }
 
-  Run beside_busy(double seconds, BusySpeed* speed) {
+  Run with_busy(double seconds, BusySpeed* speed) {
     NeighbourProcesses busy;
     busy.start_busy(counts_);
     const auto nothing = [seconds] { sleep_s(seconds / 2); };
-    Run run_beside;
+    Run loaded_run;
     count_units(nothing, &speed->units_without, &speed->seconds_without);
-    count_units([&] { run_beside = run(seconds); }, &speed->units_with, &speed->seconds_with);
+    count_units([&] { loaded_run = run(seconds); }, &speed->units_with, &speed->seconds_with);
     count_units(nothing, &speed->units_without, &speed->seconds_without);
-    return run_beside;
+    return loaded_run;
   }
 
-  void judge_busy_speed(const BusySpeed& speed, const Run& run) {
+  void check_busy_speed(const BusySpeed& speed, const Run& run) {
     const double without = speed.units_without / speed.seconds_without, with = speed.units_with / speed.seconds_with;
     const double used = run.processor_s / (run.wall_s * static_cast<double>(cores_));
     report_["busy_speed"] = {{"without", without}, {"with", with}, {"used_by_package", used}};
-    judge("busy: speed that the other processes lose", 1 - with / without, used + kSpeedTolerance);
+    check("busy: speed that the other processes lose", 1 - with / without, used + kSpeedTolerance);
   }
 
   /// How long consumers work on frames; sums over rounds.
@@ -404,7 +404,7 @@ class Measurement {
     }
   }
 
-  Run beside_consumers(double seconds, double units_per_s, ConsumerSpeed* speed) {
+  Run with_consumers(double seconds, double units_per_s, ConsumerSpeed* speed) {
     const int units = static_cast<int>(kConsumerLoad * units_per_s / stream_.rate_hz);
     {
       NeighbourProcesses consumers;
@@ -419,16 +419,16 @@ class Measurement {
     }
     NeighbourProcesses consumers;
     consumers.start_consumers(counts_, units);
-    const Run run_beside = run(seconds, true);
+    const Run loaded_run = run(seconds, true);
     count_consumed(&speed->ms_with, &speed->frames_with);
-    return run_beside;
+    return loaded_run;
   }
 
-  void judge_consumer_speed(const ConsumerSpeed& speed, const Run& run) {
+  void check_consumer_speed(const ConsumerSpeed& speed, const Run& run) {
     const double without = speed.ms_without / speed.frames_without, with = speed.ms_with / speed.frames_with;
     const double package_ms = 1e3 * run.processor_s / static_cast<double>(run.latency_ms.size());
     report_["consumer_speed"] = {{"without_ms", without}, {"with_ms", with}, {"package_ms", package_ms}};
-    judge("consumer: time of its work on a frame against without", with / without,
+    check("consumer: time of its work on a frame against without", with / without,
           (without + package_ms) / without + kSpeedTolerance);
   }
 
@@ -463,7 +463,7 @@ int main_of(int argc, char** argv) {
   double seconds = 20;
   bool even_if_busy = false, keypoints = false;
   CommandLine app{"Measures streams of frames under contention, in real time.", "benchmark_contention"};
-  app.add_option("--seconds", seconds, "of each of them, in all its turns [20]").range(1.0, 600.0);
+  app.add_option("--seconds", seconds, "of each of them, in all its rounds [20]").range(1.0, 600.0);
   app.add_option("--config", config_path, "keys of config/default.yaml");
   app.add_option("--json", json_path, "where to write the numbers");
   app.add_option("--only", only, "one stream: 752x480 or 1920x1080").one_of({"752x480", "1920x1080"});

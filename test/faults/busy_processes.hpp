@@ -26,7 +26,7 @@ class WorkUnit {
   volatile float sink_ = 0;
 };
 
-/// What the processes tell each other: lives in memory that all of them share.
+/// What the processes exchange, in memory that all of them share.
 struct SharedCounts {
   std::atomic<std::uint64_t> units[kMaxCores];  ///< done by each busy process
   sem_t frames[kMaxCores];                      ///< posted for each consumer when a frame has come

@@ -80,7 +80,7 @@ struct Row {
   std::optional<double> allowed_p99_periods{};  ///< of the latency
   std::set<PassThroughReason> not_allowed{};    ///< for no frame
   std::optional<std::size_t> allowed_mispredicted{};
-  std::string reported{};  ///< kind of the input problem that has to be told; empty: none has to
+  std::string reported{};  ///< kind of the input problem that has to be reported; empty: none has to
   bool good() const {
     if (!reported.empty() && result.statistics.input_problems.count(reported) == 0) return false;
     for (const PassThroughReason reason : not_allowed) {
@@ -158,8 +158,8 @@ class Table {
         for (const double rate : kRates) {
           one(to_string(fault), gyro_deblur::to_string(stream), inject(all, stream, fault, rate, seed++), options_);
           rows_.back().rate = percent(rate);
-          const bool companion = stream == Stream::CAMERA_INFO || stream == Stream::EXPOSURE;
-          if (fault == Fault::DROP && companion && rate < 0.5) in_time();
+          const bool per_image = stream == Stream::CAMERA_INFO || stream == Stream::EXPOSURE;
+          if (fault == Fault::DROP && per_image && rate < 0.5) in_time();
         }
       }
     }
@@ -181,7 +181,7 @@ class Table {
       unplugged = silence(unplugged, stream, third_ns, two_thirds_ns);
     }
     one("unplugged and plugged in", "camera", unplugged, options_);
-    constexpr double kClippedRadS = 1.5;  // the scene turns at up to 2.3 rad/s about an axis
+    constexpr double kClippedRadS = 1.5;  // the scene rotates at up to 2.3 rad/s about an axis
     ReplayOptions clipping = options_;
     clipping.config.gyro.range_rad_s = kClippedRadS;
     one("range is 1.5 rad/s", "imu", clip_gyro(all, kClippedRadS), clipping);
@@ -232,17 +232,18 @@ class Table {
     }
     one("frozen", "image", freeze(all, third_ns, two_thirds_ns), options_);
     rows_.back().allowed_mispredicted = mispredicted;
-    const auto told = [&](const std::string& fault, const std::string& stream, const std::vector<Delivery>& deliveries,
-                          const std::string& kind) {
+    const auto reported = [&](const std::string& fault, const std::string& stream,
+                              const std::vector<Delivery>& deliveries, const std::string& kind) {
       one(fault, stream, deliveries, options_);
       rows_.back().reported = kind;
     };
-    told("rates in degrees/s", "imu", scale_rates(all, 180 / M_PI), "imu unit");
-    told("an accelerometer's topic", "imu", scale_rates(all, 0), "imu unit by images");
-    told("10 Hz", "imu", thin_out(all, Stream::IMU, 20), "imu rate");
-    told("another clock, 50 years ahead", "imu", shift_clock(all, Stream::IMU, 50 * 31'536'000 * kSecond), "clocks");
-    told("10 times the time that it is", "exposure", set_exposures(all, kSecond / 5, all.size()), "exposure");
-    told("0 at first", "exposure", set_exposures(all, 0, 10), "exposure 0");
+    reported("rates in degrees/s", "imu", scale_rates(all, 180 / M_PI), "imu unit");
+    reported("an accelerometer's topic", "imu", scale_rates(all, 0), "imu unit by images");
+    reported("10 Hz", "imu", thin_out(all, Stream::IMU, 20), "imu rate");
+    reported("another clock, 50 years ahead", "imu", shift_clock(all, Stream::IMU, 50 * 31'536'000 * kSecond),
+             "clocks");
+    reported("10 times the time that it is", "exposure", set_exposures(all, kSecond / 5, all.size()), "exposure");
+    reported("0 at first", "exposure", set_exposures(all, 0, 10), "exposure 0");
     const cv::Size size = image_size(all);
     const auto with_mask = [&all](const std::function<sensor_msgs::ImagePtr()>& make) {
       return with_action(all, kSecond / 2, [make](Processor& processor) { processor.add_mask(*make()); });
@@ -255,10 +256,11 @@ class Table {
       return to_mono_image(used, {});
     };
     one("covers the other half, at 2 Hz", "mask", with_mask(half), options_);
-    told("of another size", "mask",
-         with_mask([size] { return to_mono_image(cv::Mat(size / 2, CV_8UC1, cv::Scalar(255)), {}); }), "mask size");
-    told("in colour", "mask",
-         with_mask([size] { return to_bgr_image(cv::Mat(size, CV_8UC3, cv::Scalar::all(255)), {}); }), "mask topic");
+    reported("of another size", "mask",
+             with_mask([size] { return to_mono_image(cv::Mat(size / 2, CV_8UC1, cv::Scalar(255)), {}); }), "mask size");
+    reported("in colour", "mask",
+             with_mask([size] { return to_bgr_image(cv::Mat(size, CV_8UC3, cv::Scalar::all(255)), {}); }),
+             "mask topic");
     constexpr std::size_t kFramesOfAKind = 7;
     one("size changes", "image", change_sizes(all, kFramesOfAKind), options_);
     one("encoding changes", "image", change_encodings(all, kFramesOfAKind), options_);

@@ -51,7 +51,7 @@ std::vector<Delivery> scale_rates(const std::vector<Delivery>& deliveries, doubl
 /// The clock that stamps `stream` differs from all others by `by_ns`.
 std::vector<Delivery> shift_clock(const std::vector<Delivery>& deliveries, Stream stream, TimeNs by_ns);
 
-/// The first `count` exposure messages tell `exposure_ns`.
+/// The first `count` exposure messages have `exposure_ns`.
 std::vector<Delivery> set_exposures(const std::vector<Delivery>& deliveries, TimeNs exposure_ns, std::size_t count);
 
 /// `action` every `period_ns`.

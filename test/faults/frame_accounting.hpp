@@ -24,7 +24,7 @@ struct Balance {
   // What must be 0.
   std::size_t lost = 0;        ///< did not come out
   std::size_t repeated = 0;    ///< came out again, or was never given
-  std::size_t reordered = 0;   ///< came out when it was not its turn
+  std::size_t reordered = 0;   ///< came out when it was not the next
   std::size_t misstamped = 0;  ///< one of its outputs has another stamp
   std::size_t altered = 0;     ///< a pixel changed that is in no deblurred block, or the input message did
   std::size_t retained = 0;    ///< still held when everything had come out
@@ -52,7 +52,7 @@ class FrameAccounting {
   };
   std::vector<Entry> entries_;
   std::map<const sensor_msgs::Image*, std::vector<std::size_t>> indices_;  // a message may be given twice
-  std::size_t next_ = 0;                                                   // whose turn it is
+  std::size_t next_ = 0;                                                   // the one that has to come out
   Balance balance_;
 };
 

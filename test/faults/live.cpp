@@ -36,7 +36,7 @@ void play_live(const std::vector<Delivery>& deliveries, TimeNs round_ns, TimeNs 
       }
     }
   });
-  ask_for_turns_of_a_frame();
+  ask_for_time_slice_of_a_frame();
   std::unique_lock<std::mutex> lock(mutex);
   while (!ended) {
     wakes.wait_for(lock, kPollPeriod, [&] { return has_news || ended; });

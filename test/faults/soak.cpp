@@ -146,7 +146,7 @@ nlohmann::json soak(const Recording& recording, const Config& config, double sec
   report["frames_in"] = frames_in;
   report["frames_out"] = frames_out;
   report["lost"] = frames_in - frames_out;
-  report["out_of_turn"] = wrong;
+  report["out_of_order"] = wrong;
   for (const auto& [reason, count] : statistics.passed_through) report["passed_through"][to_string(reason)] = count;
   report["time_jumps"] = statistics.time_jumps;
   report["log_lines"] = log_lines;
@@ -198,19 +198,19 @@ int main_of(int argc, char** argv) {
     const auto [early_mib, late_mib] = early_and_late(report["windows"], memory_mib);
     const auto [early, late] = early_and_late(report["windows"], frame_in_yardsticks);
     const double growth_mib = late_mib - early_mib, slowdown = late / early;
-    std::printf("%.0f s simulated: %zu frames in, %zu out, %zu lost, %zu out of turn; passed through %s\n",
+    std::printf("%.0f s simulated: %zu frames in, %zu out, %zu lost, %zu out of order; passed through %s\n",
                 report["simulated_s"].get<double>(), report["frames_in"].get<std::size_t>(),
                 report["frames_out"].get<std::size_t>(), report["lost"].get<std::size_t>(),
-                report["out_of_turn"].get<std::size_t>(), report["passed_through"].dump().c_str());
+                report["out_of_order"].get<std::size_t>(), report["passed_through"].dump().c_str());
     std::printf("memory %.1f MiB at first, %.1f MiB at last, %+.2f MiB from the second quarter to the last\n",
                 first["memory_mib"].get<double>(), last["memory_mib"].get<double>(), growth_mib);
     std::printf("a frame takes %.2f yardsticks in the second quarter, %.2f in the last one\n", early, late);
     for (const char* key : {"p50_ms", "p95_ms", "p99_ms", "processor_p50_ms", "processor_p95_ms", "processor_p99_ms"}) {
       std::printf("%-17s %.2f at first, %.2f at last\n", key, first[key].get<double>(), last[key].get<double>());
     }
-    if (report["lost"] != 0 || report["out_of_turn"] != 0 || !(growth_mib <= kMaxGrowthMib) ||
+    if (report["lost"] != 0 || report["out_of_order"] != 0 || !(growth_mib <= kMaxGrowthMib) ||
         !(slowdown <= kMaxSlowdown)) {
-      std::cerr << "soak: frames were lost or out of turn, memory grew by more than " << kMaxGrowthMib
+      std::cerr << "soak: frames were lost or out of order, memory grew by more than " << kMaxGrowthMib
                 << " MiB, or frames came to take " << kMaxSlowdown << " times as long\n";
       return 1;
     }

@@ -46,7 +46,7 @@ FrameOutput deblurred(const sensor_msgs::ImageConstPtr& input, int changed_colum
   return output;
 }
 
-class LedgerTest : public testing::Test {
+class FrameAccountingTest : public testing::Test {
  protected:
   void give(int frames) {
     for (int i = 0; i < frames; ++i) {
@@ -63,7 +63,7 @@ class LedgerTest : public testing::Test {
   FrameAccounting accounting_;
 };
 
-TEST_F(LedgerTest, GoodRunIsGood) {
+TEST_F(FrameAccountingTest, GoodRunIsGood) {
   give(3);
   accounting_.out(passed_through(inputs_[0]));
   accounting_.out(deblurred(inputs_[1], kBlock - 1));
@@ -76,7 +76,7 @@ TEST_F(LedgerTest, GoodRunIsGood) {
   EXPECT_EQ(result.passed_through.at(PassThroughReason::NO_GYRO), 2u);
 }
 
-TEST_F(LedgerTest, LostFrame) {
+TEST_F(FrameAccountingTest, LostFrame) {
   give(3);
   accounting_.out(passed_through(inputs_[0]));
   accounting_.out(passed_through(inputs_[2]));
@@ -85,7 +85,7 @@ TEST_F(LedgerTest, LostFrame) {
   EXPECT_EQ(result.reordered, 1u) << "the one after it came too early";
 }
 
-TEST_F(LedgerTest, SwappedFrames) {
+TEST_F(FrameAccountingTest, SwappedFrames) {
   give(2);
   accounting_.out(passed_through(inputs_[1]));
   accounting_.out(passed_through(inputs_[0]));
@@ -94,7 +94,7 @@ TEST_F(LedgerTest, SwappedFrames) {
   EXPECT_EQ(result.reordered, 2u);
 }
 
-TEST_F(LedgerTest, RepeatedAndInventedFrames) {
+TEST_F(FrameAccountingTest, RepeatedAndInventedFrames) {
   give(1);
   accounting_.out(passed_through(inputs_[0]));
   accounting_.out(passed_through(inputs_[0]));
@@ -102,7 +102,7 @@ TEST_F(LedgerTest, RepeatedAndInventedFrames) {
   EXPECT_EQ(balance().repeated, 2u);
 }
 
-TEST_F(LedgerTest, MessageThatIsGivenTwiceLeavesTwice) {
+TEST_F(FrameAccountingTest, MessageThatIsGivenTwiceLeavesTwice) {
   give(1);
   accounting_.in(inputs_[0]);
   accounting_.out(passed_through(inputs_[0]));
@@ -110,7 +110,7 @@ TEST_F(LedgerTest, MessageThatIsGivenTwiceLeavesTwice) {
   EXPECT_TRUE(balance().good());
 }
 
-TEST_F(LedgerTest, AlteredPixels) {
+TEST_F(FrameAccountingTest, AlteredPixels) {
   give(3);
   FrameOutput output = passed_through(inputs_[0]);
   output.image = deblurred(inputs_[0], 3).image;
@@ -121,7 +121,7 @@ TEST_F(LedgerTest, AlteredPixels) {
   EXPECT_EQ(balance().altered, 3u);
 }
 
-TEST_F(LedgerTest, WrongStamp) {
+TEST_F(FrameAccountingTest, WrongStamp) {
   give(1);
   FrameOutput output = passed_through(inputs_[0]);
   output.blur_field->header.stamp = to_ros_time(kMs);
@@ -129,7 +129,7 @@ TEST_F(LedgerTest, WrongStamp) {
   EXPECT_EQ(balance().misstamped, 1u);
 }
 
-TEST_F(LedgerTest, RetainedMessage) {
+TEST_F(FrameAccountingTest, RetainedMessage) {
   give(1);
   const FrameOutput kept = passed_through(inputs_[0]);
   accounting_.out(kept);

@@ -19,7 +19,7 @@ namespace {
 constexpr TimeNs kSecond = 1'000'000'000;
 constexpr double kDegrees = 180 / M_PI;
 
-/// The scene of the fault table, turning by `factor` times as much.
+/// The scene of the fault table, rotating by `factor` times as much.
 Recording recording_of(double factor) {
   namespace fs = std::filesystem;
   std::string pattern = (fs::temp_directory_path() / "input_faults_XXXXXX").string();
@@ -71,7 +71,7 @@ class InputFaultsTest : public testing::Test {
     static const Recording recording = recording_of(1);
     return recording;
   }
-  /// Turns at up to 0.5 rad/s: in degrees/s these are rates that a gyroscope can have.
+  /// Rotates at up to 0.5 rad/s: in degrees/s these are rates that a gyroscope can have.
   static const Recording& slow() {
     static const Recording recording = recording_of(0.2);
     return recording;

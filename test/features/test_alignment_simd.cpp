@@ -57,7 +57,7 @@ TEST_P(AlignmentSimdTest, ConvolveAnyWidth) {
 }
 
 TEST_P(AlignmentSimdTest, SampleWithTheWeightsOfBothFractions) {
-  // Weights that tell their step: pixel 0 has 1 - fraction, pixel 5 has the fraction.
+  // Weights that show their step: pixel 0 has 1 - fraction, pixel 5 has the fraction.
   std::vector<float> table(static_cast<std::size_t>((kInterpolationSteps + 1) * kInterpolationStride), 0.0f);
   for (int i = 0; i <= kInterpolationSteps; ++i) {
     const float fraction = static_cast<float>(i) / kInterpolationSteps;

@@ -30,7 +30,7 @@ Path2d accelerated_path(double extent_px, double angle_rad) {
 
 Path2d straight_path(double extent_px, double angle_rad) { return test::arc_path(extent_px, 0, angle_rad); }
 
-/// Turned by 3 degrees, 3 % nearer, a little sheared.
+/// Rotated by 3 degrees, 3 % nearer, a little sheared.
 Eigen::Matrix2d some_map() {
   Eigen::Matrix2d map;
   map << 1.03, -0.04, 0.065, 1.02;

@@ -25,7 +25,7 @@ Camera camera() {
   return Camera(calibration);
 }
 
-/// The camera rolls: what it sees turns about the optical axis, the other way.
+/// The camera rolls: what it sees rotates about the optical axis, the other way.
 RotationTrack rolling(TimeNs end_ns = 200'000'000) {
   std::vector<GyroSample> samples;
   for (TimeNs t_ns = 0; t_ns <= end_ns; t_ns += 5'000'000) samples.push_back({t_ns, {0, 0, kRollRadS}});

@@ -20,7 +20,7 @@ namespace {
 
 using sim::Simulator;
 
-// A camera that turns by up to 50 px between two images in front of a wall, without blur.
+// A camera that rotates by up to 50 px between two images in front of a wall, without blur.
 const char kScene[] = R"(
 frames: 12
 seed: 7

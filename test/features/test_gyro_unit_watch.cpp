@@ -13,9 +13,9 @@ namespace {
 constexpr TimeNs kPeriod = 50'000'000;
 constexpr double kDegrees = 180 / M_PI;
 
-/// Images that turn to and fro, seen with an error of 5 %, while the gyroscope tells `told` times as much.
+/// Images that rotate to and fro, seen with an error of 5 %, while the gyroscope measures `scale` times as much.
 /// @param seen_from_translation  the residual velocities look like a translation rather than a rotation
-GyroUnitWatch watched(int frames, double told, double amplitude_rad_s = 1.5, bool seen_from_translation = false) {
+GyroUnitWatch watched(int frames, double scale, double amplitude_rad_s = 1.5, bool seen_from_translation = false) {
   std::mt19937 random(3);
   std::normal_distribution<double> error(0, 0.05);
   GyroUnitWatch watch;
@@ -23,7 +23,7 @@ GyroUnitWatch watched(int frames, double told, double amplitude_rad_s = 1.5, boo
     ResidualRotation seen;
     const double rate_rad_s = amplitude_rad_s * std::sin(0.4 * i + 0.3);
     seen.rate_rad_s = {0.2 * rate_rad_s, rate_rad_s * (1 + error(random)), 0};
-    seen.known_rad_s = Eigen::Vector3d(0.2, 1, 0) * told * rate_rad_s;
+    seen.known_rad_s = Eigen::Vector3d(0.2, 1, 0) * scale * rate_rad_s;
     seen.energy_px2_s2 = 1e4 * rate_rad_s * rate_rad_s;
     seen.energy_less_rotation_px2_s2 = (seen_from_translation ? 0.4 : 0.1) * seen.energy_px2_s2;
     seen.energy_less_translation_px2_s2 = (seen_from_translation ? 0.1 : 0.4) * seen.energy_px2_s2;
@@ -42,29 +42,29 @@ TEST(GyroUnitWatch, FindsDegreesWithinASecond) {
 }
 
 TEST(GyroUnitWatch, RatesThatAreRightAreConfirmed) {
-  for (const double told : {0.5, 1.0, 2.0}) {
-    const GyroUnitWatch watch = watched(100, told);
-    EXPECT_FALSE(watch.find(false)) << told;
-    EXPECT_TRUE(watch.is_confirmed()) << told;
+  for (const double scale : {0.5, 1.0, 2.0}) {
+    const GyroUnitWatch watch = watched(100, scale);
+    EXPECT_FALSE(watch.find(false)) << scale;
+    EXPECT_TRUE(watch.is_confirmed()) << scale;
   }
   EXPECT_FALSE(watched(2, 1).is_confirmed());
 }
 
-TEST(GyroUnitWatch, DoubtEndsWithConfirmationOrAfterFiveSeconds) {
-  GyroUnitWatch dark;  // images that tell nothing
-  for (int i = 0; i < 200; ++i) EXPECT_EQ(dark.is_doubted(1'000'000'000 + i * kPeriod), i < 100) << i;
-  EXPECT_FALSE(watched(20, 1).is_doubted(2'000'000'000));
-  EXPECT_TRUE(watched(20, kDegrees).is_doubted(2'000'000'000));
+TEST(GyroUnitWatch, UncertaintyEndsWithConfirmationOrAfterFiveSeconds) {
+  GyroUnitWatch dark;  // images that measure nothing
+  for (int i = 0; i < 200; ++i) EXPECT_EQ(dark.is_uncertain(1'000'000'000 + i * kPeriod), i < 100) << i;
+  EXPECT_FALSE(watched(20, 1).is_uncertain(2'000'000'000));
+  EXPECT_TRUE(watched(20, kDegrees).is_uncertain(2'000'000'000));
 }
 
-// Corners on a rim that does not move with the scene, while the camera turns fast.
+// Corners on a rim that does not move with the scene, while the camera rotates fast.
 TEST(GyroUnitWatch, ImagesThatSeemToStandStillAreNoUnit) {
   EXPECT_FALSE(watched(100, 1e4, 0.001).find(false));
   EXPECT_FALSE(watched(100, 500, 0.05).find(false));
   EXPECT_FALSE(watched(100, 10, 1).find(false)) << "nor ones that are followed badly";
 }
 
-TEST(GyroUnitWatch, FindsAGyroscopeWithoutRatesWhereImagesTurn) {
+TEST(GyroUnitWatch, FindsAGyroscopeWithoutRatesWhereImagesRotate) {
   const auto fault = watched(20, 0).find(true);
   ASSERT_TRUE(fault);
   EXPECT_EQ(fault->kind, GyroUnitFault::Kind::NO_RATES);

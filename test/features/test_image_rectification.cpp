@@ -107,9 +107,9 @@ TEST_P(GlobalShutterAgrees, WithRectifiedPoints) {
   const TimeNs reference_ns = exposure.reference_time(rectify_to);
   const Camera camera(test::euroc_camera());
   // Rotation of 2 to 3 rad/s alone: nothing but the distance of the nodes is left.
-  const auto turned = disagreement(plain_field(), camera, AnalyticMotion::handshake(), exposure, reference_ns);
-  EXPECT_GT(turned.size(), 15000u);
-  EXPECT_LT(percentile(turned, 1), 0.02);
+  const auto rotated = disagreement(plain_field(), camera, AnalyticMotion::handshake(), exposure, reference_ns);
+  EXPECT_GT(rotated.size(), 15000u);
+  EXPECT_LT(percentile(rotated, 1), 0.02);
   const auto moved = disagreement(busy_field(5), camera, AnalyticMotion::handshake(), exposure, reference_ns);
   EXPECT_GT(moved.size(), 10000u);
   EXPECT_LT(percentile(moved, 0.9), 0.02);
@@ -150,14 +150,14 @@ TEST(GlobalShutterMap, RowsThatTheMotionDoesNotCoverMoveWithTheNearestThatItDoes
   motion.set_range({exposure.middle(100), exposure.end(kHeight - 1)});
   const GlobalShutterMap part = global_shutter_map(plain_field(), camera, motion, exposure, reference_ns);
   ASSERT_FALSE(part.empty());
-  double largest_step_px = 0, largest_beside_px = 0;
+  double largest_step_px = 0, largest_covered_px = 0;
   for (int y = 1; y < kHeight; ++y) {
     const Eigen::Vector2d here = part.at({300, y}), above = part.at({300, y - 1.0});
     largest_step_px = std::max(largest_step_px, (here - above - Eigen::Vector2d(0, 1)).norm());
-    if (y > 150) largest_beside_px = std::max(largest_beside_px, (here - whole.at({300, y})).norm());
+    if (y > 150) largest_covered_px = std::max(largest_covered_px, (here - whole.at({300, y})).norm());
   }
-  EXPECT_LT(largest_step_px, 0.2);     // 2 rad/s are 0.04 px from row to row: nothing is torn
-  EXPECT_LT(largest_beside_px, 0.02);  // and what is covered is as ever
+  EXPECT_LT(largest_step_px, 0.2);      // 2 rad/s are 0.04 px from row to row: nothing is torn
+  EXPECT_LT(largest_covered_px, 0.02);  // and what is covered is as ever
   EXPECT_GT((part.at({300, 20}) - whole.at({300, 20})).norm(), 0.5);
   motion.set_range({exposure.end(kHeight - 1), exposure.end(kHeight - 1) + 2 * kMs});
   EXPECT_TRUE(global_shutter_map(plain_field(), camera, motion, exposure, reference_ns).empty());
@@ -296,7 +296,7 @@ std::vector<double> errors_of(const Simulator& simulator, int frame, const Globa
   return errors;
 }
 
-TEST(GlobalShutterOfSimulation, ATurningCameraIsRight) {
+TEST(GlobalShutterOfSimulation, ARotatingCameraIsRight) {
   Simulator simulator = simulator_of("motion: {type: constant_rate, rate: [40, 90, 60]}\n");
   const RowExposure exposure = simulator.exposure(1);
   const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);

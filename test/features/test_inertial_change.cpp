@@ -10,19 +10,20 @@ namespace {
 
 constexpr double kStepS = 0.05, kInverseDepth = 0.4, kFocalPx = 400;
 
-/// A camera that swings sideways before a wall, in axes that turn by a step's rotation with every image.
+/// A camera that swings sideways before a wall, in axes that rotate by a step's rotation with every image.
 class Swing {
  public:
   /// @param sensor_scale  of the accelerometer
-  explicit Swing(double sensor_scale = 1, const Eigen::Vector3d& turn_rad = Eigen::Vector3d::Zero())
-      : sensor_scale_(sensor_scale), turn_(Eigen::AngleAxisd(turn_rad.norm(), turn_rad.stableNormalized())) {
+  explicit Swing(double sensor_scale = 1, const Eigen::Vector3d& rotation_rad = Eigen::Vector3d::Zero())
+      : sensor_scale_(sensor_scale),
+        rotation_(Eigen::AngleAxisd(rotation_rad.norm(), rotation_rad.stableNormalized())) {
     px_per_ray_ << kFocalPx, 0, 0, 0, kFocalPx, 0;
   }
 
   InertialChange::Step step(int i, bool with_accelerometer = true) const {
     InertialChange::Step step;
     step.step_s = kStepS;
-    step.R_now_before = turn_.toRotationMatrix().transpose();
+    step.R_now_before = rotation_.toRotationMatrix().transpose();
     step.px_per_ray = px_per_ray_;
     if (with_accelerometer) {
       const double end_s = i * kStepS, begin_s = end_s - kStepS;
@@ -54,14 +55,14 @@ class Swing {
   static Eigen::Vector3d mean(int i) { return (place(i * kStepS) - place((i - 1) * kStepS)) / kStepS; }
   /// World to camera.
   Eigen::Matrix3d axes(int i) const {
-    return Eigen::AngleAxisd(turn_.angle() * i, turn_.axis()).toRotationMatrix().transpose();
+    return Eigen::AngleAxisd(rotation_.angle() * i, rotation_.axis()).toRotationMatrix().transpose();
   }
   Eigen::Vector2d in_image(int i, const Eigen::Vector3d& world_m_s) const {
     return -kInverseDepth * px_per_ray_ * (axes(i) * world_m_s);
   }
 
   double sensor_scale_;
-  Eigen::AngleAxisd turn_;
+  Eigen::AngleAxisd rotation_;
   Eigen::Matrix<double, 2, 3> px_per_ray_;
 };
 
@@ -78,7 +79,7 @@ double left_over(const Swing& swing, int from = 10) {
   return std::sqrt(left / all);
 }
 
-TEST(InertialChange, IsFoundBesideGravityAndBias) {
+TEST(InertialChange, IsFoundDespiteGravityAndBias) {
   EXPECT_LT(left_over(Swing()), 0.02);
   InertialChange change;
   for (int i = 1; i < 20; ++i) change.beyond_even(Swing().step(i));
@@ -91,8 +92,8 @@ TEST(InertialChange, NeedsAFewImagesForTheDepth) {
   EXPECT_LT(left_over(Swing(), 4), 0.3);
 }
 
-TEST(InertialChange, TurnsWithTheCamera) {
-  // 4 rad/s. Gravity turns as well.
+TEST(InertialChange, RotatesWithTheCamera) {
+  // 4 rad/s. Gravity rotates as well.
   EXPECT_LT(left_over(Swing(1, {0.1, 0.05, 0.15})), 0.05);
 }
 

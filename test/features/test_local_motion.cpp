@@ -32,7 +32,7 @@ std::vector<DisplacedPoint> neighbours(int outliers, double noise_px) {
 TEST(LocalMotion, IsThePlaneThroughItsNeighbours) {
   const LocalMotion motion = local_motion(neighbours(0, 0), kMiddle);
   EXPECT_LT((motion.displacement_px - kDisplacement).norm(), 0.01);
-  EXPECT_LT((motion.slope - slope()).norm(), 1e-3);  // less what is believed of none
+  EXPECT_LT((motion.slope - slope()).norm(), 1e-3);  // less what the prior of no motion takes
   EXPECT_LT((local_motion(neighbours(0, 0.1), kMiddle).slope - slope()).norm(), 0.005);
 }
 

@@ -131,15 +131,15 @@ TEST(PointCovariance, NoiseIsNotTakenForTexture) {
   EXPECT_LT(of_keypoint(noisy, unaware)(0, 0), 0.01 * of_bare);
 }
 
-TEST(PointCovariance, TurnsWithTheImage) {
+TEST(PointCovariance, RotatesWithTheImage) {
   const double extent_px = 12;
   const Eigen::Matrix2d upright = of_keypoint(bump(200, 2.5, 1.5), field_of(BlockStatus::DEBLURRED, 3, extent_px, 0.6));
-  for (const double turn_rad : {0.3, 1.1, CV_PI / 2, 2.2}) {
-    const double angle_rad = std::fmod(0.6 + turn_rad, CV_PI);
-    const Eigen::Matrix2d turned =
-        of_keypoint(bump(200, 2.5, 1.5, turn_rad), field_of(BlockStatus::DEBLURRED, 3, extent_px, angle_rad));
-    const Eigen::Matrix2d R = Eigen::Rotation2Dd(turn_rad).toRotationMatrix();
-    EXPECT_LT((turned - R * upright * R.transpose()).norm(), 0.03 * upright.norm()) << turn_rad;
+  for (const double rotation_rad : {0.3, 1.1, CV_PI / 2, 2.2}) {
+    const double angle_rad = std::fmod(0.6 + rotation_rad, CV_PI);
+    const Eigen::Matrix2d rotated =
+        of_keypoint(bump(200, 2.5, 1.5, rotation_rad), field_of(BlockStatus::DEBLURRED, 3, extent_px, angle_rad));
+    const Eigen::Matrix2d R = Eigen::Rotation2Dd(rotation_rad).toRotationMatrix();
+    EXPECT_LT((rotated - R * upright * R.transpose()).norm(), 0.03 * upright.norm()) << rotation_rad;
   }
 }
 

@@ -104,7 +104,7 @@ TEST_P(RectifyPoints, MovesRollingShutterPointsToTheReferenceTime) {
     EXPECT_LT((points[i].normalized - camera.ray(points[i].rectified_px).hnormalized()).norm(), 1e-8);
   }
 
-  // Left alone, the points are many times worse; with a sign turned round, worse than the limit by far.
+  // Unchanged, the points are many times worse; with a sign reversed, worse than the limit by far.
   Errors none{};
   {
     std::vector<RectifiedPoint> unmoved(truth.size());
@@ -129,7 +129,7 @@ INSTANTIATE_TEST_SUITE_P(All, RectifyPoints,
                                                           RectifyTo::LAST_ROW, RectifyTo::STAMP),
                                           testing::Values(30, -30)));
 
-TEST(RectifyPointsByStatus, RejectedAndUncoveredBlocksAreLeftAlone) {
+TEST(RectifyPointsByStatus, RejectedAndUncoveredBlocksAreUnchanged) {
   const Camera camera(test::euroc_camera());
   const AnalyticMotion motion = AnalyticMotion::handshake();
   const RowExposure exposure(0, kRows, timing(30 * kMs));
@@ -216,7 +216,7 @@ TEST(RectifyPointsByStatus, AHoleInTheGyroscopeSeparatesPoints) {
   EXPECT_FALSE(result[2].rectified);
 }
 
-TEST(RectifyPointsByStatus, PointsThatLeaveTheLensModelAreLeftAlone) {
+TEST(RectifyPointsByStatus, PointsThatLeaveTheLensModelAreUnchanged) {
   CameraCalibration c = test::euroc_camera();
   c.fx_px = c.fy_px = 700;
   c.coefficients = {-0.4, 0, 0, 0};  // reaches 426 px

@@ -6,7 +6,7 @@
 namespace gyro_deblur::remembered_motion_test {
 namespace {
 
-/// Turns at a constant rate, and counts how often it is asked.
+/// Rotates at a constant rate, and counts how often it is asked.
 class CountingMotion : public CameraMotion {
  public:
   bool covers(const TimeRange& range) const override { return range.begin_ns >= 0; }

@@ -88,7 +88,7 @@ double percentile(std::vector<double> values, double part) {
   return *at;
 }
 
-TEST(ResidualFlow, TellsTheTranslationThatTheGyroscopeDoesNotKnow) {
+TEST(ResidualFlow, MeasuresTheTranslationThatTheGyroscopeDoesNot) {
   const Simulator simulator = simulator_of(R"(
 motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
   position: {sines: [{amplitude: [0.25, 0.15, 0.2], frequency: 0.8, phase: 70}]}}
@@ -113,7 +113,7 @@ motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3,
   EXPECT_EQ(zeros.by_both_px, without.by_both_px);
 }
 
-TEST(ResidualFlow, LeavesATurningCameraToItsGyroscope) {
+TEST(ResidualFlow, LeavesARotatingCameraToItsGyroscope) {
   const Simulator simulator = simulator_of(R"(
 motion: {type: spline, rotation: {sines: [{amplitude: [9, 12, 6], frequency: 1.7, phase: 20}]}}
 )");

@@ -31,13 +31,13 @@ Camera wide_lens() {
 const BlockGrid kGrid(752, 480, 64);
 const RowExposure kExposure(1'000'000'000, 480, ShutterTiming{20'000'000, 10'000'000});
 
-RotationTrack turning(const Eigen::Vector3d& rate_rad_s) {
+RotationTrack rotating(const Eigen::Vector3d& rate_rad_s) {
   std::vector<GyroSample> samples;
   for (TimeNs t_ns = 900'000'000; t_ns <= 1'200'000'000; t_ns += 5'000'000) samples.push_back({t_ns, rate_rad_s});
   return RotationTrack(samples, GyroOptions(), Eigen::Matrix3d::Identity());
 }
 
-/// What a camera sees that turns and moves before a plane at depth 1 across its axis.
+/// What a camera sees that rotates and moves before a plane at depth 1 across its axis.
 ResidualField field_of(const Camera& camera, const Eigen::Vector3d& rate_rad_s, const Eigen::Vector3d& velocity_m_s) {
   constexpr double kStepS = 1e-4;
   ResidualField field;
@@ -53,7 +53,7 @@ TEST(FitResidualRotation, FindsTheRateThatAFieldHasInCommon) {
   const Camera camera = wide_lens();
   const Eigen::Vector3d rate_rad_s(0.05, -0.03, 0.08), known_rad_s(1, -2, 0.5);
   ResidualField field = field_of(camera, rate_rad_s, Eigen::Vector3d::Zero());
-  auto rotation = fit_residual_rotation(field, kGrid, camera, turning(known_rad_s), kExposure);
+  auto rotation = fit_residual_rotation(field, kGrid, camera, rotating(known_rad_s), kExposure);
   ASSERT_TRUE(rotation);
   EXPECT_LT((rotation->rate_rad_s - rate_rad_s).norm(), 1e-5);
   EXPECT_LT((rotation->known_rad_s - known_rad_s).norm(), 1e-6);
@@ -64,15 +64,15 @@ TEST(FitResidualRotation, FindsTheRateThatAFieldHasInCommon) {
     if (i % kGrid.cols() < 3) field[i]->velocity_px_s += Eigen::Vector2d(300, 100);
     if (i % 5 == 0) field[i].reset();
   }
-  rotation = fit_residual_rotation(field, kGrid, camera, turning(known_rad_s), kExposure);
+  rotation = fit_residual_rotation(field, kGrid, camera, rotating(known_rad_s), kExposure);
   ASSERT_TRUE(rotation);
   EXPECT_LT((rotation->rate_rad_s - rate_rad_s).norm(), 2e-3);
 }
 
-TEST(FitResidualRotation, TellsTranslationBeforeAPlaneFromRotation) {
+TEST(FitResidualRotation, DistinguishesTranslationBeforeAPlaneFromRotation) {
   const Camera camera = wide_lens();
   const auto rotation = fit_residual_rotation(field_of(camera, Eigen::Vector3d::Zero(), {0.2, 0.1, 0.1}), kGrid, camera,
-                                              turning({0, 0, 0}), kExposure);
+                                              rotating({0, 0, 0}), kExposure);
   ASSERT_TRUE(rotation);
   EXPECT_LT(rotation->energy_less_translation_px2_s2, 1e-4 * rotation->energy_px2_s2);
   EXPECT_GT(rotation->energy_less_rotation_px2_s2, 100 * rotation->energy_less_translation_px2_s2);
@@ -81,14 +81,14 @@ TEST(FitResidualRotation, TellsTranslationBeforeAPlaneFromRotation) {
 TEST(FitResidualRotation, WantsHalfOfTheBlocksAndTheMotion) {
   const Camera camera = wide_lens();
   ResidualField field = field_of(camera, {0.05, 0, 0}, Eigen::Vector3d::Zero());
-  EXPECT_FALSE(fit_residual_rotation({}, kGrid, camera, turning({0, 0, 0}), kExposure));
-  EXPECT_FALSE(fit_residual_rotation(field, kGrid, camera, turning({0, 0, 0}),
+  EXPECT_FALSE(fit_residual_rotation({}, kGrid, camera, rotating({0, 0, 0}), kExposure));
+  EXPECT_FALSE(fit_residual_rotation(field, kGrid, camera, rotating({0, 0, 0}),
                                      RowExposure(9'000'000'000, 480, ShutterTiming{20'000'000, 0})));
   for (int i = 0; i < kGrid.size() / 2 + 1; ++i) field[i].reset();
-  EXPECT_FALSE(fit_residual_rotation(field, kGrid, camera, turning({0, 0, 0}), kExposure));
+  EXPECT_FALSE(fit_residual_rotation(field, kGrid, camera, rotating({0, 0, 0}), kExposure));
 }
 
-/// Residual rotations of a camera that turns to and fro, 20 a second, with the noise that they have.
+/// Residual rotations of a camera that rotates to and fro, 20 a second, with the noise that they have.
 class GyroErrorWatchTest : public testing::Test {
  protected:
   static Eigen::Vector3d known_rad_s(double t_s) {
@@ -134,12 +134,13 @@ TEST_F(GyroErrorWatchTest, FindsABias) {
 }
 
 TEST_F(GyroErrorWatchTest, FindsAWrongExtrinsic) {
-  const Eigen::Vector3d turn_rad(0.06, 0.08, -0.05);
-  add(8, [&](const Eigen::Vector3d& rate, const Eigen::Vector3d&) -> Eigen::Vector3d { return turn_rad.cross(rate); });
+  const Eigen::Vector3d rotation_rad(0.06, 0.08, -0.05);
+  add(8,
+      [&](const Eigen::Vector3d& rate, const Eigen::Vector3d&) -> Eigen::Vector3d { return rotation_rad.cross(rate); });
   const auto found = watch_.find();
   ASSERT_TRUE(found);
   EXPECT_EQ(found->kind, GyroError::Kind::EXTRINSIC);
-  EXPECT_LT((found->vector - turn_rad).norm(), 0.01);
+  EXPECT_LT((found->vector - rotation_rad).norm(), 0.01);
 }
 
 TEST_F(GyroErrorWatchTest, FindsAWrongTimeOffset) {
@@ -164,9 +165,9 @@ TEST_F(GyroErrorWatchTest, FindsNothingInNoiseOrInWhatDoesNotLast) {
 
 /// What is found of a simulated camera of 320x240 after six seconds.
 /// @param late_ns   stamps of the gyroscope, beyond what `time_offset` says
-/// @param turn_rad  by which the known rates have to be turned to be the camera's
+/// @param rotation_rad  by which the known rates have to be rotated to be the camera's
 std::optional<GyroError> found_in(const std::string& motion, const Eigen::Vector3d& bias_rad_s, TimeNs late_ns = 0,
-                                  const Eigen::Vector3d& turn_rad = Eigen::Vector3d::Zero()) {
+                                  const Eigen::Vector3d& rotation_rad = Eigen::Vector3d::Zero()) {
   sim::Simulator simulator(sim::parse_scene(YAML::Load(R"(
 frames: 120
 seed: 5
@@ -177,7 +178,7 @@ planes: [{size: [12, 9], position: [0, 0, 2], texture_size: [2400, 1800], textur
                                             "", "residual rotation"));
   std::vector<GyroSample> samples;
   for (const sim::ImuSample& s : simulator.imu()) samples.push_back({s.t_ns + late_ns, s.rate_rad_s + bias_rad_s});
-  const RotationTrack rotation(samples, GyroOptions{}, so3_exp(-turn_rad).toRotationMatrix());
+  const RotationTrack rotation(samples, GyroOptions{}, so3_exp(-rotation_rad).toRotationMatrix());
   ResidualFlow flow;
   const BlockGrid grid(320, 240, 32);
   GyroErrorWatch watch;
@@ -190,37 +191,37 @@ planes: [{size: [12, 9], position: [0, 0, 2], texture_size: [2400, 1800], textur
   return watch.find();
 }
 
-constexpr char kTurning[] =
+constexpr char kRotating[] =
     "motion: {type: spline, rotation: {sines: [{amplitude: [6, 8, 4], frequency: 1.3, phase: 20}]}}";
 
 TEST(GyroErrorOfImages, IsABiasThatNobodyTold) {
   const Eigen::Vector3d bias_rad_s(0.05, -0.05, 0.05);
-  const auto found = found_in(kTurning, bias_rad_s);
+  const auto found = found_in(kRotating, bias_rad_s);
   ASSERT_TRUE(found);
   EXPECT_EQ(found->kind, GyroError::Kind::BIAS);
   EXPECT_LT((found->vector - bias_rad_s).cwiseAbs().maxCoeff(), 0.01) << found->vector.transpose();
 }
 
 TEST(GyroErrorOfImages, IsAWrongTimeOffset) {
-  const auto found = found_in(kTurning, Eigen::Vector3d::Zero(), 15'000'000);
+  const auto found = found_in(kRotating, Eigen::Vector3d::Zero(), 15'000'000);
   ASSERT_TRUE(found);
   EXPECT_EQ(found->kind, GyroError::Kind::TIME_OFFSET);
   EXPECT_NEAR(found->time_offset_s, 0.015, 0.003);
 }
 
 TEST(GyroErrorOfImages, IsAWrongExtrinsic) {
-  // Rates about one axis would not tell a turn about that.
+  // Rates about one axis do not determine a rotation about it.
   const std::string motion = R"(
 motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}, {amplitude: [0, 8, 3], frequency: 0.9}]}}
 )";
-  const Eigen::Vector3d turn_rad(0.08, -0.1, 0.12);
-  const auto found = found_in(motion, Eigen::Vector3d::Zero(), 0, turn_rad);
+  const Eigen::Vector3d rotation_rad(0.08, -0.1, 0.12);
+  const auto found = found_in(motion, Eigen::Vector3d::Zero(), 0, rotation_rad);
   ASSERT_TRUE(found);
   EXPECT_EQ(found->kind, GyroError::Kind::EXTRINSIC);
-  EXPECT_LT((found->vector - turn_rad).norm(), 0.04) << found->vector.transpose();
+  EXPECT_LT((found->vector - rotation_rad).norm(), 0.04) << found->vector.transpose();
 }
 
-TEST(GyroErrorOfImages, IsNoneOfAGoodGyroscope) { EXPECT_FALSE(found_in(kTurning, Eigen::Vector3d::Zero())); }
+TEST(GyroErrorOfImages, IsNoneOfAGoodGyroscope) { EXPECT_FALSE(found_in(kRotating, Eigen::Vector3d::Zero())); }
 
 TEST(GyroErrorOfImages, IsNoneOfACameraThatMovesToAndFro) {
   EXPECT_FALSE(found_in(R"(

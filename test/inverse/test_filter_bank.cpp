@@ -50,7 +50,7 @@ TEST(BoxBlurKernel, WeighsEdgesByCoverage) {
 
 constexpr Path1d kSpeedsUp{-5, -4, -3, -2, 0, 3, 6, 10, 14};
 
-TEST(PathBlurKernel, OfAnEvenPathIsTheBox) {
+TEST(PathBlurKernel, OfAUniformPathIsTheBox) {
   for (const double extent : {3.0, 10.25, 27.0}) {
     Path1d path_px;
     for (int k = 0; k < kPathInstants; ++k) {
@@ -142,7 +142,7 @@ TEST(WienerKernel, IsTheBestOfItsLength) {
 }
 
 // Two ways to the same taps: a system in the box's steps, and Levinson's recursion. Places are exact as floats.
-TEST(WienerKernel, OfAnEvenPathIsThatOfItsBox) {
+TEST(WienerKernel, OfAUniformPathIsThatOfItsBox) {
   for (const double extent_px : {2.0, 5.25, 24.0, 96.25, 250.0}) {
     for (const double length_factor : {2.0, 4.0, 8.0}) {
       for (const double smoothing_px : {0.0, 1.5}) {
@@ -266,8 +266,8 @@ TEST(WienerKernel, JumpsWhereItSaysSo) {
     ASSERT_EQ(kernel.box_extent_px, extent_px);
     // The box ends on a tap; across it, less what the rest falls by on either side.
     const float* end = kernel.taps.data() + kernel.radius() + static_cast<int>(extent_px / 2);
-    const double step = end[-1] - end[1], beside = (end[-3] - end[-1] + end[1] - end[3]) / 2;
-    EXPECT_NEAR(step - beside, kernel.box_height, 0.2 * kernel.box_height) << extent_px;
+    const double step = end[-1] - end[1], slope = (end[-3] - end[-1] + end[1] - end[3]) / 2;
+    EXPECT_NEAR(step - slope, kernel.box_height, 0.2 * kernel.box_height) << extent_px;
   }
 }
 

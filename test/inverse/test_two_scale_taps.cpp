@@ -158,7 +158,7 @@ TEST_P(TwoScaleTapsTest, HaveAllTheirShapesAhead) {
 
 INSTANTIATE_TEST_SUITE_P(InstructionSets, TwoScaleTapsTest, testing::Values("baseline", "avx2", "avx512"));
 
-// What the spline between nodes of one sample makes of the weights is the kernel, turned round.
+// What the spline between nodes of one sample makes of the weights is the kernel, reversed.
 TEST(ShearedTaps, MakeTheKernelAgain) {
   const Path1d path_px{-35, -30, -24, -16, 0, 20, 45, 70, 90};
   LineKernel of_path = wiener_kernel(path_px, {});

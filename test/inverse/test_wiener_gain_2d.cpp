@@ -32,16 +32,16 @@ class WienerGain2dTest : public testing::TestWithParam<const char*> {
     const FourierPlan plan(size.width, 8), plan_down(size.height, 8);
     WienerGain2d gain(*simd_);
     gain.set(inverse, {plan.stages(), plan_down.stages()}, band_across, band_down);
-    std::vector<float> of_rows(2 * lanes_ * size.width), blurred_again(2 * lanes_ * size.width);
+    std::vector<float> of_rows(2 * lanes_ * size.width), of_reblur(2 * lanes_ * size.width);
     for (int row = 0; row < size.height / 2; row += lanes_) {
       gain.rows(row, of_rows.data());
-      gain.reblur_gain(row, blurred_again.data());
+      gain.reblur_gain(row, of_reblur.data());
       for (int u = 0; u < size.width; ++u) {
         const int place = plan.stages().places[u] * 2 * lanes_;
         const auto at = [&](const std::vector<float>& rows, int i) {
           return std::complex<double>(rows[place + i], rows[place + lanes_ + i]);
         };
-        for (int i = 0; i < lanes_; ++i) check(row + i, u, at(of_rows, i), at(blurred_again, i));
+        for (int i = 0; i < lanes_; ++i) check(row + i, u, at(of_rows, i), at(of_reblur, i));
       }
     }
   }

@@ -21,7 +21,7 @@ using test::rotation_distance;
 constexpr TimeNs kMs = 1'000'000;
 const Eigen::Matrix3d kIdentity = Eigen::Matrix3d::Identity();
 
-/// A proper rotation without symmetry, so that a transposed or permuted one is told apart.
+/// A proper rotation without symmetry, so that a transposed or permuted one is another.
 Eigen::Matrix3d some_rotation() {
   return (Eigen::AngleAxisd(0.7, Eigen::Vector3d::UnitX()) * Eigen::AngleAxisd(-1.9, Eigen::Vector3d::UnitY()) *
           Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitZ()))
@@ -73,7 +73,7 @@ TEST(RotationTrack, ConstantRateIsExactBetweenSamplesToo) {
   }
 }
 
-// Half-way between two samples a steady acceleration has turned by less than half of the angle.
+// Half-way between two samples a steady acceleration has rotated by less than half of the angle.
 TEST(RotationTrack, RateIsLinearBetweenSamples) {
   constexpr double kAcceleration = 100;  // [rad/s^2]
   std::vector<GyroSample> samples;
@@ -96,14 +96,14 @@ TEST(RotationTrack, FollowsAHandshake) {
 }
 
 TEST(RotationTrack, SceneMovesAgainstTheCamera) {
-  // Camera axes: x right, y down, z forward. Turning about +y looks right, so the scene moves left.
+  // Camera axes: x right, y down, z forward. Rotating about +y looks right, so the scene moves left.
   const auto straight_ahead = [](const Eigen::Vector3d& rate, TimeNs from, TimeNs to) -> Eigen::Vector3d {
     const RotationTrack track({{0, rate}, {10 * kMs, rate}}, {}, kIdentity);
     return track.rotation(from, to) * Eigen::Vector3d::UnitZ();
   };
   EXPECT_NEAR(straight_ahead({0, 1, 0}, 0, 10 * kMs).x(), -std::sin(0.01), 1e-12);
   EXPECT_NEAR(straight_ahead({0, 1, 0}, 10 * kMs, 0).x(), std::sin(0.01), 1e-12);
-  // Turning about +x looks up, so the scene moves down.
+  // Rotating about +x looks up, so the scene moves down.
   EXPECT_NEAR(straight_ahead({1, 0, 0}, 0, 10 * kMs).y(), std::sin(0.01), 1e-12);
 }
 
@@ -252,7 +252,7 @@ TEST(RotationTrack, SaturatedSampleReachesTheRangeOnOneAxis) {
   EXPECT_FALSE(is_saturated({0, Eigen::Vector3d::Constant(9)}, options));
 }
 
-TEST(RotationTrack, KnowsNothingBesideASaturatedSample) {
+TEST(RotationTrack, KnowsNothingNextToASaturatedSample) {
   const AnalyticMotion motion = AnalyticMotion::constant_rate({0.3, 1, -0.2});
   std::vector<GyroSample> samples = motion.sample({0, 200 * kMs}, 10 * kMs);
   GyroOptions options;
@@ -312,7 +312,7 @@ TEST(RequireRotation, ProjectsPrintedMatricesAndRefusesOthers) {
   EXPECT_NE(message.find("+1"), std::string::npos) << message;
 }
 
-/// Samples of an IMU in a hand that turns and shakes, and its velocity in the axes of the world.
+/// Samples of an IMU in a hand that rotates and shakes, and its velocity in the axes of the world.
 struct ShakenImu {
   static Eigen::Vector3d velocity_m_s(double t_s) {
     return {0.5 * std::sin(17 * t_s), 0.3 * std::cos(11 * t_s), 0.1 * t_s};

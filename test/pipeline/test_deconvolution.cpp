@@ -27,7 +27,7 @@ using test::random_image;
 
 double radians(double degrees) { return degrees * CV_PI / 180; }
 
-// Asymmetric, so that a kernel turned round, or the box, shows.
+// Asymmetric, so that a kernel reversed, or the box, shows.
 TEST(Deconvolve, FollowsAnNonuniformPathInItsDirection) {
   constexpr Path1d kPath{-6, -5.5f, -4.5f, -2.5f, 0, 3, 6.5f, 10.5f, 15};
   Path1d reversed;
@@ -64,7 +64,7 @@ FrameBlur field_along(cv::Size size, const Path2d& path_px) {
   return field;
 }
 
-TEST(Deconvolve, UndoesBentPaths) {
+TEST(Deconvolve, UndoesCurvedPaths) {
   const cv::Mat sharp = test::textured_image(256, 192, 3);
   const cv::Rect inner(48, 48, 160, 96);
   const FilterBank bank{FilterOptions{}};
@@ -96,7 +96,7 @@ TEST(Deconvolve, UndoesPathsInThePlanesOfAMosaic) {
   EXPECT_GT(test::psnr_db(plane, sharp), test::psnr_db(blurred, sharp) + 3);
 }
 
-TEST(Deconvolve, LeavesAllBlocksToAnEngineForThePlane) {
+TEST(Deconvolve, LeavesAllBlocksToA2dEngine) {
   const cv::Mat sharp = test::textured_image(256, 192, 3);
   const cv::Rect inner(48, 48, 160, 96);
   const FilterBank bank{FilterOptions{}};
@@ -189,7 +189,7 @@ Weighed weigh_and_deconvolve(const cv::Mat& blurred, FrameBlur field, std::optio
 }
 
 // In good light both rules are one.
-TEST(WeighNoise, GainsInLowLightWhereAFixedRatioLoses) {
+TEST(AdaptRegularization, GainsInLowLightWhereAFixedRatioLoses) {
   const cv::Mat scene = test::textured_image(400, 300, 11);
   const cv::Rect inner(32, 32, 336, 236);
   for (const double contrast : {1.0, 0.25}) {
@@ -214,8 +214,8 @@ TEST(WeighNoise, GainsInLowLightWhereAFixedRatioLoses) {
   }
 }
 
-// Along an axis the filter has the taps of its kernel; between two, interpolation smooths noise besides.
-TEST(WeighNoise, SaysWhatFilteringMakesOfNoise) {
+// Along an axis the filter has the taps of its kernel; between two, interpolation smooths noise in addition.
+TEST(AdaptRegularization, SaysWhatFilteringMakesOfNoise) {
   constexpr double kNoise = 3;
   const cv::Mat light = test::textured_image(400, 300, 11);
   for (const double extent_px : {6.0, 15.0, 30.0}) {
@@ -237,7 +237,7 @@ TEST(WeighNoise, SaysWhatFilteringMakesOfNoise) {
       if (weighed.blocks[i].status != BlockStatus::DEBLURRED || rect.x < 64 || rect.br().x > 336) continue;
       cv::Scalar mean, stddev;
       cv::meanStdDev(difference(rect), mean, stddev);
-      // Said is the whole inverse's, of which the taps are a part: a tenth more, beside the scatter of a block's noise.
+      // Said is the whole inverse's, of which the taps are a part: a tenth more, plus the scatter of a block's noise.
       const double said_over_seen = std::sqrt(weighed.blocks[i].noise_gain) * kNoise / stddev[0];
       EXPECT_GT(said_over_seen, 0.93) << extent_px << ' ' << i;
       EXPECT_LT(said_over_seen, 1.15) << extent_px << ' ' << i;
@@ -245,7 +245,7 @@ TEST(WeighNoise, SaysWhatFilteringMakesOfNoise) {
   }
 }
 
-TEST(WeighNoise, LeavesAloneWhatItWouldSpoilAndDoesNotGrainWhatIsFlat) {
+TEST(AdaptRegularization, PassesThroughWhatItWouldSpoilAndDoesNotGrainWhatIsFlat) {
   // Texture on the left, nothing on the right.
   cv::Mat light(256, 512, CV_64F, cv::Scalar(120));
   test::textured_image(256, 256, 3).convertTo(light.colRange(0, 256), CV_64F);
@@ -274,7 +274,7 @@ TEST(WeighNoise, LeavesAloneWhatItWouldSpoilAndDoesNotGrainWhatIsFlat) {
   }
 }
 
-TEST(WeighNoise, DoesNothingByOtherRulesOrWhereNoiseIsNotKnown) {
+TEST(AdaptRegularization, DoesNothingByOtherRulesOrWhereNoiseIsNotKnown) {
   const cv::Mat blurred = random_image(256, 192, CV_8UC1, 4);
   const FrameBlur field = uniform_blur_field(256, 192, 1, 12, {});
   const auto is_left = [&](std::optional<double> noise, Regularization rule) {
@@ -362,7 +362,7 @@ TEST(Deconvolve, CopiesWhatIsNotToBeDeblurred) {
   }
 }
 
-TEST(Deconvolve, CopiesAlphaAndFiltersColoursAlike) {
+TEST(Deconvolve, CopiesAlphaAndFiltersColoursAsGrey) {
   const FilterBank bank({});
   const auto engine = make_engine("float");
   const cv::Mat image = random_image(90, 70, CV_8UC4, 2);
@@ -459,7 +459,7 @@ TEST(Deconvolve, HandlesBayerBlocksAndTinyMosaics) {
 }
 
 // 16 bit and a short blur is slow on the cpu engine, also where the extent is halved on the planes of a mosaic.
-TEST(Deconvolve, TellsHowManyBlocksWereSlow) {
+TEST(Deconvolve, CountsBlocksLeftToTheFloatEngine) {
   const FilterBank bank({});
   const auto engine = make_engine("cpu", 1);
   cv::Mat dst;

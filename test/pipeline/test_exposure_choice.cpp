@@ -49,7 +49,7 @@ class Choice : public testing::Test {
   bool tells_ = true;
 };
 
-TEST_F(Choice, WhatIsNotKnownStaysSoUntilTheImagesTellIt) {
+TEST_F(Choice, WhatIsNotKnownStaysSoUntilItIsEstimated) {
   tells_ = false;
   EXPECT_EQ(images(2, 20 * kMs, {}).origin, ExposureOrigin::ASSUMED);
   tells_ = true;

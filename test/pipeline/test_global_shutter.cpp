@@ -126,7 +126,7 @@ TEST(PipelineGlobalShutter, IsTheDeblurredImageMoved) {
   EXPECT_EQ(cv::norm(alone.global_shutter, result.global_shutter, cv::NORM_INF), 0);
 }
 
-TEST(PipelineGlobalShutter, AGlobalShutterIsLeftAlone) {
+TEST(PipelineGlobalShutter, AGlobalShutterIsUnchanged) {
   const cv::Mat image = leaning_edge(CV_8U);
   const PipelineResult sharp = process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(0));
   EXPECT_EQ(sharp.global_shutter.data, image.data);

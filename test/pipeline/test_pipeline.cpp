@@ -72,7 +72,7 @@ TEST(Pipeline, DroppedFrameHasOnlyItsField) {
   const PipelineResult result =
       p.process(blurred_image(15), PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), request);
   EXPECT_GE(to_deblur, 18u) << "of 20";
-  EXPECT_EQ(result.field.count(BlockStatus::DEBLURRED), to_deblur) << "what could be deblurred is still told";
+  EXPECT_EQ(result.field.count(BlockStatus::DEBLURRED), to_deblur) << "what could be deblurred is still reported";
   EXPECT_TRUE(result.image.empty() && result.luminance.empty() && result.global_shutter.empty());
   EXPECT_TRUE(result.features.keypoints.empty());
   EXPECT_EQ(result.times.deconvolution_ms, 0);
@@ -134,19 +134,19 @@ TEST(Pipeline, SharpensABlurredFrame) {
   EXPECT_GT(result.times.keypoints_ms, 0);
 }
 
-TEST(Pipeline, LeavesBowsAloneInAHurry) {
+TEST(Pipeline, PassesCurvedBlocksThroughBehindTheCamerasRate) {
   PipelineOptions trusting = options();
   trusting.validation.rule = ValidationRule::NONE;
   Pipeline p(trusting);
   p.set_calibration(test::small_camera());
-  // Half a period within the exposure: a bow of 8 px.
-  test::Swing across, bow;
+  // Half a period within the exposure: an arc of 8 px.
+  test::Swing across, arc;
   across.axis = Eigen::Vector3d::UnitY();
   across.rate_rad_s = rate_for(25);
-  bow.axis = Eigen::Vector3d::UnitX();
-  bow.amplitude_rad = 8 / kFocalPx;
-  bow.frequency_hz = 0.5 / to_seconds(kExposureNs);
-  const test::AnalyticMotion motion(across, bow);
+  arc.axis = Eigen::Vector3d::UnitX();
+  arc.amplitude_rad = 8 / kFocalPx;
+  arc.frequency_hz = 0.5 / to_seconds(kExposureNs);
+  const test::AnalyticMotion motion(across, arc);
   const cv::Mat blurred = blurred_image(25);
   PipelineRequest request;
   const PipelineResult with_time = p.process(blurred, PixelLayout::GRAY, motion, global_shutter(), request);
@@ -154,16 +154,16 @@ TEST(Pipeline, LeavesBowsAloneInAHurry) {
   EXPECT_EQ(with_time.field.count(BlockStatus::TOO_CURVED), 0u);
   EXPECT_FALSE(with_time.image.empty());
   request.behind_camera_rate = true;
-  const PipelineResult hurried = p.process(blurred, PixelLayout::GRAY, motion, global_shutter(), request);
-  EXPECT_EQ(hurried.field.count(BlockStatus::TOO_CURVED), with_time.field.count(BlockStatus::DEBLURRED));
-  EXPECT_TRUE(hurried.image.empty());
-  // Lines are filtered as ever.
+  const PipelineResult overloaded = p.process(blurred, PixelLayout::GRAY, motion, global_shutter(), request);
+  EXPECT_EQ(overloaded.field.count(BlockStatus::TOO_CURVED), with_time.field.count(BlockStatus::DEBLURRED));
+  EXPECT_TRUE(overloaded.image.empty());
+  // Straight blur is filtered as ever.
   EXPECT_GE(p.process(blurred, PixelLayout::GRAY, pan(rate_for(25)), global_shutter(), request)
                 .field.count(BlockStatus::DEBLURRED),
             18u);
 }
 
-TEST(Pipeline, TellsTheNoise) {
+TEST(Pipeline, ReportsTheNoise) {
   PipelineOptions with_model = options();
   Pipeline p = pipeline();
   const auto noise = [&](const PipelineOptions& options, double added) {
@@ -181,7 +181,7 @@ TEST(Pipeline, TellsTheNoise) {
 }
 
 // The image has 16 bit, the luminance for keypoints 8.
-TEST(Pipeline, TellsHowManyBlocksWereSlow) {
+TEST(Pipeline, CountsBlocksLeftToTheFloatEngine) {
   PipelineOptions on_the_processor = options();
   on_the_processor.engine = "cpu";
   on_the_processor.validation.rule = ValidationRule::NONE;
@@ -652,19 +652,19 @@ TEST(Pipeline, KeepsItsStateWhenNewOptionsAreBad) {
   EXPECT_EQ(before.features.keypoints.size(), after.features.keypoints.size());
 }
 
-// A rectified image is that of an ideal camera, whatever it was turned by and whether or not its motion is known.
+// A rectified image is that of an ideal camera, whatever it was rotated by and whether or not its motion is known.
 TEST(Pipeline, NormalizedCoordinatesAreThoseOfTheRectifiedImage) {
-  CameraCalibration turned = test::small_camera();
-  turned.R_image_cam = Eigen::AngleAxisd(3.3 * M_PI / 180, Eigen::Vector3d(1, 2, 0.5).normalized()).toRotationMatrix();
+  CameraCalibration rotated = test::small_camera();
+  rotated.R_image_cam = Eigen::AngleAxisd(3.3 * M_PI / 180, Eigen::Vector3d(1, 2, 0.5).normalized()).toRotationMatrix();
   Pipeline p(options());
-  p.set_calibration(turned);
-  const PipelineResult passed = p.detect(sharp_image(), PixelLayout::GRAY, kStampNs, turned);
+  p.set_calibration(rotated);
+  const PipelineResult passed = p.detect(sharp_image(), PixelLayout::GRAY, kStampNs, rotated);
   const PipelineResult processed = p.process(sharp_image(), PixelLayout::GRAY, pan(0), global_shutter(), {});
   for (const PipelineResult* result : {&passed, &processed}) {
     ASSERT_GT(result->points.size(), 100u);
     for (std::size_t i = 0; i < result->points.size(); ++i) {
       const cv::Point2f& at = result->features.keypoints[i].pt;
-      const Eigen::Vector2d ideal((at.x - turned.cx_px) / kFocalPx, (at.y - turned.cy_px) / kFocalPx);
+      const Eigen::Vector2d ideal((at.x - rotated.cx_px) / kFocalPx, (at.y - rotated.cy_px) / kFocalPx);
       EXPECT_LT((result->points[i].normalized - ideal).norm() * kFocalPx, 1e-3) << "px, at " << at;
     }
   }

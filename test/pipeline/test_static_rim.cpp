@@ -16,7 +16,7 @@ namespace gyro_deblur::static_rim_test {
 namespace {
 
 constexpr int kWidthPx = 480, kHeightPx = 352, kRadiusPx = 220;
-constexpr double kFocalPx = 1500;  // so long that a turn moves all of the image alike
+constexpr double kFocalPx = 1500;  // so long that a rotation moves all of the image equally
 constexpr double kExtentPx = 12;
 constexpr TimeNs kExposureNs = 20'000'000, kPeriodNs = 50'000'000, kStartNs = 1'000'000'000;
 constexpr double kStepPx = kExtentPx * kPeriodNs / kExposureNs;
@@ -134,7 +134,7 @@ std::pair<Seen, Seen> process(const StaticPart& add, const PixelMask& mask, cons
 }
 
 /// What lies on the one side of a static edge, or on both, and has it within its filter's reach along the motion.
-cv::Mat beside_edge(const cv::Mat& used, bool static_side_alone) {
+cv::Mat along_edge(const cv::Mat& used, bool static_side_alone) {
   cv::Mat wide, narrow;
   const cv::Mat element = cv::getStructuringElement(cv::MORPH_RECT, {2 * 20 + 1, 1});
   cv::dilate(used, wide, element);
@@ -146,12 +146,12 @@ cv::Mat beside_edge(const cv::Mat& used, bool static_side_alone) {
 double ringing(const Seen& seen, const cv::Mat& used) {
   cv::Mat change;
   cv::absdiff(seen.input, seen.output(), change);
-  return cv::mean(change, beside_edge(used, true))[0];
+  return cv::mean(change, along_edge(used, true))[0];
 }
 
 std::size_t corners_at_edge(const cv::Mat& image, const cv::Mat& used) {
   std::vector<cv::Point2f> corners;
-  cv::goodFeaturesToTrack(image, corners, 2000, 0.01, 5, beside_edge(used, false));
+  cv::goodFeaturesToTrack(image, corners, 2000, 0.01, 5, along_edge(used, false));
   return corners.size();
 }
 
@@ -163,7 +163,7 @@ struct Case {
 
 std::vector<Case> cases() { return {{"rim", add_rim, round_window()}, {"bumper", add_bumper, above_bumper()}}; }
 
-TEST(StaticRim, IsFoundAndLeftAloneWithoutAMask) {
+TEST(StaticRim, IsFoundAndPassedThroughWithoutAMask) {
   for (const Case& each : cases()) {
     SCOPED_TRACE(each.name);
     PipelineOptions trusting = options();
@@ -228,7 +228,7 @@ TEST(StaticRim, NothingIsDescribedOrFollowedInTheMask) {
     EXPECT_EQ(inside(masked), 0);
     EXPECT_GT(masked.result.features.keypoints.size(), 100u);
     if (each.used.at<uchar>(bumper_px().y + 20, 200) == 0) {
-      EXPECT_GT(inside(unmasked), 5) << "the test would not tell";
+      EXPECT_GT(inside(unmasked), 5) << "the test would show nothing";
     }
 
     for (const bool with_mask : {true, false}) {
@@ -248,7 +248,7 @@ TEST(StaticRim, NothingIsDescribedOrFollowedInTheMask) {
   }
 }
 
-TEST(StaticRim, MaskedCornersDoNotTellTheMotion) {
+TEST(StaticRim, MaskedCornersDoNotMeasureTheMotion) {
   const PixelMask mask(above_bumper());
   BlurFieldOptions blocks;
   const BlockGrid grid(kWidthPx, kHeightPx, blocks.block_size_px);

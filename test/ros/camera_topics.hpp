@@ -54,7 +54,7 @@ class Mailbox {
   std::condition_variable changed_;
 };
 
-/// For conditions of ROS's graph, which tells nobody when it changes.
+/// For conditions of ROS's graph, which notifies nobody when it changes.
 inline bool poll_until(const std::function<bool()>& condition) {
   const auto deadline = std::chrono::steady_clock::now() + kDeadline;
   while (!condition()) {

@@ -1,4 +1,4 @@
-// Messages of a small camera and an IMU that turns at a constant rate.
+// Messages of a small camera and an IMU that rotates at a constant rate.
 #pragma once
 
 #include <algorithm>
@@ -24,7 +24,7 @@ constexpr int kWidth = 192, kHeight = 128;
 constexpr double kFocalPx = 200;
 constexpr TimeNs kExposure = 30 * kMs;
 constexpr TimeNs kReadout = 20 * kMs;
-/// Turns fast enough for a blur of about 9 px.
+/// Rotates fast enough for a blur of about 9 px.
 constexpr double kFastRadS = 1.5;
 constexpr char kCameraFrame[] = "camera", kImuFrame[] = "imu";
 
@@ -40,7 +40,7 @@ inline cv::Mat texture(int type = CV_8UC1, int width = kWidth, int height = kHei
   return image;
 }
 
-/// The noise of a sensor: no two pictures are alike, although they show the same. One grey level, in the first row.
+/// The noise of a sensor: no two pictures are equal, although they show the same. One grey level, in the first row.
 inline void add_sensor_noise(TimeNs stamp_ns, cv::Mat* image) {
   cv::RNG rng(static_cast<std::uint64_t>(stamp_ns));
   cv::Mat noise(1, image->cols, image->type());

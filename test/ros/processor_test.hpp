@@ -1,4 +1,4 @@
-// A processor on a clock of its own, with messages of a small camera that turns.
+// A processor on a clock of its own, with messages of a small camera that rotates.
 #pragma once
 
 #include <new>

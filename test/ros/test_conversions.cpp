@@ -397,7 +397,7 @@ TEST(Markers, LieOnTheRaysOfTheSegmentsInTheOverlaysColours) {
 TEST(Extrinsic, TakesImuToCameraCoordinates) {
   tf2::BufferCore buffer;
   EXPECT_FALSE(lookup_R_cam_imu(buffer, "camera", "imu"));
-  geometry_msgs::TransformStamped transform;  // pose of the camera in the IMU's frame: a quarter turn about z
+  geometry_msgs::TransformStamped transform;  // pose of the camera in the IMU's frame: 90 degrees about z
   transform.header.frame_id = "imu";
   transform.child_frame_id = "camera";
   transform.transform.rotation.z = transform.transform.rotation.w = std::sqrt(0.5);
@@ -544,7 +544,7 @@ TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
 }
 
 // Names and values of the enumerations are those of the message, so that nodes may cast.
-TEST(Names, OfVerdictsAgreeWithTheMessage) {
+TEST(Names, OfGradesAgreeWithTheMessage) {
   std::ifstream file(GYRO_DEBLUR_SOURCE_DIR "/msg/ImageQuality.msg");
   ASSERT_TRUE(file);
   const std::regex constant(R"(^uint8 ([A-Z_]+)=(\d+).*)");

@@ -105,7 +105,7 @@ TEST_F(DiagnosticReportTest, KeypointsThatCannotBeFoundAreAnError) {
   EXPECT_EQ(level_, DiagnosticStatus::OK);
 }
 
-TEST_F(DiagnosticReportTest, VerdictsAndScoresAreThoseOfThePeriod) {
+TEST_F(DiagnosticReportTest, GradesAndScoresAreThoseOfThePeriod) {
   auto values = fill();
   EXPECT_EQ(values.count("score of images, mean"), 0u);
   EXPECT_EQ(values.count("images dropped, POOR"), 0u);

@@ -93,7 +93,7 @@ TEST(ExposureAdapter, ReadsEveryUnit) {
   }
 }
 
-TEST(ExposureAdapter, FindsTheStampBesideANestedField) {
+TEST(ExposureAdapter, FindsTheStampNextToANestedField) {
   const Bytes bytes = Bytes()
                           .add<std::uint32_t>(2)
                           .add<std::uint32_t>(99)

@@ -39,7 +39,7 @@ TEST(FrameQueue, OldestBeyondTheCapacityAreSettledAndStillLeave) {
   }
 }
 
-TEST(FrameQueue, SettlingKeepsEarlierVerdicts) {
+TEST(FrameQueue, PassingThroughKeepsEarlierReasons) {
   FrameQueue queue(2);
   PendingFrame bad = frame(1);
   bad.pass_through(PassThroughReason::BAD_IMAGE, "empty");
@@ -59,7 +59,7 @@ TEST(FrameQueue, FramePutBackIsTheForemostAgain) {
   EXPECT_EQ(queue.pop().stamp_ns, 2);
 }
 
-TEST(FrameQueue, SettledFramesNeedNoRoom) {
+TEST(FrameQueue, PassedThroughFramesNeedNoMemory) {
   FrameQueue queue(1);
   PendingFrame bad = frame(1);
   bad.pass_through(PassThroughReason::BAD_IMAGE, "empty");

@@ -585,7 +585,7 @@ TEST_F(FrameSynchronizerTest, UncalibratedCameraInfoContradictsNoFile) {
   EXPECT_EQ(outputs_[1].field->readout_ns, kReadout / 2) << "its region applies";
 }
 
-TEST_F(FrameSynchronizerTest, UncalibratedCameraInfoWithoutAFileIsToldWithTheRemedies) {
+TEST_F(FrameSynchronizerTest, UncalibratedCameraInfoWithoutAFileIsReportedWithTheRemedies) {
   add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
   processor_.add_image(image_message(kStart));
   processor_.add_camera_info(uncalibrated_info(kStart));
@@ -613,7 +613,7 @@ TEST_F(FrameSynchronizerTest, CameraInfoWithoutAStampServesAllImages) {
   EXPECT_TRUE(processor_.statistics().input_problems.at("camera_info stamp").active);
   EXPECT_EQ(processor_.statistics().time_jumps, 0u);
   add_frame(now_ns_ + 33 * kMs);
-  EXPECT_FALSE(processor_.statistics().input_problems.at("camera_info stamp").active) << "the driver has been mended";
+  EXPECT_FALSE(processor_.statistics().input_problems.at("camera_info stamp").active) << "the driver has been repaired";
 }
 
 TEST_F(FrameSynchronizerTest, NewestCameraInfoWithoutAStampHolds) {

@@ -122,7 +122,7 @@ TEST_F(GyroSourceTest, CapacityGrowsToWhatIsRequired) {
   expect_range(reader, kStart + 1700 * kMs, kStart + 2 * kSecond);
 }
 
-TEST_F(GyroSourceTest, TellsWhetherAMessageIsOfUse) {
+TEST_F(GyroSourceTest, ReturnsWhetherAMessageIsOfUse) {
   int good = 0;
   EXPECT_TRUE(source_->add(imu_message(kStart, 1)));
   EXPECT_FALSE(source_->add(imu_message(kStart + kMs, std::numeric_limits<double>::quiet_NaN())));
@@ -182,7 +182,7 @@ TEST_F(GyroSourceTest, AStampAheadCostsThatSampleAloneAtAnyRate) {
         if (static_cast<double>(ahead_ns) >= (1 + 2 * jitter) * static_cast<double>(period_ns)) {
           ASSERT_EQ(wrong, 0);
           ASSERT_EQ(samples.size(), static_cast<std::size_t>(count - 1));
-        } else {  // it may still come before the next one, and nobody can tell it from a right one
+        } else {  // it may still come before the next one, and looks like a right one
           ASSERT_GE(samples.size() - static_cast<std::size_t>(wrong), static_cast<std::size_t>(count - 2));
         }
         ASSERT_EQ(statistics.imu_stray + statistics.imu_duplicate + statistics.imu_out_of_order,

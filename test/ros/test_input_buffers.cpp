@@ -55,7 +55,7 @@ TEST_F(InputBuffersTest, FullQueuePassesTheOldestThroughAndLosesNothing) {
   EXPECT_EQ(processor_.statistics().passed_through.at(PassThroughReason::OVERLOAD), 2u);
 }
 
-TEST_F(InputBuffersTest, UnusableImagesPassAtOnceInTheirTurn) {
+TEST_F(InputBuffersTest, UnusableImagesPassAtOnceInOrder) {
   constexpr TimeNs kPeriod = 33 * kMs;
   add_imu(kStart - 50 * kMs, kStart + 10 * kMs);
   add_frame(kStart);
@@ -123,7 +123,7 @@ TEST_F(InputBuffersTest, StrayImuStampsAreDroppedAndChangeNothing) {
               kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
   EXPECT_EQ(processor_.statistics().imu_stray, 5u);
   EXPECT_EQ(processor_.statistics().time_jumps, 0u);
-  EXPECT_EQ(logged("far from those around it"), 1u) << "throttled";
+  EXPECT_EQ(logged("far from those of the samples around it"), 1u) << "throttled";
 }
 
 TEST_F(InputBuffersTest, AStampAheadOfAFastImuIsDroppedAndChangesNothing) {
@@ -169,7 +169,7 @@ TEST_F(InputBuffersTest, StrayImageStampIsNoJump) {
   EXPECT_EQ(processor_.statistics().time_jumps, 0u);
 }
 
-TEST_F(InputBuffersTest, ImageWithoutAStampPassesInItsTurnAndChangesNothing) {
+TEST_F(InputBuffersTest, ImageWithoutAStampPassesInOrderAndChangesNothing) {
   constexpr int kFrames = 40;
   constexpr TimeNs kPeriod = 50 * kMs;
   config_.pipeline.optical_flow = true;

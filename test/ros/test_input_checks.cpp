@@ -59,7 +59,7 @@ class InputChecksTest : public ProcessorTest {
   }
 };
 
-TEST_F(InputChecksTest, WhatOfACalibrationFileIsNotUnderstoodIsAProblemUntilItIsMended) {
+TEST_F(InputChecksTest, WhatOfACalibrationFileIsNotUnderstoodIsAProblemUntilItIsCorrected) {
   config_.calibration.emplace();
   config_.calibration->notes = {"/a.yaml: cam0.line_delay is not known", "/a.yaml: cam0.T_camera_imu is not known"};
   configure();
@@ -84,7 +84,7 @@ TEST_F(InputChecksTest, ExposureAboveTheFramePeriodIsRefusedByValue) {
                         "unit right?");
   expect_problem("exposure", {"0.2 s", "frame period 0.05 s", "unit"});
   play(40, 45, [this](int, TimeNs stamp_ns) { processor_.add_exposure(exposure_message(stamp_ns, 20 * kMs)); });
-  EXPECT_EQ(problem("exposure"), "") << "mended";
+  EXPECT_EQ(problem("exposure"), "") << "corrected";
   expect_deblurred(outputs_.size() - 1);
 }
 
@@ -188,15 +188,15 @@ TEST_F(InputChecksTest, SettingOfZeroIsNotKnown) {
 
 // --- what never comes ---
 
-/// The simulated clock stands: only the steady one tells time.
-class StandingClockTest : public InputChecksTest {
+/// The simulated clock stands: only the steady one goes on.
+class StoppedClockTest : public InputChecksTest {
  protected:
   void pass_steady(TimeNs duration_ns) {
     for (TimeNs end_ns = steady_ns_ + duration_ns; steady_ns_ < end_ns; steady_ns_ += 20 * kMs) advance();
   }
 };
 
-TEST_F(StandingClockTest, NoExposureTimeIsToldWithinASecond) {
+TEST_F(StoppedClockTest, NoExposureTimeIsReportedWithinASecond) {
   exposure_expected_ = true;
   config_.shutter.exposure_ns = 0;
   configure();
@@ -213,7 +213,7 @@ TEST_F(StandingClockTest, NoExposureTimeIsToldWithinASecond) {
   expect_deblurred(0);
 }
 
-TEST_F(StandingClockTest, NoCameraInfoNoImuAndNoExtrinsicAreToldWithinASecond) {
+TEST_F(StoppedClockTest, NoCameraInfoNoImuAndNoExtrinsicAreReportedWithinASecond) {
   config_.R_cam_imu.reset();
   configure();
   processor_.add_image(image_message(kStart));
@@ -241,13 +241,14 @@ TEST_F(InputChecksTest, WhereEverythingComesNothingIsReported) {
 
 // --- IMU ---
 
-TEST_F(InputChecksTest, SlowImuIsToldByItsPeriod) {
+TEST_F(InputChecksTest, SlowImuIsReportedByItsPeriod) {
   constexpr TimeNs kSlow = 100 * kMs;
   for (TimeNs t_ns = kStart - kSlow; t_ns <= kStart + 2 * kSecond; t_ns += kSlow) {
     processor_.add_imu(imu_message(t_ns, kFastRadS));
   }
   expect_problem("imu rate", {"every 0.1 s", "max_gyro_gap is 0.05 s", "100 Hz"});
-  EXPECT_EQ(logged("far from those around it"), logged("imu sample dropped")) << "only before it is known";
+  EXPECT_EQ(logged("far from those of the samples around it"), logged("imu sample dropped"))
+      << "only before it is known";
   EXPECT_LE(processor_.statistics().imu_stray, 6u);
   add_frame(kStart + kSecond);
   advance();
@@ -275,7 +276,7 @@ TEST_F(InputChecksTest, AFewWrongRatesAreNoUnit) {
   EXPECT_TRUE(processor_.statistics().input_problems.empty());
 }
 
-TEST_F(InputChecksTest, ImuWithoutRatesIsToldAtOnce) {
+TEST_F(InputChecksTest, ImuWithoutRatesIsReportedAtOnce) {
   sensor_msgs::Imu imu = imu_message(kStart, 0);
   imu.angular_velocity_covariance[0] = -1;
   processor_.add_imu(imu);
@@ -288,7 +289,7 @@ TEST_F(InputChecksTest, ImuWithoutRatesIsToldAtOnce) {
 
 constexpr TimeNs kYears = 50LL * 365 * 24 * 3600 * kSecond;
 
-TEST_F(InputChecksTest, ClocksYearsApartAreToldWithTheOffsetAndWorkWithIt) {
+TEST_F(InputChecksTest, ClocksYearsApartAreReportedWithTheOffsetAndWorkWithIt) {
   const auto play_apart = [this](int from, int to) {
     for (int i = from; i < to; ++i) {
       const TimeNs stamp_ns = kStart + i * kPeriod;

@@ -50,8 +50,8 @@
 #include "message_builders.hpp"
 #include "ros/messages.hpp"
 #include "ros/pass_through.hpp"
+#include "rotating_camera.hpp"
 #include "run_program.hpp"
-#include "turning_camera.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -587,7 +587,7 @@ auto value_of(const List& list, const std::string& key) {
   return found->value;
 }
 
-TEST_F(NodeletTest, BadParameterPassesFramesThroughUntilItIsMended) {
+TEST_F(NodeletTest, BadParameterPassesFramesThroughUntilItIsCorrected) {
   set("noise_to_signal_ratio", -1.0);
   start();
   EXPECT_TRUE(wait_for_log("noise_to_signal_ratio = -1"));
@@ -713,7 +713,7 @@ TEST_F(NodeletTest, CompressedImagesThatCannotBeDecodedAreLeftOutAndCounted) {
 struct InfoHabit {
   const char* name;
   std::function<void(sensor_msgs::CameraInfo*)> change;
-  const char* log;  ///< that is told of it; null: nothing
+  const char* log;  ///< line that reports it; null: none
   bool latched = false, with_file = false;
 };
 
@@ -725,7 +725,7 @@ TEST_F(NodeletTest, CameraInfoOfEveryHabitServes) {
                       << "]\n  distortion_model: none\n  distortion_coeffs: []\n  resolution: [" << kWidth << ", "
                       << kHeight << "]\n";
   const InfoHabit habits[] = {
-      {"not calibrated, beside a file",
+      {"not calibrated, with a file",
        [](sensor_msgs::CameraInfo* info) {
          info->K.fill(0);
          info->P.fill(0);
@@ -775,7 +775,7 @@ TEST_F(NodeletTest, CameraInfoOfEveryHabitServes) {
   std::filesystem::remove(file);
 }
 
-TEST_F(NodeletTest, ImagesWithoutAStampPassInTheirTurn) {
+TEST_F(NodeletTest, ImagesWithoutAStampPassInOrder) {
   set("drop_poor", true);
   start();
   Diagnostics diagnostics(name_, &mailbox_);
@@ -948,7 +948,7 @@ void PrintTo(const DriverCase& driver, std::ostream* stream) { *stream << driver
 
 class DriverExposureTest : public NodeletTest, public testing::WithParamInterface<DriverCase> {};
 
-TEST_P(DriverExposureTest, DrivesTheNodeletAndTheBagToolAlike) {
+TEST_P(DriverExposureTest, DrivesTheNodeletAndTheBagToolInTheSameWay) {
   const DriverCase& driver = GetParam();
   set("exposure_time", 0.0);  // without the driver's there is none
   set("exposure_source", driver.source);
@@ -1023,7 +1023,7 @@ INSTANTIATE_TEST_SUITE_P(
                                  return metadata(stamp_ns, "{\"frame_number\":12,\"actual_exposure\":" +
                                                                std::to_string(exposure_us) + ",\"gain_level\":16}");
                                }},
-                    DriverCase{"FieldBesideAHeader", "field_us", "shutter[0]", "image_exposure_msgs/ExposureSequence",
+                    DriverCase{"FieldNextToAHeader", "field_us", "shutter[0]", "image_exposure_msgs/ExposureSequence",
                                "81d98e1e20eab8beb4bd07beeba6a398", kSequence,
                                [](TimeNs stamp_ns, std::uint32_t exposure_us) {
                                  return Bytes()
@@ -1048,7 +1048,7 @@ TEST_F(NodeletTest, NoExposureTime) {
   expect_identical(0, *input);
 }
 
-TEST_F(NodeletTest, InputsThatDoNotComeAreToldBeforeFramesLeave) {
+TEST_F(NodeletTest, InputsThatDoNotComeAreReportedBeforeFramesArePublished) {
   set("exposure_time", 0.0);
   start();
   Diagnostics diagnostics(name_, &mailbox_);
@@ -1378,14 +1378,14 @@ class UnknownCalibrationTest : public NodeletTest {
  protected:
   UnknownCalibrationTest() {
     for (const char* key : {"R_cam_imu", "readout_time"}) nh_.deleteParam(name_ + "/" + key);
-    set("exposure_time", to_seconds(TurningCamera::kShownFor));
+    set("exposure_time", to_seconds(RotatingCamera::kShownFor));
     // Images that wait for a transform leave one after the other.
     set("input_timeout", 0.02);
   }
 
   /// Plays images until the condition holds.
   bool play_until(const std::function<bool()>& condition) {
-    for (int i = 0; i < TurningCamera::kFrames; ++i) {
+    for (int i = 0; i < RotatingCamera::kFrames; ++i) {
       for (const sensor_msgs::Imu& imu : camera_.samples_before(i)) imu_publisher_.publish(imu);
       info_publisher_.publish(camera_.info(i));
       image_publisher_.publish(camera_.image(i));
@@ -1395,7 +1395,7 @@ class UnknownCalibrationTest : public NodeletTest {
     return mailbox_.wait(condition);
   }
 
-  TurningCamera camera_;
+  RotatingCamera camera_;
 };
 
 TEST_F(UnknownCalibrationTest, RotationIsFoundAndUsed) {
@@ -1406,7 +1406,7 @@ TEST_F(UnknownCalibrationTest, RotationIsFoundAndUsed) {
     expect_reason(0, PassThroughReason::NO_EXTRINSIC);
     EXPECT_NE(fields_[0]->reason_text.find("not estimated from images yet"), std::string::npos)
         << fields_[0]->reason_text;
-    EXPECT_GT(fields_.size(), 2 * TurningCamera::kFramesPerS) << "it takes two seconds of motion";
+    EXPECT_GT(fields_.size(), 2 * RotatingCamera::kFramesPerS) << "it takes two seconds of motion";
   });
   EXPECT_TRUE(mailbox_.wait([&] { return diagnostics.values["R_cam_imu"].find("by the images") != std::string::npos; }))
       << diagnostics.values["R_cam_imu"];

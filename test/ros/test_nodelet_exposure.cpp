@@ -27,7 +27,7 @@ namespace {
 using namespace test;
 
 constexpr int kPictures = 70;  // 3.5 s; a contradiction is reported after 2
-constexpr double kHaste = 2;   // blur of 10 to 20 px
+constexpr double kSpeed = 2;   // blur of 10 to 20 px
 
 class NodeletExposureTest : public CameraTopicsTest {
  protected:
@@ -113,7 +113,7 @@ class NodeletExposureTest : public CameraTopicsTest {
     });
   }
 
-  const HandheldCamera camera_{kPictures, kHaste};
+  const HandheldCamera camera_{kPictures, kSpeed};
   const std::vector<sim::ImuSample> imu_ = camera_.simulator().imu();
   std::size_t sample_ = 0;
   Mailbox mailbox_;
@@ -139,7 +139,7 @@ TEST_F(NodeletExposureTest, ImagesAreDeblurredAfterMotionWithNoExposureTimeAnywh
     EXPECT_NEAR(fields_[i]->exposure_time.toSec(), 0.02, 0.03 * 0.02);
     deblurred += images_[i]->data != inputs_[i]->data;
   }
-  EXPECT_GE(deblurred, 8) << "it is nearly at rest where it turns back";
+  EXPECT_GE(deblurred, 8) << "it is nearly at rest where it reverses";
   EXPECT_TRUE(wait_for(log_, "estimated from the blur of the images"));
   EXPECT_TRUE(wait_for(diagnostics_, "exposure time, from = images"));
   EXPECT_TRUE(loader_.unload(name_));
@@ -151,7 +151,7 @@ TEST_F(NodeletExposureTest, AWrongParameterIsNamedWithBothValues) {
   ASSERT_NO_FATAL_FAILURE(play(0, kPictures));
   const std::string text = "times what exposure_time says: 0.0125 s by exposure_time, 0.0";
   EXPECT_TRUE(wait_for(log_, text));
-  // The log has what the images say beside the wrong value, the diagnostics what they say since it is replaced.
+  // The log has what the images say next to the wrong value, the diagnostics what they say since it is replaced.
   const auto names_the_ratio = [&text](const std::string& line) {
     const std::string before = "blur is ";
     const std::size_t ratio = line.find(before);

@@ -198,7 +198,7 @@ TEST_F(NodeletFaultTest, UnloadedDuringWorkItLetsOutWhatHasComeIn) {
   }
 }
 
-/// Holds up the thread that logs a line, and with it whatever it does, until it is told to let it go.
+/// Holds up the thread that logs a line, and with it whatever it does, until it is released.
 class LogGate : public ros::console::LogAppender {
  public:
   explicit LogGate(std::string part) : part_(std::move(part)) { ros::console::register_appender(this); }
@@ -430,7 +430,7 @@ TEST_F(StereoTest, TimeJumpOfTheImuIsOneForEachCamera) {
   }
 }
 
-/// Which images left with other pixels than they came with, and how many pairs are not alike in that.
+/// Which images left with other pixels than they came with, and in how many pairs only one image did.
 class StereoPairTest : public StereoTest {
  protected:
   void publish(std::size_t i, TimeNs stamp_ns, const cv::Mat& pixels) {
@@ -560,7 +560,8 @@ TEST_F(StereoPairTest, BadImageTakesItsPartnerAlongWhereBothDropThem) {
       EXPECT_NE(text.find("/image_raw is POOR"), std::string::npos) << text;
     }
   }
-  EXPECT_EQ(cameras_[0].fields[1]->status[0], BlurField::REJECTED) << "its partner keeps it from being deblurred";
+  EXPECT_EQ(cameras_[0].fields[1]->status[0], BlurField::REJECTED)
+      << "its stereo partner keeps it from being deblurred";
   for (const std::size_t i : {0u, 1u}) {
     unload(i);
     EXPECT_EQ(cameras_[i].images.size(), 1u);

@@ -24,7 +24,7 @@ Store store_of(std::initializer_list<int> values, TimeNs begin_ns = 0) {
 
 const int* between(const Store& store, TimeNs index) { return store.find_if_neighbours_agree(index * kPeriod); }
 
-TEST(PerImageMessages, OneThatIsLostIsThatOfAlikeNeighbours) {
+TEST(PerImageMessages, OneThatIsLostIsThatOfNeighboursThatAgree) {
   EXPECT_EQ(between(store_of({7, -1}), 1), nullptr) << "none has come after it";
   ASSERT_NE(between(store_of({7, -1, 7}), 1), nullptr);
   EXPECT_EQ(*between(store_of({7, -1, 7}), 1), 7);

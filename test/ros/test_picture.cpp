@@ -18,7 +18,7 @@ constexpr TimeNs kStampNs = 100 * kSecond;
 
 sensor_msgs::ImagePtr copy_of(const sensor_msgs::Image& image) { return boost::make_shared<sensor_msgs::Image>(image); }
 
-TEST(ShowSamePixels, TellsEveryByteOfEveryEncoding) {
+TEST(ShowSamePixels, ComparesEveryByteOfEveryEncoding) {
   for (const char* encoding : {"mono8", "mono16", "bgr8", "rgba8", "bgr16", "bayer_rggb8", "8UC1"}) {
     const sensor_msgs::ImagePtr image = image_message(kStampNs, encoding);
     EXPECT_TRUE(show_same_pixels(*image, *copy_of(*image))) << encoding;

@@ -59,7 +59,7 @@ class FrontEnd:
             connection.unregister()
 
 
-class PlayThrough(unittest.TestCase):
+class PlayBag(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         folder = tempfile.TemporaryDirectory()
@@ -83,7 +83,7 @@ class PlayThrough(unittest.TestCase):
         cls.addClassCleanup(master.wait)
         cls.addClassCleanup(master.send_signal, signal.SIGINT)
         deadline = time.monotonic() + DEADLINE_S
-        while time.monotonic() < deadline:  # nobody tells when it is there
+        while time.monotonic() < deadline:  # there is no notice of when it is there
             try:
                 rosgraph.Master("/test").setParam("/use_sim_time", True)
                 break

@@ -18,7 +18,7 @@ from sensor_msgs.msg import CompressedImage
 
 LAUNCH_FILE, SIMULATE_BAG = sys.argv[1:3]
 FRAMES = 20
-IMAGE = "rgb/image_rect_color"  # in /camera, where its driver has camera_info beside it
+IMAGE = "rgb/image_rect_color"  # in /camera, where its driver has camera_info too
 DEBLURRED = "/camera/deblurred/image_raw"
 FIELD = "/camera/blur_field"
 SCENE = """

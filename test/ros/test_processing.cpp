@@ -41,8 +41,8 @@ TEST_F(ProcessingTest, RefusedFrameLeavesAsItCameAndIsStillTracked) {
   expect_deblurred(1);
 }
 
-/// Three frames 200 ms apart. Within the second the camera turns, 24 px there and back, so that all show the same.
-class DropBadTest : public ProcessingTest {
+/// Three frames 200 ms apart. Within the second the camera rotates, 24 px there and back, so that all show the same.
+class DropPoorTest : public ProcessingTest {
  protected:
   void run() {
     config_.pipeline.blur_field.max_extent_px = 5;  // nothing is undone
@@ -50,8 +50,8 @@ class DropBadTest : public ProcessingTest {
     request_ = {true, true, true, true, true, true, true};
     for (TimeNs t_ns = kStart - 50 * kMs; t_ns <= kStart + 500 * kMs; t_ns += kImuPeriod) {
       const TimeNs since_ns = t_ns - kSecondFrame;
-      const bool turns = since_ns > 0 && since_ns <= 50 * kMs;
-      processor_.add_imu(imu_message(t_ns, !turns ? 0 : since_ns <= 25 * kMs ? 5 : -5));
+      const bool rotates = since_ns > 0 && since_ns <= 50 * kMs;
+      processor_.add_imu(imu_message(t_ns, !rotates ? 0 : since_ns <= 25 * kMs ? 5 : -5));
     }
     for (const TimeNs stamp_ns : {kStart, kSecondFrame, kStart + 400 * kMs}) add_frame(stamp_ns);
     advance();
@@ -65,24 +65,24 @@ class DropBadTest : public ProcessingTest {
   static constexpr TimeNs kSecondFrame = kStart + 200 * kMs;
 };
 
-TEST_F(DropBadTest, BadFrameIsKeptFromLeavingAndCounted) {
+TEST_F(DropPoorTest, PoorFrameIsNotPublishedButCounted) {
   config_.drop_poor = true;
   ASSERT_NO_FATAL_FAILURE(run());
-  const FrameOutput& bad = outputs_[1];
-  EXPECT_TRUE(bad.dropped && !outputs_[0].dropped && !outputs_[2].dropped);
-  EXPECT_EQ(bad.image, nullptr);
-  EXPECT_EQ(bad.camera_info, nullptr);
-  EXPECT_EQ(bad.keypoints, nullptr);
-  EXPECT_EQ(bad.tracks, nullptr);
-  EXPECT_EQ(bad.global_shutter, nullptr);
-  EXPECT_EQ(bad.global_shutter_info, nullptr);
-  EXPECT_STREQ(to_string(bad.reason), "NONE");
-  EXPECT_EQ(bad.blur_field->status, std::vector<std::uint8_t>(bad.field->blocks.size(), BlurField::TOO_LARGE));
-  EXPECT_EQ(bad.blur_field->reason_text.rfind("drop_poor: POOR, with a score of 0.", 0), 0u) << bad.reason_text;
-  EXPECT_EQ(bad.quality->header.stamp, bad.input->header.stamp);
-  EXPECT_NE(bad.trust_mask, nullptr);
-  EXPECT_NE(bad.overlay, nullptr);
-  EXPECT_NE(bad.markers, nullptr);
+  const FrameOutput& poor = outputs_[1];
+  EXPECT_TRUE(poor.dropped && !outputs_[0].dropped && !outputs_[2].dropped);
+  EXPECT_EQ(poor.image, nullptr);
+  EXPECT_EQ(poor.camera_info, nullptr);
+  EXPECT_EQ(poor.keypoints, nullptr);
+  EXPECT_EQ(poor.tracks, nullptr);
+  EXPECT_EQ(poor.global_shutter, nullptr);
+  EXPECT_EQ(poor.global_shutter_info, nullptr);
+  EXPECT_STREQ(to_string(poor.reason), "NONE");
+  EXPECT_EQ(poor.blur_field->status, std::vector<std::uint8_t>(poor.field->blocks.size(), BlurField::TOO_LARGE));
+  EXPECT_EQ(poor.blur_field->reason_text.rfind("drop_poor: POOR, with a score of 0.", 0), 0u) << poor.reason_text;
+  EXPECT_EQ(poor.quality->header.stamp, poor.input->header.stamp);
+  EXPECT_NE(poor.trust_mask, nullptr);
+  EXPECT_NE(poor.overlay, nullptr);
+  EXPECT_NE(poor.markers, nullptr);
   EXPECT_EQ(processor_.statistics().dropped_poor, 1u);
   EXPECT_EQ(processor_.statistics().frames_out, 2u);
   EXPECT_EQ(processor_.statistics().frames_in, 3u);
@@ -94,7 +94,7 @@ TEST_F(DropBadTest, BadFrameIsKeptFromLeavingAndCounted) {
   EXPECT_FALSE(outputs_[2].tracks->points.empty());
 }
 
-TEST_F(DropBadTest, BadFrameLeavesByDefault) {
+TEST_F(DropPoorTest, PoorFrameIsPublishedByDefault) {
   ASSERT_NO_FATAL_FAILURE(run());
   EXPECT_FALSE(outputs_[1].dropped);
   EXPECT_EQ(outputs_[1].image, outputs_[1].input);
@@ -104,7 +104,7 @@ TEST_F(DropBadTest, BadFrameLeavesByDefault) {
   EXPECT_EQ(processor_.statistics().frames_out, 3u);
 }
 
-TEST_F(DropBadTest, BadFrameIsDroppedBeforeWorkIsLostOnIt) {
+TEST_F(DropPoorTest, PoorFrameIsDroppedBeforeWorkIsLostOnIt) {
   config_.drop_poor = true;
   config_.pipeline.blur_field.max_extent_px = 500;
   configure();
@@ -118,7 +118,7 @@ TEST_F(DropBadTest, BadFrameIsDroppedBeforeWorkIsLostOnIt) {
   EXPECT_EQ(outputs_[0].stages.keypoints_ms, 0);
 }
 
-TEST_F(DropBadTest, WhatIsNotKnownToBeBadLeaves) {
+TEST_F(DropPoorTest, WhatIsNotKnownToBePoorIsPublished) {
   config_.drop_poor = true;
   configure();
   add_frame(kStart);  // without a gyroscope
@@ -150,7 +150,7 @@ TEST_F(ProcessingTest, ExtentIsThatOfTheRotation) {
   expect_deblurred(0);
   const FrameBlur& field = *outputs_[0].field;
   const BlockBlur& center = field.blocks[static_cast<std::size_t>(field.grid.index_at(kWidth / 2, kHeight / 2))];
-  // A turn of w t about y moves the centre by about f w t along x.
+  // A rotation of w t about y moves the centre by about f w t along x.
   EXPECT_NEAR(center.extent_px, kFocalPx * kFastRadS * to_seconds(kExposure), 0.25);
   EXPECT_LT(axial_difference(center.angle_rad, 0), 0.02);
 }
@@ -292,7 +292,7 @@ TEST_F(ProcessingTest, FramesThatPassThroughHaveRawKeypoints) {
   expect_raw_keypoints(3, true);  // a reset takes from no frame what has come for it
 }
 
-// camera_info's R turns the camera's frame into the rectified image's.
+// camera_info's R rotates the camera's frame into the rectified image's.
 TEST_F(ProcessingTest, RectifiedFramesThatPassThroughHaveNormalizedKeypointsOfTheirOwn) {
   config_.rectified_input = true;
   configure();

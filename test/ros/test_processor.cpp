@@ -130,7 +130,7 @@ TEST_F(PacedProcessorTest, WhoeverLetsEverythingOutHasTime) {
   EXPECT_EQ(processor_.waiting(), 0u);
 }
 
-TEST_F(ProcessorTest, BadConfigurationPassesFramesThroughUntilItIsMended) {
+TEST_F(ProcessorTest, BadConfigurationPassesFramesThroughUntilItIsCorrected) {
   processor_.set_config_error("noise_to_signal_ratio = -1 is outside [1e-05, 1]");
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   add_frame(kStart);
@@ -256,7 +256,7 @@ TEST_F(ProcessorTest, CamerasShareASourceAndKeepWhatIsTheirOwn) {
   const auto feed = [&](TimeNs from_ns, TimeNs to_ns) {
     for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod) {
       const sensor_msgs::Imu imu = imu_message(t_ns, kFastRadS);
-      if (!source->add(imu)) continue;  // nobody is told, as SharedImu does it
+      if (!source->add(imu)) continue;  // nobody is notified, as SharedImu does it
       for (Processor* camera : {&left, &right}) camera->on_imu_sample();
     }
   };
@@ -287,14 +287,14 @@ TEST_F(ProcessorTest, CamerasShareASourceAndKeepWhatIsTheirOwn) {
     return output.field->blocks[static_cast<std::size_t>(output.field->grid.size() / 2)];
   };
   EXPECT_NEAR(std::cos(2 * (center(of_left[0]).angle_rad - center(of_right[0]).angle_rad)), -1, 0.1)
-      << "each has its own rotation: a quarter turn apart";
+      << "each has its own rotation: 90 degrees apart";
 
-  // One camera is told to forget; the other has what it had.
+  // One camera is reset; the other has what it had.
   left.reset();
   EXPECT_FALSE(left.statistics().newest_imu_ns);
   EXPECT_TRUE(right.statistics().newest_imu_ns);
 
-  // The IMU's clock is set back: each camera is told so once.
+  // The IMU's clock is set back: each camera is notified once.
   feed(kStart + kFrameDuration + 105 * kMs, kStart + kSecond);
   for (Processor* camera : {&left, &right}) show(camera, kStart + kSecond);
   feed(kStart - 50 * kMs, kStart + kSecond);

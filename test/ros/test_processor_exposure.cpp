@@ -16,10 +16,10 @@ using namespace test;
 
 constexpr TimeNs kTrueExposure = 20 * kMs;
 constexpr int kPictures = 70;  // 3.5 s
-constexpr double kHaste = 2;   // blur of 10 to 20 px
+constexpr double kSpeed = 2;   // blur of 10 to 20 px
 
 const HandheldCamera& camera() {
-  static const HandheldCamera kCamera(kPictures, kHaste);
+  static const HandheldCamera kCamera(kPictures, kSpeed);
   return kCamera;
 }
 
@@ -83,7 +83,7 @@ class ProcessorExposureTest : public ProcessorTest {
   std::size_t sample_ = 0;
 };
 
-TEST_F(ProcessorExposureTest, WithNothingGivenTheImagesTellIt) {
+TEST_F(ProcessorExposureTest, WithNothingGivenItIsEstimated) {
   play(0, 30);
   ASSERT_EQ(outputs_.size(), 30u) << "none waits";
   std::size_t first = 0;
@@ -97,7 +97,7 @@ TEST_F(ProcessorExposureTest, WithNothingGivenTheImagesTellIt) {
     expect_exposure(i, 0.02, i < first + 5 ? 0.05 : 0.03);
     deblurred += outputs_[i].image != outputs_[i].input;
   }
-  EXPECT_GE(deblurred, outputs_.size() - first - 2) << "it is nearly at rest where it turns back";
+  EXPECT_GE(deblurred, outputs_.size() - first - 2) << "it is nearly at rest where it reverses";
   ASSERT_TRUE(outputs_.back().exposure);
   EXPECT_EQ(outputs_.back().exposure->chosen.origin, ExposureOrigin::IMAGES);
   EXPECT_EQ(logged("estimated from the blur of the images"), 1u);

@@ -95,7 +95,7 @@ TEST_F(ProcessorGlobalShutterTest, WhatPassesThroughKeepsItsStamp) {
   expect_moved(0);
   expect_passed_through(1, PassThroughReason::NO_GYRO, "");
   expect_unmoved(1);
-  // Nor does a frame that its partner keeps from being deblurred.
+  // Nor does a frame that its stereo partner keeps from being deblurred.
   request_.decide = [](const FrameBlur&) { return FrameAction{"/cam1 says no", ""}; };
   add_imu(kStart + 700 * kMs, kStart + 900 * kMs);
   add_frame(kStart + 800 * kMs);
@@ -120,7 +120,7 @@ TEST_F(ProcessorGlobalShutterTest, AStillCameraIsMovedByNothing) {
   EXPECT_EQ(outputs_[0].global_shutter->data, outputs_[0].input->data);
 }
 
-TEST_F(ProcessorGlobalShutterTest, AGlobalShutterIsStampedAndLeftAlone) {
+TEST_F(ProcessorGlobalShutterTest, AGlobalShutterIsStampedAndUnchanged) {
   config_.shutter.readout_ns = 0;
   configure();
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);

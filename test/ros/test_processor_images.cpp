@@ -1,4 +1,4 @@
-// What the images tell beside the gyroscope, or without one, from messages to messages.
+// Optical flow with the gyroscope, or without one, from messages to messages.
 #include <algorithm>
 #include <string>
 #include <utility>
@@ -18,7 +18,7 @@ namespace {
 
 using namespace test;
 
-/// A camera that turns, never at rest, and moves before a wall, 20 images a second.
+/// A camera that rotates, never at rest, and moves before a wall, 20 images a second.
 class ProcessorImagesTest : public ProcessorTest {
  protected:
   ProcessorImagesTest() {
@@ -135,7 +135,7 @@ TEST_F(ProcessorImagesTest, AGapOfTheGyroscopePassesUnlessTheImagesBridgeIt) {
       EXPECT_EQ(output.reason_text, off[i].reason_text) << i;
       continue;
     }
-    EXPECT_EQ(output.reason_text.rfind("images alone: frame needs gyroscope samples from", 0), 0u)
+    EXPECT_EQ(output.reason_text.rfind("optical flow alone: frame needs gyroscope samples from", 0), 0u)
         << output.reason_text;
     EXPECT_EQ(output.blur_field->reason_text, output.reason_text);
     for (std::size_t b = 0; b < output.field->blocks.size(); ++b) {
@@ -244,7 +244,7 @@ TEST_F(ProcessorTest, AnImageThatMayBeAtRestIsNotTouchedByImagesAlone) {
   for (std::size_t i = 0; i < 3; ++i) expect_passed_through(i, PassThroughReason::NO_GYRO, "there are none");
 }
 
-TEST_F(ProcessorImagesTest, ABiasIsToldInTheGyroscopesAxes) {
+TEST_F(ProcessorImagesTest, ABiasIsReportedInTheGyroscopesAxes) {
   config_.R_cam_imu = Eigen::AngleAxisd(1.2, Eigen::Vector3d(1, -2, 0.5).normalized()).toRotationMatrix();
   configure();
   const Eigen::Vector3d bias_rad_s(0.05, 0.05, -0.05);

@@ -44,7 +44,7 @@ class MaskTest : public ProcessorTest {
     return path;
   }
 
-  /// The next frame of a camera that turns.
+  /// The next frame of a camera that rotates.
   const FrameOutput& next_output() {
     const TimeNs stamp_ns = kStart + frames_++ * 50 * kMs;
     add_imu(stamp_ns - 45 * kMs, stamp_ns + 55 * kMs);
@@ -209,7 +209,7 @@ class StaticContentTest : public MaskTest {
     static const cv::Mat kScene = texture(CV_8UC1, kScenePx, kHeight);
     for (int i = 0; i < images; ++i) {
       const TimeNs stamp_ns = kStart + frames_ * 50 * kMs;
-      // A turn to the right moves the scene to the left, by 15 px each time.
+      // A rotation to the right moves the scene to the left, by 15 px each time.
       const int x = static_cast<int>(std::lround(kFocalPx * kFastRadS * 0.05 * frames_++)) % (kScenePx - kWidth);
       cv::Mat view = kScene(cv::Rect(x, 0, kWidth, kHeight)).clone();
       if (bumper_) view(cv::Rect(32, 80, 120, 48)).setTo(240);

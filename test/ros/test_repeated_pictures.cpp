@@ -235,7 +235,7 @@ TEST_F(RepeatedPictures, NothingGoodIsDroppedAndRepetitionsGoWithTheirPicture) {
       player.config = clean_player.config;
       const std::vector<FrameOutput>& outputs = player.play(shots);
       for (std::size_t k = 0; k < shots.size(); ++k) {
-        // After a gap of a picture motion from the images is another one.
+        // After a gap of a picture optical flow is another.
         if (shots.size() == without.size() && shots[k].picture % 5 == 0 && count > 0) continue;
         EXPECT_EQ(outputs[k].dropped, dropped(shots[k].picture)) << "image " << k << " with " << largest_px << " px";
       }
@@ -305,7 +305,7 @@ TEST_F(RepeatedPictures, CameraThatDropsToHalfItsRate) {
 class Cut : public RepeatedPictures {
  protected:
   /// By the images, too, less by the gyroscope alone, for the two images from the cut on [dB].
-  /// @param undo  turns an image back to where the truth is known
+  /// @param undo  rotates an image back to where the truth is known
   static double gain_db(const std::function<cv::Mat(const cv::Mat&)>& change,
                         const std::function<cv::Mat(const cv::Mat&)>& undo) {
     constexpr int kCut = 20;
@@ -328,14 +328,14 @@ class Cut : public RepeatedPictures {
 
 TEST_F(Cut, SceneThatChangesCompletelyDoesNotContradictTheGyroscope) {
   const auto upside_down = [](const cv::Mat& image) {
-    cv::Mat turned;
-    cv::flip(image, turned, -1);
-    return turned;
+    cv::Mat rotated;
+    cv::flip(image, rotated, -1);
+    return rotated;
   };
   EXPECT_GT(gain_db(upside_down, upside_down), -kToleranceDb);
 }
 
-// An image that is cropped otherwise, or a camera that is knocked: what the images tell is as far off as the jump.
+// An image that is cropped otherwise, or a camera that is knocked: optical flow is as far off as the jump.
 TEST_F(Cut, SceneThatJumpsDoesNotContradictTheGyroscope) {
   for (const int step_px : {6, 12, 24, 36, 48}) {
     const auto moved = [](const cv::Mat& image, int columns) {

@@ -279,7 +279,7 @@ class DroppingRigTest : public StereoRigTest {
   TimeNs stamp_ns_ = 0;
 };
 
-TEST_F(DroppingRigTest, BothAreDroppedWhereOneIsBad) {
+TEST_F(DroppingRigTest, BothAreDroppedWhereOneIsPoor) {
   make(kEndless);
   for (const FrameBlur& partner : {blurred(), sharp(), rejected()}) {
     for (const FrameBlur& field : {blurred(), rejected()}) {
@@ -293,13 +293,13 @@ TEST_F(DroppingRigTest, BothAreDroppedWhereOneIsBad) {
   }
 }
 
-TEST_F(DroppingRigTest, WhetherItIsBadGoesByWhatBecomesOfIt) {
+TEST_F(DroppingRigTest, WhetherItIsPoorGoesByWhatBecomesOfIt) {
   make(kEndless);
   for (const FrameAction& action : decide_both(blurred(), poor_if_passed_through(), blurred(), fine())) {
     EXPECT_EQ(action.drop_text + action.pass_through_text, "");
   }
   for (const FrameAction& action : decide_both(blurred(), poor_if_passed_through(), rejected(), fine())) {
-    EXPECT_EQ(action.drop_text, "the image of /cam0 is POOR") << "its partner keeps it from being deblurred";
+    EXPECT_EQ(action.drop_text, "the image of /cam0 is POOR") << "its stereo partner keeps it from being deblurred";
   }
 }
 
@@ -317,7 +317,7 @@ TEST_F(DroppingRigTest, NoneIsDroppedWhereOneLeavesWhateverTheOthersSay) {
   }
 }
 
-TEST_F(DroppingRigTest, WhoGivesUpLeavesAndSoDoesThePartner) {
+TEST_F(DroppingRigTest, WhoGivesUpIsPublishedAndSoIsTheStereoPartner) {
   make(kNone);
   announce(kPeriod);
   EXPECT_EQ(camera(0).decide(kPeriod, sharp(), fine()).pass_through_text, "");

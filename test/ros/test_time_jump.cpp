@@ -57,7 +57,7 @@ TEST(TimeJumpDetector, StreamThatGoesOnIsNotExpectedToFollowForever) {
   EXPECT_EQ(detector.update(Stream::IMAGE, 0), Result::JUMP);
 }
 
-TEST(TimeJumpDetector, OwnerCanTellOfAReset) {
+TEST(TimeJumpDetector, OwnerCanReportAReset) {
   TimeJumpDetector detector(kThreshold);
   detector.update(Stream::IMU, 400);
   EXPECT_EQ(detector.went_back(Stream::IMU, 100), Result::JUMP);

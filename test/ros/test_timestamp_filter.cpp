@@ -84,7 +84,7 @@ TEST(TimestampFilter, RefusesRepeatsAndLateOnesOnceTheNextShowsIt) {
   }
 }
 
-TEST(TimestampFilter, TellsOfLateOnesAtOnce) {
+TEST(TimestampFilter, ReportsLateOnesAtOnce) {
   TimestampFilter<Message> rule;
   const auto is_late = [&rule](TimeNs stamp_ns) { return rule.add({stamp_ns}, imu()).late; };
   for (const TimeNs stamp_ns : {1000, 1010, 1010, 90'000, 90'010, 90'010}) EXPECT_FALSE(is_late(stamp_ns)) << stamp_ns;
@@ -163,7 +163,7 @@ TEST(TimestampFilter, ImuSetBackByLittleMoreThanTheLimitIsLate) {
   EXPECT_EQ(feed.log().taken.size(), 10u);
 }
 
-TEST(TimestampFilter, ImuGivesTheNewestBackWhenItCameBeforeItsTurn) {
+TEST(TimestampFilter, ImuGivesTheNewestBackWhenItCameBeforeOlderOnes) {
   for (const TimeNs ahead_ns : {10, 11, 19, 20, 25, 40}) {
     Feed feed(imu());
     feed.steps(1000, 10, 20)({1200 + ahead_ns});
@@ -180,7 +180,7 @@ TEST(TimestampFilter, ImuGivesTheNewestBackWhenItCameBeforeItsTurn) {
   EXPECT_EQ(feed.log().taken.back(), 1220);
 }
 
-TEST(TimestampFilter, ImuKeepsTheNewestThatCameInItsTurn) {
+TEST(TimestampFilter, ImuKeepsTheNewestThatCameInOrder) {
   Feed feed(imu());
   feed.steps(1000, 10, 20)({1185, 1190, 1200, 1214, 1210});
   EXPECT_EQ(feed.log().refused, (Refused{{1190, RejectReason::REPEATED}, {1185, RejectReason::LATE}}))

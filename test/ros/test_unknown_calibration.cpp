@@ -16,22 +16,22 @@
 #include "ros/processor.hpp"
 #include "ros/self_calibrator.hpp"
 #include "ros/stored_calibration.hpp"
-#include "turning_camera.hpp"
+#include "rotating_camera.hpp"
 
 namespace gyro_deblur::unknown_calibration_test {
 namespace {
 
 using namespace test;
 
-TurningCamera& camera() {
-  static TurningCamera camera;
+RotatingCamera& camera() {
+  static RotatingCamera camera;
   return camera;
 }
 
 class UnknownCalibration : public testing::Test {
  protected:
   UnknownCalibration() {
-    config_.shutter.exposure_ns = TurningCamera::kShownFor;
+    config_.shutter.exposure_ns = RotatingCamera::kShownFor;
     config_.given = {false, false, false};
     config_.pipeline.blur_field.block_size_px = 32;
     config_.pipeline.keypoints.detector = "FAST";
@@ -74,7 +74,7 @@ class UnknownCalibration : public testing::Test {
     }
     ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(to));
   }
-  void play() { play(0, TurningCamera::kFrames); }
+  void play() { play(0, RotatingCamera::kFrames); }
 
   CalibrationRow row(const std::string& key) const {
     for (const CalibrationRow& row : processor_->statistics().calibration) {
@@ -117,7 +117,7 @@ TEST_F(UnknownCalibration, IsLearnedAndUsed) {
       << outputs_.front().reason_text;
   std::size_t first = 0;
   while (first < outputs_.size() && outputs_[first].reason == PassThroughReason::NO_EXTRINSIC) ++first;
-  EXPECT_LT(first, 5 * TurningCamera::kFramesPerS) << "five seconds of motion are enough";
+  EXPECT_LT(first, 5 * RotatingCamera::kFramesPerS) << "five seconds of motion are enough";
   for (std::size_t i = first; i < outputs_.size(); ++i) {
     EXPECT_EQ(outputs_[i].reason, PassThroughReason::NONE) << i << ": " << outputs_[i].reason_text;
   }
@@ -127,7 +127,7 @@ TEST_F(UnknownCalibration, IsLearnedAndUsed) {
     EXPECT_EQ(logged(std::string(key) + " is estimated from the images and used"), 1U);
   }
   EXPECT_NE(row("time_offset").text.find("0.03"), std::string::npos) << row("time_offset").text;
-  EXPECT_LT((processor_->bias_rad_s() - TurningCamera::bias_rad_s()).norm(), 0.02);
+  EXPECT_LT((processor_->bias_rad_s() - RotatingCamera::bias_rad_s()).norm(), 0.02);
   EXPECT_EQ(logged("contradict"), 0U);
 
   processor_->reset_calibration();
@@ -136,7 +136,7 @@ TEST_F(UnknownCalibration, IsLearnedAndUsed) {
   EXPECT_EQ(processor_->bias_rad_s(), Eigen::Vector3d(0, 0, 0));
 }
 
-TEST_F(UnknownCalibration, IsLearnedAgainAlikeFromTheSameMessages) {
+TEST_F(UnknownCalibration, IsLearnedAgainEquallyFromTheSameMessages) {
   start();
   play();
   const std::string first = row("R_cam_imu").text + row("time_offset").text;
@@ -158,7 +158,7 @@ TEST_F(UnknownCalibration, IsNotLearnedWhereNobodyWantsIt) {
 }
 
 TEST_F(UnknownCalibration, GoesByTfWhereThatHasIt) {
-  tf_ = TurningCamera::R_cam_imu();
+  tf_ = RotatingCamera::R_cam_imu();
   start();
   play();
   EXPECT_EQ(outputs_.front().reason, PassThroughReason::NONE) << outputs_.front().reason_text;
@@ -169,9 +169,9 @@ TEST_F(UnknownCalibration, GoesByTfWhereThatHasIt) {
 }
 
 TEST_F(UnknownCalibration, ThatIsGivenIsKeptAndCheckedWithoutAnEffect) {
-  config_.R_cam_imu = TurningCamera::R_cam_imu();
-  config_.gyro.time_offset_ns = TurningCamera::kTimeOffset;
-  config_.gyro.bias_rad_s = TurningCamera::bias_rad_s();
+  config_.R_cam_imu = RotatingCamera::R_cam_imu();
+  config_.gyro.time_offset_ns = RotatingCamera::kTimeOffset;
+  config_.gyro.bias_rad_s = RotatingCamera::bias_rad_s();
   config_.given = {};
   start();
   play();
@@ -190,9 +190,9 @@ TEST_F(UnknownCalibration, ThatIsGivenIsKeptAndCheckedWithoutAnEffect) {
 }
 
 TEST_F(UnknownCalibration, ThatIsGivenWronglyIsNamedWithBothValuesAndKept) {
-  config_.R_cam_imu = TurningCamera::R_cam_imu() * so3_exp({0, 0, M_PI / 2}).toRotationMatrix();
-  config_.gyro.time_offset_ns = TurningCamera::kTimeOffset - 80 * kMs;
-  config_.gyro.bias_rad_s = TurningCamera::bias_rad_s() + Eigen::Vector3d(0, 0.2, 0);
+  config_.R_cam_imu = RotatingCamera::R_cam_imu() * so3_exp({0, 0, M_PI / 2}).toRotationMatrix();
+  config_.gyro.time_offset_ns = RotatingCamera::kTimeOffset - 80 * kMs;
+  config_.gyro.bias_rad_s = RotatingCamera::bias_rad_s() + Eigen::Vector3d(0, 0.2, 0);
   config_.shutter.readout_ns = 25 * kMs;
   config_.given = {};
   start();
@@ -210,7 +210,7 @@ TEST_F(UnknownCalibration, ThatIsGivenWronglyIsNamedWithBothValuesAndKept) {
   }
   EXPECT_EQ(processor_->bias_rad_s(), config_.gyro.bias_rad_s);
   // Corrected while running, as a user does.
-  config_.R_cam_imu = TurningCamera::R_cam_imu();
+  config_.R_cam_imu = RotatingCamera::R_cam_imu();
   processor_->set_config(config_);
   camera().rewind();
   for (const FrameOutput& output : outputs_) EXPECT_EQ(output.reason, PassThroughReason::NONE) << output.reason_text;
@@ -252,14 +252,14 @@ TEST_F(UnknownCalibration, WhatIsStoredIsReadOnceAndOnlyWhereItMayBeUsed) {
 
 TEST_F(UnknownCalibration, OfAnotherCameraIsDroppedWithinFiveSecondsOfMotion) {
   LearnedCalibration other;
-  other.R_cam_imu = {Eigen::Matrix3d(TurningCamera::R_cam_imu() * so3_exp({0, 1.5, 0}).toRotationMatrix()), 0.002, 20,
+  other.R_cam_imu = {Eigen::Matrix3d(RotatingCamera::R_cam_imu() * so3_exp({0, 1.5, 0}).toRotationMatrix()), 0.002, 20,
                      true, ""};
   other.time_offset_s = {-0.2, 0.0005, 20, true, ""};
   stored_ = other;
   start();
   play(0, 100);
-  EXPECT_EQ(logged("R_cam_imu of before this start is dropped"), 1U);
-  EXPECT_EQ(logged("time_offset of before this start is dropped: it was -0.2000 s, the images say 0.03"), 1U);
+  EXPECT_EQ(logged("R_cam_imu of the last start is dropped"), 1U);
+  EXPECT_EQ(logged("time_offset of the last start is dropped: it was -0.2000 s, the images now give 0.03"), 1U);
   EXPECT_EQ(row("R_cam_imu").text.find("before this start"), std::string::npos) << row("R_cam_imu").text;
   EXPECT_NE(row("time_offset").text.find("0.03"), std::string::npos) << row("time_offset").text;
 }
@@ -342,7 +342,7 @@ class StoredCalibration : public testing::Test {
   StoredCalibration() {
     std::string pattern = testing::TempDir() + "gyro_deblur_XXXXXX";
     folder_ = mkdtemp(pattern.data());
-    known_.R_cam_imu = {TurningCamera::R_cam_imu(), 0.003, 12.5, true, ""};
+    known_.R_cam_imu = {RotatingCamera::R_cam_imu(), 0.003, 12.5, true, ""};
     known_.bias_rad_s = {{0.1, -0.2, 0.3}, 0.004, 7, true, ""};
   }
   ~StoredCalibration() override { std::filesystem::remove_all(folder_); }
@@ -408,13 +408,13 @@ TEST(SelfCalibrator, LearnsInTheBackgroundAndLeavesOutWhatItCannotKeepUpWith) {
   SelfCalibrator at_once(SelfCalibrator::Work::AT_ONCE, &throttled);
   SelfCalibrator background(SelfCalibrator::Work::IN_BACKGROUND, &throttled);
   camera().rewind();
-  for (int i = 0; i < TurningCamera::kFrames; ++i) {
+  for (int i = 0; i < RotatingCamera::kFrames; ++i) {
     std::vector<GyroSample> samples;
     for (const sensor_msgs::Imu& imu : camera().samples_before(i)) samples.push_back(*to_gyro_sample(imu));
     const sensor_msgs::ImageConstPtr image = camera().image(i);
     const SelfCalibrator::Image input{image,
                                       to_calibration(*camera().info(i), 256, 192, false),
-                                      RowExposure(camera().stamp(i), 192, {TurningCamera::kShownFor, 0}),
+                                      RowExposure(camera().stamp(i), 192, {RotatingCamera::kShownFor, 0}),
                                       {}};
     at_once.add(samples, input);
     background.add(samples, input);  // faster than it can

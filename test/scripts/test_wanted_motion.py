@@ -45,7 +45,7 @@ class WantedMotionTest(unittest.TestCase):
             self.assertEqual(text == "", wanted == "")
         self.assertEqual(shares, sorted(shares))
 
-    def test_turns_into_one_direction(self):
+    def test_rotates_in_one_direction(self):
         share, text = after(20, lambda t_s: 3 * max(0, np.sin(0.4 * np.pi * t_s)) * PAN
                             + 0.5 * shake(t_s, [0 * PAN, TILT, ROLL]))
         self.assertLess(share, 1)

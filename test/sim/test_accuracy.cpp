@@ -72,7 +72,7 @@ Simulator moving_camera(const std::string& lens, const std::string& motion, cons
   return Simulator(sim::parse_scene(YAML::Load(yaml), "", "accuracy"));
 }
 
-// What the method is told; each may be wrong in sign.
+// What the method is given; each may be wrong in sign.
 struct Signs {
   double rotation = 1, time_offset = 1, readout = 1;
 };
@@ -352,7 +352,7 @@ TEST(Orbit, TheImagesAddTranslationAndNoSharpBlockIsDeblurred) {
   };
   std::vector<double> rotation_errors, errors;
   int sharp = 0, predicted = 0, moved_and_deblurred = 0;
-  constexpr int kFirst = 2;  // with two images before, which tell how the motion changes
+  constexpr int kFirst = 2;  // with two images before, which show how the motion changes
   for (int i = 0; i < simulator.frames(); ++i) {
     const cv::Mat image = simulator.frame(i).image;
     const RowExposure exposure = simulator.exposure(i);

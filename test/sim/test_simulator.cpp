@@ -141,8 +141,8 @@ cv::Mat patch_around(const cv::Mat& image, int x, int y) {
   return image(cv::Rect(x - kHalf, y - kHalf, 2 * kHalf + 1, 2 * kHalf + 1)).clone();
 }
 
-TEST(Renderer, PanMovesTheImageAgainstTheTurn) {
-  // Positive rate about y (down) turns the optical axis to the right: the scene moves left by f tan(angle).
+TEST(Renderer, PanMovesTheImageAgainstTheRotation) {
+  // Positive rate about y (down) rotates the optical axis to the right: the scene moves left by f tan(angle).
   Simulator sim(scene_of(small_scene("{type: constant_rate, rate: [0, 10, 0]}")));
   const TimeNs t = sim.scene().start_ns;
   cv::Mat before, after;
@@ -208,7 +208,7 @@ TEST(Renderer, TheNearestPlaneWinsAndTheRestIsBackground) {
   EXPECT_EQ(cv::norm(image, Simulator(scene).sharp(0), cv::NORM_INF), 0);
 }
 
-TEST(Renderer, ATurnedPlaneIsSeenInPerspective) {
+TEST(Renderer, ARotatedPlaneIsSeenInPerspective) {
   // 45 degrees about y: the edge at +0.5 m of the plane's x is at x = 0.354 m, and nearer or farther by as much.
   Scene scene =
       scene_of(small_scene(kStill, "", "background: 0",
@@ -286,7 +286,7 @@ TEST(Simulator, TruthOfDisplacementIsTheProjectedPath) {
   const Simulator sim(scene_of(small_scene("{type: constant_rate, rate: [0, 0, 60]}")));
   const Eigen::Vector2d center(99.5, 79.5), arm(60, 0);
   const double half = 0.6 * kRadPerDeg;
-  // The camera turns clockwise in the image (x to y), the scene counter-clockwise.
+  // The camera rotates clockwise in the image (x to y), the scene counter-clockwise.
   const Eigen::Vector2d expected = Eigen::Rotation2Dd(-half) * arm - Eigen::Rotation2Dd(half) * arm;
   EXPECT_LT((sim.truth_displacement(0, center + arm) - expected).norm(), 1e-9);
   EXPECT_LT(expected.y(), 0);
@@ -300,7 +300,7 @@ TEST(Simulator, APointIsRectifiedToItselfAtItsOwnRowsMiddle) {
   EXPECT_GT((sim.truth_rectified(1, pixel, sim.reference_time(1)) - pixel).norm(), 0.5);
 }
 
-TEST(Simulator, AnOrbitKeepsItsCentreInPlaceWhileTheGyroscopeTurns) {
+TEST(Simulator, AnOrbitKeepsItsCentreInPlaceWhileTheGyroscopeRotates) {
   Simulator sim(scene_of(small_scene("{type: orbit, center: [0, 0, 2], radius: 2, axis: [0, 1, 0], rate: 100}")));
   EXPECT_LT(sim.truth_displacement(0, {99.5, 79.5}).norm(), 1e-9);
   EXPECT_NEAR(sim.imu().front().rate_rad_s.y(), 100 * kRadPerDeg, 1e-12);
@@ -471,14 +471,15 @@ TEST_P(MotionDerivatives, AgreeWithThePoses) {
   constexpr double kStep = 1e-4;
   double largest_rate = 0;
   for (const double t : {0.0131, 0.1234, 0.25, 0.3021, 0.451}) {
-    const Eigen::Quaterniond turn = motion.pose(t - kStep).R_world_cam.conjugate() * motion.pose(t + kStep).R_world_cam;
-    const Eigen::AngleAxisd aa(turn.w() < 0 ? Eigen::Quaterniond(-turn.coeffs()) : turn);
+    const Eigen::Quaterniond rotation =
+        motion.pose(t - kStep).R_world_cam.conjugate() * motion.pose(t + kStep).R_world_cam;
+    const Eigen::AngleAxisd aa(rotation.w() < 0 ? Eigen::Quaterniond(-rotation.coeffs()) : rotation);
     // Central difference: error of h^2 / 6 times the third derivative, or h / 2 times the jump at a trace's kink.
     EXPECT_LT((aa.angle() * aa.axis() / (2 * kStep) - motion.rate(t)).norm(), 2e-3) << t;
     largest_rate = std::max(largest_rate, motion.rate(t).norm());
-    const Eigen::Vector3d bend =
+    const Eigen::Vector3d second_difference =
         motion.pose(t - kStep).p_world_m - 2 * motion.pose(t).p_world_m + motion.pose(t + kStep).p_world_m;
-    EXPECT_LT((bend / (kStep * kStep) - motion.acceleration(t)).norm(), 0.02) << t;
+    EXPECT_LT((second_difference / (kStep * kStep) - motion.acceleration(t)).norm(), 0.02) << t;
     EXPECT_NEAR(motion.pose(t).R_world_cam.norm(), 1, 1e-12);
   }
   EXPECT_GT(largest_rate, 0.3);
@@ -630,7 +631,7 @@ TEST(SceneFile, PhotographsAreTakenRelativeToTheScene) {
 
 class ShippedScenes : public ::testing::TestWithParam<const char*> {};
 
-TEST_P(ShippedScenes, LoadAndRenderWithoutAnyFileBesides) {
+TEST_P(ShippedScenes, LoadAndRenderWithoutAnyOtherFile) {
   Simulator sim(load_scene(std::string(GYRO_DEBLUR_SOURCE_DIR) + "/config/scenes/" + GetParam() + ".yaml"));
   cv::Scalar mean, deviation;
   cv::meanStdDev(sim.sharp(sim.frames() / 2), mean, deviation);

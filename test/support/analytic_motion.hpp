@@ -32,7 +32,7 @@ struct Swing {
   Eigen::Matrix3d rotation(double t_s) const { return Eigen::AngleAxisd(angle_rad(t_s), axis).toRotationMatrix(); }
 };
 
-/// R_world_cam(t) = outer(t) * inner(t): two axes that turn against each other, so rotations do not commute.
+/// R_world_cam(t) = outer(t) * inner(t): two axes that rotate against each other, so rotations do not commute.
 class AnalyticMotion : public CameraMotion {
  public:
   AnalyticMotion(const Swing& outer, const Swing& inner) : outer_(outer), inner_(inner) {}

@@ -81,10 +81,10 @@ inline FlightTiming calibrate_flight(const FlightCase& c, const std::string& fol
   FlightTiming timing;
   timing.estimate = estimate_timing(simulator.camera(), tracker.take(), samples, {});
   const TimingEstimate& e = timing.estimate;
-  const Eigen::AngleAxisd turn(Eigen::Matrix3d(e.R_cam_imu * imu.R_cam_imu.transpose()));
+  const Eigen::AngleAxisd rotation_error(Eigen::Matrix3d(e.R_cam_imu * imu.R_cam_imu.transpose()));
   timing.errors << e.time_offset_s.value - to_seconds(imu.time_offset_ns), e.readout_s.value - to_seconds(c.readout_ns),
       e.bias_rad_s[0].value - imu.gyro_bias_rad_s[0], e.bias_rad_s[1].value - imu.gyro_bias_rad_s[1],
-      e.bias_rad_s[2].value - imu.gyro_bias_rad_s[2], turn.angle() * turn.axis();
+      e.bias_rad_s[2].value - imu.gyro_bias_rad_s[2], rotation_error.angle() * rotation_error.axis();
   timing.stddevs << e.time_offset_s.stddev, e.readout_s.stddev, e.bias_rad_s[0].stddev, e.bias_rad_s[1].stddev,
       e.bias_rad_s[2].stddev, e.rotation_stddev_rad;
   return timing;

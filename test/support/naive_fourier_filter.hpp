@@ -1,4 +1,4 @@
-// The definition of the filter in the plane, written for reading.
+// The definition of the 2-D filter, written for reading.
 #pragma once
 
 #include <algorithm>
@@ -83,7 +83,7 @@ struct TileSource {
   bool inside;
 };
 
-/// Those of element i: beside the window what is behind it fades into what is before it.
+/// Those of element i: outside the window what is behind it fades into what is before it.
 inline std::vector<TileSource> sources_of(const NaiveWindow& window, int size, int i, int image_length) {
   const auto source = [&](int at, double weight) {
     const int inside = std::clamp(at, 0, image_length - 1);

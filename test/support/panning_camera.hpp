@@ -1,4 +1,4 @@
-// A small camera that turns about its y axis: blur along x.
+// A small camera that rotates about its y axis: blur along x.
 #pragma once
 
 #include <vector>

@@ -1,4 +1,4 @@
-// Paths in the plane, the blur that they make, and the gain of their inverse.
+// Curved paths, the blur that they make, and the gain of their inverse.
 #pragma once
 
 #include <cmath>

@@ -23,12 +23,12 @@ struct Shot {
   bool repeats = false;  ///< an image before showed it
 };
 
-/// A hand-held camera before a wall: turns and moves, never at rest, blur of 5 to 10 px, times `haste`.
+/// A hand-held camera before a wall: rotates and moves, never at rest, blur of 5 to 10 px, times `speed`.
 class HandheldCamera {
  public:
   static constexpr TimeNs kPeriodNs = 50'000'000;
 
-  explicit HandheldCamera(int frames = 40, double haste = 1)
+  explicit HandheldCamera(int frames = 40, double speed = 1)
       : simulator_(sim::parse_scene(YAML::Load("frames: " + std::to_string(frames) + R"(
 seed: 5
 lead_time: 1
@@ -37,10 +37,10 @@ camera: {size: [376, 240], intrinsics: [235, 235, 187.5, 119.5], fps: 20, exposu
 imu: {rate: 200}
 planes: [{size: [9, 7], position: [0, 0, 2], texture_size: [1600, 1244], texture_seed: 4}]
 motion: {type: spline, rotation: {sines: [{amplitude: [6, 9, 5], frequency: )" +
-                                               std::to_string(1.3 * haste) +
+                                               std::to_string(1.3 * speed) +
                                                R"(, phase: 20},
                                           {amplitude: [4, -3, 6], frequency: )" +
-                                               std::to_string(1.9 * haste) + R"(, phase: 70}]},
+                                               std::to_string(1.9 * speed) + R"(, phase: 70}]},
   position: {sines: [{amplitude: [0.08, 0.06, 0.05], frequency: 0.9, phase: 70}]}}
 )"),
                                     "", "handheld camera")) {

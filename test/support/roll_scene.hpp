@@ -14,7 +14,7 @@ namespace gyro_deblur::test {
 /// Rotation of the image about a pivot from start to end of the exposure.
 struct Roll {
   cv::Point2d pivot_px;
-  double turn_rad = 0;
+  double rotation_rad = 0;
 
   /// About the image centre, with the given mean extent over the image's blocks.
   static Roll about_center(int width_px, int height_px, double mean_extent_px, int block_size_px = 64) {
@@ -22,7 +22,7 @@ struct Roll {
     const BlockGrid grid(width_px, height_px, block_size_px);
     double radius_sum = 0;
     for (int i = 0; i < grid.size(); ++i) radius_sum += roll.radius_px(grid.center(i).x(), grid.center(i).y());
-    roll.turn_rad = mean_extent_px * grid.size() / radius_sum;
+    roll.rotation_rad = mean_extent_px * grid.size() / radius_sum;
     return roll;
   }
 
@@ -34,7 +34,8 @@ struct Roll {
     field.grid = BlockGrid(width_px, height_px, options.block_size_px);
     for (int i = 0; i < field.grid.size(); ++i) {
       const Eigen::Vector2d c = field.grid.center(i);
-      field.blocks.push_back(classify_blur(-turn_rad * (c.y() - pivot_px.y), turn_rad * (c.x() - pivot_px.x), options));
+      field.blocks.push_back(
+          classify_blur(-rotation_rad * (c.y() - pivot_px.y), rotation_rad * (c.x() - pivot_px.x), options));
     }
     return field;
   }
@@ -46,14 +47,14 @@ struct Roll {
     for (const int x : {0, sharp.cols - 1}) {
       for (const int y : {0, sharp.rows - 1}) farthest = std::max(farthest, radius_px(x, y));
     }
-    const int steps = std::max(1, static_cast<int>(std::ceil(farthest * std::abs(turn_rad))));
-    cv::Mat real, sum(sharp.size(), CV_32F, cv::Scalar(0)), turned;
+    const int steps = std::max(1, static_cast<int>(std::ceil(farthest * std::abs(rotation_rad))));
+    cv::Mat real, sum(sharp.size(), CV_32F, cv::Scalar(0)), rotated;
     sharp.convertTo(real, CV_32F);
     for (int i = 0; i < steps; ++i) {
-      const double angle_deg = turn_rad * ((i + 0.5) / steps - 0.5) * 180 / CV_PI;
+      const double angle_deg = rotation_rad * ((i + 0.5) / steps - 0.5) * 180 / CV_PI;
       const cv::Mat map = cv::getRotationMatrix2D(cv::Point2f(pivot_px), angle_deg, 1);
-      cv::warpAffine(real, turned, map, real.size(), cv::INTER_CUBIC, cv::BORDER_REFLECT_101);
-      sum += turned;
+      cv::warpAffine(real, rotated, map, real.size(), cv::INTER_CUBIC, cv::BORDER_REFLECT_101);
+      sum += rotated;
     }
     return sum / steps;
   }

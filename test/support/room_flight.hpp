@@ -56,7 +56,7 @@ inline std::vector<sim::TrajectorySample> smoothed_camera_poses(const std::vecto
       t_s += weight * imu_poses[i].t_s;
       sum += weight;
     }
-    mean.t_s = t_s / sum;  // beside a hole the neighbours are on one side
+    mean.t_s = t_s / sum;  // next to a hole the neighbours are on one side
     mean.pose.R_world_cam =
         Eigen::Quaterniond(rotation).normalized() * Eigen::Quaterniond(Eigen::Matrix3d(R_cam_imu.transpose()));
     mean.pose.p_world_m = position / sum;

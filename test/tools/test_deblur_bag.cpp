@@ -216,7 +216,7 @@ TEST_F(DeblurBagTest, WhatCannotBeDecodedIsLeftOutAndMovesNothingElse) {
   EXPECT_NE(fields[2]->reason_text.find("the JPEG ends after"), std::string::npos) << fields[2]->reason_text;
 }
 
-TEST_F(DeblurBagTest, ImagesWithoutAStampPassInTheirTurn) {
+TEST_F(DeblurBagTest, ImagesWithoutAStampPassInOrder) {
   write_bag(kFastRadS);
   write_config("drop_poor: true\n");
   ASSERT_EQ(run().exit_code, 0);
@@ -249,7 +249,7 @@ struct InfoHabit {
 
 TEST_F(DeblurBagTest, CameraInfoOfEveryHabitServes) {
   const InfoHabit habits[] = {
-      {"not calibrated, beside a file",
+      {"not calibrated, with a file",
        [](sensor_msgs::CameraInfo* info, int) {
          info->K.fill(0);
          info->P.fill(0);
@@ -723,7 +723,8 @@ TEST_F(DeblurBagTest, MemoryGrowsByNoRecordOfFrames) {
     EXPECT_EQ(result.exit_code, 0) << result.output;
     return static_cast<double>(result.peak_memory_kib);
   };
-  // The peak varies by some MiB with which pages of the libraries are resident: a difference of many frames tells.
+  // The peak varies by some MiB with which pages of the libraries are resident: a difference of many frames is free of
+  // that.
   constexpr int kFew = 300, kMany = 6000;
   for (const std::vector<std::string>& arguments :
        {std::vector<std::string>{}, std::vector<std::string>{"--json", path("report.json")}}) {

@@ -147,7 +147,7 @@ class WhichImages(DriverBags):
         text = self.refused(self.deblur(), "several topics of images", "--image-topic", *candidates)
         self.assertEqual(text.count("(sensor_msgs/"), len(candidates), text)
 
-    def test_compressed_colour_beside_raw_depth(self):
+    def test_compressed_colour_with_raw_depth(self):
         images = {"/camera/color/image_raw/compressed": compressed,
                   "/camera/depth/image_rect_raw": lambda i, t: image(i, t, "16UC1")}
         self.assertEqual(self.taken(images)["image"], "/camera/color/image_raw/compressed")
@@ -194,7 +194,7 @@ class WhichImages(DriverBags):
         with rosbag.Bag(str(self.output)) as bag:
             self.assertEqual(bag.get_message_count("/camera/rgb/deblurred/image_raw"), 2)
 
-    def test_timing_chooses_alike(self):
+    def test_timing_chooses_the_same(self):
         self.write({"/camera/left": image, "/camera/right/compressed": compressed}, frames=2)
         self.refused(self.run_tool("calibrate", self.input), "several topics of images", "/camera/left",
                      "/camera/right/compressed")

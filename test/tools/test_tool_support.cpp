@@ -50,7 +50,7 @@ Ended run(std::vector<std::string> arguments, const std::string& error = "") {
   return ended;
 }
 
-TEST(ToolMain, ExitCodesTellBadInputFromBadUsage) {
+TEST(ToolMain, ExitCodesDistinguishBadInputFromBadUsage) {
   const Ended good = run({"3"});
   EXPECT_EQ(good.exit_code, 0);
   EXPECT_TRUE(good.ran);

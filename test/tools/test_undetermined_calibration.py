@@ -178,7 +178,7 @@ class UndeterminedCalibration(unittest.TestCase):
         self.assertIn("exposures up to 0.081 s were tried, and at one frame in 0.25 s it may be longer",
                       self.verdicts()["exposure_time"]["text"])
 
-    def test_a_turn_about_one_axis_leaves_the_rotation_open(self):
+    def test_rotation_about_one_axis_leaves_the_rotation_open(self):
         path = self.simulate("one_axis", 1, only_axis=1, frames=50)
         self.refused(path, "the recording rotates about one axis only", arguments=["--estimate-rotation"])
         self.assertIn("about one axis only, left and right (about y)", self.verdicts()["R_cam_imu"]["text"])

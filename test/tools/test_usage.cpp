@@ -1,4 +1,4 @@
-// Every tool tells bad usage, bad input and help apart in the same way.
+// Every tool distinguishes bad usage, bad input and help in the same way.
 #include <algorithm>
 #include <filesystem>
 #include <ostream>

@@ -47,7 +47,7 @@ bool exact_is_possible(const LineKernel& kernel, int depth) {
 
 bool has_box(const LineKernel& kernel) { return kernel.box_extent_px > 0; }
 
-/// Of the blur [px].
+/// Extent of the kernel's blur [px].
 double extent_of(const LineKernel& kernel) {
   return has_box(kernel) ? kernel.box_extent_px : 2 * kernel.radius() / kLengthInExtents;
 }

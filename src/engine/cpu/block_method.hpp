@@ -18,7 +18,7 @@ enum class FallbackReason {
   DEEP_NONUNIFORM_BLUR,         ///< exact taps are for 8 bit, and sheared columns near an axis are not close enough
   LONG_SHORT_BLUR               ///< too many taps, and the blur is too short for sheared columns
 };
-constexpr int kSlowReasons = 5;
+constexpr int kFallbackReasons = 5;
 
 /// In words, for diagnostics.
 std::string in_words(FallbackReason reason);

@@ -36,8 +36,8 @@ std::string CpuEngine::name() const { return std::string("cpu-") + kernels_.name
 
 FallbackCounts CpuEngine::fallback_counts() const {
   FallbackCounts blocks;
-  for (int i = 0; i < kSlowReasons; ++i) {
-    if (slow_counts_[i] > 0) blocks[in_words(static_cast<FallbackReason>(i))] = slow_counts_[i];
+  for (int i = 0; i < kFallbackReasons; ++i) {
+    if (fallback_counts_[i] > 0) blocks[in_words(static_cast<FallbackReason>(i))] = fallback_counts_[i];
   }
   return blocks;
 }
@@ -56,8 +56,8 @@ void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.major_is_y = line.major_is_y;
   plan.slope = line.slope;
   plan.max_rows = kMaxTileSide;
-  plan.slow = fallback_reason(kernel, line.slope, depth);
-  if (plan.slow) return;
+  plan.fallback = fallback_reason(kernel, line.slope, depth);
+  if (plan.fallback) return;
   plan.sheared = takes_sheared_columns(kernel, line.slope, depth);
   if (plan.sheared) {
     plan.max_rows = max_sheared_rows(kernel, line.slope);
@@ -76,11 +76,11 @@ void CpuEngine::plan_blocks(const FilterGrid& grid, const std::vector<int>& bloc
   plans_.resize(std::max(plans_.size(), blocks.size()));
   constexpr int kBlocksAtATime = 8;
   parallel_for(count, threads(), kBlocksAtATime, [&](int i) { plan_block(grid.blocks[blocks[i]], depth, plans_[i]); });
-  slow_counts_.fill(0);
+  fallback_counts_.fill(0);
   left_to_float_.clear();
   for (int i = 0; i < count; ++i) {
-    if (!plans_[i].slow) continue;
-    ++slow_counts_[static_cast<int>(*plans_[i].slow)];
+    if (!plans_[i].fallback) continue;
+    ++fallback_counts_[static_cast<int>(*plans_[i].fallback)];
     left_to_float_.push_back(blocks[i]);
   }
 }
@@ -95,7 +95,7 @@ TileNeeds CpuEngine::cut_tiles(const std::vector<int>& blocks, int depth, const 
   TileNeeds needs{};
   for (int i = 0; i < static_cast<int>(blocks.size()); ++i) {
     const Plan& plan = plans_[i];
-    if (plan.slow) continue;
+    if (plan.fallback) continue;
     const cv::Rect reach = seams.reach(blocks[i]);
     const int max_height = plan.major_is_y ? plan.max_rows : kMaxTileSide;
     const int max_width = plan.major_is_y ? kMaxTileSide : plan.max_rows;

@@ -45,8 +45,8 @@ class CpuEngine : public BlockEngine {
  private:
   /// What is the same for all tiles of a block.
   struct Plan {
-    std::optional<FallbackReason> slow;  // set: the float engine's, and what follows does not matter
-    bool sheared = false;                // two_scale rather than exact
+    std::optional<FallbackReason> fallback;  // set: the float engine's, and what follows does not matter
+    bool sheared = false;                    // two_scale rather than exact
     bool major_is_y = true;
     double slope = 0;
     int max_rows = 0;  // of a tile, along the major axis
@@ -63,10 +63,10 @@ class CpuEngine : public BlockEngine {
   };
 
   void plan_block(const BlockFilter& block, int depth, Plan& plan);
-  /// Plans of `blocks`, in their order; which are slow, and why.
+  /// Plans of `blocks`, in their order; which are left to the float engine, and why.
   void plan_blocks(const FilterGrid& grid, const std::vector<int>& blocks, int depth);
   TileNeeds needs_of(const TileGeometry& tile, const Plan& plan, int depth) const;
-  /// Tiles of all blocks that are not slow. Returns the largest needs.
+  /// Tiles of all blocks that are not left to the float engine. Returns the largest needs.
   TileNeeds cut_tiles(const std::vector<int>& blocks, int depth, const SeamBlender& seams);
   template <typename Pixel>
   void run_tile(const SourcePlane<Pixel>& source, const Tile& tile, float* scratch, Pixel* line_order) const;
@@ -80,8 +80,8 @@ class CpuEngine : public BlockEngine {
   TwoScaleDesigns designs_;
   std::vector<Plan> plans_;
   std::vector<Tile> tiles_;
-  std::array<std::size_t, kSlowReasons> slow_counts_{};  // by FallbackReason
-  std::vector<int> left_to_float_;                       // blocks
+  std::array<std::size_t, kFallbackReasons> fallback_counts_{};  // by FallbackReason
+  std::vector<int> left_to_float_;                               // blocks
   PlaneBuffers<std::uint8_t> buffers8_;
   PlaneBuffers<std::uint16_t> buffers16_;
   cv::Mat channel_;

@@ -89,7 +89,7 @@ inline void copy_neighbourhood(const SourcePlane<std::uint8_t>& source, const Ex
 #endif
 }
 
-/// Of a neighbourhood: a pair begins in the last column.
+/// Columns of a neighbourhood: a pair begins in the last one.
 inline int pair_columns(const ExactLayout& layout) { return round_up(layout.width + 1, kCacheLineBytes); }
 
 TileNeeds exact_pairs_needs(const TileGeometry& tile, const ExactFilter& filter) {
@@ -140,7 +140,7 @@ struct Quad {
   std::int32_t weights;  // a byte each
 };
 
-/// Of a neighbourhood, and room for a vector that begins in the last of them.
+/// Columns of a neighbourhood, and the stride with space for a vector that begins in the last one.
 inline int quad_columns(const ExactLayout& layout) { return round_up(layout.width, kCacheLineBytes); }
 inline int quad_stride(const ExactLayout& layout) { return quad_columns(layout) + 64; }
 

@@ -462,14 +462,14 @@ inline void add_scales(const TileGeometry& tile, const TwoScaleFilter& filter, c
         leaving[p] = Format::load_sample(from);
       }
       for (int node = first_node, m = first_m; m < rows.end; ++node) {
-        Vector value[2], slope[2], bend[2];
+        Vector value[2], slope[2], slope_step[2];
         for (int p = 0; p < 2; ++p) {
           const float* from = coarse + node * columns + at[p];  // of the node before
           const Vector before = load(from), here = load(from + columns), after = load(from + 2 * columns);
           const Vector linear = 0.5f * (after - before), square = 0.5f * (before + after) - here;
           value[p] = here + 0.25f * square + first_u * (linear + first_u * square);
           slope[p] = step * (linear + (2 * first_u + step) * square);
-          bend[p] = (2 * step * step) * square;
+          slope_step[p] = (2 * step * step) * square;
         }
         const int last = m + d < rows.end ? m + d : rows.end;
         for (; m < last; ++m) {
@@ -482,7 +482,7 @@ inline void add_scales(const TileGeometry& tile, const TwoScaleFilter& filter, c
             leaving[p] = Format::load_sample(leaving_row + at[p]);
             box[p] += entering - leaving[p];
             value[p] += slope[p];
-            slope[p] += bend[p];
+            slope[p] += slope_step[p];
           }
           Format::store_results(result + m * columns + group, part, sum);
         }

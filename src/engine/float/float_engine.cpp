@@ -7,7 +7,7 @@
 #include "base/parallel.hpp"
 #include "engine/engine.hpp"
 
-// One binary for every x86-64: the compiler makes a copy of the inner loop per instruction set and the loader picks
+// One binary for every x86-64: the compiler makes a variant of the inner loop per instruction set and the loader picks
 // one. It does so before ThreadSanitizer has started, which ends the process.
 #if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) && \
     !defined(__SANITIZE_THREAD__)

@@ -1,4 +1,4 @@
-// Stands in for the OpenCL engine where it was not built.
+// Replaces the OpenCL engine where it was not built.
 #include "engine/fallback_engine.hpp"
 #include "engine/opencl/opencl_factory.hpp"
 

@@ -190,7 +190,7 @@ class OpenClEngine::Impl {
   TransferBuffer image_, steps_, tiles_, result_;
   bool is_processor_;  // has threads of its own
   Plane upright_, transposed_;
-  // Of the frame at hand; kept for their memory.
+  // Of the current frame; members to reuse their memory.
   std::vector<LineSteps> lines_;            // of the blocks that are filtered
   std::vector<std::size_t> result_starts_;  // of them, in result_ [values]
   std::size_t result_values_ = 0;

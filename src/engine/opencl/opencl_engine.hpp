@@ -16,11 +16,12 @@ std::vector<std::string> opencl_devices();
 /// Where the time of the latest frame went [ms]. Device and host work at the same time, so that the parts add up to
 /// more than the whole.
 struct OpenClTimes {
-  // Of the device, by profiling events. Where device and host share memory, upload and download are mapping alone.
+  // Times of the device, by profiling events. Where device and host share memory, upload and download are mapping
+  // alone.
   double upload_ms = 0;
   double kernel_ms = 0;
   double download_ms = 0;
-  // Of the host.
+  // Times of the host.
   double plan_ms = 0;   ///< making taps and tiles
   double fill_ms = 0;   ///< writing what is uploaded, and starting the device
   double wait_ms = 0;   ///< for the device's results

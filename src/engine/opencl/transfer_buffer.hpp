@@ -1,4 +1,4 @@
-// Memory that an OpenCL device and the host take turns with.
+// Memory that an OpenCL device and the host use alternately.
 #pragma once
 
 #include <cstddef>

@@ -1,4 +1,4 @@
-// Messages of a simulated camera that is turned about all axes before a wall, with an IMU of which nothing is known.
+// Messages of a simulated camera that is rotated about all axes before a wall, with an IMU of which nothing is known.
 #pragma once
 
 #include <cmath>
@@ -20,13 +20,13 @@
 namespace gyro_deblur::test {
 
 /// Renders each image once.
-class TurningCamera {
+class RotatingCamera {
  public:
   static constexpr TimeNs kTimeOffset = 37 * kMs, kShownFor = 10 * kMs;
   static constexpr int kFrames = 150;
   static constexpr double kFramesPerS = 20;
 
-  TurningCamera() : simulator_(scene()), imu_(simulator_.imu()) {}
+  RotatingCamera() : simulator_(scene()), imu_(simulator_.imu()) {}
 
   static Eigen::Matrix3d R_cam_imu() { return so3_exp({1.1, -0.4, 2.0}).toRotationMatrix(); }
   static Eigen::Vector3d bias_rad_s() { return {0.01, -0.03, 0.02}; }
