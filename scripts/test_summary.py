@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """What a run of ctest comes to: skipped tests with their reasons, what failed tests said last, and as the last line the
-numbers of passed, failed and skipped tests. The cases of a GoogleTest binary are counted one by one; another test, and a
-binary that did not end by itself, is one. Fails when no test ran."""
+numbers of passed, failed and skipped tests. The cases of a GoogleTest binary are counted one by one; another test, and
+a binary that did not end by itself, is one. A binary that ran no case, or did not run all of them, has failed, and so
+has a test that ctest did not come to. Fails when no test ran."""
 
 import argparse
 import collections
@@ -20,15 +21,20 @@ class Test:
         self.skipped = status == "Skipped"
         self.output = output
 
+    def says(self, pattern):
+        return any(re.match(pattern, line) for line in self.output)
+
     def counts(self):
         """Passed, failed, skipped."""
-        if not any(re.match(r"\[={10}\] \d+ tests? from .* ran\.", line) for line in self.output):
-            return int(not self.failed and not self.skipped), int(self.failed), int(self.skipped)
+        if not self.says(r"\[={10}\] \d+ tests? from .* ran\."):
+            failed = self.failed or self.says(r"\[={10}\] Running \d+ tests? from ")
+            return int(not failed and not self.skipped), int(failed), int(self.skipped)
         passed, failed, skipped = (
             sum(int(match.group(1)) for match in map(re.compile(pattern).match, self.output) if match)
             for pattern in (r"\[  PASSED  \] (\d+) tests?\.", r"\[  FAILED  \] (\d+) tests?, listed below",
                             r"\[  SKIPPED \] (\d+) tests?, listed below"))
-        return passed, max(failed, int(self.failed)), skipped
+        nothing_ran = passed + failed + skipped == 0
+        return passed, max(failed, int(self.failed or nothing_ran)), skipped
 
     def skipped_names(self):
         cases = [match.group(1) for match in map(re.compile(r"\[  SKIPPED \] (\S+) \(\d+ ms\)").match, self.output)
@@ -43,24 +49,28 @@ class Test:
 
 
 def read_tests(progress, record):
-    """Tests of ctest's own lines of progress and its record LastTest.log, both as lists of lines."""
-    statuses = {}
+    """Tests of ctest's own lines of progress and its record LastTest.log, both as lists of lines; and how many tests
+    ctest did not come to."""
+    statuses, total = {}, None
     for line in progress:
-        match = re.match(r" *\d+/\d+ Test +#\d+: (\S+) \.*\s*(?:\*\*\*)?([A-Z]\w+)", line)
-        if match:
-            statuses[match.group(1)] = match.group(2)
+        match = re.match(r" *\d+/(\d+) Test +#(\d+): (.+?) \.{2,} *(?:\*\*\*)?([A-Z]\w+)", line)
+        if match and total in (None, match.group(1)):  # another total: of a ctest that a failed test ran
+            total = match.group(1)
+            statuses[match.group(2)] = match.group(3, 4)
     outputs, name = {}, None
     for before, line in zip(record, record[1:]):
-        begin = re.match(r"\d+/\d+ Testing: (\S+)$", line)
+        begin = re.match(r"\d+/\d+ Testing: (.+)$", line)
         if begin:
             name = begin.group(1)
+            outputs.pop(name, None)  # of a run before, with --repeat
         elif line == "<end of output>":
             name = None
         elif before == "Output:" and name not in outputs:  # the line below it is a rule
             outputs[name] = []
         elif name in outputs:
             outputs[name].append(line)
-    return [Test(name, status, outputs.get(name, [])) for name, status in statuses.items()]
+    tests = [Test(name, status, outputs.get(name, [])) for name, status in statuses.values()]
+    return tests, int(total or 0) - len(tests)
 
 
 def summary(tests):
@@ -88,11 +98,14 @@ def main():
     for path in (arguments.progress, arguments.record):
         with open(path, errors="replace") as log:
             logs.append(log.read().splitlines())
-    tests = read_tests(*logs)
+    tests, not_run = read_tests(*logs)
     if not tests:
         sys.exit("error: %s has no test" % arguments.progress)
     print("\n".join(summary(tests)))
-    print(*(sum(numbers) for numbers in zip(*(test.counts() for test in tests))))
+    if not_run > 0:
+        print("\nctest ended before %d of its tests, which count as failed" % not_run)
+    passed, failed, skipped = (sum(numbers) for numbers in zip(*(test.counts() for test in tests)))
+    print(passed, failed + not_run, skipped)
 
 
 if __name__ == "__main__":

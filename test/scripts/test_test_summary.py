@@ -73,7 +73,7 @@ class Summary(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             paths = [pathlib.Path(folder) / name for name in ("progress", "record")]
             paths[0].write_text(progress)
-            paths[1].write_text(record(outputs))
+            paths[1].write_text(outputs if isinstance(outputs, str) else record(outputs))
             return subprocess.run([sys.executable, SCRIPT, *paths], capture_output=True, text=True)
 
     def test_cases_are_counted_and_a_crash_is_one_failure(self):
@@ -96,6 +96,42 @@ class Summary(unittest.TestCase):
     def test_a_failure_after_the_last_case_counts(self):
         outputs = dict(OUTPUTS, test_crashes=OUTPUTS["test_passes"])
         self.assertEqual(self.run_script(PROGRESS, outputs).stdout.splitlines()[-1], "10 2 2")
+
+    def test_a_binary_that_runs_no_case_or_not_all_fails(self):
+        for output in ("""\
+[==========] Running 0 tests from 0 test suites.
+[==========] 0 tests from 0 test suites ran. (0 ms total)
+[  PASSED  ] 0 tests.""", """\
+[==========] Running 2 tests from 1 test suite.
+[       OK ] A.First (0 ms)"""):
+            with self.subTest(output=output):
+                result = self.run_script(PROGRESS, dict(OUTPUTS, test_passes=output))
+                self.assertEqual(result.stdout.splitlines()[-1], "6 3 2")
+                self.assertIn("  test_passes:", result.stdout.splitlines())
+
+    def test_every_end_but_that_of_passing_and_skipping_is_a_failure(self):
+        for status in ("***Timeout  600.01 sec", "***Not Run   0.00 sec", "Subprocess aborted***Exception:   0.10 sec",
+                       "***Exception: SegFault  0.10 sec", "***Failed    0.10 sec",
+                       "***Failed  Error regular expression found in output. Regex=[x]  0.10 sec"):
+            with self.subTest(status=status):
+                progress = PROGRESS.replace("  Passed    0.10 sec\n\n67%", status + "\n\n67%")
+                self.assertNotEqual(progress, PROGRESS)
+                self.assertEqual(self.run_script(progress, OUTPUTS).stdout.splitlines()[-1], "7 3 2")
+
+    def test_tests_that_ctest_did_not_come_to_fail(self):
+        progress = "".join(PROGRESS.splitlines(keepends=True)[:4])
+        lines = self.run_script(progress, OUTPUTS).stdout.splitlines()
+        self.assertEqual(lines[-1], "4 4 1")
+        self.assertIn("ctest ended before 4 of its tests, which count as failed", lines)
+
+    def test_of_repeated_runs_the_last_counts(self):
+        again = "  7/6 Test   #3: test_fails .......................   Passed    0.10 sec\n"
+        text = record(OUTPUTS) + record({"test_fails": OUTPUTS["test_passes"]})
+        self.assertEqual(self.run_script(PROGRESS + again, text).stdout.splitlines()[-1], "7 1 2")
+
+    def test_tests_may_have_the_same_name(self):
+        progress = PROGRESS.replace("#6: scripts.passes .", "#6: test_passes ....")
+        self.assertEqual(self.run_script(progress, OUTPUTS).stdout.splitlines()[-1], "9 2 2")
 
     def test_no_test_is_an_error(self):
         result = self.run_script("No tests were found!!!\n", {})
