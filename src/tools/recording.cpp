@@ -5,9 +5,12 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
+#include <cmath>
 #include <cstdlib>
 #include <filesystem>
 #include <functional>
+#include <limits>
 #include <map>
 #include <memory>
 #include <regex>
@@ -92,15 +95,39 @@ double parse_number(const std::string& text) {
 
 constexpr double kNanosecond = 1e-9;
 
+/// The integer that is all of the text; nothing where it is none, or out of range.
+std::optional<long long> find_integer(const std::string& text) {
+  char* end = nullptr;
+  errno = 0;
+  const long long value = std::strtoll(text.c_str(), &end, 10);
+  if (end == text.c_str() || *end != '\0' || errno == ERANGE) return std::nullopt;
+  return value;
+}
+
+/// @param place  of the text, for errors; empty: for_each_line() adds it
+int parse_image_number(const std::string& text, const std::string& place = "") {
+  constexpr int kMost = std::numeric_limits<int>::max();
+  const std::optional<long long> value = find_integer(text);
+  if (!value || *value < 0 || *value > kMost) {
+    throw std::runtime_error(place + "'" + text + "' is no image number: an integer from 0 to " +
+                             std::to_string(kMost) + " is needed");
+  }
+  return static_cast<int>(*value);
+}
+
 /// Nanoseconds are read as integers: 19 digits do not fit a double.
 TimeNs parse_time(const std::string& text, double unit_s) {
-  if (unit_s != kNanosecond) return to_ns(parse_number(text) * unit_s);
-  char* end = nullptr;
-  const long long value = std::strtoll(text.c_str(), &end, 10);
-  if (text.empty() || *end != '\0') {
-    throw std::runtime_error("'" + text + "' is no time in integer nanoseconds");
+  if (unit_s == kNanosecond) {
+    const std::optional<long long> value = find_integer(text);
+    if (!value) throw std::runtime_error("'" + text + "' is no time in integer nanoseconds");
+    return *value;
   }
-  return value;
+  constexpr double kMostS = 9e9;  // what nanoseconds in 64 bits hold
+  const double time_s = parse_number(text) * unit_s;
+  if (!(std::abs(time_s) <= kMostS)) {
+    throw std::runtime_error("'" + text + "' is no time: at most 9e9 s are allowed");
+  }
+  return to_ns(time_s);
 }
 
 Eigen::Vector3d parse_vector(const std::vector<std::string>& fields, const std::array<std::size_t, 3>& columns) {
@@ -141,6 +168,25 @@ class Description {
     const int number = get<int>(key);
     require_range((path_ + ": " + key).c_str(), number, 1, 100);
     return static_cast<std::size_t>(number) - 1;
+  }
+
+  /// The regular expression `pattern`.
+  /// @param groups  what each of its groups holds
+  std::regex pattern(const std::vector<std::string>& groups) const {
+    const auto text = get<std::string>("pattern");
+    const std::string start = path_ + ": 'pattern' = " + text;
+    std::regex expression;
+    try {
+      expression.assign(text);
+    } catch (const std::regex_error& error) {
+      throw std::runtime_error(start + " is no regular expression: " + error.what());
+    }
+    if (expression.mark_count() != groups.size()) {
+      throw std::runtime_error(start + " has " + std::to_string(expression.mark_count()) +
+                               " groups in parentheses instead of " + std::to_string(groups.size()) + ": " +
+                               join(groups) + ". Write other parentheses as (?:...)");
+    }
+    return expression;
   }
 
   std::vector<double> numbers(const std::string& key, std::size_t count) const {
@@ -199,7 +245,7 @@ std::map<int, TimeNs> read_times(const fs::path& folder, const Description& time
     throw std::runtime_error(times.path() + ": needs either 'column' or 'pattern', and has " +
                              (has_pattern ? "both" : "none"));
   }
-  const std::regex pattern(times.get<std::string>("pattern", ""));
+  const std::regex pattern = has_pattern ? times.pattern({"image number", "time"}) : std::regex();
   const std::size_t column = has_pattern ? 0 : times.column("column");
   const double unit_s = times.get<double>("unit");
   std::map<int, TimeNs> times_ns;
@@ -207,8 +253,8 @@ std::map<int, TimeNs> read_times(const fs::path& folder, const Description& time
     std::smatch match;
     if (!has_pattern) {
       times_ns[static_cast<int>(times_ns.size()) + 1] = parse_time(field_at(split(line), column), unit_s);
-    } else if (std::regex_search(line, match, pattern) && match.size() == 3) {
-      times_ns[std::stoi(match[1])] = parse_time(match[2], unit_s);
+    } else if (std::regex_search(line, match, pattern)) {
+      times_ns[parse_image_number(match[1])] = parse_time(match[2], unit_s);
     }
   });
   return times_ns;
@@ -217,7 +263,7 @@ std::map<int, TimeNs> read_times(const fs::path& folder, const Description& time
 std::vector<RecordedFrame> read_images(const fs::path& folder, const Description& description) {
   const Description images = description.child("images");
   const fs::path image_folder = folder / images.get<std::string>("folder");
-  const std::regex name_pattern(images.get<std::string>("pattern"));
+  const std::regex name_pattern = images.pattern({"image number"});
   if (!fs::is_directory(image_folder)) {
     throw std::runtime_error(image_folder.string() + ": no such folder");
   }
@@ -230,10 +276,10 @@ std::vector<RecordedFrame> read_images(const fs::path& folder, const Description
   for (const fs::directory_entry& entry : fs::directory_iterator(image_folder)) {
     std::smatch match;
     const std::string name = entry.path().filename().string();
-    if (!std::regex_match(name, match, name_pattern) || match.size() != 2) {
+    if (!std::regex_match(name, match, name_pattern)) {
       continue;
     }
-    const int number = std::stoi(match[1]);
+    const int number = parse_image_number(match[1], entry.path().string() + ": ");
     const auto stamp = stamps_ns.find(number);
     if (stamp == stamps_ns.end()) {
       throw std::runtime_error(entry.path().string() + ": no stamp for image " + std::to_string(number) + " in " +

@@ -201,6 +201,45 @@ class MakeBag(unittest.TestCase):
         self.write("in/images/images.txt", "1403715273.262 20000\n")
         self.assert_fails("images.txt:1: '1403715273.262' is no time in integer nanoseconds", *frames)
 
+    def test_bad_patterns(self):
+        frames = ("--format", "frames", "--description", self.path("description.yaml"))
+        for before, after, expected in (
+                (r"shot(\d+)\.png", r"shot\d+\.png",
+                 r"description.yaml: images: 'pattern' = shot\d+\.png has 0 groups in parentheses instead of 1: "
+                 "image number. Write other parentheses as (?:...)"),
+                (r"shot(\d+)\.png", r"(shot|snap)(\d+)\.png", "has 2 groups in parentheses instead of 1: image number"),
+                (r"shot(\d+)\.png", r"shot(\d+\.png",
+                 r"description.yaml: images: 'pattern' = shot(\d+\.png is no regular expression: "),
+                (r"frame (\d+) took ([0-9.]+) ms", "took ([0-9.]+) ms",
+                 "description.yaml: exposures: 'pattern' = took ([0-9.]+) ms has 1 groups in parentheses instead of 2: "
+                 "image number, time"),
+                (r"frame (\d+) took ([0-9.]+) ms", r"frame (\d+) took ([0-9.]+) (ms)", "has 3 groups in parentheses"),
+                (r"frame (\d+) took", r"(\w+) \d+ took",
+                 "log.txt.gz:2: 'frame' is no image number: an integer from 0 to 2147483647 is needed"),
+                (r"frame (\d+) took", r"frame (\d*)[ \d]* took",
+                 "log.txt.gz:4: '' is no image number: an integer from 0 to 2147483647 is needed"),
+                (r"shot(\d+)\.png", r"shot(\w+)\.png", "in/pictures/shot2b.png: '2b' is no image number: an integer"),
+                (r"shot(\d+)\.png", r"shot?(\d+)\.png",
+                 "in/pictures/sho2147483648.png: '2147483648' is no image number: an integer"),
+                (r"([0-9.]+) ms'", r"(\S+) ms'", "log.txt.gz:5: 'nan' is no time: at most 9e9 s are allowed")):
+            with self.subTest(after=after):
+                self.make_frames()
+                self.image("in/pictures/shot2b.png", picture(2))
+                self.image("in/pictures/sho2147483648.png", picture(2))
+                with gzip.open(self.path("in/log.txt.gz"), "at") as file:
+                    file.write("frame  took 1 ms\nframe 11 took nan ms\n")
+                self.assertEqual(FRAMES.count(before), 1)
+                self.write("description.yaml", FRAMES.replace(before, after))
+                self.assert_fails(expected, *frames)
+
+    def test_groups_that_do_not_count(self):
+        self.make_frames()
+        self.write("description.yaml", FRAMES.replace(r"shot(\d+)", r"(?:shot|snap)0*(\d+)"))
+        self.image("in/pictures/snap0012.png", picture(12))
+        self.assertEqual(self.frames().returncode, 0)
+        self.assertEqual([m.header.stamp.to_nsec() for m, _ in self.messages("/camera/image_raw")],
+                         [5200 * 10**6, 6000 * 10**6, 6100 * 10**6, 6200 * 10**6])
+
     def test_euroc(self):
         self.write("in/mav0/cam0/sensor.yaml", """%YAML:1.0
 T_BS:
