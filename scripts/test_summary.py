@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """What a run of ctest comes to: skipped tests with their reasons, what failed tests said last, and as the last line the
 numbers of passed, failed and skipped tests. The cases of a GoogleTest binary are counted one by one; another test, and
-a binary that did not end by itself, is one. A binary that ran no case, or did not run all of them, has failed, and so
-has a test that ctest did not come to. Fails when no test ran."""
+a binary that did not end by itself, is one, and each case that a test in Python skips is one more. A binary that ran no
+case, or did not run all of them, has failed, and so has a test that ctest did not come to. Fails when no test ran."""
 
 import argparse
 import collections
@@ -21,30 +21,43 @@ class Test:
         self.skipped = status == "Skipped"
         self.output = output
 
-    def says(self, pattern):
-        return any(re.match(pattern, line) for line in self.output)
+    def numbers(self, pattern):
+        """Of each line that begins so, its number."""
+        return [int(match.group(1)) for match in map(re.compile(pattern).match, self.output) if match]
 
     def counts(self):
         """Passed, failed, skipped."""
-        if not self.says(r"\[={10}\] \d+ tests? from .* ran\."):
-            failed = self.failed or self.says(r"\[={10}\] Running \d+ tests? from ")
-            return int(not failed and not self.skipped), int(failed), int(self.skipped)
-        passed, failed, skipped = (
-            sum(int(match.group(1)) for match in map(re.compile(pattern).match, self.output) if match)
-            for pattern in (r"\[  PASSED  \] (\d+) tests?\.", r"\[  FAILED  \] (\d+) tests?, listed below",
-                            r"\[  SKIPPED \] (\d+) tests?, listed below"))
-        nothing_ran = passed + failed + skipped == 0
-        return passed, max(failed, int(self.failed or nothing_ran)), skipped
+        if self.numbers(r"\[={10}\] (\d+) tests? from .* ran\."):
+            passed, failed, skipped = (sum(self.numbers(pattern)) for pattern in (
+                r"\[  PASSED  \] (\d+) tests?\.", r"\[  FAILED  \] (\d+) tests?, listed below",
+                r"\[  SKIPPED \] (\d+) tests?, listed below"))
+            nothing_ran = passed + failed + skipped == 0
+            return passed, max(failed, int(self.failed or nothing_ran)), skipped
+        ended_early = bool(self.numbers(r"\[={10}\] Running (\d+) tests? from "))
+        cases, skipped = self.numbers(r"Ran (\d+) tests? in "), self.skipped_in_python()
+        nothing_ran = bool(cases) and sum(cases) + skipped == 0
+        failed = self.failed or ended_early or nothing_ran
+        all_skipped = self.skipped or (skipped > 0 and sum(cases) <= skipped)
+        return int(not failed and not all_skipped), int(failed), max(skipped, int(self.skipped))
+
+    def skipped_in_python(self):
+        """Cases that unittest skipped."""
+        return sum(self.numbers(r"OK \(.*skipped=(\d+)"))
 
     def skipped_names(self):
         cases = [match.group(1) for match in map(re.compile(r"\[  SKIPPED \] (\S+) \(\d+ ms\)").match, self.output)
                  if match]
+        if self.skipped_in_python() > 0:
+            cases.append("%s: %d of its cases" % (self.name, self.skipped_in_python()))
         return cases or ([self.name] if self.skipped else [])
 
     def reasons(self):
-        """The lines below "FILE:LINE: Skipped", GoogleTest's, and "SKIPPED:", of tests in Python."""
+        """The lines below "FILE:LINE: Skipped", GoogleTest's, and "SKIPPED:", of tests in Python; unittest's reasons."""
         for line, following in zip(self.output, self.output[1:]):
-            if line.endswith(": Skipped") or line == "SKIPPED:":
+            of_unittest = re.search(r"\.\.\. skipped (['\"])(.*)\1$", line)
+            if of_unittest:
+                yield of_unittest.group(2)
+            elif line.endswith(": Skipped") or line == "SKIPPED:":
                 yield following
 
 

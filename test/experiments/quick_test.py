@@ -54,6 +54,6 @@ def main(recording):
     parser.add_argument("data", type=pathlib.Path)
     QuickTest.arguments = parser.parse_args()
     if not (QuickTest.arguments.data / recording).exists():
-        print(f"skipped: there is no {QuickTest.arguments.data}/{recording}")
+        print(f"SKIPPED:\nthere is no {QuickTest.arguments.data}/{recording}")
         sys.exit(SKIPPED)
     unittest.main(argv=sys.argv[:1])

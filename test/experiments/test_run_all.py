@@ -87,4 +87,4 @@ if __name__ == "__main__":
     parser.add_argument("programs")
     parser.add_argument("data")
     arguments = parser.parse_args()
-    unittest.main(argv=sys.argv[:1])
+    unittest.main(argv=sys.argv[:1], verbosity=2)

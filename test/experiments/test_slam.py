@@ -292,6 +292,6 @@ if __name__ == "__main__":
     parser.add_argument("data", type=pathlib.Path)
     arguments = parser.parse_args()
     if not (arguments.data / "trajectories").exists():
-        print(f"skipped: there is no {arguments.data}/trajectories")
+        print(f"SKIPPED:\nthere is no {arguments.data}/trajectories")
         sys.exit(SKIPPED)
     unittest.main(argv=sys.argv[:1])

@@ -43,6 +43,6 @@ if __name__ == "__main__":
     DATA = pathlib.Path(sys.argv.pop())
     for needed in "handshake_gyro", "oxford_affine":
         if not (DATA / needed).is_dir():
-            print(f"skipped: there is no {DATA / needed}")
+            print(f"SKIPPED:\nthere is no {DATA / needed}")
             sys.exit(SKIPPED)
     unittest.main()

@@ -124,6 +124,21 @@ class Summary(unittest.TestCase):
         self.assertEqual(lines[-1], "4 4 1")
         self.assertIn("ctest ended before 4 of its tests, which count as failed", lines)
 
+    def test_cases_that_python_skips_count(self):
+        skipped = "test_b (X) ... skipped 'there is no COLMAP'\n\nRan %d in 0.1s\n\nOK (skipped=1)"
+        for output, counts in (("test_a (X) ... ok\n" + skipped.replace("%d", "2 tests"), "8 2 3"),
+                               (skipped.replace("%d", "1 test"), "7 2 3"),
+                               (skipped.replace("%d", "0 tests"), "7 2 3")):  # in setUpClass
+            with self.subTest(output=output):
+                lines = self.run_script(PROGRESS, dict(OUTPUTS, **{"scripts.passes": output})).stdout.splitlines()
+                self.assertEqual(lines[-1], counts)
+                self.assertIn("  scripts.passes: 1 of its cases", lines)
+                self.assertIn("        1 there is no COLMAP", lines)
+
+    def test_a_test_in_python_without_cases_fails(self):
+        outputs = dict(OUTPUTS, **{"scripts.passes": "Ran 0 tests in 0.000s\n\nOK"})
+        self.assertEqual(self.run_script(PROGRESS, outputs).stdout.splitlines()[-1], "7 3 2")
+
     def test_of_repeated_runs_the_last_counts(self):
         again = "  7/6 Test   #3: test_fails .......................   Passed    0.10 sec\n"
         text = record(OUTPUTS) + record({"test_fails": OUTPUTS["test_passes"]})
