@@ -14,7 +14,6 @@
 namespace gyro_deblur::sim {
 namespace {
 
-constexpr double kPi = 3.14159265358979323846;
 // Step of the integration of a recorded gyroscope. Its error a second is dt^2 |w x dw/dt| / 12, below 1e-5 rad for
 // 10 rad/s and 300 rad/s^2.
 constexpr double kTraceStepS = 2e-4;
@@ -209,7 +208,7 @@ class OrbitMotion : public Motion {
 
  private:
   double angle(double t, int derivative) const {
-    const double w = 2 * kPi * orbit_.frequency_hz;
+    const double w = 2 * M_PI * orbit_.frequency_hz;
     if (derivative == 0) return orbit_.rate_rad_s * t + orbit_.amplitude_rad * std::sin(w * t);
     if (derivative == 1) return orbit_.rate_rad_s + orbit_.amplitude_rad * w * std::cos(w * t);
     return -orbit_.amplitude_rad * w * w * std::sin(w * t);
@@ -291,11 +290,11 @@ Eigen::Vector3d CubicSpline::evaluate(double t, int derivative) const {
 }
 
 Eigen::Vector3d Sine::evaluate(double t, int derivative) const {
-  const double w = 2 * kPi * frequency_hz, s = std::sin(w * t + phase_rad), c = std::cos(w * t + phase_rad);
+  const double w = 2 * M_PI * frequency_hz, s = std::sin(w * t + phase_rad), c = std::cos(w * t + phase_rad);
   const double f[3] = {s, w * c, -w * w * s};
   if (!window) return f[derivative] * amplitude;
   if (t <= window->begin_s || t >= window->end_s) return Eigen::Vector3d::Zero();
-  const double k = kPi / (window->end_s - window->begin_s), x = k * (t - window->begin_s);
+  const double k = M_PI / (window->end_s - window->begin_s), x = k * (t - window->begin_s);
   const double sx = std::sin(x), cx = std::cos(x), s2 = sx * sx;
   const double g[3] = {s2 * s2, 4 * k * s2 * sx * cx, 4 * k * k * s2 * (3 * cx * cx - s2)};
   if (derivative == 0) return g[0] * f[0] * amplitude;

@@ -14,7 +14,6 @@
 namespace gyro_deblur::sim {
 namespace {
 
-constexpr double kPi = 3.14159265358979323846;
 constexpr double kLevelsPerOctave = 4;
 constexpr int kMinSide = 16;  // [px]
 // A little more than one texel a pixel, and a Gaussian: the image then has the softness of lens and pixel (transfer of
@@ -77,7 +76,7 @@ cv::Mat procedural_texture(int width_px, int height_px, std::uint64_t seed) {
   const double largest = 0.1 * std::max(width_px, height_px);
   // Mean area of a leaf with radius density ~ r^-3 on [smallest, largest].
   const double ratio = largest / kSmallestRadius;
-  const double mean_area = 2 * kPi * kSmallestRadius * kSmallestRadius * std::log(ratio) / (1 - 1 / (ratio * ratio));
+  const double mean_area = 2 * M_PI * kSmallestRadius * kSmallestRadius * std::log(ratio) / (1 - 1 / (ratio * ratio));
   const int leaves = static_cast<int>(kCoverage * width_px * height_px / mean_area);
 
   cv::RNG rng(seed + 1);  // 0 would be a fixed point of the generator
@@ -103,10 +102,10 @@ cv::Mat procedural_texture(int width_px, int height_px, std::uint64_t seed) {
       continue;
     }
     const int corners = rng.uniform(3, 7);
-    const double start = uniform(rng, 0, 2 * kPi);
+    const double start = uniform(rng, 0, 2 * M_PI);
     std::vector<cv::Point> polygon;
     for (int k = 0; k < corners; ++k) {
-      const double angle = start + 2 * kPi * (k + uniform(rng, -0.3, 0.3)) / corners,
+      const double angle = start + 2 * M_PI * (k + uniform(rng, -0.3, 0.3)) / corners,
                    r = radius * uniform(rng, 0.7, 1.3);
       polygon.emplace_back(fixed(center.x + r * std::cos(angle)), fixed(center.y + r * std::sin(angle)));
     }
