@@ -105,7 +105,9 @@ for _ in $(seq 300); do
 done
 display="$(cat "${OUT}/.display")"
 [[ -n "${display}" ]] || fail "Xvfb gave no display: see ${OUT}/xvfb.log"
-export DISPLAY=":${display}" LIBGL_ALWAYS_SOFTWARE=1 QT_X11_NO_MITSHM=1 XDG_RUNTIME_DIR="${OUT}"
+# Qt wants a folder that nobody else may enter; with another one rviz has crashed.
+mkdir -m 700 "${OUT}/.runtime"
+export DISPLAY=":${display}" LIBGL_ALWAYS_SOFTWARE=1 QT_X11_NO_MITSHM=1 XDG_RUNTIME_DIR="${OUT}/.runtime"
 rviz_listeners="--listener /camera/blur_markers=/rviz --listener /camera/blur_overlay=/rviz"
 rviz_listeners+=" --listener /camera/image_raw=/rviz --listener /camera/deblurred/image_raw=/rviz"
 launch "${OUT}/rviz.log" bag:="${OUT}/input.bag" config:="${CONFIG}" rviz:=true \
