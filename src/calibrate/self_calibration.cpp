@@ -4,19 +4,17 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdarg>
-#include <cstdio>
 #include <utility>
 
 #include <Eigen/Geometry>
 
+#include "base/format.hpp"
 #include "base/require_range.hpp"
 #include "gyro_deblur/calibration.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-constexpr double kDegrees = 180 / M_PI;
 constexpr TimeNs kSecondNs = 1'000'000'000;
 constexpr TimeNs kWindowNs = 30 * kSecondNs, kUpdateNs = kSecondNs;
 /// Of 30 images a second and more.
@@ -32,7 +30,7 @@ constexpr double kLeastScale = 0.6, kLargestScale = 1.6;
 /// About a second axis, root mean square: a twentieth of a degree a frame.
 constexpr double kLeastSecondRadS = 0.03;
 /// Errors that the parts of one window share: exposures that jitter, tracking that pulls to one side.
-constexpr double kOffsetFloorS = 0.0005, kRotationFloorRad = 0.1 / kDegrees, kBiasFloorRadS = 0.001,
+constexpr double kOffsetFloorS = 0.0005, kRotationFloorRad = 0.1 / kDegPerRad, kBiasFloorRadS = 0.001,
                  kReadoutFloorS = 0.0005, kReadoutFloorShare = 0.08;
 
 constexpr double kStillRadS = 0.02;
@@ -41,15 +39,6 @@ constexpr TimeNs kStillNs = kSecondNs, kStillPieceNs = kSecondNs / 4;
 constexpr double kRestingRadS = 0.01;
 /// Largest bias of a gyroscope. A larger estimate is a rotation that the images do not show.
 constexpr double kLargestBiasRadS = 0.3;
-
-__attribute__((format(printf, 1, 2))) std::string format(const char* pattern, ...) {
-  std::array<char, 400> text;
-  va_list arguments;
-  va_start(arguments, pattern);
-  std::vsnprintf(text.data(), text.size(), pattern, arguments);
-  va_end(arguments);
-  return text.data();
-}
 
 /// An axis of the camera in words.
 const char* axis_name(const Eigen::Vector3d& axis) {
@@ -252,7 +241,7 @@ void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double
                      axis_name(found.main_axis));
   } else if (rotation_stddev_rad > UsefulStddev::kRotationRad) {
     missing = format("the rotation is known to %.1f degrees, and %.1f are needed: rotate the camera about all axes",
-                     kDegrees * rotation_stddev_rad, kDegrees * UsefulStddev::kRotationRad);
+                     kDegPerRad * rotation_stddev_rad, kDegPerRad * UsefulStddev::kRotationRad);
   }
   if (!missing.empty()) {
     set_missing(missing, &learned_.R_cam_imu);
@@ -301,7 +290,7 @@ void SelfCalibration::learn_resting_bias() {
 }
 
 std::vector<Contradiction> contradictions(const UsedCalibration& used, const LearnedCalibration& learned) {
-  constexpr double kForgivenRad = 10 / kDegrees, kForgivenS = 0.02, kForgivenReadoutS = 0.008, kForgivenRadS = 0.05;
+  constexpr double kForgivenRad = 10 / kDegPerRad, kForgivenS = 0.02, kForgivenReadoutS = 0.008, kForgivenRadS = 0.05;
   const auto contradicts = [](double difference, double forgiven, double stddev) {
     constexpr double kSignificance = 4;
     return difference > std::max(forgiven, kSignificance * stddev);
@@ -318,7 +307,7 @@ std::vector<Contradiction> contradictions(const UsedCalibration& used, const Lea
     if (contradicts(off_rad, kForgivenRad, stddev)) {
       add("R_cam_imu", used.R_cam_imu->source,
           to_string(used.R_cam_imu->value) + ", they say " + to_string(value) +
-              format(" (+- %.1f degrees), %.0f degrees from it", kDegrees * stddev, kDegrees * off_rad));
+              format(" (+- %.1f degrees), %.0f degrees from it", kDegPerRad * stddev, kDegPerRad * off_rad));
     }
   }
   const auto check_time = [&](const char* key, const std::optional<Used<TimeNs>>& in_use, const Learned<double>& images,

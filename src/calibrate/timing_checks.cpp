@@ -3,19 +3,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
+#include "base/format.hpp"
 #include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {
 namespace {
-
-template <typename... Values>
-std::string text_of(const char* format, Values... values) {
-  char text[400];
-  std::snprintf(text, sizeof(text), format, values...);
-  return text;
-}
 
 /// Rotation by the gyroscope takes most of the motion away, save where translation undoes it in the image; translation
 /// is modelled, and then little is left over. Of images from which 50 % of a shake were taken, 10 % are left over, of
@@ -26,7 +19,7 @@ std::string stabilised(const TimingEstimate& estimate, const TimingOptions& opti
   if (estimate.median_at_start_px < kLeastLeftByGyro * without_px || estimate.median_px < kMostLeftOver * without_px) {
     return {};
   }
-  return text_of(
+  return format(
              "the images do not move as the gyroscope rotated: the median residual is %.2f px without the gyroscope, "
              "%.2f px with it, and %.2f px after the estimation; switch electronic stabilisation off",
              without_px, estimate.median_at_start_px, estimate.median_px) +
@@ -37,7 +30,7 @@ std::string stabilised(const TimingEstimate& estimate, const TimingOptions& opti
 std::string motionless(const TimingEstimate& estimate) {
   constexpr double kLeastPx = 1;
   if (estimate.median_without_px >= kLeastPx) return {};
-  return text_of(
+  return format(
       "the images hardly move: corners move by %.2f px within three frames in the median, %g px are needed; rotate the "
       "camera about all axes",
       estimate.median_without_px, kLeastPx);
@@ -48,7 +41,7 @@ std::string at_search_limit(const TimingEstimate& estimate, const TimingOptions&
   constexpr double kMarginS = 2e-3;
   const double search_s = to_seconds(options.search_ns), center_s = to_seconds(options.time_offset_ns);
   if (options.search_ns == 0 || std::abs(estimate.time_offset_s.value - center_s) < search_s - kMarginS) return {};
-  return text_of(
+  return format(
       "time_offset = %.6f s is at the limit of the search, %g s around %g s: widen it with --search, or give "
       "time_offset in --config",
       estimate.time_offset_s.value, search_s, center_s);
@@ -57,7 +50,7 @@ std::string at_search_limit(const TimingEstimate& estimate, const TimingOptions&
 std::string loose_offset(const TimingEstimate& estimate) {
   const double stddev_s = estimate.time_offset_s.stddev;
   if (stddev_s <= UsefulStddev::kOffsetS) return {};
-  return text_of(
+  return format(
       "time_offset has a standard deviation of %.0f ms, %g at most are of use: rotate the camera faster, and for "
       "longer",
       1e3 * stddev_s, 1e3 * UsefulStddev::kOffsetS);
@@ -68,17 +61,16 @@ std::string contradicted_offset(const TimingEstimate& estimate, const LearnedCal
   const Learned<double>& other = coarse.time_offset_s;
   const double off_s = std::abs(estimate.time_offset_s.value - other.value);
   if (!other.known || off_s < std::max(kForgivenS, kSignificance * other.stddev)) return {};
-  return text_of(
+  return format(
       "time_offset = %.4f s by the angular speeds, %.4f s by the angular rates about all axes: the motion repeats "
       "itself; rotate the camera irregularly",
       estimate.time_offset_s.value, other.value);
 }
 
 std::string loose_rotation(const TimingEstimate& estimate) {
-  constexpr double kDegPerRad = 180 / M_PI;
   const double stddev_rad = estimate.rotation_stddev_rad.maxCoeff();
   if (stddev_rad <= UsefulStddev::kRotationRad) return {};
-  return text_of(
+  return format(
       "R_cam_imu has a standard deviation of %.1f degrees, %g at most are of use: rotate the camera about all axes, or "
       "give R_cam_imu",
       kDegPerRad * stddev_rad, kDegPerRad * UsefulStddev::kRotationRad);
@@ -87,7 +79,7 @@ std::string loose_rotation(const TimingEstimate& estimate) {
 std::string loose_readout(const TimingEstimate& estimate) {
   const double stddev_s = estimate.readout_s.stddev;
   if (stddev_s <= UsefulStddev::kReadoutS) return {};
-  return text_of(
+  return format(
       "readout_time has a standard deviation of %.0f ms, %g at most are of use: rotate the camera faster, or give it "
       "in "
       "--config with --fixed-readout",
@@ -98,7 +90,7 @@ std::string loose_bias(const TimingEstimate& estimate) {
   double stddev_rad_s = 0;
   for (const Estimate& axis : estimate.bias_rad_s) stddev_rad_s = std::max(stddev_rad_s, axis.stddev);
   if (stddev_rad_s <= UsefulStddev::kBiasRadS) return {};
-  return text_of(
+  return format(
       "gyro_bias has a standard deviation of %.3f rad/s, %g at most are of use: let the camera stand still and call "
       "~estimate_gyro_bias, or record for longer",
       stddev_rad_s, UsefulStddev::kBiasRadS);

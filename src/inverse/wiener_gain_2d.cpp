@@ -8,8 +8,6 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr double kPi = 3.14159265358979323846;
-
 /// exp(-2 pi i f p) at the places p of a path along one axis, for `count` frequencies f = first, first + 1, .. cycles
 /// in `size` px: real parts and then imaginary parts of all places, frequency by frequency. Each is the product of two
 /// earlier ones, and steps between them are squares, so that errors grow with the logarithm of `count`.
@@ -17,7 +15,7 @@ void make_phases(const Path2d& path_px, int axis, int first, int count, int size
   phases.resize(static_cast<std::size_t>(count) * kPhaseFloats);
   std::complex<double> steps[kPathInstants];  // from a frequency to that `made` later
   for (int k = 0; k < kPathInstants; ++k) {
-    const double cycle_rad = -2 * kPi * path_px[k][axis] / size;
+    const double cycle_rad = -2 * M_PI * path_px[k][axis] / size;
     steps[k] = std::polar(1.0, cycle_rad);
     const std::complex<double> begin = std::polar(1.0, cycle_rad * first);
     phases[k] = static_cast<float>(begin.real());
@@ -57,8 +55,8 @@ void WienerGain2d::set(const WienerInverse2d& inverse, const FourierTile& tile, 
   tables_.down = down_.data();
   for (int k = 0; k + 1 < kPathInstants; ++k) {
     const Eigen::Vector2f moved_px = inverse.path_px[k + 1] - inverse.path_px[k];
-    tables_.slope_across[k] = static_cast<float>(kPi / cols) * moved_px.x();
-    tables_.slope_down[k] = static_cast<float>(kPi / rows) * moved_px.y();
+    tables_.slope_across[k] = static_cast<float>(M_PI / cols) * moved_px.x();
+    tables_.slope_down[k] = static_cast<float>(M_PI / rows) * moved_px.y();
   }
   tables_.noise_to_signal = inverse.noise_to_signal;
   tables_.noise_rise_across = inverse.noise_rise_px2 / (static_cast<float>(cols) * static_cast<float>(cols));

@@ -2,26 +2,18 @@
 #include "ros/calibration_in_use.hpp"
 
 #include <cmath>
-#include <cstdio>
 #include <utility>
 
 #include <Eigen/Geometry>
 
+#include "base/format.hpp"
 #include "gyro_deblur/calibration.hpp"
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-constexpr double kDegrees = 180 / M_PI;
-
 std::string kind_of(const std::string& key) { return key + " by images"; }
-
-std::string number(const char* pattern, double value) {
-  char text[60];
-  std::snprintf(text, sizeof(text), pattern, value);
-  return text;
-}
 
 double difference(double a, double b) { return std::abs(a - b); }
 double difference(const Eigen::Vector3d& a, const Eigen::Vector3d& b) { return (a - b).norm(); }
@@ -29,15 +21,15 @@ double difference(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b) {
   return Eigen::AngleAxisd(Eigen::Matrix3d(a.transpose() * b)).angle();
 }
 
-std::string text_of(double seconds) { return number("%.4f s", seconds); }
+std::string text_of(double seconds) { return format("%.4f s", seconds); }
 std::string text_of(const Eigen::Vector3d& bias_rad_s) { return vector_text(bias_rad_s) + " rad/s"; }
 std::string text_of(const Eigen::Matrix3d& R) { return to_string(R); }
 
 /// A standard deviation, or a difference, in the unit of such a value.
-std::string distance_text(const Learned<double>&, double distance) { return number("%.1f ms", 1e3 * distance); }
-std::string distance_text(const Learned<Eigen::Vector3d>&, double distance) { return number("%.4f rad/s", distance); }
+std::string distance_text(const Learned<double>&, double distance) { return format("%.1f ms", 1e3 * distance); }
+std::string distance_text(const Learned<Eigen::Vector3d>&, double distance) { return format("%.4f rad/s", distance); }
 std::string distance_text(const Learned<Eigen::Matrix3d>&, double distance) {
-  return number("%.1f degrees", kDegrees * distance);
+  return format("%.1f degrees", kDegPerRad * distance);
 }
 
 /// A row, of a value that is given.
@@ -62,7 +54,7 @@ CalibrationRow learned_row(const std::string& key, bool learns, const Learned<Va
   if (taken.known && learns) {
     return {key,
             text_of(taken.value) + " (+- " + distance_text(taken, taken.stddev) + "), by the images of " +
-                number("%.0f s", taken.seconds) + (is_remembered ? " before this start" : ""),
+                format("%.0f s", taken.seconds) + (is_remembered ? " before this start" : ""),
             true};
   }
   return {key, "not known, " + without + ": " + (learns ? missing : "self_calibration is never"), false};

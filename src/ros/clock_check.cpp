@@ -8,7 +8,7 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr char kKind[] = "clocks";
+constexpr char kClocks[] = "clocks";
 
 }  // namespace
 
@@ -39,7 +39,7 @@ void ClockCheck::check(const Config& config, TimeNs now_ns, bool is_live) {
     samples_before_ = samples_;
   }
   if (side_ == Side::TOGETHER) {
-    if (reported_) problems_.resolve(kKind);
+    if (reported_) problems_.resolve(kClocks);
     reported_ = false;
     return;
   }
@@ -63,7 +63,7 @@ void ClockCheck::report(const Config& config) const {
                 to_seconds(*newest_image_ns_), to_seconds(*newest_imu_ns_), std::abs(ahead_s),
                 ahead_s > 0 ? "ahead" : "behind", to_seconds(config.gyro.time_offset_ns), to_seconds(offset_ns),
                 ahead_s > 0 ? "IMU comes late, raise input_timeout" : late_images);
-  problems_.report(kKind, text);
+  problems_.report(kClocks, text);
 }
 
 void ClockCheck::clear() {

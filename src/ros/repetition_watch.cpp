@@ -13,7 +13,7 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr char kKind[] = "repeated pictures";
+constexpr char kRepeatedPictures[] = "repeated pictures";
 /// Fewer repeated images do no harm.
 constexpr std::size_t kReported = 3;
 constexpr TimeNs kWatchedNs = 5'000'000'000;
@@ -45,11 +45,11 @@ void RepetitionWatch::add(const PendingFrame& frame, const GyroReader& gyro, con
          (proven_ns_.front() > frame.stamp_ns || frame.stamp_ns - proven_ns_.front() > kWatchedNs)) {
     proven_ns_.pop_front();
   }
-  if (reported && proven_ns_.empty()) problems_.resolve(kKind);
+  if (reported && proven_ns_.empty()) problems_.resolve(kRepeatedPictures);
   if (!frame.repeats || !has_rotated(frame, gyro, options)) return;
   proven_ns_.push_back(frame.stamp_ns);
   if (proven_ns_.size() < kReported) return;
-  problems_.report(kKind,
+  problems_.report(kRepeatedPictures,
                    std::to_string(counts.repeated_pictures) + " of " + std::to_string(counts.frames_in) +
                        " images repeat the picture before under a new stamp although the camera rotates, the one of " +
                        seconds_text(frame.stamp_ns) + " s that of " + seconds_text(frame.picture_ns()) +

@@ -13,13 +13,13 @@ constexpr std::uint32_t kQueue = 1000;
 /// What those who share have to agree on.
 using Key = std::tuple<std::string, TimeNs, TimeNs, double>;
 
-struct Registry {
+struct SharedImus {
   std::mutex mutex;
   std::map<Key, std::weak_ptr<SharedImu>> entries;
 };
 
-Registry& registry() {
-  static Registry instance;
+SharedImus& shared_imus() {
+  static SharedImus instance;
   return instance;
 }
 
@@ -40,7 +40,7 @@ void log(LogLevel level, const std::string& text) {
 }  // namespace
 
 std::shared_ptr<SharedImu> SharedImu::get(const std::string& topic, const GyroSource::Options& options) {
-  Registry& all = registry();
+  SharedImus& all = shared_imus();
   const std::lock_guard<std::mutex> lock(all.mutex);
   std::weak_ptr<SharedImu>& entry =
       all.entries[{topic, options.time_jump_ns, options.gyro.max_gap_ns, options.gyro.range_rad_s}];
@@ -59,7 +59,7 @@ std::shared_ptr<SharedImu> SharedImu::unshared(const std::string& topic, const G
 }
 
 std::size_t SharedImu::count() {
-  Registry& all = registry();
+  SharedImus& all = shared_imus();
   const std::lock_guard<std::mutex> lock(all.mutex);
   std::size_t held = 0;
   for (const auto& [key, entry] : all.entries) held += !entry.expired();

@@ -16,13 +16,13 @@ constexpr std::size_t kPairsKept = 1100;
 
 constexpr char kNothingToDeblur[] = "has no block of this image that may be deblurred";
 
-struct Registry {
+struct StereoRigs {
   std::mutex mutex;
   std::map<std::string, std::weak_ptr<StereoRig>> rigs;
 };
 
-Registry& registry() {
-  static Registry instance;
+StereoRigs& stereo_rigs() {
+  static StereoRigs instance;
   return instance;
 }
 
@@ -35,7 +35,7 @@ void StereoRig::Punctuality::hit() { score_ = std::max(score_ - 1, 0); }
 void StereoRig::Punctuality::came_late() { score_ = std::max(score_ - kMiss - 1, 0); }
 
 std::shared_ptr<StereoRig> StereoRig::get(const std::string& imu_topic) {
-  Registry& all = registry();
+  StereoRigs& all = stereo_rigs();
   const std::lock_guard<std::mutex> lock(all.mutex);
   std::weak_ptr<StereoRig>& entry = all.rigs[imu_topic];
   std::shared_ptr<StereoRig> rig = entry.lock();

@@ -20,7 +20,7 @@
 namespace gyro_deblur::sim {
 namespace {
 
-constexpr double kRadPerDeg = 3.14159265358979323846 / 180;
+constexpr double kRadPerDeg = M_PI / 180;
 constexpr double kMaxAngleDeg = 36000;  // revolutions are allowed, typing errors are not
 constexpr double kMaxLengthM = 1e4;
 constexpr double kMaxTimeS = 1e5;

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
-#include <cstdio>
 #include <filesystem>
 #include <optional>
 #include <set>
@@ -13,23 +12,16 @@
 #include <yaml-cpp/yaml.h>
 #include <Eigen/Core>
 
+#include "base/format.hpp"
 #include "config/parameters.hpp"
 #include "gyro_deblur/calibration.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-constexpr double kDegPerRad = 180 / M_PI;
-
 nlohmann::json to_json(const Eigen::Vector3d& v) { return {v.x(), v.y(), v.z()}; }
 nlohmann::json to_json(const Eigen::Vector2d& v) { return {v.x(), v.y()}; }
 nlohmann::json to_json(const Estimate& v) { return {{"value", v.value}, {"stddev", v.stddev}}; }
-
-std::string text_of(const char* format, double value) {
-  char text[100];
-  std::snprintf(text, sizeof(text), format, value);
-  return text;
-}
 
 /// Lines of YAML, and which keys they have.
 class YamlLines {
@@ -64,21 +56,21 @@ class YamlLines {
 
 std::string vector_text(const Estimate (&axes)[3], double Estimate::*part) {
   std::string text;
-  for (const Estimate& axis : axes) text += (text.empty() ? "[" : ", ") + text_of("%.5f", axis.*part);
+  for (const Estimate& axis : axes) text += (text.empty() ? "[" : ", ") + format("%.5f", axis.*part);
   return text + "]";
 }
 
 void add_timing(const FootageCalibration& found, const std::string& key, YamlLines* yaml) {
   const TimingEstimate& e = *found.timing;
   const auto with_stddev = [](double stddev_s) {
-    return stddev_s > 0 ? text_of("[s] +- %.6f", stddev_s) : std::string("[s] as given");
+    return stddev_s > 0 ? format("[s] +- %.6f", stddev_s) : std::string("[s] as given");
   };
   if (key == "time_offset") {
-    yaml->add(key, text_of("%.6f", e.time_offset_s.value), with_stddev(e.time_offset_s.stddev));
+    yaml->add(key, format("%.6f", e.time_offset_s.value), with_stddev(e.time_offset_s.stddev));
   } else if (key == "readout_time") {
     const Estimate& readout_s = found.sensor_readout_s;
     const bool is_global = readout_s.stddev > 0 && is_global_shutter(readout_s);
-    yaml->add(key, is_global ? "0" : text_of("%.6f", readout_s.value),
+    yaml->add(key, is_global ? "0" : format("%.6f", readout_s.value),
               with_stddev(readout_s.stddev) + (is_global ? ", global shutter" : ""));
   } else if (key == "gyro_bias") {
     const bool estimated = e.bias_rad_s[0].stddev > 0;
@@ -87,7 +79,7 @@ void add_timing(const FootageCalibration& found, const std::string& key, YamlLin
   } else if (key == "R_cam_imu" && found.rotation_from != "tf") {
     yaml->add(key, to_string(e.R_cam_imu),
               found.rotation_from == "estimated"
-                  ? text_of("estimated, +- %.3f degrees", e.rotation_stddev_rad.maxCoeff() * kDegPerRad)
+                  ? format("estimated, +- %.3f degrees", e.rotation_stddev_rad.maxCoeff() * kDegPerRad)
                   : found.rotation_from);
   }
 }
@@ -96,8 +88,8 @@ void add_exposure(const FootageCalibration& found, const Verdict& verdict, YamlL
   const bool by_images = found.exposure_from == ExposureSourceOfFootage::IMAGES;
   if (found.shutter.exposure_ns > 0) {
     const double exposure_s = to_seconds(found.shutter.exposure_ns);
-    yaml->add(verdict.key, text_of("%.6f", exposure_s),
-              by_images ? text_of("[s] +- %.6f", found.exposure.log_stddev * exposure_s) : "[s] as given");
+    yaml->add(verdict.key, format("%.6f", exposure_s),
+              by_images ? format("[s] +- %.6f", found.exposure.log_stddev * exposure_s) : "[s] as given");
   } else if (by_images || found.exposure_from == ExposureSourceOfFootage::UNKNOWN) {
     yaml->leave_out(verdict.key, verdict.text);
   }

@@ -3,22 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <optional>
 
+#include "base/format.hpp"
 #include "gyro_deblur/exposure.hpp"
 
 namespace gyro_deblur {
 namespace {
-
-constexpr double kDegPerRad = 180 / M_PI;
-
-template <typename... Values>
-std::string text_of(const char* format, Values... values) {
-  char text[500];
-  std::snprintf(text, sizeof(text), format, values...);
-  return text;
-}
 
 /// Why a value of the timing is not determined; empty: it is.
 std::string reason_against(const FootageCalibration& found, const std::string& key, const std::string& missing) {
@@ -33,19 +24,19 @@ std::string reason_against(const FootageCalibration& found, const std::string& k
 }
 
 std::string by_footage(const FootageCalibration& found) {
-  return text_of(", by %zu points in %zu pairs of frames", found.timing->points, found.timing->pairs);
+  return format(", by %zu points in %zu pairs of frames", found.timing->points, found.timing->pairs);
 }
 
 Verdict of_time_offset(const FootageCalibration& found) {
   Verdict verdict{"time_offset", {}, VerdictState::OPEN, {}};
   if (found.timing) {
     const Estimate& offset = found.timing->time_offset_s;
-    verdict.value = text_of("%+.6f +- %.6f s", offset.value, offset.stddev);
+    verdict.value = format("%+.6f +- %.6f s", offset.value, offset.stddev);
   }
   verdict.text = reason_against(found, verdict.key, found.coarse.time_offset_s.missing);
   if (!verdict.text.empty()) return verdict;
   verdict.state = VerdictState::KNOWN;
-  verdict.text = text_of("known to %.2f ms", 1e3 * found.timing->time_offset_s.stddev) + by_footage(found);
+  verdict.text = format("known to %.2f ms", 1e3 * found.timing->time_offset_s.stddev) + by_footage(found);
   if (found.offset_has_exposure) {
     verdict.text += ". Half of the exposure time, which is not known, is in it: it holds with stamp_phase: middle";
   }
@@ -55,14 +46,14 @@ Verdict of_time_offset(const FootageCalibration& found) {
 Verdict of_readout(const FootageCalibration& found) {
   Verdict verdict{"readout_time", {}, VerdictState::OPEN, {}};
   if (found.timing) {
-    verdict.value = text_of("%+.6f +- %.6f s", found.sensor_readout_s.value, found.sensor_readout_s.stddev);
+    verdict.value = format("%+.6f +- %.6f s", found.sensor_readout_s.value, found.sensor_readout_s.stddev);
   }
   verdict.text = reason_against(found, verdict.key, found.coarse.readout_s.missing);
   if (!verdict.text.empty()) return verdict;
   const double stddev_s = found.sensor_readout_s.stddev;
   if (stddev_s == 0) return {verdict.key, verdict.value, VerdictState::GIVEN, "as given"};
   verdict.state = VerdictState::KNOWN;
-  verdict.text = text_of("known to %.2f ms", 1e3 * stddev_s);
+  verdict.text = format("known to %.2f ms", 1e3 * stddev_s);
   if (is_global_shutter(found.sensor_readout_s)) {
     verdict.text += ": a global shutter";
   } else {
@@ -76,21 +67,21 @@ Verdict of_bias(const FootageCalibration& found) {
   double stddev_rad_s = 0;
   if (found.timing) {
     const Estimate* bias = found.timing->bias_rad_s;
-    verdict.value = text_of("[%+.5f, %+.5f, %+.5f] +- [%.5f, %.5f, %.5f] rad/s", bias[0].value, bias[1].value,
-                            bias[2].value, bias[0].stddev, bias[1].stddev, bias[2].stddev);
+    verdict.value = format("[%+.5f, %+.5f, %+.5f] +- [%.5f, %.5f, %.5f] rad/s", bias[0].value, bias[1].value,
+                           bias[2].value, bias[0].stddev, bias[1].stddev, bias[2].stddev);
     stddev_rad_s = std::max({bias[0].stddev, bias[1].stddev, bias[2].stddev});
   }
   verdict.text = reason_against(found, verdict.key, found.coarse.bias_rad_s.missing);
   if (!verdict.text.empty()) return verdict;
   if (stddev_rad_s == 0) return {verdict.key, verdict.value, VerdictState::GIVEN, "as given"};
   verdict.state = VerdictState::KNOWN;
-  verdict.text = text_of("known to %.5f rad/s. It changes with the temperature", stddev_rad_s);
+  verdict.text = format("known to %.5f rad/s. It changes with the temperature", stddev_rad_s);
   return verdict;
 }
 
 std::string rotation_text(const Eigen::Matrix3d& R) {
   std::string text;
-  for (int i = 0; i < 9; ++i) text += text_of("%s%.4f", i == 0 ? "[" : ", ", R(i / 3, i % 3));
+  for (int i = 0; i < 9; ++i) text += format("%s%.4f", i == 0 ? "[" : ", ", R(i / 3, i % 3));
   return text + "]";
 }
 
@@ -103,8 +94,8 @@ Verdict of_rotation(const FootageCalibration& found) {
   verdict.state = estimated ? VerdictState::KNOWN : VerdictState::GIVEN;
   if (estimated) {
     const Eigen::Vector3d stddev_deg = found.timing->rotation_stddev_rad * kDegPerRad;
-    verdict.text = text_of("known to %.3f, %.3f and %.3f degrees about the camera's axes x, y and z", stddev_deg.x(),
-                           stddev_deg.y(), stddev_deg.z());
+    verdict.text = format("known to %.3f, %.3f and %.3f degrees about the camera's axes x, y and z", stddev_deg.x(),
+                          stddev_deg.y(), stddev_deg.z());
   } else {
     verdict.text = found.rotation_from + ", and the images agree";
   }
@@ -117,7 +108,7 @@ struct ExposureGap {
 };
 
 ExposureGap exposure_gap(const RecordedExposure& exposure, std::size_t frames) {
-  const std::string few = text_of("%zu of %zu images determine it, 3 are needed: ", exposure.estimates, frames);
+  const std::string few = format("%zu of %zu images determine it, 3 are needed: ", exposure.estimates, frames);
   switch (exposure.missing) {
     case ExposureNeed::TEXTURE:
       return {few + "the scene has too little texture", "Record another one, or set exposure_time"};
@@ -130,8 +121,8 @@ ExposureGap exposure_gap(const RecordedExposure& exposure, std::size_t frames) {
   constexpr double kClearlyLonger = 1.1;  // stamps scatter
   if (static_cast<double>(exposure.frame_interval_ns) >
       kClearlyLonger * static_cast<double>(exposure.longest_tried_ns)) {
-    return {few + text_of("exposures up to %.3g s were tried, and at one frame in %.3g s it may be longer",
-                          to_seconds(exposure.longest_tried_ns), to_seconds(exposure.frame_interval_ns)),
+    return {few + format("exposures up to %.3g s were tried, and at one frame in %.3g s it may be longer",
+                         to_seconds(exposure.longest_tried_ns), to_seconds(exposure.frame_interval_ns)),
             "Set exposure_time"};
   }
   return {few + "their blur is too short, 6 px are needed", "Rotate the camera faster, or set exposure_time"};
@@ -141,8 +132,8 @@ ExposureGap exposure_gap(const RecordedExposure& exposure, std::size_t frames) {
 std::string agreement_text(const std::optional<ExposureEstimate>& over_given, const std::string& source,
                            const std::string& remedy, const std::string& why_not) {
   if (!over_given) return source + "; not checked: " + why_not;
-  const std::string says = text_of("blur is %.2f times (+- %.0f %%) what %s says", over_given->ratio,
-                                   100 * over_given->log_stddev, source.c_str());
+  const std::string says = format("blur is %.2f times (+- %.0f %%) what %s says", over_given->ratio,
+                                  100 * over_given->log_stddev, source.c_str());
   if (!contradicts(*over_given)) return source + ", and the images agree: " + says;
   return says + ": " + remedy;
 }
@@ -161,7 +152,7 @@ Verdict of_exposure(const FootageCalibration& found, std::size_t frames) {
       return verdict;
     case ExposureSourceOfFootage::PARAMETER: {
       verdict.state = VerdictState::GIVEN;
-      verdict.value = text_of("%.6f s", seconds(found.shutter.exposure_ns));
+      verdict.value = format("%.6f s", seconds(found.shutter.exposure_ns));
       std::optional<ExposureEstimate> over_given;
       if (exposure.is_known) {
         over_given = {seconds(exposure.exposure_ns) / seconds(found.shutter.exposure_ns), exposure.log_stddev};
@@ -177,15 +168,15 @@ Verdict of_exposure(const FootageCalibration& found, std::size_t frames) {
       return verdict;
   }
   verdict.state = VerdictState::KNOWN;
-  const std::string by = text_of("by the blur of %zu of %zu images", exposure.estimates, frames);
+  const std::string by = format("by the blur of %zu of %zu images", exposure.estimates, frames);
   if (exposure.varies) {
-    verdict.value = text_of("%.6f to %.6f s", seconds(exposure.low_ns), seconds(exposure.high_ns));
+    verdict.value = format("%.6f to %.6f s", seconds(exposure.low_ns), seconds(exposure.high_ns));
     verdict.text =
         by + ". It changes from image to image: leave exposure_time empty, and it is estimated while running";
   } else {
     verdict.value =
-        text_of("%.6f +- %.6f s", seconds(exposure.exposure_ns), exposure.log_stddev * seconds(exposure.exposure_ns));
-    verdict.text = text_of("known to %.1f %%, ", 100 * exposure.log_stddev) + by;
+        format("%.6f +- %.6f s", seconds(exposure.exposure_ns), exposure.log_stddev * seconds(exposure.exposure_ns));
+    verdict.text = format("known to %.1f %%, ", 100 * exposure.log_stddev) + by;
   }
   return verdict;
 }
