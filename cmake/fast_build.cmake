@@ -5,7 +5,7 @@ option(GYRO_DEBLUR_FAST_BUILD "Build from scratch in half the time, for continuo
 if(GYRO_DEBLUR_FAST_BUILD)
   string(REGEX REPLACE "(^| )-g( |$)" "\\1-g1\\2" CMAKE_CXX_FLAGS_RELWITHDEBINFO "${CMAKE_CXX_FLAGS_RELWITHDEBINFO}")
 endif()
-# A compiler cache takes precompiled headers only if it is to overlook differences: it is quicker without them.
+# A compiler cache takes precompiled headers only with some of its checks off, and is quicker without them.
 if(GYRO_DEBLUR_FAST_BUILD AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
   set(GYRO_DEBLUR_PRECOMPILE ON)
 else()
