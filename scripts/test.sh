@@ -93,6 +93,7 @@ ctest_status=0
 chosen=("$@")
 if (($# == 0)); then
   chosen=(-LE '^long$')
+  export GYRO_DEBLUR_RELOADS="${GYRO_DEBLUR_RELOADS:-50}"
   say "left out: tests with the label long (scripts/extended_tests.sh --only long runs them)"
 fi
 # The devel space is for these alone: its path of libraries would have the sanitizers' programs load this build's.

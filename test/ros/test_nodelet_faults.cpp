@@ -84,7 +84,8 @@ class NodeletFaultTest : public CameraTopicsTest {
   nodelet::Loader loader_{false};  // without services
 };
 
-// GYRO_DEBLUR_RELOADS in the environment: fewer, for sanitizers, whose own memory grows.
+// GYRO_DEBLUR_RELOADS in the environment: fewer, in scripts/test.sh for time, with sanitizers for their memory, which
+// grows.
 TEST_F(NodeletFaultTest, ReloadsWhileFramesFlow) {
   constexpr int kAllReloads = 200;
   const char* fewer = std::getenv("GYRO_DEBLUR_RELOADS");
