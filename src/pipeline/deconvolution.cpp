@@ -156,10 +156,6 @@ FallbackCounts deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, c
   return slow;
 }
 
-}  // namespace
-
-namespace {
-
 /// The rectangle, widened to at least `side_px` on each side within the image.
 cv::Rect at_least(int side_px, const cv::Rect& rect, const cv::Size& image) {
   const auto widen = [side_px](int& begin, int& length, int limit) {

@@ -9,26 +9,17 @@
 
 namespace gyro_deblur {
 
-std::size_t FrameQueue::waiting() const {
-  return static_cast<std::size_t>(std::count_if(frames_.begin(), frames_.end(), [](const PendingFrame& frame) {
-    return frame.pass_through_reason == PassThroughReason::NONE;
-  }));
-}
-
-std::size_t FrameQueue::push(PendingFrame frame) {
+void FrameQueue::push(PendingFrame frame) {
   frame.epoch = is_unset(frame.stamp_ns) ? epochs_.current() : epochs_.next(frame.stamp_ns);
   frames_.push_back(std::move(frame));
-  std::size_t overdue = 0;
-  std::size_t still_waiting = waiting();
-  for (PendingFrame& old : frames_) {
-    if (still_waiting <= capacity_) break;
-    if (old.pass_through_reason != PassThroughReason::NONE) continue;
-    old.pass_through(PassThroughReason::OVERLOAD,
-                     "more than frame_queue_size = " + std::to_string(capacity_) + " frames were waiting");
-    --still_waiting;
-    ++overdue;
+  const auto waits = [](const PendingFrame& each) { return each.pass_through_reason == PassThroughReason::NONE; };
+  auto waiting = static_cast<std::size_t>(std::count_if(frames_.begin(), frames_.end(), waits));
+  for (auto old = frames_.begin(); waiting > capacity_; ++old) {
+    if (!waits(*old)) continue;
+    old->pass_through(PassThroughReason::OVERLOAD,
+                      "more than frame_queue_size = " + std::to_string(capacity_) + " frames were waiting");
+    --waiting;
   }
-  return overdue;
 }
 
 void FrameQueue::pass_through_before(int epoch, PassThroughReason reason, const std::string& text) {

@@ -60,8 +60,7 @@ class FrameQueue {
   void set_capacity(std::size_t capacity) { capacity_ = capacity; }
 
   /// Appends a frame; the oldest waiting ones beyond the capacity pass through as OVERLOAD.
-  /// @return how many were
-  std::size_t push(PendingFrame frame);
+  void push(PendingFrame frame);
 
   /// Passes every waiting frame through.
   void pass_through_all(PassThroughReason reason, const std::string& text);
@@ -85,7 +84,6 @@ class FrameQueue {
   void put_back(PendingFrame frame) { frames_.push_front(std::move(frame)); }
 
  private:
-  std::size_t waiting() const;
   void pass_through_before(int epoch, PassThroughReason reason, const std::string& text);
 
   std::size_t capacity_;

@@ -44,6 +44,22 @@ PixelType pixel_type_of(const std::string& encoding) {
                        "variants, bayer_*8/16, yuv422 and yuv422_yuy2");
 }
 
+sensor_msgs::ImagePtr make_image(const cv::Mat& pixels, const std_msgs::Header& header, const std::string& encoding) {
+  auto message = boost::make_shared<sensor_msgs::Image>();
+  message->header = header;
+  message->encoding = encoding;
+  message->width = static_cast<std::uint32_t>(pixels.cols);
+  message->height = static_cast<std::uint32_t>(pixels.rows);
+  message->is_bigendian = host_is_big_endian();
+  const std::size_t row_bytes = static_cast<std::size_t>(pixels.cols) * pixels.elemSize();
+  message->step = static_cast<std::uint32_t>(row_bytes);
+  message->data.reserve(row_bytes * static_cast<std::size_t>(pixels.rows));  // resize() would clear it first
+  for (int y = 0; y < pixels.rows; ++y) {
+    message->data.insert(message->data.end(), pixels.ptr(y), pixels.ptr(y) + row_bytes);
+  }
+  return message;
+}
+
 }  // namespace
 
 std::optional<int> type_of_encoding(const std::string& encoding) {
@@ -97,38 +113,15 @@ ImageView view_image(const sensor_msgs::Image& message) {
 }
 
 sensor_msgs::ImagePtr to_image(const cv::Mat& pixels, const sensor_msgs::Image& input) {
-  auto message = boost::make_shared<sensor_msgs::Image>();
-  message->header = input.header;
-  message->encoding = input.encoding;
-  message->width = static_cast<std::uint32_t>(pixels.cols);
-  message->height = static_cast<std::uint32_t>(pixels.rows);
-  message->is_bigendian = host_is_big_endian();
-  const std::size_t row_bytes = static_cast<std::size_t>(pixels.cols) * pixels.elemSize();
-  message->step = static_cast<std::uint32_t>(row_bytes);
-  message->data.reserve(row_bytes * static_cast<std::size_t>(pixels.rows));  // resize() would clear it first
-  for (int y = 0; y < pixels.rows; ++y) {
-    message->data.insert(message->data.end(), pixels.ptr(y), pixels.ptr(y) + row_bytes);
-  }
-  return message;
+  return make_image(pixels, input.header, input.encoding);
 }
-
-namespace {
-
-sensor_msgs::ImagePtr with_header(const cv::Mat& pixels, const std_msgs::Header& header, const char* encoding) {
-  sensor_msgs::Image like;
-  like.header = header;
-  like.encoding = encoding;
-  return to_image(pixels, like);
-}
-
-}  // namespace
 
 sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& header) {
-  return with_header(bgr, header, sensor_msgs::image_encodings::BGR8.c_str());
+  return make_image(bgr, header, sensor_msgs::image_encodings::BGR8);
 }
 
 sensor_msgs::ImagePtr to_mono_image(const cv::Mat& gray, const std_msgs::Header& header) {
-  return with_header(gray, header, sensor_msgs::image_encodings::MONO8.c_str());
+  return make_image(gray, header, sensor_msgs::image_encodings::MONO8);
 }
 
 }  // namespace gyro_deblur

@@ -15,7 +15,7 @@ PendingFrame frame(TimeNs stamp_ns) {
 
 TEST(FrameQueue, FirstInFirstOut) {
   FrameQueue queue(3);
-  for (const TimeNs stamp_ns : {5, 3, 9}) EXPECT_EQ(queue.push(frame(stamp_ns)), 0u);
+  for (const TimeNs stamp_ns : {5, 3, 9}) queue.push(frame(stamp_ns));
   for (const TimeNs stamp_ns : {5, 3, 9}) {
     const PendingFrame out = queue.pop();
     EXPECT_EQ(out.stamp_ns, stamp_ns);
@@ -26,10 +26,7 @@ TEST(FrameQueue, FirstInFirstOut) {
 
 TEST(FrameQueue, OldestBeyondTheCapacityAreSettledAndStillLeave) {
   FrameQueue queue(2);
-  EXPECT_EQ(queue.push(frame(1)), 0u);
-  EXPECT_EQ(queue.push(frame(2)), 0u);
-  EXPECT_EQ(queue.push(frame(3)), 1u);
-  EXPECT_EQ(queue.push(frame(4)), 1u);
+  for (TimeNs stamp_ns = 1; stamp_ns <= 4; ++stamp_ns) queue.push(frame(stamp_ns));
   ASSERT_EQ(queue.size(), 4u);
   for (TimeNs stamp_ns = 1; stamp_ns <= 4; ++stamp_ns) {
     const PendingFrame out = queue.pop();
@@ -64,7 +61,9 @@ TEST(FrameQueue, PassedThroughFramesNeedNoMemory) {
   PendingFrame bad = frame(1);
   bad.pass_through(PassThroughReason::BAD_IMAGE, "empty");
   queue.push(bad);
-  EXPECT_EQ(queue.push(frame(2)), 0u);
+  queue.push(frame(2));
+  EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::BAD_IMAGE);
+  EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::NONE);
 }
 
 }  // namespace
