@@ -808,35 +808,32 @@ def frame_synchronization(data, folder):
 # Calls of one image: folder, function, depth, begin, end.
 PATH_COLORS = {"ros": BLUE, "pipeline": ORANGE, "engine": GREEN, "base": GREY}
 PATH_CALLS = (
-    ("ros", "on_image", 1, 0, 33), ("ros", "guarded", 2, 0, 22), ("ros", "wake_worker", 2, 22.4, 33),
-    ("ros", "Processor::add_image", 3, 0, 22), ("ros", "add_frame", 4, 1.5, 11.6), ("ros", "mark_ready", 4, 12, 22),
-    ("ros", "push", 5, 6, 11.6), ("ros", "is_ready", 5, 12, 22), ("ros", "find_all", 6, 12, 22),
-    ("ros", "work", 1, 37, 130), ("ros", "guarded", 2, 39, 130), ("ros", "Processor::advance(sink)", 3, 40.5, 130),
-    ("ros", "Processor::advance(sink, finishing)", 4, 40.5, 130), ("ros", "next_frame", 5, 40.5, 52.5),
-    ("ros", "synchronize", 6, 40.5, 52.5), ("ros", "find_all", 7, 40.5, 46.4), ("ros", "collect", 7, 46.8, 52.5),
-    ("ros", "process_with_partners", 5, 52.9, 107), ("ros", "process", 6, 54, 107), ("ros", "deblur", 7, 54.5, 107),
-    ("ros", "make", 8, 55, 94.4), ("ros", "add_messages", 8, 94.8, 107), ("ros", "to_image", 9, 94.8, 107),
-    ("pipeline", "Pipeline::process", 9, 55.5, 94.4),
-    ("pipeline", "Pipeline::Impl::process", 10, 55.5, 94.4), ("pipeline", "deblur_image", 11, 72, 91),
-    ("pipeline", "deconvolve", 12, 72, 91), ("engine", "BlockEngine::filter", 13, 74, 91),
-    ("engine", "filter_blocks", 14, 74, 90), ("engine", "run_tiles", 15, 74, 90), ("base", "parallel_for", 16, 74, 90),
-    ("base", "parallel_for_ranges", 17, 74, 90), ("base", "Loop::step", 18, 74, 90), ("engine", "run_tile", 19, 74, 90),
-    ("engine", "two_scale", 20, 74, 84), ("ros", "learn_from", 5, 107.4, 115.6), ("ros", "record", 5, 116, 121.2),
-    ("ros", "sink", 5, 121.6, 130), ("ros", "publish", 6, 121.6, 130), ("ros", "Publishers", 7, 121.6, 130),
-    ("ros", "Row", 8, 121.6, 130))
+    ("ros", "on_image", 1, 0, 22), ("ros", "guarded", 2, 0, 22), ("ros", "Processor::add_image", 3, 0, 22),
+    ("ros", "add_frame", 4, 1.5, 11.6), ("ros", "mark_ready", 4, 12, 22), ("ros", "push", 5, 6, 11.6),
+    ("ros", "find", 5, 12, 22), ("ros", "work", 1, 37, 130), ("ros", "guarded", 2, 39, 130),
+    ("ros", "Processor::advance", 3, 40.5, 130), ("ros", "next_frame", 4, 40.5, 52.5),
+    ("ros", "synchronize", 5, 40.5, 52.5), ("ros", "find", 6, 40.5, 46.4), ("ros", "collect", 6, 46.8, 52.5),
+    ("ros", "process_with_partners", 4, 52.9, 107), ("ros", "process", 5, 54, 107), ("ros", "deblur", 6, 54.5, 107),
+    ("ros", "make", 7, 55, 94.4), ("ros", "add_messages", 7, 94.8, 107), ("ros", "to_image", 8, 94.8, 107),
+    ("pipeline", "Pipeline::process", 8, 55.5, 94.4), ("pipeline", "Pipeline::Impl::process", 9, 55.5, 94.4),
+    ("pipeline", "deblur_image", 10, 72, 91), ("pipeline", "deconvolve", 11, 72, 91),
+    ("engine", "BlockEngine::filter", 12, 74, 91), ("engine", "filter_blocks", 13, 74, 90),
+    ("engine", "run_tiles", 14, 74, 90), ("base", "parallel_for", 15, 74, 90),
+    ("base", "parallel_for_ranges", 16, 74, 90), ("base", "Loop::step", 17, 74, 90),
+    ("engine", "run_tile", 18, 74, 90), ("engine", "two_scale", 19, 74, 84), ("ros", "learn_from", 4, 107.4, 115.6),
+    ("ros", "record", 4, 116, 121.2), ("ros", "sink", 4, 121.6, 130), ("ros", "publish", 5, 121.6, 130),
+    ("ros", "Publishers", 6, 121.6, 130), ("ros", "Row", 7, 121.6, 130))
 PATH_STAGES = (("optical flow", 55.5, 58.5), ("blur field", 58.9, 61.9), ("exposure", 62.3, 65.3),
                ("validation", 65.7, 68.7), ("decide", 69.1, 71.6), ("keypoints", 91.4, 94.4))
 PATH_LOCKS = (
-    ("Processor::mutex_", ((0.8, 22), (23, 25), (37.6, 38.4), (40.8, 52.5), (63, 64.6), (108, 112), (116, 121.2))),
+    ("Processor::mutex_", ((0.8, 22), (37, 39), (40.8, 52.5), (63, 64.6), (108, 112), (116, 121.2))),
     ("GyroSource, InputProblems", ((2, 4.5), (13, 21), (42, 52), (109, 111), (117, 120))),
     ("StereoRig::mutex_", ((1, 2), (53.2, 54), (69.3, 71.4))),
     ("SelfCalibrator::mutex_", ((41, 42), (113, 115))),
     ("OnceMap (filters)", ((72.5, 73.5), (74.3, 75.3))),
     ("threads of parallel_for", ((75.7, 76.7), (89, 90))),
     ("DiagnosticReport::mutex_", ((122, 123.6),)),
-    ("exposure_mutex_", ((39.2, 40.2),)),
-    ("worker_mutex_", ((27, 29), (37, 39), (128.5, 129.8))),
-    ("advance_mutex_", ((40.5, 130),)))
+    ("exposure_mutex_", ((39.2, 40.2),)))
 
 
 def frame_path(data, folder):
@@ -847,13 +844,13 @@ def frame_path(data, folder):
                                      edgecolor="white"))
         axes.text((begin + end) / 2, depth, name, ha="center", va="center", fontsize=6.2)
     for name, begin, end in PATH_STAGES:
-        axes.add_patch(plt.Rectangle((begin, 10.5), end - begin, 4.2, facecolor=ORANGE, alpha=0.3, edgecolor="white"))
-        axes.text((begin + end) / 2, 12.6, name, ha="center", va="center", fontsize=7, rotation=90)
+        axes.add_patch(plt.Rectangle((begin, 9.5), end - begin, 4.2, facecolor=ORANGE, alpha=0.3, edgecolor="white"))
+        axes.text((begin + end) / 2, 11.6, name, ha="center", va="center", fontsize=7, rotation=90)
     arrow = {"arrowstyle": "->"}
-    axes.annotate("", (37, 1.3), (33, 2), arrowprops=arrow)
-    axes.text(33.3, 3, "wakes", fontsize=8, va="center")
-    axes.annotate("loops over pixels", (84, 20), (93, 20), arrowprops=arrow, fontsize=8, va="center")
-    first_lock = 22
+    axes.annotate("", (37, 1.3), (22, 3), arrowprops=arrow)
+    axes.text(27, 3.2, "wakes", fontsize=8, va="center")
+    axes.annotate("loops over pixels", (84, 19), (93, 19), arrowprops=arrow, fontsize=8, va="center")
+    first_lock = 21
     for row, (_, spans) in enumerate(PATH_LOCKS, first_lock):
         axes.axhline(row, color="0.9", linewidth=0.6, zorder=0)
         axes.broken_barh([(begin, end - begin) for begin, end in spans], (row - 0.3, 0.6), color=RED, alpha=0.7)

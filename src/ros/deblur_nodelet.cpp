@@ -68,22 +68,14 @@ DeblurNodelet::~DeblurNodelet() {
   image_subscriber.shutdown();
   camera_info_subscriber.shutdown();
   compressed_subscriber.shutdown();
-  {
-    const std::lock_guard<std::mutex> lock(worker_mutex_);
-    worker_stops_ = true;
-  }
-  worker_wakes_.notify_all();
+  if (processor_) processor_->stop();
   if (worker_.joinable()) worker_.join();
   // What has come in goes out, with what is there.
   if (processor_ && ros::ok()) {
     // A frame whose processing or publishing fails must not keep those behind it from being published.
     for (std::size_t tries = processor_->waiting() + 1; tries > 0 && processor_->waiting() > 0; --tries) {
-      guarded("processing the last frames", [this] {
-        processor_->finish([this](FrameOutput&& output) {
-          publish(output);
-          return true;
-        });
-      });
+      guarded("processing the last frames",
+              [this] { processor_->finish([this](FrameOutput&& output) { return publish(output); }); });
     }
   }
   if (processor_) guarded("storing the calibration", [this] { save_calibration(); });
@@ -264,18 +256,15 @@ void DeblurNodelet::guarded(const char* what, Function function) {
 void DeblurNodelet::on_image(const sensor_msgs::ImageConstPtr& image) {
   last_image_ns_ = steady_now_ns();
   guarded("taking an image in", [&] { processor_->add_image(image); });
-  wake_worker();
 }
 
 void DeblurNodelet::on_compressed_image(const sensor_msgs::CompressedImageConstPtr& image) {
   last_image_ns_ = steady_now_ns();
   guarded("taking a compressed image in", [&] { processor_->add_compressed_image(*image); });
-  wake_worker();
 }
 
 void DeblurNodelet::on_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   guarded("taking a camera_info in", [&] { processor_->add_camera_info(info); });
-  wake_worker();
 }
 
 void DeblurNodelet::on_mask(const sensor_msgs::ImageConstPtr& mask) {
@@ -284,12 +273,10 @@ void DeblurNodelet::on_mask(const sensor_msgs::ImageConstPtr& mask) {
 
 void DeblurNodelet::on_imu() {
   guarded("taking an IMU sample in", [&] { processor_->on_imu_sample(); });
-  wake_worker();
 }
 
 void DeblurNodelet::on_exposure(const ExposureConstPtr& exposure) {
   guarded("taking an exposure time in", [&] { processor_->add_exposure(*exposure); });
-  wake_worker();
 }
 
 void DeblurNodelet::on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event) {
@@ -301,17 +288,17 @@ void DeblurNodelet::on_driver_message(const ros::MessageEvent<topic_tools::Shape
     const std::lock_guard<std::mutex> lock(exposure_mutex_);
     exposure_adapter_->pass_on(message.getDataType(), message.getMessageDefinition(), bytes, processor_.get());
   });
-  wake_worker();
 }
 
 void DeblurNodelet::on_transforms(const tf2_msgs::TFMessageConstPtr& message) {
-  guarded("taking transforms in", [&] { add_transforms(*message, &tf_buffer_); });
-  wake_worker();
+  guarded("taking transforms in", [&] {
+    add_transforms(*message, &tf_buffer_);
+    processor_->wake();
+  });
 }
 
 bool DeblurNodelet::on_reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
   processor_->reset();
-  wake_worker();
   response.success = true;
   response.message = "gyroscope samples and an estimated bias are forgotten, waiting frames pass through";
   NODELET_INFO_STREAM("reset: " << response.message);
@@ -366,47 +353,23 @@ bool DeblurNodelet::on_estimate_bias(std_srvs::Trigger::Request&, std_srvs::Trig
   return true;
 }
 
-void DeblurNodelet::wake_worker() {
-  if (processor_->waiting() == 0) return;
-  {
-    const std::lock_guard<std::mutex> lock(worker_mutex_);
-    worker_has_news_ = true;
-  }
-  worker_wakes_.notify_one();
-}
-
 void DeblurNodelet::work() {
   ask_for_time_slice_of_a_frame();
-  const auto sink = [this](FrameOutput&& output) {
-    publish(output);
-    const std::lock_guard<std::mutex> lock(worker_mutex_);
-    return !worker_stops_;
-  };
-  std::unique_lock<std::mutex> lock(worker_mutex_);
-  while (!worker_stops_) {
-    const auto has_work = [this] { return worker_has_news_ || worker_stops_; };
-    if (processor_->waiting() > 0) {
-      worker_wakes_.wait_for(lock, kPollPeriod, has_work);  // timeouts come without a message
-    } else {
-      worker_wakes_.wait(lock, has_work);
-    }
-    worker_has_news_ = false;
-    if (worker_stops_) break;
-    lock.unlock();
-    guarded("processing", [&] {
+  while (processor_->wait(kPollPeriod)) {
+    guarded("processing", [this] {
       {
-        const std::lock_guard<std::mutex> exposure_lock(exposure_mutex_);
+        const std::lock_guard<std::mutex> lock(exposure_mutex_);
         exposure_expected_ = exposure_subscriber_.getNumPublishers() > 0;
       }
-      processor_->advance(sink);
+      processor_->advance([this](FrameOutput&& output) { return publish(output); });
     });
-    lock.lock();
   }
 }
 
-void DeblurNodelet::publish(const FrameOutput& output) {
+bool DeblurNodelet::publish(const FrameOutput& output) {
   report_.add(output);
   publishers_.publish(output);
+  return true;
 }
 
 void DeblurNodelet::on_diagnostics_timer(const ros::WallTimerEvent&) {

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <atomic>
-#include <condition_variable>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -73,9 +72,8 @@ class DeblurNodelet : public nodelet::Nodelet {
   /// Runs `function`; an exception is logged, because it must not reach the nodelet manager.
   template <typename Function>
   void guarded(const char* what, Function function);
-  void wake_worker();
   void work();
-  void publish(const FrameOutput& output);
+  bool publish(const FrameOutput& output);  // true: more may follow
   void log(LogLevel level, const std::string& text) const;
   /// Stores the calibration that was estimated from the images, if there is one and it is to be stored. Throws
   /// std::runtime_error.
@@ -123,10 +121,6 @@ class DeblurNodelet : public nodelet::Nodelet {
   DiagnosticReport report_;
   DiagnosticStatuses statuses_;  // of the newest report
 
-  std::mutex worker_mutex_;
-  std::condition_variable worker_wakes_;
-  bool worker_has_news_ = false;
-  bool worker_stops_ = false;
   std::thread worker_;
 };
 

@@ -71,32 +71,32 @@ void set_calibration(const Config& config, PendingFrame* frame) {
 }
 
 /// The time that the frame itself needs samples for, IMU clock, where it was exposed so long.
-TimeRange own_range(const Config& config, const SynchronizedFrame& synchronized, TimeNs exposure_ns) {
-  const RowExposure exposure = synchronized.exposure->with_exposure(exposure_ns);
+TimeRange own_range(const Config& config, const PictureMotion& motion, TimeNs exposure_ns) {
+  const RowExposure exposure = motion.exposure->with_exposure(exposure_ns);
   const TimeNs reference_ns = exposure.reference_time(config.pipeline.rectify_to);
   const TimeRange frame_cam = exposure.frame();
-  const TimeNs offset_ns = synchronized.gyro.time_offset_ns;
+  const TimeNs offset_ns = motion.gyro.time_offset_ns;
   return {std::min(frame_cam.begin_ns, reference_ns) + offset_ns, std::max(frame_cam.end_ns, reference_ns) + offset_ns};
 }
 
 /// The same, for the longest exposure that is possible.
-TimeRange longest_range(const Config& config, const SynchronizedFrame& synchronized) {
-  const TimeRange planned = own_range(config, synchronized, synchronized.plan.exposure_ns),
-                  longest = own_range(config, synchronized, synchronized.plan.longest_ns);
+TimeRange longest_range(const Config& config, const PictureMotion& motion) {
+  const TimeRange planned = own_range(config, motion, motion.plan.exposure_ns),
+                  longest = own_range(config, motion, motion.plan.longest_ns);
   return {std::min(planned.begin_ns, longest.begin_ns), std::max(planned.end_ns, longest.end_ns)};
 }
 
 /// Marks the samples that GyroBuffer::window would give for `own` alone.
-void mark_own(const TimeRange& own, SynchronizedFrame* synchronized) {
-  const std::vector<GyroSample>& samples = synchronized->samples;
+void mark_own(const TimeRange& own, PictureMotion* motion) {
+  const std::vector<GyroSample>& samples = motion->samples;
   auto begin = std::partition_point(samples.begin(), samples.end(),
                                     [&own](const GyroSample& sample) { return sample.t_ns < own.begin_ns; });
   auto end = std::partition_point(begin, samples.end(),
                                   [&own](const GyroSample& sample) { return sample.t_ns <= own.end_ns; });
   if (begin != samples.begin()) --begin;
   if (end != samples.end()) ++end;
-  synchronized->own_begin = static_cast<std::size_t>(begin - samples.begin());
-  synchronized->own_end = static_cast<std::size_t>(end - samples.begin());
+  motion->own_begin = static_cast<std::size_t>(begin - samples.begin());
+  motion->own_end = static_cast<std::size_t>(end - samples.begin());
 }
 
 }  // namespace
@@ -105,38 +105,27 @@ FrameSynchronizer::FrameSynchronizer(const InputBuffers& input_buffers, Extrinsi
                                      InputProblems* problems)
     : input_buffers_(input_buffers), extrinsic_(std::move(extrinsic)), log_(*log), problems_(*problems) {}
 
-Readiness FrameSynchronizer::synchronize(const Context& context, PendingFrame* frame,
-                                         SynchronizedFrame* synchronized) const {
-  synchronized->options = context.config.pipeline;
-  synchronized->tracker_options = context.config.tracker;
-  synchronized->rectified_input = context.config.rectified_input;
-  synchronized->drop_poor = context.config.drop_poor;
-  const Readiness readiness = find_all(context, frame, synchronized);
+Readiness FrameSynchronizer::synchronize(const Context& context, PendingFrame* frame, PictureMotion* motion) const {
+  const Readiness readiness = find(context, frame, motion);
   if (readiness == Readiness::READY && !(frame->picture && frame->picture->motion)) {
-    collect(context, synchronized);
-    if (frame->picture) frame->picture->motion = *synchronized;
+    collect(context, motion);
+    if (frame->picture) frame->picture->motion = *motion;
   }
   return readiness;
 }
 
-Readiness FrameSynchronizer::is_ready(const Context& context, PendingFrame* frame) const {
-  SynchronizedFrame unused;
-  return find_all(context, frame, &unused);
-}
-
-Readiness FrameSynchronizer::find_all(const Context& context, PendingFrame* frame,
-                                      SynchronizedFrame* synchronized) const {
+Readiness FrameSynchronizer::find(const Context& context, PendingFrame* frame, PictureMotion* motion) const {
   frame->awaits = Awaited::NOTHING;
   if (frame->pass_through_reason != PassThroughReason::NONE) return Readiness::PASS_THROUGH;
   Readiness readiness = Readiness::READY;
   // A waiting frame that uses the calibration file takes its camera_info instead once that has come.
   if (!frame->described_by_topic) readiness = find_calibration(context, frame);
   if (readiness == Readiness::READY && frame->picture && frame->picture->motion) {
-    static_cast<PictureMotion&>(*synchronized) = *frame->picture->motion;
+    *motion = *frame->picture->motion;
     return Readiness::READY;
   }
-  if (readiness == Readiness::READY) readiness = find_exposure(context, frame, synchronized);
-  if (readiness == Readiness::READY) readiness = find_motion(context, frame, synchronized);
+  if (readiness == Readiness::READY) readiness = find_exposure(context, frame, motion);
+  if (readiness == Readiness::READY) readiness = find_motion(context, frame, motion);
   return readiness;
 }
 
@@ -266,18 +255,16 @@ Readiness FrameSynchronizer::find_timing(const Context& context, PendingFrame* f
   return Readiness::READY;
 }
 
-Readiness FrameSynchronizer::find_exposure(const Context& context, PendingFrame* frame,
-                                           SynchronizedFrame* synchronized) const {
+Readiness FrameSynchronizer::find_exposure(const Context& context, PendingFrame* frame, PictureMotion* motion) const {
   ShutterTiming timing;
   std::string source;
   const Readiness readiness = find_timing(context, frame, &timing, &source);
   if (readiness != Readiness::READY) return readiness;
-  synchronized->readout_by_message =
-      timing.readout_ns != region_readout_ns(context.config.shutter.readout_ns, *frame->info);
-  if (plan_exposure(context, timing.exposure_ns, source, frame, &synchronized->plan) == Readiness::PASS_THROUGH) {
+  motion->readout_by_message = timing.readout_ns != region_readout_ns(context.config.shutter.readout_ns, *frame->info);
+  if (plan_exposure(context, timing.exposure_ns, source, frame, &motion->plan) == Readiness::PASS_THROUGH) {
     return Readiness::PASS_THROUGH;
   }
-  timing.exposure_ns = synchronized->plan.exposure_ns;
+  timing.exposure_ns = motion->plan.exposure_ns;
   try {
     input_buffers_.frame_period().require_plausible_readout("readout_time", timing.readout_ns);
   } catch (const OptionError& error) {
@@ -286,7 +273,7 @@ Readiness FrameSynchronizer::find_exposure(const Context& context, PendingFrame*
   }
   problems_.resolve("readout_time");
   try {
-    synchronized->exposure.emplace(frame->picture_ns(), static_cast<int>(frame->image->height), timing);
+    motion->exposure.emplace(frame->picture_ns(), static_cast<int>(frame->image->height), timing);
   } catch (const OptionError& error) {
     return pass_through(frame, PassThroughReason::NO_EXPOSURE_TIME, error.what());
   }
@@ -356,11 +343,10 @@ Readiness FrameSynchronizer::find_extrinsic(const Context& context, PendingFrame
   return wait_for(Awaited::TRANSFORM, frame);
 }
 
-Readiness FrameSynchronizer::find_motion(const Context& context, PendingFrame* frame,
-                                         SynchronizedFrame* synchronized) const {
-  synchronized->gyro = context.config.gyro;
-  if (context.bias_rad_s) synchronized->gyro.bias_rad_s = *context.bias_rad_s;
-  const TimeRange own = longest_range(context.config, *synchronized);
+Readiness FrameSynchronizer::find_motion(const Context& context, PendingFrame* frame, PictureMotion* motion) const {
+  motion->gyro = context.config.gyro;
+  if (context.bias_rad_s) motion->gyro.bias_rad_s = *context.bias_rad_s;
+  const TimeRange own = longest_range(context.config, *motion);
   const TimeRange available = input_buffers_.gyro().available();
   const bool empty = available.empty();
   const bool by_flow = goes_without_imu(context.config);
@@ -370,25 +356,23 @@ Readiness FrameSynchronizer::find_motion(const Context& context, PendingFrame* f
     // After a jump late samples of the old epoch do not belong to frames of the new one.
     if (input_buffers_.imu_is_stale() && own.end_ns < available.begin_ns) return wait_for(Awaited::IMU, frame);
   }
-  synchronized->without_gyro = empty || silent;
+  motion->without_gyro = empty || silent;
   if (empty && by_flow) return Readiness::READY;
   if (empty) {  // nor is the IMU's frame known then
-    return pass_through(frame, PassThroughReason::NO_GYRO, coverage_text(own, std::nullopt, synchronized->gyro));
+    return pass_through(frame, PassThroughReason::NO_GYRO, coverage_text(own, std::nullopt, motion->gyro));
   }
-  return find_extrinsic(context, frame, synchronized);
+  return find_extrinsic(context, frame, motion);
 }
 
-void FrameSynchronizer::collect(const Context& context, SynchronizedFrame* synchronized) const {
+void FrameSynchronizer::collect(const Context& context, PictureMotion* motion) const {
   const Config& config = context.config;
   const GyroReader& reader = input_buffers_.gyro();
-  const TimeRange own = own_range(config, *synchronized, synchronized->plan.exposure_ns),
-                  available = reader.available();
-  synchronized->coverage_text =
-      coverage_text(own, available.empty() ? std::nullopt : std::optional(available), synchronized->gyro);
-  const TimeRange frame_cam = synchronized->exposure->frame();
-  TimeRange all = longest_range(config, *synchronized);
-  const auto reach = [&all, synchronized](TimeNs camera_ns) {
-    const TimeNs imu_ns = camera_ns + synchronized->gyro.time_offset_ns;
+  const TimeRange own = own_range(config, *motion, motion->plan.exposure_ns), available = reader.available();
+  motion->coverage_text = coverage_text(own, available.empty() ? std::nullopt : std::optional(available), motion->gyro);
+  const TimeRange frame_cam = motion->exposure->frame();
+  TimeRange all = longest_range(config, *motion);
+  const auto reach = [&all, motion](TimeNs camera_ns) {
+    const TimeNs imu_ns = camera_ns + motion->gyro.time_offset_ns;
     all = {std::min(all.begin_ns, imu_ns), std::max(all.end_ns, imu_ns)};
   };
   for (const std::optional<TimeRange>& followed_cam : context.followed_cam) {
@@ -396,8 +380,8 @@ void FrameSynchronizer::collect(const Context& context, SynchronizedFrame* synch
     const TimeNs since_ns = frame_cam.begin_ns - followed_cam->begin_ns;
     if (since_ns > 0 && since_ns <= kLongestTrackBreakNs) reach(followed_cam->begin_ns);
   }
-  synchronized->samples = reader.window(all);
-  mark_own(own, synchronized);
+  motion->samples = reader.window(all);
+  mark_own(own, motion);
 }
 
 }  // namespace gyro_deblur

@@ -25,16 +25,11 @@ namespace gyro_deblur {
 /// for a frame that passes through.
 struct SynchronizedFrame : PictureMotion {
   PendingFrame frame;
-  std::shared_ptr<Pipeline> pipeline;  ///< null while the configuration cannot be used
-  PipelineOptions options;
-  TrackerOptions tracker_options;
-  bool rectified_input = false;
+  std::shared_ptr<Pipeline> pipeline;    ///< null while the configuration cannot be used
+  std::shared_ptr<const Config> config;  ///< as it is given; null as well
   bool drop_poor = false;
-  /// The exposure's readout time is of a message, and not the configuration's.
-  bool readout_by_message = false;
   bool behind_camera_rate = false;  ///< see OverloadRule::is_behind_camera_rate()
   PixelMask mask;                   ///< empty, or of the image's size
-  int configuration = 0;            ///< number of the one that `options` are of
   /// The camera sends pictures again: what is made of this one is kept for them.
   bool pictures_repeat = false;
 };
@@ -69,11 +64,12 @@ class FrameSynchronizer {
   /// @param extrinsic  may be absent; input_buffers, log and problems have to outlive this
   FrameSynchronizer(const InputBuffers& input_buffers, Extrinsic extrinsic, ThrottledLog* log, InputProblems* problems);
 
-  /// Records in `frame` what was found and whether it passes through, in `synchronized` everything but the frame.
-  Readiness synchronize(const Context& context, PendingFrame* frame, SynchronizedFrame* synchronized) const;
+  /// Records in `frame` what was found and whether it passes through, in `motion` when and how it was exposed, but for
+  /// the samples: cheap enough for every message.
+  Readiness find(const Context& context, PendingFrame* frame, PictureMotion* motion) const;
 
-  /// The same without collecting anything: cheap enough for every message.
-  Readiness is_ready(const Context& context, PendingFrame* frame) const;
+  /// The same with samples.
+  Readiness synchronize(const Context& context, PendingFrame* frame, PictureMotion* motion) const;
 
   /// The frame's own camera_info, or a copy of its neighbours' where that is lost; null when there is none, or none of
   /// its neighbours' describes an image of this size.
@@ -87,10 +83,9 @@ class FrameSynchronizer {
   sensor_msgs::CameraInfoConstPtr substitute(const PendingFrame& frame, bool give_up) const;
   /// Why there is no camera_info for the frame. Precondition: there is none.
   std::string missing_info_text(const PendingFrame& frame) const;
-  Readiness find_all(const Context& context, PendingFrame* frame, SynchronizedFrame* synchronized) const;
   /// The frame's camera_info and calibration, from the topic or the calibration file.
   Readiness find_calibration(const Context& context, PendingFrame* frame) const;
-  Readiness find_exposure(const Context& context, PendingFrame* frame, SynchronizedFrame* synchronized) const;
+  Readiness find_exposure(const Context& context, PendingFrame* frame, PictureMotion* motion) const;
   /// Exposure and readout time from a message, a setting or the parameters.
   /// @param source  what the exposure time is of, for messages
   Readiness find_timing(const Context& context, PendingFrame* frame, ShutterTiming* timing, std::string* source) const;
@@ -102,9 +97,9 @@ class FrameSynchronizer {
   /// The rotation from the parameters, the calibration file, tf or the images.
   Readiness find_extrinsic(const Context& context, PendingFrame* frame, PictureMotion* motion) const;
   /// Gyroscope samples up to the frame's end, and how the sensors are mounted. Precondition: the exposure is known.
-  Readiness find_motion(const Context& context, PendingFrame* frame, SynchronizedFrame* synchronized) const;
+  Readiness find_motion(const Context& context, PendingFrame* frame, PictureMotion* motion) const;
   /// Precondition: the frame is ready.
-  void collect(const Context& context, SynchronizedFrame* synchronized) const;
+  void collect(const Context& context, PictureMotion* motion) const;
 
   const InputBuffers& input_buffers_;
   const Extrinsic extrinsic_;

@@ -22,7 +22,8 @@ namespace gyro_deblur {
 struct PictureMotion {
   std::optional<RowExposure> exposure;  ///< by the plan, until it is known from the images
   ExposurePlan plan;
-  GyroOptions gyro;  ///< with the bias in use
+  bool readout_by_message = false;  ///< the exposure's readout time is of a message, and not the configuration's
+  GyroOptions gyro;                 ///< with the bias in use
   Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
   bool R_by_tf = false;
   /// Over the exposure, and the time since the picture before it, across which corners are tracked.

@@ -27,7 +27,7 @@ namespace gyro_deblur {
 /// Result of the pipeline for a picture, for images that repeat it.
 struct MadePicture {
   sensor_msgs::ImageConstPtr image;  ///< some of the result may share its memory
-  int configuration = 0;
+  std::shared_ptr<const Config> config;
   CameraCalibration calibration;
   PixelMask mask;
   PipelineRequest request;
@@ -35,7 +35,7 @@ struct MadePicture {
 
   /// Whether it is the result for this frame and this request.
   bool serves(const SynchronizedFrame& synchronized, const PipelineRequest& wanted) const {
-    return configuration == synchronized.configuration && calibration == *synchronized.frame.calibration &&
+    return config == synchronized.config && calibration == *synchronized.frame.calibration &&
            mask.is_same(synchronized.mask) && (request.image || !wanted.image) &&
            (request.keypoints || !wanted.keypoints) && (request.global_shutter || !wanted.global_shutter);
   }
@@ -90,7 +90,7 @@ void add_field(const SynchronizedFrame& synchronized, const RowExposure& exposur
 /// Image and camera_info at the reference time.
 void add_global_shutter(const PipelineResult& result, const PendingFrame& frame, FrameOutput* output) {
   auto image = to_image(result.global_shutter, *frame.image);
-  if (result.global_shutter.channels() != view_image(*frame.image).image.channels()) {
+  if (result.global_shutter.channels() != CV_MAT_CN(*type_of_encoding(frame.image->encoding))) {
     namespace encodings = sensor_msgs::image_encodings;  // a mosaic, or YUV 4:2:2, has become BGR
     image->encoding = result.global_shutter.depth() == CV_16U ? encodings::BGR16 : encodings::BGR8;
   }
@@ -145,7 +145,7 @@ PipelineResult make(const SynchronizedFrame& synchronized, const FrameRequest& r
     wanted.decide = nullptr;
     wanted.exposure.reset();
     frame.picture->made = std::make_shared<MadePicture>(
-        MadePicture{frame.image, synchronized.configuration, *frame.calibration, synchronized.mask, wanted, result});
+        MadePicture{frame.image, synchronized.config, *frame.calibration, synchronized.mask, wanted, result});
   }
   return result;
 }
@@ -171,8 +171,8 @@ void add_tracks(const SynchronizedFrame& synchronized, const ImageView& view, co
                 FrameOutput* output) {
   const auto start = std::chrono::steady_clock::now();
   const PendingFrame& frame = synchronized.frame;
-  tracker->set_options(synchronized.tracker_options);
-  tracker->set_threads(synchronized.options.threads);
+  tracker->set_options(synchronized.config->tracker);
+  tracker->set_threads(synchronized.config->pipeline.threads);
   tracker->set_mask(synchronized.mask);
   const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
   output->tracks = to_message((tracker->*track)(luminance8(view.image, view.layout, result.significant_bits),
@@ -210,7 +210,7 @@ void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, 
   output->messages_ms += elapsed_ms(start);
 
   start = std::chrono::steady_clock::now();
-  pipeline.set_options(synchronized.options);
+  pipeline.set_options(synchronized.config->pipeline);
   pipeline.set_calibration(*frame.calibration);
   pipeline.set_mask(synchronized.mask);
   const RotationTrack rotation(synchronized.samples, synchronized.gyro, synchronized.R_cam_imu, synchronized.own_begin);
@@ -239,8 +239,8 @@ void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, 
   const FrameQuality quality = assess_quality(result.field);
   add_messages(synchronized, request, view, result, quality, output);
   if (action.pass_through_text.empty() || output->dropped) {
-    output->exposure_terms =
-        exposure_terms(result.field, quality, synchronized.options.blur_field, synchronized.options.noise);
+    output->exposure_terms = exposure_terms(result.field, quality, synchronized.config->pipeline.blur_field,
+                                            synchronized.config->pipeline.noise);
     add_field(synchronized, exposure, rotation, result.field, output);
     output->field = std::move(result.field);
   } else {
@@ -265,17 +265,18 @@ KeypointArrayPtr raw_keypoints(const SynchronizedFrame& synchronized, PassThroug
     std::optional<CameraCalibration> calibration = frame.calibration;
     if (!calibration && frame.info) {
       try {
-        calibration = to_calibration(*frame.info, view.image.cols, view.image.rows, synchronized.rectified_input);
+        calibration =
+            to_calibration(*frame.info, view.image.cols, view.image.rows, synchronized.config->rectified_input);
       } catch (const OptionError&) {
         // Normalised coordinates are not known then.
       }
     }
-    synchronized.pipeline->set_options(synchronized.options);
+    synchronized.pipeline->set_options(synchronized.config->pipeline);
     synchronized.pipeline->set_mask(synchronized.mask);
     const PipelineResult result = synchronized.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration);
     output->keypoints_text = result.keypoints_text;
     output->stages.keypoints_ms = result.times.keypoints_ms;
-    return to_message(result, synchronized.options.keypoints, none->header);
+    return to_message(result, synchronized.config->pipeline.keypoints, none->header);
   } catch (const std::exception&) {
     return none;  // the frame has its reason already
   }

@@ -58,11 +58,10 @@ void Processor::set_config(const Config& config) {
   if (!environment_.gyro) gyro_source_->set_options(GyroSource::options_of(config));
 
   const std::lock_guard<std::mutex> lock(mutex_);
-  config_ = config;
+  config_ = std::make_shared<const Config>(config);
   calibration_.set_config(config);
   record_calibration_file();
   self_calibrator_.set_expected_offset(config.given.time_offset ? config.gyro.time_offset_ns : 0);
-  ++configurations_;
   config_error_.clear();
   pipeline_ = std::move(pipeline);
   mask_.set_file(config.mask_file);
@@ -149,6 +148,7 @@ void Processor::add_mask(const sensor_msgs::Image& mask) {
 }
 
 void Processor::mark_ready() {
+  notify_worker();
   if (!config_) return;
   // Not the tracker's time: another thread's, and of no matter for being ready.
   const FrameSynchronizer::Context context = this->context();
@@ -156,7 +156,8 @@ void Processor::mark_ready() {
     for (PendingFrame& frame : input_buffers_.queue().frames()) {
       if (frame.pass_through_reason != PassThroughReason::NONE || frame.ready_steady_ns) continue;
       // Those behind it have to wait for it anyway.
-      if (frame_synchronizer_.is_ready(context, &frame) == Readiness::WAITS) return;
+      PictureMotion motion;
+      if (frame_synchronizer_.find(context, &frame, &motion) == Readiness::WAITS) return;
       frame.ready_steady_ns = input_buffers_.steady_now();
     }
   } catch (const std::exception&) {
@@ -221,6 +222,7 @@ void Processor::learn_from(const SynchronizedFrame& synchronized, const std::opt
 
 std::optional<SynchronizedFrame> Processor::next_frame(bool finishing) {
   const std::lock_guard<std::mutex> lock(mutex_);
+  if (stops_ && !finishing) return std::nullopt;
   const std::size_t updates = self_calibrator_.updates();
   if (std::exchange(calibration_updates_, updates) != updates &&
       calibration_.learn(self_calibrator_.learned(), readout_share_, readout_by_messages_)) {
@@ -235,6 +237,7 @@ std::optional<SynchronizedFrame> Processor::next_frame(bool finishing) {
   PendingFrame& frame = input_buffers_.queue().front();
   SynchronizedFrame synchronized;
   synchronized.pipeline = pipeline_;
+  synchronized.config = config_;
   try {
     if (config_) {
       const bool timed_out = finishing || input_buffers_.has_timed_out(frame, now_ns, config_->input_timeout_ns);
@@ -244,7 +247,8 @@ std::optional<SynchronizedFrame> Processor::next_frame(bool finishing) {
       const Readiness readiness = frame_synchronizer_.synchronize(context, &frame, &synchronized);
       // By rates of a wrong unit every image looks POOR.
       const bool unit_is_uncertain = config_->pipeline.optical_flow && gyro_unit_.is_uncertain(frame.stamp_ns);
-      if (unit_is_uncertain || gyro_unit_is_wrong_ || gyro_source_->unit_is_wrong()) synchronized.drop_poor = false;
+      synchronized.drop_poor =
+          config_->drop_poor && !unit_is_uncertain && !gyro_unit_is_wrong_ && !gyro_source_->unit_is_wrong();
       if (readiness == Readiness::WAITS) return std::nullopt;
       // A fast camera fills the queue before its images time out: those that are passed through for that are without
       // IMU too.
@@ -256,7 +260,6 @@ std::optional<SynchronizedFrame> Processor::next_frame(bool finishing) {
       }
       if (readiness == Readiness::READY) {
         repetitions_.add(frame, input_buffers_.gyro(), synchronized.gyro, input_buffers_.statistics());
-        synchronized.configuration = configurations_;
         synchronized.pictures_repeat = input_buffers_.statistics().repeated_pictures > 0;
       }
       if (readiness == Readiness::READY && !finishing) check_overload(steady_ns, &frame, &synchronized);
@@ -329,7 +332,6 @@ ChosenExposure Processor::choose_exposure(const SynchronizedFrame& synchronized,
 }
 
 void Processor::advance(const Sink& sink, bool finishing) {
-  const std::lock_guard<std::mutex> one_at_a_time(advance_mutex_);
   while (std::optional<SynchronizedFrame> synchronized = next_frame(finishing)) {
     FrameOutput output;
     try {
@@ -360,8 +362,6 @@ void Processor::advance(const Sink& sink, bool finishing) {
   }
 }
 
-void Processor::advance(const Sink& sink) { advance(sink, false); }
-
 void Processor::finish(const Sink& sink) {
   advance(sink, true);
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -370,7 +370,32 @@ void Processor::finish(const Sink& sink) {
 
 std::size_t Processor::waiting() const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return input_buffers_.queue().size() + in_progress_;
+  return frames_waiting();
+}
+
+bool Processor::wait(std::chrono::nanoseconds poll) {
+  std::unique_lock<std::mutex> lock(mutex_);
+  const auto ends = [this] { return has_news_ || stops_; };
+  frames_waiting() > 0 ? void(has_work_.wait_for(lock, poll, ends)) : has_work_.wait(lock, ends);
+  has_news_ = false;
+  return !stops_;
+}
+
+void Processor::notify_worker() {
+  if (frames_waiting() == 0) return;
+  has_news_ = true;
+  has_work_.notify_one();
+}
+
+void Processor::wake() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  notify_worker();
+}
+
+void Processor::stop() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  stops_ = true;
+  has_work_.notify_one();
 }
 
 Awaited Processor::awaited() const {
@@ -393,6 +418,7 @@ void Processor::reset() {
   log_.clear();
   problems_.clear();
   record_calibration_file();
+  notify_worker();
 }
 
 void Processor::reset_calibration() {

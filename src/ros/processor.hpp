@@ -1,6 +1,8 @@
 // From messages to messages: what the nodelet and deblur_bag have in common. Knows no node handle, topic or publisher.
 #pragma once
 
+#include <chrono>
+#include <condition_variable>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -37,7 +39,7 @@
 namespace gyro_deblur {
 
 /// The steps of a frame and their locks: messages go into the input buffers (from any thread), a frame is synchronised
-/// from what is there, processed, and given out, in order (to the one thread at a time that calls advance).
+/// from what is there, processed, and given out, in order (to the one thread that calls advance and finish).
 class Processor {
  public:
   /// Where the outside world comes in. None may call back into the processor: most are called with a lock held.
@@ -95,9 +97,19 @@ class Processor {
 
   /// Hands every frame that is finished to `sink`. Exceptions of processing become INTERNAL_ERROR; those of `sink`
   /// pass.
-  void advance(const Sink& sink);
-  /// The same for all frames, with what is there: nothing more will come.
+  /// @param finishing  all frames, with what is there
+  void advance(const Sink& sink, bool finishing = false);
+  /// advance() for all frames: nothing more will come.
   void finish(const Sink& sink);
+
+  /// Sleeps until advance() may have something to do, for at most `poll` while frames wait: timeouts come without a
+  /// message. For the thread that calls advance().
+  /// @return false after stop()
+  bool wait(std::chrono::nanoseconds poll);
+  /// Ends wait() if frames wait: something else than a message of theirs may have made one ready.
+  void wake();
+  /// Ends wait() for good, and advance() after the frame in progress.
+  void stop();
 
   /// Frames that are not published yet.
   std::size_t waiting() const;
@@ -131,13 +143,14 @@ class Processor {
   Eigen::Vector3d bias_in_use() const;  // needs mutex_
   /// Reports what of the calibration file was not understood. Needs mutex_.
   void record_calibration_file();
-  void advance(const Sink& sink, bool finishing);
   /// The foremost frame with what belongs to it, or nothing while it has to wait.
   std::optional<SynchronizedFrame> next_frame(bool finishing);
   /// Lets a frame pass through that comes too late to be processed. Needs mutex_.
   void check_overload(TimeNs steady_ns, PendingFrame* frame, SynchronizedFrame* synchronized);
-  /// Remembers which frames have become ready; after every message. Needs mutex_.
+  /// Remembers which frames have become ready, and ends wait(); after every message. Needs mutex_.
   void mark_ready();
+  void notify_worker();                                                                        // needs mutex_
+  std::size_t frames_waiting() const { return input_buffers_.queue().size() + in_progress_; }  // needs mutex_
   /// Stereo partners need not wait until frames that pass through are published. Needs mutex_.
   void notify_stereo();
   FrameOutput process_with_partners(const SynchronizedFrame& synchronized);
@@ -153,7 +166,7 @@ class Processor {
                                  double mean_brightness);
   /// Reports when the images give the exposure time, and when they contradict the given one. Needs mutex_.
   void record_exposure(const FrameOutput& output);
-  /// Stamps of global-shutter images are not those that came in, and grow all the same. Needs both mutexes.
+  /// Stamps of global-shutter images are not those that came in, and grow all the same.
   void keep_global_shutter_in_order(FrameOutput* output);
   /// Reports what does not move with the camera.
   void record_static_content(const FrameOutput& output);
@@ -166,16 +179,20 @@ class Processor {
   ThrottledLog log_;
   InputProblems problems_;                         // locks itself
   const std::shared_ptr<GyroSource> gyro_source_;  // locks itself; taken after mutex_
-  std::mutex advance_mutex_;                       // one thread at a time takes frames out; taken before mutex_
-  FeatureTracker tracker_;                         // of the thread that holds advance_mutex_ alone
+
+  // Of the thread that calls advance alone.
+  FeatureTracker tracker_;
+  std::optional<TimeNs> newest_learned_ns_;  // newest sample that self-calibration has
   struct MovedStamp {
     TimeNs input_ns, output_ns;
   };
-  std::optional<TimeNs> newest_learned_ns_;  // newest sample that self-calibration has; of that thread, too
-  std::optional<MovedStamp> last_moved_;     // of the newest global-shutter image; of that thread, too
+  std::optional<MovedStamp> last_moved_;  // of the newest global-shutter image
 
   mutable std::mutex mutex_;  // everything below
-  std::optional<Config> config_;
+  std::condition_variable has_work_;
+  bool has_news_ = false;  // since wait() returned
+  bool stops_ = false;
+  std::shared_ptr<const Config> config_;  // as it is given; null while it cannot be used
   std::string config_error_ = "not configured yet";
   std::shared_ptr<Pipeline> pipeline_;
   std::optional<Eigen::Vector3d> estimated_bias_rad_s_;
@@ -192,7 +209,6 @@ class Processor {
   ExposureChoice exposures_;
   OverloadRule overload_;
   RepetitionWatch repetitions_;
-  int configurations_ = 0;  // so far
   std::size_t in_progress_ = 0;
   OutputStatistics statistics_;
   GyroErrorWatch gyro_errors_;  // with the configuration and bias in use
