@@ -108,7 +108,8 @@ make_targets() {
 # limited LOG COMMAND...: runs it, with its output in LOG; says so when it fails, or hangs.
 limited() {
   local log="$1" begin="${EPOCHSECONDS}"
-  local name="${2##*/}"
+  local name="${log##*/}"
+  name="${name%.log}"
   shift
   # In the foreground, so that an interrupt from the keyboard reaches it.
   timeout --foreground --kill-after=10 "${TEST_LIMIT_S}" "$@" > "${log}" 2>&1 && return
@@ -121,26 +122,71 @@ limited() {
   return 1
 }
 
+# with_master FOLDER COMMAND...: with a ROS master of its own.
+with_master() {
+  local folder="$1" port
+  shift
+  port="$(/usr/bin/python3 -c 'import socket; s = socket.socket(); s.bind(("localhost", 0)); print(s.getsockname()[1])')"
+  (
+    export ROS_MASTER_URI="http://localhost:${port}" ROS_HOSTNAME=localhost ROS_LOG_DIR="${folder}/ros_log"
+    mkdir -p "${ROS_LOG_DIR}"
+    roscore -p "${port}" > "${folder}/roscore.log" 2>&1 < /dev/null &
+    master=$!
+    trap 'kill -INT "${master}" 2> /dev/null; wait "${master}"' EXIT
+    # roscpp waits for the master.
+    "$@"
+  )
+}
+
 # run_test FOLDER BINARY[=FILTER]: leaves no log when the time is over before it begins. FILTER: as of --gtest_filter.
+# test_nodelet_faults loads the nodelets into itself, so that they are watched as it is.
 run_test() {
-  local name="${2%%=*}" filter=()
-  [[ "$2" != *=* ]] || filter=(--gtest_filter="${2#*=}")
-  rm -f "$1/${name}.log"
-  out_of_time || limited "$1/${name}.log" "$1/devel/lib/gyro_deblur/${name}" "${filter[@]}"
+  local name="${2%%=*}"
+  local log="$1/${name}.log" command=("$1/devel/lib/gyro_deblur/${name}")
+  [[ "$2" != *=* ]] || command+=(--gtest_filter="${2#*=}")
+  rm -f "${log}"
+  if out_of_time; then
+    return
+  elif [[ "${name}" == test_nodelet_faults ]]; then
+    # env.sh: where pluginlib finds this folder's nodelets.
+    with_master "$1" limited "${log}" "$1/devel/env.sh" "${command[@]}"
+  else
+    limited "${log}" "${command[@]}"
+  fi
+}
+
+# run_fuzzer FOLDER NAME: leaves no log when the time is over before it begins. The corpus in the repository is read,
+# what is new goes into the build folder.
+run_fuzzer() {
+  local log="$1/fuzz_$2.log" results="${GYRO_DEBLUR_BUILD}/extended_tests"
+  rm -f "${log}"
+  if out_of_time; then
+    return
+  fi
+  mkdir -p "${results}/corpus/$2"
+  limited "${log}" "$1/devel/lib/gyro_deblur/fuzz_$2" -max_total_time="${fuzz_s}" -timeout=20 -rss_limit_mb=3000 \
+    -malloc_limit_mb=2000 -max_len=4096 -print_final_stats=1 -artifact_prefix="${results}/found_$2_" \
+    "${results}/corpus/$2" "${GYRO_DEBLUR_ROOT}/fuzz/corpus/$2"
+}
+
+# at_a_time NUMBER FUNCTION FOLDER ARGUMENTS...: calls FUNCTION FOLDER ARGUMENT for each, so many at a time.
+at_a_time() {
+  local number="$1" function="$2" folder="$3"
+  shift 3
+  # A failure does not stop the others: xargs ends with it when all have ended.
+  # shellcheck disable=SC2016
+  printf '%s\n' "$@" | xargs -P "${number}" -I{} bash -c '"$@"' bash "${function}" "${folder}" {}
 }
 # For the shells that xargs starts.
-export TEST_LIMIT_S deadline
-export -f out_of_time limited run_test
+export TEST_LIMIT_S GYRO_DEBLUR_ROOT GYRO_DEBLUR_BUILD deadline fuzz_s
+export -f out_of_time limited with_master run_test run_fuzzer
 
-# run_tests FOLDER BINARIES[=FILTER]...: each as one process, as many at a time as there are cores; prints how many cases
-# passed.
+# run_tests FOLDER BINARIES[=FILTER]...: each as one process; prints how many cases passed.
 run_tests() {
   local folder="$1" name passed total=0 begin="${SECONDS}"
   shift
-  # A failure does not stop the others: xargs ends with it when all have ended.
-  # shellcheck disable=SC2016
-  printf '%s\n' "$@" | xargs -P "$(nproc)" -I{} bash -c 'run_test "$@"' bash "${folder}" {} ||
-    fail "some of the tests failed: see above"
+  # One more than there are cores: test_nodelet_faults mostly waits.
+  at_a_time $(($(nproc) + 1)) run_test "${folder}" "$@" || fail "some of the tests failed: see above"
   for name in "${@%%=*}"; do
     [[ -f "${folder}/${name}.log" ]] || end_when_out_of_time
     passed="$(sed -n 's/^\[  PASSED  \] \([0-9]*\) test.*/\1/p' "${folder}/${name}.log")"
@@ -149,27 +195,6 @@ run_tests() {
     say "${name}: ${passed} cases clean"
   done
   say "${total} cases in $# binaries clean, $((SECONDS - begin)) s"
-}
-
-# run_nodelet_test FOLDER: the nodelets, which test_nodelet_faults loads into itself, so that they are watched as it is,
-# with a master of their own.
-run_nodelet_test() {
-  local folder="$1" port master status=0 log="$1/test_nodelet_faults.log" passed begin="${SECONDS}"
-  end_when_out_of_time
-  port="$(/usr/bin/python3 -c 'import socket; s = socket.socket(); s.bind(("localhost", 0)); print(s.getsockname()[1])')"
-  (
-    export ROS_MASTER_URI="http://localhost:${port}" ROS_HOSTNAME=localhost ROS_LOG_DIR="${folder}/ros_log"
-    mkdir -p "${ROS_LOG_DIR}"
-    roscore -p "${port}" > "${folder}/roscore.log" 2>&1 < /dev/null &
-    master=$!
-    trap 'kill -INT "${master}" 2> /dev/null; wait "${master}"' EXIT
-    # Where pluginlib finds this folder's nodelets. roscpp waits for the master.
-    limited "${log}" "${folder}/devel/env.sh" "${folder}/devel/lib/gyro_deblur/test_nodelet_faults"
-  ) || status=$?
-  ((status == 0)) || exit "${status}"
-  passed="$(sed -n 's/^\[  PASSED  \] \([0-9]*\) test.*/\1/p' "${log}")"
-  [[ -n "${passed}" ]] || fail "test_nodelet_faults said nothing of its tests; its log is ${log}"
-  say "test_nodelet_faults, nodelets in their manager's process: ${passed} cases clean, $((SECONDS - begin)) s"
 }
 
 # want_leaks FOLDER: fails when leaks of the package's own in parallel loops are not reported.
@@ -217,19 +242,21 @@ fi
 
 if wanted asan; then
   step ${STEPS} "AddressSanitizer and UndefinedBehaviorSanitizer: ${#asan_tests[@]} tests, nodelets"
-  make_targets "${asan_folder}" "${asan_tests[@]%%=*}" leak_in_parallel test_nodelet_faults
+  # First, as it takes longest.
+  asan_tests=(test_nodelet_faults "${asan_tests[@]}")
+  make_targets "${asan_folder}" "${asan_tests[@]%%=*}" leak_in_parallel
   want_leaks "${asan_folder}"
   run_tests "${asan_folder}" "${asan_tests[@]}"
-  run_nodelet_test "${asan_folder}"
 fi
 
 if wanted tsan; then
   step ${STEPS} "ThreadSanitizer: ${#tsan_tests[@]} tests, nodelets"
+  # First, as it takes longest.
+  tsan_tests=(test_nodelet_faults "${tsan_tests[@]}")
   tsan_folder="${GYRO_DEBLUR_BUILD}/extended_tests/tsan"
   configure "${tsan_folder}" -DGYRO_DEBLUR_SANITIZE=thread
-  make_targets "${tsan_folder}" "${tsan_tests[@]%%=*}" test_nodelet_faults
+  make_targets "${tsan_folder}" "${tsan_tests[@]%%=*}"
   run_tests "${tsan_folder}" "${tsan_tests[@]}"
-  run_nodelet_test "${tsan_folder}"
   if ! "${quick}"; then
     make_targets "${tsan_folder}" fault_table
     limited "${tsan_folder}/fault_table.log" "${tsan_folder}/devel/lib/gyro_deblur/fault_table" --seconds 1 --reloads 5 \
@@ -241,17 +268,10 @@ fi
 if wanted fuzz; then
   step ${STEPS} "libFuzzer: ${fuzz_s} s for each target"
   make_targets "${asan_folder}" "${fuzzers[@]/#/fuzz_}"
+  at_a_time "$(nproc)" run_fuzzer "${asan_folder}" "${fuzzers[@]}" || fail "a fuzzer found something: see above"
   for name in "${fuzzers[@]}"; do
-    end_when_out_of_time
-    found="${GYRO_DEBLUR_BUILD}/extended_tests/corpus/${name}"
     log="${asan_folder}/fuzz_${name}.log"
-    mkdir -p "${found}"
-    # The corpus in the repository is read; what is new goes into the build folder.
-    (cd "${asan_folder}" && "devel/lib/gyro_deblur/fuzz_${name}" -max_total_time="${fuzz_s}" -timeout=20 \
-      -rss_limit_mb=3000 -malloc_limit_mb=2000 -max_len=4096 -print_final_stats=1 \
-      -artifact_prefix="${GYRO_DEBLUR_BUILD}/extended_tests/found_${name}_" \
-      "${found}" "${GYRO_DEBLUR_ROOT}/fuzz/corpus/${name}") > "${log}" 2>&1 ||
-      { tail -n 60 "${log}" >&2; fail "fuzz_${name} found something; its log is ${log}"; }
+    [[ -f "${log}" ]] || end_when_out_of_time
     say "${name}: $(sed -n 's/^stat::number_of_executed_units: *//p' "${log}") inputs, clean"
   done
 fi
