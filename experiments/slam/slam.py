@@ -97,7 +97,7 @@ def options_of(variant):
     return options
 
 
-KEY = ("case", "seconds", "light", "seed", "variant", "judge")  # of a result; the last is the evaluator's name
+KEY = ("case", "seconds", "light", "seed", "variant", "evaluator")  # of a result
 
 
 class Study:
@@ -218,7 +218,7 @@ class Cells:
     def __init__(self, results, evaluator, seconds):
         """seconds: of a case, at most."""
         self.evaluator = evaluator
-        self._results = [r for r in results if r["judge"] == evaluator.name]
+        self._results = [r for r in results if r["evaluator"] == evaluator.name]
         self._seconds = seconds
 
     def of(self, case, light, variant, metric):

@@ -241,10 +241,10 @@ class Report(unittest.TestCase):
                     key = {"case": case, "seconds": 20, "light": "day", "seed": seed, "variant": variant}
                     ate_m = error_m + off_m
                     lost = variant == "gyroscope" and case.endswith("r20") and seed == 2
-                    results.append({**key, "judge": OpenVins.name, "ate_m": None if lost else ate_m,
+                    results.append({**key, "evaluator": OpenVins.name, "ate_m": None if lost else ate_m,
                                     "rte_percent": 10 * ate_m})
                     if case.endswith("r0"):
-                        results.append({**key, "judge": OpenVinsTracks.name, "ate_m": ate_m / 2, "rte_percent": 1,
+                        results.append({**key, "evaluator": OpenVinsTracks.name, "ate_m": ate_m / 2, "rte_percent": 1,
                                         "weighed_ate_m": ate_m / 4, "weighed_rte_percent": 0.5})
         with tempfile.TemporaryDirectory() as folder:
             out = pathlib.Path(folder)
