@@ -141,7 +141,10 @@ class Description {
   explicit Description(const std::string& path) : path_(path), node_(load_yaml_file(path)) {}
   Description(const std::string& path, const YAML::Node& node) : path_(path), node_(node) {}
 
-  bool has(const std::string& key) const { return node_.IsMap() && node_[key]; }
+  bool has(const std::string& key) const {
+    known_.insert(key);
+    return node_.IsMap() && node_[key];
+  }
 
   template <typename T>
   T get(const std::string& key) const {
@@ -198,11 +201,24 @@ class Description {
     return values;
   }
 
+  /// To be called when all has been read. Throws if there is a key that nobody asked for: one misspelled would be
+  /// ignored.
+  void require_known_keys() const {
+    if (!node_.IsMap()) return;
+    for (const auto& entry : node_) {
+      const auto key = entry.first.as<std::string>();
+      if (known_.count(key) == 0) {
+        throw std::runtime_error(path_ + ": '" + key + "' is not among the keys: " + join(known_));
+      }
+    }
+  }
+
   const std::string& path() const { return path_; }
 
  private:
   std::string path_;
   YAML::Node node_;
+  mutable std::set<std::string> known_;  // keys that were asked for
 };
 
 /// What every description holds: camera, extrinsic and clock.
@@ -217,8 +233,11 @@ Recording read_calibration(const Description& description) {
   calibration.cx_px = camera.get<double>("cx");
   calibration.cy_px = camera.get<double>("cy");
   calibration.coefficients = camera.get<std::vector<double>>("distortion", {});
-  calibration.model =
-      calibration.coefficients.empty() ? "none" : require_distortion_model(camera.get<std::string>("distortion_model"));
+  if (camera.has("distortion_model") || !calibration.coefficients.empty()) {
+    const std::string model = require_distortion_model(camera.get<std::string>("distortion_model"));
+    if (!calibration.coefficients.empty()) calibration.model = model;
+  }
+  camera.require_known_keys();
   calibration.validate();
 
   const std::vector<double> rotation = description.numbers("R_cam_imu", 9);
@@ -257,6 +276,7 @@ std::map<int, TimeNs> read_times(const fs::path& folder, const Description& time
       times_ns[parse_image_number(match[1])] = parse_time(match[2], unit_s);
     }
   });
+  times.require_known_keys();
   return times_ns;
 }
 
@@ -264,6 +284,7 @@ std::vector<RecordedFrame> read_images(const fs::path& folder, const Description
   const Description images = description.child("images");
   const fs::path image_folder = folder / images.get<std::string>("folder");
   const std::regex name_pattern = images.pattern({"image number"});
+  images.require_known_keys();
   if (!fs::is_directory(image_folder)) {
     throw std::runtime_error(image_folder.string() + ": no such folder");
   }
@@ -305,6 +326,7 @@ Samples read_samples(const fs::path& folder, const Description& sensor, const st
   const std::string kind = has_kind ? sensor.get<std::string>("kind") : "";
   const std::size_t column_kind = has_kind ? sensor.column("kind_column") : 0;
   const std::string path = (folder / sensor.get<std::string>("file")).string();
+  sensor.require_known_keys();
   constexpr std::size_t kMostKinds = 10;  // that an error lists
   std::set<std::string> kinds;
   Samples samples;
@@ -380,6 +402,7 @@ Recording read_frames(const std::string& folder, const std::string& description_
   std::sort(recording.frames.begin(), recording.frames.end(),
             [](const RecordedFrame& a, const RecordedFrame& b) { return a.stamp_ns < b.stamp_ns; });
   recording.imu = read_imu(folder, description);
+  description.require_known_keys();
   require_content(recording, folder);
   return recording;
 }

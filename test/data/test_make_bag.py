@@ -189,7 +189,14 @@ class MakeBag(unittest.TestCase):
                 ("frame_stamps: {file: images/images.txt", "frame_stamps: {file: none.txt",
                  "in/none.txt: cannot be opened"),
                 ("gyro: {file: imu/imu.txt", "gyro: {file: imu/none.txt", "imu/none.txt: cannot be opened"),
-                ("folder: images", "folder: none", "in/none: no such folder")):
+                ("folder: images", "folder: none", "in/none: no such folder"),
+                ("readout_time:", "readout: 0.02\nreadout_time:",
+                 "description.yaml: 'readout' is not among the keys: R_cam_imu, accelerometer, camera, "),
+                ("gyro: {", "gyro: {bias: 1, ", "description.yaml: gyro: 'bias' is not among the keys: file, kind, "),
+                ("accelerometer: {", "accelerometer: {offset: 1, ", "accelerometer: 'offset' is not among the keys: "),
+                ("frame_stamps: {", "frame_stamps: {offset: 1, ", "frame_stamps: 'offset' is not among the keys: "),
+                ("folder: images", "folder: images, first: 1", "images: 'first' is not among the keys: folder, pattern"),
+                ("camera: {", "camera: {shutter: rolling, ", "camera: 'shutter' is not among the keys: cx, cy, ")):
             with self.subTest(after=after):
                 self.make_columns()
                 self.assertEqual(COLUMNS.count(before), 1)
