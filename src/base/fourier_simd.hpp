@@ -26,6 +26,9 @@ struct FourierSimd {
   ///              for itself alone, so that it has to have gain(-u) = conj(gain(u)).
   void (*filter_rows)(const FourierTile& plan, int first_row, const float* gain, int first_col, int end_col,
                       float* tile, float* scratch);
+  /// Powers of the rows of frequencies first_row .. first_row + lanes - 1 (first_row a multiple of lanes): that of
+  /// frequency u across and v down goes to powers[(u < 0 ? across.size + u : u) * down.size / 2 + v], on a cache line.
+  void (*row_powers)(const FourierTile& plan, int first_row, const float* tile, float* powers, float* scratch);
   /// Transforms columns first_col .. end_col - 1, at least, back. With a gain of 1 that is the tile, less what has half
   /// a cycle a pixel across (if the gain is 0 there) or down.
   void (*restore_columns)(const FourierTile& plan, int first_col, int end_col, float* tile, float* scratch);

@@ -251,6 +251,31 @@ void transform_columns(const FourierTile& tile_plan, float* tile, float* scratch
   }
 }
 
+/// Takes kLanes rows of frequencies from the tile, and runs all stages across but the last. Returns its twiddles.
+inline const float* begin_rows(const FourierTile& tile_plan, int first_row, const float* tile, const Elements& z) {
+  const FourierStages& plan = tile_plan.across;
+  const std::ptrdiff_t stride = fourier_stride(plan.size);
+  const float *re = tile + first_row * stride, *im = re + tile_plan.down.size / 2 * stride;
+  for (int x = 0; x < plan.size; x += kLanes) {
+    transpose(re + x, stride, z.re + x * z.step, z.step);
+    transpose(im + x, stride, z.im + x * z.step, z.step);
+  }
+  return run_first_stages(plan, z, z);
+}
+
+void row_powers(const FourierTile& tile_plan, int first_row, const float* tile, float* powers, float* scratch) {
+  const FourierStages& plan = tile_plan.across;
+  const int last_radix = plan.radices[plan.count - 1], rows = tile_plan.down.size / 2;
+  const Elements z = in_scratch(scratch);
+  const float* twiddles = begin_rows(tile_plan, first_row, tile, z);
+  run_stage<true>(z, z, plan.size, last_radix, last_radix, twiddles);
+  for (int u = 0; u < plan.size; ++u) {
+    const Complex twice = z.load(plan.places[u]);  // the columns' half has waited
+    store(powers + static_cast<std::ptrdiff_t>(u) * rows + first_row,
+          0.25f * (twice.re * twice.re + twice.im * twice.im));
+  }
+}
+
 void filter_rows(const FourierTile& tile_plan, int first_row, const float* gain, int first_col, int end_col,
                  float* tile, float* scratch) {
   const FourierStages& plan = tile_plan.across;
@@ -258,11 +283,7 @@ void filter_rows(const FourierTile& tile_plan, int first_row, const float* gain,
   const std::ptrdiff_t stride = fourier_stride(size);
   float *re = tile + first_row * stride, *im = re + tile_plan.down.size / 2 * stride;
   const Elements z = in_scratch(scratch);
-  for (int x = 0; x < size; x += kLanes) {
-    transpose(re + x, stride, z.re + x * z.step, z.step);
-    transpose(im + x, stride, z.im + x * z.step, z.step);
-  }
-  const float* twiddles = run_first_stages(plan, z, z);
+  const float* twiddles = begin_rows(tile_plan, first_row, tile, z);
   run_innermost(z, size, plan.radices[plan.count - 1], gain);
   run_first_stages_back(plan, z, z, twiddles);
   for (int x = first_col / kLanes * kLanes; x < end_col; x += kLanes) {
@@ -306,8 +327,8 @@ constexpr int kLargestRadix = kLanes == 8 ? 4 : 8;
 }  // namespace
 
 extern const FourierSimd kFourierSimd;
-const FourierSimd kFourierSimd = {GYRO_DEBLUR_ISA_NAME, kLanes,      kLargestRadix,
-                                  transform_columns,    filter_rows, restore_columns};
+const FourierSimd kFourierSimd = {GYRO_DEBLUR_ISA_NAME, kLanes,     kLargestRadix,  transform_columns,
+                                  filter_rows,          row_powers, restore_columns};
 
 }  // namespace GYRO_DEBLUR_ISA
 }  // namespace gyro_deblur

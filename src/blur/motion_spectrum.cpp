@@ -9,6 +9,8 @@
 
 #include <opencv2/imgproc.hpp>
 
+#include "base/fourier.hpp"
+#include "base/fourier_simd.hpp"
 #include "base/median.hpp"
 #include "base/one_thread.hpp"
 #include "base/parallel.hpp"
@@ -262,21 +264,30 @@ Slices slices_of(const Path2& path_px, const Eigen::Vector2d& direction) {
   return slices;
 }
 
-/// What a thread works with.
+/// What a thread works with. OpenCV's matrices begin on a cache line.
 struct Scratch {
-  cv::Mat pixels = cv::Mat(kWindow, kWindow, CV_32F), spectrum;
-  std::vector<std::vector<Sample>> samples;  // by slice
+  cv::Mat tile = cv::Mat(kWindow, fourier_stride(kWindow), CV_32F);
+  cv::Mat transform = cv::Mat(1, fourier_scratch(kWindow), CV_32F);
+  cv::Mat powers = cv::Mat(kWindow, kWindow / 2, CV_32F);  // by frequency across (those below 0 at the end), and down
+  std::vector<std::vector<Sample>> samples;                // by slice
 };
 
-void take_spectrum(const cv::Mat& window, Scratch* scratch) {
+void take_powers(const cv::Mat& window, Scratch* scratch) {
+  static const FourierSimd& simd = select_for_cpu<FourierSimd>();
+  static const FourierPlan kPlan(kWindow, simd.largest_radix);
+  const FourierTile plan{kPlan.stages(), kPlan.stages()};
   const std::array<float, kWindow>& weights = window_weights();
   const auto mean = static_cast<float>(cv::mean(window)[0]);
   for (int y = 0; y < kWindow; ++y) {
     const std::uint8_t* from = window.ptr<std::uint8_t>(y);
-    float* to = scratch->pixels.ptr<float>(y);
+    float* to = scratch->tile.ptr<float>(y);
     for (int x = 0; x < kWindow; ++x) to[x] = (from[x] - mean) * (weights[x] * weights[y]);
   }
-  cv::dft(scratch->pixels, scratch->spectrum);
+  auto *tile = scratch->tile.ptr<float>(), *transform = scratch->transform.ptr<float>();
+  simd.transform_columns(plan, tile, transform);
+  for (int row = 0; row <= kWaves; row += simd.lanes) {
+    simd.row_powers(plan, row, tile, scratch->powers.ptr<float>(), transform);
+  }
 }
 
 void take_samples(const Slices& slices, const Eigen::Vector2d& direction, float noise_variance, Scratch* scratch) {
@@ -285,9 +296,10 @@ void take_samples(const Slices& slices, const Eigen::Vector2d& direction, float 
   constexpr float kScale = 1.0F / (kWindow * kWindow);
   const auto dx = static_cast<float>(direction.x()), dy = static_cast<float>(direction.y());
   const std::vector<float>& white = whitening();
-  for (int v = -kWaves; v <= kWaves; ++v) {
-    const float* packed = scratch->spectrum.ptr<float>(v < 0 ? kWindow + v : v);
-    for (int u = 1; u <= kWaves; ++u) {
+  for (int u = 1; u <= kWaves; ++u) {
+    // The power at (u, v) is that at (-u, -v).
+    const float *powers = scratch->powers.ptr<float>(u), *opposite = scratch->powers.ptr<float>(kWindow - u);
+    for (int v = -kWaves; v <= kWaves; ++v) {
       const int squared = u * u + v * v;
       if (squared > kWaves * kWaves || squared < kFirstWave * kFirstWave) continue;
       float along = static_cast<float>(u) * dx + static_cast<float>(v) * dy;
@@ -301,17 +313,16 @@ void take_samples(const Slices& slices, const Eigen::Vector2d& direction, float 
         if (place < 0 || place >= slices.count) continue;
         slice = static_cast<int>(place);
       }
-      const float re = packed[2 * u - 1], im = packed[2 * u];
-      scratch->samples[slice].push_back({kScale * white[squared] * (re * re + im * im), noise_variance * white[squared],
-                                         along, static_cast<float>(kTexture) * along / static_cast<float>(squared),
-                                         point});
+      const float power = v < 0 ? opposite[-v] : powers[v];
+      scratch->samples[slice].push_back({kScale * white[squared] * power, noise_variance * white[squared], along,
+                                         static_cast<float>(kTexture) * along / static_cast<float>(squared), point});
     }
   }
 }
 
 void add_spectra(const Window& window, int index, const Halved& level, Scratch* scratch,
                  std::vector<MotionSpectrum>* spectra) {
-  take_spectrum(level.image(window.rect), scratch);
+  take_powers(level.image(window.rect), scratch);
   const Eigen::Vector2d direction = direction_of(window.path_px), normal(-direction.y(), direction.x());
   const Slices slices = slices_of(window.path_px, direction);
   take_samples(slices, direction, static_cast<float>(level.noise_variance), scratch);

@@ -105,6 +105,32 @@ TEST_P(FourierTest, MultiplyByAGainAsOpenCvDoes) {
   }
 }
 
+TEST_P(FourierTest, HavePowersAsOpenCvHas) {
+  cv::RNG random(8);
+  for (const cv::Size& size : {cv::Size(32, 32), cv::Size(128, 128), cv::Size(96, 160)}) {
+    cv::Mat image(size, CV_64F), expected;
+    random.fill(image, cv::RNG::UNIFORM, -128.0, 128.0);
+    cv::dft(image, expected, cv::DFT_COMPLEX_OUTPUT);
+    const FourierPlan across(size.width, simd_->largest_radix), down(size.height, simd_->largest_radix);
+    const FourierTile plan{across.stages(), down.stages()};
+    cv::Mat tile(size.height, fourier_stride(size.width), CV_32F), powers(size.width, size.height / 2, CV_32F);
+    cv::Mat scratch(1, fourier_scratch(std::max(size.width, size.height)), CV_32F);
+    image.convertTo(tile(cv::Rect({}, size)), CV_32F);
+    simd_->transform_columns(plan, tile.ptr<float>(), scratch.ptr<float>());
+    for (int row = 0; row < size.height / 2; row += simd_->lanes) {
+      simd_->row_powers(plan, row, tile.ptr<float>(), powers.ptr<float>(), scratch.ptr<float>());
+    }
+    // Random pixels have this power on average.
+    const double mean = 128.0 * 128.0 / 3 * size.area();
+    for (int u = 0; u < size.width; ++u) {
+      for (int v = 0; v < size.height / 2; ++v) {
+        const double power = std::norm(expected.at<std::complex<double>>(v, u));
+        ASSERT_NEAR(powers.at<float>(u, v), power, 1e-5 * (power + mean)) << size << " at " << u << ", " << v;
+      }
+    }
+  }
+}
+
 TEST_P(FourierTest, RotateAndScaleAWave) {
   const int size = 96;
   for (const auto& [u, v] : {std::pair(5, 0), std::pair(0, 7), std::pair(-3, 11), std::pair(47, 47)}) {
