@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdint>
 #include <iterator>
+#include <numeric>
 #include <utility>
 
 #include <opencv2/imgproc.hpp>
@@ -184,53 +185,60 @@ const std::vector<float>& whitening() {
   return kWhitening;
 }
 
+// Waves along the motion to the nearest whole number make a point; kPoints with those that are not used.
+constexpr int kPoints = kWaves + 1;
+
+/// Frequencies of the plane, those of one slice and point together.
+struct Samples {
+  std::vector<float> power, noise;  // whitened
+  std::vector<float> along, tilt;
+  std::vector<int> begins;  // by slice and point, and where the last one ends
+
+  void resize(std::size_t count) {
+    for (std::vector<float>* values : {&power, &noise, &along, &tilt}) values->resize(count);
+  }
+};
+
 /// Sums over the frequencies of one point of a spectrum.
 struct Sums {
   float weight = 0, power = 0, noise = 0, frequency = 0, tilt = 0;
 };
 
-/// One frequency of the plane.
-struct Sample {
-  float power, noise;  // whitened
-  float along, tilt;
-  int point;
-};
+/// With the weights that give the mean power the least variance, if the signal is known.
+Sums sums_of(const Samples& samples, int begin, int end, float signal) {
+  const float *power = samples.power.data(), *noise = samples.noise.data(), *along = samples.along.data(),
+              *tilt = samples.tilt.data();
+  float weights = 0, powers = 0, noises = 0, frequencies = 0, tilts = 0;
+#pragma omp simd reduction(+ : weights, powers, noises, frequencies, tilts)
+  for (int i = begin; i < end; ++i) {
+    const float both = signal + noise[i], weight = 1 / (both * both);
+    weights += weight;
+    powers += weight * power[i];
+    noises += weight * noise[i];
+    frequencies += weight * along[i];
+    tilts += weight * tilt[i];
+  }
+  return {weights, powers, noises, frequencies, tilts};
+}
 
-/// Waves along the motion to the nearest whole number make a point.
-std::vector<SpectrumPoint> points_of(const std::vector<Sample>& samples) {
+std::vector<SpectrumPoint> points_of(const Samples& samples, int slice) {
   // Powers of neighbouring frequencies are correlated, by Hann's window: 1.94 of them along each axis have the
   // information of one that is independent.
   constexpr float kCorrelatedPowers = 1.94F * 1.94F;
   constexpr int kFewest = 4;
-  std::array<Sums, kWaves + 1> sums;
-  std::array<float, kWaves + 1> signal;
-  std::array<int, kWaves + 1> count{};
-  signal.fill(1);
   constexpr int kPasses = 3;
-  for (int pass = 0; pass < kPasses; ++pass) {
-    sums.fill(Sums());
-    for (const Sample& s : samples) {
-      // The weight that gives the mean the least variance, with what is known of the signal.
-      const float both = signal[s.point] + s.noise, weight = 1 / (both * both);
-      Sums& sum = sums[s.point];
-      sum.weight += weight;
-      sum.power += weight * s.power;
-      sum.noise += weight * s.noise;
-      if (pass == 0) ++count[s.point];
-      if (pass + 1 < kPasses) continue;
-      sum.frequency += weight * s.along;
-      sum.tilt += weight * s.tilt;
-    }
-    for (int i = 0; i <= kWaves; ++i) {
-      if (sums[i].weight == 0) continue;
-      const float power = sums[i].power / sums[i].weight, noise = sums[i].noise / sums[i].weight;
-      signal[i] = std::max(power - noise, 0.1F * noise + 1e-9F);
-    }
-  }
   std::vector<SpectrumPoint> points;
   for (int i = kFirstWave; i <= kWaves; ++i) {
-    const Sums& sum = sums[i];
-    if (count[i] < kFewest || !(sum.power > 0)) continue;
+    const int begin = samples.begins[slice * kPoints + i], end = samples.begins[slice * kPoints + i + 1];
+    if (end - begin < kFewest) continue;
+    Sums sum;
+    float signal = 1;
+    for (int pass = 0; pass < kPasses; ++pass) {
+      sum = sums_of(samples, begin, end, signal);
+      const float power = sum.power / sum.weight, noise = sum.noise / sum.weight;
+      signal = std::max(power - noise, 0.1F * noise + 1e-9F);
+    }
+    if (!(sum.power > 0)) continue;
     SpectrumPoint& point = points.emplace_back();
     point.frequency = sum.frequency / sum.weight;
     point.power = sum.power / sum.weight;
@@ -269,7 +277,8 @@ struct Scratch {
   cv::Mat tile = cv::Mat(kWindow, fourier_stride(kWindow), CV_32F);
   cv::Mat transform = cv::Mat(1, fourier_scratch(kWindow), CV_32F);
   cv::Mat powers = cv::Mat(kWindow, kWindow / 2, CV_32F);  // by frequency across (those below 0 at the end), and down
-  std::vector<std::vector<Sample>> samples;                // by slice
+  std::vector<int> keys;                                   // slice and point of each frequency; -1: not used
+  Samples samples;
 };
 
 void take_powers(const cv::Mat& window, Scratch* scratch) {
@@ -290,32 +299,59 @@ void take_powers(const cv::Mat& window, Scratch* scratch) {
   }
 }
 
-void take_samples(const Slices& slices, const Eigen::Vector2d& direction, float noise_variance, Scratch* scratch) {
-  scratch->samples.resize(std::max<std::size_t>(scratch->samples.size(), slices.count));
-  for (std::vector<Sample>& samples : scratch->samples) samples.clear();
-  constexpr float kScale = 1.0F / (kWindow * kWindow);
-  const auto dx = static_cast<float>(direction.x()), dy = static_cast<float>(direction.y());
-  const std::vector<float>& white = whitening();
+/// A frequency's part along the motion [waves]; that of the opposite one, which has the same power, where it is below
+/// 0.
+inline float along_of(int u, int v, float dx, float dy) {
+  return std::abs(static_cast<float>(u) * dx + static_cast<float>(v) * dy);
+}
+
+/// Finds the slice and point of each frequency, and how many each has.
+void take_keys(const Slices& slices, float dx, float dy, Scratch* scratch) {
+  scratch->keys.assign(kWaves * (2 * kWaves + 1), -1);
+  std::vector<int>& begins = scratch->samples.begins;
+  begins.assign(slices.count * kPoints + 1, 0);
+  int* key = scratch->keys.data();
   for (int u = 1; u <= kWaves; ++u) {
-    // The power at (u, v) is that at (-u, -v).
-    const float *powers = scratch->powers.ptr<float>(u), *opposite = scratch->powers.ptr<float>(kWindow - u);
-    for (int v = -kWaves; v <= kWaves; ++v) {
+    for (int v = -kWaves; v <= kWaves; ++v, ++key) {
       const int squared = u * u + v * v;
       if (squared > kWaves * kWaves || squared < kFirstWave * kFirstWave) continue;
-      float along = static_cast<float>(u) * dx + static_cast<float>(v) * dy;
-      float across = static_cast<float>(v) * dx - static_cast<float>(u) * dy;
-      if (along < 0) along = -along, across = -across;
-      const int point = static_cast<int>(along + 0.5F);
+      const int point = static_cast<int>(along_of(u, v, dx, dy) + 0.5F);
       if (point < kFirstWave) continue;
       int slice = 0;
       if (slices.count > 1) {
+        const float along = static_cast<float>(u) * dx + static_cast<float>(v) * dy;
+        const float across = static_cast<float>(v) * dx - static_cast<float>(u) * dy;
         const double place = (across / along + kSteepest) / slices.step;
         if (place < 0 || place >= slices.count) continue;
         slice = static_cast<int>(place);
       }
-      const float power = v < 0 ? opposite[-v] : powers[v];
-      scratch->samples[slice].push_back({kScale * white[squared] * power, noise_variance * white[squared], along,
-                                         static_cast<float>(kTexture) * along / static_cast<float>(squared), point});
+      *key = slice * kPoints + point;
+      ++begins[*key + 1];
+    }
+  }
+  std::partial_sum(begins.begin(), begins.end(), begins.begin());
+}
+
+void take_samples(const Slices& slices, const Eigen::Vector2d& direction, float noise_variance, Scratch* scratch) {
+  constexpr float kScale = 1.0F / (kWindow * kWindow);
+  const auto dx = static_cast<float>(direction.x()), dy = static_cast<float>(direction.y());
+  const std::vector<float>& white = whitening();
+  take_keys(slices, dx, dy, scratch);
+  Samples& samples = scratch->samples;
+  samples.resize(samples.begins.back());
+  std::vector<int> next = samples.begins;
+  const int* key = scratch->keys.data();
+  for (int u = 1; u <= kWaves; ++u) {
+    // The power at (u, v) is that at (-u, -v).
+    const float *powers = scratch->powers.ptr<float>(u), *opposite = scratch->powers.ptr<float>(kWindow - u);
+    for (int v = -kWaves; v <= kWaves; ++v, ++key) {
+      if (*key < 0) continue;
+      const int i = next[*key]++, squared = u * u + v * v;
+      const float along = along_of(u, v, dx, dy);
+      samples.power[i] = kScale * white[squared] * (v < 0 ? opposite[-v] : powers[v]);
+      samples.noise[i] = noise_variance * white[squared];
+      samples.along[i] = along;
+      samples.tilt[i] = static_cast<float>(kTexture) * along / static_cast<float>(squared);
     }
   }
 }
@@ -328,7 +364,7 @@ void add_spectra(const Window& window, int index, const Halved& level, Scratch* 
   take_samples(slices, direction, static_cast<float>(level.noise_variance), scratch);
   for (int slice = 0; slice < slices.count; ++slice) {
     const double steepness = slices.count > 1 ? -kSteepest + (slice + 0.5) * slices.step : 0;
-    MotionSpectrum motion{index, {}, points_of(scratch->samples[slice])};
+    MotionSpectrum motion{index, {}, points_of(scratch->samples, slice)};
     const double windows_per_px = 1.0 / (level.shrink * kWindow);
     for (int k = 0; k < kPathInstants; ++k) {
       motion.path[k] = static_cast<float>(windows_per_px * (direction + steepness * normal).dot(window.path_px[k]));
