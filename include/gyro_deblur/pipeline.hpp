@@ -85,7 +85,24 @@ struct StageTimes {
   double exposure_ms = 0;  ///< of its estimate
 };
 
-struct PipelineResult {
+/// What an image says of the camera, and how the work on it went.
+struct FrameFindings {
+  /// Why there are no keypoints though they were requested, such as a detector that OpenCV does not have; else empty.
+  std::string keypoints_text;
+  /// What the residual velocities have in common; nothing where too few are known, and for a picture that is repeated.
+  std::optional<ResidualRotation> residual_rotation;
+  /// About how much of the image does not move with the camera and is not masked, in [0, 1], see StaticContent; blocks
+  /// at its edge are STATIC_EDGE.
+  double static_share = 0;
+  /// Rotation of the image as a whole (`rate_rad_s`), and that by `motion`. Its corners are followed without the
+  /// gyroscope if they are not found where the gyroscope predicts them, or if most blocks are TOO_LARGE.
+  std::optional<ResidualRotation> seen_rotation;
+  StageTimes times;
+  /// How many blocks did not take the engine's fast path, for each reason in words.
+  std::map<std::string, std::size_t> fallback_counts;
+};
+
+struct PipelineResult : FrameFindings {
   FrameBlur field;  ///< validated
   /// Deblurred; empty when neither it nor the global-shutter image was requested, or when no block was changed (use the
   /// input).
@@ -98,21 +115,8 @@ struct PipelineResult {
   Features features;                             ///< in pixels of the image as it arrived
   std::vector<RectifiedPoint> points;            ///< one for each of features.keypoints
   std::vector<Eigen::Matrix2d> covariances_px2;  ///< of points[].rectified_px
-  /// Why there are no keypoints though they were requested, such as a detector that OpenCV does not have; else empty.
-  std::string keypoints_text;
-  int significant_bits = 8;  ///< of the image that came in, see BitDepth
-  /// What the residual velocities have in common; nothing where too few are known, and for a picture that is repeated.
-  std::optional<ResidualRotation> residual_rotation;
-  /// About how much of the image does not move with the camera and is not masked, in [0, 1], see StaticContent; blocks
-  /// at its edge are STATIC_EDGE.
-  double static_share = 0;
-  /// Rotation of the image as a whole (`rate_rad_s`), and that by `motion`. Its corners are followed without the
-  /// gyroscope if they are not found where the gyroscope predicts them, or if most blocks are TOO_LARGE.
-  std::optional<ResidualRotation> seen_rotation;
+  int significant_bits = 8;                      ///< of the image that came in, see BitDepth
   TimeNs reference_ns = 0;  ///< camera clock; at which points[].rectified_px and global_shutter hold
-  StageTimes times;
-  /// How many blocks did not take the engine's fast path, for each reason in words.
-  std::map<std::string, std::size_t> fallback_counts;
   /// The exposure that was used, or assumed.
   TimeNs exposure_ns = 0;
   /// False: the exposure is not known. Then no block is DEBLURRED and there are no image, keypoints and global-shutter

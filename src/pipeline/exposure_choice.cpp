@@ -129,7 +129,7 @@ ChosenExposure ExposureChoice::by_images(const ExposurePlan& plan) const {
 
 ChosenExposure ExposureChoice::decide(TimeNs stamp_ns, const ExposurePlan& plan,
                                       const std::optional<ExposureEstimate>& estimate, double mean_brightness) {
-  if (plan.decided) return {plan.origin, plan.exposure_ns, plan.log_stddev};
+  if (plan.decided) return plan;
   const std::optional<GivenExposure>& given = plan.given;
   // An image that comes late changes nothing: a filter would begin anew. After a time jump there is a reset().
   if (newest_ns_ && stamp_ns < *newest_ns_) {

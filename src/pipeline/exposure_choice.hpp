@@ -33,23 +33,20 @@ struct GivenExposure {
 /// A front end does not notice less (doc/reports/exposure.md).
 constexpr double kContradictingRatio = 1.08;
 
-/// The exposure that an image is processed with until its blur has been examined.
-struct ExposurePlan {
-  ExposureOrigin origin = ExposureOrigin::ASSUMED;
-  TimeNs exposure_ns = 0;
-  TimeNs longest_ns = 0;  ///< longest time that the exposure may be: gyroscope samples are needed up to there
-  double log_stddev = 0;  ///< of exposure_ns where it is from the images
-  bool estimate = false;  ///< it is to be estimated from the blur
-  /// Once it has been chosen: nothing changes any more, for images that repeat its picture.
-  bool decided = false;
-  std::optional<GivenExposure> given;
-};
-
 /// What an image is deblurred by.
 struct ChosenExposure {
   ExposureOrigin origin = ExposureOrigin::ASSUMED;  ///< ASSUMED: not known, the image stays as it is
   TimeNs exposure_ns = 0;
   double log_stddev = 0;  ///< of exposure_ns where it is from the images
+};
+
+/// The exposure that an image is processed with until its blur has been examined.
+struct ExposurePlan : ChosenExposure {
+  TimeNs longest_ns = 0;  ///< longest time that the exposure may be: gyroscope samples are needed up to there
+  bool estimate = false;  ///< it is to be estimated from the blur
+  /// Once it has been chosen: nothing changes any more, for images that repeat its picture.
+  bool decided = false;
+  std::optional<GivenExposure> given;
 };
 
 /// Images that contradict a given exposure.

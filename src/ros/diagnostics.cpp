@@ -98,16 +98,16 @@ void DiagnosticReport::add(const FrameOutput& output) {
   if (output.exposure) exposure_ = output.exposure;
   if (output.exposure_terms) quality_.exposures.push_back(*output.exposure_terms);
   if (!output.field) return;
-  latencies_["optical flow"].add(output.stages.flow_ms);
-  latencies_["blur field"].add(output.stages.blur_field_ms);
-  latencies_["exposure estimate"].add(output.stages.exposure_ms);
-  latencies_["validation"].add(output.stages.validation_ms);
-  latencies_["noise"].add(output.stages.noise_ms);
-  latencies_["deconvolution"].add(output.stages.deconvolution_ms);
-  latencies_["keypoints"].add(output.stages.keypoints_ms);
+  latencies_["optical flow"].add(output.times.flow_ms);
+  latencies_["blur field"].add(output.times.blur_field_ms);
+  latencies_["exposure estimate"].add(output.times.exposure_ms);
+  latencies_["validation"].add(output.times.validation_ms);
+  latencies_["noise"].add(output.times.noise_ms);
+  latencies_["deconvolution"].add(output.times.deconvolution_ms);
+  latencies_["keypoints"].add(output.times.keypoints_ms);
   latencies_["messages"].add(output.messages_ms);
   if (output.tracks) latencies_["tracks"].add(output.tracks_ms);
-  if (output.global_shutter) latencies_["global shutter"].add(output.stages.global_shutter_ms);
+  if (output.global_shutter) latencies_["global shutter"].add(output.times.global_shutter_ms);
   for (const BlockBlur& block : output.field->blocks) {
     if (!block.residual) continue;
     from_images_.blocks_px.push_back(block.residual->velocity_px_s.norm() * to_seconds(output.field->exposure_ns));
@@ -229,10 +229,10 @@ void DiagnosticReport::add_quality(DiagnosticStatusWrapper* status) const {
 
 void DiagnosticReport::add_exposure(DiagnosticStatusWrapper* status) const {
   if (!exposure_) return;
-  const ChosenExposure& chosen = exposure_->chosen;
+  const FrameExposure& chosen = *exposure_;
   status->add("exposure time, from", to_string(chosen.origin));
   if (chosen.origin == ExposureOrigin::ASSUMED) {
-    const std::string need = to_string(exposure_->need);
+    const std::string need = to_string(chosen.need);
     status->add("exposure time, waits for", need.empty() ? "motion" : need);
     return;
   }

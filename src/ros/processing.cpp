@@ -152,13 +152,8 @@ PipelineResult make(const SynchronizedFrame& synchronized, const FrameRequest& r
 
 /// What the pipeline has found out about the camera and its own work.
 void add_findings(const SynchronizedFrame& synchronized, const PipelineResult& result, FrameOutput* output) {
-  output->stages = result.times;
-  output->static_share = result.static_share;
-  output->seen_rotation = result.seen_rotation;
-  output->fallback_counts = result.fallback_counts;
+  static_cast<FrameFindings&>(*output) = result;
   output->engine_warning = synchronized.pipeline->take_warning();
-  output->keypoints_text = result.keypoints_text;
-  output->residual_rotation = result.residual_rotation;
   if (!output->residual_rotation) return;
   const Eigen::Matrix3d R_imu_cam = synchronized.R_cam_imu.transpose();
   output->residual_rotation->rate_rad_s = R_imu_cam * result.residual_rotation->rate_rad_s;
@@ -216,14 +211,14 @@ void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, 
   const RotationTrack rotation(synchronized.samples, synchronized.gyro, synchronized.R_cam_imu, synchronized.own_begin);
   const double preparation_ms = elapsed_ms(start);
   FrameAction action;
-  ChosenExposure chosen{synchronized.plan.origin, synchronized.plan.exposure_ns, synchronized.plan.log_stddev};
+  ChosenExposure chosen = synchronized.plan;
   PipelineResult result = make(synchronized, request, view, rotation, &action, &chosen);
   output->exposure = FrameExposure{chosen, result.exposure_need};
   const RowExposure exposure = synchronized.exposure->with_exposure(result.exposure_ns);
   // What is said of a picture holds for the image that shows it, as though it had been exposed by that one's stamp.
   result.reference_ns += frame.stamp_ns - frame.picture_ns();
   add_findings(synchronized, result, output);
-  output->stages.blur_field_ms += preparation_ms;  // of what the field is predicted from
+  output->times.blur_field_ms += preparation_ms;  // of what the field is predicted from
 
   output->dropped = !action.drop_text.empty();
   if (output->dropped && !action.pass_through_text.empty()) result.field.reject_all();
@@ -275,7 +270,7 @@ KeypointArrayPtr raw_keypoints(const SynchronizedFrame& synchronized, PassThroug
     synchronized.pipeline->set_mask(synchronized.mask);
     const PipelineResult result = synchronized.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration);
     output->keypoints_text = result.keypoints_text;
-    output->stages.keypoints_ms = result.times.keypoints_ms;
+    output->times.keypoints_ms = result.times.keypoints_ms;
     return to_message(result, synchronized.config->pipeline.keypoints, none->header);
   } catch (const std::exception&) {
     return none;  // the frame has its reason already
@@ -298,7 +293,7 @@ FrameOutput pass_through_failed(const std::string& text, const FrameOutput& made
   output.reason_text = text;
   output.keypoints_text = made.keypoints_text;
   output.engine_warning = made.engine_warning;
-  output.stages = made.stages;
+  output.times = made.times;
   output.tracks_ms = made.tracks_ms;
   output.messages_ms = made.messages_ms;
   return output;
@@ -346,9 +341,9 @@ FrameOutput process(const SynchronizedFrame& synchronized, const FrameRequest& r
   if (!output.quality) output.quality = unknown_quality(frame.image->header);
   if (request.trust_mask && !output.trust_mask) output.trust_mask = no_trust(*frame.image);
   if (request.keypoints && !output.keypoints) {
-    const double found_ms = output.stages.keypoints_ms;
+    const double found_ms = output.times.keypoints_ms;
     output.keypoints = raw_keypoints(synchronized, output.reason, &output);
-    output.messages_ms -= output.stages.keypoints_ms - found_ms;
+    output.messages_ms -= output.times.keypoints_ms - found_ms;
   }
   if (request.markers && !output.markers) output.markers = no_markers(frame.image->header);
   output.messages_ms += elapsed_ms(rest);

@@ -11,8 +11,6 @@
 #include <visualization_msgs/MarkerArray.h>
 
 #include "blur/exposure_advice.hpp"
-#include "engine/engine.hpp"
-#include "features/residual_rotation.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "ros/frame_synchronizer.hpp"
@@ -39,13 +37,13 @@ struct FrameRequest {
 };
 
 /// The exposure time that a frame was deblurred by.
-struct FrameExposure {
-  ChosenExposure chosen;
+struct FrameExposure : ChosenExposure {
   ExposureNeed need = ExposureNeed::NOTHING;  ///< what the images lack for it, where it is not known
 };
 
-/// The output of a frame: one for every frame that came in, in the same order.
-struct FrameOutput {
+/// The output of a frame: one for every frame that came in, in the same order. Its residual_rotation is in axes of the
+/// IMU.
+struct FrameOutput : FrameFindings {
   sensor_msgs::ImageConstPtr input;
   /// It is not published: image, keypoints, tracks, global_shutter and both camera_infos are null. What is said of it
   /// is there.
@@ -56,7 +54,6 @@ struct FrameOutput {
   ImageQualityPtr quality;
   sensor_msgs::ImagePtr trust_mask;            ///< null when not requested
   KeypointArrayPtr keypoints;                  ///< null when not requested
-  std::string keypoints_text;                  ///< why there could be no keypoints though requested; else empty
   sensor_msgs::ImagePtr overlay;               ///< null when not requested, or without a blur field
   visualization_msgs::MarkerArrayPtr markers;  ///< null when not requested
   sensor_msgs::PointCloudPtr tracks;           ///< null when not requested, or when the pipeline did not run
@@ -67,19 +64,14 @@ struct FrameOutput {
   sensor_msgs::CameraInfoConstPtr global_shutter_info;
   PassThroughReason reason = PassThroughReason::NONE;
   std::string reason_text;
-  std::optional<FrameBlur> field;                     ///< of the core; absent when the pipeline did not run
-  std::optional<FrameExposure> exposure;              ///< absent when the pipeline did not run
-  std::optional<ExposureTerms> exposure_terms;        ///< of the field, where they are known
-  FallbackCounts fallback_counts;                     ///< that did not take the engine's fast path, by reason
-  std::string engine_warning;                         ///< warning of the engine; mostly empty
-  std::optional<ResidualRotation> residual_rotation;  ///< axes of the IMU; absent where images show too little
-  double static_share = 0;                            ///< of the image, see PipelineResult::static_share
-  std::optional<ResidualRotation> seen_rotation;      ///< axes of the camera; of the image as a whole
-  StageTimes stages;                                  ///< [ms]
-  double tracks_ms = 0;                               ///< of following corners
-  double waiting_ms = 0;                              ///< steady time in the queue; left to the caller
-  double messages_ms = 0;                             ///< conversion from and to messages, overlay and markers
-  double total_ms = 0;                                ///< of processing, without waiting
+  std::optional<FrameBlur> field;               ///< of the core; absent when the pipeline did not run
+  std::optional<FrameExposure> exposure;        ///< absent when the pipeline did not run
+  std::optional<ExposureTerms> exposure_terms;  ///< of the field, where they are known
+  std::string engine_warning;                   ///< warning of the engine; mostly empty
+  double tracks_ms = 0;                         ///< of following corners
+  double waiting_ms = 0;                        ///< steady time in the queue; left to the caller
+  double messages_ms = 0;                       ///< conversion from and to messages, overlay and markers
+  double total_ms = 0;                          ///< of processing, without waiting
 };
 
 /// Why Config::drop_poor keeps an image with this validated field from being published; empty: it does not.

@@ -197,7 +197,7 @@ void Processor::learn_from(const SynchronizedFrame& synchronized, const std::opt
     readout_share_ = to_seconds(region_readout_ns(kSecond, *frame.info));
     ShutterTiming timing = config_->shutter;
     const TimeNs assumed_ns = synchronized.exposure ? synchronized.exposure->timing().exposure_ns : 0;
-    timing.exposure_ns = std::max<TimeNs>(found ? found->chosen.exposure_ns : assumed_ns, 1);
+    timing.exposure_ns = std::max<TimeNs>(found ? found->exposure_ns : assumed_ns, 1);
     if (synchronized.exposure) readout_by_messages_ = synchronized.readout_by_message;
     if (synchronized.exposure && (config_->given.readout_time || synchronized.readout_by_message)) {
       timing.readout_ns = synchronized.exposure->timing().readout_ns;
@@ -323,9 +323,7 @@ ChosenExposure Processor::choose_exposure(const SynchronizedFrame& synchronized,
   if (frame.picture && frame.picture->motion) {
     PictureMotion& motion = *frame.picture->motion;
     motion.exposure = synchronized.exposure->with_exposure(chosen.exposure_ns);
-    motion.plan.origin = chosen.origin;
-    motion.plan.exposure_ns = chosen.exposure_ns;
-    motion.plan.log_stddev = chosen.log_stddev;
+    static_cast<ChosenExposure&>(motion.plan) = chosen;
     motion.plan.decided = true;
   }
   return chosen;

@@ -40,7 +40,7 @@ void Processor::keep_global_shutter_in_order(FrameOutput* output) {
 void Processor::record_exposure(const FrameOutput& output) {
   constexpr char kKind[] = "exposure contradicted";
   if (!output.exposure) return;
-  const ChosenExposure& chosen = output.exposure->chosen;
+  const ChosenExposure& chosen = *output.exposure;
   if (chosen.origin == ExposureOrigin::IMAGES && !input_buffers_.has_exposure_from_images()) {
     input_buffers_.set_exposure_from_images();
     log_(LogLevel::INFO, "exposure found",

@@ -45,13 +45,13 @@ nlohmann::json report_of(const FrameOutput& output) {
   frame["identical"] = output.image == output.input;
   frame["keypoints"] = output.keypoints ? output.keypoints->keypoints.size() : 0;
   if (output.field) report_field(*output.field, &frame);
-  frame["milliseconds"] = {{"optical_flow", output.stages.flow_ms},
-                           {"blur_field", output.stages.blur_field_ms},
-                           {"validation", output.stages.validation_ms},
-                           {"noise", output.stages.noise_ms},
-                           {"deconvolution", output.stages.deconvolution_ms},
-                           {"keypoints", output.stages.keypoints_ms},
-                           {"global_shutter", output.stages.global_shutter_ms},
+  frame["milliseconds"] = {{"optical_flow", output.times.flow_ms},
+                           {"blur_field", output.times.blur_field_ms},
+                           {"validation", output.times.validation_ms},
+                           {"noise", output.times.noise_ms},
+                           {"deconvolution", output.times.deconvolution_ms},
+                           {"keypoints", output.times.keypoints_ms},
+                           {"global_shutter", output.times.global_shutter_ms},
                            {"tracks", output.tracks_ms},
                            {"messages", output.messages_ms},
                            {"total", output.total_ms}};

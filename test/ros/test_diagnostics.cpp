@@ -218,7 +218,7 @@ TEST_F(DiagnosticReportTest, TimesAreThoseOfThePeriod) {
   report_.add(output);  // passed through: no stage ran
   output.waiting_ms = 30;
   output.field.emplace();
-  output.stages.deconvolution_ms = 2.5;
+  output.times.deconvolution_ms = 2.5;
   report_.add(output);
   auto values = fill();
   EXPECT_EQ(values["waiting mean [ms]"], "20.00");
@@ -337,9 +337,9 @@ TEST_F(DiagnosticReportTest, HealthyStatusesHaveAtMost15Values) {
     output.quality->grade = grade;
     output.quality->score = 0.5f;
     output.exposure.emplace();
-    output.exposure->chosen.origin = ExposureOrigin::IMAGES;
-    output.exposure->chosen.exposure_ns = 10'000'000;
-    output.exposure->chosen.log_stddev = 0.1;
+    output.exposure->origin = ExposureOrigin::IMAGES;
+    output.exposure->exposure_ns = 10'000'000;
+    output.exposure->log_stddev = 0.1;
     output.exposure_terms.emplace();
     output.exposure_terms->exposure_ns = 10'000'000;
     output.exposure_terms->speed_px_s = 100;

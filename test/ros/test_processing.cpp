@@ -114,8 +114,8 @@ TEST_F(DropPoorTest, PoorFrameIsDroppedBeforeWorkIsLostOnIt) {
   ASSERT_EQ(outputs_.size(), 1u);
   EXPECT_TRUE(outputs_[0].dropped) << outputs_[0].quality->score;
   EXPECT_EQ(outputs_[0].field->count(BlockStatus::DEBLURRED), outputs_[0].field->blocks.size());
-  EXPECT_EQ(outputs_[0].stages.deconvolution_ms, 0);
-  EXPECT_EQ(outputs_[0].stages.keypoints_ms, 0);
+  EXPECT_EQ(outputs_[0].times.deconvolution_ms, 0);
+  EXPECT_EQ(outputs_[0].times.keypoints_ms, 0);
 }
 
 TEST_F(DropPoorTest, WhatIsNotKnownToBePoorIsPublished) {
@@ -317,7 +317,7 @@ TEST_F(ProcessingTest, OnlyWhatIsAskedForIsMade) {
   advance();
   ASSERT_EQ(outputs_.size(), 1u);
   EXPECT_EQ(outputs_[0].image, outputs_[0].input);
-  EXPECT_EQ(outputs_[0].stages.deconvolution_ms, 0);
+  EXPECT_EQ(outputs_[0].times.deconvolution_ms, 0);
   EXPECT_EQ(outputs_[0].keypoints, nullptr);
   EXPECT_EQ(outputs_[0].overlay, nullptr);
   EXPECT_EQ(outputs_[0].markers, nullptr);

@@ -99,7 +99,7 @@ TEST_F(ProcessorExposureTest, WithNothingGivenItIsEstimated) {
   }
   EXPECT_GE(deblurred, outputs_.size() - first - 2) << "it is nearly at rest where it reverses";
   ASSERT_TRUE(outputs_.back().exposure);
-  EXPECT_EQ(outputs_.back().exposure->chosen.origin, ExposureOrigin::IMAGES);
+  EXPECT_EQ(outputs_.back().exposure->origin, ExposureOrigin::IMAGES);
   EXPECT_EQ(logged("estimated from the blur of the images"), 1u);
   EXPECT_EQ(problem("exposure contradicted"), "");
 

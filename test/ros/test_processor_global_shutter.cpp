@@ -45,7 +45,7 @@ TEST_F(ProcessorGlobalShutterTest, CarriesTheInstantOfItsRows) {
   expect_moved(0);
   EXPECT_EQ(outputs_[0].global_shutter->encoding, "mono8");
   EXPECT_EQ(outputs_[0].keypoints->reference_time, outputs_[0].global_shutter->header.stamp);
-  EXPECT_GT(outputs_[0].stages.global_shutter_ms, 0);
+  EXPECT_GT(outputs_[0].times.global_shutter_ms, 0);
 }
 
 TEST_F(ProcessorGlobalShutterTest, NeedsNoOtherOutput) {
