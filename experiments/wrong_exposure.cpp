@@ -66,18 +66,16 @@ class Front {
     const ExposurePlan plan = choice_.plan(given, kPeriodNs);
     PipelineRequest request;
     request.keypoints = false;
-    std::optional<TimeNs> used_ns;
-    request.exposure = ExposureQuestion{
-        plan.estimate, plan.longest_ns, [&](const std::optional<ExposureEstimate>& estimate, double brightness) {
-          const ChosenExposure chosen = choice_.decide(stamp_ns, plan, estimate, brightness);
-          const bool is_known = chosen.origin != ExposureOrigin::ASSUMED;
-          if (is_known) used_ns = chosen.exposure_ns;
-          return ExposureAnswer{chosen.exposure_ns, is_known};
-        }};
-    const PipelineResult result =
-        pipeline_.process(image, PixelLayout::GRAY, rotation_, truth.with_exposure(plan.exposure_ns), request);
+    request.exposure = ExposureQuestion{plan.estimate, plan.longest_ns};
+    const RowExposure planned = truth.with_exposure(plan.exposure_ns);
+    const PipelineResult& estimated = pipeline_.estimate(image, PixelLayout::GRAY, rotation_, planned, request);
+    const ChosenExposure chosen =
+        choice_.decide(stamp_ns, plan, estimated.exposure_estimate, estimated.mean_brightness);
+    const bool is_known = chosen.origin != ExposureOrigin::ASSUMED;
+    pipeline_.validate(ExposureAnswer{chosen.exposure_ns, is_known});
+    const PipelineResult result = pipeline_.deblur();
     *deblurred = result.image.empty() ? image : result.image;
-    return used_ns;
+    return is_known ? std::optional(chosen.exposure_ns) : std::nullopt;
   }
 
  private:

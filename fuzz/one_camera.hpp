@@ -88,7 +88,11 @@ class OneCamera {
     Processor::Environment environment;
     environment.clock = [] { return kStart; };
     environment.log = [](LogLevel, const std::string&) {};
-    environment.request = [] { return FrameRequest{true, true, true, true}; };
+    environment.request = [] {
+      FrameRequest request;
+      request.overlay = request.markers = true;
+      return request;
+    };
     return environment;
   }
   Processor::Sink sink() {

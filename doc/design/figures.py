@@ -810,60 +810,63 @@ PATH_COLORS = {"ros": BLUE, "pipeline": ORANGE, "engine": GREEN, "base": GREY}
 PATH_CALLS = (
     ("ros", "on_image", 1, 0, 22), ("ros", "guarded", 2, 0, 22), ("ros", "Processor::add_image", 3, 0, 22),
     ("ros", "add_frame", 4, 1.5, 11.6), ("ros", "mark_ready", 4, 12, 22), ("ros", "push", 5, 6, 11.6),
-    ("ros", "find", 5, 12, 22), ("ros", "work", 1, 37, 130), ("ros", "guarded", 2, 39, 130),
-    ("ros", "Processor::advance", 3, 40.5, 130), ("ros", "next_frame", 4, 40.5, 52.5),
+    ("ros", "find", 5, 12, 22), ("ros", "work", 1, 37, 141), ("ros", "guarded", 2, 39, 141),
+    ("ros", "Processor::advance", 3, 40.5, 141), ("ros", "next_frame", 4, 40.5, 52.5),
     ("ros", "synchronize", 5, 40.5, 52.5), ("ros", "find", 6, 40.5, 46.4), ("ros", "collect", 6, 46.8, 52.5),
-    ("ros", "process_with_partners", 4, 52.9, 107), ("ros", "process", 5, 54, 107), ("ros", "deblur", 6, 54.5, 107),
-    ("ros", "make", 7, 55, 94.4), ("ros", "add_messages", 7, 94.8, 107), ("ros", "to_image", 8, 94.8, 107),
-    ("pipeline", "Pipeline::process", 8, 55.5, 94.4), ("pipeline", "Pipeline::Impl::process", 9, 55.5, 94.4),
-    ("pipeline", "deblur_image", 10, 72, 91), ("pipeline", "deconvolve", 11, 72, 91),
-    ("engine", "BlockEngine::filter", 12, 74, 91), ("engine", "filter_blocks", 13, 74, 90),
-    ("engine", "run_tiles", 14, 74, 90), ("base", "parallel_for", 15, 74, 90),
-    ("base", "parallel_for_ranges", 16, 74, 90), ("base", "Loop::step", 17, 74, 90),
-    ("engine", "run_tile", 18, 74, 90), ("engine", "two_scale", 19, 74, 84), ("ros", "learn_from", 4, 107.4, 115.6),
-    ("ros", "record", 4, 116, 121.2), ("ros", "sink", 4, 121.6, 130), ("ros", "publish", 5, 121.6, 130),
-    ("ros", "Publishers", 6, 121.6, 130), ("ros", "Row", 7, 121.6, 130))
-PATH_STAGES = (("optical flow", 55.5, 58.5), ("blur field", 58.9, 61.9), ("exposure", 62.3, 65.3),
-               ("validation", 65.7, 68.7), ("decide", 69.1, 71.6), ("keypoints", 91.4, 94.4))
+    ("ros", "Processor::process", 4, 52.9, 115), ("ros", "Processor::deblur", 5, 54, 115),
+    ("pipeline", "estimate", 6, 55.5, 65.5), ("pipeline", "validate", 6, 69.1, 76.1),
+    ("pipeline", "Pipeline::deblur", 6, 79.9, 102.4), ("ros", "add_result", 6, 102.8, 115),
+    ("ros", "to_image", 7, 104, 115), ("pipeline", "deconvolve", 7, 80, 99),
+    ("engine", "BlockEngine::filter", 8, 82, 99),
+    ("engine", "filter_blocks", 9, 82, 98), ("engine", "run_tiles", 10, 82, 98), ("base", "parallel_for", 11, 82, 98),
+    ("base", "parallel_for_ranges", 12, 82, 98), ("base", "Loop::step", 13, 82, 98),
+    ("engine", "run_tile", 14, 82, 98), ("engine", "two_scale", 15, 82, 92), ("ros", "learn_from", 4, 115.4, 125.2),
+    ("ros", "record", 4, 125.6, 132), ("ros", "sink", 4, 132.4, 141), ("ros", "publish", 5, 132.4, 141),
+    ("ros", "Publishers", 6, 132.4, 141), ("ros", "Row", 7, 132.4, 141))
+# Folder, name, top, begin.
+PATH_STAGES = (("pipeline", "optical flow", 6.5, 55.5), ("pipeline", "blur field", 6.5, 58.9),
+               ("pipeline", "exposure", 6.5, 62.3), ("ros", "choose_exposure", 5.5, 65.7),
+               ("pipeline", "validation", 6.5, 69.1), ("pipeline", "noise", 6.5, 72.9), ("ros", "decide", 5.5, 76.5),
+               ("pipeline", "keypoints", 6.5, 99.2))
 PATH_LOCKS = (
-    ("Processor::mutex_", ((0.8, 22), (37, 39), (40.8, 52.5), (63, 64.6), (108, 112), (116, 121.2))),
-    ("GyroSource, InputProblems", ((2, 4.5), (13, 21), (42, 52), (109, 111), (117, 120))),
-    ("StereoRig::mutex_", ((1, 2), (53.2, 54), (69.3, 71.4))),
-    ("SelfCalibrator::mutex_", ((41, 42), (113, 115))),
-    ("OnceMap (filters)", ((72.5, 73.5), (74.3, 75.3))),
-    ("threads of parallel_for", ((75.7, 76.7), (89, 90))),
-    ("DiagnosticReport::mutex_", ((122, 123.6),)),
+    ("Processor::mutex_", ((0.8, 22), (37, 39), (40.8, 52.5), (66, 68.6), (116, 120), (125.6, 132))),
+    ("GyroSource, InputProblems", ((2, 4.5), (13, 21), (42, 52), (117, 119), (127, 130))),
+    ("StereoRig::mutex_", ((1, 2), (53.2, 54), (76.8, 79.4))),
+    ("SelfCalibrator::mutex_", ((41, 42), (121, 123))),
+    ("OnceMap (filters)", ((80.5, 81.5), (82.3, 83.3))),
+    ("threads of parallel_for", ((83.7, 84.7), (97, 98))),
+    ("DiagnosticReport::mutex_", ((132.8, 134.4),)),
     ("exposure_mutex_", ((39.2, 40.2),)))
 
 
 def frame_path(data, folder):
     del data
-    figure, axes = plt.subplots(figsize=(9, 6.8))
+    figure, axes = plt.subplots(figsize=(9, 6))
     for part, name, depth, begin, end in PATH_CALLS:
         axes.add_patch(plt.Rectangle((begin, depth - 0.5), end - begin, 1, facecolor=PATH_COLORS[part], alpha=0.3,
                                      edgecolor="white"))
         axes.text((begin + end) / 2, depth, name, ha="center", va="center", fontsize=6.2)
-    for name, begin, end in PATH_STAGES:
-        axes.add_patch(plt.Rectangle((begin, 9.5), end - begin, 4.2, facecolor=ORANGE, alpha=0.3, edgecolor="white"))
-        axes.text((begin + end) / 2, 11.6, name, ha="center", va="center", fontsize=7, rotation=90)
+    for part, name, top, begin in PATH_STAGES:
+        axes.add_patch(plt.Rectangle((begin, top), 3.2, 4.4, facecolor=PATH_COLORS[part], alpha=0.3, edgecolor="white"))
+        axes.text(begin + 1.6, top + 2.2, name, ha="center", va="center", fontsize=6.2, rotation=90)
     arrow = {"arrowstyle": "->"}
     axes.annotate("", (37, 1.3), (22, 3), arrowprops=arrow)
     axes.text(27, 3.2, "wakes", fontsize=8, va="center")
-    axes.annotate("loops over pixels", (84, 19), (93, 19), arrowprops=arrow, fontsize=8, va="center")
-    first_lock = 21
+    axes.annotate("loops over pixels", (92, 15), (101, 15), arrowprops=arrow, fontsize=8, va="center")
+    first_lock = 17
     for row, (_, spans) in enumerate(PATH_LOCKS, first_lock):
         axes.axhline(row, color="0.9", linewidth=0.6, zorder=0)
         axes.broken_barh([(begin, end - begin) for begin, end in spans], (row - 0.3, 0.6), color=RED, alpha=0.7)
-    for x, text in ((16, "nodelet manager's thread"), (83.5, "worker thread")):
+    for x, text in ((16, "nodelet manager's thread"), (89, "worker thread")):
         axes.text(x, -0.2, text, ha="center", va="center", fontsize=9)
     for part, color in PATH_COLORS.items():
         axes.add_patch(plt.Rectangle((0, 0), 0, 0, facecolor=color, alpha=0.3, label=f"src/{part}"))
     axes.add_patch(plt.Rectangle((0, 0), 0, 0, facecolor=RED, alpha=0.7, label="mutex held"))
     axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(0.02, 0.66))
-    ticks = (1, 5, 10, 15, 20)
+    ticks = (1, 5, 10, 15)
     axes.set_yticks([*ticks, *range(first_lock, first_lock + len(PATH_LOCKS))])
     axes.set_yticklabels([*(f"depth {tick}" for tick in ticks), *(name for name, _ in PATH_LOCKS)], fontsize=8)
-    axes.set(xlim=(-0.5, 130.5), ylim=(first_lock + len(PATH_LOCKS) - 0.4, -0.8), xticks=[])
+    axes.set(xlim=(-0.5, 141.5), ylim=(first_lock + len(PATH_LOCKS) - 0.4, -0.8), xticks=[])
     for side in "top", "right", "bottom":
         axes.spines[side].set_visible(False)
     save(figure, folder, "frame_path", colors=64)

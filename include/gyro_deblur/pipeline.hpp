@@ -46,9 +46,6 @@ struct ExposureAnswer {
 struct ExposureQuestion {
   bool estimate = true;   ///< the exposure is estimated from the blur (doc/design/exposure.md)
   TimeNs longest_ns = 0;  ///< longest time that the exposure may be; 0: not known
-  /// Called once, with the estimate from the blur (nothing: there is none, or none was made) and the mean grey level of
-  /// the image, 0 to 255.
-  std::function<ExposureAnswer(const std::optional<ExposureEstimate>&, double)> answer;
 };
 
 /// What images still lack for an estimate of the exposure time.
@@ -65,12 +62,11 @@ struct PipelineRequest {
   /// The image repeats the picture of the call before. The motion that was found for that picture is used again.
   /// `motion` and `exposure` have to be those of the call before, too.
   bool repeats_picture = false;
-  /// If set, the exposure time of process() is a first guess that the images may replace; else it is used as given.
+  /// If set, the exposure time of estimate() is a first guess, and validate() gets the answer; else it is used as
+  /// given.
   std::optional<ExposureQuestion> exposure = {};
   /// No gyroscope is there, or it is silent: see flow_without_gyro.
   bool without_gyro = false;
-  /// Asked with the validated field before anything is deblurred. Absent: the frame is deblurred.
-  std::function<FrameAction(const FrameBlur&)> decide = {};
 };
 
 /// Wall time of each stage [ms]; 0 for a stage that did not run.
@@ -103,7 +99,7 @@ struct FrameFindings {
 };
 
 struct PipelineResult : FrameFindings {
-  FrameBlur field;  ///< validated
+  FrameBlur field;  ///< from validate() on validated
   /// Deblurred; empty when neither it nor the global-shutter image was requested, or when no block was changed (use the
   /// input).
   cv::Mat image;
@@ -122,9 +118,13 @@ struct PipelineResult : FrameFindings {
   /// False: the exposure is not known. Then no block is DEBLURRED and there are no image, keypoints and global-shutter
   /// image, unless the image is sharp whatever the exposure is.
   bool exposure_is_known = true;
-  bool sharp_at_any_exposure = false;  ///< of an exposure that is not known
-  std::optional<ExposureEstimate> exposure_estimate;
+  bool sharp_at_any_exposure = false;                  ///< of an exposure that is not known
+  std::optional<ExposureEstimate> exposure_estimate;   ///< from the blur; nothing: there is none, or none was made
+  double mean_brightness = 0;                          ///< mean grey level, 0 to 255, where the exposure is in question
   ExposureNeed exposure_need = ExposureNeed::NOTHING;  ///< where the exposure is not known
+
+  /// Whether the field is known, and with it what may be deblurred.
+  bool blur_is_known() const { return exposure_is_known || sharp_at_any_exposure; }
 };
 
 /// For tests of this package: makes the engine of a name and a number of threads. Leave it empty.
@@ -132,6 +132,11 @@ using EngineFactory = std::function<std::unique_ptr<Engine>(const std::string& e
 
 /// The paper's method for one camera. Calibration and options may change between frames; what depends on them is
 /// rebuilt then. Not thread-safe, engine() aside.
+///
+/// process() makes three calls, which a caller may make itself: estimate(), then validate() with the exposure that the
+/// caller has chosen, then deblur() with what the caller has decided. A call out of this order throws std::logic_error
+/// and changes nothing. The pipeline keeps one frame between the calls. It forgets the frame in deblur(), in another
+/// estimate(), when options, calibration or mask are set, and when a call throws anything else.
 ///
 /// A calibration file (calibration.hpp) goes to three places: `camera` to the pipeline, `R_cam_imu` and the time offset
 /// to the motion, the readout time to the exposure of the rows.
@@ -183,11 +188,25 @@ class Pipeline {
   /// call's `motion` should reach.
   std::optional<TimeRange> newest_frame() const;
 
-  /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size
+  /// Predicts a frame's blur, follows its corners, and estimates its exposure if that is in question.
+  /// @param image   CV_8U or CV_16U that fits `layout`, of the calibration's size; its pixels are read until deblur()
   /// @param motion  of the camera over the frame and, for optical flow, back to newest_frame(). Blocks that it does not
   ///                cover are NO_GYRO. If it does not cover the frame wholly and flow_without_gyro allows it, optical
-  ///                flow alone gives the motion of every block, or the block is NO_GYRO
+  ///                flow alone gives the motion of every block, or the block is NO_GYRO. Has to exist until deblur()
+  /// @return what is known so far, until the next call
   /// Throws std::invalid_argument when the image or the mask does not fit, std::logic_error before set_calibration.
+  const PipelineResult& estimate(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
+                                 const RowExposure& exposure, const PipelineRequest& request);
+
+  /// Tests which blocks may be deblurred by the exposure that was chosen, or says why it is not known.
+  /// @param answer  where the request has a question, and only there
+  /// @return what is known so far, with the validated field, until the next call
+  const PipelineResult& validate(const std::optional<ExposureAnswer>& answer = {});
+
+  /// What the request wants of the frame, as far as `action` allows it.
+  PipelineResult deblur(const FrameAction& action = {});
+
+  /// All three, for a frame whose exposure is not in question.
   PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                          const RowExposure& exposure, const PipelineRequest& request);
 

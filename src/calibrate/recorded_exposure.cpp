@@ -183,20 +183,17 @@ void RecordedExposureEstimator::add(TimeNs stamp_ns, TimeNs middle_ns, const cv:
   ImageExposure found;
   found.stamp_ns = stamp_ns;
   found.given_ns = given ? given_ns : std::nullopt;
-  ChosenExposure chosen;
   PipelineRequest request;
   request.image = request.keypoints = false;
   request.luminance = true;
   request.without_gyro = without_gyro_;
-  request.decide = [](const FrameBlur&) { return FrameAction{"", "only the field is used"}; };
-  // Answered with "not known" in any case: the pipeline then stops after the field and says what the image lacks.
-  request.exposure =
-      ExposureQuestion{true, 0, [&](const std::optional<ExposureEstimate>& estimate, double mean_brightness) {
-                         chosen = choice_.decide(stamp_ns, plan, estimate, mean_brightness);
-                         return ExposureAnswer{chosen.exposure_ns, false};
-                       }};
-  const PipelineResult result =
-      pipeline_.process(image, layout, motion_, RowExposure(middle_ns, image.rows, timing), request);
+  request.exposure = ExposureQuestion{};
+  const RowExposure exposure(middle_ns, image.rows, timing);
+  const PipelineResult& estimated = pipeline_.estimate(image, layout, motion_, exposure, request);
+  const ChosenExposure chosen = choice_.decide(stamp_ns, plan, estimated.exposure_estimate, estimated.mean_brightness);
+  // "Not known" in any case: the pipeline then stops after the field and says what the image lacks.
+  pipeline_.validate(ExposureAnswer{chosen.exposure_ns, false});
+  const PipelineResult result = pipeline_.deblur();
   found.need = result.exposure_need;
   found.extent_px = median_extent_px(result.field);
   if (const std::optional<ExposureEstimate>& estimate = result.exposure_estimate) {

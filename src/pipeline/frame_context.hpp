@@ -21,7 +21,7 @@ class StationaryCamera : public CameraMotion {
   Eigen::Matrix3d rotation(TimeNs, TimeNs) const override { return Eigen::Matrix3d::Identity(); }
 };
 
-/// An image, what belongs to it, and what the stages so far have found. What it refers to outlives it.
+/// An image, what belongs to it, and what the stages so far have found. Pixels and motion outlive it.
 class FrameContext {
  public:
   FrameContext(const cv::Mat& input, PixelLayout pixel_layout, const CameraMotion& gyro_motion,
@@ -39,11 +39,12 @@ class FrameContext {
   /// What residual velocities are relative to.
   const CameraMotion& known_motion() const;
 
-  const cv::Mat& image;
+  const cv::Mat image;
   const PixelLayout layout;
   const CameraMotion& motion;  ///< by the gyroscope
   RowExposure exposure;        ///< the assumed one, from the exposure stage on the one that was found
-  const PipelineRequest& request;
+  const PipelineRequest request;
+  bool is_validated = false;    ///< else it is estimated
   bool images_alone = false;    ///< optical flow gives all of the motion
   ResidualField residuals;      ///< relative to known_motion()
   std::optional<double> noise;  ///< that was found in the image, see image_noise()

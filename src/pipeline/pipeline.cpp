@@ -83,7 +83,8 @@ struct Pipeline::Impl {
   }
 
   void set_options(const PipelineOptions& options);
-  void process(FrameContext& frame);
+  /// Throws std::logic_error without a frame that is so far.
+  void require_frame(bool is_validated, const char* call) const;
 
   // The stages of a frame, in their order.
   void begin(FrameContext& frame);
@@ -91,12 +92,13 @@ struct Pipeline::Impl {
   void watch_static_content(FrameContext& frame);
   void estimate_field(FrameContext& frame);
   void measure_noise(FrameContext& frame);
-  void find_exposure(FrameContext& frame);
+  void examine_exposure(FrameContext& frame);
+  void use_exposure(const ExposureAnswer& answer, FrameContext& frame);
+  void find_seen_rotation(FrameContext& frame);
   /// Why the exposure is not known; no block is DEBLURRED any more.
   void explain_unknown_exposure(FrameContext& frame) const;
   void validate(FrameContext& frame);
   void choose_regularization(FrameContext& frame);
-  void deblur_image(FrameContext& frame);
   void move_to_reference(FrameContext& frame) const;
   cv::Mat deblurred_luminance(FrameContext& frame);
 
@@ -118,6 +120,7 @@ struct Pipeline::Impl {
   std::optional<RowExposure> exposure_before_;
   ImageMotion image_motion_;
   KeypointStage keypoints_;
+  std::unique_ptr<FrameContext> frame_;  // from estimate() to deblur()
 };
 
 void Pipeline::Impl::set_options(const PipelineOptions& options) {
@@ -142,6 +145,7 @@ void Pipeline::Impl::set_options(const PipelineOptions& options) {
     prepare_deconvolution(options.blur_field, bank ? *bank : *bank_, engine ? *engine : *engine_, options.threads);
   }
 
+  frame_.reset();
   std::swap(options_, copy);
   if (bank) bank_ = std::move(bank);
   if (engine) engine_ = std::move(engine);
@@ -151,37 +155,10 @@ void Pipeline::Impl::set_options(const PipelineOptions& options) {
   image_motion_.enable(options_.optical_flow);
 }
 
-void Pipeline::Impl::process(FrameContext& frame) {
-  const PipelineRequest& request = frame.request;
-  PipelineResult& result = frame.result;
-  begin(frame);
-  if (image_motion_.enabled()) follow_corners(frame);
-  watch_static_content(frame);
-  estimate_field(frame);
-  if (!options_.noise.is_known()) measure_noise(frame);
-  if (request.exposure) find_exposure(frame);
-  if (image_motion_.enabled() && !frame.images_alone && !request.repeats_picture) {
-    result.seen_rotation = image_motion_.seen_rotation(frame_camera(), frame);
-  }
-  if (!result.exposure_is_known && !result.sharp_at_any_exposure) {
-    explain_unknown_exposure(frame);
-    if (request.luminance) result.luminance = frame.luminance();
-    return;
-  }
-  validate(frame);
-  choose_regularization(frame);
-
-  const FrameAction action = request.decide ? request.decide(result.field) : FrameAction();
-  if (!action.drop_text.empty()) return;
-  if (!action.pass_through_text.empty()) result.field.reject_all();
-
-  if (request.image || request.global_shutter) deblur_image(frame);
-  if (request.global_shutter && action.deblurs()) move_to_reference(frame);
-  if (!request.keypoints && !request.luminance) return;
-
-  const cv::Mat luminance = deblurred_luminance(frame);
-  if (request.luminance) result.luminance = luminance;
-  if (request.keypoints) keypoints_.find(luminance, frame_camera(), frame);
+void Pipeline::Impl::require_frame(bool is_validated, const char* call) const {
+  if (frame_ && frame_->is_validated == is_validated) return;
+  throw std::logic_error(std::string("Pipeline::") + call + " without a frame from " +
+                         (is_validated ? "validate" : "estimate"));
 }
 
 void Pipeline::Impl::begin(FrameContext& frame) {
@@ -236,7 +213,7 @@ void Pipeline::Impl::measure_noise(FrameContext& frame) {
   frame.noise = image_noise(frame.image, frame.layout, frame.result.significant_bits, 1, mask_);
 }
 
-void Pipeline::Impl::find_exposure(FrameContext& frame) {
+void Pipeline::Impl::examine_exposure(FrameContext& frame) {
   PipelineResult& result = frame.result;
   const StageTimer timer(&result.times.exposure_ms);
   const ExposureQuestion& question = *frame.request.exposure;
@@ -247,7 +224,12 @@ void Pipeline::Impl::find_exposure(FrameContext& frame) {
     result.exposure_estimate = estimate_exposure(
         result.field, frame.luminance(), frame.has_own_luminance() ? frame.noise : std::nullopt, options_.threads);
   }
-  const ExposureAnswer answer = question.answer(result.exposure_estimate, cv::mean(frame.luminance())[0]);
+  result.mean_brightness = cv::mean(frame.luminance())[0];
+}
+
+void Pipeline::Impl::use_exposure(const ExposureAnswer& answer, FrameContext& frame) {
+  PipelineResult& result = frame.result;
+  const StageTimer timer(&result.times.exposure_ms);
   result.exposure_is_known = answer.is_known;
   if (answer.exposure_ns == result.exposure_ns) return;
   // Where it is not known, too: the next image is followed from the middle of this one's exposure.
@@ -257,6 +239,11 @@ void Pipeline::Impl::find_exposure(FrameContext& frame) {
   image_motion_.correct_exposure(found, frame_camera(), frame);
   result.field = blur_field(found, frame);
   exposure_before_ = frame.exposure = found;
+}
+
+void Pipeline::Impl::find_seen_rotation(FrameContext& frame) {
+  if (!image_motion_.enabled() || frame.images_alone || frame.request.repeats_picture) return;
+  frame.result.seen_rotation = image_motion_.seen_rotation(frame_camera(), frame);
 }
 
 void Pipeline::Impl::explain_unknown_exposure(FrameContext& frame) const {
@@ -287,15 +274,6 @@ void Pipeline::Impl::choose_regularization(FrameContext& frame) {
     if (block.status != BlockStatus::DEBLURRED) continue;
     block.noise_gain = static_cast<float>(bank_->choose(block.extent_px, 0).noise_gain);
   }
-}
-
-void Pipeline::Impl::deblur_image(FrameContext& frame) {
-  PipelineResult& result = frame.result;
-  if (result.field.count(BlockStatus::DEBLURRED) == 0) return;
-  const StageTimer timer(&result.times.deconvolution_ms);
-  result.fallback_counts =
-      deconvolve(frame.image, frame.layout, result.field, *bank_, *engine_, result.image, options_.threads);
-  keep_range(frame.image, result.significant_bits, result.image);
 }
 
 void Pipeline::Impl::move_to_reference(FrameContext& frame) const {
@@ -350,9 +328,14 @@ void Pipeline::set_calibration(const CameraCalibration& calibration) {
   impl_->image_motion_.reset();
   impl_->static_content_.reset();
   impl_->exposure_before_.reset();
+  impl_->frame_.reset();
 }
 
-void Pipeline::set_mask(const PixelMask& mask) { impl_->mask_ = mask; }
+void Pipeline::set_mask(const PixelMask& mask) {
+  impl_->mask_ = mask;
+  impl_->frame_.reset();
+}
+
 const PixelMask& Pipeline::mask() const { return impl_->mask_; }
 std::string Pipeline::engine() const { return impl_->engine_->name(); }
 
@@ -367,13 +350,76 @@ std::optional<TimeRange> Pipeline::newest_frame() const {
   return impl_->exposure_before_->frame();
 }
 
+const PipelineResult& Pipeline::estimate(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
+                                         const RowExposure& exposure, const PipelineRequest& request) {
+  Impl& impl = *impl_;
+  impl.frame_.reset();
+  if (!impl.camera_) throw std::logic_error("Pipeline::estimate before set_calibration");
+  require_fit(image, layout, impl.camera_->calibration(), impl.mask_);
+  auto frame = std::make_unique<FrameContext>(image, layout, motion, exposure, request);
+  impl.begin(*frame);
+  if (impl.image_motion_.enabled()) impl.follow_corners(*frame);
+  impl.watch_static_content(*frame);
+  impl.estimate_field(*frame);
+  if (!impl.options_.noise.is_known()) impl.measure_noise(*frame);
+  if (request.exposure) impl.examine_exposure(*frame);
+  impl.frame_ = std::move(frame);
+  return impl.frame_->result;
+}
+
+const PipelineResult& Pipeline::validate(const std::optional<ExposureAnswer>& answer) {
+  Impl& impl = *impl_;
+  impl.require_frame(false, "validate");
+  if (answer.has_value() != impl.frame_->request.exposure.has_value()) {
+    throw std::logic_error("Pipeline::validate wants an answer if PipelineRequest::exposure is set, and only then");
+  }
+  auto frame = std::move(impl.frame_);
+  if (answer) impl.use_exposure(*answer, *frame);
+  impl.find_seen_rotation(*frame);
+  if (frame->result.blur_is_known()) {
+    impl.validate(*frame);
+    impl.choose_regularization(*frame);
+  } else {
+    impl.explain_unknown_exposure(*frame);
+  }
+  frame->is_validated = true;
+  impl.frame_ = std::move(frame);
+  return impl.frame_->result;
+}
+
+PipelineResult Pipeline::deblur(const FrameAction& action) {
+  Impl& impl = *impl_;
+  impl.require_frame(true, "deblur");
+  const auto frame = std::move(impl.frame_);
+  const PipelineRequest& request = frame->request;
+  PipelineResult& result = frame->result;
+  if (!result.blur_is_known()) {
+    if (request.luminance) result.luminance = frame->luminance();
+    return std::move(result);
+  }
+  if (!action.drop_text.empty()) return std::move(result);
+  if (!action.pass_through_text.empty()) result.field.reject_all();
+
+  if ((request.image || request.global_shutter) && result.field.count(BlockStatus::DEBLURRED) > 0) {
+    const StageTimer timer(&result.times.deconvolution_ms);
+    result.fallback_counts = deconvolve(frame->image, frame->layout, result.field, *impl.bank_, *impl.engine_,
+                                        result.image, impl.options_.threads);
+    keep_range(frame->image, result.significant_bits, result.image);
+  }
+  if (request.global_shutter && action.deblurs()) impl.move_to_reference(*frame);
+  if (!request.keypoints && !request.luminance) return std::move(result);
+
+  const cv::Mat luminance = impl.deblurred_luminance(*frame);
+  if (request.luminance) result.luminance = luminance;
+  if (request.keypoints) impl.keypoints_.find(luminance, impl.frame_camera(), *frame);
+  return std::move(result);
+}
+
 PipelineResult Pipeline::process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion,
                                  const RowExposure& exposure, const PipelineRequest& request) {
-  if (!impl_->camera_) throw std::logic_error("Pipeline::process before set_calibration");
-  require_fit(image, layout, impl_->camera_->calibration(), impl_->mask_);
-  FrameContext frame(image, layout, motion, exposure, request);
-  impl_->process(frame);
-  return std::move(frame.result);
+  estimate(image, layout, motion, exposure, request);
+  validate();
+  return deblur();
 }
 
 PipelineResult Pipeline::detect(const cv::Mat& image, PixelLayout layout, TimeNs stamp_ns,

@@ -39,7 +39,7 @@ struct MadePicture;
 struct Picture {
   TimeNs stamp_ns = 0;                  ///< of the first image that shows it, camera clock
   std::optional<PictureMotion> motion;  ///< once one of the images has had what belongs to it
-  /// The result of process() for it; used by the thread that calls process() alone.
+  /// The pipeline's result for it; used by the thread that calls Processor::advance() alone.
   std::shared_ptr<const MadePicture> made;
 };
 

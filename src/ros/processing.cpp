@@ -1,8 +1,5 @@
-// Runs the pipeline on a synchronized frame and makes its messages.
-#include "ros/processing.hpp"
-
+// How the processor makes the output of a synchronized frame.
 #include <algorithm>
-#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
@@ -12,6 +9,7 @@
 #include <sensor_msgs/image_encodings.h>
 #include <boost/make_shared.hpp>
 
+#include "base/stopwatch.hpp"
 #include "blur/frame_quality.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/overlay.hpp"
@@ -20,6 +18,7 @@
 #include "ros/exposure_check.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/output_conversion.hpp"
+#include "ros/processor.hpp"
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
@@ -35,17 +34,14 @@ struct MadePicture {
 
   /// Whether it is the result for this frame and this request.
   bool serves(const SynchronizedFrame& synchronized, const PipelineRequest& wanted) const {
-    return config == synchronized.config && calibration == *synchronized.frame.calibration &&
-           mask.is_same(synchronized.mask) && (request.image || !wanted.image) &&
-           (request.keypoints || !wanted.keypoints) && (request.global_shutter || !wanted.global_shutter);
+    return synchronized.frame.repeats && config == synchronized.config &&
+           calibration == *synchronized.frame.calibration && mask.is_same(synchronized.mask) &&
+           (request.image || !wanted.image) && (request.keypoints || !wanted.keypoints) &&
+           (request.global_shutter || !wanted.global_shutter);
   }
 };
 
 namespace {
-
-double elapsed_ms(std::chrono::steady_clock::time_point since) {
-  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - since).count();
-}
 
 /// What is wrong with saturated samples among those that the frame itself needs; empty when there is none.
 std::string saturation_text(const SynchronizedFrame& synchronized) {
@@ -101,55 +97,6 @@ void add_global_shutter(const PipelineResult& result, const PendingFrame& frame,
   output->global_shutter_info = info;
 }
 
-/// The pipeline's work, which is not done again for a picture that comes again.
-/// @param action  set to what `decide` says of the field
-/// @param chosen  set to what `choose_exposure` says, where it is asked
-PipelineResult make(const SynchronizedFrame& synchronized, const FrameRequest& request, const ImageView& view,
-                    const RotationTrack& rotation, FrameAction* action, ChosenExposure* chosen) {
-  const PendingFrame& frame = synchronized.frame;
-  PipelineRequest wanted;
-  wanted.image = request.image;
-  wanted.keypoints = request.keypoints;
-  wanted.global_shutter = request.global_shutter;
-  wanted.behind_camera_rate = synchronized.behind_camera_rate;
-  wanted.repeats_picture = frame.repeats;
-  wanted.without_gyro = synchronized.without_gyro;
-  const std::shared_ptr<const MadePicture> made = frame.picture ? frame.picture->made : nullptr;
-  if (made && frame.repeats && made->serves(synchronized, wanted)) {
-    if (request.decide) *action = request.decide(made->result.field);
-    if (action->deblurs()) {
-      PipelineResult result = made->result;
-      result.times = {};
-      result.residual_rotation.reset();
-      result.seen_rotation.reset();
-      return result;
-    }
-    wanted.decide = [action](const FrameBlur&) { return *action; };
-  } else if (request.decide) {
-    wanted.decide = [&request, action](const FrameBlur& field) {
-      *action = request.decide(field);
-      return *action;
-    };
-  }
-  if (request.choose_exposure) {
-    const auto answer = [&request, chosen](const std::optional<ExposureEstimate>& estimate, double mean_brightness) {
-      *chosen = request.choose_exposure(estimate, mean_brightness);
-      return ExposureAnswer{chosen->exposure_ns, chosen->origin != ExposureOrigin::ASSUMED};
-    };
-    const ExposurePlan& plan = synchronized.plan;
-    wanted.exposure = ExposureQuestion{plan.estimate && !plan.decided, plan.longest_ns, answer};
-  }
-  PipelineResult result =
-      synchronized.pipeline->process(view.image, view.layout, rotation, *synchronized.exposure, wanted);
-  if (synchronized.pictures_repeat && frame.picture && action->deblurs()) {
-    wanted.decide = nullptr;
-    wanted.exposure.reset();
-    frame.picture->made = std::make_shared<MadePicture>(
-        MadePicture{frame.image, synchronized.config, *frame.calibration, synchronized.mask, wanted, result});
-  }
-  return result;
-}
-
 /// What the pipeline has found out about the camera and its own work.
 void add_findings(const SynchronizedFrame& synchronized, const PipelineResult& result, FrameOutput* output) {
   static_cast<FrameFindings&>(*output) = result;
@@ -164,7 +111,7 @@ void add_findings(const SynchronizedFrame& synchronized, const PipelineResult& r
 void add_tracks(const SynchronizedFrame& synchronized, const ImageView& view, const RotationTrack& rotation,
                 const RowExposure& exposure, const PipelineResult& result, FeatureTracker* tracker,
                 FrameOutput* output) {
-  const auto start = std::chrono::steady_clock::now();
+  const StageTimer timer(&output->tracks_ms);
   const PendingFrame& frame = synchronized.frame;
   tracker->set_options(synchronized.config->tracker);
   tracker->set_threads(synchronized.config->pipeline.threads);
@@ -173,7 +120,6 @@ void add_tracks(const SynchronizedFrame& synchronized, const ImageView& view, co
   output->tracks = to_message((tracker->*track)(luminance8(view.image, view.layout, result.significant_bits),
                                                 Camera(*frame.calibration), rotation, exposure, &result.field),
                               frame.image->header);
-  output->tracks_ms = elapsed_ms(start);
 }
 
 /// The messages of a frame whose exposure is known, apart from tracks and the blur field.
@@ -184,7 +130,7 @@ void add_messages(const SynchronizedFrame& synchronized, const FrameRequest& req
   if (request.image && !result.image.empty()) output->image = to_image(result.image, *frame.image);
   if (!result.global_shutter.empty()) add_global_shutter(result, frame, output);
   if (request.keypoints && !output->dropped) {
-    output->keypoints = to_message(result, synchronized.pipeline->options().keypoints, header);
+    output->keypoints = to_message(result, synchronized.config->pipeline.keypoints, header);
   }
   if (request.overlay) {
     output->overlay =
@@ -193,88 +139,6 @@ void add_messages(const SynchronizedFrame& synchronized, const FrameRequest& req
   if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
   output->quality = to_message(quality, header);
   if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field, synchronized.mask), header);
-}
-
-/// Precondition: the frame is ready.
-void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, FeatureTracker* tracker,
-            FrameOutput* output) {
-  const PendingFrame& frame = synchronized.frame;
-  Pipeline& pipeline = *synchronized.pipeline;
-  auto start = std::chrono::steady_clock::now();
-  const ImageView view = view_image(*frame.image);
-  output->messages_ms += elapsed_ms(start);
-
-  start = std::chrono::steady_clock::now();
-  pipeline.set_options(synchronized.config->pipeline);
-  pipeline.set_calibration(*frame.calibration);
-  pipeline.set_mask(synchronized.mask);
-  const RotationTrack rotation(synchronized.samples, synchronized.gyro, synchronized.R_cam_imu, synchronized.own_begin);
-  const double preparation_ms = elapsed_ms(start);
-  FrameAction action;
-  ChosenExposure chosen = synchronized.plan;
-  PipelineResult result = make(synchronized, request, view, rotation, &action, &chosen);
-  output->exposure = FrameExposure{chosen, result.exposure_need};
-  const RowExposure exposure = synchronized.exposure->with_exposure(result.exposure_ns);
-  // What is said of a picture holds for the image that shows it, as though it had been exposed by that one's stamp.
-  result.reference_ns += frame.stamp_ns - frame.picture_ns();
-  add_findings(synchronized, result, output);
-  output->times.blur_field_ms += preparation_ms;  // of what the field is predicted from
-
-  output->dropped = !action.drop_text.empty();
-  if (output->dropped && !action.pass_through_text.empty()) result.field.reject_all();
-  if (request.tracks && !output->dropped) {
-    add_tracks(synchronized, view, rotation, exposure, result, tracker, output);
-  }
-  if (!result.exposure_is_known && !result.sharp_at_any_exposure) {
-    output->reason = PassThroughReason::NO_EXPOSURE_TIME;
-    output->reason_text = unknown_exposure_text(result.exposure_need);
-    return;
-  }
-  start = std::chrono::steady_clock::now();
-  const FrameQuality quality = assess_quality(result.field);
-  add_messages(synchronized, request, view, result, quality, output);
-  if (action.pass_through_text.empty() || output->dropped) {
-    output->exposure_terms = exposure_terms(result.field, quality, synchronized.config->pipeline.blur_field,
-                                            synchronized.config->pipeline.noise);
-    add_field(synchronized, exposure, rotation, result.field, output);
-    output->field = std::move(result.field);
-  } else {
-    output->reason = PassThroughReason::STEREO_PARTNER;
-    output->reason_text = action.pass_through_text;
-  }
-  if (output->dropped) output->blur_field->reason_text = output->reason_text = "drop_poor: " + action.drop_text;
-  output->messages_ms += elapsed_ms(start);
-}
-
-/// Keypoints of a frame that passes through; an empty array when it can have none.
-/// @param output  gets the time, and why they could not be found, where that is so
-KeypointArrayPtr raw_keypoints(const SynchronizedFrame& synchronized, PassThroughReason reason, FrameOutput* output) {
-  const PendingFrame& frame = synchronized.frame;
-  auto none = boost::make_shared<KeypointArray>();
-  none->header = frame.image->header;
-  none->reference_time = none->header.stamp;
-  // When too much waits, what is left of the work has to be quick.
-  if (!synchronized.pipeline || reason == PassThroughReason::OVERLOAD) return none;
-  try {
-    const ImageView view = view_image(*frame.image);
-    std::optional<CameraCalibration> calibration = frame.calibration;
-    if (!calibration && frame.info) {
-      try {
-        calibration =
-            to_calibration(*frame.info, view.image.cols, view.image.rows, synchronized.config->rectified_input);
-      } catch (const OptionError&) {
-        // Normalised coordinates are not known then.
-      }
-    }
-    synchronized.pipeline->set_options(synchronized.config->pipeline);
-    synchronized.pipeline->set_mask(synchronized.mask);
-    const PipelineResult result = synchronized.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration);
-    output->keypoints_text = result.keypoints_text;
-    output->times.keypoints_ms = result.times.keypoints_ms;
-    return to_message(result, synchronized.config->pipeline.keypoints, none->header);
-  } catch (const std::exception&) {
-    return none;  // the frame has its reason already
-  }
 }
 
 /// The trust mask of a frame that passes through. Where its size is not that of its data there is none to have.
@@ -299,8 +163,7 @@ FrameOutput pass_through_failed(const std::string& text, const FrameOutput& made
   return output;
 }
 
-}  // namespace
-
+/// Why Config::drop_poor keeps an image with this validated field from being published; empty: it does not.
 std::string drop_text(const FrameBlur& field) {
   const FrameQuality quality = assess_quality(field);
   if (quality.grade != QualityGrade::POOR) return {};
@@ -309,46 +172,183 @@ std::string drop_text(const FrameBlur& field) {
   return text;
 }
 
-FrameOutput process(const SynchronizedFrame& synchronized, const FrameRequest& request, FeatureTracker* tracker) {
-  const auto start = std::chrono::steady_clock::now();
+}  // namespace
+
+FrameOutput Processor::process(const SynchronizedFrame& synchronized) {
+  FrameRequest request = environment_.request ? environment_.request() : FrameRequest();
+  const Stopwatch watch;
   const PendingFrame& frame = synchronized.frame;
   FrameOutput output;
   output.input = output.image = frame.image;
   output.reason = frame.pass_through_reason;
   output.reason_text = frame.pass_through_text;
+  StereoCamera* const stereo = environment_.stereo.get();
   if (output.reason == PassThroughReason::NONE) {
+    if (stereo) stereo->begin(frame.stamp_ns);
+    request.behind_camera_rate = synchronized.behind_camera_rate;
+    request.repeats_picture = frame.repeats;
+    request.without_gyro = synchronized.without_gyro;
+    request.exposure =
+        ExposureQuestion{synchronized.plan.estimate && !synchronized.plan.decided, synchronized.plan.longest_ns};
     try {
-      deblur(synchronized, request, tracker, &output);
+      deblur(synchronized, request, &output);
     } catch (const std::exception& error) {
       output = pass_through_failed(error.what(), output);
     } catch (...) {
       output = pass_through_failed("an exception of unknown type", output);
     }
+  } else if (stereo) {
+    stereo->pass_through(frame.stamp_ns, output.reason);
   }
-  if (output.dropped) {
-    output.image.reset();
-    output.total_ms = elapsed_ms(start);
-    return output;
-  }
-  const auto rest = std::chrono::steady_clock::now();
-  output.camera_info =
-      frame.info ? frame.info : sensor_msgs::CameraInfoConstPtr(uncalibrated_camera_info(*frame.image));
-  if (request.global_shutter && !output.global_shutter) {
-    output.global_shutter = output.input;
-    output.global_shutter_info = output.camera_info;
-  }
-  if (!output.blur_field) output.blur_field = pass_through_message(output.reason, output.reason_text, *frame.image);
-  if (!output.quality) output.quality = unknown_quality(frame.image->header);
-  if (request.trust_mask && !output.trust_mask) output.trust_mask = no_trust(*frame.image);
-  if (request.keypoints && !output.keypoints) {
-    const double found_ms = output.times.keypoints_ms;
-    output.keypoints = raw_keypoints(synchronized, output.reason, &output);
-    output.messages_ms -= output.times.keypoints_ms - found_ms;
-  }
-  if (request.markers && !output.markers) output.markers = no_markers(frame.image->header);
-  output.messages_ms += elapsed_ms(rest);
-  output.total_ms = elapsed_ms(start);
+  if (!output.dropped) complete(synchronized, request, &output);
+  output.total_ms = watch.ms();
+  if (stereo && output.reason != PassThroughReason::NONE) stereo->pass_through(frame.stamp_ns, output.reason);
   return output;
+}
+
+void Processor::deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output) {
+  const PendingFrame& frame = synchronized.frame;
+  Pipeline& pipeline = *synchronized.pipeline;
+  Stopwatch watch;
+  const ImageView view = view_image(*frame.image);
+  output->messages_ms += watch.lap();
+  pipeline.set_options(synchronized.config->pipeline);
+  pipeline.set_calibration(*frame.calibration);
+  pipeline.set_mask(synchronized.mask);
+  const RotationTrack rotation(synchronized.samples, synchronized.gyro, synchronized.R_cam_imu, synchronized.own_begin);
+  const double preparation_ms = watch.ms();
+
+  FrameAction action;
+  ChosenExposure chosen = synchronized.plan;
+  PipelineResult result;
+  std::shared_ptr<const MadePicture> made = frame.picture ? frame.picture->made : nullptr;
+  if (made && !made->serves(synchronized, request)) made = nullptr;
+  if (made) action = decide(synchronized, made->result.field);
+  if (made && action.deblurs()) {
+    result = made->result;
+    result.times = {};
+    result.residual_rotation.reset();
+    result.seen_rotation.reset();
+  } else {
+    chosen = choose_exposure(synchronized,
+                             pipeline.estimate(view.image, view.layout, rotation, *synchronized.exposure, request));
+    const ExposureAnswer answer{chosen.exposure_ns, chosen.origin != ExposureOrigin::ASSUMED};
+    const PipelineResult& validated = pipeline.validate(answer);
+    if (!made && validated.blur_is_known()) action = decide(synchronized, validated.field);
+    result = pipeline.deblur(action);
+    if (synchronized.pictures_repeat && frame.picture && action.deblurs()) {
+      frame.picture->made = std::make_shared<MadePicture>(
+          MadePicture{frame.image, synchronized.config, *frame.calibration, synchronized.mask, request, result});
+    }
+  }
+  output->exposure = FrameExposure{chosen, result.exposure_need};
+  // What is said of a picture holds for the image that shows it, as though it had been exposed by that one's stamp.
+  result.reference_ns += frame.stamp_ns - frame.picture_ns();
+  add_findings(synchronized, result, output);
+  output->times.blur_field_ms += preparation_ms;  // of what the field is predicted from
+  add_result(synchronized, request, view, action, rotation, std::move(result), output);
+}
+
+void Processor::add_result(const SynchronizedFrame& synchronized, const FrameRequest& request, const ImageView& view,
+                           const FrameAction& action, const RotationTrack& rotation, PipelineResult result,
+                           FrameOutput* output) {
+  const RowExposure exposure = synchronized.exposure->with_exposure(result.exposure_ns);
+  output->dropped = !action.drop_text.empty();
+  if (output->dropped) {
+    output->image.reset();
+    if (!action.pass_through_text.empty()) result.field.reject_all();
+  } else if (request.tracks) {
+    add_tracks(synchronized, view, rotation, exposure, result, &tracker_, output);
+  }
+  if (!result.blur_is_known()) {
+    output->reason = PassThroughReason::NO_EXPOSURE_TIME;
+    output->reason_text = unknown_exposure_text(result.exposure_need);
+    return;
+  }
+  const StageTimer timer(&output->messages_ms);
+  const FrameQuality quality = assess_quality(result.field);
+  add_messages(synchronized, request, view, result, quality, output);
+  if (action.pass_through_text.empty() || output->dropped) {
+    output->exposure_terms = exposure_terms(result.field, quality, synchronized.config->pipeline.blur_field,
+                                            synchronized.config->pipeline.noise);
+    add_field(synchronized, exposure, rotation, result.field, output);
+    output->field = std::move(result.field);
+  } else {
+    output->reason = PassThroughReason::STEREO_PARTNER;
+    output->reason_text = action.pass_through_text;
+  }
+  if (output->dropped) output->blur_field->reason_text = output->reason_text = "drop_poor: " + action.drop_text;
+}
+
+FrameAction Processor::decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const {
+  StereoCamera* const stereo = environment_.stereo.get();
+  const TimeNs stamp_ns = synchronized.frame.stamp_ns;
+  if (!synchronized.drop_poor) return {stereo ? stereo->decide(stamp_ns, field) : "", ""};
+  if (!stereo) return {"", drop_text(field)};
+  FrameBlur passed_through = field;
+  passed_through.reject_all();
+  const bool may_be_dropped = assess_quality(field).grade != QualityGrade::UNKNOWN;
+  return stereo->decide(stamp_ns, field, {may_be_dropped, drop_text(field), drop_text(passed_through)});
+}
+
+ChosenExposure Processor::choose_exposure(const SynchronizedFrame& synchronized, const PipelineResult& estimated) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const PendingFrame& frame = synchronized.frame;
+  const ChosenExposure chosen =
+      exposures_.decide(frame.picture_ns(), synchronized.plan, estimated.exposure_estimate, estimated.mean_brightness);
+  if (frame.picture && frame.picture->motion) {
+    PictureMotion& motion = *frame.picture->motion;
+    motion.exposure = synchronized.exposure->with_exposure(chosen.exposure_ns);
+    static_cast<ChosenExposure&>(motion.plan) = chosen;
+    motion.plan.decided = true;
+  }
+  return chosen;
+}
+
+void Processor::complete(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output) {
+  const StageTimer timer(&output->messages_ms);
+  const PendingFrame& frame = synchronized.frame;
+  output->camera_info =
+      frame.info ? frame.info : sensor_msgs::CameraInfoConstPtr(uncalibrated_camera_info(*frame.image));
+  if (request.global_shutter && !output->global_shutter) {
+    output->global_shutter = output->input;
+    output->global_shutter_info = output->camera_info;
+  }
+  if (!output->blur_field) output->blur_field = pass_through_message(output->reason, output->reason_text, *frame.image);
+  if (!output->quality) output->quality = unknown_quality(frame.image->header);
+  if (request.trust_mask && !output->trust_mask) output->trust_mask = no_trust(*frame.image);
+  if (request.markers && !output->markers) output->markers = no_markers(frame.image->header);
+  if (request.keypoints && !output->keypoints) add_raw_keypoints(synchronized, output);
+}
+
+void Processor::add_raw_keypoints(const SynchronizedFrame& synchronized, FrameOutput* output) {
+  const PendingFrame& frame = synchronized.frame;
+  output->keypoints = boost::make_shared<KeypointArray>();
+  output->keypoints->header = frame.image->header;
+  output->keypoints->reference_time = frame.image->header.stamp;
+  // When too much waits, what is left of the work has to be quick.
+  if (!synchronized.pipeline || output->reason == PassThroughReason::OVERLOAD) return;
+  try {
+    const ImageView view = view_image(*frame.image);
+    std::optional<CameraCalibration> calibration = frame.calibration;
+    if (!calibration && frame.info) {
+      try {
+        calibration =
+            to_calibration(*frame.info, view.image.cols, view.image.rows, synchronized.config->rectified_input);
+      } catch (const OptionError&) {
+        // Normalised coordinates are not known then.
+      }
+    }
+    synchronized.pipeline->set_options(synchronized.config->pipeline);
+    synchronized.pipeline->set_mask(synchronized.mask);
+    const PipelineResult result = synchronized.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration);
+    output->keypoints_text = result.keypoints_text;
+    output->times.keypoints_ms = result.times.keypoints_ms;
+    output->messages_ms -= result.times.keypoints_ms;  // of which they are counted as a part
+    output->keypoints = to_message(result, synchronized.config->pipeline.keypoints, frame.image->header);
+  } catch (const std::exception&) {
+    // The frame has its reason already.
+  }
 }
 
 }  // namespace gyro_deblur

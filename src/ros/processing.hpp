@@ -1,7 +1,6 @@
-// Makes the output of a synchronized frame.
+// What is wanted of a frame, and its output.
 #pragma once
 
-#include <functional>
 #include <optional>
 #include <string>
 
@@ -11,29 +10,19 @@
 #include <visualization_msgs/MarkerArray.h>
 
 #include "blur/exposure_advice.hpp"
-#include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
-#include "ros/frame_synchronizer.hpp"
+#include "pipeline/exposure_choice.hpp"
 #include "ros/messages.hpp"
 #include "ros/pass_through.hpp"
 
 namespace gyro_deblur {
 
-/// What somebody wants of a frame; nothing else is computed.
-struct FrameRequest {
-  bool image = true;
-  bool keypoints = true;
+/// What somebody wants of a frame; nothing else is computed. Processor sets what depends on the frame.
+struct FrameRequest : PipelineRequest {
   bool overlay = false;
   bool markers = false;
   bool tracks = false;
-  bool global_shutter = false;
   bool trust_mask = false;
-  /// Asked with the validated field before anything is deblurred. Absent: the frame is deblurred. A frame
-  /// with a pass_through_text gets the reason STEREO_PARTNER, one with a drop_text is not published (drop_poor).
-  std::function<FrameAction(const FrameBlur&)> decide = {};
-  /// Gets the exposure time by the blur and the mean grey level; returns the exposure to deblur by. Absent:
-  /// the plan's is certain.
-  std::function<ChosenExposure(const std::optional<ExposureEstimate>&, double)> choose_exposure = {};
 };
 
 /// The exposure time that a frame was deblurred by.
@@ -69,17 +58,9 @@ struct FrameOutput : FrameFindings {
   std::optional<ExposureTerms> exposure_terms;  ///< of the field, where they are known
   std::string engine_warning;                   ///< warning of the engine; mostly empty
   double tracks_ms = 0;                         ///< of following corners
-  double waiting_ms = 0;                        ///< steady time in the queue; left to the caller
+  double waiting_ms = 0;                        ///< steady time in the queue
   double messages_ms = 0;                       ///< conversion from and to messages, overlay and markers
   double total_ms = 0;                          ///< of processing, without waiting
 };
-
-/// Why Config::drop_poor keeps an image with this validated field from being published; empty: it does not.
-std::string drop_text(const FrameBlur& field);
-
-/// Processes a frame. Depends on nothing but the frame, the request and the images that the tracker has seen.
-/// Exceptions of the pipeline become INTERNAL_ERROR; those of passing a frame through (for lack of memory) pass.
-/// @param tracker  of this camera; one thread at a time
-FrameOutput process(const SynchronizedFrame& synchronized, const FrameRequest& request, FeatureTracker* tracker);
 
 }  // namespace gyro_deblur

@@ -5,7 +5,6 @@
 #include <utility>
 #include <vector>
 
-#include "blur/frame_quality.hpp"
 #include "engine/engine.hpp"
 #include "ros/calibration_conversion.hpp"
 #include "ros/compressed_image.hpp"
@@ -13,16 +12,6 @@
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
-namespace {
-
-/// What a camera that drops poor images reports to its stereo partners.
-DropReasons drop_reasons(const FrameBlur& field) {
-  FrameBlur passed_through = field;
-  passed_through.reject_all();
-  return {assess_quality(field).grade != QualityGrade::UNKNOWN, drop_text(field), drop_text(passed_through)};
-}
-
-}  // namespace
 
 Processor::Processor(Environment environment)
     : environment_(std::move(environment)),
@@ -290,51 +279,12 @@ void Processor::check_overload(TimeNs steady_ns, PendingFrame* frame, Synchroniz
   synchronized->behind_camera_rate = OverloadRule::is_behind_camera_rate(steady_ns, ready_ns, ready_behind, period_ns);
 }
 
-FrameOutput Processor::process_with_partners(const SynchronizedFrame& synchronized) {
-  FrameRequest request = environment_.request ? environment_.request() : FrameRequest();
-  request.choose_exposure = [this, &synchronized](const std::optional<ExposureEstimate>& estimate, double brightness) {
-    return choose_exposure(synchronized, estimate, brightness);
-  };
-  StereoCamera* const stereo = environment_.stereo.get();
-  if (!stereo) {
-    if (synchronized.drop_poor) {
-      request.decide = [](const FrameBlur& field) { return FrameAction{"", drop_text(field)}; };
-    }
-    return process(synchronized, request, &tracker_);
-  }
-  const TimeNs stamp_ns = synchronized.frame.stamp_ns;
-  const bool drop_poor = synchronized.drop_poor;
-  const PassThroughReason reason = synchronized.frame.pass_through_reason;
-  reason == PassThroughReason::NONE ? stereo->begin(stamp_ns) : stereo->pass_through(stamp_ns, reason);
-  request.decide = [stereo, stamp_ns, drop_poor](const FrameBlur& field) {
-    return drop_poor ? stereo->decide(stamp_ns, field, drop_reasons(field))
-                     : FrameAction{stereo->decide(stamp_ns, field), ""};
-  };
-  FrameOutput output = process(synchronized, request, &tracker_);
-  if (output.reason != PassThroughReason::NONE) stereo->pass_through(stamp_ns, output.reason);
-  return output;
-}
-
-ChosenExposure Processor::choose_exposure(const SynchronizedFrame& synchronized,
-                                          const std::optional<ExposureEstimate>& estimate, double mean_brightness) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  const PendingFrame& frame = synchronized.frame;
-  const ChosenExposure chosen = exposures_.decide(frame.picture_ns(), synchronized.plan, estimate, mean_brightness);
-  if (frame.picture && frame.picture->motion) {
-    PictureMotion& motion = *frame.picture->motion;
-    motion.exposure = synchronized.exposure->with_exposure(chosen.exposure_ns);
-    static_cast<ChosenExposure&>(motion.plan) = chosen;
-    motion.plan.decided = true;
-  }
-  return chosen;
-}
-
 void Processor::advance(const Sink& sink, bool finishing) {
   while (std::optional<SynchronizedFrame> synchronized = next_frame(finishing)) {
     FrameOutput output;
     try {
       const TimeNs waited_ns = input_buffers_.steady_now() - synchronized->frame.arrival_steady_ns;
-      output = process_with_partners(*synchronized);
+      output = process(*synchronized);
       output.waiting_ms = static_cast<double>(waited_ns) * 1e-6;
       if (!output.engine_warning.empty()) environment_.log(LogLevel::WARNING, output.engine_warning);
       try {

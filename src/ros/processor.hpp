@@ -20,10 +20,12 @@
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
+#include "gyro_deblur/rotation_track.hpp"
 #include "ros/calibration_in_use.hpp"
 #include "ros/frame_synchronizer.hpp"
 #include "ros/gyro_bias.hpp"
 #include "ros/gyro_source.hpp"
+#include "ros/image_conversion.hpp"
 #include "ros/input_buffers.hpp"
 #include "ros/input_mask.hpp"
 #include "ros/input_problems.hpp"
@@ -153,7 +155,23 @@ class Processor {
   std::size_t frames_waiting() const { return input_buffers_.queue().size() + in_progress_; }  // needs mutex_
   /// Stereo partners need not wait until frames that pass through are published. Needs mutex_.
   void notify_stereo();
-  FrameOutput process_with_partners(const SynchronizedFrame& synchronized);
+  /// The output of a frame. Exceptions of the pipeline become INTERNAL_ERROR; those of passing the frame through (for
+  /// lack of memory) pass.
+  FrameOutput process(const SynchronizedFrame& synchronized);
+  /// Estimates the frame's blur, validates it by the exposure that is chosen then, and deblurs if that is decided.
+  /// Precondition: the frame is ready.
+  void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output);
+  /// What the frame is deblurred by; its picture goes by that from now on. Takes mutex_.
+  ChosenExposure choose_exposure(const SynchronizedFrame& synchronized, const PipelineResult& estimated);
+  /// What is done with a frame that has this validated field. Waits for its stereo partners: mutex_ must be free.
+  FrameAction decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const;
+  /// What of the output the pipeline's result gives.
+  void add_result(const SynchronizedFrame& synchronized, const FrameRequest& request, const ImageView& view,
+                  const FrameAction& action, const RotationTrack& rotation, PipelineResult result, FrameOutput* output);
+  /// What a published frame has in any case.
+  void complete(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output);
+  /// Keypoints of a frame that passes through; an empty array when it can have none.
+  void add_raw_keypoints(const SynchronizedFrame& synchronized, FrameOutput* output);
   /// Uses what is stored for images of this size. Needs mutex_.
   void remember_calibration(const sensor_msgs::Image& image);
   /// Learns the calibration from the frame. Takes mutex_.
@@ -161,9 +179,6 @@ class Processor {
   void learn_from(const SynchronizedFrame& synchronized, const std::optional<FrameExposure>& found);
   /// What is used in addition to messages. Needs mutex_ and a configuration.
   FrameSynchronizer::Context context() const;
-  /// What the frame is deblurred by; its picture goes by that from now on.
-  ChosenExposure choose_exposure(const SynchronizedFrame& synchronized, const std::optional<ExposureEstimate>& estimate,
-                                 double mean_brightness);
   /// Reports when the images give the exposure time, and when they contradict the given one. Needs mutex_.
   void record_exposure(const FrameOutput& output);
   /// Stamps of global-shutter images are not those that came in, and grow all the same.

@@ -89,7 +89,11 @@ nlohmann::json soak(const Recording& recording, const Config& config, double sec
   environment.clock = environment.steady_clock = [&clock_ns] { return clock_ns; };
   environment.log = [&log_lines](LogLevel, const std::string&) { ++log_lines; };
   environment.exposure_expected = [] { return true; };
-  environment.request = [] { return FrameRequest{true, true, true, true}; };
+  environment.request = [] {
+    FrameRequest request;
+    request.overlay = request.markers = true;
+    return request;
+  };
   Processor processor(std::move(environment));
   processor.set_config(config);
 

@@ -1,8 +1,6 @@
 // The pipeline's global-shutter image.
 #include <algorithm>
 #include <cstdint>
-#include <functional>
-#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -47,15 +45,15 @@ PipelineOptions options(ImageBorder border = ImageBorder::BLACK, bool deblurs = 
 }
 
 PipelineResult process(const cv::Mat& image, PixelLayout layout, const CameraMotion& motion, const RowExposure& rows,
-                       const PipelineOptions& with = options(),
-                       std::function<FrameAction(const FrameBlur&)> decide = {}) {
+                       const PipelineOptions& with = options(), const FrameAction& action = {}) {
   Pipeline pipeline(with);
   pipeline.set_calibration(test::small_camera());
   PipelineRequest request;
   request.image = request.keypoints = false;
   request.global_shutter = true;
-  request.decide = std::move(decide);
-  return pipeline.process(image, layout, motion, rows, request);
+  pipeline.estimate(image, layout, motion, rows, request);
+  pipeline.validate();
+  return pipeline.deblur(action);
 }
 
 /// A vertical line as a camera that pans to the right shows it: leaning to the left, `above_px` further right on top.
@@ -190,7 +188,7 @@ TEST(PipelineGlobalShutter, WhatCannotBeMovedIsNone) {
   EXPECT_TRUE(
       process(image, PixelLayout::GRAY, pan(kRateRadS, 3 * kStampNs), exposure(kReadoutNs)).global_shutter.empty());
   EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(kRateRadS, 3 * kStampNs), exposure(0)).global_shutter.empty());
-  const auto pass_through = [](const FrameBlur&) { return FrameAction{"not this one", ""}; };
+  const FrameAction pass_through{"not this one", ""};
   EXPECT_TRUE(process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(kReadoutNs), options(), pass_through)
                   .global_shutter.empty());
   Pipeline pipeline(options());

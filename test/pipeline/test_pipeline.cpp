@@ -2,7 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <memory>
+#include <optional>
+#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -64,18 +67,70 @@ TEST(Pipeline, DroppedFrameHasOnlyItsField) {
   Pipeline p = pipeline();
   PipelineRequest request;
   request.luminance = request.global_shutter = true;
-  std::size_t to_deblur = 0;
-  request.decide = [&to_deblur](const FrameBlur& field) {
-    to_deblur = field.count(BlockStatus::DEBLURRED);
-    return FrameAction{"", "only the field is wanted"};
-  };
-  const PipelineResult result =
-      p.process(blurred_image(15), PixelLayout::GRAY, pan(rate_for(15)), global_shutter(), request);
+  const auto motion = pan(rate_for(15));
+  p.estimate(blurred_image(15), PixelLayout::GRAY, motion, global_shutter(), request);
+  const std::size_t to_deblur = p.validate().field.count(BlockStatus::DEBLURRED);
+  const PipelineResult result = p.deblur(FrameAction{"", "only the field is wanted"});
   EXPECT_GE(to_deblur, 18u) << "of 20";
   EXPECT_EQ(result.field.count(BlockStatus::DEBLURRED), to_deblur) << "what could be deblurred is still reported";
   EXPECT_TRUE(result.image.empty() && result.luminance.empty() && result.global_shutter.empty());
   EXPECT_TRUE(result.features.keypoints.empty());
   EXPECT_EQ(result.times.deconvolution_ms, 0);
+}
+
+TEST(Pipeline, CallsComeInTheirOrder) {
+  Pipeline p = pipeline();
+  const cv::Mat image = blurred_image(15);
+  const auto motion = pan(rate_for(15));
+  const auto estimate = [&](const PipelineRequest& request = {}) {
+    p.estimate(image, PixelLayout::GRAY, motion, global_shutter(), request);
+  };
+  EXPECT_THROW(p.validate(), std::logic_error);
+  EXPECT_THROW(p.deblur(), std::logic_error);
+  estimate();
+  EXPECT_THROW(p.deblur(), std::logic_error);
+  EXPECT_THROW(p.validate(ExposureAnswer{kExposureNs}), std::logic_error) << "the exposure is not in question";
+  p.validate();
+  EXPECT_THROW(p.validate(), std::logic_error);
+  const PipelineResult result = p.deblur();
+  EXPECT_THROW(p.deblur(), std::logic_error);
+  const PipelineResult at_once =
+      pipeline().process(image, PixelLayout::GRAY, motion, global_shutter(), PipelineRequest());
+  EXPECT_TRUE(equal(result.image, at_once.image)) << "a call out of order changes nothing";
+  EXPECT_EQ(result.features.keypoints.size(), at_once.features.keypoints.size());
+
+  PipelineRequest asks;
+  asks.exposure = ExposureQuestion{};
+  EXPECT_THROW(p.process(image, PixelLayout::GRAY, motion, global_shutter(), asks), std::logic_error);
+  estimate(asks);
+  EXPECT_THROW(p.validate(), std::logic_error) << "without an answer";
+  EXPECT_TRUE(p.validate(ExposureAnswer{kExposureNs}).blur_is_known());
+}
+
+TEST(Pipeline, FrameIsForgottenWithWhatItWasEstimatedBy) {
+  Pipeline p = pipeline();
+  const cv::Mat image = blurred_image(15);
+  const auto motion = pan(rate_for(15));
+  CameraCalibration other = test::small_camera();
+  other.fx_px += 1;
+  const std::function<void()> changes[] = {
+      [&] { p.set_options(options()); }, [&] { p.set_mask(PixelMask()); }, [&] { p.set_calibration(other); },
+      [&] {
+        const cv::Mat small = image.rowRange(0, 64);
+        EXPECT_THROW(p.process(small, PixelLayout::GRAY, motion, global_shutter(), PipelineRequest()),
+                     std::invalid_argument);
+      }};
+  for (const auto& change : changes) {
+    p.set_calibration(test::small_camera());
+    p.estimate(image, PixelLayout::GRAY, motion, global_shutter(), PipelineRequest());
+    change();
+    EXPECT_THROW(p.validate(), std::logic_error);
+    p.set_calibration(test::small_camera());
+    p.estimate(image, PixelLayout::GRAY, motion, global_shutter(), PipelineRequest());
+    p.validate();
+    change();
+    EXPECT_THROW(p.deblur(), std::logic_error);
+  }
 }
 
 // By rule FIXED as by rule NOISE; longer blur is less certain, of the same corners or others.
@@ -504,17 +559,14 @@ TEST_F(PipelineByImages, ExposureThatIsFoundIsUsedThroughout) {
   for (int i = 0; i < 6; ++i) {
     const RowExposure exposure = camera_.simulator().exposure(i);
     const TimeNs true_ns = exposure.timing().exposure_ns;
-    int asked = 0;
     PipelineRequest request;
-    request.exposure = ExposureQuestion{true, true_ns, [&](const std::optional<ExposureEstimate>&, double) {
-                                          ++asked;
-                                          return ExposureAnswer{true_ns};
-                                        }};
-    const PipelineResult found = pipeline_.process(camera_.picture(i), PixelLayout::GRAY, rotation_,
-                                                   exposure.with_exposure(true_ns / 2), request);
+    request.exposure = ExposureQuestion{true, true_ns};
+    pipeline_.estimate(camera_.picture(i), PixelLayout::GRAY, rotation_, exposure.with_exposure(true_ns / 2), request);
+    pipeline_.validate(ExposureAnswer{true_ns});
+    EXPECT_THROW(pipeline_.validate(ExposureAnswer{true_ns}), std::logic_error) << "one answer";
+    const PipelineResult found = pipeline_.deblur();
     const PipelineResult given =
         certain.process(camera_.picture(i), PixelLayout::GRAY, rotation_, exposure, PipelineRequest());
-    EXPECT_EQ(asked, 1);
     EXPECT_TRUE(found.exposure_is_known);
     EXPECT_EQ(found.exposure_ns, true_ns);
     EXPECT_EQ(found.field.exposure_ns, true_ns);
@@ -538,15 +590,14 @@ TEST_F(PipelineByImages, ExposureIsFoundFromHalfOfItWithinTwoImages) {
   for (int i = 0; i < 6; ++i) {
     const RowExposure assumed = camera_.simulator().exposure(i).with_exposure(assumed_ns);
     PipelineRequest request;
-    request.exposure =
-        ExposureQuestion{true, 2 * true_ns, [&](const std::optional<ExposureEstimate>& estimate, double) {
-                           if (estimate) {
-                             ++estimates;
-                             assumed_ns = std::llround(estimate->ratio * static_cast<double>(assumed_ns));
-                           }
-                           return ExposureAnswer{assumed_ns, i > 0};
-                         }};
-    const PipelineResult result = pipeline_.process(camera_.picture(i), PixelLayout::GRAY, rotation_, assumed, request);
+    request.exposure = ExposureQuestion{true, 2 * true_ns};
+    if (const std::optional<ExposureEstimate> estimate =
+            pipeline_.estimate(camera_.picture(i), PixelLayout::GRAY, rotation_, assumed, request).exposure_estimate) {
+      ++estimates;
+      assumed_ns = std::llround(estimate->ratio * static_cast<double>(assumed_ns));
+    }
+    pipeline_.validate(ExposureAnswer{assumed_ns, i > 0});
+    const PipelineResult result = pipeline_.deblur();
     EXPECT_EQ(result.exposure_ns, assumed_ns);
     EXPECT_EQ(result.field.exposure_ns, assumed_ns) << "the likeliest one, whether or not it is known";
     if (i > 0) {
@@ -559,12 +610,13 @@ TEST_F(PipelineByImages, ExposureIsFoundFromHalfOfItWithinTwoImages) {
 TEST_F(PipelineByImages, ExposureThatIsNotKnownLeavesTheImageAsItIs) {
   constexpr TimeNs kAssumedNs = 15'000'000;
   PipelineRequest request;
-  request.exposure = ExposureQuestion{false, 20'000'000, [](const std::optional<ExposureEstimate>& given, double) {
-                                        EXPECT_FALSE(given) << "it is not to be looked at";
-                                        return ExposureAnswer{kAssumedNs, false};
-                                      }};
-  const PipelineResult result =
-      pipeline_.process(camera_.picture(0), PixelLayout::GRAY, rotation_, camera_.simulator().exposure(0), request);
+  request.exposure = ExposureQuestion{false, 20'000'000};
+  const PipelineResult& estimated =
+      pipeline_.estimate(camera_.picture(0), PixelLayout::GRAY, rotation_, camera_.simulator().exposure(0), request);
+  EXPECT_FALSE(estimated.exposure_estimate) << "it is not to be looked at";
+  EXPECT_GT(estimated.mean_brightness, 0);
+  pipeline_.validate(ExposureAnswer{kAssumedNs, false});
+  const PipelineResult result = pipeline_.deblur();
   EXPECT_FALSE(result.exposure_is_known);
   EXPECT_FALSE(result.sharp_at_any_exposure);
   EXPECT_TRUE(result.image.empty());

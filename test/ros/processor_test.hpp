@@ -1,6 +1,7 @@
 // A processor on a clock of its own, with messages of a small camera that rotates.
 #pragma once
 
+#include <memory>
 #include <new>
 #include <optional>
 #include <stdexcept>
@@ -24,7 +25,9 @@ constexpr TimeNs kFrameDuration = kExposure + kReadout;
 
 class ProcessorTest : public testing::Test {
  protected:
-  ProcessorTest() : processor_(environment()) {
+  /// @param in_rig  the camera has a place in a stereo rig, where it is alone but for advance_refused()
+  explicit ProcessorTest(bool in_rig = false)
+      : rig_(in_rig ? std::make_shared<StereoRig>() : nullptr), processor_(environment()) {
     processor_.set_config(config_);
     now_ns_ = kStart;
   }
@@ -34,6 +37,7 @@ class ProcessorTest : public testing::Test {
     environment.clock = [this] { return now_ns_; };
     environment.steady_clock = [this] { return steady_ns_; };
     environment.log = [this](LogLevel, const std::string& text) { log_.push_back(text); };
+    if (rig_) environment.stereo = std::make_shared<StereoCamera>(rig_, "/cam0");
     environment.make_engine = [this](const std::string& engine, int threads) {
       ++engines_made_;
       return make_engine(engine, threads);
@@ -76,6 +80,15 @@ class ProcessorTest : public testing::Test {
       outputs_.push_back(std::move(output));
       return true;
     });
+  }
+  /// The same while a stereo partner passes its image of this instant through. It leaves the rig then: no other frame
+  /// has a partner.
+  void advance_refused(TimeNs stamp_ns) {
+    StereoCamera partner(rig_, "/cam1");
+    partner.set_timeout(kSecond);
+    partner.announce(stamp_ns);
+    partner.pass_through(stamp_ns, PassThroughReason::NO_CALIBRATION);
+    advance();
   }
   void time_out() {
     now_ns_ += config_.input_timeout_ns;
@@ -134,6 +147,7 @@ class ProcessorTest : public testing::Test {
   Config config_ = test_config();
   std::vector<std::string> log_;
   std::vector<FrameOutput> outputs_;
+  const std::shared_ptr<StereoRig> rig_;
   Processor processor_;
 };
 

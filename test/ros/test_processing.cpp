@@ -19,22 +19,23 @@ using namespace test;
 
 class ProcessingTest : public ProcessorTest {};
 
-TEST_F(ProcessingTest, RefusedFrameLeavesAsItCameAndIsStillTracked) {
+class RefusedFrameTest : public ProcessorTest {
+ protected:
+  RefusedFrameTest() : ProcessorTest(true) {}
+};
+
+TEST_F(RefusedFrameTest, LeavesAsItCameAndIsStillTracked) {
   request_.tracks = true;
-  request_.decide = [](const FrameBlur& field) {
-    EXPECT_EQ(field.count(BlockStatus::DEBLURRED), field.blocks.size());
-    return FrameAction{"/cam1 says no", ""};
-  };
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   add_frame(kStart);
-  advance();
-  expect_passed_through(0, PassThroughReason::STEREO_PARTNER, "/cam1 says no");
+  advance_refused(kStart);
+  expect_passed_through(0, PassThroughReason::STEREO_PARTNER, "/cam1 passes this image through: NO_CALIBRATION");
+  EXPECT_EQ(outputs_[0].quality->rejected, 1) << "every block could have been deblurred";
   ASSERT_NE(outputs_[0].tracks, nullptr);
   EXPECT_FALSE(outputs_[0].keypoints->keypoints.empty());
   for (const Keypoint& keypoint : outputs_[0].keypoints->keypoints) {
     EXPECT_FALSE(keypoint.deblurred || keypoint.rectified);
   }
-  request_.decide = [](const FrameBlur&) { return FrameAction(); };
   add_imu(kStart + 105 * kMs, kStart + 200 * kMs);
   add_frame(kStart + 100 * kMs);
   advance();
@@ -47,7 +48,7 @@ class DropPoorTest : public ProcessingTest {
   void run() {
     config_.pipeline.blur_field.max_extent_px = 5;  // nothing is undone
     configure();
-    request_ = {true, true, true, true, true, true, true};
+    request_.overlay = request_.markers = request_.tracks = request_.global_shutter = request_.trust_mask = true;
     for (TimeNs t_ns = kStart - 50 * kMs; t_ns <= kStart + 500 * kMs; t_ns += kImuPeriod) {
       const TimeNs since_ns = t_ns - kSecondFrame;
       const bool rotates = since_ns > 0 && since_ns <= 50 * kMs;
@@ -312,7 +313,7 @@ TEST_F(ProcessingTest, RectifiedFramesThatPassThroughHaveNormalizedKeypointsOfTh
 
 TEST_F(ProcessingTest, OnlyWhatIsAskedForIsMade) {
   add_imu(kStart - 50 * kMs, kStart + 200 * kMs);
-  request_ = {false, false, false, false};
+  request_.image = request_.keypoints = false;
   add_frame(kStart);
   advance();
   ASSERT_EQ(outputs_.size(), 1u);
@@ -323,7 +324,7 @@ TEST_F(ProcessingTest, OnlyWhatIsAskedForIsMade) {
   EXPECT_EQ(outputs_[0].markers, nullptr);
   EXPECT_EQ(outputs_[0].trust_mask, nullptr);
   EXPECT_FALSE(outputs_[0].blur_field->status.empty());
-  request_ = {true, true, true, true};
+  request_.image = request_.keypoints = request_.overlay = request_.markers = true;
   add_frame(kStart + kMs);
   advance();
   expect_deblurred(1);

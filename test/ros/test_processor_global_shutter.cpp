@@ -16,7 +16,7 @@ constexpr TimeNs kToReference = kReadout * (kHeight - 1) / (2 * kHeight) + kExpo
 
 class ProcessorGlobalShutterTest : public ProcessorTest {
  protected:
-  ProcessorGlobalShutterTest() { request_.global_shutter = true; }
+  ProcessorGlobalShutterTest() : ProcessorTest(true) { request_.global_shutter = true; }
 
   TimeNs moved_ns(std::size_t index) const { return to_time_ns(outputs_.at(index).global_shutter->header.stamp); }
   void expect_moved(std::size_t index) const {
@@ -96,11 +96,10 @@ TEST_F(ProcessorGlobalShutterTest, WhatPassesThroughKeepsItsStamp) {
   expect_passed_through(1, PassThroughReason::NO_GYRO, "");
   expect_unmoved(1);
   // Nor does a frame that its stereo partner keeps from being deblurred.
-  request_.decide = [](const FrameBlur&) { return FrameAction{"/cam1 says no", ""}; };
   add_imu(kStart + 700 * kMs, kStart + 900 * kMs);
   add_frame(kStart + 800 * kMs);
-  advance();
-  expect_passed_through(2, PassThroughReason::STEREO_PARTNER, "/cam1 says no");
+  advance_refused(kStart + 800 * kMs);
+  expect_passed_through(2, PassThroughReason::STEREO_PARTNER, "/cam1 passes this image through: NO_CALIBRATION");
   expect_unmoved(2);
 }
 
@@ -140,15 +139,13 @@ TEST_F(ProcessorGlobalShutterTest, StampsNeverGoBack) {
   add_frame(kStart);
   advance();
   ASSERT_GT(moved_ns(0), kStart + 33 * kMs);
-  request_.decide = [](const FrameBlur&) { return FrameAction{"/cam1 says no", ""}; };
   add_frame(kStart + 33 * kMs);
-  advance();
+  advance_refused(kStart + 33 * kMs);
   ASSERT_EQ(outputs_.size(), 2u);
   EXPECT_EQ(outputs_[1].global_shutter, nullptr);
   EXPECT_EQ(outputs_[1].global_shutter_info, nullptr);
   EXPECT_EQ(outputs_[1].image, outputs_[1].input) << "every other output has the frame";
   EXPECT_EQ(logged("has no global-shutter image"), 1u);
-  request_.decide = nullptr;
   add_imu(kStart + 105 * kMs, kStart + 300 * kMs);
   add_frame(kStart + 66 * kMs);
   advance();

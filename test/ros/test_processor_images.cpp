@@ -22,7 +22,7 @@ using namespace test;
 class ProcessorImagesTest : public ProcessorTest {
  protected:
   ProcessorImagesTest() {
-    request_ = {true, false};
+    request_.keypoints = false;
     now_ns_ = simulator_.scene().start_ns;
   }
 
