@@ -53,10 +53,11 @@ enum class ExposureNeed { NOTHING, MOTION, TEXTURE, LIGHT };
 
 /// What a caller wants of a frame; nothing else is computed.
 struct PipelineRequest {
-  bool image = true;            ///< the deblurred image
-  bool keypoints = true;        ///< keypoints and rectification (implies the deblurred luminance)
-  bool luminance = false;       ///< the deblurred luminance
-  bool global_shutter = false;  ///< the deblurred image with all rows moved to the reference time
+  bool image = true;             ///< the deblurred image
+  bool keypoints = true;         ///< keypoints and rectification (implies the deblurred luminance)
+  bool luminance = false;        ///< the deblurred luminance
+  bool global_shutter = false;   ///< the deblurred image with all rows moved to the reference time
+  bool input_luminance = false;  ///< the luminance of the image as it came
   /// No 2-D filters, which take three times as long. Has no effect on engine "fourier".
   bool behind_camera_rate = false;
   /// The image repeats the picture of the call before. The motion that was found for that picture is used again.
@@ -103,7 +104,8 @@ struct PipelineResult : FrameFindings {
   /// Deblurred; empty when neither it nor the global-shutter image was requested, or when no block was changed (use the
   /// input).
   cv::Mat image;
-  cv::Mat luminance;  ///< deblurred, CV_8UC1; may share memory with the input; empty when not requested
+  cv::Mat luminance;        ///< deblurred, CV_8UC1; may share memory with the input; empty when not requested
+  cv::Mat input_luminance;  ///< the same of the image as it came
   /// The deblurred image at the reference time; empty when not requested, or where no motion is known. That of a mosaic
   /// or YUV 4:2:2 is BGR, except when all rows were exposed around the reference time: then it is `image`, or the
   /// input, itself, and shares its memory.

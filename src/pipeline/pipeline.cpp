@@ -169,6 +169,7 @@ void Pipeline::Impl::begin(FrameContext& frame) {
   const bool by_flow =
       options_.flow_without_gyro == "always" || (options_.flow_without_gyro == "absent" && frame.request.without_gyro);
   frame.images_alone = image_motion_.enabled() && by_flow && !frame.motion.covers(frame.exposure.frame());
+  if (frame.request.input_luminance) result.input_luminance = frame.luminance();
 }
 
 void Pipeline::Impl::follow_corners(FrameContext& frame) {

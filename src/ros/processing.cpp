@@ -37,7 +37,7 @@ struct MadePicture {
     return synchronized.frame.repeats && config == synchronized.config &&
            calibration == *synchronized.frame.calibration && mask.is_same(synchronized.mask) &&
            (request.image || !wanted.image) && (request.keypoints || !wanted.keypoints) &&
-           (request.global_shutter || !wanted.global_shutter);
+           (request.global_shutter || !wanted.global_shutter) && (request.input_luminance || !wanted.input_luminance);
   }
 };
 
@@ -108,23 +108,22 @@ void add_findings(const SynchronizedFrame& synchronized, const PipelineResult& r
 }
 
 /// Corners followed from the image before.
-void add_tracks(const SynchronizedFrame& synchronized, const ImageView& view, const RotationTrack& rotation,
-                const RowExposure& exposure, const PipelineResult& result, FeatureTracker* tracker,
-                FrameOutput* output) {
+void add_tracks(const SynchronizedFrame& synchronized, const RotationTrack& rotation, const RowExposure& exposure,
+                const PipelineResult& result, FeatureTracker* tracker, FrameOutput* output) {
   const StageTimer timer(&output->tracks_ms);
   const PendingFrame& frame = synchronized.frame;
   tracker->set_options(synchronized.config->tracker);
   tracker->set_threads(synchronized.config->pipeline.threads);
   tracker->set_mask(synchronized.mask);
   const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
-  output->tracks = to_message((tracker->*track)(luminance8(view.image, view.layout, result.significant_bits),
-                                                Camera(*frame.calibration), rotation, exposure, &result.field),
-                              frame.image->header);
+  output->tracks = to_message(
+      (tracker->*track)(result.input_luminance, Camera(*frame.calibration), rotation, exposure, &result.field),
+      frame.image->header);
 }
 
 /// The messages of a frame whose exposure is known, apart from tracks and the blur field.
-void add_messages(const SynchronizedFrame& synchronized, const FrameRequest& request, const ImageView& view,
-                  const PipelineResult& result, const FrameQuality& quality, FrameOutput* output) {
+void add_messages(const SynchronizedFrame& synchronized, const FrameRequest& request, const PipelineResult& result,
+                  const FrameQuality& quality, FrameOutput* output) {
   const PendingFrame& frame = synchronized.frame;
   const std_msgs::Header& header = frame.image->header;
   if (request.image && !result.image.empty()) output->image = to_image(result.image, *frame.image);
@@ -132,10 +131,7 @@ void add_messages(const SynchronizedFrame& synchronized, const FrameRequest& req
   if (request.keypoints && !output->dropped) {
     output->keypoints = to_message(result, synchronized.config->pipeline.keypoints, header);
   }
-  if (request.overlay) {
-    output->overlay =
-        to_bgr_image(draw_overlay(luminance8(view.image, view.layout, result.significant_bits), result.field), header);
-  }
+  if (request.overlay) output->overlay = to_bgr_image(draw_overlay(result.input_luminance, result.field), header);
   if (request.markers) output->markers = to_markers(result.field, Camera(*frame.calibration), header);
   output->quality = to_message(quality, header);
   if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field, synchronized.mask), header);
@@ -185,6 +181,7 @@ FrameOutput Processor::process(const SynchronizedFrame& synchronized) {
   StereoCamera* const stereo = environment_.stereo.get();
   if (output.reason == PassThroughReason::NONE) {
     if (stereo) stereo->begin(frame.stamp_ns);
+    request.input_luminance = request.overlay || request.tracks;
     request.behind_camera_rate = synchronized.behind_camera_rate;
     request.repeats_picture = frame.repeats;
     request.without_gyro = synchronized.without_gyro;
@@ -212,9 +209,8 @@ void Processor::deblur(const SynchronizedFrame& synchronized, const FrameRequest
   Stopwatch watch;
   const ImageView view = view_image(*frame.image);
   output->messages_ms += watch.lap();
-  pipeline.set_options(synchronized.config->pipeline);
+  set_up_pipeline(synchronized);
   pipeline.set_calibration(*frame.calibration);
-  pipeline.set_mask(synchronized.mask);
   const RotationTrack rotation(synchronized.samples, synchronized.gyro, synchronized.R_cam_imu, synchronized.own_begin);
   const double preparation_ms = watch.ms();
 
@@ -246,10 +242,10 @@ void Processor::deblur(const SynchronizedFrame& synchronized, const FrameRequest
   result.reference_ns += frame.stamp_ns - frame.picture_ns();
   add_findings(synchronized, result, output);
   output->times.blur_field_ms += preparation_ms;  // of what the field is predicted from
-  add_result(synchronized, request, view, action, rotation, std::move(result), output);
+  add_result(synchronized, request, action, rotation, std::move(result), output);
 }
 
-void Processor::add_result(const SynchronizedFrame& synchronized, const FrameRequest& request, const ImageView& view,
+void Processor::add_result(const SynchronizedFrame& synchronized, const FrameRequest& request,
                            const FrameAction& action, const RotationTrack& rotation, PipelineResult result,
                            FrameOutput* output) {
   const RowExposure exposure = synchronized.exposure->with_exposure(result.exposure_ns);
@@ -258,7 +254,7 @@ void Processor::add_result(const SynchronizedFrame& synchronized, const FrameReq
     output->image.reset();
     if (!action.pass_through_text.empty()) result.field.reject_all();
   } else if (request.tracks) {
-    add_tracks(synchronized, view, rotation, exposure, result, &tracker_, output);
+    add_tracks(synchronized, rotation, exposure, result, &tracker_, output);
   }
   if (!result.blur_is_known()) {
     output->reason = PassThroughReason::NO_EXPOSURE_TIME;
@@ -267,7 +263,7 @@ void Processor::add_result(const SynchronizedFrame& synchronized, const FrameReq
   }
   const StageTimer timer(&output->messages_ms);
   const FrameQuality quality = assess_quality(result.field);
-  add_messages(synchronized, request, view, result, quality, output);
+  add_messages(synchronized, request, result, quality, output);
   if (action.pass_through_text.empty() || output->dropped) {
     output->exposure_terms = exposure_terms(result.field, quality, synchronized.config->pipeline.blur_field,
                                             synchronized.config->pipeline.noise);
@@ -305,6 +301,14 @@ ChosenExposure Processor::choose_exposure(const SynchronizedFrame& synchronized,
   return chosen;
 }
 
+void Processor::set_up_pipeline(const SynchronizedFrame& synchronized) {
+  if (config_of_pipeline_ != synchronized.config) {
+    synchronized.pipeline->set_options(synchronized.config->pipeline);
+    config_of_pipeline_ = synchronized.config;
+  }
+  synchronized.pipeline->set_mask(synchronized.mask);
+}
+
 void Processor::complete(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output) {
   const StageTimer timer(&output->messages_ms);
   const PendingFrame& frame = synchronized.frame;
@@ -339,8 +343,7 @@ void Processor::add_raw_keypoints(const SynchronizedFrame& synchronized, FrameOu
         // Normalised coordinates are not known then.
       }
     }
-    synchronized.pipeline->set_options(synchronized.config->pipeline);
-    synchronized.pipeline->set_mask(synchronized.mask);
+    set_up_pipeline(synchronized);
     const PipelineResult result = synchronized.pipeline->detect(view.image, view.layout, frame.stamp_ns, calibration);
     output->keypoints_text = result.keypoints_text;
     output->times.keypoints_ms = result.times.keypoints_ms;

@@ -25,7 +25,6 @@
 #include "ros/frame_synchronizer.hpp"
 #include "ros/gyro_bias.hpp"
 #include "ros/gyro_source.hpp"
-#include "ros/image_conversion.hpp"
 #include "ros/input_buffers.hpp"
 #include "ros/input_mask.hpp"
 #include "ros/input_problems.hpp"
@@ -161,13 +160,15 @@ class Processor {
   /// Estimates the frame's blur, validates it by the exposure that is chosen then, and deblurs if that is decided.
   /// Precondition: the frame is ready.
   void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output);
+  /// Gives the pipeline the frame's options and mask.
+  void set_up_pipeline(const SynchronizedFrame& synchronized);
   /// What the frame is deblurred by; its picture goes by that from now on. Takes mutex_.
   ChosenExposure choose_exposure(const SynchronizedFrame& synchronized, const PipelineResult& estimated);
   /// What is done with a frame that has this validated field. Waits for its stereo partners: mutex_ must be free.
   FrameAction decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const;
   /// What of the output the pipeline's result gives.
-  void add_result(const SynchronizedFrame& synchronized, const FrameRequest& request, const ImageView& view,
-                  const FrameAction& action, const RotationTrack& rotation, PipelineResult result, FrameOutput* output);
+  void add_result(const SynchronizedFrame& synchronized, const FrameRequest& request, const FrameAction& action,
+                  const RotationTrack& rotation, PipelineResult result, FrameOutput* output);
   /// What a published frame has in any case.
   void complete(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output);
   /// Keypoints of a frame that passes through; an empty array when it can have none.
@@ -197,7 +198,8 @@ class Processor {
 
   // Of the thread that calls advance alone.
   FeatureTracker tracker_;
-  std::optional<TimeNs> newest_learned_ns_;  // newest sample that self-calibration has
+  std::shared_ptr<const Config> config_of_pipeline_;  // that its options are from
+  std::optional<TimeNs> newest_learned_ns_;           // newest sample that self-calibration has
   struct MovedStamp {
     TimeNs input_ns, output_ns;
   };

@@ -12,6 +12,7 @@
 
 #include <gtest/gtest.h>
 #include <Eigen/Geometry>
+#include <opencv2/imgproc.hpp>
 
 #include "analytic_motion.hpp"
 #include "engine/engine.hpp"
@@ -130,6 +131,23 @@ TEST(Pipeline, FrameIsForgottenWithWhatItWasEstimatedBy) {
     p.validate();
     change();
     EXPECT_THROW(p.deblur(), std::logic_error);
+  }
+}
+
+TEST(Pipeline, PassesTheLuminanceOfTheInputOn) {
+  const cv::Mat gray = blurred_image(15);
+  cv::Mat bgr;
+  cv::cvtColor(gray, bgr, cv::COLOR_GRAY2BGR);
+  PipelineRequest request;
+  for (const bool wanted : {false, true}) {
+    request.input_luminance = wanted;
+    const PipelineResult result =
+        pipeline().process(bgr, PixelLayout::BGR, pan(rate_for(15)), global_shutter(), request);
+    EXPECT_FALSE(result.image.empty());
+    EXPECT_EQ(result.input_luminance.empty(), !wanted);
+    if (wanted) {
+      EXPECT_TRUE(equal(result.input_luminance, luminance8(bgr, PixelLayout::BGR, result.significant_bits)));
+    }
   }
 }
 
