@@ -3,10 +3,19 @@
 # Debian 12 and 13: from the lists below. Ubuntu 20.04 with ROS noetic in /opt/ros: what package.xml names through
 # rosdep, the rest from the lists below.
 #
-#   scripts/install_dependencies.sh [build] [demo] [test] [extended] [package] [benchmark] [experiments]
+#   scripts/install_dependencies.sh [--list] [build] [demo] [test] [extended] [package] [benchmark] [experiments]
+#                                   [arm64]
+#
+#   --list  prints the names of the packages instead, one a line
 set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
+
+list=false
+if [[ "${1:-}" == --list ]]; then
+  list=true
+  shift
+fi
 
 # Named differently, or on Ubuntu by package.xml.
 if [[ -d /opt/ros/noetic ]]; then
@@ -49,8 +58,9 @@ experiments_packages=(
   colmap libopenblas0-pthread opencv-doc python3-matplotlib python3-numpy python3-opencv python3-pil
   python3-tqdm python3-yaml
 )
+arm64_packages=(g++-aarch64-linux-gnu mmdebstrap qemu-user-static)
 
-(($# > 0)) || set -- build demo test extended package benchmark experiments
+(($# > 0)) || set -- build demo test extended package benchmark experiments arm64
 packages=()
 for group in "$@"; do
   case "${group}" in
@@ -61,9 +71,15 @@ for group in "$@"; do
     package) packages+=("${package_packages[@]}") ;;
     benchmark) packages+=("${benchmark_packages[@]}") ;;
     experiments) packages+=("${experiments_packages[@]}") ;;
+    arm64) packages+=("${arm64_packages[@]}") ;;
     *) fail "unknown group ${group}; see --help" ;;
   esac
 done
+mapfile -t packages < <(printf '%s\n' "${packages[@]}" | sort -u)
+if "${list}"; then
+  printf '%s\n' "${packages[@]}"
+  exit 0
+fi
 
 as_root() {
   if [[ "$(id -u)" -eq 0 ]]; then
@@ -92,7 +108,6 @@ if "${rosdep}"; then
   rosdep install --from-paths "${GYRO_DEBLUR_ROOT}" --ignore-src --default-yes --rosdistro noetic "${types[@]}"
 fi
 
-mapfile -t packages < <(printf '%s\n' "${packages[@]}" | sort -u)
 missing=()
 for package in "${packages[@]}"; do
   status="$(dpkg-query -W -f '${db:Status-Status}' "${package}" 2> /dev/null || true)"
