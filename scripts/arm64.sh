@@ -100,6 +100,17 @@ begin="${SECONDS}"
 cmake --build "${FOLDER}/build" --parallel "$(build_jobs)" --target "${targets[@]}" > "${FOLDER}/build.log" 2>&1 ||
   { tail -n 40 "${FOLDER}/build.log" >&2; fail "the build failed; its log is ${FOLDER}/build.log"; }
 say "built ${targets[*]}, $((SECONDS - begin)) s"
+# Tests start tools. The kernel starts no program of another processor unless binfmt_misc is set up, which needs root: a
+# script takes the place of each tool.
+mkdir -p "${FOLDER}/tools"
+for program in "${PROGRAMS}"/*; do
+  tool="${FOLDER}/tools/${program##*/}"
+  if [[ -f "${program}" && "${program}" != */test_* && "$(head -c 4 "${program}")" == $'\x7fELF' ]]; then
+    mv "${program}" "${tool}"
+    printf '#!/bin/sh\nexec qemu-aarch64-static -L "%s" "%s" "$@"\n' "${SYSROOT}" "${tool}" > "${program}"
+    chmod +x "${program}"
+  fi
+done
 
 step ${STEPS} "Tests as ${cpus[*]}"
 # NAME [CASES] of the list: the program, or these cases of it, are left out.
