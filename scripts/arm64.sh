@@ -132,12 +132,16 @@ for name in "${wanted[@]}"; do
 done
 ((${#emulated[@]} > 0)) || fail "${NOT_EMULATED} leaves out every test program whose name matches ${only}"
 
-# emulate NAME CPU FILTER: runs a test program, says how many cases passed. FILTER: as of --gtest_filter.
+# emulate NAME CPU FILTER: runs a test program, says how many cases passed. FILTER: as of --gtest_filter. Each run has a
+# folder of its own for temporary files, of which some have the same names in every run.
 emulate() {
   local name="$1" cpu="$2" log="${FOLDER}/$2/$1.log" begin="${EPOCHSECONDS}" status=0 passed
-  mkdir -p "${log%/*}"
-  QEMU_CPU="${cpu}" timeout --foreground --kill-after=10 "${TEST_LIMIT_S}" qemu-aarch64-static -L "${SYSROOT}" \
+  export QEMU_CPU="${cpu}" TMPDIR="${FOLDER}/${cpu}/${name}.tmp"
+  rm -rf "${TMPDIR}"
+  mkdir -p "${TMPDIR}"
+  timeout --foreground --kill-after=10 "${TEST_LIMIT_S}" qemu-aarch64-static -L "${SYSROOT}" \
     "${PROGRAMS}/${name}" --gtest_filter="$3" > "${log}" 2>&1 || status=$?
+  rm -rf "${TMPDIR}"
   passed="$(awk '/^\[  PASSED  \]/ {print $4}' "${log}")"
   if ((status != 0 || ${passed:-0} == 0)); then
     tail -n 40 "${log}" >&2
