@@ -54,10 +54,12 @@ struct ExposureSource {
   Kind kind = Kind::AUTO;
   ExposureUnit unit = ExposureUnit::SECONDS;  ///< of a number; times and durations have their own; AUTO knows it
   std::string field;                          ///< path of the field, key or parameter; empty for AUTO and MESSAGE
+
+  void validate() const;  ///< throws OptionError
 };
 
 /// Every parameter; doc/guides/parameters.md has the keys and their ranges. Each member has one row in
-/// src/config/parameters.cpp, except for `given` and for what is read from calibration files. Constants as in
+/// src/config/config_table.hpp, except for `given` and for what is read from calibration files. Constants as in
 /// options.hpp.
 struct Config {
   PipelineOptions pipeline;

@@ -1,4 +1,4 @@
-// Parameters and constants of the algorithm. Each has one row in src/config/parameters.cpp with its key, allowed
+// Parameters and constants of the algorithm. Each has one row in src/base/option_table.hpp with its key, allowed
 // values, and whether it may change while running. doc/guides/parameters.md prints the parameters. A constant has the
 // same value in every configuration; tests and experiments set its member.
 #pragma once

@@ -6,13 +6,12 @@
 #include <map>
 #include <set>
 #include <sstream>
-#include <stdexcept>
+#include <tuple>
 #include <type_traits>
-#include <variant>
 
 #include <yaml-cpp/yaml.h>
 
-#include "config/parameters.hpp"
+#include "config/config_table.hpp"
 #include "config/yaml_reading.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
@@ -21,69 +20,77 @@ namespace {
 
 // One for each type of value: reads the node into it, or throws OptionError.
 
-void read(const Parameter& p, const YAML::Node& node, bool& value) {
-  value = read_scalar<bool>(p.key, node, "true or false");
+void read(const Row& row, const YAML::Node& node, bool& value) {
+  value = read_scalar<bool>(row.key, node, "true or false");
 }
 
-void read(const Parameter& p, const YAML::Node& node, int& value) { value = read_integer(p.key, node); }
+void read(const Row& row, const YAML::Node& node, int& value) { value = read_integer(row.key, node); }
 
-void read(const Parameter& p, const YAML::Node& node, double& value) {
-  value = read_number(p.key, node, "a finite number");
+void read(const Row& row, const YAML::Node& node, double& value) {
+  value = read_number(row.key, node, "a finite number");
 }
 
-void read(const Parameter& p, const YAML::Node& node, TimeNs& value) { value = read_seconds(p.key, node); }
+void read(const Row& row, const YAML::Node& node, TimeNs& value) { value = read_seconds(row.key, node); }
 
-void read(const Parameter& p, const YAML::Node& node, std::string& value) {
-  if (!node.IsScalar()) refuse(p.key, node, "a string");
+void read(const Row& row, const YAML::Node& node, std::string& value) {
+  if (!node.IsScalar()) refuse(row.key, node, "a string");
   value = node.Scalar();
 }
 
-void read(const Parameter& p, const YAML::Node& node, Choice& value) {
+template <typename Enum>
+void assign(const Enum& named, Enum& value) {
+  value = named;
+}
+
+void assign(const ExposureMessage& named, ExposureSource& value) { std::tie(value.kind, value.unit) = named; }
+
+template <typename T>
+std::enable_if_t<HasNames<T>::value> read(const Row& row, const YAML::Node& node, T& value) {
   std::string allowed = "one of";
-  for (const std::string& choice : p.choices) allowed += " " + choice;
-  if (!node.IsScalar() || std::find(p.choices.begin(), p.choices.end(), node.Scalar()) == p.choices.end()) {
-    refuse(p.key, node, allowed);
+  for (const auto& [name, named] : names_of(value)) {
+    if (node.IsScalar() && node.Scalar() == name) return assign(named, value);
+    allowed += std::string(" ") + name;
   }
-  value.name = node.Scalar();
+  refuse(row.key, node, allowed);
 }
 
 /// One path, a list of paths, or nothing.
-void read(const Parameter& p, const YAML::Node& node, std::vector<std::string>& paths) {
+void read(const Row& row, const YAML::Node& node, std::vector<std::string>& paths) {
   paths.clear();
   if (node.IsScalar()) {
     if (!node.Scalar().empty()) paths.push_back(node.Scalar());
     return;
   }
-  if (!node.IsSequence()) refuse(p.key, node, "a path or a list of paths");
+  if (!node.IsSequence()) refuse(row.key, node, "a path or a list of paths");
   for (const YAML::Node& path : node) {
-    if (!path.IsScalar()) refuse(p.key, node, "a path or a list of paths");
+    if (!path.IsScalar()) refuse(row.key, node, "a path or a list of paths");
     paths.push_back(path.Scalar());
   }
 }
 
-void read(const Parameter& p, const YAML::Node& node, Eigen::Vector3d& value) {
+void read(const Row& row, const YAML::Node& node, Eigen::Vector3d& value) {
   const std::string allowed = "a list of 3 finite numbers";
-  if (!node.IsSequence() || node.size() != 3) refuse(p.key, node, allowed);
-  for (std::size_t i = 0; i < 3; ++i) value[static_cast<int>(i)] = read_number(p.key, node[i], allowed);
+  if (!node.IsSequence() || node.size() != 3) refuse(row.key, node, allowed);
+  for (std::size_t i = 0; i < 3; ++i) value[static_cast<int>(i)] = read_number(row.key, node[i], allowed);
 }
 
 /// Nine numbers by row, three rows of three, or an empty list for nothing.
-void read(const Parameter& p, const YAML::Node& node, std::optional<Eigen::Matrix3d>& value) {
+void read(const Row& row, const YAML::Node& node, std::optional<Eigen::Matrix3d>& value) {
   const std::string allowed =
       "a rotation as 9 numbers row by row or 3 rows of 3, or [] to take it from tf or the images";
   if (is_empty(node)) {
     value.reset();
     return;
   }
-  if (!node.IsSequence()) refuse(p.key, node, allowed);
+  if (!node.IsSequence()) refuse(row.key, node, allowed);
   const bool nested = node.size() == 3;
-  if (!nested && node.size() != 9) refuse(p.key, node, allowed);
+  if (!nested && node.size() != 9) refuse(row.key, node, allowed);
   Eigen::Matrix3d matrix;
-  for (std::size_t row = 0; row < 3; ++row) {
-    if (nested && (!node[row].IsSequence() || node[row].size() != 3)) refuse(p.key, node, allowed);
-    for (std::size_t col = 0; col < 3; ++col) {
-      matrix(static_cast<int>(row), static_cast<int>(col)) =
-          read_number(p.key, nested ? node[row][col] : node[3 * row + col], allowed);
+  for (std::size_t i = 0; i < 3; ++i) {
+    if (nested && (!node[i].IsSequence() || node[i].size() != 3)) refuse(row.key, node, allowed);
+    for (std::size_t j = 0; j < 3; ++j) {
+      matrix(static_cast<int>(i), static_cast<int>(j)) =
+          read_number(row.key, nested ? node[i][j] : node[3 * i + j], allowed);
     }
   }
   value = matrix;
@@ -153,16 +160,19 @@ Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
     const std::string& key = entry.first.Scalar();
     if (!seen.insert(key).second)
       throw OptionError(key + " = " + describe(entry.second) + " is given a second time: remove one of the two");
-    if (const Parameter* parameter = find_parameter(key)) {
-      if (parameter->may_be_empty() && is_empty(entry.second)) continue;
-      refuse_former_value(key, entry.second);
-      parameter->set_given(config, true);
-      Value value = parameter->standard();
-      std::visit([&](auto& v) { read(*parameter, unquoted_list<std::decay_t<decltype(v)>>(entry.second), v); }, value);
-      parameter->set(config, value);
-    } else if (unknown != nullptr) {
-      unknown->push_back(key);
-    }
+    bool is_known = false;
+    for_each_parameter(config, [&, &value_node = entry.second](const Row& row, auto& value) {
+      if (key != row.key || row.change == Change::NEVER) return;
+      is_known = true;
+      const auto number = std::find_if(std::begin(kGivenNumbers), std::end(kGivenNumbers),
+                                       [&](const GivenNumber& given) { return key == given.key; });
+      const bool may_be_empty = number != std::end(kGivenNumbers);
+      if (may_be_empty && is_empty(value_node)) return;
+      refuse_former_value(key, value_node);
+      if (may_be_empty) config.given.*number->given = true;
+      read(row, unquoted_list<std::decay_t<decltype(value)>>(value_node), value);
+    });
+    if (!is_known && unknown != nullptr) unknown->push_back(key);
   }
   return config;
 }
@@ -209,25 +219,44 @@ Config load_config(const std::string& path, std::vector<std::string>* unknown) {
   }
 }
 
+void ExposureSource::validate() const {
+  if ((kind == Kind::FIELD || kind == Kind::DYNAMIC_RECONFIGURE) && field.empty()) {
+    throw OptionError(
+        "exposure_field = \"\" is not the name of a field: set it, or exposure_source to auto, which needs none");
+  }
+}
+
+void Config::validate() const {
+  Config checked = *this;
+  if (shutter.exposure_ns == 0) checked.shutter.exposure_ns = 1;  // not known; check the rest
+  check_parameters(checked);
+}
+
 namespace {
 
-std::string to_text(int value) { return std::to_string(value); }
-std::string to_text(double value) {
+/// The value of a constant.
+template <typename T>
+std::string to_text(const T& value) {
   std::ostringstream text;
-  text << value;
+  if constexpr (HasNames<T>::value) {
+    text << name_of(value);
+  } else if constexpr (std::is_same_v<T, TimeNs>) {
+    text << to_seconds(value);
+  } else if constexpr (std::is_arithmetic_v<T>) {
+    text << value;
+  }
   return text.str();
 }
-std::string to_text(TimeNs value_ns) { return to_text(to_seconds(value_ns)); }
-std::string to_text(const Choice& value) { return value.name; }
-template <typename T>
-std::string to_text(const T&) {
-  throw std::logic_error("no constant has this type");
-}
 
-/// The value of a constant with its unit.
-std::string value_of(const Parameter& constant) {
-  const std::string value = std::visit([](const auto& v) { return to_text(v); }, constant.standard());
-  return value + (constant.limits && *constant.limits->unit != '\0' ? std::string(" ") + constant.limits->unit : "");
+/// "it is VALUE. REASON" if that is a constant's key, else nothing.
+std::string constant_text(const std::string& key) {
+  std::string text;
+  for_each_parameter(Config(), [&](const Row& row, const auto& value) {
+    if (key != row.key || row.change != Change::NEVER) return;
+    const bool has_unit = row.limits && *row.limits->unit != '\0';
+    text = "it is " + to_text(value) + (has_unit ? std::string(" ") + row.limits->unit : "") + ". " + row.text;
+  });
+  return text;
 }
 
 }  // namespace
@@ -265,9 +294,8 @@ std::string unknown_key_message(const std::string& key) {
       {"p_cam_imu", kSeenByImages}};
   const auto present = kPresentNames.find(key);
   const std::string& name = present == kPresentNames.end() ? key : present->second;
-  if (const Parameter* constant = find_constant(name)) {
-    return key + " is no parameter any more, ignored: it is " + value_of(*constant) + ". " + constant->text;
-  }
+  const std::string constant = constant_text(name);
+  if (!constant.empty()) return key + " is no parameter any more, ignored: " + constant;
   if (present != kPresentNames.end()) return key + " is not known, ignored: it is now called " + name;
   const auto replacement = kReplacements.find(key);
   return key + " is not known, ignored" + (replacement == kReplacements.end() ? "" : ": " + replacement->second);

@@ -4,10 +4,12 @@
 #include <algorithm>
 #include <cmath>
 #include <sstream>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
 #include "base/median.hpp"
+#include "motion/shutter_table.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -55,6 +57,15 @@ void require_within_period(const char* name, TimeNs time_ns, TimeNs frame_period
   throw OptionError(text.str());
 }
 
+/// The unit that was probably meant, for a time beyond a limit of some seconds.
+std::string unit_hint(double value_s, double max_s) {
+  for (const auto& [unit, per_second] : {std::pair{"milliseconds", 1e3}, std::pair{"microseconds", 1e6}}) {
+    if (std::abs(value_s) > 1 && std::abs(value_s) / per_second <= max_s)
+      return std::string(": is it in ") + unit + "?";
+  }
+  return {};
+}
+
 /// Of a frame period. The longest span makes the tolerance a tenth; there are more than as many of them among the
 /// frames that are kept, so that the median shows it.
 constexpr std::size_t kShortestSpan = 2, kLongestSpan = 30, kKeptFrames = 75, kFewestFrames = 6;
@@ -63,6 +74,19 @@ constexpr std::size_t kShortestSpan = 2, kLongestSpan = 30, kKeptFrames = 75, kF
 constexpr double kScatterFrames = 3;
 
 }  // namespace
+
+void ShutterTiming::validate() const {
+  for_each_parameter(*this, [](const Row& row, const auto& value) {
+    try {
+      require_allowed(row, value);
+    } catch (const OptionError& error) {
+      if constexpr (std::is_same_v<decltype(value), const TimeNs&>) {
+        throw OptionError(error.what() + unit_hint(to_seconds(value), row.limits->max));
+      }
+      throw;
+    }
+  });
+}
 
 void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns, double tolerance) {
   require_within_period(name, readout_ns, frame_period_ns, tolerance);

@@ -13,8 +13,8 @@
 #include <Eigen/Core>
 
 #include "base/format.hpp"
-#include "config/parameters.hpp"
 #include "gyro_deblur/calibration.hpp"
+#include "motion/shutter_table.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -97,11 +97,9 @@ void add_exposure(const FootageCalibration& found, const Verdict& verdict, YamlL
 
 /// What stamps mean, for which the estimates hold.
 void add_shutter(const FootageCalibration& found, YamlLines* yaml) {
-  for (const char* key : {"stamp_row", "stamp_phase"}) {
-    const bool is_middle = found.offset_has_exposure && key == std::string("stamp_phase");
-    yaml->add(key, std::get<Choice>(find_parameter(key)->get(found.shutter)).name,
-              is_middle ? "time_offset contains half of the exposure, which is not known" : "");
-  }
+  yaml->add("stamp_row", name_of(found.shutter.stamp_row), "");
+  yaml->add("stamp_phase", name_of(found.shutter.stamp_phase),
+            found.offset_has_exposure ? "time_offset contains half of the exposure, which is not known" : "");
 }
 
 /// The keys of the configuration that was given; files are found from wherever the new one is.

@@ -3,11 +3,11 @@
 #include <algorithm>
 #include <cctype>
 #include <cstdlib>
+#include <iterator>
 #include <regex>
 #include <sstream>
+#include <type_traits>
 #include <vector>
-
-#include "config/parameters.hpp"
 
 namespace gyro_deblur {
 namespace test {
@@ -16,35 +16,69 @@ namespace {
 constexpr std::size_t kColumns = 120;
 constexpr std::size_t kCommentColumn = 28;
 
-/// The fewest digits that give the same number again, with a point: 64.0, 0.01, 1e-05.
-std::string decimal(double value) {
-  std::string text;
-  for (int digits = 6; digits <= 17; ++digits) {
-    std::ostringstream s;
-    s.precision(digits);
-    s << value;
-    text = s.str();
-    if (std::strtod(text.c_str(), nullptr) == value) break;
+/// A parameter in the documents.
+struct Entry {
+  Row row;
+  std::vector<std::string> choices;
+  std::string default_value;  ///< in YAML
+  std::string python_type;
+  bool has_components;  ///< the limits are those of each
+};
+
+/// What is documented together.
+struct Group {
+  std::string name, text;
+  std::vector<Entry> entries;
+};
+
+template <typename T>
+constexpr const char* python_type_of() {
+  if (std::is_same_v<T, bool>) return "bool_t";
+  if (std::is_same_v<T, int>) return "int_t";
+  return std::is_same_v<T, double> ? "double_t" : "str_t";
+}
+
+/// A visitor of the tables that collects the groups in the order of their first rows.
+template <typename Options>
+class Collector {
+ public:
+  Collector(const Options& options, std::vector<Group>* groups, std::size_t* current)
+      : options_(options), groups_(groups), current_(current) {}
+
+  void group(const std::string& name, const std::string& text = "") {
+    const auto found =
+        std::find_if(groups_->begin(), groups_->end(), [&name](const Group& group) { return group.name == name; });
+    *current_ = static_cast<std::size_t>(found - groups_->begin());
+    if (found == groups_->end()) groups_->push_back({name, text, {}});
   }
-  return text.find_first_of(".e") == std::string::npos ? text + ".0" : text;
-}
 
-// A default in YAML.
-std::string yaml(bool value) { return value ? "true" : "false"; }
-std::string yaml(int value) { return std::to_string(value); }
-std::string yaml(double value) { return decimal(value); }
-std::string yaml(TimeNs value_ns) { return decimal(to_seconds(value_ns)); }
-std::string yaml(const std::string& value) { return value.empty() ? "''" : value; }
-std::string yaml(const Choice& value) { return value.name; }
-std::string yaml(const std::vector<std::string>& value) { return value.empty() ? "''" : value.front(); }
-std::string yaml(const Eigen::Vector3d& value) {
-  return "[" + decimal(value.x()) + ", " + decimal(value.y()) + ", " + decimal(value.z()) + "]";
-}
-std::string yaml(const std::optional<Eigen::Matrix3d>& value) { return value ? "?" : "[]"; }
+  template <typename T>
+  void operator()(const Row& row, T Options::*member) {
+    if (row.change == Change::NEVER) return;
+    const bool may_be_empty =
+        std::any_of(std::begin(kGivenNumbers), std::end(kGivenNumbers),
+                    [&row](const GivenNumber& number) { return number.key == std::string(row.key); });
+    groups_->at(*current_).entries.push_back({row, choices_of<T>(row), may_be_empty ? "''" : to_yaml(options_.*member),
+                                              python_type_of<T>(), std::is_same_v<T, Eigen::Vector3d>});
+  }
 
-std::string default_of(const Parameter& parameter) {
-  if (parameter.may_be_empty()) return "''";
-  return std::visit([](const auto& value) { return yaml(value); }, parameter.standard());
+  template <typename Part>
+  void part(Part Options::*member) {
+    visit(Table<Part>(), Collector<Part>(options_.*member, groups_, current_));
+  }
+
+ private:
+  const Options& options_;
+  std::vector<Group>* groups_;
+  std::size_t* current_;
+};
+
+std::vector<Group> parameter_groups() {
+  const Config standard;
+  std::vector<Group> groups;
+  std::size_t current = 0;
+  visit(Table<Config>(), Collector<Config>(standard, &groups, &current));
+  return groups;
 }
 
 std::string capitalised(std::string text) {
@@ -62,24 +96,24 @@ std::string enumeration(const std::vector<std::string>& names) {
 }
 
 /// "[MIN, MAX]", without the unit.
-std::string range_of(const Parameter& parameter) {
-  if (!parameter.limits) return "";
-  Limits limits = *parameter.limits;
+std::string range_of(const Entry& entry) {
+  if (!entry.row.limits) return "";
+  Limits limits = *entry.row.limits;
   limits.unit = "";
-  const bool each = std::holds_alternative<Eigen::Vector3d>(parameter.standard());
-  return (each ? "each " : "") + to_string(limits);
+  return (entry.has_components ? "each " : "") + to_string(limits);
 }
 
+std::string unit_of(const Entry& entry) { return entry.row.limits ? entry.row.limits->unit : ""; }
+
 /// Text, choices that it does not explain, range and unit.
-std::string comment_of(const Parameter& p) {
-  std::string text = p.text;
+std::string comment_of(const Entry& p) {
+  std::string text = p.row.text;
   const bool explained = std::all_of(p.choices.begin(), p.choices.end(), [&](const std::string& choice) {
     return text.find(choice + ": ") != std::string::npos;
   });
   if (!explained) text += " One of " + enumeration(p.choices) + ".";
-  if (p.limits) text += " Allowed: " + range_of(p);
-  if (p.limits && *p.limits->unit != '\0') text += std::string(" ") + p.limits->unit;
-  return text + (p.limits ? "." : "");
+  if (!p.row.limits) return text;
+  return text + " Allowed: " + range_of(p) + (unit_of(p).empty() ? "" : " " + unit_of(p)) + ".";
 }
 
 /// Lines of at most kColumns, each after "# ".
@@ -96,47 +130,37 @@ std::string comment_lines(const std::string& text) {
   return lines + line + "\n";
 }
 
-std::string yaml_lines(const Parameter& p) {
-  const std::string entry = p.key + ": " + default_of(p), comment = comment_of(p);
+std::string yaml_lines(const Entry& p) {
+  const std::string entry = std::string(p.row.key) + ": " + p.default_value, comment = comment_of(p);
   const std::size_t column = std::max(kCommentColumn, entry.size() + 1);
   if (column + 2 + comment.size() > kColumns) return comment_lines(comment) + entry + "\n";
   return entry + std::string(column - entry.size(), ' ') + "# " + comment + "\n";
 }
 
 /// The parameters of a group that may change while running.
-std::vector<const Parameter*> running(const ParameterGroup& group) {
-  std::vector<const Parameter*> parameters;
-  for (const Parameter& p : group.parameters) {
-    if (p.change == Change::WHILE_RUNNING) parameters.push_back(&p);
-  }
-  return parameters;
+std::vector<Entry> running(const Group& group) {
+  std::vector<Entry> entries;
+  std::copy_if(group.entries.begin(), group.entries.end(), std::back_inserter(entries),
+               [](const Entry& p) { return p.row.change == Change::WHILE_RUNNING; });
+  return entries;
 }
 
-struct PythonType {
-  const char* name;
-  std::string default_value;
-};
-
-PythonType python_type(const Parameter& p) {
-  const Value value = p.standard();
-  if (std::holds_alternative<bool>(value)) return {"bool_t", std::get<bool>(value) ? "True" : "False"};
-  if (std::holds_alternative<int>(value)) return {"int_t", default_of(p)};
-  if (std::holds_alternative<double>(value)) return {"double_t", default_of(p)};
-  return {"str_t", '"' + default_of(p) + '"'};
+std::string python_default(const Entry& p) {
+  if (p.python_type == "bool_t") return capitalised(p.default_value);
+  return p.python_type == "str_t" ? '"' + p.default_value + '"' : p.default_value;
 }
 
-std::string python_call(const std::string& group, const Parameter& p) {
-  const PythonType type = python_type(p);
-  std::string unit;
-  if (p.limits && *p.limits->unit != '\0') unit = std::string(" [") + p.limits->unit + "]";
-  std::string call = group + ".add(\"" + p.key + "\", " + type.name + ", 0, \"" + std::string(p.text) + unit + "\",";
-  std::string rest = type.default_value;
-  if (p.limits && std::string(type.name) == "int_t") {
-    rest += ", " + yaml(static_cast<int>(p.limits->min)) + ", " + yaml(static_cast<int>(p.limits->max));
-  } else if (p.limits) {
-    rest += ", " + decimal(p.limits->min) + ", " + decimal(p.limits->max);
+std::string python_call(const std::string& group, const Entry& p) {
+  const std::string key = p.row.key, unit = unit_of(p).empty() ? "" : " [" + unit_of(p) + "]";
+  const std::string call = group + ".add(\"" + key + "\", " + p.python_type + ", 0, \"" + p.row.text + unit + "\",";
+  std::string rest = python_default(p);
+  if (p.row.limits) {
+    const auto number = [&p](double limit) {
+      return p.python_type == "int_t" ? to_yaml(static_cast<int>(limit)) : to_yaml(limit);
+    };
+    rest += ", " + number(p.row.limits->min) + ", " + number(p.row.limits->max);
   }
-  if (!p.choices.empty()) rest += ", edit_method=" + p.key + "s";
+  if (!p.choices.empty()) rest += ", edit_method=" + key + "s";
   rest += ")";
   const bool one_line = call.size() + 1 + rest.size() <= kColumns;
   return call + (one_line ? " " : "\n" + std::string(group.size() + 5, ' ')) + rest + "\n";
@@ -146,15 +170,15 @@ std::string python_call(const std::string& group, const Parameter& p) {
 std::string python_enumerations() {
   std::vector<std::string> names;
   std::string enumerations;
-  for (const ParameterGroup& group : parameter_groups()) {
-    for (const Parameter* p : running(group)) {
-      if (p->choices.empty()) continue;
+  for (const Group& group : parameter_groups()) {
+    for (const Entry& p : running(group)) {
+      if (p.choices.empty()) continue;
       std::string list;
-      for (const std::string& choice : p->choices) {
+      for (const std::string& choice : p.choices) {
         list += (list.empty() ? "" : ", ") + choice;
         if (std::find(names.begin(), names.end(), choice) == names.end()) names.push_back(choice);
       }
-      enumerations += p->key + "s = gen.enum([" + list + "], \"" + p->text + "\")\n";
+      enumerations += std::string(p.row.key) + "s = gen.enum([" + list + "], \"" + p.row.text + "\")\n";
     }
   }
   std::string constants;
@@ -169,31 +193,62 @@ std::string markdown_text(std::string text) {
   return std::regex_replace(text, std::regex(R"(\|)"), "\\|");
 }
 
-std::string markdown_row(const Parameter& p) {
+std::string markdown_row(const Entry& p) {
   std::string allowed = range_of(p);
   for (std::size_t i = 0; i < p.choices.size(); ++i) allowed += (i == 0 ? "`" : ", `") + p.choices[i] + "`";
-  return "| `" + p.key + "` | `" + default_of(p) + "` | " + (p.limits ? p.limits->unit : "") + " | " + allowed + " | " +
-         (p.change == Change::WHILE_RUNNING ? "yes" : "") + " | " + markdown_text(p.text) + " |\n";
+  return std::string("| `") + p.row.key + "` | `" + p.default_value + "` | " + unit_of(p) + " | " + allowed + " | " +
+         (p.row.change == Change::WHILE_RUNNING ? "yes" : "") + " | " + markdown_text(p.row.text) + " |\n";
 }
 
 }  // namespace
 
+std::string to_yaml(bool value) { return value ? "true" : "false"; }
+
+std::string to_yaml(int value) { return std::to_string(value); }
+
+std::string to_yaml(double value) {
+  std::string text;
+  for (int digits = 6; digits <= 17; ++digits) {
+    std::ostringstream s;
+    s.precision(digits);
+    s << value;
+    text = s.str();
+    if (std::strtod(text.c_str(), nullptr) == value) break;
+  }
+  return text.find_first_of(".e") == std::string::npos ? text + ".0" : text;
+}
+
+std::string to_yaml(TimeNs value_ns) { return to_yaml(to_seconds(value_ns)); }
+
+std::string to_yaml(const std::string& value) { return value.empty() ? "''" : value; }
+
+std::string to_yaml(const std::vector<std::string>& value) { return value.empty() ? "''" : value.front(); }
+
+std::string to_yaml(const Eigen::Vector3d& value) {
+  return "[" + to_yaml(value.x()) + ", " + to_yaml(value.y()) + ", " + to_yaml(value.z()) + "]";
+}
+
+std::string to_yaml(const std::optional<Eigen::Matrix3d>& value) {
+  std::string text;
+  for (int i = 0; value && i < 9; ++i) text += (i == 0 ? "" : ", ") + to_yaml((*value)(i / 3, i % 3));
+  return "[" + text + "]";
+}
+
 std::string default_yaml() {
   std::string text = comment_lines(
       "Every parameter of gyro_deblur with its default. One flat set of keys, in the nodelet's private namespace and "
-      "for "
-      "deblur_bag --config. Times are in seconds. The table in src/config/parameters.cpp decides what is here.");
-  for (const ParameterGroup& group : parameter_groups()) {
+      "for deblur_bag --config. Times are in seconds. The tables of parameters (CONTRIBUTING.md) decide what is here.");
+  for (const Group& group : parameter_groups()) {
     text += "\n# --- " + group.name + " ---\n";
     if (!group.text.empty()) text += comment_lines(group.text);
-    for (const Parameter& p : group.parameters) text += yaml_lines(p);
+    for (const Entry& p : group.entries) text += yaml_lines(p);
   }
   return text;
 }
 
 std::string deblur_cfg() {
   std::string text = R"(#!/usr/bin/env python3
-"""What may change while gyro_deblur runs. The table in src/config/parameters.cpp decides what is here."""
+"""What may change while gyro_deblur runs. The tables of parameters (CONTRIBUTING.md) decide what is here."""
 
 from dynamic_reconfigure.parameter_generator_catkin import ParameterGenerator, bool_t, double_t, int_t, str_t
 
@@ -203,24 +258,24 @@ gen = ParameterGenerator()
 
 )";
   text += python_enumerations();
-  for (const ParameterGroup& group : parameter_groups()) {
-    const std::vector<const Parameter*> parameters = running(group);
+  for (const Group& group : parameter_groups()) {
+    const std::vector<Entry> parameters = running(group);
     if (parameters.empty()) continue;
     std::string variable = group.name;
     std::replace(variable.begin(), variable.end(), ' ', '_');
     std::transform(variable.begin(), variable.end(), variable.begin(), [](unsigned char c) { return std::tolower(c); });
     text += "\n" + variable + " = gen.add_group(\"" + capitalised(group.name) + "\")\n";
-    for (const Parameter* p : parameters) text += python_call(variable, *p);
+    for (const Entry& p : parameters) text += python_call(variable, p);
   }
   return text + "\nexit(gen.generate(PACKAGE, \"gyro_deblur\", \"Deblur\"))\n";
 }
 
 std::string parameter_tables() {
   std::string text;
-  for (const ParameterGroup& group : parameter_groups()) {
+  for (const Group& group : parameter_groups()) {
     text += (text.empty() ? "" : "\n") + ("**" + capitalised(group.name)) + "**\n\n";
     text += "| key | default | unit | allowed | while running | meaning |\n| --- | --- | --- | --- | --- | --- |\n";
-    for (const Parameter& p : group.parameters) text += markdown_row(p);
+    for (const Entry& p : group.entries) text += markdown_row(p);
   }
   return text;
 }

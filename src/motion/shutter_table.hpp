@@ -1,0 +1,37 @@
+// The parameters of a camera's timing: a row for each member, with key, allowed values and text.
+#pragma once
+
+#include "base/parameter_table.hpp"
+#include "gyro_deblur/exposure.hpp"
+
+namespace gyro_deblur {
+
+inline const Names<StampRow>& names_of(StampRow) {
+  static const Names<StampRow> kNames{
+      {"first", StampRow::FIRST}, {"middle", StampRow::MIDDLE}, {"last", StampRow::LAST}};
+  return kNames;
+}
+
+inline const Names<StampPhase>& names_of(StampPhase) {
+  static const Names<StampPhase> kNames{
+      {"start", StampPhase::START}, {"middle", StampPhase::MIDDLE}, {"end", StampPhase::END}};
+  return kNames;
+}
+
+template <typename V>
+void visit(Table<ShutterTiming>, V&& visitor) {
+  using O = ShutterTiming;
+  visitor.group("camera timing");
+  visitor({"exposure_time", above(0, 1, "s"),
+           "Exposure time of each row, used for images without an exposure message. '': it is estimated from the blur "
+           "of the images."},
+          &O::exposure_ns);
+  visitor({"readout_time", within(-1, 1, "s"),
+           "Number of rows times the time of one row. 0: global shutter. Negative: the bottom row comes first. '': not "
+           "known, see self_calibration."},
+          &O::readout_ns);
+  visitor({"stamp_row", "Image row that the stamp refers to."}, &O::stamp_row);
+  visitor({"stamp_phase", "Instant of that row's exposure that the stamp refers to."}, &O::stamp_phase);
+}
+
+}  // namespace gyro_deblur
