@@ -809,10 +809,10 @@ def frame_synchronization(data, folder):
 PATH_COLORS = {"ros": BLUE, "pipeline": ORANGE, "engine": GREEN, "base": GREY}
 PATH_CALLS = (
     ("ros", "on_image", 1, 0, 22), ("ros", "guarded", 2, 0, 22), ("ros", "Processor::add_image", 3, 0, 22),
-    ("ros", "add_frame", 4, 1.5, 11.6), ("ros", "mark_ready", 4, 12, 22), ("ros", "push", 5, 6, 11.6),
-    ("ros", "find", 5, 12, 22), ("ros", "work", 1, 37, 141), ("ros", "guarded", 2, 39, 141),
+    ("ros", "add_image", 4, 1.5, 11.6), ("ros", "mark_ready", 4, 12, 22), ("ros", "push", 5, 6, 11.6),
+    ("ros", "decide", 5, 12, 22), ("ros", "work", 1, 37, 141), ("ros", "guarded", 2, 39, 141),
     ("ros", "Processor::advance", 3, 40.5, 141), ("ros", "next_frame", 4, 40.5, 52.5),
-    ("ros", "synchronize", 5, 40.5, 52.5), ("ros", "find", 6, 40.5, 46.4), ("ros", "collect", 6, 46.8, 52.5),
+    ("ros", "next", 5, 40.5, 52.5), ("ros", "decide", 6, 40.5, 46.4), ("ros", "collect", 6, 46.8, 52.5),
     ("ros", "Processor::process", 4, 52.9, 115), ("ros", "Processor::deblur", 5, 54, 115),
     ("pipeline", "estimate", 6, 55.5, 65.5), ("pipeline", "validate", 6, 69.1, 76.1),
     ("pipeline", "Pipeline::deblur", 6, 79.9, 102.4), ("ros", "add_result", 6, 102.8, 115),

@@ -38,6 +38,7 @@ struct PendingFrame {
   PassThroughReason pass_through_reason = PassThroughReason::NONE;
   std::string pass_through_text;
   Awaited awaits = Awaited::NOTHING;  ///< when it was checked last
+  bool timed_out = false;             ///< it waits for nothing any longer
   std::string missing_extrinsic;      ///< why it waits for the rotation between IMU and camera; empty: it does not
   bool partners_notified = false;     ///< to the stereo partners
 

@@ -101,36 +101,103 @@ void mark_own(const TimeRange& own, PictureMotion* motion) {
 
 }  // namespace
 
-FrameSynchronizer::FrameSynchronizer(const InputBuffers& input_buffers, Extrinsic extrinsic, ThrottledLog* log,
-                                     InputProblems* problems)
-    : input_buffers_(input_buffers), extrinsic_(std::move(extrinsic)), log_(*log), problems_(*problems) {}
+FrameSynchronizer::FrameSynchronizer(InputBuffers inputs, Extrinsic extrinsic, const CalibrationInUse* calibration,
+                                     const ExposureChoice* exposures, ThrottledLog* log, InputProblems* problems)
+    : InputBuffers(std::move(inputs)),
+      extrinsic_(std::move(extrinsic)),
+      calibration_(*calibration),
+      exposures_(*exposures),
+      log_(*log),
+      problems_(*problems) {}
 
-Readiness FrameSynchronizer::synchronize(const Context& context, PendingFrame* frame, PictureMotion* motion) const {
-  const Readiness readiness = find(context, frame, motion);
-  if (readiness == Readiness::READY && !(frame->picture && frame->picture->motion)) {
-    collect(context, motion);
-    if (frame->picture) frame->picture->motion = *motion;
+void FrameSynchronizer::mark_ready() {
+  if (!config_error().empty()) return;
+  try {
+    for (PendingFrame& frame : queue().frames()) {
+      if (frame.pass_through_reason != PassThroughReason::NONE || frame.ready_steady_ns) continue;
+      // Those behind it have to wait for it anyway.
+      PictureMotion motion;
+      if (decide(&frame, &motion) == Readiness::WAITS) return;
+      frame.ready_steady_ns = steady_now();
+    }
+  } catch (const std::exception&) {
+    // next() gets it again, and reports it.
   }
-  return readiness;
 }
 
-Readiness FrameSynchronizer::find(const Context& context, PendingFrame* frame, PictureMotion* motion) const {
+std::optional<SynchronizedFrame> FrameSynchronizer::next(const Followed& followed_cam, bool finishing) {
+  const TimeNs now_ns = now(), steady_ns = steady_now();
+  overload_.end(steady_ns);
+  if (finishing) forget_picture();
+  if (queue().empty()) return std::nullopt;
+  PendingFrame& frame = queue().front();
+  frame.timed_out = finishing || has_timed_out(frame, now_ns);
+  SynchronizedFrame next;
+  try {
+    const Readiness readiness = decide(&frame, &next);
+    if (readiness == Readiness::WAITS) return std::nullopt;
+    record_lacking_samples(frame, next);
+    if (readiness == Readiness::READY) {
+      if (!frame.picture || !frame.picture->motion) {
+        collect(followed_cam, &next);
+        if (frame.picture) frame.picture->motion = static_cast<const PictureMotion&>(next);
+      }
+      record_repetition(frame, next.gyro);
+      next.pictures_repeat = statistics().repeated_pictures > 0;
+      if (!finishing) check_overload(steady_ns, &frame, &next);
+    }
+  } catch (const std::exception& error) {
+    // Without a reason the frame would be tried again for ever, and hold up all that come after it.
+    frame.pass_through(PassThroughReason::INTERNAL_ERROR, error.what());
+  }
+  frame.info = best_info(frame);
+  if (frame.pass_through_reason == PassThroughReason::NONE) overload_.begin(steady_ns, next.behind_camera_rate);
+  next.frame = queue().pop();
+  return next;
+}
+
+Readiness FrameSynchronizer::decide(PendingFrame* frame, PictureMotion* motion) const {
   frame->awaits = Awaited::NOTHING;
+  // Unusable images, time that was reset, a queue that is full.
   if (frame->pass_through_reason != PassThroughReason::NONE) return Readiness::PASS_THROUGH;
+  if (!config_error().empty()) return pass_through(frame, PassThroughReason::BAD_CONFIGURATION, config_error());
   Readiness readiness = Readiness::READY;
   // A waiting frame that uses the calibration file takes its camera_info instead once that has come.
-  if (!frame->described_by_topic) readiness = find_calibration(context, frame);
+  if (!frame->described_by_topic) readiness = find_calibration(frame);
   if (readiness == Readiness::READY && frame->picture && frame->picture->motion) {
     *motion = *frame->picture->motion;
     return Readiness::READY;
   }
-  if (readiness == Readiness::READY) readiness = find_exposure(context, frame, motion);
-  if (readiness == Readiness::READY) readiness = find_motion(context, frame, motion);
+  if (readiness == Readiness::READY) readiness = find_exposure(frame, motion);
+  if (readiness == Readiness::READY) readiness = find_samples(frame, motion);
+  // Without samples there is nothing to rotate, and the IMU's frame is not known.
+  const bool has_samples = !motion->without_gyro || !gyro().empty();
+  if (readiness == Readiness::READY && has_samples) readiness = find_extrinsic(frame, motion);
   return readiness;
 }
 
+void FrameSynchronizer::record_lacking_samples(const PendingFrame& frame, const PictureMotion& motion) {
+  if (!config_error().empty()) return;
+  // A fast camera fills the queue before its images time out: those that are passed through for that are without IMU
+  // too.
+  if (!motion.exposure && frame.pass_through_reason != PassThroughReason::OVERLOAD) return;
+  const TimeNs begin_ns =
+      (motion.exposure ? motion.exposure->frame().begin_ns : frame.stamp_ns) + config().gyro.time_offset_ns;
+  const TimeRange samples = gyro().available();
+  if (samples.empty() || samples.end_ns < begin_ns) count_without_imu(begin_ns);
+}
+
+void FrameSynchronizer::check_overload(TimeNs steady_ns, PendingFrame* frame, SynchronizedFrame* synchronized) const {
+  const TimeNs ready_ns = frame->ready_steady_ns.value_or(steady_ns);
+  const std::size_t ready_behind = queue().ready_behind_front();
+  const std::optional<TimeNs> period_ns = frame_period().get();
+  const std::string overload = overload_.pass_through_text(steady_ns, ready_ns, ready_behind, period_ns);
+  if (!overload.empty()) frame->pass_through(PassThroughReason::OVERLOAD, overload);
+  synchronized->behind_camera_rate = OverloadRule::is_behind_camera_rate(steady_ns, ready_ns, ready_behind, period_ns);
+}
+
 const sensor_msgs::CameraInfoConstPtr* FrameSynchronizer::find_other(TimeNs stamp_ns, bool give_up) const {
-  const InputBuffers::CameraInfos& infos = input_buffers_.infos();
+  const CameraInfos& infos = this->infos();
   if (is_unset(stamp_ns)) return infos.find_newest();
   const sensor_msgs::CameraInfoConstPtr* other = infos.find_if_neighbours_agree(stamp_ns);
   if (other == nullptr && give_up) other = infos.find_last_unchanged(stamp_ns);
@@ -148,7 +215,7 @@ sensor_msgs::CameraInfoConstPtr FrameSynchronizer::substitute(const PendingFrame
 
 std::string FrameSynchronizer::missing_info_text(const PendingFrame& frame) const {
   const std::string text = "no camera_info with the image's stamp " + seconds_text(frame.stamp_ns) + " s";
-  const InputBuffers::CameraInfos& infos = input_buffers_.infos();
+  const CameraInfos& infos = this->infos();
   if (!infos.seen()) return text + ", nor any other";
   if (const sensor_msgs::CameraInfoConstPtr* other = find_other(frame.stamp_ns, true)) {
     return text + ", and that of adjacent images is for another size than " +
@@ -168,17 +235,17 @@ std::string FrameSynchronizer::missing_info_text(const PendingFrame& frame) cons
 
 sensor_msgs::CameraInfoConstPtr FrameSynchronizer::best_info(const PendingFrame& frame) const {
   if (frame.info) return frame.info;
-  if (const sensor_msgs::CameraInfoConstPtr* own = input_buffers_.infos().find(frame.stamp_ns)) return *own;
+  if (const sensor_msgs::CameraInfoConstPtr* own = infos().find(frame.stamp_ns)) return *own;
   return substitute(frame, true);
 }
 
-Readiness FrameSynchronizer::find_calibration(const Context& context, PendingFrame* frame) const {
-  const Config& config = context.config;
+Readiness FrameSynchronizer::find_calibration(PendingFrame* frame) const {
+  const Config& config = this->config();
   const std::optional<CameraCalibration> file =
       config.calibration ? config.calibration->camera : std::optional<CameraCalibration>();
-  const InputBuffers::CameraInfos& infos = input_buffers_.infos();
-  const bool overtaken = infos.later(frame->stamp_ns) >= InputBuffers::CameraInfos::kOvertaking;
-  const bool give_up = context.timed_out || !infos.awaited() || overtaken;
+  const CameraInfos& infos = this->infos();
+  const bool overtaken = infos.later(frame->stamp_ns) >= CameraInfos::kOvertaking;
+  const bool give_up = frame->timed_out || !infos.awaited() || overtaken;
   // Only camera_info says which part of the sensor an image of another size shows.
   const bool file_fits = file && file->width_px == static_cast<int>(frame->image->width) &&
                          file->height_px == static_cast<int>(frame->image->height);
@@ -208,13 +275,12 @@ Readiness FrameSynchronizer::find_calibration(const Context& context, PendingFra
   return Readiness::READY;
 }
 
-Readiness FrameSynchronizer::find_timing(const Context& context, PendingFrame* frame, ShutterTiming* timing,
-                                         std::string* source) const {
-  const Config& config = context.config;
+Readiness FrameSynchronizer::find_timing(PendingFrame* frame, ShutterTiming* timing, std::string* source) const {
+  const Config& config = this->config();
   const TimeNs stamp_ns = frame->picture_ns();  // an image that repeats a picture has its exposure
   *timing = config.shutter;
   timing->readout_ns = region_readout_ns(timing->readout_ns, *frame->info);
-  const InputBuffers::Exposures& exposures = input_buffers_.exposures();
+  const Exposures& exposures = this->exposures();
   const auto is_known = [](const Exposure* message) { return message && !message->exposure_time.isZero(); };
   const auto take = [&](const Exposure& message) {
     take_times(message, timing);
@@ -224,7 +290,7 @@ Readiness FrameSynchronizer::find_timing(const Context& context, PendingFrame* f
   const Exposure* own = exposures.find(stamp_ns);
   if (is_known(own)) return take(*own);
   if (own && !own->readout_time.isZero()) timing->readout_ns = own->readout_time.toNSec();
-  const std::optional<TimeNs> setting_ns = input_buffers_.exposure_setting_ns();
+  const std::optional<TimeNs> setting_ns = exposure_setting_ns();
   if (setting_ns.value_or(0) != 0) {
     timing->exposure_ns = *setting_ns;
     *source = kSettingExposure;
@@ -234,8 +300,8 @@ Readiness FrameSynchronizer::find_timing(const Context& context, PendingFrame* f
   if (is_known(neighbour)) return take(*neighbour);
   // Exposures of neighbours rarely agree, so a lost message costs as many frame periods.
   constexpr std::size_t kOvertaking = 2;
-  bool waits = !context.timed_out && exposures.later(stamp_ns) < kOvertaking;
-  const bool expected = input_buffers_.exposure_expected();
+  bool waits = !frame->timed_out && exposures.later(stamp_ns) < kOvertaking;
+  const bool expected = exposure_expected();
   if (own) {
     // If no message before had a time either, the driver does not know it yet, and later messages will not help.
     waits = waits && (timing->exposure_ns == 0 || is_known(exposures.find_before(stamp_ns, 0)));
@@ -255,18 +321,18 @@ Readiness FrameSynchronizer::find_timing(const Context& context, PendingFrame* f
   return Readiness::READY;
 }
 
-Readiness FrameSynchronizer::find_exposure(const Context& context, PendingFrame* frame, PictureMotion* motion) const {
+Readiness FrameSynchronizer::find_exposure(PendingFrame* frame, PictureMotion* motion) const {
   ShutterTiming timing;
   std::string source;
-  const Readiness readiness = find_timing(context, frame, &timing, &source);
+  const Readiness readiness = find_timing(frame, &timing, &source);
   if (readiness != Readiness::READY) return readiness;
-  motion->readout_by_message = timing.readout_ns != region_readout_ns(context.config.shutter.readout_ns, *frame->info);
-  if (plan_exposure(context, timing.exposure_ns, source, frame, &motion->plan) == Readiness::PASS_THROUGH) {
+  motion->readout_by_message = timing.readout_ns != region_readout_ns(config().shutter.readout_ns, *frame->info);
+  if (plan_exposure(timing.exposure_ns, source, frame, &motion->plan) == Readiness::PASS_THROUGH) {
     return Readiness::PASS_THROUGH;
   }
   timing.exposure_ns = motion->plan.exposure_ns;
   try {
-    input_buffers_.frame_period().require_plausible_readout("readout_time", timing.readout_ns);
+    frame_period().require_plausible_readout("readout_time", timing.readout_ns);
   } catch (const OptionError& error) {
     problems_.report("readout_time", error.what());
     return pass_through(frame, PassThroughReason::BAD_CONFIGURATION, error.what());
@@ -280,9 +346,9 @@ Readiness FrameSynchronizer::find_exposure(const Context& context, PendingFrame*
   return Readiness::READY;
 }
 
-Readiness FrameSynchronizer::plan_exposure(const Context& context, TimeNs given_ns, const std::string& source,
-                                           PendingFrame* frame, ExposurePlan* plan) const {
-  const FramePeriod& period = input_buffers_.frame_period();
+Readiness FrameSynchronizer::plan_exposure(TimeNs given_ns, const std::string& source, PendingFrame* frame,
+                                           ExposurePlan* plan) const {
+  const FramePeriod& period = frame_period();
   const bool from_parameter = source == kParameterExposure;
   std::optional<GivenExposure> given;
   if (given_ns != 0) {
@@ -293,20 +359,38 @@ Readiness FrameSynchronizer::plan_exposure(const Context& context, TimeNs given_
     if (const std::optional<std::string> fault = exposure_fault(source, given_ns, period)) {
       // Reported when it came.
       if (!from_parameter) return pass_through(frame, PassThroughReason::NO_EXPOSURE_TIME, *fault);
-      if (context.config.on_exposure_conflict == OnExposureConflict::CONFIGURED) {
+      if (config().on_exposure_conflict == OnExposureConflict::CONFIGURED) {
         return pass_through(frame, PassThroughReason::BAD_CONFIGURATION, *fault);
       }
       given.reset();
     }
   }
-  *plan = context.exposures.plan(given, period.get());
+  *plan = exposures_.plan(given, period.get());
   return Readiness::READY;
 }
 
-Readiness FrameSynchronizer::find_extrinsic(const Context& context, PendingFrame* frame, PictureMotion* motion) const {
-  const Config& config = context.config;
+Readiness FrameSynchronizer::find_samples(PendingFrame* frame, PictureMotion* motion) const {
+  motion->gyro = config().gyro;
+  motion->gyro.bias_rad_s = calibration_.bias_rad_s();
+  const TimeRange own = longest_range(config(), *motion);
+  const TimeRange available = gyro().available();
+  const bool empty = available.empty();
+  const bool by_flow = goes_without_imu(config());
+  const bool silent = imu_is_silent(own.begin_ns);
+  if (!frame->timed_out && !(by_flow && silent)) {
+    if (empty || available.end_ns < own.end_ns) return wait_for(Awaited::IMU, frame);
+    // After a jump late samples of the old epoch do not belong to frames of the new one.
+    if (imu_is_stale() && own.end_ns < available.begin_ns) return wait_for(Awaited::IMU, frame);
+  }
+  motion->without_gyro = empty || silent;
+  if (!empty || by_flow) return Readiness::READY;
+  return pass_through(frame, PassThroughReason::NO_GYRO, coverage_text(own, std::nullopt, motion->gyro));
+}
+
+Readiness FrameSynchronizer::find_extrinsic(PendingFrame* frame, PictureMotion* motion) const {
+  const Config& config = this->config();
   const std::string& camera_frame = frame->image->header.frame_id;
-  const std::string imu_frame = input_buffers_.imu_frame();
+  const std::string imu_frame = this->imu_frame();
   const bool ask_tf = !config.R_cam_imu || config.on_calibration_conflict == OnCalibrationConflict::ERROR;
   std::optional<Eigen::Matrix3d> from_tf;
   if (ask_tf && extrinsic_) from_tf = extrinsic_(camera_frame, imu_frame);
@@ -323,19 +407,19 @@ Readiness FrameSynchronizer::find_extrinsic(const Context& context, PendingFrame
     }
     return Readiness::READY;
   }
-  if (from_tf || context.R_cam_imu) {
+  if (from_tf || calibration_.R_cam_imu()) {
     frame->missing_extrinsic.clear();
     problems_.resolve(kNoExtrinsic);
-    motion->R_cam_imu = from_tf ? *from_tf : *context.R_cam_imu;
+    motion->R_cam_imu = from_tf ? *from_tf : *calibration_.R_cam_imu();
     motion->R_by_tf = from_tf.has_value();
     return Readiness::READY;
   }
-  if (motion->without_gyro && goes_without_imu(context.config)) return Readiness::READY;  // nothing to rotate
+  if (motion->without_gyro && goes_without_imu(config)) return Readiness::READY;  // nothing to rotate
   const std::string missing =
       "no transform from IMU frame \"" + imu_frame + "\" to camera frame \"" + camera_frame +
       "\", and no parameter R_cam_imu: set it, or publish a static transform; not estimated from images yet: " +
-      context.missing_rotation;
-  if (context.timed_out) {
+      calibration_.missing_rotation();
+  if (frame->timed_out) {
     problems_.report(kNoExtrinsic, missing);
     return pass_through(frame, PassThroughReason::NO_EXTRINSIC, missing);
   }
@@ -343,30 +427,9 @@ Readiness FrameSynchronizer::find_extrinsic(const Context& context, PendingFrame
   return wait_for(Awaited::TRANSFORM, frame);
 }
 
-Readiness FrameSynchronizer::find_motion(const Context& context, PendingFrame* frame, PictureMotion* motion) const {
-  motion->gyro = context.config.gyro;
-  if (context.bias_rad_s) motion->gyro.bias_rad_s = *context.bias_rad_s;
-  const TimeRange own = longest_range(context.config, *motion);
-  const TimeRange available = input_buffers_.gyro().available();
-  const bool empty = available.empty();
-  const bool by_flow = goes_without_imu(context.config);
-  const bool silent = input_buffers_.imu_is_silent(own.begin_ns);
-  if (!context.timed_out && !(by_flow && silent)) {
-    if (empty || available.end_ns < own.end_ns) return wait_for(Awaited::IMU, frame);
-    // After a jump late samples of the old epoch do not belong to frames of the new one.
-    if (input_buffers_.imu_is_stale() && own.end_ns < available.begin_ns) return wait_for(Awaited::IMU, frame);
-  }
-  motion->without_gyro = empty || silent;
-  if (empty && by_flow) return Readiness::READY;
-  if (empty) {  // nor is the IMU's frame known then
-    return pass_through(frame, PassThroughReason::NO_GYRO, coverage_text(own, std::nullopt, motion->gyro));
-  }
-  return find_extrinsic(context, frame, motion);
-}
-
-void FrameSynchronizer::collect(const Context& context, PictureMotion* motion) const {
-  const Config& config = context.config;
-  const GyroReader& reader = input_buffers_.gyro();
+void FrameSynchronizer::collect(const Followed& followed_cam, PictureMotion* motion) const {
+  const Config& config = this->config();
+  const GyroReader& reader = gyro();
   const TimeRange own = own_range(config, *motion, motion->plan.exposure_ns), available = reader.available();
   motion->coverage_text = coverage_text(own, available.empty() ? std::nullopt : std::optional(available), motion->gyro);
   const TimeRange frame_cam = motion->exposure->frame();
@@ -375,10 +438,10 @@ void FrameSynchronizer::collect(const Context& context, PictureMotion* motion) c
     const TimeNs imu_ns = camera_ns + motion->gyro.time_offset_ns;
     all = {std::min(all.begin_ns, imu_ns), std::max(all.end_ns, imu_ns)};
   };
-  for (const std::optional<TimeRange>& followed_cam : context.followed_cam) {
-    if (!followed_cam) continue;
-    const TimeNs since_ns = frame_cam.begin_ns - followed_cam->begin_ns;
-    if (since_ns > 0 && since_ns <= kLongestTrackBreakNs) reach(followed_cam->begin_ns);
+  for (const std::optional<TimeRange>& each : followed_cam) {
+    if (!each) continue;
+    const TimeNs since_ns = frame_cam.begin_ns - each->begin_ns;
+    if (since_ns > 0 && since_ns <= kLongestTrackBreakNs) reach(each->begin_ns);
   }
   motion->samples = reader.window(all);
   mark_own(own, motion);

@@ -14,9 +14,11 @@
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
 #include "pipeline/exposure_choice.hpp"
+#include "ros/calibration_in_use.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/input_buffers.hpp"
 #include "ros/input_problems.hpp"
+#include "ros/overload.hpp"
 #include "ros/throttled_log.hpp"
 
 namespace gyro_deblur {
@@ -41,39 +43,28 @@ enum class Readiness {
   READY,         ///< it has what belongs to it
 };
 
-/// Finds in the input buffers what belongs to a frame. Its owner serialises access.
-class FrameSynchronizer {
+/// From messages to frames with all that belongs to them: add_image(), add_imu(), add_camera_info(), add_exposure() of
+/// InputBuffers take messages in, next() gives frames out. Its owner serialises access.
+class FrameSynchronizer : public InputBuffers {
  public:
   /// R_cam_imu for (camera frame, IMU frame), where tf has it.
   using Extrinsic = std::function<std::optional<Eigen::Matrix3d>(const std::string&, const std::string&)>;
+  /// Exposures of the images that corners are followed from: by the tracker, and for the motion of blocks. They differ
+  /// where nobody listens to tracks.
+  using Followed = std::array<std::optional<TimeRange>, 2>;
 
-  /// What holds for a frame apart from messages.
-  struct Context {
-    const Config& config;
-    const ExposureChoice& exposures;
-    std::optional<Eigen::Vector3d> bias_rad_s;  ///< in place of the configured one
-    /// Exposures of the images that corners are followed from: by the tracker, and for the motion of blocks. They
-    /// differ where nobody listens to tracks.
-    std::array<std::optional<TimeRange>, 2> followed_cam;
-    bool timed_out = false;  ///< nothing is waited for any longer
-    /// By the images, used where neither the configuration nor tf has it; nothing with the reason.
-    std::optional<Eigen::Matrix3d> R_cam_imu = {};
-    std::string missing_rotation = {};
-  };
+  /// @param extrinsic  may be absent
+  /// @param calibration, exposures  what holds for frames apart from messages; these, log and problems have to outlive
+  /// this
+  FrameSynchronizer(InputBuffers inputs, Extrinsic extrinsic, const CalibrationInUse* calibration,
+                    const ExposureChoice* exposures, ThrottledLog* log, InputProblems* problems);
 
-  /// @param extrinsic  may be absent; input_buffers, log and problems have to outlive this
-  FrameSynchronizer(const InputBuffers& input_buffers, Extrinsic extrinsic, ThrottledLog* log, InputProblems* problems);
+  /// Records which frames have become ready. After every message.
+  void mark_ready();
 
-  /// Records in `frame` what was found and whether it passes through, in `motion` when and how it was exposed, but for
-  /// the samples: cheap enough for every message.
-  Readiness find(const Context& context, PendingFrame* frame, PictureMotion* motion) const;
-
-  /// The same with samples.
-  Readiness synchronize(const Context& context, PendingFrame* frame, PictureMotion* motion) const;
-
-  /// The frame's own camera_info, or a copy of its neighbours' where that is lost; null when there is none, or none of
-  /// its neighbours' describes an image of this size.
-  sensor_msgs::CameraInfoConstPtr best_info(const PendingFrame& frame) const;
+  /// The foremost frame, ready or with the reason and text to pass it through; nothing while it has to wait.
+  /// @param finishing  nothing is waited for any longer
+  std::optional<SynchronizedFrame> next(const Followed& followed_cam, bool finishing);
 
  private:
   /// The camera_info of another image, or of all, that stands for the one of this stamp; null when there is none.
@@ -83,28 +74,41 @@ class FrameSynchronizer {
   sensor_msgs::CameraInfoConstPtr substitute(const PendingFrame& frame, bool give_up) const;
   /// Why there is no camera_info for the frame. Precondition: there is none.
   std::string missing_info_text(const PendingFrame& frame) const;
+  const Config& config() const { return calibration_.config(); }
+
+  /// The rule: records in `frame` what was found and whether it passes through, in `motion` when and how it was
+  /// exposed, but for the samples: cheap enough for every message.
+  Readiness decide(PendingFrame* frame, PictureMotion* motion) const;
   /// The frame's camera_info and calibration, from the topic or the calibration file.
-  Readiness find_calibration(const Context& context, PendingFrame* frame) const;
-  Readiness find_exposure(const Context& context, PendingFrame* frame, PictureMotion* motion) const;
+  Readiness find_calibration(PendingFrame* frame) const;
+  Readiness find_exposure(PendingFrame* frame, PictureMotion* motion) const;
   /// Exposure and readout time from a message, a setting or the parameters.
   /// @param source  what the exposure time is of, for messages
-  Readiness find_timing(const Context& context, PendingFrame* frame, ShutterTiming* timing, std::string* source) const;
+  Readiness find_timing(PendingFrame* frame, ShutterTiming* timing, std::string* source) const;
   /// The exposure time assumed until the blur has been examined.
   /// @param given  the exposure time of a message, a setting or the parameter; 0: not known
   /// @param source  of find_timing()
-  Readiness plan_exposure(const Context& context, TimeNs given_ns, const std::string& source, PendingFrame* frame,
-                          ExposurePlan* plan) const;
+  Readiness plan_exposure(TimeNs given_ns, const std::string& source, PendingFrame* frame, ExposurePlan* plan) const;
+  /// Whether samples have come up to the frame's end, or will not. Precondition: the exposure is known.
+  Readiness find_samples(PendingFrame* frame, PictureMotion* motion) const;
   /// The rotation from the parameters, the calibration file, tf or the images.
-  Readiness find_extrinsic(const Context& context, PendingFrame* frame, PictureMotion* motion) const;
-  /// Gyroscope samples up to the frame's end, and how the sensors are mounted. Precondition: the exposure is known.
-  Readiness find_motion(const Context& context, PendingFrame* frame, PictureMotion* motion) const;
-  /// Precondition: the frame is ready.
-  void collect(const Context& context, PictureMotion* motion) const;
+  Readiness find_extrinsic(PendingFrame* frame, PictureMotion* motion) const;
+  /// The samples of a frame that is ready.
+  void collect(const Followed& followed_cam, PictureMotion* motion) const;
+  /// Counts an image that is taken out of the queue before samples of its exposure have come.
+  void record_lacking_samples(const PendingFrame& frame, const PictureMotion& motion);
+  /// Lets a frame pass through that comes too late to be processed.
+  void check_overload(TimeNs steady_ns, PendingFrame* frame, SynchronizedFrame* synchronized) const;
+  /// The frame's own camera_info, or a copy of its neighbours' where that is lost; null when there is none, or none of
+  /// its neighbours' describes an image of this size.
+  sensor_msgs::CameraInfoConstPtr best_info(const PendingFrame& frame) const;
 
-  const InputBuffers& input_buffers_;
   const Extrinsic extrinsic_;
+  const CalibrationInUse& calibration_;
+  const ExposureChoice& exposures_;
   ThrottledLog& log_;
   InputProblems& problems_;
+  OverloadRule overload_;
 };
 
 }  // namespace gyro_deblur

@@ -37,12 +37,14 @@ InputBuffers::InputBuffers(Clocks clocks, std::shared_ptr<GyroSource> gyro_sourc
       problems_(*problems),
       jumps_(config_.time_jump_ns),
       gyro_(gyro_source_),
+      repetitions_(problems),
       missing_(problems),
       clocks_apart_(problems),
       queue_(static_cast<std::size_t>(config_.frame_queue_size)) {}
 
 void InputBuffers::set_config(const Config& config) {
   config_ = config;
+  config_error_.clear();
   jumps_.set_threshold(config.time_jump_ns);
   queue_.set_capacity(static_cast<std::size_t>(config.frame_queue_size));
 }
@@ -162,10 +164,11 @@ TimeNs InputBuffers::now() {
   return now_ns;
 }
 
-bool InputBuffers::has_timed_out(const PendingFrame& frame, TimeNs now_ns, TimeNs timeout_ns) const {
+bool InputBuffers::has_timed_out(const PendingFrame& frame, TimeNs now_ns) const {
   // Simulated time can stop, at the end of a bag for example: after so many timeouts of real time frames are passed
   // through anyway.
   constexpr TimeNs kSteadyTimeoutFactor = 10;
+  const TimeNs timeout_ns = config_.input_timeout_ns;
   return now_ns - frame.arrival_ns >= timeout_ns ||
          (clocks_.steady && steady_now() - frame.arrival_steady_ns >= kSteadyTimeoutFactor * timeout_ns);
 }
@@ -266,7 +269,7 @@ void InputBuffers::count_undecodable(const std::string& text) {
   problems_.resolve(kKind);  // of this image alone; the diagnostics go by the count
 }
 
-void InputBuffers::add_frame(PendingFrame frame) {
+void InputBuffers::add_image(PendingFrame frame) {
   frame.arrival_ns = now();
   frame.arrival_steady_ns = steady_now();
   ++statistics_.frames_in;
@@ -309,6 +312,7 @@ void InputBuffers::reset() {
   infos_.reset();
   exposures_.reset();
   pictures_.forget();
+  repetitions_.clear();
   lacks_.clear();
   frame_period_.clear();
   exposure_of_images_ = false;

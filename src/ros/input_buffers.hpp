@@ -21,6 +21,7 @@
 #include "ros/missing_inputs.hpp"
 #include "ros/per_image_messages.hpp"
 #include "ros/picture.hpp"
+#include "ros/repetition_watch.hpp"
 #include "ros/throttled_log.hpp"
 #include "ros/time_jump.hpp"
 
@@ -58,6 +59,10 @@ class InputBuffers {
                ThrottledLog* throttled_log, InputProblems* problems);
 
   void set_config(const Config& config);
+  /// From now on frames pass through with BAD_CONFIGURATION and this text.
+  void set_config_error(const std::string& text) { config_error_ = text; }
+  /// Empty while the configuration can be used.
+  const std::string& config_error() const { return config_error_; }
 
   void add_exposure(const Exposure& exposure);
   /// @param exposure_ns  0: the driver does not know
@@ -65,7 +70,9 @@ class InputBuffers {
   void add_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
   /// Precondition of the frame: image, stamp, and a reason to pass through if it is not usable. A stamp of 0 says
   /// nothing about time.
-  void add_frame(PendingFrame frame);
+  void add_image(PendingFrame frame);
+  /// Samples have come to the source.
+  void add_imu() { now(); }
   /// A compressed image that cannot be decoded is left out.
   void count_undecodable(const std::string& text);
 
@@ -81,8 +88,8 @@ class InputBuffers {
   /// Reads the clock, and notices what it and the source of samples have done since.
   TimeNs now();
   TimeNs steady_now() const { return clocks_.steady ? clocks_.steady() : 0; }
-  /// True when a frame has waited for `timeout_ns` (by the node's clock, or several times that by the steady one).
-  bool has_timed_out(const PendingFrame& frame, TimeNs now_ns, TimeNs timeout_ns) const;
+  /// True when a frame has waited for input_timeout (by the node's clock, or several times that by the steady one).
+  bool has_timed_out(const PendingFrame& frame, TimeNs now_ns) const;
 
   FrameQueue& queue() { return queue_; }
   const FrameQueue& queue() const { return queue_; }
@@ -110,6 +117,10 @@ class InputBuffers {
   /// There have been a few of these images in a row and no sample since, and the newest one is a second older than this
   /// exposure, or there is none: images no longer wait for samples.
   bool imu_is_silent(TimeNs begin_ns) const;
+  /// An image is published with all that belongs to it, `options` of its gyroscope.
+  void record_repetition(const PendingFrame& frame, const GyroOptions& options) {
+    repetitions_.add(frame, gyro_, options, statistics_.repeated_pictures, statistics_.frames_in);
+  }
   const InputStatistics& statistics() const { return statistics_; }
 
  private:
@@ -141,12 +152,14 @@ class InputBuffers {
   ThrottledLog& throttled_log_;
   InputProblems& problems_;
   Config config_;
+  std::string config_error_ = "not configured yet";
   TimeJumpDetector jumps_;
   GyroReader gyro_;
   Exposures exposures_;
   CameraInfos infos_;
   std::optional<TimeNs> exposure_setting_ns_;
   PictureTracker pictures_;
+  RepetitionWatch repetitions_;
   bool exposure_known_ = false;       // from a message or a setting
   bool exposure_of_images_ = false;   // from the images' blur
   std::size_t without_imu_ = 0;       // images in a row, and no sample since

@@ -24,10 +24,9 @@ Processor::Processor(Environment environment)
       self_calibrator_(environment_.self_calibration, &log_),
       calibration_(&problems_, environment_.log),
       mask_(&problems_),
-      input_buffers_({environment_.clock, environment_.steady_clock}, gyro_source_, environment_.exposure_expected,
-                     environment_.log, &log_, &problems_),
-      frame_synchronizer_(input_buffers_, environment_.extrinsic, &log_, &problems_),
-      repetitions_(&problems_) {}
+      synchronizer_(InputBuffers({environment_.clock, environment_.steady_clock}, gyro_source_,
+                                 environment_.exposure_expected, environment_.log, &log_, &problems_),
+                    environment_.extrinsic, &calibration_, &exposures_, &log_, &problems_) {}
 
 void Processor::set_config(const Config& config) {
   config.validate();
@@ -51,10 +50,9 @@ void Processor::set_config(const Config& config) {
   calibration_.set_config(config);
   record_calibration_file();
   self_calibrator_.set_expected_offset(config.given.time_offset ? config.gyro.time_offset_ns : 0);
-  config_error_.clear();
   pipeline_ = std::move(pipeline);
   mask_.set_file(config.mask_file);
-  input_buffers_.set_config(config);
+  synchronizer_.set_config(config);
   exposures_.set_policy(config.on_exposure_conflict);
   gyro_errors_.clear();
   if (environment_.stereo) environment_.stereo->set_timeout(config.stereo_sync_timeout_ns);
@@ -64,7 +62,7 @@ void Processor::set_config_error(const std::string& text) {
   const std::lock_guard<std::mutex> lock(mutex_);
   config_.reset();
   pipeline_.reset();
-  config_error_ = text;
+  synchronizer_.set_config_error(text);
   record_calibration_file();
   if (environment_.stereo)
     environment_.stereo->set_timeout(Config().stereo_sync_timeout_ns);  // its stereo partners pass through, too
@@ -75,28 +73,28 @@ void Processor::add_imu(const sensor_msgs::Imu& imu) {
   on_imu_sample();
 }
 
-void Processor::on_imu_sample() {
+template <typename Add>
+void Processor::take_in(Add add) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  input_buffers_.now();
-  mark_ready();
+  add();
+  synchronizer_.mark_ready();
+  notify_worker();
+}
+
+void Processor::on_imu_sample() {
+  take_in([this] { synchronizer_.add_imu(); });
 }
 
 void Processor::add_exposure(const Exposure& exposure) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  input_buffers_.add_exposure(exposure);
-  mark_ready();
+  take_in([&] { synchronizer_.add_exposure(exposure); });
 }
 
 void Processor::add_exposure_setting(TimeNs exposure_ns) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  input_buffers_.add_exposure_setting(exposure_ns);
-  mark_ready();
+  take_in([&] { synchronizer_.add_exposure_setting(exposure_ns); });
 }
 
 void Processor::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  input_buffers_.add_camera_info(info);
-  mark_ready();
+  take_in([&] { synchronizer_.add_camera_info(info); });
 }
 
 bool Processor::add_compressed_image(const sensor_msgs::CompressedImage& compressed) {
@@ -106,8 +104,8 @@ bool Processor::add_compressed_image(const sensor_msgs::CompressedImage& compres
     return true;
   }
   const std::lock_guard<std::mutex> lock(mutex_);
-  input_buffers_.count_undecodable("compressed image " + seconds_text(to_time_ns(compressed.header.stamp)) +
-                                   " is left out: " + decoded.problem);
+  synchronizer_.count_undecodable("compressed image " + seconds_text(to_time_ns(compressed.header.stamp)) +
+                                  " is left out: " + decoded.problem);
   return false;
 }
 
@@ -126,8 +124,9 @@ void Processor::add_image(const sensor_msgs::ImageConstPtr& image, const std::st
   if (frame.pass_through_reason == PassThroughReason::NONE) remember_calibration(*image);
   // One without a stamp is no image of the instant 0.
   if (environment_.stereo && !is_unset(frame.stamp_ns)) environment_.stereo->announce(frame.stamp_ns);
-  input_buffers_.add_frame(std::move(frame));
-  mark_ready();
+  synchronizer_.add_image(std::move(frame));
+  synchronizer_.mark_ready();
+  notify_worker();
   notify_stereo();
 }
 
@@ -136,38 +135,13 @@ void Processor::add_mask(const sensor_msgs::Image& mask) {
   mask_.set_message(mask);
 }
 
-void Processor::mark_ready() {
-  notify_worker();
-  if (!config_) return;
-  // Not the tracker's time: another thread's, and of no matter for being ready.
-  const FrameSynchronizer::Context context = this->context();
-  try {
-    for (PendingFrame& frame : input_buffers_.queue().frames()) {
-      if (frame.pass_through_reason != PassThroughReason::NONE || frame.ready_steady_ns) continue;
-      // Those behind it have to wait for it anyway.
-      PictureMotion motion;
-      if (frame_synchronizer_.find(context, &frame, &motion) == Readiness::WAITS) return;
-      frame.ready_steady_ns = input_buffers_.steady_now();
-    }
-  } catch (const std::exception&) {
-    // next_frame gets it again, and reports it.
-  }
-}
-
 void Processor::notify_stereo() {
   if (!environment_.stereo) return;
-  for (PendingFrame& each : input_buffers_.queue().frames()) {
+  for (PendingFrame& each : synchronizer_.queue().frames()) {
     if (each.pass_through_reason == PassThroughReason::NONE || each.partners_notified) continue;
     environment_.stereo->pass_through(each.stamp_ns, each.pass_through_reason);
     each.partners_notified = true;
   }
-}
-
-FrameSynchronizer::Context Processor::context() const {
-  FrameSynchronizer::Context context{calibration_.config(),    exposures_, estimated_bias_rad_s_, {}, false,
-                                     calibration_.R_cam_imu(), ""};
-  if (!context.R_cam_imu) context.missing_rotation = calibration_.missing_rotation();
-  return context;
 }
 
 void Processor::learn_from(const SynchronizedFrame& synchronized, const std::optional<FrameExposure>& found) {
@@ -196,11 +170,11 @@ void Processor::learn_from(const SynchronizedFrame& synchronized, const std::opt
     image.emplace(SelfCalibrator::Image{frame.image, *frame.calibration,
                                         RowExposure(frame.picture_ns(), static_cast<int>(frame.image->height), timing),
                                         synchronized.mask});
-    const TimeRange available = input_buffers_.gyro().available();
+    const TimeRange available = synchronizer_.gyro().available();
     if (!available.empty()) {
       if (newest_learned_ns_ > available.end_ns) newest_learned_ns_.reset();
       const TimeNs from_ns = newest_learned_ns_ ? *newest_learned_ns_ + 1 : available.begin_ns;
-      for (const GyroSample& sample : input_buffers_.gyro().window({from_ns, available.end_ns})) {
+      for (const GyroSample& sample : synchronizer_.gyro().window({from_ns, available.end_ns})) {
         if (sample.t_ns >= from_ns) samples.push_back(sample);
       }
       newest_learned_ns_ = available.end_ns;
@@ -217,73 +191,32 @@ std::optional<SynchronizedFrame> Processor::next_frame(bool finishing) {
       calibration_.learn(self_calibrator_.learned(), readout_share_, readout_by_messages_)) {
     gyro_errors_.clear();
   }
-  if (std::exchange(time_jumps_, input_buffers_.statistics().time_jumps) != input_buffers_.statistics().time_jumps)
+  if (std::exchange(time_jumps_, synchronizer_.statistics().time_jumps) != synchronizer_.statistics().time_jumps)
     exposures_.reset();
-  const TimeNs now_ns = input_buffers_.now(), steady_ns = input_buffers_.steady_now();
-  overload_.end(steady_ns);
-  if (finishing) input_buffers_.forget_picture();
-  if (input_buffers_.queue().empty()) return std::nullopt;
-  PendingFrame& frame = input_buffers_.queue().front();
-  SynchronizedFrame synchronized;
-  synchronized.pipeline = pipeline_;
-  synchronized.config = config_;
-  try {
-    if (config_) {
-      const bool timed_out = finishing || input_buffers_.has_timed_out(frame, now_ns, config_->input_timeout_ns);
-      FrameSynchronizer::Context context = this->context();
-      context.followed_cam = {tracker_.newest_frame(), pipeline_ ? pipeline_->newest_frame() : std::nullopt};
-      context.timed_out = timed_out;
-      const Readiness readiness = frame_synchronizer_.synchronize(context, &frame, &synchronized);
-      // By rates of a wrong unit every image looks POOR.
-      const bool unit_is_uncertain = config_->pipeline.optical_flow && gyro_unit_.is_uncertain(frame.stamp_ns);
-      synchronized.drop_poor =
-          config_->drop_poor && !unit_is_uncertain && !gyro_unit_is_wrong_ && !gyro_source_->unit_is_wrong();
-      if (readiness == Readiness::WAITS) return std::nullopt;
-      // A fast camera fills the queue before its images time out: those that are passed through for that are without
-      // IMU too.
-      if (synchronized.exposure || frame.pass_through_reason == PassThroughReason::OVERLOAD) {
-        const TimeNs begin_ns = (synchronized.exposure ? synchronized.exposure->frame().begin_ns : frame.stamp_ns) +
-                                context.config.gyro.time_offset_ns;
-        const TimeRange samples = input_buffers_.gyro().available();
-        if (samples.empty() || samples.end_ns < begin_ns) input_buffers_.count_without_imu(begin_ns);
-      }
-      if (readiness == Readiness::READY) {
-        repetitions_.add(frame, input_buffers_.gyro(), synchronized.gyro, input_buffers_.statistics());
-        synchronized.pictures_repeat = input_buffers_.statistics().repeated_pictures > 0;
-      }
-      if (readiness == Readiness::READY && !finishing) check_overload(steady_ns, &frame, &synchronized);
-    } else if (frame.pass_through_reason == PassThroughReason::NONE) {
-      frame.pass_through(PassThroughReason::BAD_CONFIGURATION, config_error_);
-    }
-  } catch (const std::exception& error) {
-    // Without a reason the frame would be tried again for ever, and hold up all that come after it.
-    frame.pass_through(PassThroughReason::INTERNAL_ERROR, error.what());
+  std::optional<SynchronizedFrame> next =
+      synchronizer_.next({tracker_.newest_frame(), pipeline_ ? pipeline_->newest_frame() : std::nullopt}, finishing);
+  if (!next) return std::nullopt;
+  next->pipeline = pipeline_;
+  next->config = config_;
+  const PendingFrame& frame = next->frame;
+  if (config_ && config_->drop_poor) {
+    // By rates of a wrong unit every image looks POOR.
+    const bool unit_is_uncertain = config_->pipeline.optical_flow && gyro_unit_.is_uncertain(frame.stamp_ns);
+    next->drop_poor = !unit_is_uncertain && !gyro_unit_is_wrong_ && !gyro_source_->unit_is_wrong();
   }
-  frame.info = frame_synchronizer_.best_info(frame);
   if (frame.pass_through_reason != PassThroughReason::BAD_IMAGE &&
       frame.pass_through_reason != PassThroughReason::UNSUPPORTED_ENCODING) {
-    synchronized.mask = mask_.for_image({static_cast<int>(frame.image->width), static_cast<int>(frame.image->height)});
+    next->mask = mask_.for_image({static_cast<int>(frame.image->width), static_cast<int>(frame.image->height)});
   }
-  if (frame.pass_through_reason == PassThroughReason::NONE) overload_.begin(steady_ns, synchronized.behind_camera_rate);
-  synchronized.frame = input_buffers_.queue().pop();
   ++in_progress_;
-  return synchronized;
-}
-
-void Processor::check_overload(TimeNs steady_ns, PendingFrame* frame, SynchronizedFrame* synchronized) {
-  const TimeNs ready_ns = frame->ready_steady_ns.value_or(steady_ns);
-  const std::size_t ready_behind = input_buffers_.queue().ready_behind_front();
-  const std::optional<TimeNs> period_ns = input_buffers_.frame_period().get();
-  const std::string overload = overload_.pass_through_text(steady_ns, ready_ns, ready_behind, period_ns);
-  if (!overload.empty()) frame->pass_through(PassThroughReason::OVERLOAD, overload);
-  synchronized->behind_camera_rate = OverloadRule::is_behind_camera_rate(steady_ns, ready_ns, ready_behind, period_ns);
+  return next;
 }
 
 void Processor::advance(const Sink& sink, bool finishing) {
   while (std::optional<SynchronizedFrame> synchronized = next_frame(finishing)) {
     FrameOutput output;
     try {
-      const TimeNs waited_ns = input_buffers_.steady_now() - synchronized->frame.arrival_steady_ns;
+      const TimeNs waited_ns = synchronizer_.steady_now() - synchronized->frame.arrival_steady_ns;
       output = process(*synchronized);
       output.waiting_ms = static_cast<double>(waited_ns) * 1e-6;
       if (!output.engine_warning.empty()) environment_.log(LogLevel::WARNING, output.engine_warning);
@@ -297,7 +230,7 @@ void Processor::advance(const Sink& sink, bool finishing) {
       const std::lock_guard<std::mutex> lock(mutex_);
       --in_progress_;
       synchronized->frame.pass_through_reason = PassThroughReason::INTERNAL_ERROR;
-      input_buffers_.queue().put_back(std::move(synchronized->frame));
+      synchronizer_.queue().put_back(std::move(synchronized->frame));
       throw;
     }
     {
@@ -313,7 +246,7 @@ void Processor::advance(const Sink& sink, bool finishing) {
 void Processor::finish(const Sink& sink) {
   advance(sink, true);
   const std::lock_guard<std::mutex> lock(mutex_);
-  input_buffers_.finish();
+  synchronizer_.finish();
 }
 
 std::size_t Processor::waiting() const {
@@ -348,18 +281,16 @@ void Processor::stop() {
 
 Awaited Processor::awaited() const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return input_buffers_.queue().empty() ? Awaited::NOTHING : input_buffers_.queue().front().awaits;
+  return synchronizer_.queue().empty() ? Awaited::NOTHING : synchronizer_.queue().front().awaits;
 }
 
 void Processor::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  input_buffers_.reset();
-  estimated_bias_rad_s_.reset();
+  synchronizer_.reset();
   calibration_.set_measured_bias({});
   calibration_.forget_contradictions();
   self_calibrator_.restart();
   gyro_errors_.clear();
-  repetitions_.clear();
   exposures_.reset();
   gyro_unit_.clear();
   gyro_unit_is_wrong_ = false;
@@ -392,12 +323,11 @@ std::optional<Processor::CalibrationByImages> Processor::calibration_by_images()
 bool Processor::estimate_bias(std::string* text) {
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!config_) {
-    *text = "the configuration cannot be used: " + config_error_;
+    *text = "the configuration cannot be used: " + synchronizer_.config_error();
     return false;
   }
-  const std::optional<Eigen::Vector3d> bias_rad_s = gyro_deblur::estimate_bias(input_buffers_.gyro(), *config_, text);
+  const std::optional<Eigen::Vector3d> bias_rad_s = gyro_deblur::estimate_bias(synchronizer_.gyro(), *config_, text);
   if (bias_rad_s) {
-    estimated_bias_rad_s_ = bias_rad_s;
     calibration_.set_measured_bias(bias_rad_s);
     gyro_errors_.clear();
   }
@@ -406,12 +336,7 @@ bool Processor::estimate_bias(std::string* text) {
 
 Eigen::Vector3d Processor::bias_rad_s() const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return bias_in_use();
-}
-
-Eigen::Vector3d Processor::bias_in_use() const {
-  if (estimated_bias_rad_s_) return *estimated_bias_rad_s_;
-  return config_ ? calibration_.config().gyro.bias_rad_s : Config().gyro.bias_rad_s;
+  return calibration_.bias_rad_s();
 }
 
 }  // namespace gyro_deblur

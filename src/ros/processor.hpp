@@ -25,13 +25,10 @@
 #include "ros/frame_synchronizer.hpp"
 #include "ros/gyro_bias.hpp"
 #include "ros/gyro_source.hpp"
-#include "ros/input_buffers.hpp"
 #include "ros/input_mask.hpp"
 #include "ros/input_problems.hpp"
 #include "ros/messages.hpp"
-#include "ros/overload.hpp"
 #include "ros/processing.hpp"
-#include "ros/repetition_watch.hpp"
 #include "ros/self_calibrator.hpp"
 #include "ros/statistics.hpp"
 #include "ros/stereo_rig.hpp"
@@ -141,17 +138,15 @@ class Processor {
   ProcessorStatistics statistics() const;
 
  private:
-  Eigen::Vector3d bias_in_use() const;  // needs mutex_
   /// Reports what of the calibration file was not understood. Needs mutex_.
   void record_calibration_file();
   /// The foremost frame with what belongs to it, or nothing while it has to wait.
   std::optional<SynchronizedFrame> next_frame(bool finishing);
-  /// Lets a frame pass through that comes too late to be processed. Needs mutex_.
-  void check_overload(TimeNs steady_ns, PendingFrame* frame, SynchronizedFrame* synchronized);
-  /// Remembers which frames have become ready, and ends wait(); after every message. Needs mutex_.
-  void mark_ready();
-  void notify_worker();                                                                        // needs mutex_
-  std::size_t frames_waiting() const { return input_buffers_.queue().size() + in_progress_; }  // needs mutex_
+  /// Locks mutex_, calls add(), which gives a message to the synchronizer, and ends wait().
+  template <typename Add>
+  void take_in(Add add);
+  void notify_worker();                                                                       // needs mutex_
+  std::size_t frames_waiting() const { return synchronizer_.queue().size() + in_progress_; }  // needs mutex_
   /// Stereo partners need not wait until frames that pass through are published. Needs mutex_.
   void notify_stereo();
   /// The output of a frame. Exceptions of the pipeline become INTERNAL_ERROR; those of passing the frame through (for
@@ -178,8 +173,6 @@ class Processor {
   /// Learns the calibration from the frame. Takes mutex_.
   /// @param found  what the frame was deblurred by, where its blur was examined
   void learn_from(const SynchronizedFrame& synchronized, const std::optional<FrameExposure>& found);
-  /// What is used in addition to messages. Needs mutex_ and a configuration.
-  FrameSynchronizer::Context context() const;
   /// Reports when the images give the exposure time, and when they contradict the given one. Needs mutex_.
   void record_exposure(const FrameOutput& output);
   /// Stamps of global-shutter images are not those that came in, and grow all the same.
@@ -210,9 +203,7 @@ class Processor {
   bool has_news_ = false;  // since wait() returned
   bool stops_ = false;
   std::shared_ptr<const Config> config_;  // as it is given; null while it cannot be used
-  std::string config_error_ = "not configured yet";
   std::shared_ptr<Pipeline> pipeline_;
-  std::optional<Eigen::Vector3d> estimated_bias_rad_s_;
   SelfCalibrator self_calibrator_;  // locks itself
   CalibrationInUse calibration_;
   std::size_t time_jumps_ = 0;           // that exposures_ has been reset for
@@ -221,11 +212,8 @@ class Processor {
   bool readout_by_messages_ = false;     // see there
   std::optional<cv::Size> image_size_;   // of the first image
   InputMask mask_;
-  InputBuffers input_buffers_;
-  FrameSynchronizer frame_synchronizer_;
   ExposureChoice exposures_;
-  OverloadRule overload_;
-  RepetitionWatch repetitions_;
+  FrameSynchronizer synchronizer_;
   std::size_t in_progress_ = 0;
   OutputStatistics statistics_;
   GyroErrorWatch gyro_errors_;  // with the configuration and bias in use

@@ -41,8 +41,8 @@ void Processor::record_exposure(const FrameOutput& output) {
   constexpr char kKind[] = "exposure contradicted";
   if (!output.exposure) return;
   const ChosenExposure& chosen = *output.exposure;
-  if (chosen.origin == ExposureOrigin::IMAGES && !input_buffers_.has_exposure_from_images()) {
-    input_buffers_.set_exposure_from_images();
+  if (chosen.origin == ExposureOrigin::IMAGES && !synchronizer_.has_exposure_from_images()) {
+    synchronizer_.set_exposure_from_images();
     log_(LogLevel::INFO, "exposure found",
          "the exposure time is " + seconds_text(chosen.exposure_ns) + " s, estimated from the blur of the images");
   }
@@ -117,15 +117,15 @@ ProcessorStatistics Processor::statistics() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   ProcessorStatistics statistics;
   static_cast<ImuStatistics&>(statistics) = gyro_source_->statistics();
-  static_cast<InputStatistics&>(statistics) = input_buffers_.statistics();
+  static_cast<InputStatistics&>(statistics) = synchronizer_.statistics();
   static_cast<OutputStatistics&>(statistics) = statistics_;
-  statistics.waiting = input_buffers_.queue().size() + in_progress_;
-  statistics.frame_period_ns = input_buffers_.frame_period().get();
-  statistics.gyro_available = input_buffers_.gyro().available();
+  statistics.waiting = frames_waiting();
+  statistics.frame_period_ns = synchronizer_.frame_period().get();
+  statistics.gyro_available = synchronizer_.gyro().available();
   if (!statistics.gyro_available.empty()) statistics.newest_imu_ns = statistics.gyro_available.end_ns;
   if (pipeline_) statistics.engine = pipeline_->engine();
-  statistics.configuration_error = config_error_;
-  statistics.bias_rad_s = bias_in_use();
+  statistics.configuration_error = synchronizer_.config_error();
+  statistics.bias_rad_s = calibration_.bias_rad_s();
   if (config_) statistics.calibration = calibration_.table();
   statistics.gyro_error = gyro_errors_.find();
   statistics.input_problems = problems_.all();

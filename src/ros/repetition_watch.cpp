@@ -39,7 +39,7 @@ bool has_rotated(const PendingFrame& frame, const GyroReader& gyro, const GyroOp
 }  // namespace
 
 void RepetitionWatch::add(const PendingFrame& frame, const GyroReader& gyro, const GyroOptions& options,
-                          const InputStatistics& counts) {
+                          std::size_t repeated, std::size_t images) {
   const bool reported = proven_ns_.size() >= kReported;
   while (!proven_ns_.empty() &&
          (proven_ns_.front() > frame.stamp_ns || frame.stamp_ns - proven_ns_.front() > kWatchedNs)) {
@@ -50,7 +50,7 @@ void RepetitionWatch::add(const PendingFrame& frame, const GyroReader& gyro, con
   proven_ns_.push_back(frame.stamp_ns);
   if (proven_ns_.size() < kReported) return;
   problems_.report(kRepeatedPictures,
-                   std::to_string(counts.repeated_pictures) + " of " + std::to_string(counts.frames_in) +
+                   std::to_string(repeated) + " of " + std::to_string(images) +
                        " images repeat the picture before under a new stamp although the camera rotates, the one of " +
                        seconds_text(frame.stamp_ns) + " s that of " + seconds_text(frame.picture_ns()) +
                        " s: they are deblurred as that picture, and there is no optical flow across them. If the "

@@ -1,13 +1,13 @@
 // Reports a camera that sends pictures again.
 #pragma once
 
+#include <cstddef>
 #include <deque>
 
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/time.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/gyro_source.hpp"
-#include "ros/input_buffers.hpp"
 #include "ros/input_problems.hpp"
 
 namespace gyro_deblur {
@@ -20,10 +20,10 @@ class RepetitionWatch {
   explicit RepetitionWatch(InputProblems* problems) : problems_(*problems) {}
 
   /// An image is published with all that belongs to it.
-  /// @param gyro    that is mounted on the camera, with `options`
-  /// @param counts  of images since the start
-  void add(const PendingFrame& frame, const GyroReader& gyro, const GyroOptions& options,
-           const InputStatistics& counts);
+  /// @param gyro  that is mounted on the camera, with `options`
+  /// @param repeated, images  counts since the start
+  void add(const PendingFrame& frame, const GyroReader& gyro, const GyroOptions& options, std::size_t repeated,
+           std::size_t images);
   void clear() { proven_ns_.clear(); }
 
  private:
