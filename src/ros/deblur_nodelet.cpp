@@ -49,10 +49,7 @@ DeblurNodelet::~DeblurNodelet() {
   if (imu_) imu_->stop_listening(this);
   exposure_subscriber_.shutdown();
   diagnostics_timer_.stop();
-  reset_service_.shutdown();
-  bias_service_.shutdown();
-  reset_calibration_service_.shutdown();
-  save_calibration_service_.shutdown();
+  for (ros::ServiceServer& service : services_) service.shutdown();
   tf_subscriber_.shutdown();
   tf_static_subscriber_.shutdown();
   mask_subscriber_.shutdown();
@@ -158,18 +155,27 @@ void DeblurNodelet::onInit() {
     publishers_.advertise(nh, *transport_, output_queue(config.value_or(Config())), [this] { on_connection_change(); });
   }
   worker_ = std::thread(&DeblurNodelet::work, this);
-  advertise_services();
+  advertise_service("reset", &DeblurNodelet::on_reset);
+  advertise_service("reset_calibration", &DeblurNodelet::on_reset_calibration);
+  advertise_service("save_calibration", &DeblurNodelet::on_save_calibration);
+  advertise_service("estimate_gyro_bias", &DeblurNodelet::on_estimate_bias);
   start_diagnostics();
 }
 
-void DeblurNodelet::advertise_services() {
-  ros::NodeHandle& private_nh = getPrivateNodeHandle();
-  reset_service_ = private_nh.advertiseService("reset", &DeblurNodelet::on_reset, this);
-  reset_calibration_service_ =
-      private_nh.advertiseService("reset_calibration", &DeblurNodelet::on_reset_calibration, this);
-  save_calibration_service_ =
-      private_nh.advertiseService("save_calibration", &DeblurNodelet::on_save_calibration, this);
-  bias_service_ = private_nh.advertiseService("estimate_gyro_bias", &DeblurNodelet::on_estimate_bias, this);
+void DeblurNodelet::advertise_service(const std::string& name, bool (DeblurNodelet::*serve)(std::string*)) {
+  using std_srvs::Trigger;
+  const boost::function<bool(Trigger::Request&, Trigger::Response&)> callback =
+      [this, name, serve](Trigger::Request&, Trigger::Response& response) {
+        try {
+          response.success = (this->*serve)(&response.message);
+        } catch (const std::exception& error) {
+          response.success = false;
+          response.message += (response.message.empty() ? "" : ", but ") + std::string(error.what());
+        }
+        log(response.success ? LogLevel::INFO : LogLevel::WARNING, name + ": " + response.message);
+        return true;
+      };
+  services_.push_back(getPrivateNodeHandle().advertiseService(name, callback));
 }
 
 void DeblurNodelet::start_diagnostics() {
@@ -297,28 +303,19 @@ void DeblurNodelet::on_transforms(const tf2_msgs::TFMessageConstPtr& message) {
   });
 }
 
-bool DeblurNodelet::on_reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+bool DeblurNodelet::on_reset(std::string* text) {
   processor_->reset();
-  response.success = true;
-  response.message = "gyroscope samples and an estimated bias are forgotten, waiting frames pass through";
-  NODELET_INFO_STREAM("reset: " << response.message);
+  *text = "gyroscope samples and an estimated bias are forgotten, waiting frames pass through";
   return true;
 }
 
-bool DeblurNodelet::on_reset_calibration(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+bool DeblurNodelet::on_reset_calibration(std::string* text) {
   processor_->reset_calibration();
-  response.success = true;
-  response.message = "the calibration that was estimated is forgotten";
-  try {
-    const auto seen = processor_->calibration_by_images();
-    if (seen && !ros::Time::isSimTime()) {
-      remove_stored_calibration(stored_calibration_path(getName(), seen->width_px, seen->height_px));
-    }
-  } catch (const std::exception& error) {
-    response.success = false;
-    response.message += std::string(", but ") + error.what();
+  *text = "the calibration that was estimated is forgotten";
+  const auto seen = processor_->calibration_by_images();
+  if (seen && !ros::Time::isSimTime()) {
+    remove_stored_calibration(stored_calibration_path(getName(), seen->width_px, seen->height_px));
   }
-  log(response.success ? LogLevel::INFO : LogLevel::WARNING, "reset_calibration: " + response.message);
   return true;
 }
 
@@ -332,26 +329,15 @@ std::string DeblurNodelet::save_calibration() const {
   return path;
 }
 
-bool DeblurNodelet::on_save_calibration(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
-  try {
-    const std::string path = save_calibration();
-    response.success = !path.empty();
-    response.message = response.success         ? "stored in " + path
-                       : ros::Time::isSimTime() ? "nothing is stored with use_sim_time"
-                                                : "nothing is stored: no estimate is in use, see the diagnostics";
-  } catch (const std::exception& error) {
-    response.success = false;
-    response.message = error.what();
-  }
-  log(response.success ? LogLevel::INFO : LogLevel::WARNING, "save_calibration: " + response.message);
-  return true;
+bool DeblurNodelet::on_save_calibration(std::string* text) {
+  const std::string path = save_calibration();
+  *text = !path.empty()            ? "stored in " + path
+          : ros::Time::isSimTime() ? "nothing is stored with use_sim_time"
+                                   : "nothing is stored: no estimate is in use, see the diagnostics";
+  return !path.empty();
 }
 
-bool DeblurNodelet::on_estimate_bias(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
-  guarded("estimating the gyroscope's bias", [&] { response.success = processor_->estimate_bias(&response.message); });
-  log(response.success ? LogLevel::INFO : LogLevel::WARNING, response.message);
-  return true;
-}
+bool DeblurNodelet::on_estimate_bias(std::string* text) { return processor_->estimate_bias(text); }
 
 void DeblurNodelet::work() {
   ask_for_time_slice_of_a_frame();

@@ -7,6 +7,7 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include <diagnostic_updater/diagnostic_updater.h>
 #include <dynamic_reconfigure/server.h>
@@ -43,7 +44,8 @@ class DeblurNodelet : public nodelet::Nodelet {
  private:
   void onInit() override;
   Processor::Environment make_environment();
-  void advertise_services();
+  /// A std_srvs/Trigger. `serve` says whether it succeeded, and what to respond and log.
+  void advertise_service(const std::string& name, bool (DeblurNodelet::*serve)(std::string* text));
   void start_diagnostics();
   /// The configuration, or nothing with the reason in `error`.
   std::optional<Config> load_parameters(std::string* error);
@@ -63,10 +65,10 @@ class DeblurNodelet : public nodelet::Nodelet {
   void on_exposure(const ExposureConstPtr& exposure);
   void on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event);
   void on_transforms(const tf2_msgs::TFMessageConstPtr& message);
-  bool on_reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
-  bool on_reset_calibration(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
-  bool on_save_calibration(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
-  bool on_estimate_bias(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
+  bool on_reset(std::string* text);
+  bool on_reset_calibration(std::string* text);
+  bool on_save_calibration(std::string* text);
+  bool on_estimate_bias(std::string* text);
   void on_diagnostics_timer(const ros::WallTimerEvent& event);
 
   /// Runs `function`; an exception is logged, because it must not reach the nodelet manager.
@@ -110,10 +112,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   Publishers publishers_;
   bool shutting_down_ = false;
 
-  ros::ServiceServer reset_service_;
-  ros::ServiceServer bias_service_;
-  ros::ServiceServer reset_calibration_service_;
-  ros::ServiceServer save_calibration_service_;
+  std::vector<ros::ServiceServer> services_;
   ros::WallTimer diagnostics_timer_;
   int diagnostics_reports_ = 0;  // one each second; of the timer alone
   std::unique_ptr<diagnostic_updater::Updater> diagnostics_;
