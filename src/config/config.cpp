@@ -146,6 +146,23 @@ void refuse_former_value(const std::string& key, const YAML::Node& node) {
   if (present != kPresentValues.end()) refuse(key, node, "known any more: it is now called " + present->second);
 }
 
+/// Sets what the key says. False: it is not known.
+bool read_key(const std::string& key, const YAML::Node& node, Config* config) {
+  bool is_known = false;
+  for_each_parameter(*config, [&](const Row& row, auto& value) {
+    if (key != row.key || row.change == Change::NEVER) return;
+    is_known = true;
+    const auto number = std::find_if(std::begin(kGivenNumbers), std::end(kGivenNumbers),
+                                     [&](const GivenNumber& given) { return key == given.key; });
+    const bool may_be_empty = number != std::end(kGivenNumbers);
+    if (may_be_empty && is_empty(node)) return;
+    refuse_former_value(key, node);
+    if (may_be_empty) config->given.*number->given = true;
+    read(row, unquoted_list<std::decay_t<decltype(value)>>(node), value);
+  });
+  return is_known;
+}
+
 /// Sets what the keys say. Calibration files are not opened yet.
 Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
   Config config;
@@ -160,19 +177,7 @@ Config read_keys(const YAML::Node& node, std::vector<std::string>* unknown) {
     const std::string& key = entry.first.Scalar();
     if (!seen.insert(key).second)
       throw OptionError(key + " = " + describe(entry.second) + " is given a second time: remove one of the two");
-    bool is_known = false;
-    for_each_parameter(config, [&, &value_node = entry.second](const Row& row, auto& value) {
-      if (key != row.key || row.change == Change::NEVER) return;
-      is_known = true;
-      const auto number = std::find_if(std::begin(kGivenNumbers), std::end(kGivenNumbers),
-                                       [&](const GivenNumber& given) { return key == given.key; });
-      const bool may_be_empty = number != std::end(kGivenNumbers);
-      if (may_be_empty && is_empty(value_node)) return;
-      refuse_former_value(key, value_node);
-      if (may_be_empty) config.given.*number->given = true;
-      read(row, unquoted_list<std::decay_t<decltype(value)>>(value_node), value);
-    });
-    if (!is_known && unknown != nullptr) unknown->push_back(key);
+    if (!read_key(key, entry.second, &config) && unknown != nullptr) unknown->push_back(key);
   }
   return config;
 }
@@ -203,6 +208,13 @@ Config parse_config(const std::string& yaml, std::vector<std::string>* unknown, 
     throw OptionError(std::string("the configuration is not YAML: ") + error.what());
   }
   return parse_node(node, unknown, folder);
+}
+
+void set_parameter(const std::string& key, const std::string& yaml, Config* config) {
+  read_key(key, YAML::Load(yaml), config);
+  for_each_parameter(*config, [&key](const Row& row, const auto& value) {
+    if (key == row.key) require_allowed(row, value);
+  });
 }
 
 Config load_config(const std::string& path, std::vector<std::string>* unknown) {

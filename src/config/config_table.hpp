@@ -162,4 +162,8 @@ void visit(Table<Config>, V&& visitor) {
   visitor.part(&O::tracker);
 }
 
+/// Sets one key, if it is known, to a value in YAML. Throws std::exception when the key does not allow the value. What
+/// several keys together do not allow is not checked, and calibration files are not read.
+void set_parameter(const std::string& key, const std::string& yaml, Config* config);
+
 }  // namespace gyro_deblur

@@ -3,11 +3,9 @@
 
 #include <fstream>
 #include <limits>
-#include <optional>
 #include <sstream>
 
 #include "base/require_range.hpp"
-#include "config/text_value.hpp"
 
 namespace gyro_deblur {
 
@@ -45,16 +43,6 @@ std::string describe(const YAML::Node& node) {
 
 void refuse(const std::string& key, const YAML::Node& node, const std::string& allowed) {
   throw OptionError(key + " = " + describe(node) + " is not " + allowed);
-}
-
-std::optional<double> to_number(const std::string& text) {
-  double value = 0;
-  return YAML::convert<double>::decode(YAML::Node(text), value) ? std::optional<double>(value) : std::nullopt;
-}
-
-std::optional<bool> to_truth_value(const std::string& text) {
-  bool value = false;
-  return YAML::convert<bool>::decode(YAML::Node(text), value) ? std::optional<bool>(value) : std::nullopt;
 }
 
 int read_integer(const std::string& key, const YAML::Node& node) {

@@ -5,8 +5,10 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <type_traits>
 #include <vector>
 
+#include "config/config_table.hpp"
 #include "gyro_deblur/config.hpp"
 #include "ros/param_conversion.hpp"
 
@@ -16,11 +18,29 @@ namespace {
 /// Private parameters that are not keys of the configuration.
 const char* const kOtherParameters[] = {"image_transport"};
 
-/// Names and values of the parameters that may change while running.
-dynamic_reconfigure::Config entries_of(const DeblurConfig& config) {
+/// Sets the entry of that name.
+template <typename Entries, typename T>
+void set_entry(const char* name, const T& value, Entries* entries) {
+  for (auto& entry : *entries) {
+    if (entry.name == name) entry.value = value;
+  }
+}
+
+/// What dynamic_reconfigure shows of a configuration.
+DeblurConfig dynamic_of(const Config& config) {
   dynamic_reconfigure::Config entries;
-  config.__toMessage__(entries);
-  return entries;
+  DeblurConfig::__getDefault__().__toMessage__(entries);
+  for_each_parameter(config, [&entries](const Row& row, const auto& value) {
+    using T = std::decay_t<decltype(value)>;
+    if constexpr (std::is_same_v<T, bool>) set_entry(row.key, value, &entries.bools);
+    if constexpr (std::is_same_v<T, int>) set_entry(row.key, value, &entries.ints);
+    if constexpr (std::is_same_v<T, double>) set_entry(row.key, value, &entries.doubles);
+    if constexpr (std::is_same_v<T, std::string>) set_entry(row.key, value, &entries.strs);
+    if constexpr (HasNames<T>::value) set_entry(row.key, name_of(value), &entries.strs);
+  });
+  DeblurConfig dynamic = DeblurConfig::__getDefault__();
+  dynamic.__fromMessage__(entries);
+  return dynamic;
 }
 
 }  // namespace
@@ -63,31 +83,23 @@ void DeblurNodelet::start_reconfigure() {
       std::make_unique<dynamic_reconfigure::Server<DeblurConfig>>(reconfigure_mutex_, getPrivateNodeHandle());
   // The server has read the parameters, but moved what was out of range to the nearest end without a word. That would
   // be nobody's choice: it offers the default instead, and the error that load_parameters has reported stays in force.
-  const dynamic_reconfigure::Config standard = entries_of(DeblurConfig::__getDefault__());
-  dynamic_reconfigure::Config offered = standard;
-  for_each_entry([this](auto& entry) { read_parameter(given_parameters_, entry.name, entry.value); }, offered);
-  dynamic_.__fromMessage__(offered);
-  DeblurConfig clamped = dynamic_;
-  clamped.__clamp__();
-  const dynamic_reconfigure::Config in_range = entries_of(clamped);
-  for_each_entry(
-      [](auto& entry, const auto& nearest, const auto& otherwise) {
-        if (entry.value != nearest.value) entry.value = otherwise.value;
-      },
-      offered, in_range, standard);
-  dynamic_.__fromMessage__(offered);
+  Config offered;
+  std::vector<std::string> refused;
+  for (auto& [key, value] : given_parameters_) {
+    Config with_key = offered;
+    try {
+      set_parameter(key, to_yaml(value), &with_key);
+      offered = with_key;
+    } catch (const std::exception&) {
+      refused.push_back(key);
+    }
+  }
+  dynamic_ = dynamic_of(offered);
   reconfigure_->updateConfig(dynamic_);
   reconfigure_->setCallback([this](DeblurConfig& dynamic, std::uint32_t) { on_reconfigure(dynamic); });
   // The server has also written its values back. What was refused stays on the parameter server, so that it is refused
   // again when the nodelet is loaded again, instead of being replaced by a default that nobody chose.
-  for_each_entry(
-      [this](const auto& entry) {
-        auto given = entry.value;
-        if (!given_parameters_.hasMember(entry.name)) return;
-        if (read_parameter(given_parameters_, entry.name, given) && given == entry.value) return;
-        getPrivateNodeHandle().setParam(entry.name, given_parameters_[entry.name]);
-      },
-      offered);
+  for (const std::string& key : refused) getPrivateNodeHandle().setParam(key, given_parameters_[key]);
   reconfigure_ready_ = true;
 }
 
@@ -95,8 +107,12 @@ void DeblurNodelet::on_reconfigure(DeblurConfig& dynamic) {
   if (!reconfigure_ready_) return;  // the server's first call only repeats what load_parameters has applied
   try {
     XmlRpc::XmlRpcValue merged = given_parameters_;
-    const dynamic_reconfigure::Config entries = entries_of(dynamic);
-    for_each_entry([&merged](const auto& entry) { write_parameter(merged, entry.name, entry.value); }, entries);
+    dynamic_reconfigure::Config entries;
+    dynamic.__toMessage__(entries);
+    for (const auto& entry : entries.bools) merged[entry.name] = entry.value != 0;
+    for (const auto& entry : entries.ints) merged[entry.name] = entry.value;
+    for (const auto& entry : entries.doubles) merged[entry.name] = entry.value;
+    for (const auto& entry : entries.strs) merged[entry.name] = XmlRpc::XmlRpcValue(entry.value);
     const Config config = parse_config(to_yaml(merged));
     processor_->set_config(config);
     if (!configured_) {

@@ -1,13 +1,10 @@
-// Converts ROS parameters to and from the configuration's text.
+// Converts ROS parameters to the configuration's text.
 #include "ros/param_conversion.hpp"
 
 #include <cmath>
 #include <limits>
 #include <locale>
-#include <optional>
 #include <sstream>
-
-#include "config/text_value.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -40,10 +37,6 @@ std::string quoted(const std::string& value) {
   return text + '"';
 }
 
-XmlRpcValue::Type type_of(XmlRpcValue& parameters, const std::string& name) {
-  return parameters.hasMember(name) ? parameters[name].getType() : XmlRpcValue::TypeInvalid;
-}
-
 }  // namespace
 
 std::string to_yaml(XmlRpcValue& value) {
@@ -66,51 +59,6 @@ std::string to_yaml(XmlRpcValue& value) {
     default:
       return "~";
   }
-}
-
-bool read_parameter(XmlRpcValue& parameters, const std::string& name, std::uint8_t& truth_value) {
-  std::optional<bool> value;
-  const XmlRpcValue::Type type = type_of(parameters, name);
-  if (type == XmlRpcValue::TypeBoolean) value = static_cast<bool>(parameters[name]);
-  if (type == XmlRpcValue::TypeString) value = to_truth_value(static_cast<std::string>(parameters[name]));
-  if (value) truth_value = *value ? 1 : 0;
-  return value.has_value();
-}
-
-bool read_parameter(XmlRpcValue& parameters, const std::string& name, int& value) {
-  double number = 0;
-  if (!read_parameter(parameters, name, number) || number != std::trunc(number)) return false;
-  if (number < std::numeric_limits<int>::min() || number > std::numeric_limits<int>::max()) return false;
-  value = static_cast<int>(number);
-  return true;
-}
-
-bool read_parameter(XmlRpcValue& parameters, const std::string& name, double& value) {
-  std::optional<double> number;
-  const XmlRpcValue::Type type = type_of(parameters, name);
-  if (type == XmlRpcValue::TypeInt) number = static_cast<int>(parameters[name]);
-  if (type == XmlRpcValue::TypeDouble) number = static_cast<double>(parameters[name]);
-  if (type == XmlRpcValue::TypeString) number = to_number(static_cast<std::string>(parameters[name]));
-  if (number) value = *number;
-  return number.has_value();
-}
-
-bool read_parameter(XmlRpcValue& parameters, const std::string& name, std::string& value) {
-  if (type_of(parameters, name) != XmlRpcValue::TypeString) return false;
-  value = static_cast<std::string>(parameters[name]);
-  return true;
-}
-
-void write_parameter(XmlRpcValue& parameters, const std::string& name, std::uint8_t truth_value) {
-  parameters[name] = truth_value != 0;
-}
-
-void write_parameter(XmlRpcValue& parameters, const std::string& name, int value) { parameters[name] = value; }
-
-void write_parameter(XmlRpcValue& parameters, const std::string& name, double value) { parameters[name] = value; }
-
-void write_parameter(XmlRpcValue& parameters, const std::string& name, const std::string& value) {
-  parameters[name] = XmlRpcValue(value);
 }
 
 }  // namespace gyro_deblur

@@ -325,6 +325,31 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("noise_to_signal_ratio: [1, 2", "the configuration is not YAML: ");
 }
 
+TEST(SetParameter, SetsOneKeyAndChecksItAlone) {
+  Config config;
+  set_parameter("min_extent", "20", &config);
+  set_parameter("max_extent", "\"3e0\"", &config);  // less than min_extent
+  EXPECT_EQ(config.pipeline.blur_field.min_extent_px, 20);
+  EXPECT_EQ(config.pipeline.blur_field.max_extent_px, 3);
+  set_parameter("block_size", "32.0", &config);
+  EXPECT_EQ(config.pipeline.blur_field.block_size_px, 32);
+  set_parameter("drop_poor", "\"y\"", &config);
+  EXPECT_TRUE(config.drop_poor);
+  set_parameter("validation", "\"gradient\"", &config);
+  EXPECT_EQ(config.pipeline.validation.rule, ValidationRule::GRADIENT);
+  set_parameter("gama", "7", &config);
+  const std::string before = dump(config);
+  const std::pair<const char*, const char*> refused[] = {
+      {"block_size", "64.5"},  {"block_size", "1e10"},           {"block_size", "\"y\""}, {"block_size", "true"},
+      {"drop_poor", "3"},      {"drop_poor", "\"5e0\""},         {"max_extent", "501"},   {"validation", "nonsense"},
+      {"max_extent", "\"y\""}, {"keypoint_detector", "nonsense"}};
+  for (const auto& [key, value] : refused) {
+    Config changed = config;
+    EXPECT_THROW(set_parameter(key, value, &changed), OptionError) << key << ' ' << value;
+  }
+  EXPECT_EQ(dump(config), before);
+}
+
 TEST(ParseConfig, RefusesValuesOutOfRange) {
   struct Limits {
     const char* key;

@@ -462,45 +462,6 @@ TEST(Parameters, BecomeYamlThatReadsTheSame) {
   EXPECT_EQ(to_yaml(infinite), "-.inf");
 }
 
-TEST(Parameters, AreReadByTheTypeThatDynamicReconfigureHas) {
-  XmlRpc::XmlRpcValue values;
-  values["whole"] = 64.0;
-  values["fraction"] = 64.5;
-  values["huge"] = 1e10;
-  values["count"] = 3;
-  values["text"] = std::string("5e0");
-  values["word"] = std::string("y");
-  values["yes"] = true;
-  int integer = -1;
-  EXPECT_TRUE(read_parameter(values, "whole", integer));
-  EXPECT_EQ(integer, 64);
-  for (const char* other : {"fraction", "huge", "word", "yes", "absent"}) {
-    EXPECT_FALSE(read_parameter(values, other, integer)) << other;
-  }
-  EXPECT_EQ(integer, 64);
-  double number = -1;
-  EXPECT_TRUE(read_parameter(values, "count", number));
-  EXPECT_EQ(number, 3);
-  EXPECT_FALSE(read_parameter(values, "word", number));
-  EXPECT_TRUE(read_parameter(values, "text", number));
-  EXPECT_EQ(number, 5);
-  EXPECT_TRUE(read_parameter(values, "text", integer));
-  EXPECT_EQ(integer, 5);
-  std::uint8_t truth_value = 0;
-  EXPECT_TRUE(read_parameter(values, "yes", truth_value));
-  EXPECT_EQ(truth_value, 1);
-  EXPECT_FALSE(read_parameter(values, "count", truth_value));
-  EXPECT_FALSE(read_parameter(values, "text", truth_value));
-  truth_value = 0;
-  EXPECT_TRUE(read_parameter(values, "word", truth_value));
-  EXPECT_EQ(truth_value, 1);
-  std::string text;
-  EXPECT_TRUE(read_parameter(values, "text", text));
-  EXPECT_EQ(text, "5e0");
-  EXPECT_FALSE(read_parameter(values, "yes", text));
-  EXPECT_FALSE(values.hasMember("absent")) << "reading adds nothing";
-}
-
 // Field by field what VINS-Mono's estimator reads: points (x, y, 1), then by position id, u, v and the velocities. It
 // does not read what comes after these.
 TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
