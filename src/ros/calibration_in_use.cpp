@@ -62,8 +62,8 @@ CalibrationRow learned_row(const std::string& key, bool learns, const Learned<Va
 
 }  // namespace
 
-CalibrationInUse::CalibrationInUse(InputProblems* problems, Log log)
-    : problems_(*problems), log_(std::move(log)), learned_(SelfCalibration().learned()), taken_(learned_) {}
+CalibrationInUse::CalibrationInUse(InputProblems* problems)
+    : problems_(*problems), learned_(SelfCalibration().learned()), taken_(learned_) {}
 
 void CalibrationInUse::set_config(const Config& config) {
   given_ = config;
@@ -81,8 +81,8 @@ bool CalibrationInUse::take(const std::string& key, const Learned<Value>& newest
   const double change = difference(newest.value, taken->value);
   if (taken->known && newest.stddev > kSurer * taken->stddev && change < kAnother * newest.stddev) return false;
   if (remembered_.erase(key) > 0 && change > kContradicting * std::hypot(newest.stddev, taken->stddev)) {
-    log_(LogLevel::WARNING, key + " of the last start is dropped: it was " + text_of(taken->value) +
-                                ", the images now give " + text_of(newest.value));
+    problems_.log(LogLevel::WARNING, key + " of the last start is dropped: it was " + text_of(taken->value) +
+                                         ", the images now give " + text_of(newest.value));
   }
   *taken = newest;
   return true;
@@ -178,7 +178,7 @@ bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_s
                               : row.key == "readout_time" ? before.readout_s.known
                                                           : before.bias_rad_s.known;
     if (row.by_images && !known_before)
-      log_(LogLevel::INFO, row.key + " is estimated from the images and used: " + row.text);
+      problems_.log(LogLevel::INFO, row.key + " is estimated from the images and used: " + row.text);
   }
   return changed;
 }

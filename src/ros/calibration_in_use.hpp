@@ -11,7 +11,6 @@
 #include "calibrate/self_calibration.hpp"
 #include "gyro_deblur/config.hpp"
 #include "ros/input_problems.hpp"
-#include "ros/throttled_log.hpp"
 
 namespace gyro_deblur {
 
@@ -26,8 +25,8 @@ struct CalibrationRow {
 /// is replaced when a later one is surer or another one. Its owner serialises access.
 class CalibrationInUse {
  public:
-  /// Both have to outlive this.
-  CalibrationInUse(InputProblems* problems, Log log);
+  /// @param problems  has to outlive this
+  explicit CalibrationInUse(InputProblems* problems);
 
   void set_config(const Config& config);
   /// What was learned before, e.g. at the last start: used until an estimate from the images is surer, or differs.
@@ -77,7 +76,6 @@ class CalibrationInUse {
   UsedCalibration used() const;
 
   InputProblems& problems_;
-  const Log log_;
   Config given_, config_;
   std::optional<Eigen::Matrix3d> R_cam_imu_, from_tf_;
   std::optional<Eigen::Vector3d> measured_bias_rad_s_;

@@ -102,12 +102,11 @@ void mark_own(const TimeRange& own, PictureMotion* motion) {
 }  // namespace
 
 FrameSynchronizer::FrameSynchronizer(InputBuffers inputs, Extrinsic extrinsic, const CalibrationInUse* calibration,
-                                     const ExposureChoice* exposures, ThrottledLog* log, InputProblems* problems)
+                                     const ExposureChoice* exposures, InputProblems* problems)
     : InputBuffers(std::move(inputs)),
       extrinsic_(std::move(extrinsic)),
       calibration_(*calibration),
       exposures_(*exposures),
-      log_(*log),
       problems_(*problems) {}
 
 void FrameSynchronizer::mark_ready() {
@@ -314,9 +313,9 @@ Readiness FrameSynchronizer::find_timing(PendingFrame* frame, ShutterTiming* tim
   if (is_known(before)) return take(*before);
   *source = kParameterExposure;
   if (timing->exposure_ns > 0 && !own && expected && exposures.awaited() && !setting_ns) {
-    log_(LogLevel::WARNING, "exposure message missing",
-         "no exposure message with the image's stamp " + seconds_text(stamp_ns) +
-             " s: using parameter exposure_time = " + seconds_text(timing->exposure_ns) + " s");
+    problems_.log(LogLevel::WARNING, "exposure message missing",
+                  "no exposure message with the image's stamp " + seconds_text(stamp_ns) +
+                      " s: using parameter exposure_time = " + seconds_text(timing->exposure_ns) + " s");
   }
   return Readiness::READY;
 }

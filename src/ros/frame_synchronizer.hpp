@@ -19,7 +19,6 @@
 #include "ros/input_buffers.hpp"
 #include "ros/input_problems.hpp"
 #include "ros/overload.hpp"
-#include "ros/throttled_log.hpp"
 
 namespace gyro_deblur {
 
@@ -54,10 +53,10 @@ class FrameSynchronizer : public InputBuffers {
   using Followed = std::array<std::optional<TimeRange>, 2>;
 
   /// @param extrinsic  may be absent
-  /// @param calibration, exposures  what holds for frames apart from messages; these, log and problems have to outlive
+  /// @param calibration, exposures  what holds for frames apart from messages; these and problems have to outlive
   /// this
   FrameSynchronizer(InputBuffers inputs, Extrinsic extrinsic, const CalibrationInUse* calibration,
-                    const ExposureChoice* exposures, ThrottledLog* log, InputProblems* problems);
+                    const ExposureChoice* exposures, InputProblems* problems);
 
   /// Records which frames have become ready. After every message.
   void mark_ready();
@@ -106,7 +105,6 @@ class FrameSynchronizer : public InputBuffers {
   const Extrinsic extrinsic_;
   const CalibrationInUse& calibration_;
   const ExposureChoice& exposures_;
-  ThrottledLog& log_;
   InputProblems& problems_;
   OverloadRule overload_;
 };

@@ -15,7 +15,7 @@ GyroSource::Options GyroSource::options_of(const Config& config) {
 }
 
 GyroSource::GyroSource(const Options& options, Log log)
-    : log_(std::move(log)), options_(options), buffer_(options.capacity_ns) {}
+    : problems_(std::move(log)), options_(options), buffer_(options.capacity_ns) {}
 
 void GyroSource::resize(TimeNs capacity_ns) {
   if (capacity_ns == options_.capacity_ns) return;
@@ -50,9 +50,9 @@ bool GyroSource::add(const sensor_msgs::Imu& imu) {
   if (!sample->rate_rad_s.allFinite()) {
     // The stamp of such a message means nothing.
     ++statistics_.imu_not_finite;
-    log_(LogLevel::WARNING, "imu not finite",
-         "imu sample at " + seconds_text(sample->t_ns) + " s dropped: its angular velocity " +
-             vector_text(sample->rate_rad_s) + " rad/s is not finite. Check the IMU's driver");
+    problems_.log(LogLevel::WARNING, "imu not finite",
+                  "imu sample at " + seconds_text(sample->t_ns) + " s dropped: its angular velocity " +
+                      vector_text(sample->rate_rad_s) + " rad/s is not finite. Check the IMU's driver");
     return false;
   }
   check_.add(*sample, options_.gyro);
@@ -86,21 +86,21 @@ void GyroSource::refuse(const TimestampFilterResult<GyroSample>::Refused& refuse
   switch (refused.why) {
     case RejectReason::REPEATED:
       ++statistics_.imu_duplicate;
-      log_(LogLevel::WARNING, "imu duplicate",
-           "imu sample dropped: a second one with the stamp " + stamp_text +
-               " s. Check that one driver publishes to imu");
+      problems_.log(LogLevel::WARNING, "imu duplicate",
+                    "imu sample dropped: a second one with the stamp " + stamp_text +
+                        " s. Check that one driver publishes to imu");
       break;
     case RejectReason::LATE:  // counted when it came
-      log_(LogLevel::WARNING, "imu out of order",
-           "imu sample dropped: its stamp " + stamp_text +
-               " s is before that of the previous one. Check the IMU's driver");
+      problems_.log(LogLevel::WARNING, "imu out of order",
+                    "imu sample dropped: its stamp " + stamp_text +
+                        " s is before that of the previous one. Check the IMU's driver");
       break;
     case RejectReason::FAR:
     case RejectReason::AHEAD:
       ++statistics_.imu_stray;
-      log_(LogLevel::WARNING, "imu stray",
-           "imu sample dropped: its stamp " + stamp_text +
-               " s is far from those of the samples around it. Check the IMU's clock");
+      problems_.log(LogLevel::WARNING, "imu stray",
+                    "imu sample dropped: its stamp " + stamp_text +
+                        " s is far from those of the samples around it. Check the IMU's clock");
       break;
   }
 }

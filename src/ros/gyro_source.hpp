@@ -16,7 +16,6 @@
 #include "gyro_deblur/time.hpp"
 #include "ros/gyro_check.hpp"
 #include "ros/input_problems.hpp"
-#include "ros/throttled_log.hpp"
 #include "ros/timestamp_filter.hpp"
 
 namespace gyro_deblur {
@@ -72,8 +71,7 @@ class GyroSource {
   void refuse(const TimestampFilterResult<GyroSample>::Refused& refused);
   void resize(TimeNs capacity_ns);
 
-  ThrottledLog log_;
-  InputProblems problems_{&log_};  // locks itself
+  InputProblems problems_;  // locks itself
 
   mutable std::mutex mutex_;  // everything below
   Options options_;

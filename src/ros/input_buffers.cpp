@@ -27,13 +27,10 @@ bool SameExposure::operator()(const Exposure& a, const Exposure& b) const {
 }
 
 InputBuffers::InputBuffers(Clocks clocks, std::shared_ptr<GyroSource> gyro_source,
-                           std::function<bool()> exposure_sender, Log log, ThrottledLog* throttled_log,
-                           InputProblems* problems)
+                           std::function<bool()> exposure_sender, InputProblems* problems)
     : clocks_(std::move(clocks)),
       gyro_source_(std::move(gyro_source)),
       exposure_sender_(std::move(exposure_sender)),
-      log_(std::move(log)),
-      throttled_log_(*throttled_log),
       problems_(*problems),
       jumps_(config_.time_jump_ns),
       gyro_(gyro_source_),
@@ -92,9 +89,9 @@ void InputBuffers::handle(TimeJumpDetector::Result result, Stream stream, TimeNs
   for (const Stream every : {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE}) {
     forget(every, every == stream ? ShownBy::ITSELF : ShownBy::OTHER);
   }
-  log_(LogLevel::WARNING, std::string("time went backwards (") + to_string(stream) + " from " + seconds_text(from_ns) +
-                              " to " + seconds_text(to_ns) +
-                              " s): starting anew, frames that waited pass through unchanged");
+  problems_.log(LogLevel::WARNING, std::string("time went backwards (") + to_string(stream) + " from " +
+                                       seconds_text(from_ns) + " to " + seconds_text(to_ns) +
+                                       " s): starting anew, frames that waited pass through unchanged");
 }
 
 void InputBuffers::record_time(Stream stream, TimeNs stamp_ns) {
@@ -139,11 +136,11 @@ void InputBuffers::record_liveness(TimeNs now_ns) {
   const auto report = [this](const char* topic, std::optional<bool> awaited) {
     if (!awaited) return;
     const std::string kind = std::string(topic) + " liveness";
-    throttled_log_(*awaited ? LogLevel::INFO : LogLevel::WARNING, kind,
-                   *awaited
-                       ? std::string(topic) + " has resumed: images wait for it again"
-                       : std::to_string(StreamLiveness::kMissesEndWaiting) + " consecutive images had no matching " +
-                             topic + ": images no longer wait for it until it resumes");
+    problems_.log(*awaited ? LogLevel::INFO : LogLevel::WARNING, kind,
+                  *awaited
+                      ? std::string(topic) + " has resumed: images wait for it again"
+                      : std::to_string(StreamLiveness::kMissesEndWaiting) + " consecutive images had no matching " +
+                            topic + ": images no longer wait for it until it resumes");
   };
   report("camera_info", infos_.update(now_ns, config_.input_timeout_ns));
   // A setting serves all.

@@ -22,7 +22,6 @@
 #include "ros/per_image_messages.hpp"
 #include "ros/picture.hpp"
 #include "ros/repetition_watch.hpp"
-#include "ros/throttled_log.hpp"
 #include "ros/time_jump.hpp"
 
 namespace gyro_deblur {
@@ -52,11 +51,10 @@ class InputBuffers {
     std::function<TimeNs()> steady;  ///< keeps going when a simulated clock stops; may be absent
   };
 
-  /// @param log  for what is reported once; `throttled_log` for what may recur with every message. Both, and
-  /// `problems`, have to outlive this.
   /// @param exposure_sender  true when somebody will send exposure messages; may be absent
-  InputBuffers(Clocks clocks, std::shared_ptr<GyroSource> gyro_source, std::function<bool()> exposure_sender, Log log,
-               ThrottledLog* throttled_log, InputProblems* problems);
+  /// @param problems  has to outlive this
+  InputBuffers(Clocks clocks, std::shared_ptr<GyroSource> gyro_source, std::function<bool()> exposure_sender,
+               InputProblems* problems);
 
   void set_config(const Config& config);
   /// From now on frames pass through with BAD_CONFIGURATION and this text.
@@ -148,8 +146,6 @@ class InputBuffers {
   const Clocks clocks_;
   const std::shared_ptr<GyroSource> gyro_source_;  // locks itself
   const std::function<bool()> exposure_sender_;
-  const Log log_;
-  ThrottledLog& throttled_log_;
   InputProblems& problems_;
   Config config_;
   std::string config_error_ = "not configured yet";

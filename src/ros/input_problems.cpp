@@ -1,7 +1,29 @@
-// Logs problems of inputs and keeps them for the diagnostics.
+// Logs lines, each kind at most once in a while, and keeps problems of inputs for the diagnostics.
 #include "ros/input_problems.hpp"
 
 namespace gyro_deblur {
+namespace {
+
+constexpr TimeNs kLogPeriodNs = 5'000'000'000;
+
+}  // namespace
+
+void InputProblems::log(LogLevel level, const std::string& kind, const std::string& text) {
+  std::string more;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const TimeNs now_ns = steady_clock_();
+    const auto found = throttles_.find(kind);
+    if (found != throttles_.end() && now_ns - found->second.last_ns < kLogPeriodNs) {
+      ++found->second.suppressed;
+      return;
+    }
+    Throttle& throttle = throttles_[kind];
+    if (throttle.suppressed > 0) more = " (and " + std::to_string(throttle.suppressed) + " more of the kind)";
+    throttle = {now_ns, 0};
+  }
+  log_(level, text + more);
+}
 
 void InputProblems::report(const std::string& kind, const std::string& text, LogLevel level) {
   {
@@ -12,7 +34,7 @@ void InputProblems::report(const std::string& kind, const std::string& text, Log
     problem.active = true;
     ++problem.count;
   }
-  log_(level, kind, text);
+  log(level, kind, text);
 }
 
 void InputProblems::resolve(const std::string& kind) {
@@ -23,6 +45,7 @@ void InputProblems::resolve(const std::string& kind) {
 
 void InputProblems::clear() {
   const std::lock_guard<std::mutex> lock(mutex_);
+  throttles_.clear();
   problems_.clear();
 }
 

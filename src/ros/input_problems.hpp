@@ -1,14 +1,20 @@
-// Problems of inputs that a user has to act on.
+// The log, and problems of inputs that a user has to act on.
 #pragma once
 
 #include <cstddef>
+#include <functional>
 #include <map>
 #include <mutex>
 #include <string>
+#include <utility>
 
-#include "ros/throttled_log.hpp"
+#include "ros/steady_clock.hpp"
 
 namespace gyro_deblur {
+
+enum class LogLevel { INFO, WARNING, ERROR };
+
+using Log = std::function<void(LogLevel, const std::string&)>;
 
 /// One problem: what happened, the value, what is allowed, what to do.
 struct InputProblem {
@@ -22,21 +28,35 @@ struct InputProblem {
 /// Thread-safe.
 class InputProblems {
  public:
-  /// @param log  gets the first report of each kind at once, later ones throttled
-  explicit InputProblems(ThrottledLog* log) : log_(*log) {}
+  /// @param steady_clock  absent: steady_now_ns
+  explicit InputProblems(Log log, std::function<TimeNs()> steady_clock = nullptr)
+      : log_(std::move(log)), steady_clock_(steady_clock ? std::move(steady_clock) : steady_now_ns) {}
 
+  /// A line of its own.
+  void log(LogLevel level, const std::string& text) const { log_(level, text); }
+  /// A line that may recur: the next of its kind within 5 s of the one before is only counted.
+  void log(LogLevel level, const std::string& kind, const std::string& text);
+
+  /// Keeps a problem, and logs it as a line that may recur.
   /// @param kind  equal for reports of the same problem, e.g. "camera_info stamp"
   void report(const std::string& kind, const std::string& text, LogLevel level = LogLevel::WARNING);
   /// The problem is gone: the diagnostics leave it out from now on.
   void resolve(const std::string& kind);
+  /// Forgets all problems. The next line of every kind is logged.
   void clear();
 
   /// All problems since the start, by kind.
   std::map<std::string, InputProblem> all() const;
 
  private:
-  ThrottledLog& log_;
-  mutable std::mutex mutex_;
+  struct Throttle {
+    TimeNs last_ns = 0;
+    std::size_t suppressed = 0;
+  };
+  const Log log_;
+  const std::function<TimeNs()> steady_clock_;
+  mutable std::mutex mutex_;  // the next members
+  std::map<std::string, Throttle> throttles_;
   std::map<std::string, InputProblem> problems_;
 };
 

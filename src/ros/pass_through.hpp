@@ -5,7 +5,7 @@
 #include <stdexcept>
 #include <string>
 
-#include "ros/throttled_log.hpp"
+#include "ros/input_problems.hpp"
 
 namespace gyro_deblur {
 

@@ -15,18 +15,17 @@ namespace gyro_deblur {
 
 Processor::Processor(Environment environment)
     : environment_(std::move(environment)),
-      log_(environment_.log, environment_.steady_clock),
-      problems_(&log_),
+      problems_(environment_.log, environment_.steady_clock),
       gyro_source_(environment_.gyro
                        ? environment_.gyro
                        : std::make_shared<GyroSource>(GyroSource::options_of(Config()), environment_.log)),
       tracker_(TrackerOptions{}),
-      self_calibrator_(environment_.self_calibration, &log_),
-      calibration_(&problems_, environment_.log),
+      self_calibrator_(environment_.self_calibration, &problems_),
+      calibration_(&problems_),
       mask_(&problems_),
       synchronizer_(InputBuffers({environment_.clock, environment_.steady_clock}, gyro_source_,
-                                 environment_.exposure_expected, environment_.log, &log_, &problems_),
-                    environment_.extrinsic, &calibration_, &exposures_, &log_, &problems_) {}
+                                 environment_.exposure_expected, &problems_),
+                    environment_.extrinsic, &calibration_, &exposures_, &problems_) {}
 
 void Processor::set_config(const Config& config) {
   config.validate();
@@ -223,7 +222,7 @@ void Processor::advance(const Sink& sink, bool finishing) {
       try {
         learn_from(*synchronized, output.exposure);
       } catch (const std::exception& error) {  // costs no frame
-        log_(LogLevel::ERROR, "self-calibration", std::string("self-calibration failed: ") + error.what());
+        problems_.log(LogLevel::ERROR, "self-calibration", std::string("self-calibration failed: ") + error.what());
       }
     } catch (...) {
       // Even passing it through failed, for lack of memory for example: it stays the first to be published.
@@ -294,7 +293,6 @@ void Processor::reset() {
   exposures_.reset();
   gyro_unit_.clear();
   gyro_unit_is_wrong_ = false;
-  log_.clear();
   problems_.clear();
   record_calibration_file();
   notify_worker();

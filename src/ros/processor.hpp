@@ -32,7 +32,6 @@
 #include "ros/self_calibrator.hpp"
 #include "ros/statistics.hpp"
 #include "ros/stereo_rig.hpp"
-#include "ros/throttled_log.hpp"
 
 namespace gyro_deblur {
 
@@ -185,7 +184,6 @@ class Processor {
   void check_gyro_unit(const FrameOutput& output);
 
   const Environment environment_;
-  ThrottledLog log_;
   InputProblems problems_;                         // locks itself
   const std::shared_ptr<GyroSource> gyro_source_;  // locks itself; taken after mutex_
 

@@ -27,11 +27,11 @@ void Processor::keep_global_shutter_in_order(FrameOutput* output) {
   if (last_moved_ && stamp.input_ns > last_moved_->input_ns && stamp.output_ns <= last_moved_->output_ns) {
     output->global_shutter.reset();
     output->global_shutter_info.reset();
-    log_(LogLevel::WARNING, "global_shutter",
-         "frame " + seconds_text(stamp.input_ns) +
-             " has no global-shutter image: it passes through unmoved, and the one "
-             "before was moved to " +
-             seconds_text(last_moved_->output_ns) + "; rectify_to: middle_row moves stamps least");
+    problems_.log(LogLevel::WARNING, "global_shutter",
+                  "frame " + seconds_text(stamp.input_ns) +
+                      " has no global-shutter image: it passes through unmoved, and the one "
+                      "before was moved to " +
+                      seconds_text(last_moved_->output_ns) + "; rectify_to: middle_row moves stamps least");
     return;
   }
   last_moved_ = stamp;
@@ -43,8 +43,9 @@ void Processor::record_exposure(const FrameOutput& output) {
   const ChosenExposure& chosen = *output.exposure;
   if (chosen.origin == ExposureOrigin::IMAGES && !synchronizer_.has_exposure_from_images()) {
     synchronizer_.set_exposure_from_images();
-    log_(LogLevel::INFO, "exposure found",
-         "the exposure time is " + seconds_text(chosen.exposure_ns) + " s, estimated from the blur of the images");
+    problems_.log(
+        LogLevel::INFO, "exposure found",
+        "the exposure time is " + seconds_text(chosen.exposure_ns) + " s, estimated from the blur of the images");
   }
   if (const std::optional<ExposureConflict>& conflict = exposures_.conflict()) {
     problems_.report(kKind, conflict_text(*conflict));
@@ -79,13 +80,13 @@ void Processor::record(const FrameOutput& output) {
   if (output.residual_rotation) gyro_errors_.add(stamp_ns, *output.residual_rotation);
   check_gyro_unit(output);
   if (!output.keypoints_text.empty()) {
-    log_(LogLevel::ERROR, "keypoints", name + " has no keypoints: " + output.keypoints_text);
+    problems_.log(LogLevel::ERROR, "keypoints", name + " has no keypoints: " + output.keypoints_text);
   }
-  if (output.dropped) log_(LogLevel::INFO, "drop_poor", name + " is not published: " + output.reason_text);
+  if (output.dropped) problems_.log(LogLevel::INFO, "drop_poor", name + " is not published: " + output.reason_text);
   // A time jump has been reported, once for all its frames.
   if (output.reason != PassThroughReason::NONE && output.reason != PassThroughReason::TIME_JUMP) {
-    log_(level_of(output.reason), to_string(output.reason),
-         name + " passes through unchanged: " + to_string(output.reason) + ": " + output.reason_text);
+    problems_.log(level_of(output.reason), to_string(output.reason),
+                  name + " passes through unchanged: " + to_string(output.reason) + ": " + output.reason_text);
   }
 }
 

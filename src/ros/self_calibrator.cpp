@@ -30,7 +30,7 @@ void lower_priority() {
 
 }  // namespace
 
-SelfCalibrator::SelfCalibrator(Work work, ThrottledLog* log) : work_(work), log_(*log) {
+SelfCalibrator::SelfCalibrator(Work work, InputProblems* problems) : work_(work), problems_(*problems) {
   learned_ = calibration_.learned();
 }
 
@@ -136,7 +136,8 @@ void SelfCalibrator::run(const Job& job) {
     if (!calibration_.is_due()) return;
     calibration_.update();
   } catch (const std::exception& error) {
-    log_(LogLevel::ERROR, "self-calibration", std::string("self-calibration left an image out: ") + error.what());
+    problems_.log(LogLevel::ERROR, "self-calibration",
+                  std::string("self-calibration left an image out: ") + error.what());
     return;
   }
   const std::lock_guard<std::mutex> lock(mutex_);

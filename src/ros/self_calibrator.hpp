@@ -19,7 +19,7 @@
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
 #include "gyro_deblur/time.hpp"
-#include "ros/throttled_log.hpp"
+#include "ros/input_problems.hpp"
 
 namespace gyro_deblur {
 
@@ -31,8 +31,8 @@ class SelfCalibrator {
     IN_BACKGROUND,  ///< on a thread of low priority, which leaves images out when it cannot keep up
   };
 
-  /// @param log  has to outlive this
-  SelfCalibrator(Work work, ThrottledLog* log);
+  /// @param problems  has to outlive this
+  SelfCalibrator(Work work, InputProblems* problems);
   ~SelfCalibrator();
   SelfCalibrator(const SelfCalibrator&) = delete;
   SelfCalibrator& operator=(const SelfCalibrator&) = delete;
@@ -74,7 +74,7 @@ class SelfCalibrator {
   void look_at(const Image& image);
 
   const Work work_;
-  ThrottledLog& log_;
+  InputProblems& problems_;
 
   mutable std::mutex mutex_;  // the next members
   std::condition_variable wakes_;

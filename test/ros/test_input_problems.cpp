@@ -11,8 +11,7 @@ namespace {
 class InputProblemsTest : public testing::Test {
  protected:
   std::vector<std::string> lines_;
-  ThrottledLog log_{[this](LogLevel, const std::string& text) { lines_.push_back(text); }};
-  InputProblems problems_{&log_};
+  InputProblems problems_{[this](LogLevel, const std::string& text) { lines_.push_back(text); }};
 };
 
 TEST_F(InputProblemsTest, LogAndListSayTheSame) {

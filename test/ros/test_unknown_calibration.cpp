@@ -279,9 +279,8 @@ class InUse : public testing::Test {
 
   Config config_;
   LearnedCalibration learned_;
-  ThrottledLog log_{[](LogLevel, const std::string&) {}};
-  InputProblems problems_{&log_};
-  CalibrationInUse in_use_{&problems_, [](LogLevel, const std::string&) {}};
+  InputProblems problems_{[](LogLevel, const std::string&) {}};
+  CalibrationInUse in_use_{&problems_};
 };
 
 TEST_F(InUse, ALearnedOffsetHasHalfOfAReadoutTimeThatExposuresWereWithout) {
@@ -297,7 +296,7 @@ TEST_F(InUse, AStoredOffsetMeansTheSameWhoeverKnowsTheReadoutTimeNextTime) {
   const LearnedCalibration stored = in_use_.by_images();
   for (const bool given : {false, true}) {
     config_.given.readout_time = given;
-    CalibrationInUse next(&problems_, [](LogLevel, const std::string&) {});
+    CalibrationInUse next(&problems_);
     next.set_config(config_);
     next.remember(stored);
     EXPECT_NEAR(to_seconds(next.config().gyro.time_offset_ns), 0.04, 1e-9) << given;
@@ -305,7 +304,7 @@ TEST_F(InUse, AStoredOffsetMeansTheSameWhoeverKnowsTheReadoutTimeNextTime) {
   LearnedCalibration without = learned_;
   without.readout_s.known = false;
   config_.given.readout_time = false;
-  CalibrationInUse other(&problems_, [](LogLevel, const std::string&) {});
+  CalibrationInUse other(&problems_);
   other.set_config(config_);
   other.learn(without, 1, false);
   EXPECT_FALSE(other.by_images().time_offset_s.known) << "half of an unknown readout time may be in it";
@@ -404,9 +403,9 @@ TEST_F(StoredCalibration, HasAFileForEachNodeAndImageSize) {
 
 TEST(SelfCalibrator, LearnsInTheBackgroundAndLeavesOutWhatItCannotKeepUpWith) {
   std::vector<std::string> log;
-  ThrottledLog throttled([&log](LogLevel, const std::string& text) { log.push_back(text); });
-  SelfCalibrator at_once(SelfCalibrator::Work::AT_ONCE, &throttled);
-  SelfCalibrator background(SelfCalibrator::Work::IN_BACKGROUND, &throttled);
+  InputProblems problems([&log](LogLevel, const std::string& text) { log.push_back(text); });
+  SelfCalibrator at_once(SelfCalibrator::Work::AT_ONCE, &problems);
+  SelfCalibrator background(SelfCalibrator::Work::IN_BACKGROUND, &problems);
   camera().rewind();
   for (int i = 0; i < RotatingCamera::kFrames; ++i) {
     std::vector<GyroSample> samples;
