@@ -279,12 +279,12 @@ void Processor::add_result(const SynchronizedFrame& synchronized, const FrameReq
 FrameAction Processor::decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const {
   StereoCamera* const stereo = environment_.stereo.get();
   const TimeNs stamp_ns = synchronized.frame.stamp_ns;
-  if (!synchronized.drop_poor) return {stereo ? stereo->decide(stamp_ns, field) : "", ""};
-  if (!stereo) return {"", drop_text(field)};
+  if (!stereo) return {"", synchronized.drop_poor ? drop_text(field) : ""};
+  if (!synchronized.drop_poor) return stereo->decide(stamp_ns, field);
   FrameBlur passed_through = field;
   passed_through.reject_all();
   const bool may_be_dropped = assess_quality(field).grade != QualityGrade::UNKNOWN;
-  return stereo->decide(stamp_ns, field, {may_be_dropped, drop_text(field), drop_text(passed_through)});
+  return stereo->decide(stamp_ns, field, DropReasons{may_be_dropped, drop_text(field), drop_text(passed_through)});
 }
 
 ChosenExposure Processor::choose_exposure(const SynchronizedFrame& synchronized, const PipelineResult& estimated) {

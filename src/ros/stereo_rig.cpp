@@ -119,19 +119,11 @@ void StereoRig::pass_stereo_partners_through(const std::shared_ptr<Pair>& pair, 
   if (!pair->agreed && pair->pass_through_text.empty()) pair->pass_through_text = members_[id].name + " " + why;
 }
 
-void StereoRig::pass_stereo_partners_through(Id id, TimeNs stamp_ns, const std::string& why) {
-  change(id, stamp_ns, [&](const std::shared_ptr<Pair>& pair) { pass_stereo_partners_through(pair, id, why); });
-}
-
 void StereoRig::pass_through(Id id, TimeNs stamp_ns, const std::string& why) {
   change(id, stamp_ns, [&](const std::shared_ptr<Pair>& pair) {
     pair->none_dropped = true;
     pass_stereo_partners_through(pair, id, why);
   });
-}
-
-void StereoRig::agree(Id id, TimeNs stamp_ns) {
-  change(id, stamp_ns, [id](const std::shared_ptr<Pair>& pair) { pair->places[id].phase = Phase::REPORTED; });
 }
 
 StereoRig::Blocking StereoRig::blocking(const Pair& pair, Id id) const {
@@ -209,7 +201,7 @@ FrameAction StereoRig::wait_for_stereo_partners(Id id, TimeNs stamp_ns, const Im
     if (pair->agreed) return {pair->pass_through_text, droppable ? pair->drop_text : ""};
     const bool may_be_dropped = droppable && !pair->none_dropped;
     if (!may_be_dropped && (!report.deblurs || !pair->pass_through_text.empty())) {
-      record_punctuality(*pair, id);
+      if (report.deblurs || report.drop_reasons) record_punctuality(*pair, id);
       return {pair->pass_through_text, ""};
     }
     const Blocking before = blocked;
@@ -248,30 +240,10 @@ void StereoCamera::pass_through(TimeNs stamp_ns, PassThroughReason reason) {
   rig_->pass_through(this, stamp_ns, std::string("passes this image through: ") + to_string(reason));
 }
 
-namespace {
-
-/// Whether all blocks that are not masked are sharp.
-bool is_all_sharp(const FrameBlur& field) {
-  return field.count(BlockStatus::SHARP) + field.count(BlockStatus::MASKED) == field.blocks.size();
-}
-
-}  // namespace
-
-std::string StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field) {
-  if (field.count(BlockStatus::DEBLURRED) > 0) {
-    return rig_->wait_for_stereo_partners(this, stamp_ns, {}).pass_through_text;
-  }
-  if (is_all_sharp(field)) {
-    rig_->agree(this, stamp_ns);
-  } else {
-    rig_->pass_stereo_partners_through(this, stamp_ns, kNothingToDeblur);
-  }
-  return {};
-}
-
-FrameAction StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field, const DropReasons& drop_reasons) {
+FrameAction StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field,
+                                 const std::optional<DropReasons>& drop_reasons) {
   const bool deblurs = field.count(BlockStatus::DEBLURRED) > 0;
-  const bool is_sharp = is_all_sharp(field);
+  const bool is_sharp = field.count(BlockStatus::SHARP) + field.count(BlockStatus::MASKED) == field.blocks.size();
   FrameAction action = rig_->wait_for_stereo_partners(
       this, stamp_ns, {deblurs, deblurs || is_sharp ? "" : kNothingToDeblur, drop_reasons});
   if (!deblurs) action.pass_through_text.clear();  // nothing would be deblurred anyway

@@ -111,8 +111,6 @@ class StereoRig {
   void announce(Id id, TimeNs stamp_ns);
   void begin(Id id, TimeNs stamp_ns);
   void pass_through(Id id, TimeNs stamp_ns, const std::string& why);
-  void pass_stereo_partners_through(Id id, TimeNs stamp_ns, const std::string& why);
-  void agree(Id id, TimeNs stamp_ns);
   FrameAction wait_for_stereo_partners(Id id, TimeNs stamp_ns, const ImageReport& report);
 
   // These need mutex_.
@@ -151,12 +149,12 @@ class StereoCamera {
   void begin(TimeNs stamp_ns) { rig_->begin(this, stamp_ns); }
   /// It passes through, whatever was reported before, unless the decision has been made.
   void pass_through(TimeNs stamp_ns, PassThroughReason reason);
-  /// May the image be deblurred? Waits for the stereo partners, at most for the timeout, if it has blocks to deblur.
+  /// May the image be deblurred, and is it published? Waits for the stereo partners, at most for the timeout, if it has
+  /// blocks to deblur.
   /// @param field  validated
-  /// @return why not, with the stereo partner's name; empty: it may
-  std::string decide(TimeNs stamp_ns, const FrameBlur& field);
-  /// The same for a camera with drop_poor, which waits even if there is nothing to deblur.
-  FrameAction decide(TimeNs stamp_ns, const FrameBlur& field, const DropReasons& drop_reasons);
+  /// @param drop_reasons  of a camera with drop_poor, which waits even if there is nothing to deblur
+  /// @return reasons against both, with the stereo partner's name; empty: none
+  FrameAction decide(TimeNs stamp_ns, const FrameBlur& field, const std::optional<DropReasons>& drop_reasons = {});
 
  private:
   const std::shared_ptr<StereoRig> rig_;

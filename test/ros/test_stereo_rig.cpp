@@ -53,7 +53,7 @@ class StereoRigTest : public testing::Test {
   std::future<std::string> decide(std::size_t i, TimeNs stamp_ns, const FrameBlur& field = blurred()) {
     return std::async(std::launch::async, [this, i, stamp_ns, field] {
       camera(i).begin(stamp_ns);
-      return camera(i).decide(stamp_ns, field);
+      return camera(i).decide(stamp_ns, field).pass_through_text;
     });
   }
 
@@ -65,7 +65,7 @@ class StereoRigTest : public testing::Test {
 TEST_F(StereoRigTest, OneCameraDecidesAlone) {
   make(kEndless, 1);
   camera(0).announce(kPeriod);
-  EXPECT_EQ(camera(0).decide(kPeriod, blurred()), "");
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred()).pass_through_text, "");
 }
 
 TEST_F(StereoRigTest, BothWaitForEachOther) {
@@ -73,7 +73,7 @@ TEST_F(StereoRigTest, BothWaitForEachOther) {
   for (TimeNs stamp_ns = kPeriod; stamp_ns < 20 * kPeriod; stamp_ns += kPeriod) {
     announce(stamp_ns);
     auto first = decide(0, stamp_ns), second = decide(1, stamp_ns);
-    EXPECT_EQ(camera(2).decide(stamp_ns, blurred()), "");
+    EXPECT_EQ(camera(2).decide(stamp_ns, blurred()).pass_through_text, "");
     EXPECT_EQ(first.get(), "");
     EXPECT_EQ(second.get(), "");
   }
@@ -87,37 +87,41 @@ TEST_F(StereoRigTest, ImageThatPassesThroughTakesItsPartnerAlong) {
   EXPECT_EQ(waits.get(), "/cam1 passes this image through: OVERLOAD");
   announce(2 * kPeriod);
   camera(1).pass_through(2 * kPeriod, PassThroughReason::NO_CALIBRATION);  // before anybody asks
-  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred()), "/cam1 passes this image through: NO_CALIBRATION");
+  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred()).pass_through_text,
+            "/cam1 passes this image through: NO_CALIBRATION");
 }
 
 TEST_F(StereoRigTest, ImageThatStaysBlurredTakesItsPartnerAlongAndOneThatIsSharpDoesNot) {
   make(kEndless);
   announce(kPeriod);
-  EXPECT_EQ(camera(1).decide(kPeriod, rejected()), "") << "it is processed, though nothing may be deblurred";
-  EXPECT_EQ(camera(0).decide(kPeriod, blurred()), "/cam1 has no block of this image that may be deblurred");
+  EXPECT_EQ(camera(1).decide(kPeriod, rejected()).pass_through_text, "")
+      << "it is processed, though nothing may be deblurred";
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred()).pass_through_text,
+            "/cam1 has no block of this image that may be deblurred");
   announce(2 * kPeriod);
-  EXPECT_EQ(camera(1).decide(2 * kPeriod, sharp()), "");
-  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred()), "");
+  EXPECT_EQ(camera(1).decide(2 * kPeriod, sharp()).pass_through_text, "");
+  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred()).pass_through_text, "");
   for (const BlockStatus status : {BlockStatus::TOO_LARGE, BlockStatus::TOO_CURVED, BlockStatus::NO_GYRO}) {
     const TimeNs stamp_ns = (3 + static_cast<int>(status)) * kPeriod;
     announce(stamp_ns);
     camera(1).decide(stamp_ns, field({BlockStatus::SHARP, status}));
-    EXPECT_NE(camera(0).decide(stamp_ns, blurred()), "") << to_string(status);
+    EXPECT_NE(camera(0).decide(stamp_ns, blurred()).pass_through_text, "") << to_string(status);
   }
 }
 
 TEST_F(StereoRigTest, WhoGivesUpBindsThePartner) {
   make(kNone);
   announce(kPeriod);
-  EXPECT_EQ(camera(0).decide(kPeriod, blurred()), "/cam1 has not decided on its image of 0.050000000 s within 0 ms");
-  EXPECT_EQ(camera(1).decide(kPeriod, blurred()), "/cam0 has not waited for this image any longer");
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred()).pass_through_text,
+            "/cam1 has not decided on its image of 0.050000000 s within 0 ms");
+  EXPECT_EQ(camera(1).decide(kPeriod, blurred()).pass_through_text, "/cam0 has not waited for this image any longer");
 }
 
 TEST_F(StereoRigTest, WhatIsAgreedOnStays) {
   make(kEndless);
   announce(kPeriod);
   auto first = decide(0, kPeriod);
-  EXPECT_EQ(camera(1).decide(kPeriod, blurred()), "");
+  EXPECT_EQ(camera(1).decide(kPeriod, blurred()).pass_through_text, "");
   camera(1).pass_through(kPeriod, PassThroughReason::INTERNAL_ERROR);  // too late
   EXPECT_EQ(first.get(), "");
 }
@@ -131,24 +135,24 @@ TEST_F(StereoRigTest, LostImageHoldsNobodyUp) {
   EXPECT_EQ(first.get(), "");
   camera(0).announce(3 * kPeriod);
   auto second = decide(0, 3 * kPeriod);
-  EXPECT_EQ(camera(1).decide(3 * kPeriod, blurred()), "");
+  EXPECT_EQ(camera(1).decide(3 * kPeriod, blurred()).pass_through_text, "");
   EXPECT_EQ(second.get(), "");
 }
 
 TEST_F(StereoRigTest, SilentCameraCostsThreeImages) {
   make(kNone);
   camera(0).announce(kPeriod);
-  EXPECT_EQ(camera(0).decide(kPeriod, blurred()), "") << "no image of the other has ever come";
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred()).pass_through_text, "") << "no image of the other has ever come";
   announce(2 * kPeriod);
   camera(1).pass_through(2 * kPeriod, PassThroughReason::OVERLOAD);
   for (TimeNs i = 3; i < 20; ++i) {
     camera(0).announce(i * kPeriod);
-    EXPECT_EQ(camera(0).decide(i * kPeriod, blurred()).empty(), i >= 6) << i;
+    EXPECT_EQ(camera(0).decide(i * kPeriod, blurred()).pass_through_text.empty(), i >= 6) << i;
   }
   // It comes back, and its images count at once.
   announce(20 * kPeriod);
   camera(1).pass_through(20 * kPeriod, PassThroughReason::OVERLOAD);
-  EXPECT_NE(camera(0).decide(20 * kPeriod, blurred()), "");
+  EXPECT_NE(camera(0).decide(20 * kPeriod, blurred()).pass_through_text, "");
 }
 
 TEST_F(StereoRigTest, CameraOfAnotherRateIsNotWaitedForLong) {
@@ -158,9 +162,9 @@ TEST_F(StereoRigTest, CameraOfAnotherRateIsNotWaitedForLong) {
     camera(0).announce(i * kPeriod);
     if (i % 2 == 0) {
       camera(1).announce(i * kPeriod);
-      EXPECT_EQ(camera(1).decide(i * kPeriod, sharp()), "");
+      EXPECT_EQ(camera(1).decide(i * kPeriod, sharp()).pass_through_text, "");
     }
-    refused += !camera(0).decide(i * kPeriod, blurred()).empty();
+    refused += !camera(0).decide(i * kPeriod, blurred()).pass_through_text.empty();
   }
   EXPECT_LE(refused, 6);
 }
@@ -178,7 +182,7 @@ TEST_F(StereoRigTest, CameraThatIsSilentForAWhileIsWaitedForAgain) {
   int refused = 0;
   for (; i < 20; ++i) {
     camera(0).announce(i * kPeriod);
-    refused += !camera(0).decide(i * kPeriod, blurred()).empty();
+    refused += !camera(0).decide(i * kPeriod, blurred()).pass_through_text.empty();
     camera(1).announce(i * kPeriod);
   }
   EXPECT_GT(refused, 0);
@@ -188,7 +192,7 @@ TEST_F(StereoRigTest, SlowCameraIsWaitedForOnlyWhileItIsAtTheImage) {
   make(kNone);
   const std::string waited = " s within 0 ms", not_waited = " s";
   const auto expect = [this](TimeNs i, const std::string& end) {
-    const std::string why = camera(0).decide(i * kPeriod, blurred());
+    const std::string why = camera(0).decide(i * kPeriod, blurred()).pass_through_text;
     EXPECT_EQ(why.substr(why.size() - std::min(why.size(), end.size())), end) << i << ": " << why;
   };
   TimeNs i = 1;
@@ -205,7 +209,7 @@ TEST_F(StereoRigTest, SlowCameraIsWaitedForOnlyWhileItIsAtTheImage) {
   for (int k = 0; k < 3; ++k, ++i) {
     announce(i * kPeriod);
     camera(1).decide(i * kPeriod, sharp());
-    EXPECT_EQ(camera(0).decide(i * kPeriod, blurred()), "");
+    EXPECT_EQ(camera(0).decide(i * kPeriod, blurred()).pass_through_text, "");
   }
   announce(i * kPeriod);
   expect(i, waited);
@@ -216,11 +220,12 @@ TEST_F(StereoRigTest, StampsOfAPairMayDifferByThreeMilliseconds) {
   camera(0).announce(kPeriod);
   camera(1).announce(kPeriod + 3 * kMs);
   camera(1).pass_through(kPeriod + 3 * kMs, PassThroughReason::OVERLOAD);
-  EXPECT_NE(camera(0).decide(kPeriod, blurred()), "");
+  EXPECT_NE(camera(0).decide(kPeriod, blurred()).pass_through_text, "");
   camera(0).announce(2 * kPeriod);
   camera(1).announce(2 * kPeriod + 3 * kMs + 1);
   camera(1).pass_through(2 * kPeriod + 3 * kMs + 1, PassThroughReason::OVERLOAD);
-  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred()), "") << "a later image: it has none of this instant";
+  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred()).pass_through_text, "")
+      << "a later image: it has none of this instant";
 }
 
 TEST_F(StereoRigTest, LeavingWakesThePartnerAndOneself) {
@@ -235,7 +240,7 @@ TEST_F(StereoRigTest, LeavingWakesThePartnerAndOneself) {
   auto oneself = decide(0, 2 * kPeriod);
   camera(0).set_timeout(0);
   EXPECT_EQ(oneself.get(), "");
-  EXPECT_EQ(camera(1).decide(2 * kPeriod, blurred()), "");
+  EXPECT_EQ(camera(1).decide(2 * kPeriod, blurred()).pass_through_text, "");
 }
 
 TEST_F(StereoRigTest, RecordingThatIsPlayedAgainIsDecidedAnew) {
@@ -247,7 +252,7 @@ TEST_F(StereoRigTest, RecordingThatIsPlayedAgainIsDecidedAnew) {
       if (passes) camera(1).pass_through(i * kPeriod, PassThroughReason::OVERLOAD);
       auto first = decide(0, i * kPeriod);
       if (!passes) {
-        EXPECT_EQ(camera(1).decide(i * kPeriod, blurred()), "") << loop << ' ' << i;
+        EXPECT_EQ(camera(1).decide(i * kPeriod, blurred()).pass_through_text, "") << loop << ' ' << i;
       }
       EXPECT_EQ(first.get().empty(), !passes) << loop << ' ' << i;
     }
@@ -312,7 +317,7 @@ TEST_F(DroppingRigTest, NoneIsDroppedWhereOneLeavesWhateverTheOthersSay) {
   EXPECT_EQ(action.drop_text, "");
   EXPECT_EQ(action.pass_through_text, "/cam1 passes this image through: OVERLOAD");
   stamp_ns_ = kPeriod;
-  for (const FrameAction& each : decide_both(blurred(), poor(), blurred(), {false, "", ""})) {
+  for (const FrameAction& each : decide_both(blurred(), poor(), blurred(), DropReasons{false, "", ""})) {
     EXPECT_EQ(each.drop_text, "");
   }
 }
@@ -337,14 +342,14 @@ TEST_F(DroppingRigTest, WhoIsTooLateToBeAskedIsNotDroppedWhereItMayNotBe) {
   EXPECT_NE(camera(0).decide(kPeriod, blurred(), poor()).drop_text, "");
   camera(1).announce(kPeriod);
   camera(1).begin(kPeriod);
-  EXPECT_EQ(camera(1).decide(kPeriod, blurred(), {false, "", ""}).drop_text, "");
+  EXPECT_EQ(camera(1).decide(kPeriod, blurred(), DropReasons{false, "", ""}).drop_text, "");
 }
 
 TEST_F(DroppingRigTest, CameraThatDropsNoneLosesNone) {
   make(kEndless);
   announce(kPeriod);
   auto dropping = decide_drop(0, kPeriod, blurred(), poor());
-  EXPECT_EQ(camera(1).decide(kPeriod, blurred()), "");
+  EXPECT_EQ(camera(1).decide(kPeriod, blurred()).pass_through_text, "");
   EXPECT_NE(dropping.get().drop_text, "");
 }
 
@@ -409,7 +414,7 @@ TEST_F(StereoRigTest, WhateverHappensBothAreDeblurredOrNone) {
             outcomes[c].push_back(fate <= 5 ? Outcome::BLURRED : Outcome::SHARP);
             continue;
           }
-          const bool permitted = camera(c).decide(stamp_ns, blurred()).empty();
+          const bool permitted = camera(c).decide(stamp_ns, blurred()).pass_through_text.empty();
           outcomes[c].push_back(permitted ? Outcome::DEBLURRED : Outcome::BLURRED);
         }
       });
