@@ -3,11 +3,13 @@
 
 #include <cstddef>
 #include <deque>
+#include <iterator>
+#include <map>
 #include <optional>
 #include <utility>
 
 #include "gyro_deblur/time.hpp"
-#include "ros/stamped_store.hpp"
+#include "ros/time_jump.hpp"
 
 namespace gyro_deblur {
 
@@ -74,7 +76,8 @@ class PerImageMessages {
     if (!seen_stamped_) liveness_.clear();
     seen_ = seen_stamped_ = true;
     take_newest(value);
-    store_.add(stamp_ns, std::move(value), capacity);
+    entries_.push_back({stamp_ns, epochs_.next(stamp_ns), std::move(value)});
+    while (entries_.size() > capacity) entries_.pop_front();
     liveness_.came(stamp_ns);
   }
   /// A message whose stamp has not been set.
@@ -96,24 +99,38 @@ class PerImageMessages {
   bool awaited() const { return liveness_.awaited() && !has_no_stamps(); }
   bool seen() const { return seen_; }
 
-  const T* find(TimeNs stamp_ns) const { return store_.find(stamp_ns); }
-  const T* find_before(TimeNs stamp_ns, TimeNs oldest_ns) const { return store_.find_before(stamp_ns, oldest_ns); }
+  /// The newest to come with this stamp; null when there is none.
+  const T* find(TimeNs stamp_ns) const {
+    for (auto entry = entries_.rbegin(); entry != entries_.rend(); ++entry) {
+      if (entry->stamp_ns == stamp_ns) return &entry->value;
+    }
+    return nullptr;
+  }
+  /// The one with the newest stamp in [oldest_ns, stamp_ns); null when there is none.
+  const T* find_before(TimeNs stamp_ns, TimeNs oldest_ns) const {
+    const Entry* best = nullptr;
+    for (const Entry& entry : entries_) {
+      if (entry.stamp_ns < oldest_ns || entry.stamp_ns >= stamp_ns) continue;
+      if (best == nullptr || entry.stamp_ns > best->stamp_ns) best = &entry;
+    }
+    return best == nullptr ? nullptr : &best->value;
+  }
 
   /// Number of messages with later stamps.
-  std::size_t later(TimeNs stamp_ns) const { return store_.around(stamp_ns, 0, kReachNs).later; }
+  std::size_t later(TimeNs stamp_ns) const { return around(stamp_ns, 0, kReachNs).later; }
 
   /// The substitute of a message: once a later one has arrived, the one with the stamp is lost or out of order. If its
   /// neighbours agree, it equals them. Null: not known, or they differ.
   const T* find_if_neighbours_agree(TimeNs stamp_ns) const {
-    const Around around = store_.around(stamp_ns, kReachNs, kReachNs);
-    const T* other = around.before != nullptr ? around.before : around.after_that;
-    return around.after != nullptr && other != nullptr && Same()(*around.after, *other) ? around.after : nullptr;
+    const Around near = around(stamp_ns, kReachNs, kReachNs);
+    const T* other = near.before != nullptr ? near.before : near.after_that;
+    return near.after != nullptr && other != nullptr && Same()(*near.after, *other) ? near.after : nullptr;
   }
   /// The last message before the stamp, if it equals the one before it and none is later; else null.
   const T* find_last_unchanged(TimeNs stamp_ns) const {
-    const Around around = store_.around(stamp_ns, stamp_ns, kReachNs);
-    if (around.after != nullptr || around.before == nullptr || around.before_that == nullptr) return nullptr;
-    return Same()(*around.before, *around.before_that) ? around.before : nullptr;
+    const Around last = around(stamp_ns, stamp_ns, kReachNs);
+    if (last.after != nullptr || last.before == nullptr || last.before_that == nullptr) return nullptr;
+    return Same()(*last.before, *last.before_that) ? last.before : nullptr;
   }
 
   /// Messages that do not belong to single images (latched, rare, or without a stamp) hold until the next one: the
@@ -127,8 +144,8 @@ class PerImageMessages {
   }
   /// Number of messages within kReachNs of the stamp.
   std::size_t near(TimeNs stamp_ns) const {
-    const Around around = store_.around(stamp_ns, kReachNs, kReachNs);
-    return around.later + (around.before != nullptr) + (around.before_that != nullptr);
+    const Around all = around(stamp_ns, kReachNs, kReachNs);
+    return all.later + (all.before != nullptr) + (all.before_that != nullptr);
   }
 
   /// As after the start. A latched message is not sent again, so that it stays.
@@ -141,32 +158,57 @@ class PerImageMessages {
     seen_ = newest_.has_value();
     seen_stamped_ = had_stamps;
   }
-  /// See StampedStore; what belongs to an image is decided by the new epoch alone.
-  void clear() {
-    store_.clear();
-    begin_epoch();
-  }
-  void clear_old_epoch() {
-    store_.clear_old_epoch();
-    begin_epoch();
-  }
+  /// Time was reset, as the stream itself shows: what belongs to an image is decided by the new epoch alone.
+  void clear() { begin_epoch(epochs_.begin()); }
+  /// Time was reset, as another stream shows, see EpochCounter::reset.
+  void clear_old_epoch() { begin_epoch(epochs_.reset()); }
 
  private:
-  using Around = typename StampedStore<T>::Around;
+  struct Entry {
+    TimeNs stamp_ns;
+    int epoch;
+    T value;
+  };
+  /// What came for other stamps; null where there is none.
+  struct Around {
+    const T *before = nullptr, *before_that = nullptr;  ///< the nearest before the stamp, and the next
+    const T *after = nullptr, *after_that = nullptr;    ///< the nearest after it, and the next
+    std::size_t later = 0;                              ///< how many stamps there are after it
+  };
   /// Messages farther apart are not compared: a stamp may be wrong, or be of another epoch.
   static constexpr TimeNs kReachNs = 1'000'000'000;
 
+  /// @param back_ns, ahead_ns  how far off [ns] others may be; >= 0
+  Around around(TimeNs stamp_ns, TimeNs back_ns, TimeNs ahead_ns) const {
+    std::map<TimeNs, const T*> by_stamp;
+    for (const Entry& entry : entries_) {
+      const TimeNs step_ns = entry.stamp_ns - stamp_ns;
+      if (step_ns != 0 && step_ns >= -back_ns && step_ns <= ahead_ns) by_stamp[entry.stamp_ns] = &entry.value;
+    }
+    const auto following = by_stamp.lower_bound(stamp_ns);
+    Around around;
+    around.later = static_cast<std::size_t>(std::distance(following, by_stamp.end()));
+    if (around.later > 0) around.after = following->second;
+    if (around.later > 1) around.after_that = std::next(following)->second;
+    if (following == by_stamp.begin()) return around;
+    const auto preceding = std::prev(following);
+    around.before = preceding->second;
+    if (preceding != by_stamp.begin()) around.before_that = std::prev(preceding)->second;
+    return around;
+  }
   bool has_no_stamps() const { return seen_ && !seen_stamped_; }
   void take_newest(T value) {
     newest_is_as_before_ = newest_ && Same()(*newest_, value);
     newest_ = std::move(value);
   }
-  void begin_epoch() {
+  void begin_epoch(int epoch) {
+    while (!entries_.empty() && entries_.front().epoch < epoch) entries_.pop_front();
     if (liveness_.is_per_image()) newest_.reset();
     liveness_.clear();
   }
 
-  StampedStore<T> store_;
+  std::deque<Entry> entries_;  // in order of arrival
+  EpochCounter epochs_;
   StreamLiveness liveness_;
   std::optional<T> newest_;           // to come
   bool newest_is_as_before_ = false;  // it equals the one before
