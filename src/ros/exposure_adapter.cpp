@@ -8,6 +8,7 @@
 #include <ros/message_traits.h>
 #include <nlohmann/json.hpp>
 
+#include "base/join.hpp"
 #include "ros/deserialization.hpp"
 #include "ros/messages.hpp"
 #include "ros/processor.hpp"
@@ -36,12 +37,6 @@ ExposureReading reading_of(const std::string& field, double value_s, const std::
     throw std::runtime_error("exposure: " + field + " = " + std::to_string(value_s) + " s is not an exposure time");
   }
   return {to_ns(value_s), stamp_ns};
-}
-
-std::string list_of(const std::vector<std::string>& names) {
-  std::string list;
-  for (const std::string& name : names) list += (list.empty() ? "" : ", ") + name;
-  return list;
 }
 
 }  // namespace
@@ -107,7 +102,7 @@ std::optional<ExposureReading> ExposureAdapter::read(const std::string& type, co
     look_through(config.ints);
     if (!value) {
       throw std::runtime_error("exposure: no number of the parameters is called exposure_field = \"" + field +
-                               "\"; there are " + list_of(names));
+                               "\"; there are " + join(names));
     }
     value_s = seconds(*value);
   } else {
@@ -115,7 +110,7 @@ std::optional<ExposureReading> ExposureAdapter::read(const std::string& type, co
     const std::optional<FieldValue> value = layout.find(field, bytes, size);
     if (!value || std::holds_alternative<std::string>(*value)) {
       throw std::runtime_error("exposure: " + type + " has no number exposure_field = \"" + field + "\"; it has " +
-                               list_of(layout.paths()));
+                               join(layout.paths()));
     }
     value_s = std::holds_alternative<FieldTime>(*value) ? to_seconds(std::get<FieldTime>(*value).ns)
                                                         : seconds(std::get<double>(*value));
@@ -130,7 +125,7 @@ std::optional<ExposureReading> ExposureAdapter::read_metadata(const std::string&
   const MessageLayout& layout = layout_of(type, definition);
   const std::optional<FieldValue> text = layout.find("json_data", bytes, size);
   if (!text || !std::holds_alternative<std::string>(*text)) {
-    throw std::runtime_error("exposure: " + type + " has no string json_data; it has " + list_of(layout.paths()));
+    throw std::runtime_error("exposure: " + type + " has no string json_data; it has " + join(layout.paths()));
   }
   const nlohmann::json json = nlohmann::json::parse(std::get<std::string>(*text), nullptr, false);
   if (!json.is_object() || !json.contains(field) || !json[field].is_number()) {

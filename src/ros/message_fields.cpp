@@ -8,18 +8,6 @@
 namespace gyro_deblur {
 namespace {
 
-/// Bytes of a built-in type of fixed size; 0 for others.
-std::size_t size_of(const std::string& type) {
-  static const std::map<std::string, std::size_t> kSizes{{"bool", 1},    {"byte", 1},  {"char", 1},    {"int8", 1},
-                                                         {"uint8", 1},   {"int16", 2}, {"uint16", 2},  {"int32", 4},
-                                                         {"uint32", 4},  {"int64", 8}, {"uint64", 8},  {"float32", 4},
-                                                         {"float64", 8}, {"time", 8},  {"duration", 8}};
-  const auto found = kSizes.find(type);
-  return found == kSizes.end() ? 0 : found->second;
-}
-
-bool is_builtin(const std::string& type) { return type == "string" || size_of(type) > 0; }
-
 /// The serialisation is little-endian, as are all machines that ROS 1 supports.
 template <typename T>
 T load(const std::uint8_t* bytes) {
@@ -28,26 +16,41 @@ T load(const std::uint8_t* bytes) {
   return value;
 }
 
-FieldValue to_value(const std::string& type, const std::uint8_t* bytes) {
+template <typename T>
+FieldValue number(const std::uint8_t* bytes) {
+  return static_cast<double>(load<T>(bytes));
+}
+
+/// @tparam Seconds  unsigned for a time, signed for a duration
+template <typename Seconds>
+FieldValue time(const std::uint8_t* bytes) {
   constexpr TimeNs kNsPerSecond = 1'000'000'000;
   constexpr std::size_t kSecondPart = 4;
-  if (type == "time") {
-    return FieldTime{load<std::uint32_t>(bytes) * kNsPerSecond + load<std::uint32_t>(bytes + kSecondPart)};
-  }
-  if (type == "duration") {
-    return FieldTime{load<std::int32_t>(bytes) * kNsPerSecond + load<std::int32_t>(bytes + kSecondPart)};
-  }
-  if (type == "float32") return static_cast<double>(load<float>(bytes));
-  if (type == "float64") return load<double>(bytes);
-  if (type == "int8" || type == "byte") return static_cast<double>(load<std::int8_t>(bytes));
-  if (type == "int16") return static_cast<double>(load<std::int16_t>(bytes));
-  if (type == "uint16") return static_cast<double>(load<std::uint16_t>(bytes));
-  if (type == "int32") return static_cast<double>(load<std::int32_t>(bytes));
-  if (type == "uint32") return static_cast<double>(load<std::uint32_t>(bytes));
-  if (type == "int64") return static_cast<double>(load<std::int64_t>(bytes));
-  if (type == "uint64") return static_cast<double>(load<std::uint64_t>(bytes));
-  return static_cast<double>(*bytes);  // bool, char, uint8
+  return FieldTime{load<Seconds>(bytes) * kNsPerSecond + load<Seconds>(bytes + kSecondPart)};
 }
+
+/// A built-in type of fixed size.
+struct Builtin {
+  std::size_t size;
+  FieldValue (*read)(const std::uint8_t* bytes);
+};
+
+/// Null for other types.
+const Builtin* find_builtin(const std::string& type) {
+  static const std::map<std::string, Builtin> kTypes{
+      {"bool", {1, number<std::uint8_t>}},    {"byte", {1, number<std::int8_t>}},
+      {"char", {1, number<std::uint8_t>}},    {"int8", {1, number<std::int8_t>}},
+      {"uint8", {1, number<std::uint8_t>}},   {"int16", {2, number<std::int16_t>}},
+      {"uint16", {2, number<std::uint16_t>}}, {"int32", {4, number<std::int32_t>}},
+      {"uint32", {4, number<std::uint32_t>}}, {"int64", {8, number<std::int64_t>}},
+      {"uint64", {8, number<std::uint64_t>}}, {"float32", {4, number<float>}},
+      {"float64", {8, number<double>}},       {"time", {8, time<std::uint32_t>}},
+      {"duration", {8, time<std::int32_t>}}};
+  const auto found = kTypes.find(type);
+  return found == kTypes.end() ? nullptr : &found->second;
+}
+
+bool is_builtin(const std::string& type) { return type == "string" || find_builtin(type) != nullptr; }
 
 std::string package_of(const std::string& type) { return type.substr(0, type.find('/')); }
 
@@ -139,10 +142,10 @@ class MessageLayout::Walk {
         continue;
       }
       const std::size_t count = field.count > 0 ? field.count : load<std::uint32_t>(take(sizeof(std::uint32_t)));
-      const std::size_t bytes_each = size_of(field.type);
-      if (bytes_each > 0 && wanted_.rfind(path + "[", 0) != 0) {  // pixels, most likely
-        if (count > left_ / bytes_each) fail();
-        take(count * bytes_each);
+      const Builtin* const builtin = find_builtin(field.type);
+      if (builtin != nullptr && wanted_.rfind(path + "[", 0) != 0) {  // pixels, most likely
+        if (count > left_ / builtin->size) fail();
+        take(count * builtin->size);
         continue;
       }
       for (std::size_t i = 0; i < count; ++i) {
@@ -176,9 +179,10 @@ class MessageLayout::Walk {
       value_ = std::string(text, length);
       return true;
     }
-    const std::uint8_t* bytes = take(size_of(type));
+    const Builtin& builtin = *find_builtin(type);
+    const std::uint8_t* bytes = take(builtin.size);
     if (path != wanted_) return false;
-    value_ = to_value(type, bytes);
+    value_ = builtin.read(bytes);
     return true;
   }
 
