@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <iterator>
 #include <optional>
 
 #include <Eigen/Core>
@@ -19,6 +20,33 @@ constexpr float kUnknown = -1;
 constexpr char kMarkerNamespace[] = "blur";
 /// At the depth of the lines.
 constexpr double kMarkerWidthPx = 2, kMarkerGapPx = 8, kMarkerHalfTickPx = 4;
+
+/// In the order in which VINS-Mono's estimator reads the first five.
+constexpr struct {
+  const char* name;
+  double (*value)(const Track& track);
+} kTrackChannels[] = {
+    {"id_of_point", [](const Track& track) { return static_cast<double>(track.id); }},
+    {"u_of_point", [](const Track& track) { return track.pixel_px.x(); }},
+    {"v_of_point", [](const Track& track) { return track.pixel_px.y(); }},
+    {"velocity_x_of_point", [](const Track& track) { return track.velocity_1_s.x(); }},
+    {"velocity_y_of_point", [](const Track& track) { return track.velocity_1_s.y(); }},
+    {"covariance_uu_of_point", [](const Track& track) { return track.covariance_px2(0, 0); }},
+    {"covariance_uv_of_point", [](const Track& track) { return track.covariance_px2(0, 1); }},
+    {"covariance_vv_of_point", [](const Track& track) { return track.covariance_px2(1, 1); }},
+};
+
+/// One marker without content.
+visualization_msgs::MarkerArrayPtr make_markers(const std_msgs::Header& header, std::int32_t action) {
+  auto array = boost::make_shared<visualization_msgs::MarkerArray>();
+  array->markers.resize(1);
+  visualization_msgs::Marker& marker = array->markers.front();
+  marker.header = header;
+  marker.ns = kMarkerNamespace;
+  marker.action = action;
+  marker.pose.orientation.w = 1;
+  return array;
+}
 
 }  // namespace
 
@@ -142,19 +170,8 @@ KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions&
 sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const std_msgs::Header& header) {
   auto message = boost::make_shared<sensor_msgs::PointCloud>();
   message->header = header;
-  enum Channel : std::size_t { ID, U, V, VELOCITY_X, VELOCITY_Y, COVARIANCE_UU, COVARIANCE_UV, COVARIANCE_VV, COUNT };
-  message->channels.resize(COUNT);
-  message->channels[ID].name = "id_of_point";
-  message->channels[U].name = "u_of_point";
-  message->channels[V].name = "v_of_point";
-  message->channels[VELOCITY_X].name = "velocity_x_of_point";
-  message->channels[VELOCITY_Y].name = "velocity_y_of_point";
-  message->channels[COVARIANCE_UU].name = "covariance_uu_of_point";
-  message->channels[COVARIANCE_UV].name = "covariance_uv_of_point";
-  message->channels[COVARIANCE_VV].name = "covariance_vv_of_point";
-  const auto add = [&message](Channel channel, double value) {
-    message->channels[channel].values.push_back(static_cast<float>(value));
-  };
+  message->channels.resize(std::size(kTrackChannels));
+  for (std::size_t i = 0; i < std::size(kTrackChannels); ++i) message->channels[i].name = kTrackChannels[i].name;
   for (const Track& track : tracks) {
     if (track.length < 2) continue;
     geometry_msgs::Point32 point;
@@ -162,29 +179,18 @@ sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const st
     point.y = static_cast<float>(track.normalized.y());
     point.z = 1;
     message->points.push_back(point);
-    add(ID, track.id);
-    add(U, track.pixel_px.x());
-    add(V, track.pixel_px.y());
-    add(VELOCITY_X, track.velocity_1_s.x());
-    add(VELOCITY_Y, track.velocity_1_s.y());
-    add(COVARIANCE_UU, track.covariance_px2(0, 0));
-    add(COVARIANCE_UV, track.covariance_px2(0, 1));
-    add(COVARIANCE_VV, track.covariance_px2(1, 1));
+    for (std::size_t i = 0; i < std::size(kTrackChannels); ++i) {
+      message->channels[i].values.push_back(static_cast<float>(kTrackChannels[i].value(track)));
+    }
   }
   return message;
 }
 
 visualization_msgs::MarkerArrayPtr to_markers(const FrameBlur& field, const Camera& camera,
                                               const std_msgs::Header& header) {
-  auto array = boost::make_shared<visualization_msgs::MarkerArray>();
-  array->markers.resize(1);
+  visualization_msgs::MarkerArrayPtr array = make_markers(header, visualization_msgs::Marker::ADD);
   visualization_msgs::Marker& marker = array->markers.front();
-  marker.header = header;
-  marker.ns = kMarkerNamespace;
-  marker.id = 0;
   marker.type = visualization_msgs::Marker::LINE_LIST;
-  marker.action = visualization_msgs::Marker::ADD;
-  marker.pose.orientation.w = 1;
   marker.color.a = 1;
   marker.scale.x = kMarkerWidthPx / camera.calibration().fx_px;
 
@@ -229,13 +235,7 @@ visualization_msgs::MarkerArrayPtr to_markers(const FrameBlur& field, const Came
 }
 
 visualization_msgs::MarkerArrayPtr no_markers(const std_msgs::Header& header) {
-  auto array = boost::make_shared<visualization_msgs::MarkerArray>();
-  array->markers.resize(1);
-  array->markers.front().header = header;
-  array->markers.front().ns = kMarkerNamespace;
-  array->markers.front().action = visualization_msgs::Marker::DELETE;
-  array->markers.front().pose.orientation.w = 1;
-  return array;
+  return make_markers(header, visualization_msgs::Marker::DELETE);
 }
 
 }  // namespace gyro_deblur
