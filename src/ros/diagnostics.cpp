@@ -160,28 +160,20 @@ double DiagnosticReport::rate(const Moment& now, std::size_t newer, std::size_t 
 
 void DiagnosticReport::add_losses(const Moment& now, DiagnosticStatusWrapper* status) const {
   const ProcessorStatistics& statistics = now.statistics;
+  const auto add = [status](const std::string& key, std::size_t count, std::size_t before, const std::string& text) {
+    add_count(key, count, status);
+    if (count > before) status->mergeSummary(DiagnosticStatus::WARN, std::to_string(count - before) + text);
+  };
   for (const auto& [reason, count] : statistics.passed_through) {
-    add_count(std::string("passed through, ") + to_string(reason), count, status);
-    const std::size_t fresh = count - count_of(last_.passed_through, reason);
-    if (fresh > 0) {
-      status->mergeSummaryf(DiagnosticStatus::WARN, "%zu frames passed through: %s; %s", fresh, to_string(reason),
-                            remedy(reason));
-    }
+    const std::string name = to_string(reason);
+    add("passed through, " + name, count, count_of(last_.passed_through, reason),
+        " frames passed through: " + name + "; " + remedy(reason));
   }
-  add_count("images dropped, POOR", statistics.dropped_poor, status);
-  if (const std::size_t fresh = statistics.dropped_poor - last_.dropped_poor; fresh > 0) {
-    status->mergeSummaryf(
-        DiagnosticStatus::WARN,
-        "%zu images dropped by drop_poor: they or the other images of their pairs are POOR; see image_quality", fresh);
-  }
-  add_count("compressed images left out, not decodable", statistics.undecodable_images, status);
-  if (const std::size_t fresh = statistics.undecodable_images - last_.undecodable_images; fresh > 0) {
-    status->mergeSummaryf(
-        DiagnosticStatus::WARN,
-        "%zu compressed images could not be decoded and have no output: check the camera's cable, its "
-        "bandwidth and its driver",
-        fresh);
-  }
+  add("images dropped, POOR", statistics.dropped_poor, last_.dropped_poor,
+      " images dropped by drop_poor: they or the other images of their pairs are POOR; see image_quality");
+  add("compressed images left out, not decodable", statistics.undecodable_images, last_.undecodable_images,
+      " compressed images could not be decoded and have no output: check the camera's cable, its bandwidth and its "
+      "driver");
 }
 
 void DiagnosticReport::add_frames(const Moment& now, DiagnosticStatusWrapper* status) const {

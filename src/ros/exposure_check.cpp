@@ -8,6 +8,27 @@
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
+namespace {
+
+struct NeedRow {
+  const char *name, *blur;
+};
+
+NeedRow need_row(ExposureNeed need) {
+  switch (need) {
+    case ExposureNeed::MOTION:
+      return {"motion", "is too short to estimate it: rotate the camera faster, or "};
+    case ExposureNeed::TEXTURE:
+      return {"texture", "shows too little of it: show a scene with more texture, or "};
+    case ExposureNeed::LIGHT:
+      return {"light", "is hidden by noise: give the scene more light, or "};
+    case ExposureNeed::NOTHING:
+      break;
+  }
+  return {"", "does not show it: "};
+}
+
+}  // namespace
 
 std::optional<std::string> exposure_fault(const std::string& name, TimeNs exposure_ns, const FramePeriod& period) {
   // Sony's Pregius sensors expose for 1 us at least, others for longer. The upper end is that of exposure_time.
@@ -43,34 +64,11 @@ std::string conflict_text(const ExposureConflict& conflict) {
                                                 "or leave it empty");
 }
 
-const char* to_string(ExposureNeed need) {
-  switch (need) {
-    case ExposureNeed::MOTION:
-      return "motion";
-    case ExposureNeed::TEXTURE:
-      return "texture";
-    case ExposureNeed::LIGHT:
-      return "light";
-    case ExposureNeed::NOTHING:
-      break;
-  }
-  return "";
-}
+const char* to_string(ExposureNeed need) { return need_row(need).name; }
 
 std::string unknown_exposure_text(ExposureNeed need) {
-  std::string text =
-      "the exposure time is not known yet: there is no exposure message, no exposure_time that fits, and the blur ";
-  switch (need) {
-    case ExposureNeed::MOTION:
-      return text + "is too short to estimate it: rotate the camera faster, or set exposure_time";
-    case ExposureNeed::TEXTURE:
-      return text + "shows too little of it: show a scene with more texture, or set exposure_time";
-    case ExposureNeed::LIGHT:
-      return text + "is hidden by noise: give the scene more light, or set exposure_time";
-    case ExposureNeed::NOTHING:
-      break;
-  }
-  return text + "does not show it: set exposure_time";
+  return std::string("the exposure time is not known yet: there is no exposure message, no exposure_time that fits, ") +
+         "and the blur " + need_row(need).blur + "set exposure_time";
 }
 
 }  // namespace gyro_deblur

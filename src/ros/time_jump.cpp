@@ -8,19 +8,7 @@ namespace {
 
 /// Messages that may be in flight in subscription queues when time is reset, with a margin: images and what comes with
 /// them by tens, IMU samples and readings of the clock by hundreds or thousands.
-int straggler_limit(Stream stream) {
-  switch (stream) {
-    case Stream::IMU:
-      return 1000;
-    case Stream::CLOCK:
-      return 5000;
-    case Stream::IMAGE:
-    case Stream::CAMERA_INFO:
-    case Stream::EXPOSURE:
-      break;
-  }
-  return 30;
-}
+int straggler_limit(Stream stream) { return stream == Stream::CLOCK ? 5000 : stream == Stream::IMU ? 1000 : 30; }
 
 /// A late camera_info or exposure is no evidence of a time jump. Its image is.
 bool detects_resets(Stream stream) { return stream != Stream::CAMERA_INFO && stream != Stream::EXPOSURE; }
