@@ -2,6 +2,7 @@
 #include "ros/calibration_in_use.hpp"
 
 #include <cmath>
+#include <map>
 #include <utility>
 
 #include <Eigen/Geometry>
@@ -12,8 +13,6 @@
 
 namespace gyro_deblur {
 namespace {
-
-std::string kind_of(const std::string& key) { return key + " by images"; }
 
 double difference(double a, double b) { return std::abs(a - b); }
 double difference(const Eigen::Vector3d& a, const Eigen::Vector3d& b) { return (a - b).norm(); }
@@ -208,19 +207,14 @@ UsedCalibration CalibrationInUse::used() const {
 }
 
 void CalibrationInUse::check() {
-  std::set<std::string> found;
+  std::map<std::string, std::string> found{
+      {"R_cam_imu", ""}, {"time_offset", ""}, {"readout_time", ""}, {"gyro_bias", ""}};
   if (learns()) {
     LearnedCalibration learned = learned_;
     learned.time_offset_s = time_offset();
-    for (const Contradiction& each : contradictions(used(), learned)) {
-      found.insert(each.key);
-      if (contradicted_.count(each.key) == 0) problems_.report(kind_of(each.key), each.text);
-    }
+    for (const Contradiction& each : contradictions(used(), learned)) found[each.key] = each.text;
   }
-  for (const std::string& key : contradicted_) {
-    if (found.count(key) == 0) problems_.resolve(kind_of(key));
-  }
-  contradicted_ = found;
+  for (const auto& [key, text] : found) problems_.update(key + " by images", text);
 }
 
 std::vector<CalibrationRow> CalibrationInUse::table() const {

@@ -47,8 +47,6 @@ class CalibrationInUse {
   ///                             one that is given, or none
   /// @return true when other values are used from now on
   bool learn(const LearnedCalibration& learned, double readout_share, bool readout_by_messages);
-  /// Reports what is still contradicted once more.
-  void forget_contradictions() { contradicted_.clear(); }
   /// The rotation that tf has; nothing: none is used.
   void set_tf(const std::optional<Eigen::Matrix3d>& R_cam_imu) { from_tf_ = R_cam_imu; }
   /// A bias that was measured at rest is used in place of the given one.
@@ -84,7 +82,6 @@ class CalibrationInUse {
   std::set<std::string> remembered_;  // keys of values in taken_
   double readout_share_ = 1;
   bool readout_by_messages_ = false;
-  std::set<std::string> contradicted_;  // keys
 };
 
 }  // namespace gyro_deblur

@@ -106,7 +106,7 @@ void InputBuffers::record_imu() {
     handle(jumps_.went_back(Stream::IMU, news.to_ns), Stream::IMU, news.from_ns, news.to_ns);
   }
   if (news.samples == 0 || !news.newest_ns) return;
-  record_lack(kImuSilent, false, "");
+  problems_.resolve(kImuSilent);
   without_imu_ = 0;
   jumps_.update(Stream::IMU, *news.newest_ns, news.samples);
   clocks_apart_.add_samples(*news.newest_ns, news.samples);
@@ -125,11 +125,12 @@ void InputBuffers::count_without_imu(TimeNs begin_ns) {
   ++without_imu_;
   // One that has never come is reported among the missing inputs.
   if (gyro_.empty() || !imu_is_silent(begin_ns)) return;
-  record_lack(kImuSilent, true,
-              "the IMU has been silent since " + seconds_text(gyro_.available().end_ns) + " s of its clock: images " +
-                  (goes_without_imu(config_) ? "are deblurred by optical flow alone, which is less accurate,"
-                                             : "pass through unchanged") +
-                  " until it comes again. Check its driver and its cable");
+  problems_.update(kImuSilent,
+                   "the IMU has been silent since " + seconds_text(gyro_.available().end_ns) +
+                       " s of its clock: images " +
+                       (goes_without_imu(config_) ? "are deblurred by optical flow alone, which is less accurate,"
+                                                  : "pass through unchanged") +
+                       " until it comes again. Check its driver and its cable");
 }
 
 void InputBuffers::record_liveness(TimeNs now_ns) {
@@ -220,10 +221,10 @@ void InputBuffers::add_exposure_setting(TimeNs exposure_ns) {
 void InputBuffers::add_exposure(const Exposure& exposure) {
   now();
   const TimeNs stamp_ns = to_time_ns(exposure.header.stamp);
-  record_lack(
-      "exposure stamp", is_unset(stamp_ns),
-      "exposure message has the stamp 0: it is used until the next one, like a driver's setting. Publish it with "
-      "the stamp of its image");
+  problems_.update("exposure stamp", is_unset(stamp_ns)
+                                         ? "exposure message has the stamp 0: it is used until the next one, like a "
+                                           "driver's setting. Publish it with the stamp of its image"
+                                         : "");
   if (is_unset(stamp_ns)) {
     // Where other messages have stamps it is not used: each image has its own message.
     if (exposures_.seen() || exposure.exposure_time <= ros::Duration()) return;
@@ -238,19 +239,15 @@ void InputBuffers::add_exposure(const Exposure& exposure) {
   exposures_.add(stamp_ns, exposure, store_size());
 }
 
-void InputBuffers::record_lack(const std::string& kind, bool lacks, const std::string& text) {
-  if (lacks && lacks_.insert(kind).second) problems_.report(kind, text);
-  if (!lacks && lacks_.erase(kind) > 0) problems_.resolve(kind);
-}
-
 void InputBuffers::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
   now();
   const TimeNs stamp_ns = to_time_ns(info->header.stamp);
-  record_lack("camera_info stamp", is_unset(stamp_ns),
-              "camera_info has the stamp 0: each image uses the newest one. Set the driver to give it the stamp of its "
-              "image");
-  record_lack("camera_info size", lacks_size(*info),
-              "camera_info has width and height 0: those of the image are used. Set the driver to fill them in");
+  problems_.update("camera_info stamp", is_unset(stamp_ns) ? "camera_info has the stamp 0: each image uses the newest "
+                                                             "one. Set the driver to give it the stamp of its image"
+                                                           : "");
+  problems_.update("camera_info size", lacks_size(*info) ? "camera_info has width and height 0: those of the image are "
+                                                           "used. Set the driver to fill them in"
+                                                         : "");
   if (is_unset(stamp_ns)) {
     infos_.add_unstamped(info);
     return;
@@ -310,7 +307,6 @@ void InputBuffers::reset() {
   exposures_.reset();
   pictures_.forget();
   repetitions_.clear();
-  lacks_.clear();
   frame_period_.clear();
   exposure_of_images_ = false;
   without_imu_ = 0;

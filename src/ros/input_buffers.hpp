@@ -5,7 +5,6 @@
 #include <functional>
 #include <memory>
 #include <optional>
-#include <set>
 #include <string>
 
 #include <sensor_msgs/CameraInfo.h>
@@ -132,8 +131,6 @@ class InputBuffers {
   std::size_t store_size() const;
   /// Notes in the frame which picture it shows.
   void find_picture(PendingFrame* frame);
-  /// Reports something that each message of a kind may lack when it begins, and when it ends.
-  void record_lack(const std::string& kind, bool lacks, const std::string& text);
   /// Stops waiting for per-image messages that do not come, and reports it.
   void record_liveness(TimeNs now_ns);
   MissingInputs::Seen seen() const;
@@ -162,7 +159,6 @@ class InputBuffers {
   bool setting_lacks_stamp_ = false;  // the setting is a message of a single image that lacks its stamp
   MissingInputs missing_;
   ClockCheck clocks_apart_;
-  std::set<std::string> lacks_;  // kinds of what the newest message lacks
   FramePeriod frame_period_;
   FrameQueue queue_;
   InputStatistics statistics_;

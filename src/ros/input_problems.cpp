@@ -37,6 +37,16 @@ void InputProblems::report(const std::string& kind, const std::string& text, Log
   log(level, kind, text);
 }
 
+void InputProblems::update(const std::string& kind, const std::string& text) {
+  if (text.empty()) return resolve(kind);
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const auto found = problems_.find(kind);
+    if (found != problems_.end() && found->second.active) return;
+  }
+  report(kind, text);
+}
+
 void InputProblems::resolve(const std::string& kind) {
   const std::lock_guard<std::mutex> lock(mutex_);
   const auto found = problems_.find(kind);

@@ -18,42 +18,32 @@ void MissingInputs::finish(const Config& config, const Seen& seen) {
   if (first_image_ns_) report(config, seen, "to the last image");
 }
 
-void MissingInputs::clear() {
-  first_image_ns_.reset();
-  reported_.clear();
-}
-
 void MissingInputs::report(const Config& config, const Seen& seen, const std::string& when) {
   const bool file_has_camera = config.calibration && config.calibration->camera && !config.rectified_input;
-  set("no exposure time",
+  problems_.update(
+      "no exposure time",
       seen.exposure || config.shutter.exposure_ns > 0
           ? ""
           : "exposure_time is not set, and no exposure message has come " + when +
                 ": images are passed through unchanged until it is estimated from their blur, which needs motion. Set "
                 "exposure_time [s], or connect the exposure topic and set exposure_source to its content");
-  set("no camera_info", seen.camera_info || file_has_camera
-                            ? ""
-                            : "no camera_info has come " + when + ", and no calibration file has the camera" +
-                                  (config.rectified_input ? " (rectified_input needs camera_info)" : "") +
-                                  ": publish camera_info in the namespace of the images" +
-                                  (config.rectified_input ? "" : ", or set calibration_file"));
+  problems_.update("no camera_info", seen.camera_info || file_has_camera
+                                         ? ""
+                                         : "no camera_info has come " + when +
+                                               ", and no calibration file has the camera" +
+                                               (config.rectified_input ? " (rectified_input needs camera_info)" : "") +
+                                               ": publish camera_info in the namespace of the images" +
+                                               (config.rectified_input ? "" : ", or set calibration_file"));
   const bool by_flow = goes_without_imu(config);
-  set("no imu",
+  problems_.update(
+      "no imu",
       seen.imu || (by_flow && config.pipeline.flow_without_gyro == "always")
           ? ""
           : "no IMU message with angular rates has come " + when + ": " +
                 (by_flow ? "images are deblurred by optical flow alone, which is less accurate. Connect" : "connect") +
                 " imu to the gyroscope's topic");
   // The code that finds the rotation resolves the report.
-  if (!seen.extrinsic.empty()) set(kNoExtrinsic, seen.extrinsic);
-}
-
-void MissingInputs::set(const std::string& kind, const std::string& text) {
-  if (text.empty()) {
-    if (reported_.erase(kind) > 0) problems_.resolve(kind);
-  } else if (reported_.insert(kind).second) {
-    problems_.report(kind, text);
-  }
+  if (!seen.extrinsic.empty()) problems_.update(kNoExtrinsic, seen.extrinsic);
 }
 
 }  // namespace gyro_deblur

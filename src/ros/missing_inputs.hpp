@@ -2,7 +2,6 @@
 #pragma once
 
 #include <optional>
-#include <set>
 #include <string>
 
 #include "gyro_deblur/config.hpp"
@@ -44,16 +43,13 @@ class MissingInputs {
   /// Nothing more will come.
   void finish(const Config& config, const Seen& seen);
   /// As after the start.
-  void clear();
+  void clear() { first_image_ns_.reset(); }
 
  private:
   void report(const Config& config, const Seen& seen, const std::string& when);
-  /// @param text  why; empty: it is not missing
-  void set(const std::string& kind, const std::string& text);
 
   InputProblems& problems_;
   std::optional<TimeNs> first_image_ns_;
-  std::set<std::string> reported_;  // and not resolved
 };
 
 }  // namespace gyro_deblur

@@ -287,7 +287,6 @@ void Processor::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
   synchronizer_.reset();
   calibration_.set_measured_bias({});
-  calibration_.forget_contradictions();
   self_calibrator_.restart();
   gyro_errors_.clear();
   exposures_.reset();

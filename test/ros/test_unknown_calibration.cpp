@@ -316,7 +316,6 @@ TEST_F(InUse, AContradictionIsReportedAgainAfterAReset) {
   in_use_.learn(learned_, 1, false);
   ASSERT_EQ(problems_.all().count("time_offset by images"), 1U);
   problems_.clear();
-  in_use_.forget_contradictions();
   in_use_.learn(learned_, 1, false);
   EXPECT_EQ(problems_.all().count("time_offset by images"), 1U);
 }
