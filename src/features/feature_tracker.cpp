@@ -31,7 +31,7 @@ bool inside(const Eigen::Vector2d& p, const cv::Size& size) {
 /// Successive errors of a track are correlated, and its patch sees other depths than its point's: more than their sum.
 /// Fits to simulated flights, see doc/reports/tracks.md.
 Eigen::Matrix2d published_covariance(const Eigen::Matrix2d& sum_px2) {
-  constexpr double kFactor = 4.5, kFloorPx = 0.06;
+  constexpr double kFactor = 2.5, kFloorPx = 0.06;
   return kFactor * sum_px2 + kFloorPx * kFloorPx * Eigen::Matrix2d::Identity();
 }
 
