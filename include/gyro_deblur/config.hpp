@@ -58,6 +58,9 @@ struct ExposureSource {
   void validate() const;  ///< throws OptionError
 };
 
+/// Channels of the messages of tracks, by the estimator that reads them.
+enum class TrackLayout { VINS_MONO, VINS_FUSION };
+
 /// Every parameter; doc/guides/parameters.md has the keys and their ranges. Each member has one row in
 /// src/config/config_table.hpp, except for `given` and for what is read from calibration files. Constants as in
 /// options.hpp.
@@ -74,6 +77,7 @@ struct Config {
   GivenNumbers given;                        ///< of gyro and shutter, see parse_config()
   SelfCalibrationMode self_calibration = SelfCalibrationMode::AUTO;
   TrackerOptions tracker;
+  TrackLayout track_layout = TrackLayout::VINS_MONO;
   std::vector<std::string> calibration_files;
   std::string calibration_camera = "cam0";       ///< which of a file's cameras
   std::optional<SensorCalibration> calibration;  ///< of the files; what they say has gone into the fields above

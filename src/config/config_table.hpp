@@ -29,6 +29,12 @@ inline const Names<OnExposureConflict>& names_of(OnExposureConflict) {
   return kNames;
 }
 
+inline const Names<TrackLayout>& names_of(TrackLayout) {
+  static const Names<TrackLayout> kNames{{"vins_mono", TrackLayout::VINS_MONO},
+                                         {"vins_fusion", TrackLayout::VINS_FUSION}};
+  return kNames;
+}
+
 /// Kind and unit together; the unit is part of the name, so that nobody has to guess it.
 using ExposureMessage = std::pair<ExposureSource::Kind, ExposureUnit>;
 
@@ -160,6 +166,9 @@ void visit(Table<Config>, V&& visitor) {
           &O::drop_poor);
   visitor.part(&O::pipeline);
   visitor.part(&O::tracker);
+  visitor({"track_layout",
+           "Channels of the tracks, in the order in which that estimator reads them. vins_fusion: of one camera."},
+          &O::track_layout);
 }
 
 /// Sets one key, if it is known, to a value in YAML. Throws std::exception when the key does not allow the value. What

@@ -31,7 +31,16 @@ PointMotion::Movement PointMotion::movement(TimeNs from_ns, TimeNs to_ns) const 
 
 PointMotion::Place PointMotion::moved(const Eigen::Vector2d& shown_px, const Movement& movement) const {
   const Mean mean = mean_at(shown_px);
-  const Eigen::Vector3d direction = movement.rotation * camera_.ray(shown_px - mean.apparent_offset_px);
+  return moved_by(mean, shown_px - mean.apparent_offset_px, movement);
+}
+
+PointMotion::Place PointMotion::moved_from(const Eigen::Vector2d& place_px, const Movement& movement) const {
+  return moved_by(mean_at(place_px), place_px, movement);
+}
+
+PointMotion::Place PointMotion::moved_by(const Mean& mean, const Eigen::Vector2d& place_px,
+                                         const Movement& movement) const {
+  const Eigen::Vector3d direction = movement.rotation * camera_.ray(place_px);
   const Eigen::Vector2d rotated_px = camera_.project(direction);
   if (mean.share_with_residual == 0) return {rotated_px, direction};
   return {rotated_px + movement.seconds * mean.velocity_px_s, std::nullopt};

@@ -36,6 +36,8 @@ class PointMotion {
   /// Where a scene point is after a movement at whose beginning the image shows it at `shown_px`. Not finite beyond the
   /// range of the lens model.
   Place moved(const Eigen::Vector2d& shown_px, const Movement& movement) const;
+  /// The same of a scene point that is at `place_px` itself when the movement begins, wherever the image shows it.
+  Place moved_from(const Eigen::Vector2d& place_px, const Movement& movement) const;
 
  private:
   /// Mean of the blocks around a pixel.
@@ -44,6 +46,7 @@ class PointMotion {
     double share_with_residual;                         ///< [0, 1]
   };
   Mean mean_at(const Eigen::Vector2d& pixel_px) const;
+  Place moved_by(const Mean& mean, const Eigen::Vector2d& place_px, const Movement& movement) const;
 
   const Camera& camera_;
   const CameraMotion& motion_;

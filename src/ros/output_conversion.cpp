@@ -21,20 +21,44 @@ constexpr char kMarkerNamespace[] = "blur";
 /// At the depth of the lines.
 constexpr double kMarkerWidthPx = 2, kMarkerGapPx = 8, kMarkerHalfTickPx = 4;
 
-/// In the order in which VINS-Mono's estimator reads the first five.
-constexpr struct {
+struct TrackChannel {
   const char* name;
   double (*value)(const Track& track);
-} kTrackChannels[] = {
-    {"id_of_point", [](const Track& track) { return static_cast<double>(track.id); }},
-    {"u_of_point", [](const Track& track) { return track.pixel_px.x(); }},
-    {"v_of_point", [](const Track& track) { return track.pixel_px.y(); }},
-    {"velocity_x_of_point", [](const Track& track) { return track.velocity_1_s.x(); }},
-    {"velocity_y_of_point", [](const Track& track) { return track.velocity_1_s.y(); }},
-    {"covariance_uu_of_point", [](const Track& track) { return track.covariance_px2(0, 0); }},
-    {"covariance_uv_of_point", [](const Track& track) { return track.covariance_px2(0, 1); }},
-    {"covariance_vv_of_point", [](const Track& track) { return track.covariance_px2(1, 1); }},
 };
+
+constexpr TrackChannel kId{"id_of_point", [](const Track&track) { return static_cast<double>(track.id); }},
+    kU{"u_of_point", [](const Track&track) { return track.pixel_px.x(); }},
+    kV{"v_of_point", [](const Track&track) { return track.pixel_px.y(); }},
+    kVelocityX{"velocity_x_of_point", [](const Track&track) { return track.velocity_1_s.x(); }},
+    kVelocityY{"velocity_y_of_point", [](const Track&track) { return track.velocity_1_s.y(); }},
+    kCovarianceUu{"covariance_uu_of_point", [](const Track&track) { return track.covariance_px2(0, 0); }},
+    kCovarianceUv{"covariance_uv_of_point", [](const Track&track) { return track.covariance_px2(0, 1); }},
+    kCovarianceVv{"covariance_vv_of_point", [](const Track&track) { return track.covariance_px2(1, 1); }};
+
+/// In the order in which the estimators read all but the covariances.
+std::vector<TrackChannel> channels_of(TrackLayout layout) {
+  switch (layout) {
+    case TrackLayout::VINS_MONO:
+      return {kId, kU, kV, kVelocityX, kVelocityY, kCovarianceUu, kCovarianceUv, kCovarianceVv};
+    case TrackLayout::VINS_FUSION: {
+      const auto nothing = [](const Track&) { return 0.0; };
+      // It stores the last three, a point's true place, and only draws them.
+      return {kId,
+              {"camera_of_point", nothing},
+              kU,
+              kV,
+              kVelocityX,
+              kVelocityY,
+              {"true_x_of_point", nothing},
+              {"true_y_of_point", nothing},
+              {"true_z_of_point", nothing},
+              kCovarianceUu,
+              kCovarianceUv,
+              kCovarianceVv};
+    }
+  }
+  return {};
+}
 
 /// One marker without content.
 visualization_msgs::MarkerArrayPtr make_markers(const std_msgs::Header& header, std::int32_t action) {
@@ -167,11 +191,13 @@ KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions&
   return message;
 }
 
-sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const std_msgs::Header& header) {
+sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, TrackLayout layout,
+                                      const std_msgs::Header& header) {
+  const std::vector<TrackChannel> channels = channels_of(layout);
   auto message = boost::make_shared<sensor_msgs::PointCloud>();
   message->header = header;
-  message->channels.resize(std::size(kTrackChannels));
-  for (std::size_t i = 0; i < std::size(kTrackChannels); ++i) message->channels[i].name = kTrackChannels[i].name;
+  message->channels.resize(channels.size());
+  for (std::size_t i = 0; i < channels.size(); ++i) message->channels[i].name = channels[i].name;
   for (const Track& track : tracks) {
     if (track.length < 2) continue;
     geometry_msgs::Point32 point;
@@ -179,8 +205,8 @@ sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const st
     point.y = static_cast<float>(track.normalized.y());
     point.z = 1;
     message->points.push_back(point);
-    for (std::size_t i = 0; i < std::size(kTrackChannels); ++i) {
-      message->channels[i].values.push_back(static_cast<float>(kTrackChannels[i].value(track)));
+    for (std::size_t i = 0; i < channels.size(); ++i) {
+      message->channels[i].values.push_back(static_cast<float>(channels[i].value(track)));
     }
   }
   return message;

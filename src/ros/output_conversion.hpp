@@ -11,6 +11,7 @@
 
 #include "blur/frame_quality.hpp"
 #include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/config.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/keypoints.hpp"
@@ -33,12 +34,14 @@ ImageQualityPtr unknown_quality(const std_msgs::Header& header);
 KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions& options,
                             const std_msgs::Header& header);
 
-/// Corners as VINS-Mono's estimator takes them: one point (x, y, 1) each on the undistorted plane z = 1 of the camera,
-/// and the channels id_of_point, u_of_point, v_of_point [px, raw], velocity_x_of_point, velocity_y_of_point [1/s], in
-/// this order, which it reads, and behind them, which it does not, covariance_uu_of_point, covariance_uv_of_point and
-/// covariance_vv_of_point [px^2] of the raw pixel, against the scene point on which the track began. Corners that were
-/// seen for the first time, which have no velocity yet, are left out, as its own tracker does.
-sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, const std_msgs::Header& header);
+/// Corners as an estimator takes them: one point (x, y, 1) each on the undistorted plane z = 1 of the camera, and the
+/// channels that it reads, in its order: for VINS-Mono id_of_point, u_of_point, v_of_point [px], velocity_x_of_point,
+/// velocity_y_of_point [1/s], for VINS-Fusion doc/guides/slam.md#vins-fusion. Behind these are covariance_uu_of_point,
+/// covariance_uv_of_point and covariance_vv_of_point [px^2] of the pixel, against the scene point on which the track
+/// began. Corners that were seen for the first time, which have no velocity yet, are left out, as their own trackers
+/// do.
+sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, TrackLayout layout,
+                                      const std_msgs::Header& header);
 
 /// The blur paths as lines at a depth of 1 m in the camera's frame, in the colours of the overlay; short ones for
 /// blocks whose path would cover another's. In a colour of its own, what the images add to a block's motion; a tick

@@ -23,6 +23,7 @@ void for_each_output(Visitor&& visit) {
   visit("feature_tracks", &FrameRequest::tracks, &FrameOutput::tracks);
   visit("global_shutter/image_raw", &FrameRequest::global_shutter, &FrameOutput::global_shutter);
   visit("global_shutter/camera_info", &FrameRequest::global_shutter, &FrameOutput::global_shutter_info);
+  visit("global_shutter/feature_tracks", &FrameRequest::global_shutter_tracks, &FrameOutput::global_shutter_tracks);
 }
 
 }  // namespace gyro_deblur

@@ -14,6 +14,7 @@
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/overlay.hpp"
 #include "gyro_deblur/rotation_track.hpp"
+#include "pipeline/frame_context.hpp"
 #include "ros/calibration_conversion.hpp"
 #include "ros/exposure_check.hpp"
 #include "ros/image_conversion.hpp"
@@ -107,20 +108,6 @@ void add_findings(const SynchronizedFrame& synchronized, const PipelineResult& r
   output->residual_rotation->known_rad_s = R_imu_cam * result.residual_rotation->known_rad_s;
 }
 
-/// Corners followed from the image before.
-void add_tracks(const SynchronizedFrame& synchronized, const RotationTrack& rotation, const RowExposure& exposure,
-                const PipelineResult& result, FeatureTracker* tracker, FrameOutput* output) {
-  const StageTimer timer(&output->tracks_ms);
-  const PendingFrame& frame = synchronized.frame;
-  tracker->set_options(synchronized.config->tracker);
-  tracker->set_threads(synchronized.config->pipeline.threads);
-  tracker->set_mask(synchronized.mask);
-  const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
-  output->tracks = to_message(
-      (tracker->*track)(result.input_luminance, Camera(*frame.calibration), rotation, exposure, &result.field),
-      frame.image->header);
-}
-
 /// The messages of a frame whose exposure is known, apart from tracks and the blur field.
 void add_messages(const SynchronizedFrame& synchronized, const FrameRequest& request, const PipelineResult& result,
                   const FrameQuality& quality, FrameOutput* output) {
@@ -181,7 +168,7 @@ FrameOutput Processor::process(const SynchronizedFrame& synchronized) {
   StereoCamera* const stereo = environment_.stereo.get();
   if (output.reason == PassThroughReason::NONE) {
     if (stereo) stereo->begin(frame.stamp_ns);
-    request.input_luminance = request.overlay || request.tracks;
+    request.input_luminance = request.overlay || request.wants_tracks();
     request.behind_camera_rate = synchronized.behind_camera_rate;
     request.repeats_picture = frame.repeats;
     request.without_gyro = synchronized.without_gyro;
@@ -253,8 +240,8 @@ void Processor::add_result(const SynchronizedFrame& synchronized, const FrameReq
   if (output->dropped) {
     output->image.reset();
     if (!action.pass_through_text.empty()) result.field.reject_all();
-  } else if (request.tracks) {
-    add_tracks(synchronized, rotation, exposure, result, &tracker_, output);
+  } else if (request.wants_tracks()) {
+    add_tracks(synchronized, request, rotation, exposure, result, output);
   }
   if (!result.blur_is_known()) {
     output->reason = PassThroughReason::NO_EXPOSURE_TIME;
@@ -274,6 +261,31 @@ void Processor::add_result(const SynchronizedFrame& synchronized, const FrameReq
     output->reason_text = action.pass_through_text;
   }
   if (output->dropped) output->blur_field->reason_text = output->reason_text = "drop_poor: " + action.drop_text;
+}
+
+void Processor::add_tracks(const SynchronizedFrame& synchronized, const FrameRequest& request,
+                           const RotationTrack& rotation, const RowExposure& exposure, const PipelineResult& result,
+                           FrameOutput* output) {
+  const StageTimer timer(&output->tracks_ms);
+  const PendingFrame& frame = synchronized.frame;
+  const Camera camera(*frame.calibration);
+  tracker_.set_options(synchronized.config->tracker);
+  tracker_.set_threads(synchronized.config->pipeline.threads);
+  tracker_.set_mask(synchronized.mask);
+  const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
+  const std::vector<Track>& tracks =
+      (tracker_.*track)(result.input_luminance, camera, rotation, exposure, &result.field);
+  const TrackLayout layout = synchronized.config->track_layout;
+  if (request.tracks) output->tracks = to_message(tracks, layout, frame.image->header);
+  if (!request.global_shutter_tracks) return;
+  std_msgs::Header header = frame.image->header;
+  header.stamp = to_ros_time(result.reference_ns);
+  // The residual velocities of an image without gyroscope are its whole motion.
+  const StationaryCamera stationary;
+  const CameraMotion& motion = result.field.images_alone ? static_cast<const CameraMotion&>(stationary) : rotation;
+  const TimeNs reference_ns = exposure.reference_time(synchronized.config->pipeline.rectify_to);
+  output->global_shutter_tracks = to_message(
+      track_rectifier_.rectify(tracks, result.field, camera, motion, exposure, reference_ns), layout, header);
 }
 
 FrameAction Processor::decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const {

@@ -22,7 +22,10 @@ struct FrameRequest : PipelineRequest {
   bool overlay = false;
   bool markers = false;
   bool tracks = false;
+  bool global_shutter_tracks = false;
   bool trust_mask = false;
+
+  bool wants_tracks() const { return tracks || global_shutter_tracks; }
 };
 
 /// The exposure time that a frame was deblurred by.
@@ -34,8 +37,8 @@ struct FrameExposure : ChosenExposure {
 /// IMU.
 struct FrameOutput : FrameFindings {
   sensor_msgs::ImageConstPtr input;
-  /// It is not published: image, keypoints, tracks, global_shutter and both camera_infos are null. What is said of it
-  /// is there.
+  /// It is not published: image, keypoints, both tracks, global_shutter and both camera_infos are null. What is said of
+  /// it is there.
   bool dropped = false;
   sensor_msgs::ImageConstPtr image;             ///< the very input message when no pixel was changed
   sensor_msgs::CameraInfoConstPtr camera_info;  ///< the input's; one that is not calibrated when there was none
@@ -51,6 +54,9 @@ struct FrameOutput : FrameFindings {
   /// come after that of the one before.
   sensor_msgs::ImageConstPtr global_shutter;
   sensor_msgs::CameraInfoConstPtr global_shutter_info;
+  /// The tracks, and the stamp, at the reference time, apart from tracks whose motion is not known. Null as `tracks`
+  /// and `global_shutter` are.
+  sensor_msgs::PointCloudPtr global_shutter_tracks;
   PassThroughReason reason = PassThroughReason::NONE;
   std::string reason_text;
   std::optional<FrameBlur> field;               ///< of the core; absent when the pipeline did not run

@@ -17,6 +17,7 @@
 #include "engine/engine.hpp"
 #include "features/gyro_unit_watch.hpp"
 #include "features/residual_rotation.hpp"
+#include "features/track_rectification.hpp"
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
@@ -163,6 +164,9 @@ class Processor {
   /// What of the output the pipeline's result gives.
   void add_result(const SynchronizedFrame& synchronized, const FrameRequest& request, const FrameAction& action,
                   const RotationTrack& rotation, PipelineResult result, FrameOutput* output);
+  /// Corners followed from the image before, as they are in the image and at the reference time.
+  void add_tracks(const SynchronizedFrame& synchronized, const FrameRequest& request, const RotationTrack& rotation,
+                  const RowExposure& exposure, const PipelineResult& result, FrameOutput* output);
   /// What a published frame has in any case.
   void complete(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output);
   /// Keypoints of a frame that passes through; an empty array when it can have none.
@@ -189,12 +193,13 @@ class Processor {
 
   // Of the thread that calls advance alone.
   FeatureTracker tracker_;
+  TrackRectifier track_rectifier_;
   std::shared_ptr<const Config> config_of_pipeline_;  // that its options are from
   std::optional<TimeNs> newest_learned_ns_;           // newest sample that self-calibration has
   struct MovedStamp {
     TimeNs input_ns, output_ns;
   };
-  std::optional<MovedStamp> last_moved_;  // of the newest global-shutter image
+  std::optional<MovedStamp> last_moved_, last_moved_tracks_;  // of the newest global-shutter image and tracks
 
   mutable std::mutex mutex_;  // everything below
   std::condition_variable has_work_;

@@ -22,19 +22,24 @@ void Processor::record_unreadable(const std::string& kind, const std::string& te
 }
 
 void Processor::keep_global_shutter_in_order(FrameOutput* output) {
-  if (!output->global_shutter || is_unset(to_time_ns(output->input->header.stamp))) return;
-  const MovedStamp stamp{to_time_ns(output->input->header.stamp), to_time_ns(output->global_shutter->header.stamp)};
-  if (last_moved_ && stamp.input_ns > last_moved_->input_ns && stamp.output_ns <= last_moved_->output_ns) {
-    output->global_shutter.reset();
-    output->global_shutter_info.reset();
-    problems_.log(LogLevel::WARNING, "global_shutter",
-                  "frame " + seconds_text(stamp.input_ns) +
-                      " has no global-shutter image: it passes through unmoved, and the one "
-                      "before was moved to " +
-                      seconds_text(last_moved_->output_ns) + "; rectify_to: middle_row moves stamps least");
-    return;
+  const TimeNs input_ns = to_time_ns(output->input->header.stamp);
+  if (is_unset(input_ns)) return;
+  const auto goes_back = [&](const ros::Time& stamp, std::optional<MovedStamp>* last) {
+    const MovedStamp moved{input_ns, to_time_ns(stamp)};
+    if (*last && input_ns > (*last)->input_ns && moved.output_ns <= (*last)->output_ns) return true;
+    *last = moved;
+    return false;
+  };
+  if (output->global_shutter_tracks && goes_back(output->global_shutter_tracks->header.stamp, &last_moved_tracks_)) {
+    output->global_shutter_tracks.reset();
   }
-  last_moved_ = stamp;
+  if (!output->global_shutter || !goes_back(output->global_shutter->header.stamp, &last_moved_)) return;
+  output->global_shutter.reset();
+  output->global_shutter_info.reset();
+  problems_.log(LogLevel::WARNING, "global_shutter",
+                "frame " + seconds_text(input_ns) +
+                    " has no global-shutter image: it passes through unmoved, and the one before was moved to " +
+                    seconds_text(last_moved_->output_ns) + "; rectify_to: middle_row moves stamps least");
 }
 
 void Processor::record_exposure(const FrameOutput& output) {

@@ -126,7 +126,9 @@ Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& 
   }
   Progress progress(view.size(), arguments.keep_all_topics ? "messages" : "images",
                     arguments.common.quiet || !Progress::watched());
-  DeblurFeed feed(input.bag(), topics, config, arguments.request, slice.read_from(), log_clearing(progress));
+  FrameRequest request = arguments.request;
+  request.global_shutter_tracks = request.tracks && request.global_shutter;
+  DeblurFeed feed(input.bag(), topics, config, request, slice.read_from(), log_clearing(progress));
   if (arguments.start_s > 0) feed.catch_up();
 
   FrameWriter writer(output, topics.output_namespace, report);
@@ -278,7 +280,8 @@ int main_of(int argc, char** argv) {
       "--no-keypoints", [&arguments] { arguments.request.keypoints = false; }, "leave out keypoints");
   app.add_flag("--overlay", arguments.request.overlay, "also write blur_overlay");
   app.add_flag("--trust-mask", arguments.request.trust_mask, "also write trust_mask");
-  app.add_flag("--tracks", arguments.request.tracks, "also write feature_tracks");
+  app.add_flag("--tracks", arguments.request.tracks,
+               "also write feature_tracks, with --global-shutter global_shutter/feature_tracks too");
   app.add_flag("--global-shutter", arguments.request.global_shutter,
                "also write global_shutter/image_raw and its camera_info");
   app.add_flag("--markers", arguments.request.markers, "also write blur_markers");

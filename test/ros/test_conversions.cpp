@@ -480,7 +480,7 @@ TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
   std_msgs::Header header;
   header.stamp = to_ros_time(12 * kSecond + 345);
   header.frame_id = kCameraFrame;
-  const sensor_msgs::PointCloudPtr message = to_message(tracks, header);
+  const sensor_msgs::PointCloudPtr message = to_message(tracks, TrackLayout::VINS_MONO, header);
   EXPECT_EQ(message->header.stamp, header.stamp);
   EXPECT_EQ(message->header.frame_id, kCameraFrame);
   ASSERT_EQ(message->points.size(), 2u);
@@ -502,6 +502,21 @@ TEST(ToMessage, TracksHaveTheLayoutOfVinsMono) {
   for (const auto& point : message->points) EXPECT_EQ(point.z, 1.f);  // the estimator asserts it
   // With one camera the estimator takes the id by rounding: v + 0.5 as int.
   EXPECT_EQ(static_cast<int>(message->channels[0].values[0] + 0.5), 16'777'215);
+}
+
+// What VINS-Fusion's feature_callback reads by position: id, camera, u, v, velocities, and with more than five channels
+// the true place, which it does not use.
+TEST(ToMessage, TracksHaveTheLayoutOfVinsFusion) {
+  std::vector<Track> tracks(1);
+  tracks[0].id = 9;
+  tracks[0].length = 3;
+  tracks[0].pixel_px = {100.25, 50.5};
+  tracks[0].velocity_1_s = {0.5, -1.5};
+  tracks[0].covariance_px2 << 0.25, -0.125, -0.125, 1;
+  const sensor_msgs::PointCloudPtr message = to_message(tracks, TrackLayout::VINS_FUSION, std_msgs::Header());
+  const std::vector<float> expected{9, 0, 100.25f, 50.5f, 0.5f, -1.5f, 0, 0, 0, 0.25f, -0.125f, 1};
+  ASSERT_EQ(message->channels.size(), expected.size());
+  for (std::size_t i = 0; i < expected.size(); ++i) EXPECT_EQ(message->channels[i].values.at(0), expected[i]) << i;
 }
 
 // Names and values of the enumerations are those of the message, so that nodes may cast.

@@ -153,6 +153,67 @@ TEST_F(ProcessorGlobalShutterTest, StampsNeverGoBack) {
   EXPECT_GT(moved_ns(2), moved_ns(0));
 }
 
+TEST_F(ProcessorGlobalShutterTest, TracksCarryTheInstantTheyAreMovedTo) {
+  request_.global_shutter = false;
+  request_.tracks = request_.global_shutter_tracks = true;
+  for (TimeNs t_ns = kStart - 50 * kMs; t_ns <= kStart + 400 * kMs; t_ns += kImuPeriod) {
+    processor_.add_imu(imu_message(t_ns, 0));
+  }
+  for (const TimeNs stamp_ns : {kStart, kStart + 100 * kMs, kStart + 200 * kMs}) add_frame(stamp_ns);
+  advance();
+  ASSERT_EQ(outputs_.size(), 3u);
+  for (std::size_t i = 0; i < outputs_.size(); ++i) {
+    const FrameOutput& output = outputs_[i];
+    ASSERT_TRUE(output.tracks && output.global_shutter_tracks);
+    EXPECT_EQ(output.tracks->header.stamp, output.input->header.stamp);
+    EXPECT_EQ(to_time_ns(output.global_shutter_tracks->header.stamp),
+              to_time_ns(output.input->header.stamp) + kToReference);
+    EXPECT_EQ(output.global_shutter_tracks->header.frame_id, output.input->header.frame_id);
+    EXPECT_EQ(output.global_shutter, nullptr);
+    // A camera at rest: the same places.
+    ASSERT_EQ(output.global_shutter_tracks->points.size(), output.tracks->points.size());
+    for (std::size_t k = 0; k < output.tracks->points.size(); ++k) {
+      EXPECT_EQ(output.global_shutter_tracks->channels[0].values[k], output.tracks->channels[0].values[k]);
+      EXPECT_NEAR(output.global_shutter_tracks->points[k].x, output.tracks->points[k].x, 1e-3);
+      EXPECT_NEAR(output.global_shutter_tracks->points[k].y, output.tracks->points[k].y, 1e-3);
+    }
+  }
+  EXPECT_FALSE(outputs_[2].tracks->points.empty());
+}
+
+TEST_F(ProcessorGlobalShutterTest, TracksAreMovedAsTheImageIs) {
+  request_.tracks = request_.global_shutter_tracks = true;
+  add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
+  add_frame(kStart);
+  advance();
+  request_.tracks = false;  // the other topic alone has a listener now
+  add_imu(kStart + 105 * kMs, kStart + 200 * kMs);
+  add_frame(kStart + 100 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  EXPECT_EQ(outputs_[1].tracks, nullptr);
+  ASSERT_NE(outputs_[1].global_shutter_tracks, nullptr);
+  EXPECT_EQ(outputs_[1].global_shutter_tracks->header.stamp, outputs_[1].global_shutter->header.stamp);
+}
+
+TEST_F(ProcessorGlobalShutterTest, StampsOfTracksNeverGoBack) {
+  config_.pipeline.rectify_to = RectifyTo::LAST_ROW;
+  config_.shutter.exposure_ns = 33 * kMs;
+  configure();
+  request_.global_shutter_tracks = true;
+  add_imu(kStart - 50 * kMs, kStart + 300 * kMs);
+  add_frame(kStart);
+  advance();
+  config_.pipeline.rectify_to = RectifyTo::STAMP;
+  configure();
+  add_frame(kStart + 33 * kMs);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  EXPECT_NE(outputs_[0].global_shutter_tracks, nullptr);
+  EXPECT_EQ(outputs_[1].global_shutter_tracks, nullptr);
+  EXPECT_EQ(outputs_[1].global_shutter, nullptr);
+}
+
 // A bag that is played again: time begins anew.
 TEST_F(ProcessorGlobalShutterTest, StampsGoBackWhereTimeDoes) {
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);

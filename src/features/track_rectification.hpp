@@ -1,0 +1,38 @@
+// Tracks of a rolling-shutter camera at one instant.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/exposure.hpp"
+#include "gyro_deblur/feature_tracker.hpp"
+#include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/rotation_track.hpp"
+#include "gyro_deblur/time.hpp"
+
+namespace gyro_deblur {
+
+/// Takes the tracks of one camera from the middle of their rows' exposures to a reference time, by rotation and
+/// residual velocity (PointMotion). Remembers where they were, for their velocities. Not thread-safe.
+class TrackRectifier {
+ public:
+  /// @param tracks        of the image, as FeatureTracker gives them
+  /// @param field         of the image
+  /// @param motion        of the camera; tracks between whose time and the reference time it is not known are left out
+  /// @param exposure      of the image
+  /// @param reference_ns  camera clock, later than that of the call before; else velocities are those of `tracks`
+  /// @return the tracks with places, covariances and velocities at the reference time. The covariance includes that of
+  ///         the residual velocity over the time that the track was moved by.
+  std::vector<Track> rectify(const std::vector<Track>& tracks, const FrameBlur& field, const Camera& camera,
+                             const CameraMotion& motion, const RowExposure& exposure, TimeNs reference_ns);
+
+ private:
+  TimeNs newest_ns_ = 0;                                // of the newest reference time
+  std::map<std::int32_t, Eigen::Vector2d> normalized_;  // by id, at that time
+};
+
+}  // namespace gyro_deblur
