@@ -34,8 +34,8 @@ inline const Names<ValidationRule>& names_of(ValidationRule) {
 
 /// Those that messages name, too.
 inline const OneOf kDetectors{"SIFT", "ORB", "AKAZE", "BRISK", "GFTT", "FAST"};
-constexpr Limits kBlockSizes = within(8, 1024, "px"), kMaxExtents = within(1, 500, "px"),
-                 kTrackWindows = within(5, 101, "px");
+inline constexpr Limits kBlockSizes = within(8, 1024, "px"), kMaxExtents = within(1, 500, "px"),
+                        kTrackWindows = within(5, 101, "px");
 
 template <typename V>
 void visit(Table<BlurFieldOptions>, V&& visitor) {

@@ -71,10 +71,10 @@ struct GivenNumber {
   const char* key;
   bool GivenNumbers::*given;
 };
-constexpr GivenNumber kGivenNumbers[] = {{"time_offset", &GivenNumbers::time_offset},
-                                         {"readout_time", &GivenNumbers::readout_time},
-                                         {"gyro_bias", &GivenNumbers::gyro_bias},
-                                         {"exposure_time", &GivenNumbers::exposure_time}};
+inline constexpr GivenNumber kGivenNumbers[] = {{"time_offset", &GivenNumbers::time_offset},
+                                                {"readout_time", &GivenNumbers::readout_time},
+                                                {"gyro_bias", &GivenNumbers::gyro_bias},
+                                                {"exposure_time", &GivenNumbers::exposure_time}};
 
 template <typename V>
 void visit(Table<ExposureSource>, V&& visitor) {
@@ -167,7 +167,8 @@ void visit(Table<Config>, V&& visitor) {
   visitor.part(&O::pipeline);
   visitor.part(&O::tracker);
   visitor({"track_layout",
-           "Channels of the tracks, in the order in which that estimator reads them. vins_fusion: of one camera."},
+           "Order of the channels of feature_tracks and global_shutter/feature_tracks. vins_mono: that of VINS-Mono's "
+           "estimator. vins_fusion: that of VINS-Fusion's estimator, where all points belong to its camera 0."},
           &O::track_layout);
 }
 

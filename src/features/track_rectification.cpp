@@ -16,10 +16,14 @@ std::vector<Track> TrackRectifier::rectify(const std::vector<Track>& tracks, con
                                            const RowExposure& exposure, TimeNs reference_ns) {
   const PointMotion point_motion(field, camera, motion);
   const TimeNs since_newest_ns = reference_ns - newest_ns_;
+  if (since_newest_ns > kLongestTrackBreakNs) normalized_.clear();
   std::map<std::int32_t, Eigen::Vector2d> normalized;
   std::vector<Track> rectified;
   rectified.reserve(tracks.size());
   for (const Track& track : tracks) {
+    const BlockBlur& block =
+        field.blocks[static_cast<std::size_t>(field.grid.index_at(track.pixel_px.x(), track.pixel_px.y()))];
+    if (field.images_alone && !block.residual) continue;
     const TimeNs seen_ns = exposure.middle(track.pixel_px.y());
     if (!motion.covers({std::min(seen_ns, reference_ns), std::max(seen_ns, reference_ns)})) continue;
     const PointMotion::Movement movement = point_motion.movement(seen_ns, reference_ns);
@@ -37,8 +41,6 @@ std::vector<Track> TrackRectifier::rectify(const std::vector<Track>& tracks, con
     Track& moved = rectified.emplace_back(track);
     moved.pixel_px = place.pixel_px;
     moved.normalized = camera.normalized(direction);
-    const BlockBlur& block =
-        field.blocks[static_cast<std::size_t>(field.grid.index_at(track.pixel_px.x(), track.pixel_px.y()))];
     moved.covariance_px2 = jacobian * track.covariance_px2 * jacobian.transpose() +
                            covariance_of_moving(block, std::abs(movement.seconds));
     const auto before = normalized_.find(track.id);

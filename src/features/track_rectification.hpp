@@ -22,11 +22,13 @@ class TrackRectifier {
  public:
   /// @param tracks        of the image, as FeatureTracker gives them
   /// @param field         of the image
-  /// @param motion        of the camera; tracks between whose time and the reference time it is not known are left out
+  /// @param motion        of the camera; tracks between whose time and the reference time it is not known are left out,
+  ///                      and without a gyroscope those of blocks without a residual velocity
   /// @param exposure      of the image
-  /// @param reference_ns  camera clock, later than that of the call before; else velocities are those of `tracks`
+  /// @param reference_ns  camera clock
   /// @return the tracks with places, covariances and velocities at the reference time. The covariance includes that of
-  ///         the residual velocity over the time that the track was moved by.
+  ///         the residual velocity over the time that the track was moved by. A track that the call before did not
+  ///         return, or returned for no earlier time, keeps its velocity.
   std::vector<Track> rectify(const std::vector<Track>& tracks, const FrameBlur& field, const Camera& camera,
                              const CameraMotion& motion, const RowExposure& exposure, TimeNs reference_ns);
 

@@ -24,16 +24,16 @@ double stddev_px(const Alignment& found) { return std::sqrt(found.covariance_px2
 
 /// Errors that are not noise: patches that no affine map takes to each other, and inexact paths.
 double model_variance_px2(const Path2d& first_px, const Path2d& second_px) {
-  constexpr double kFloorPx = 0.07, kShareOfExtent = 0.008;  // fits, see doc/reports/tracks.md
+  constexpr double kFloorPx = 0.065, kShareOfExtent = 0.0078;  // fits, see doc/reports/tracks.md
   const double extent_px = std::hypot(extent_of(first_px).norm(), extent_of(second_px).norm());
   return std::pow(kFloorPx, 2) + std::pow(kShareOfExtent * extent_px, 2);
 }
 
-/// Side of the compared window. One that is shorter than the blur shows one end of it, whose place is as wrong as the
-/// path is long or short. In low light a larger window has less noise (doc/reports/tracks.md).
+/// Side of the compared window. A window that is shorter than the blur shows one end of it, whose place shifts by the
+/// error of the path's length. In low light a larger window has less noise (doc/reports/tracks.md).
 int window_for(const Path2d& first_px, const Path2d& second_px, int sharp_window_px) {
   const double extent_px = std::max(extent_of(first_px).norm(), extent_of(second_px).norm());
-  return std::min(2 * sharp_window_px - 1, sharp_window_px + 2 * static_cast<int>(extent_px / 2));
+  return std::min(largest_window_px(sharp_window_px), sharp_window_px + 2 * static_cast<int>(extent_px / 2));
 }
 
 bool is_usable(const Alignment& found) {

@@ -1,6 +1,7 @@
 // Where the points of one image are in the next: by the predicted motion, neighbours, and blur-aware alignment.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <memory>
 #include <optional>
@@ -17,6 +18,11 @@
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
+
+/// Side of the largest window that points are compared in, in long blur.
+constexpr int largest_window_px(int sharp_window_px) {
+  return std::max(sharp_window_px, std::min(101, 2 * sharp_window_px - 1));
+}
 
 /// What is known of a track in the newest image.
 struct TrackState {

@@ -51,7 +51,7 @@ class CalibrationInUse {
   void set_tf(const std::optional<Eigen::Matrix3d>& R_cam_imu) { from_tf_ = R_cam_imu; }
   /// A bias that was measured at rest is used in place of the given one.
   void set_measured_bias(const std::optional<Eigen::Vector3d>& bias_rad_s) { measured_bias_rad_s_ = bias_rad_s; }
-  /// In use.
+  /// The bias of the newest configuration that could be used, or the measured one.
   Eigen::Vector3d bias_rad_s() const { return measured_bias_rad_s_.value_or(config_.gyro.bias_rad_s); }
 
   std::vector<CalibrationRow> table() const;

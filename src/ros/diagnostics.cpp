@@ -106,7 +106,7 @@ void DiagnosticReport::add(const FrameOutput& output) {
   latencies_["deconvolution"].add(output.times.deconvolution_ms);
   latencies_["keypoints"].add(output.times.keypoints_ms);
   latencies_["messages"].add(output.messages_ms);
-  if (output.tracks) latencies_["tracks"].add(output.tracks_ms);
+  if (output.tracks || output.global_shutter_tracks) latencies_["tracks"].add(output.tracks_ms);
   if (output.global_shutter) latencies_["global shutter"].add(output.times.global_shutter_ms);
   for (const BlockBlur& block : output.field->blocks) {
     if (!block.residual) continue;

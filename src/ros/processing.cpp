@@ -277,7 +277,8 @@ void Processor::add_tracks(const SynchronizedFrame& synchronized, const FrameReq
       (tracker_.*track)(result.input_luminance, camera, rotation, exposure, &result.field);
   const TrackLayout layout = synchronized.config->track_layout;
   if (request.tracks) output->tracks = to_message(tracks, layout, frame.image->header);
-  if (!request.global_shutter_tracks) return;
+  // While the exposure is not known, neither is the time of the rows.
+  if (!request.global_shutter_tracks || !result.blur_is_known()) return;
   std_msgs::Header header = frame.image->header;
   header.stamp = to_ros_time(result.reference_ns);
   // The residual velocities of an image without gyroscope are its whole motion.

@@ -54,8 +54,8 @@ struct FrameOutput : FrameFindings {
   /// come after that of the one before.
   sensor_msgs::ImageConstPtr global_shutter;
   sensor_msgs::CameraInfoConstPtr global_shutter_info;
-  /// The tracks, and the stamp, at the reference time, apart from tracks whose motion is not known. Null as `tracks`
-  /// and `global_shutter` are.
+  /// The tracks, and the stamp, at the reference time, apart from tracks whose motion is not known. Null as `tracks`,
+  /// and where the exposure is not known or the stamp would not come after that of the one before.
   sensor_msgs::PointCloudPtr global_shutter_tracks;
   PassThroughReason reason = PassThroughReason::NONE;
   std::string reason_text;

@@ -32,6 +32,10 @@ void Processor::keep_global_shutter_in_order(FrameOutput* output) {
   };
   if (output->global_shutter_tracks && goes_back(output->global_shutter_tracks->header.stamp, &last_moved_tracks_)) {
     output->global_shutter_tracks.reset();
+    problems_.log(LogLevel::WARNING, "global_shutter_tracks",
+                  "frame " + seconds_text(input_ns) +
+                      " has no global-shutter tracks: they would be of an instant before those of the last frame, " +
+                      seconds_text(last_moved_tracks_->output_ns));
   }
   if (!output->global_shutter || !goes_back(output->global_shutter->header.stamp, &last_moved_)) return;
   output->global_shutter.reset();

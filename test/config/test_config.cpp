@@ -337,8 +337,9 @@ TEST(SetParameter, SetsOneKeyAndChecksItAlone) {
   EXPECT_TRUE(config.drop_poor);
   set_parameter("validation", "\"gradient\"", &config);
   EXPECT_EQ(config.pipeline.validation.rule, ValidationRule::GRADIENT);
-  set_parameter("gama", "7", &config);
   const std::string before = dump(config);
+  set_parameter("gama", "7", &config);
+  EXPECT_EQ(dump(config), before);
   const std::pair<const char*, const char*> refused[] = {
       {"block_size", "64.5"},  {"block_size", "1e10"},           {"block_size", "\"y\""}, {"block_size", "true"},
       {"drop_poor", "3"},      {"drop_poor", "\"5e0\""},         {"max_extent", "501"},   {"validation", "nonsense"},

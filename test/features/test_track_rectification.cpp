@@ -128,6 +128,21 @@ TEST_F(TrackRectifierTest, TracksOfUnknownMotionAreLeftOut) {
   EXPECT_TRUE(std::includes(ids.begin(), ids.end(), expected.begin(), expected.end()));
 }
 
+TEST_F(TrackRectifierTest, WithoutGyroscopeBlocksWithoutResidualVelocityAreNotAtRest) {
+  class AtRest : public CameraMotion {
+   public:
+    bool covers(const TimeRange&) const override { return true; }
+    Eigen::Matrix3d rotation(TimeNs, TimeNs) const override { return Eigen::Matrix3d::Identity(); }
+  };
+  const RowExposure exposure = exposure_at(300 * kMs);
+  const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);
+  const std::vector<Track> raw = tracks_of(world_at(reference_ns), exposure);
+  field_.images_alone = true;
+  EXPECT_TRUE(rectifier_.rectify(raw, field_, camera_, AtRest(), exposure, reference_ns).empty());
+  for (BlockBlur& block : field_.blocks) block.residual = ResidualVelocity{{100, 0}, 5};
+  EXPECT_EQ(rectifier_.rectify(raw, field_, camera_, AtRest(), exposure, reference_ns).size(), raw.size());
+}
+
 TEST_F(TrackRectifierTest, VelocitiesStayWhereTheReferenceTimeDoes) {
   const RowExposure exposure = exposure_at(300 * kMs);
   const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);

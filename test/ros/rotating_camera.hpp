@@ -26,11 +26,12 @@ class RotatingCamera {
   static constexpr int kFrames = 150;
   static constexpr double kFramesPerS = 20;
 
-  RotatingCamera() : simulator_(scene()), imu_(simulator_.imu()) {}
+  explicit RotatingCamera(TimeNs readout_ns = 0) : simulator_(scene(readout_ns)), imu_(simulator_.imu()) {}
 
   static Eigen::Matrix3d R_cam_imu() { return so3_exp({1.1, -0.4, 2.0}).toRotationMatrix(); }
   static Eigen::Vector3d bias_rad_s() { return {0.01, -0.03, 0.02}; }
 
+  const sim::Simulator& truth() const { return simulator_; }
   TimeNs stamp(int frame) const { return simulator_.stamp(frame); }
 
   sensor_msgs::ImageConstPtr image(int frame) {
@@ -69,7 +70,7 @@ class RotatingCamera {
   void rewind() { next_ = 0; }
 
  private:
-  static sim::Scene scene() {
+  static sim::Scene scene(TimeNs readout_ns) {
     sim::Scene scene;
     CameraCalibration& calibration = scene.camera.calibration;
     calibration.width_px = 256;
@@ -79,6 +80,7 @@ class RotatingCamera {
     calibration.cy_px = 95.5;
     scene.camera.fps = kFramesPerS;
     scene.camera.exposures_ns = {kShownFor};
+    scene.camera.readout_ns = readout_ns;
     scene.camera.noise = 1;
     scene.imu.gyro_bias_rad_s = bias_rad_s();
     scene.imu.gyro_noise_rad_s = 0.003;

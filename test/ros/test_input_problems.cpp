@@ -10,8 +10,10 @@ namespace {
 
 class InputProblemsTest : public testing::Test {
  protected:
+  TimeNs now_ns_ = 1'000'000'000;
   std::vector<std::string> lines_;
-  InputProblems problems_{[this](LogLevel, const std::string& text) { lines_.push_back(text); }};
+  InputProblems problems_{[this](LogLevel, const std::string& text) { lines_.push_back(text); },
+                          [this] { return now_ns_; }};
 };
 
 TEST_F(InputProblemsTest, LogAndListSayTheSame) {
@@ -42,6 +44,30 @@ TEST_F(InputProblemsTest, ResolvedProblemsAreKeptAndBecomeActiveAgain) {
   problems_.report("unit", "text");
   EXPECT_TRUE(problems_.all().at("unit").active);
   EXPECT_EQ(problems_.all().at("unit").count, 2u);
+}
+
+TEST_F(InputProblemsTest, WhatLastsIsReportedWhenItBegins) {
+  problems_.update("tf", "");
+  EXPECT_TRUE(problems_.all().empty());
+  problems_.update("tf", "no transform");
+  problems_.update("tf", "still no transform");
+  EXPECT_EQ(problems_.all().at("tf").text, "no transform");
+  EXPECT_EQ(problems_.all().at("tf").count, 1u);
+  problems_.update("tf", "");
+  EXPECT_FALSE(problems_.all().at("tf").active);
+  problems_.update("tf", "gone again");
+  EXPECT_EQ(problems_.all().at("tf").count, 2u);
+  EXPECT_EQ(lines_, (std::vector<std::string>{"no transform"})) << "within 5 s";
+}
+
+TEST_F(InputProblemsTest, TheNextLineAfterTheThrottleCountsThoseLeftOut) {
+  for (int i = 0; i < 4; ++i) problems_.report("unit", "text");
+  now_ns_ += 6'000'000'000;
+  problems_.report("unit", "text");
+  EXPECT_EQ(lines_, (std::vector<std::string>{"text", "text (and 3 more of the kind)"}));
+  problems_.clear();
+  problems_.report("unit", "text");
+  EXPECT_EQ(lines_.size(), 3u);
 }
 
 }  // namespace

@@ -1,10 +1,15 @@
+#include <algorithm>
+#include <cstddef>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include <gtest/gtest.h>
 
 #include "processor_test.hpp"
 
 #include "gyro_deblur/frame_blur.hpp"
+#include "rotating_camera.hpp"
 
 namespace gyro_deblur::processor_global_shutter_test {
 namespace {
@@ -181,12 +186,107 @@ TEST_F(ProcessorGlobalShutterTest, TracksCarryTheInstantTheyAreMovedTo) {
   EXPECT_FALSE(outputs_[2].tracks->points.empty());
 }
 
-TEST_F(ProcessorGlobalShutterTest, TracksAreMovedAsTheImageIs) {
+/// Nine of ten are below.
+double quantile_90(std::vector<double> values) {
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(values.size() * 9 / 10);
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+/// A camera that rotates, with a rolling shutter, all of it known but whether there is a gyroscope.
+class RollingTracksTest : public testing::Test {
+ protected:
+  void play(bool with_gyro) {
+    constexpr int kFrames = 14;
+    Config config;
+    config.shutter.exposure_ns = RotatingCamera::kShownFor;
+    config.shutter.readout_ns = kReadout;
+    config.gyro.time_offset_ns = RotatingCamera::kTimeOffset;
+    config.gyro.bias_rad_s = RotatingCamera::bias_rad_s();
+    config.R_cam_imu = RotatingCamera::R_cam_imu();
+    config.given = {true, true, true, true};
+    config.pipeline.blur_field.block_size_px = 32;
+    TimeNs now_ns = 0;
+    Processor::Environment environment;
+    environment.clock = [&now_ns] { return now_ns; };
+    environment.log = [](LogLevel, const std::string&) {};
+    environment.request = [] {
+      FrameRequest request;
+      request.keypoints = false;
+      request.tracks = request.global_shutter_tracks = true;
+      return request;
+    };
+    Processor processor(std::move(environment));
+    processor.set_config(config);
+    for (int frame = 0; frame < kFrames; ++frame) {
+      now_ns = camera_.stamp(frame) + 100 * kMs;
+      for (const sensor_msgs::Imu& sample : camera_.samples_before(frame)) {
+        if (with_gyro) processor.add_imu(sample);
+      }
+      processor.add_camera_info(camera_.info(frame));
+      processor.add_image(camera_.image(frame));
+      const auto keep = [this](FrameOutput&& output) {
+        outputs_.push_back(std::move(output));
+        return true;
+      };
+      with_gyro ? processor.advance(keep) : processor.finish(keep);
+    }
+    ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(kFrames));
+  }
+
+  /// Distances of the moved tracks of an image from where their scene points are at its reference time.
+  void compare(std::size_t index) {
+    const int frame = static_cast<int>(index);
+    const FrameOutput& output = outputs_[index];
+    ASSERT_TRUE(output.tracks && output.global_shutter_tracks);
+    const sensor_msgs::PointCloud &raw = *output.tracks, &moved = *output.global_shutter_tracks;
+    const TimeNs reference_ns = camera_.truth().reference_time(frame);
+    EXPECT_EQ(to_time_ns(moved.header.stamp), reference_ns);
+    const sim::Pose pose = camera_.truth().pose(reference_ns);
+    const auto pixel_of = [](const sensor_msgs::PointCloud& tracks, std::size_t i) {
+      return Eigen::Vector2d(tracks.channels[1].values[i], tracks.channels[2].values[i]);
+    };
+    for (std::size_t i = 0, k = 0; i < raw.points.size() && k < moved.points.size(); ++i) {
+      if (raw.channels[0].values[i] != moved.channels[0].values[k]) continue;
+      const Eigen::Vector2d raw_px = pixel_of(raw, i), moved_px = pixel_of(moved, k++);
+      const auto point_m = camera_.truth().scene_point(frame, raw_px);
+      if (!point_m) continue;
+      const Eigen::Vector2d truth_px =
+          camera_.truth().camera().project(pose.R_world_cam.conjugate() * (*point_m - pose.p_world_m));
+      errors_px_.push_back((moved_px - truth_px).norm());
+      unmoved_px_.push_back((raw_px - truth_px).norm());
+    }
+  }
+
+  RotatingCamera camera_{kReadout};
+  std::vector<FrameOutput> outputs_;
+  std::vector<double> errors_px_, unmoved_px_;
+};
+
+TEST_F(RollingTracksTest, AreWhereTheSceneIsAtTheirStamp) {
+  ASSERT_NO_FATAL_FAILURE(play(true));
+  for (std::size_t index = 4; index < outputs_.size(); ++index) ASSERT_NO_FATAL_FAILURE(compare(index));
+  ASSERT_GT(errors_px_.size(), 100u);
+  EXPECT_LT(quantile_90(errors_px_), 0.1);
+  EXPECT_GT(quantile_90(unmoved_px_), 10 * quantile_90(errors_px_));
+}
+
+TEST_F(RollingTracksTest, AreMovedByOpticalFlowWithoutAGyroscope) {
+  ASSERT_NO_FATAL_FAILURE(play(false));
+  for (std::size_t index = 4; index < outputs_.size(); ++index) {
+    ASSERT_TRUE(outputs_[index].field && outputs_[index].field->images_alone) << index;
+    ASSERT_NO_FATAL_FAILURE(compare(index));
+  }
+  ASSERT_GT(errors_px_.size(), 100u);
+  EXPECT_GT(quantile_90(unmoved_px_), 3 * quantile_90(errors_px_));
+}
+
+TEST_F(ProcessorGlobalShutterTest, TracksNeedNoListenerOfTheOthers) {
   request_.tracks = request_.global_shutter_tracks = true;
   add_imu(kStart - 50 * kMs, kStart + 100 * kMs);
   add_frame(kStart);
   advance();
-  request_.tracks = false;  // the other topic alone has a listener now
+  request_.tracks = false;
   add_imu(kStart + 105 * kMs, kStart + 200 * kMs);
   add_frame(kStart + 100 * kMs);
   advance();

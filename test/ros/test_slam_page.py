@@ -21,12 +21,14 @@ FRONT_END = ROOT / "launch" / "slam_front_end.launch"
 USERS_FILES = {"my_camera.yaml": ROOT / "config" / "default.yaml", "my_camera1.yaml": ROOT / "config" / "default.yaml",
                "camchain-imucam.yaml": ROOT / "test" / "config" / "calibration" / "kalibr.yaml"}
 
-Need = collections.namedtuple("Need", "cameras feature_tracks")
+Need = collections.namedtuple("Need", "cameras feature_tracks global_shutter_feature_tracks",
+                              defaults=["global_shutter/feature_tracks"])
 # What each stack wants.
 NEEDS = {
     "OpenVINS": Need(["/cam0"], "feature_tracks"),
     "VINS-Mono": Need(["/cam0"], "/feature_tracker/feature"),
     "VINS-Fusion": Need(["/cam0", "/cam1"], "feature_tracks"),
+    "VINS-Fusion on tracks": Need(["/cam0"], "feature_tracks", "/feature_tracker/feature"),
     "ORB-SLAM3": Need(["/cam0"], "feature_tracks"),
     "msckf_vio": Need(["/cam0", "/cam1"], "feature_tracks"),
 }
@@ -89,7 +91,9 @@ class SlamPage(unittest.TestCase):
             self.assertEqual(node.args, "load gyro_deblur/DeblurNodelet /deblur_manager")
             remaps = dict(node.remap_args)
             self.assertEqual(remaps["imu"], "/imu0")
-            self.assertEqual(remaps["feature_tracks"], need.feature_tracks if camera == "/cam0" else "feature_tracks")
+            for topic, wanted in (("feature_tracks", need.feature_tracks),
+                                  ("global_shutter/feature_tracks", need.global_shutter_feature_tracks)):
+                self.assertEqual(remaps[topic], wanted if camera == "/cam0" else topic)
 
     def test_front_end_alone(self):
         self.assert_front_end(load(FRONT_END, self.arguments_of_command(self.introduction)), NEEDS["ORB-SLAM3"])
