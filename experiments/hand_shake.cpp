@@ -90,15 +90,56 @@ double psnr_db(const cv::Mat& image, const cv::Mat& reference, const cv::Mat& in
   return 20 * std::log10(255 / rms);
 }
 
+/// Largest distance [px] between two places that the scene point in a pixel has during the exposure.
+double true_extent_px(const Shot& shot, const Eigen::Vector2d& pixel_px) {
+  const RowExposure exposure = shot.simulator.exposure(0);
+  const TimeNs start_ns = exposure.start(pixel_px.y()), end_ns = exposure.end(pixel_px.y());
+  const Eigen::Vector3d ray = shot.simulator.camera().ray(pixel_px);
+  const auto rotation = [&](TimeNs t_ns) { return shot.simulator.pose(t_ns).R_world_cam; };
+  const Eigen::Quaterniond middle = rotation(exposure.middle(pixel_px.y()));
+  std::array<Eigen::Vector2d, kPathInstants> places_px;
+  for (int k = 0; k < kPathInstants; ++k) {
+    const TimeNs instant_ns = start_ns + (end_ns - start_ns) * k / (kPathInstants - 1);
+    places_px[k] = shot.simulator.camera().project(rotation(instant_ns).conjugate() * (middle * ray));
+  }
+  double most_px = 0;
+  for (const Eigen::Vector2d& a : places_px) {
+    for (const Eigen::Vector2d& b : places_px) most_px = std::max(most_px, (a - b).norm());
+  }
+  return most_px;
+}
+
 struct Seen {
   cv::Mat image;
   double psnr_db = 0;
   Features sift, orb;
 };
 
+/// What the package says of a frame's blocks.
+struct Blocks {
+  double curved_share = 0, extent_px = 0;
+  int blurred = 0, rejected = 0;  ///< with a true extent of at least min_extent, and REJECTED of these
+};
+
+Blocks blocks_of(const Shot& shot, const FrameBlur& field) {
+  Blocks blocks;
+  std::vector<double> extents_px;
+  double curved = 0;
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const BlockBlur& block = field.blocks[i];
+    extents_px.push_back(block.extent_px);
+    if (block.curved_path_px) ++curved;
+    if (true_extent_px(shot, field.grid.center(i)) < BlurFieldOptions().min_extent_px) continue;
+    ++blocks.blurred;
+    if (block.status == BlockStatus::REJECTED) ++blocks.rejected;
+  }
+  blocks.curved_share = curved / static_cast<double>(extents_px.size());
+  blocks.extent_px = quantile(extents_px, 0.5);
+  return blocks;
+}
+
 /// One frame of one kind.
-Seen see(Kind kind, const Shot& shot, double noise, std::uint64_t seed, Pipeline* pipeline, double* curved_share,
-         double* extent_px) {
+Seen see(Kind kind, const Shot& shot, double noise, std::uint64_t seed, Pipeline* pipeline, Blocks* blocks) {
   const Light light{"", 1, noise};
   Seen seen;
   if (kind == SHARP) {
@@ -119,16 +160,7 @@ Seen see(Kind kind, const Shot& shot, double noise, std::uint64_t seed, Pipeline
       pipeline->process(blurred, PixelLayout::GRAY, shot.rotation, shot.simulator.exposure(0), request);
   const FrameBlur field = kind == BLURRED ? as_blurred(result.field) : result.field;
   seen.image = kind == BLURRED || result.image.empty() ? blurred : result.image;
-  if (kind == PACKAGE) {
-    std::vector<double> extents_px;
-    double curved = 0;
-    for (const BlockBlur& block : result.field.blocks) {
-      extents_px.push_back(block.extent_px);
-      if (block.curved_path_px) ++curved;
-    }
-    *curved_share = curved / static_cast<double>(extents_px.size());
-    *extent_px = quantile(extents_px, 0.5);
-  }
+  if (kind == PACKAGE) *blocks = blocks_of(shot, result.field);
   cv::Mat inside;
   const cv::Mat reference = reference_of(shot, field, &inside);
   seen.psnr_db = psnr_db(seen.image, reference, inside);
@@ -190,6 +222,7 @@ cv::Mat side_by_side(const std::vector<std::pair<const char*, cv::Mat>>& images)
 struct Measured {
   Figures psnr_db, sift, orb, sift_sharp, orb_sharp, repeatability;
   std::vector<double> extents_px, curved_shares;
+  int blurred = 0, rejected = 0;
 };
 
 Measured measure(const std::vector<Shot>& shots, double noise,
@@ -198,12 +231,14 @@ Measured measure(const std::vector<Shot>& shots, double noise,
   std::array<std::vector<Seen>, kKinds.size()> seen;
   for (const Kind kind : kKinds) {
     for (std::size_t i = 0; i < shots.size(); ++i) {
-      double curved_share = 0, extent_px = 0;
-      seen[kind].push_back(see(kind, shots[i], noise, 1 + i, pipelines[kind].get(), &curved_share, &extent_px));
+      Blocks blocks;
+      seen[kind].push_back(see(kind, shots[i], noise, 1 + i, pipelines[kind].get(), &blocks));
       m.psnr_db[kind].push_back(seen[kind].back().psnr_db);
       if (kind != PACKAGE) continue;
-      m.extents_px.push_back(extent_px);
-      m.curved_shares.push_back(curved_share);
+      m.extents_px.push_back(blocks.extent_px);
+      m.curved_shares.push_back(blocks.curved_share);
+      m.blurred += blocks.blurred;
+      m.rejected += blocks.rejected;
     }
   }
   if (!picture.empty()) {
@@ -270,8 +305,8 @@ void run(const Arguments& arguments) {
   std::vector<double> scales{1, 0.6, 0.3};
   std::vector<TimeNs> exposures_ns{10'000'000, 20'000'000, 30'000'000};
   if (arguments.quick) cameras.resize(1), scales.resize(1), exposures_ns = {exposures_ns.back()};
-  ResultTable table({"camera", "shake", "exposure [ms]", "noise", "extent [px]", "curved [%]", "PSNR [dB]", "SIFT",
-                     "ORB", "SIFT, with sharp", "ORB, with sharp", "repeatability",
+  ResultTable table({"camera", "shake", "exposure [ms]", "noise", "extent [px]", "curved [%]", "REJECTED [%]",
+                     "PSNR [dB]", "SIFT", "ORB", "SIFT, with sharp", "ORB, with sharp", "repeatability",
                      "package over straight: SIFT, ORB with sharp", "least over blurred [standard errors]"});
   Progress progress(cameras.size() * scales.size() * exposures_ns.size(), "shakes", arguments.quiet);
   std::size_t done = 0;
@@ -298,7 +333,8 @@ void run(const Arguments& arguments) {
           }
           table.add({camera.name, text_of(scale, 1), text_of(exposure_ms, 0), text_of(noise, 0),
                      text_of(quantile(m.extents_px, 0.5), 0), text_of(100 * mean_of(m.curved_shares), 0),
-                     cell(m.psnr_db, 1), cell(m.sift, 0), cell(m.orb, 0), cell(m.sift_sharp, 0), cell(m.orb_sharp, 0),
+                     text_of(m.blurred > 0 ? 100.0 * m.rejected / m.blurred : 0, 1), cell(m.psnr_db, 1),
+                     cell(m.sift, 0), cell(m.orb, 0), cell(m.sift_sharp, 0), cell(m.orb_sharp, 0),
                      cell(m.repeatability, 2), ratio(m.sift_sharp) + ", " + ratio(m.orb_sharp), text_of(least, 1)});
         }
         progress.done(++done);
