@@ -26,7 +26,8 @@ PointMotion::Mean PointMotion::mean_at(const Eigen::Vector2d& pixel_px) const {
 }
 
 PointMotion::Movement PointMotion::movement(TimeNs from_ns, TimeNs to_ns) const {
-  return {motion_.rotation(from_ns, to_ns), to_seconds(to_ns - from_ns)};
+  const Eigen::Matrix3d rotation = images_alone_ ? Eigen::Matrix3d::Identity() : motion_.rotation(from_ns, to_ns);
+  return {rotation, to_seconds(to_ns - from_ns)};
 }
 
 PointMotion::Place PointMotion::moved(const Eigen::Vector2d& shown_px, const Movement& movement) const {

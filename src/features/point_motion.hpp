@@ -25,7 +25,8 @@ class PointMotion {
     Eigen::Matrix3d rotation;
     double seconds;
   };
-  /// Precondition: the motion covers the time between the two.
+  /// Precondition: the motion covers the time between the two, but for an image without gyroscope, whose residual
+  /// velocities are all of its motion.
   Movement movement(TimeNs from_ns, TimeNs to_ns) const;
 
   struct Place {

@@ -23,9 +23,11 @@ std::vector<Track> TrackRectifier::rectify(const std::vector<Track>& tracks, con
   for (const Track& track : tracks) {
     const BlockBlur& block =
         field.blocks[static_cast<std::size_t>(field.grid.index_at(track.pixel_px.x(), track.pixel_px.y()))];
-    if (field.images_alone && !block.residual) continue;
     const TimeNs seen_ns = exposure.middle(track.pixel_px.y());
-    if (!motion.covers({std::min(seen_ns, reference_ns), std::max(seen_ns, reference_ns)})) continue;
+    const bool is_known = field.images_alone
+                              ? block.residual.has_value()
+                              : motion.covers({std::min(seen_ns, reference_ns), std::max(seen_ns, reference_ns)});
+    if (!is_known) continue;
     const PointMotion::Movement movement = point_motion.movement(seen_ns, reference_ns);
     const auto at = [&](const Eigen::Vector2d& place_px) { return point_motion.moved_from(place_px, movement); };
     const PointMotion::Place place = at(track.pixel_px);

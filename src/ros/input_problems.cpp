@@ -28,13 +28,17 @@ void InputProblems::log(LogLevel level, const std::string& kind, const std::stri
 void InputProblems::report(const std::string& kind, const std::string& text, LogLevel level) {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    InputProblem& problem = problems_[kind];
-    problem.level = level;
-    problem.text = text;
-    problem.active = true;
-    ++problem.count;
+    keep(kind, text, level);
   }
   log(level, kind, text);
+}
+
+void InputProblems::keep(const std::string& kind, const std::string& text, LogLevel level) {
+  InputProblem& problem = problems_[kind];
+  problem.level = level;
+  problem.text = text;
+  problem.active = true;
+  ++problem.count;
 }
 
 void InputProblems::update(const std::string& kind, const std::string& text) {
@@ -43,8 +47,9 @@ void InputProblems::update(const std::string& kind, const std::string& text) {
     const std::lock_guard<std::mutex> lock(mutex_);
     const auto found = problems_.find(kind);
     if (found != problems_.end() && found->second.active) return;
+    keep(kind, text, LogLevel::WARNING);
   }
-  report(kind, text);
+  log(LogLevel::WARNING, kind, text);
 }
 
 void InputProblems::resolve(const std::string& kind) {

@@ -56,6 +56,9 @@ class InputProblems {
     TimeNs last_ns = 0;
     std::size_t suppressed = 0;
   };
+  /// Needs mutex_.
+  void keep(const std::string& kind, const std::string& text, LogLevel level);
+
   const Log log_;
   const std::function<TimeNs()> steady_clock_;
   mutable std::mutex mutex_;  // the next members

@@ -4,7 +4,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <iterator>
 #include <optional>
 
 #include <Eigen/Core>
@@ -26,14 +25,17 @@ struct TrackChannel {
   double (*value)(const Track& track);
 };
 
-constexpr TrackChannel kId{"id_of_point", [](const Track&track) { return static_cast<double>(track.id); }},
-    kU{"u_of_point", [](const Track&track) { return track.pixel_px.x(); }},
-    kV{"v_of_point", [](const Track&track) { return track.pixel_px.y(); }},
-    kVelocityX{"velocity_x_of_point", [](const Track&track) { return track.velocity_1_s.x(); }},
-    kVelocityY{"velocity_y_of_point", [](const Track&track) { return track.velocity_1_s.y(); }},
-    kCovarianceUu{"covariance_uu_of_point", [](const Track&track) { return track.covariance_px2(0, 0); }},
-    kCovarianceUv{"covariance_uv_of_point", [](const Track&track) { return track.covariance_px2(0, 1); }},
-    kCovarianceVv{"covariance_vv_of_point", [](const Track&track) { return track.covariance_px2(1, 1); }};
+constexpr TrackChannel kId{"id_of_point", [](const Track& track) { return static_cast<double>(track.id); }};
+constexpr TrackChannel kU{"u_of_point", [](const Track& track) { return track.pixel_px.x(); }};
+constexpr TrackChannel kV{"v_of_point", [](const Track& track) { return track.pixel_px.y(); }};
+constexpr TrackChannel kVelocityX{"velocity_x_of_point", [](const Track& track) { return track.velocity_1_s.x(); }};
+constexpr TrackChannel kVelocityY{"velocity_y_of_point", [](const Track& track) { return track.velocity_1_s.y(); }};
+constexpr TrackChannel kCovarianceUu{"covariance_uu_of_point",
+                                     [](const Track& track) { return track.covariance_px2(0, 0); }};
+constexpr TrackChannel kCovarianceUv{"covariance_uv_of_point",
+                                     [](const Track& track) { return track.covariance_px2(0, 1); }};
+constexpr TrackChannel kCovarianceVv{"covariance_vv_of_point",
+                                     [](const Track& track) { return track.covariance_px2(1, 1); }};
 
 /// In the order in which the estimators read all but the covariances.
 std::vector<TrackChannel> channels_of(TrackLayout layout) {

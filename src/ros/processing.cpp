@@ -14,7 +14,6 @@
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/overlay.hpp"
 #include "gyro_deblur/rotation_track.hpp"
-#include "pipeline/frame_context.hpp"
 #include "ros/calibration_conversion.hpp"
 #include "ros/exposure_check.hpp"
 #include "ros/image_conversion.hpp"
@@ -281,12 +280,9 @@ void Processor::add_tracks(const SynchronizedFrame& synchronized, const FrameReq
   if (!request.global_shutter_tracks || !result.blur_is_known()) return;
   std_msgs::Header header = frame.image->header;
   header.stamp = to_ros_time(result.reference_ns);
-  // The residual velocities of an image without gyroscope are its whole motion.
-  const StationaryCamera stationary;
-  const CameraMotion& motion = result.field.images_alone ? static_cast<const CameraMotion&>(stationary) : rotation;
   const TimeNs reference_ns = exposure.reference_time(synchronized.config->pipeline.rectify_to);
   output->global_shutter_tracks = to_message(
-      track_rectifier_.rectify(tracks, result.field, camera, motion, exposure, reference_ns), layout, header);
+      track_rectifier_.rectify(tracks, result.field, camera, rotation, exposure, reference_ns), layout, header);
 }
 
 FrameAction Processor::decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const {

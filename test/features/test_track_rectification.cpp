@@ -129,18 +129,14 @@ TEST_F(TrackRectifierTest, TracksOfUnknownMotionAreLeftOut) {
 }
 
 TEST_F(TrackRectifierTest, WithoutGyroscopeBlocksWithoutResidualVelocityAreNotAtRest) {
-  class AtRest : public CameraMotion {
-   public:
-    bool covers(const TimeRange&) const override { return true; }
-    Eigen::Matrix3d rotation(TimeNs, TimeNs) const override { return Eigen::Matrix3d::Identity(); }
-  };
   const RowExposure exposure = exposure_at(300 * kMs);
   const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);
   const std::vector<Track> raw = tracks_of(world_at(reference_ns), exposure);
+  const RotationTrack unknown({}, {}, Eigen::Matrix3d::Identity());
   field_.images_alone = true;
-  EXPECT_TRUE(rectifier_.rectify(raw, field_, camera_, AtRest(), exposure, reference_ns).empty());
+  EXPECT_TRUE(rectifier_.rectify(raw, field_, camera_, unknown, exposure, reference_ns).empty());
   for (BlockBlur& block : field_.blocks) block.residual = ResidualVelocity{{100, 0}, 5};
-  EXPECT_EQ(rectifier_.rectify(raw, field_, camera_, AtRest(), exposure, reference_ns).size(), raw.size());
+  EXPECT_EQ(rectifier_.rectify(raw, field_, camera_, unknown, exposure, reference_ns).size(), raw.size());
 }
 
 TEST_F(TrackRectifierTest, VelocitiesStayWhereTheReferenceTimeDoes) {
