@@ -8,50 +8,46 @@
 #include <stdexcept>
 #include <vector>
 
+#include <opencv2/imgproc.hpp>
+
 #include "base/parallel.hpp"
 #include "blur/blur_likelihood.hpp"
-#include "blur/gradient_simd.hpp"
 #include "blur/image_noise.hpp"
 #include "blur/path_1d.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-// The Sobel pair sums to 8 on a ramp of one grey level a pixel.
-constexpr double kSobelScale = 1.0 / 8;
-// Cosine and sine in fixed point: integers' sums are the same with every instruction set. The largest one, 4 * 255 *
-// sqrt(2) * 2^20, fits into 31 bits.
-constexpr double kFixedPointOne = 1 << 20;
-
-/// `block` and one replicated pixel around it.
-void load_with_border(const cv::Mat& luminance, const cv::Rect& block, std::vector<std::uint8_t>& padded) {
-  padded.clear();
-  for (int y = block.y - 1; y <= block.br().y; ++y) {
-    const std::uint8_t* from = luminance.ptr<std::uint8_t>(std::clamp(y, 0, luminance.rows - 1));
-    padded.push_back(from[std::max(block.x - 1, 0)]);
-    padded.insert(padded.end(), from + block.x, from + block.br().x);
-    padded.push_back(from[std::min(block.br().x, luminance.cols - 1)]);
+/// For each pixel of a row the larger one of `strongest` and |gx dx + gy dy|, with the Sobel pair (gx, gy) in grey
+/// levels times 8.
+/// @param above, here, below  from the pixel left of the first one on
+void strongest_of_row(const std::uint8_t* above, const std::uint8_t* here, const std::uint8_t* below, int width,
+                      float dx, float dy, float* strongest) {
+  for (int x = 0; x < width; ++x) {
+    const auto gx =
+        static_cast<std::int16_t>(above[x + 2] - above[x] + 2 * (here[x + 2] - here[x]) + below[x + 2] - below[x]);
+    const auto gy = static_cast<std::int16_t>(below[x] - above[x] + 2 * (below[x + 1] - above[x + 1]) + below[x + 2] -
+                                              above[x + 2]);
+    const float along = std::abs(dx * gx + dy * gy);
+    strongest[x] = strongest[x] < along ? along : strongest[x];
   }
 }
 
 }  // namespace
 
 float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double angle_rad) {
-  const int dx = static_cast<int>(std::lround(std::cos(angle_rad) * kFixedPointOne));
-  const int dy = static_cast<int>(std::lround(std::sin(angle_rad) * kFixedPointOne));
-  static const GradientSimd& simd = select_for_cpu<GradientSimd>();
-  const auto strongest_in = [&](const std::uint8_t* around, std::ptrdiff_t stride) {
-    return static_cast<float>(simd.strongest_gradient(around, stride, block.width, block.height, dx, dy) *
-                              (kSobelScale / kFixedPointOne));
-  };
-  const cv::Rect around(block.x - 1, block.y - 1, block.width + 2, block.height + 2);
-  if ((around & cv::Rect({}, luminance.size())) == around) {
-    return strongest_in(luminance.ptr<std::uint8_t>(around.y, around.x),
-                        static_cast<std::ptrdiff_t>(luminance.step[0]));
+  constexpr double kSobelScale = 1.0 / 8;  // the Sobel pair sums to 8 on a ramp of one grey level a pixel
+  const auto dx = static_cast<float>(kSobelScale * std::cos(angle_rad));
+  const auto dy = static_cast<float>(kSobelScale * std::sin(angle_rad));
+  thread_local cv::Mat around;  // the block and the pixels next to it, replicated beyond the image
+  cv::copyMakeBorder(luminance(block), around, 1, 1, 1, 1, cv::BORDER_REPLICATE);
+  thread_local std::vector<float> strongest;  // of each column: such a loop vectorises
+  strongest.assign(block.width, 0);
+  for (int y = 0; y < block.height; ++y) {
+    strongest_of_row(around.ptr<std::uint8_t>(y), around.ptr<std::uint8_t>(y + 1), around.ptr<std::uint8_t>(y + 2),
+                     block.width, dx, dy, strongest.data());
   }
-  thread_local std::vector<std::uint8_t> padded;
-  load_with_border(luminance, block, padded);
-  return strongest_in(padded.data(), around.width);
+  return *std::max_element(strongest.begin(), strongest.end());
 }
 
 namespace {

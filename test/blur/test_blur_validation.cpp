@@ -1,6 +1,7 @@
 #include "blur/blur_validation.hpp"
 
 #include <cmath>
+#include <vector>
 
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
@@ -57,16 +58,25 @@ TEST(MaxGradientAlong, IsBlindToTheSignOfDirectionAndSlope) {
 }
 
 TEST(MaxGradientAlong, AgreesWithSobelOverTheWholeImage) {
-  const cv::Mat image = test::textured_image(90, 70, 3);
-  cv::Mat gx, gy;
-  cv::Sobel(image, gx, CV_32F, 1, 0, 3, 1.0 / 8, 0, cv::BORDER_REPLICATE);
-  cv::Sobel(image, gy, CV_32F, 0, 1, 3, 1.0 / 8, 0, cv::BORDER_REPLICATE);
-  for (const double degrees : {0.0, 20.0, 75.0, 90.0, 160.0}) {
-    const cv::Mat along = gx * std::cos(radians(degrees)) + gy * std::sin(radians(degrees));
-    // Corners, edges, single pixels and the whole image.
-    for (const cv::Rect& block : {cv::Rect(0, 0, 90, 70), cv::Rect(0, 0, 8, 8), cv::Rect(82, 62, 8, 8),
-                                  cv::Rect(0, 30, 1, 1), cv::Rect(89, 69, 1, 1), cv::Rect(20, 20, 33, 17)}) {
-      EXPECT_NEAR(max_gradient_along(image, block, radians(degrees)), cv::norm(along(block), cv::NORM_INF), 1e-3);
+  const cv::Mat textured = test::textured_image(90, 70, 3);
+  cv::Mat few_lights(textured.size(), CV_8UC1);  // the strongest gradient may be anywhere in a row
+  cv::theRNG().state = 3;
+  cv::randu(few_lights, 0, 255);
+  few_lights = few_lights > 250;
+  for (const cv::Mat& image : {textured, few_lights}) {
+    cv::Mat gx, gy;
+    cv::Sobel(image, gx, CV_32F, 1, 0, 3, 1.0 / 8, 0, cv::BORDER_REPLICATE);
+    cv::Sobel(image, gy, CV_32F, 0, 1, 3, 1.0 / 8, 0, cv::BORDER_REPLICATE);
+    // Corners, edges, single pixels and the whole image, and every width.
+    std::vector<cv::Rect> blocks = {cv::Rect(0, 0, 90, 70), cv::Rect(0, 0, 8, 8),   cv::Rect(82, 62, 8, 8),
+                                    cv::Rect(0, 30, 1, 1),  cv::Rect(89, 69, 1, 1), cv::Rect(20, 20, 33, 17)};
+    for (int width = 1; width <= 67; ++width) blocks.emplace_back(width % 23, width % 5, width, 1 + width % 33);
+    for (const double degrees : {0.0, 20.0, 75.0, 90.0, 160.0}) {
+      const cv::Mat along = gx * std::cos(radians(degrees)) + gy * std::sin(radians(degrees));
+      for (const cv::Rect& block : blocks) {
+        EXPECT_NEAR(max_gradient_along(image, block, radians(degrees)), cv::norm(along(block), cv::NORM_INF), 1e-3)
+            << block << " at " << degrees << " degrees";
+      }
     }
   }
   EXPECT_EQ(max_gradient_along(cv::Mat(1, 1, CV_8UC1, cv::Scalar(200)), cv::Rect(0, 0, 1, 1), 1.0), 0);
