@@ -474,6 +474,7 @@ class Likelihood:
     """The spectrum of a window, and how likely it is with more or less blur than predicted."""
 
     SIZE, WAVES, LESS = 64, 16, (0, 0.15, 0.33, 0.5)
+    SECTORS, SECTOR_STDDEV, EXPONENT_STDDEV = 8, 1, 0.5
 
     def __init__(self, window, noise, extent_px, angle_rad):
         n = self.SIZE
@@ -487,7 +488,12 @@ class Likelihood:
         self.texture = (x * x + y * y) ** -1.25
         self.along = np.abs(x * np.cos(angle_rad) + y * np.sin(angle_rad))
         self.extent_px = extent_px
-        self.log_factors = np.linspace(0, 14, 561)
+        turned_rad = (np.arctan2(y, x) + np.pi / 2 / self.SECTORS) % np.pi
+        sector = np.argsort(np.argsort(turned_rad, kind="stable")) * self.SECTORS // len(x)
+        log_frequency = np.log(np.hypot(x, y))
+        self.basis = np.column_stack([np.ones(len(x)), log_frequency - log_frequency.mean(),
+                                      sector[:, None] == np.arange(self.SECTORS)])
+        self.precision = np.array([1e-6, self.EXPONENT_STDDEV**-2] + [self.SECTOR_STDDEV**-2] * self.SECTORS)
 
     def gain(self, share, along=None):
         along = self.along if along is None else along
@@ -497,12 +503,21 @@ class Likelihood:
 
         return (4 * squared(along) + squared(along - 1) + squared(along + 1)) / 6 + 0.003
 
-    def cost(self, share):
+    def cost(self, share, steps=12):
+        """The least cost, and the power of the texture that has it."""
         model = self.texture * self.gain(share)
-        spectrum = np.exp(self.log_factors)[:, None] * model + 1
-        costs = (2 * np.log(spectrum + self.power) - np.log(spectrum)).sum(axis=1)
-        best = np.argmin(costs)
-        return costs[best], np.exp(self.log_factors[best])
+        fit = np.zeros(len(self.precision))
+        fit[0] = np.log(max(self.power.mean() - 1, 0.05) / model.mean())
+        for _ in range(steps):
+            above = np.exp(self.basis @ fit) * model
+            weight = above / (above + 1)
+            gradient = self.basis.T @ (weight * (above + 1 - self.power) / (above + 1 + self.power))
+            information = self.basis.T @ (weight[:, None] ** 2 / 3 * self.basis) + np.diag(self.precision)
+            fit -= np.clip(np.linalg.solve(information, gradient + self.precision * fit), -2, 2)
+        texture = np.exp(self.basis @ fit) * self.texture
+        spectrum = texture * self.gain(share) + 1
+        cost = (2 * np.log(spectrum + self.power) - np.log(spectrum)).sum() + (self.precision * fit**2).sum() / 2
+        return cost, texture
 
     def log_ratio(self):
         cost = self.cost(1)[0]
@@ -533,24 +548,24 @@ def validation(data, folder):
                   markersize=4, label="blocks of the left third")
     for share, color, text in ((1, BLUE, "predicted blur"), (0.5, ORANGE, "half of it"), (0.33, RED, "a third"),
                                (0, GREY, "none")):
-        model = along_motion(lambda block: block.cost(share)[1] * block.texture * block.gain(share) + 1)
+        model = along_motion(lambda block: block.cost(share)[1] * block.gain(share) + 1)
         spectrum.plot(waves / 64, model, color=color, label=text)
     spectrum.set(yscale="log", xlabel="frequency along the motion [cycles/px]", ylabel="power / texture",
                  title="power spectrum, and models")
     spectrum.legend(fontsize=6.5)
     show(picture, mixed, "blurred by 12 px | 4 px | sharp; predicted 12 px")
-    ratios = np.zeros((10, 12))
+    ratios, threshold = np.zeros((10, 12)), 14 * np.log(0.025 / 0.1)
     for row in range(10):
         for col in range(12):
             window = mixed[64 * row:64 * (row + 1), 64 * col:64 * (col + 1)]
             ratios[row, col] = Likelihood(window, noise, extent_px, angle_rad).log_ratio()
-            accepted = ratios[row, col] > 18 * np.log(0.052 / 0.1)
+            accepted = ratios[row, col] > threshold
             picture.add_patch(plt.Rectangle((64 * col + 4, 64 * row + 4), 55, 55, fill=False, linewidth=1.3,
                                             color=GREEN if accepted else RED))
     for i, (color, text) in enumerate(((BLUE, "12 px"), (RED, "4 px"), (GREY, "sharp"))):
         counts.hist(np.clip(ratios[:, 4 * i:4 * i + 4].ravel(), -150, 150), bins=np.arange(-150, 151, 12), color=color,
                     alpha=0.6, label=text)
-    counts.axvline(18 * np.log(0.052 / 0.1), color="black", linestyle="--", linewidth=1)
+    counts.axvline(threshold, color="black", linestyle="--", linewidth=1)
     counts.set(xlabel="log likelihood ratio of a block alone", ylabel="blocks",
                title="dashed: threshold of the default")
     counts.legend(fontsize=7)

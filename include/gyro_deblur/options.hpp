@@ -49,9 +49,9 @@ enum class ValidationRule {
 /// significant bits.
 struct ValidationOptions {
   ValidationRule rule = ValidationRule::LIKELIHOOD;
-  /// Constant: share that LIKELIHOOD may accept of blocks with a third of the predicted blur. Less than 0.1 rejects
-  /// recorded blur, which is at times a fifth longer than predicted (doc/reports/validation.md). Blocks without
-  /// evidence are accepted from 0.052 on.
+  /// Constant: share that LIKELIHOOD may accept of blocks with a third of the predicted blur. More accepts blocks of
+  /// objects that move by themselves, less rejects recorded blur whose path is roughly known
+  /// (doc/reports/validation.md). Blocks without evidence are accepted from 0.025 on.
   double false_accept_rate = 0.1;
   /// Constants of GRADIENT: they accept 98.6 % of truly blurred blocks at every extent (doc/reports/validation.md).
   double tau = 6.0;             ///< [grey levels / px] that noise and compression may add

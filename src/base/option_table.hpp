@@ -104,7 +104,7 @@ void visit(Table<ValidationOptions>, V&& visitor) {
            Change::WHILE_RUNNING},
           &O::rule);
   visitor({"validation_false_accept_rate", within(0.001, 0.5),
-           "Less rejects recorded blur that is longer than predicted (doc/reports/validation.md).", Change::NEVER},
+           "Less rejects recorded blur whose path is roughly known (doc/reports/validation.md).", Change::NEVER},
           &O::false_accept_rate);
   visitor({"tau", within(0, 255, "grey levels / px"),
            "With tau_contrast it accepts 98.6 % of truly blurred blocks at every extent (doc/reports/validation.md).",

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <complex>
 #include <numeric>
+#include <utility>
 
 #include <opencv2/imgproc.hpp>
 
@@ -16,8 +17,9 @@
 namespace gyro_deblur {
 namespace {
 
-/// Less blur than predicted, as a share of it (no blur at all is one of the hypotheses, too).
-constexpr std::array<double, 3> kLess = {0.15, 0.33, 0.5};
+/// Less blur than predicted, as a share of it; no blur at all comes last. The texture that fits is much the same from
+/// one to the next.
+constexpr std::array<double, 3> kLess = {0.5, 0.33, 0.15};
 
 // Transfer functions are tabulated by frequency along the motion, in bins of a quarter of a wave a window: a lobe of
 // the longest blur of a level, 32 px, has eight.
@@ -27,75 +29,62 @@ constexpr int kFiner = 2;       // finer bins of the predicted blur, which the o
 constexpr int kFineBins = 201;  // > (kBins + kBinsPerWave) kFiner
 
 using Table = std::array<float, kBins>;
-using Spectrum = std::array<float, kSpectrumSize>;
 
-/// |f|^-2.5 [waves a window]: between the 2 that is usual for photographs (D. J. Field, J. Opt. Soc. Am. A 4 (12),
-/// 1987) and the 3 of blurred edges. 0, noise alone, for what the window mixes with the mean, and where a
-/// frequency would count twice.
-Spectrum make_texture() {
-  Spectrum texture{};
-  for (int row = 0; row < 2 * kSpectrumWaves; ++row) {
-    const bool down = row >= kSpectrumWaves;
-    const int y = down ? row - kSpectrumWaves : row;
-    for (int x = 0; x < kSpectrumWaves; ++x) {
-      const int squared = x * x + y * y;
-      if (squared < 4 || (down && (x == 0 || y == 0))) continue;
-      texture[row * kSpectrumWaves + x] = static_cast<float>(std::pow(squared, -2.5 / 2));
-    }
-  }
-  return texture;
-}
+// Frequencies of the finer bins are multiples of this [cycles/px].
+constexpr double kFineStep = 1.0 / (kSpectrumWindow * kBinsPerWave * kFiner);
 
-const Spectrum& texture() {
-  static const Spectrum kTexture = make_texture();
-  return kTexture;
-}
-
-/// |H|^2 of a path, even between its places, at frequencies `step` cycles apart.
-template <std::size_t kPlaces>
-std::array<double, kFineBins> squared_transfer(const std::array<double, kPlaces>& places_px, double step) {
-  // The integral of exp(-i w p) over a segment from a to b is (exp(-i w a) - exp(-i w b)) / (i w (b - a)).
-  constexpr double kRestPx = 1e-3;  // a segment that does not move
-  std::array<std::complex<double>, kPlaces> phase, phase_step;
-  for (std::size_t k = 0; k < kPlaces; ++k) {
-    phase[k] = 1;
-    phase_step[k] = std::polar(1.0, -2 * CV_PI * step * places_px[k]);
-  }
+/// |H|^2 of uniform speed along a line: (sin(x) / x)^2, x = pi f extent.
+std::array<double, kFineBins> squared_transfer(double extent_px) {
+  const double step = 2 * CV_PI * kFineStep * extent_px;  // of 2 x
+  const double cosine_of_step = std::cos(step);
   std::array<double, kFineBins> squared;
   squared[0] = 1;
+  double cosine = cosine_of_step, before = 1;
   for (int i = 1; i < kFineBins; ++i) {
-    for (std::size_t k = 0; k < kPlaces; ++k) phase[k] *= phase_step[k];
-    std::complex<double> sum = 0;
-    for (std::size_t k = 0; k + 1 < kPlaces; ++k) {
-      const double moved_px = places_px[k + 1] - places_px[k];
-      const std::complex<double> middle = 0.5 * (phase[k] + phase[k + 1]), end = phase[k] - phase[k + 1];
-      sum += std::abs(moved_px) < kRestPx
-                 ? middle
-                 : std::complex<double>(end.imag(), -end.real()) / (2 * CV_PI * step * i * moved_px);
-    }
-    squared[i] = std::norm(sum) / ((kPlaces - 1.0) * (kPlaces - 1.0));
+    squared[i] = 2 * (1 - cosine) / (step * step * i * i);
+    before = std::exchange(cosine, 2 * cosine_of_step * cosine - before);
   }
   return squared;
 }
 
-std::array<double, kFineBins> squared_transfer(const BlockBlur& blur, double scale) {
-  constexpr double kStep = 1.0 / (kSpectrumWindow * kBinsPerWave * kFiner);
-  if (!blur.nonuniform_path_px) {
-    return squared_transfer(std::array<double, 2>{0, scale * blur.extent_px}, kStep);
+/// |H|^2 of a path, even between its places.
+std::array<double, kFineBins> squared_transfer(const Path1d& path_px, double scale) {
+  // The integral of exp(-i w p) over a segment from a to b is (exp(-i w a) - exp(-i w b)) / (i w (b - a)).
+  constexpr double kRestPx = 1e-3;  // a segment that does not move
+  std::array<std::complex<double>, kPathInstants> phase, phase_step;
+  for (int k = 0; k < kPathInstants; ++k) {
+    phase[k] = 1;
+    phase_step[k] = std::polar(1.0, -2 * CV_PI * kFineStep * scale * path_px[k]);
   }
-  std::array<double, kPathInstants> places_px;
-  for (int k = 0; k < kPathInstants; ++k) places_px[k] = scale * (*blur.nonuniform_path_px)[k];
-  return squared_transfer(places_px, kStep);
+  std::array<double, kFineBins> squared;
+  squared[0] = 1;
+  for (int i = 1; i < kFineBins; ++i) {
+    for (int k = 0; k < kPathInstants; ++k) phase[k] *= phase_step[k];
+    std::complex<double> sum = 0;
+    for (int k = 0; k + 1 < kPathInstants; ++k) {
+      const double moved_px = scale * (path_px[k + 1] - path_px[k]);
+      const std::complex<double> middle = 0.5 * (phase[k] + phase[k + 1]), end = phase[k] - phase[k + 1];
+      sum += std::abs(moved_px) < kRestPx
+                 ? middle
+                 : std::complex<double>(end.imag(), -end.real()) / (2 * CV_PI * kFineStep * i * moved_px);
+    }
+    squared[i] = std::norm(sum) / ((kPathInstants - 1.0) * (kPathInstants - 1.0));
+  }
+  return squared;
 }
 
 /// |H|^2 of `share` times the path, as the window smears it: Hann's has a spectrum of 1/2, 1 and 1/2, whose squares
 /// are these weights.
 /// @param left  what is between the lobes, at least
 Table gain_of(const std::array<double, kFineBins>& squared, double share, double left) {
-  const auto at = [&](int bin) { return squared[static_cast<int>(share * kFiner * std::abs(bin) + 0.5)]; };
+  std::array<double, kBins + 2 * kBinsPerWave> of_path;
+  for (int i = 0; i < kBins + 2 * kBinsPerWave; ++i) {
+    of_path[i] = squared[static_cast<int>(share * kFiner * std::abs(i - kBinsPerWave) + 0.5)];
+  }
   Table gain;
   for (int i = 0; i < kBins; ++i) {
-    gain[i] = static_cast<float>((4 * at(i) + at(i - kBinsPerWave) + at(i + kBinsPerWave)) / 6 + left);
+    gain[i] =
+        static_cast<float>((of_path[i] + 4 * of_path[i + kBinsPerWave] + of_path[i + 2 * kBinsPerWave]) / 6 + left);
   }
   return gain;
 }
@@ -187,43 +176,48 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
                         kSpectrumWindow, kSpectrumWindow);
 
   static const SpectrumSimd& simd = select_for_cpu<SpectrumSimd>();
-  Spectrum power;
+  const SpectrumOrder& order = spectrum_order();
+  std::array<float, kSpectrumSize> spectrum;
   simd.power_spectrum(spectrum_tables(), image.ptr<std::uint8_t>(window.y, window.x),
-                      static_cast<std::ptrdiff_t>(image.step[0]), power.data());
+                      static_cast<std::ptrdiff_t>(image.step[0]), spectrum.data());
   // The scale at which the log-logistic distribution fits the power of noise, which is exponential, best: then
   // E[2 P / (s + P)] = 1.
   constexpr double kScaleOfNoise = 0.6102;
   // Noise that is taken for less than it is looks like texture which no blur has touched, for more like nothing at all.
   constexpr double kMargin = 1.15;
   const auto unit = static_cast<float>(1 / (kMargin * kScaleOfNoise * levels_[level].noise_variance));
-  for (int i = 0; i < kSpectrumSize; ++i) power[i] = texture()[i] > 0 ? unit * power[i] : 0;
+  std::array<float, kSpectrumPlaces> power, model;
+  for (int i = 0; i < kSpectrumPlaces; ++i) power[i] = order.texture[i] > 0 ? unit * spectrum[order.at[i]] : 0;
 
   const auto bins_x = static_cast<float>(kBinsPerWave * std::cos(blur.angle_rad));
   const auto bins_y = static_cast<float>(kBinsPerWave * std::sin(blur.angle_rad));
-  const auto squared = blur.curved_path_px ? std::array<double, kFineBins>{} : squared_transfer(blur, 1.0 / shrink);
+  std::array<double, kFineBins> squared;
+  if (!blur.curved_path_px) {
+    squared = blur.nonuniform_path_px ? squared_transfer(*blur.nonuniform_path_px, 1.0 / shrink)
+                                      : squared_transfer(blur.extent_px / shrink);
+  }
   // What the window mixes, and a path that is not quite the predicted one: below the lobes of the longest blur.
   const double left = 0.003 / shrink;
-  Spectrum model;
   const auto model_of = [&](double share) {
     if (blur.curved_path_px) {
       const PathPhases phases = phases_of(*blur.curved_path_px, share / shrink);
-      return simd.multiply_path_gain(texture().data(), phases, static_cast<float>(left), model.data());
+      return simd.multiply_path_gain(order, phases, static_cast<float>(left), model.data());
     }
-    simd.multiply_gain(texture().data(), gain_of(squared, share, left).data(), bins_x, bins_y, model.data());
+    simd.multiply_gain(order, gain_of(squared, share, left).data(), bins_x, bins_y, model.data());
   };
-  // The search for the factor begins at the mean power.
-  const float sum = std::accumulate(power.begin(), power.end(), 0.0f) - kSpectrumSize;
+  // The first search begins at the mean power; each other one where the blur before it ended.
+  constexpr int kFirstSteps = 4, kSteps = 2;
+  const float sum = std::accumulate(power.begin(), power.end(), 0.0f) - kSpectrumPlaces;
   model_of(1);
-  double log_factor =
-      std::log(std::max(sum, 0.05f * kSpectrumSize) / std::accumulate(model.begin(), model.end(), 0.0f));
-  simd.least_cost(power.data(), model.data(), &log_factor);
-  const double cost = simd.least_cost(power.data(), model.data(), &log_factor);
+  TextureFit fit;
+  fit.log_power = std::log(std::max(sum, 0.05f * kSpectrumPlaces) / std::accumulate(model.begin(), model.end(), 0.0f));
+  const double cost = simd.least_cost(order, power.data(), model.data(), kFirstSteps, &fit);
   std::array<double, kLess.size() + 1> more;  // that the other hypotheses cost
   for (std::size_t i = 0; i < kLess.size(); ++i) {
     model_of(kLess[i]);
-    more[i] = simd.least_cost(power.data(), model.data(), &log_factor) - cost;
+    more[i] = simd.least_cost(order, power.data(), model.data(), kSteps, &fit) - cost;
   }
-  more.back() = simd.least_cost(power.data(), texture().data(), &log_factor) - cost;
+  more.back() = simd.least_cost(order, power.data(), order.texture, kSteps, &fit) - cost;
   const double least = *std::min_element(more.begin(), more.end());
   double likelihood = 0;
   for (const double m : more) likelihood += std::exp(least - m) / more.size();
@@ -264,16 +258,17 @@ std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& lik
 }
 
 std::vector<double> with_neighbours(const BlockGrid& grid, const std::vector<double>& log_ratios) {
-  // Larger limits decide better on blocks with noise, but let more of a moving object's edge follow its surroundings.
-  constexpr double kOfNeighbour = 5, kOfFrame = 10;
+  // Of a neighbour, and of the frame. A larger limit decides better on blocks with noise, but lets more of a moving
+  // object's edge follow its surroundings.
+  constexpr double kMost = 5;
   // Effect of an error of the noise on blocks without texture, which all together would decide for a frame.
   constexpr double kNothing = 1;
   const auto limited = [&](double value) {
-    return std::copysign(std::clamp(std::abs(value) - kNothing, 0.0, kOfNeighbour), value);
+    return std::copysign(std::clamp(std::abs(value) - kNothing, 0.0, kMost), value);
   };
   double of_frame = 0;
   for (const double ratio : log_ratios) of_frame += limited(ratio);
-  of_frame = std::clamp(of_frame, -kOfFrame, kOfFrame);
+  of_frame = std::clamp(of_frame, -kMost, kMost);
   std::vector<double> ratios = log_ratios;
   for (int i = 0; i < grid.size(); ++i) {
     const int row = i / grid.cols(), col = i % grid.cols();

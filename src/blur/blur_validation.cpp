@@ -116,10 +116,10 @@ FrameBlur validate_by_gradient(const FrameBlur& field, const cv::Mat& luminance,
 }
 
 /// Log likelihood ratio, neighbours and frame included, below which a block is rejected. Of blocks with a wrong
-/// prediction that share exceeds it: a fit to measured quantiles (see ValidationOptions::false_accept_rate), within 2
-/// from .1 to .005. The default is below 0, which accepts blocks without evidence. Deblurring them gains nothing, but
-/// their keypoints lie where the prediction puts them, which mostly holds.
-double least_log_ratio(double false_accept_rate) { return 18 * std::log(0.052 / false_accept_rate); }
+/// prediction that share exceeds it: a fit to measured quantiles (doc/reports/validation.md), within 5 from .1 to .01.
+/// The default is below 0, which accepts blocks without evidence. Deblurring them gains nothing, but their keypoints
+/// lie where the prediction puts them, which mostly holds.
+double least_log_ratio(double false_accept_rate) { return 14 * std::log(0.025 / false_accept_rate); }
 
 /// Shorter blur changes a spectrum little; an edge that is sharper than it may be is better evidence. Noise does not
 /// come near what so short a blur allows.

@@ -19,6 +19,26 @@ constexpr int kSpectrumWaves = 16;
 /// Frequencies of a spectrum: (x, y) is at y * kSpectrumWaves + x, (x, -y) behind all of those.
 constexpr int kSpectrumSize = 2 * kSpectrumWaves * kSpectrumWaves;
 
+/// Sectors of directions that the frequencies are divided into, and places for those of all sectors.
+constexpr int kSpectrumSectors = 8;
+constexpr int kSpectrumPlaces = 480;
+
+/// The frequencies of a half plane, less the four lowest, which a window mixes with the mean. Place
+/// i * kSpectrumSectors + k has the i-th one of sector k; the last of a sector may be empty.
+struct SpectrumOrder {
+  std::int32_t at[kSpectrumPlaces];                      ///< index in a spectrum; 0 where empty
+  float across[kSpectrumPlaces], down[kSpectrumPlaces];  ///< waves a window
+  float texture[kSpectrumPlaces];                        ///< |f|^-2.5 [waves a window]; 0 where empty
+  float log_frequency[kSpectrumPlaces];                  ///< natural, less its mean; 0 where empty
+};
+
+/// How the texture of a window differs from |f|^-2.5: natural logarithms of factors.
+struct TextureFit {
+  double log_power = 0;                         ///< at all frequencies
+  double exponent = 0;                          ///< of |f|, less -2.5
+  double log_of_sector[kSpectrumSectors] = {};  ///< in each sector, besides
+};
+
 /// The first half of a symmetric (cosine) and an antisymmetric (sine) transform from the middle of a window, times
 /// Hann's window, which is scaled to leave white noise its variance.
 struct SpectrumTables {
@@ -49,20 +69,25 @@ struct SpectrumSimd {
   /// Power [grey levels^2] at each frequency of a window: of white noise its variance.
   /// @param stride  between rows
   void (*power_spectrum)(const SpectrumTables& tables, const std::uint8_t* window, std::ptrdiff_t stride, float* power);
-  /// model[f] = texture[f] * gain[bin], bin the nearest to |x * bins_x + y * bins_y|.
-  void (*multiply_gain)(const float* texture, const float* gain, float bins_x, float bins_y, float* model);
-  /// model[f] = texture[f] * (|H(f)|^2 + left), H of a path, smeared as the window does it: Hann's has a spectrum of
-  /// 1/2, 1 and 1/2.
-  void (*multiply_path_gain)(const float* texture, const PathPhases& path, float left, float* model);
-  /// The least sum over the frequencies of 2 log(S + P) - log S over all factors a, S = a * model + 1: the negative log
-  /// likelihood, but for a constant, where the power P is S times a factor with a log-logistic distribution.
-  /// @param log_factor  of a: where the search begins; becomes where it ends
-  double (*least_cost)(const float* power, const float* model, double* log_factor);
+  /// model = texture * gain[bin] at each place, bin the nearest to |across * bins_x + down * bins_y|.
+  void (*multiply_gain)(const SpectrumOrder& order, const float* gain, float bins_x, float bins_y, float* model);
+  /// model = texture * (|H|^2 + left) at each place, H of a path, smeared as the window does it: Hann's has a spectrum
+  /// of 1/2, 1 and 1/2.
+  void (*multiply_path_gain)(const SpectrumOrder& order, const PathPhases& path, float left, float* model);
+  /// The least cost over all textures: the sum over the places of 2 log(S + P) - log S, S = fitted texture * model + 1,
+  /// and what deviations of the texture cost. That is the negative log likelihood, but for a constant, where the power
+  /// P is S times a factor with a log-logistic distribution, and the deviations are normally distributed.
+  /// @param steps  of the search
+  /// @param fit    where the search begins; becomes where it ends
+  double (*least_cost)(const SpectrumOrder& order, const float* power, const float* model, int steps, TextureFit* fit);
 };
 
 GYRO_DEBLUR_SIMD_KERNELS(SpectrumSimd)
 
 /// The tables for power_spectrum(), made once.
 const SpectrumTables& spectrum_tables();
+
+/// The places of the frequencies, made once.
+const SpectrumOrder& spectrum_order();
 
 }  // namespace gyro_deblur

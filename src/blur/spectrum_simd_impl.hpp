@@ -139,23 +139,17 @@ void power_spectrum(const SpectrumTables& tables, const std::uint8_t* window, st
   }
 }
 
-void multiply_gain(const float* texture, const float* gain, float bins_x, float bins_y, float* model) {
-  Vector waves;
-  for (int i = 0; i < kLanes; ++i) waves[i] = static_cast<float>(i);
-  for (int row = 0; row < 2 * kSpectrumWaves; ++row) {
-    const int y = row < kSpectrumWaves ? row : kSpectrumWaves - row;
-    for (int x = 0; x < kSpectrumWaves; x += kLanes) {
-      const Vector along = (waves + static_cast<float>(x)) * bins_x + y * bins_y;
-      const IntVector bin = __builtin_convertvector((along < 0 ? -along : along) + 0.5f, IntVector);
-      Vector picked;
-      for (int i = 0; i < kLanes; ++i) picked[i] = gain[bin[i]];
-      const int at = row * kSpectrumWaves + x;
-      store(model + at, load(texture + at) * picked);
-    }
+void multiply_gain(const SpectrumOrder& order, const float* gain, float bins_x, float bins_y, float* model) {
+  for (int i = 0; i < kSpectrumPlaces; i += kLanes) {
+    const Vector along = load(order.across + i) * bins_x + load(order.down + i) * bins_y;
+    const IntVector bin = __builtin_convertvector((along < 0 ? -along : along) + 0.5f, IntVector);
+    Vector picked;
+    for (int k = 0; k < kLanes; ++k) picked[k] = gain[bin[k]];
+    store(model + i, load(order.texture + i) * picked);
   }
 }
 
-void multiply_path_gain(const float* texture, const PathPhases& path, float left, float* model) {
+void multiply_path_gain(const SpectrumOrder& order, const PathPhases& path, float left, float* model) {
   constexpr int kAcross = PathPhases::kAcross, kDown = PathPhases::kDown;
   constexpr float kSegments = kPathInstants - 1;
   Vector wave;
@@ -190,15 +184,15 @@ void multiply_path_gain(const float* texture, const PathPhases& path, float left
       smeared[row][x] = (4 * power[row][x] + (x > 0 ? power[row][x - 1] : before) + power[row][x + 1]) * (1 / 6.0f);
     }
   }
+  float gain[kSpectrumSize];
   for (int row = 0; row < 2 * kSpectrumWaves; ++row) {
     const int at = kSpectrumWaves + (row < kSpectrumWaves ? row : kSpectrumWaves - row);
     for (int x = 0; x < kSpectrumWaves; x += kLanes) {
-      const Vector gain =
-          (4 * load(smeared[at] + x) + load(smeared[at - 1] + x) + load(smeared[at + 1] + x)) * (1 / 6.0f) + left;
-      const int to = row * kSpectrumWaves + x;
-      store(model + to, load(texture + to) * gain);
+      store(gain + row * kSpectrumWaves + x,
+            (4 * load(smeared[at] + x) + load(smeared[at - 1] + x) + load(smeared[at + 1] + x)) * (1 / 6.0f) + left);
     }
   }
+  for (int i = 0; i < kSpectrumPlaces; ++i) model[i] = order.texture[i] * gain[order.at[i]];
 }
 
 /// A product as a mantissa and a power of two for each lane.
@@ -225,43 +219,141 @@ struct Product {
   }
 };
 
-inline float sum_of(Vector v) {
-  float sum = 0;
-  for (int i = 0; i < kLanes; ++i) sum += v[i];
-  return sum;
+/// exp(v) within 5e-5 of it, relatively, for |v| <= 80.
+inline Vector exp_of(Vector v) {
+  const Vector binary = v * static_cast<float>(M_LOG2E);
+  const IntVector whole = __builtin_convertvector(binary + (binary < 0 ? Vector{} - 0.5f : Vector{} + 0.5f), IntVector);
+  const Vector rest = (binary - __builtin_convertvector(whole, Vector)) * static_cast<float>(M_LN2);
+  const Vector of_rest = 1 + rest * (1 + rest * (1 / 2.0f + rest * (1 / 6.0f + rest * (1 / 24.0f))));
+  const IntVector bits = (whole + 127) << 23;
+  Vector of_whole;
+  std::memcpy(&of_whole, &bits, sizeof bits);
+  return of_rest * of_whole;
 }
 
-double least_cost(const float* power, const float* model, double* log_factor) {
-  // Fisher's scoring: the derivative of the cost by log a is the sum of g = s (S - P) / (S + P), s = (S - 1) / S, and
-  // its variance under the model that of s^2 / 3. Three steps leave .02 of a log ratio.
-  constexpr int kSteps = 3;
-  constexpr double kLongestStep = 2;
-  for (int step = 0; step < kSteps; ++step) {
-    const auto factor = static_cast<float>(exp(*log_factor));
-    Vector slope = {}, information = {};
-    for (int i = 0; i < kSpectrumSize; i += kLanes) {
-      const Vector texture = factor * load(model + i), p = load(power + i), both = texture + 1 + p;
-      const Vector scale = 1 / ((texture + 1) * both);
-      const Vector share = texture * both * scale;
-      slope += texture * (texture + 1 - p) * scale;
-      information += share * share;
+/// One value for each sector, summed over its places.
+struct OfSectors {
+  static constexpr int kParts = kLanes < kSpectrumSectors ? kSpectrumSectors / kLanes : 1;
+  Vector parts[kParts] = {};
+
+  void to(double* sectors) const {
+    for (int k = 0; k < kSpectrumSectors; ++k) sectors[k] = 0;
+    for (int part = 0; part < kParts; ++part) {
+      for (int i = 0; i < kLanes; ++i) sectors[(part * kLanes + i) % kSpectrumSectors] += parts[part][i];
     }
-    const double newton = -3 * static_cast<double>(sum_of(slope)) / (static_cast<double>(sum_of(information)) + 1e-6);
-    *log_factor += newton > kLongestStep ? kLongestStep : newton < -kLongestStep ? -kLongestStep : newton;
   }
-  const auto factor = static_cast<float>(exp(*log_factor));
-  // Mantissas are below 2, and a float holds 2^127.
-  constexpr int kPart = 64 * kLanes < kSpectrumSize ? 64 * kLanes : kSpectrumSize;
-  double cost = 0;
-  for (int begin = 0; begin < kSpectrumSize; begin += kPart) {
-    Product product;
-    for (int i = begin; i < begin + kPart; i += kLanes) {
-      const Vector spectrum = factor * load(model + i) + 1, both = spectrum + load(power + i);
-      product.multiply(both * both / spectrum);
+};
+
+/// The texture that `fit` makes of |f|^-2.5, as factors.
+class Texture {
+ public:
+  Texture(const SpectrumOrder& order, const TextureFit& fit)
+      : log_frequency_(order.log_frequency), exponent_(static_cast<float>(fit.exponent)) {
+    for (int part = 0; part < OfSectors::kParts; ++part) {
+      Vector log_factor;
+      for (int i = 0; i < kLanes; ++i) {
+        log_factor[i] = static_cast<float>(fit.log_power + fit.log_of_sector[(part * kLanes + i) % kSpectrumSectors]);
+      }
+      of_sectors_.parts[part] = exp_of(log_factor);
     }
-    cost += product.log();
   }
-  return cost;
+  Vector at(int place, int part) const {
+    return of_sectors_.parts[part] * exp_of(exponent_ * load(log_frequency_ + place));
+  }
+
+ private:
+  const float* log_frequency_;
+  float exponent_;
+  OfSectors of_sectors_;
+};
+
+inline double limited(double value, double most) { return value > most ? most : value < -most ? -most : value; }
+
+// Standard deviations of a sector's power and of the exponent. Measured (doc/design/validation.md).
+constexpr double kSectorStddev = 1, kExponentStddev = 0.5;
+
+/// One step of Fisher's scoring. The derivative of the cost by the logarithm of S - 1 is g = s (S - P) / (S + P),
+/// s = (S - 1) / S, and its variance under the model s^2 / 3.
+void improve(const SpectrumOrder& order, const float* power, const float* model, TextureFit* fit) {
+  const Texture texture(order, *fit);
+  OfSectors gradient, gradient_exponent, information, mixed, information_exponent;
+  for (int i = 0; i < kSpectrumPlaces; i += kLanes * OfSectors::kParts) {
+    for (int part = 0; part < OfSectors::kParts; ++part) {
+      const int place = i + part * kLanes;
+      const Vector above = texture.at(place, part) * load(model + place), p = load(power + place),
+                   log_f = load(order.log_frequency + place), spectrum = above + 1, both = spectrum + p;
+      const Vector scale = above / (spectrum * both);
+      const Vector g = scale * (spectrum - p), share = scale * both;
+      const Vector weight = share * share, weight_f = weight * log_f;
+      gradient.parts[part] += g;
+      gradient_exponent.parts[part] += g * log_f;
+      information.parts[part] += weight;
+      mixed.parts[part] += weight_f;
+      information_exponent.parts[part] += weight_f * log_f;
+    }
+  }
+  double g[kSpectrumSectors], g_exponent[kSpectrumSectors], info[kSpectrumSectors], mix[kSpectrumSectors],
+      info_exponent[kSpectrumSectors];
+  gradient.to(g);
+  gradient_exponent.to(g_exponent);
+  information.to(info);
+  mixed.to(mix);
+  information_exponent.to(info_exponent);
+
+  // The sectors' equations contain nothing of one another: they are solved for their own unknown, and the two for all
+  // remain.
+  constexpr double kOfSector = 1 / (kSectorStddev * kSectorStddev),
+                   kOfExponent = 1 / (kExponentStddev * kExponentStddev), kVariance = 1.0 / 3, kTiny = 1e-6;
+  double rhs_power = 0, rhs_exponent = kOfExponent * fit->exponent, power_power = kTiny, power_exponent = 0,
+         exponent_exponent = kOfExponent;
+  for (int k = 0; k < kSpectrumSectors; ++k) {
+    info[k] *= kVariance;
+    mix[k] *= kVariance;
+    const double own = info[k] + kOfSector, own_rhs = g[k] + kOfSector * fit->log_of_sector[k];
+    rhs_power += g[k] - info[k] / own * own_rhs;
+    rhs_exponent += g_exponent[k] - mix[k] / own * own_rhs;
+    power_power += info[k] - info[k] / own * info[k];
+    power_exponent += mix[k] - info[k] / own * mix[k];
+    exponent_exponent += kVariance * info_exponent[k] - mix[k] / own * mix[k];
+  }
+  const double determinant = power_power * exponent_exponent - power_exponent * power_exponent;
+  const double step_power = -(exponent_exponent * rhs_power - power_exponent * rhs_exponent) / determinant;
+  const double step_exponent = -(power_power * rhs_exponent - power_exponent * rhs_power) / determinant;
+  constexpr double kLongestStep = 2, kLongestExponentStep = 0.7, kLargestExponent = 1.4;
+  for (int k = 0; k < kSpectrumSectors; ++k) {
+    const double step = -(g[k] + kOfSector * fit->log_of_sector[k] + info[k] * step_power + mix[k] * step_exponent) /
+                        (info[k] + kOfSector);
+    fit->log_of_sector[k] += limited(step, kLongestStep);
+  }
+  fit->log_power += limited(step_power, kLongestStep);
+  fit->exponent = limited(fit->exponent + limited(step_exponent, kLongestExponentStep), kLargestExponent);
+}
+
+double cost_of(const SpectrumOrder& order, const float* power, const float* model, const TextureFit& fit) {
+  const Texture texture(order, fit);
+  double cost = 0.5 * fit.exponent * fit.exponent / (kExponentStddev * kExponentStddev);
+  for (const double log_of_sector : fit.log_of_sector) {
+    cost += 0.5 * log_of_sector * log_of_sector / (kSectorStddev * kSectorStddev);
+  }
+  Product product;
+  int factors = 0;
+  constexpr int kMostFactors = 60;  // mantissas are below 2, and a float holds 2^127
+  for (int i = 0; i < kSpectrumPlaces; i += kLanes) {
+    const Vector spectrum = texture.at(i, i / kLanes % OfSectors::kParts) * load(model + i) + 1,
+                 both = spectrum + load(power + i);
+    product.multiply(both * both / spectrum);
+    if (++factors == kMostFactors) {
+      cost += product.log();
+      product = {};
+      factors = 0;
+    }
+  }
+  return cost + product.log();
+}
+
+double least_cost(const SpectrumOrder& order, const float* power, const float* model, int steps, TextureFit* fit) {
+  for (int step = 0; step < steps; ++step) improve(order, power, model, fit);
+  return cost_of(order, power, model, *fit);
 }
 
 }  // namespace

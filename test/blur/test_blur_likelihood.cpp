@@ -237,7 +237,7 @@ TEST(WithNeighbours, LimitsWhatTheOthersSay) {
   EXPECT_DOUBLE_EQ(together[6], 0.9 - 2 + 1 + 4);
   EXPECT_DOUBLE_EQ(together[11], -3 + 1 + 4);
   EXPECT_DOUBLE_EQ(together[8], 0.9 + 4);
-  EXPECT_DOUBLE_EQ(with_neighbours(grid, std::vector<double>(12, 50.0))[5], 50 + 8 * 5 + 10);
+  EXPECT_DOUBLE_EQ(with_neighbours(grid, std::vector<double>(12, 50.0))[5], 50 + 8 * 5 + 5);
 }
 
 }  // namespace

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <complex>
 #include <random>
+#include <set>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -76,16 +78,14 @@ TEST_P(SpectrumSimdTest, PowerSpectrum) {
 }
 
 TEST_P(SpectrumSimdTest, MultiplyGain) {
-  std::vector<float> texture(kSpectrumSize), gain(100), model(kSpectrumSize);
-  for (int i = 0; i < kSpectrumSize; ++i) texture[i] = static_cast<float>(i + 1);
+  const SpectrumOrder& order = spectrum_order();
+  std::vector<float> gain(100), model(kSpectrumPlaces);
   for (int i = 0; i < 100; ++i) gain[i] = static_cast<float>(i * i);
   constexpr float kX = -3.01f, kY = 2.02f;
-  simd_->multiply_gain(texture.data(), gain.data(), kX, kY, model.data());
-  for (int i = 0; i < kSpectrumSize; ++i) {
-    const int x = i % kSpectrumWaves, row = i / kSpectrumWaves;
-    const int y = row < kSpectrumWaves ? row : kSpectrumWaves - row;
-    const auto bin = static_cast<int>(std::lround(std::abs(x * kX + y * kY)));
-    ASSERT_EQ(model[i], texture[i] * static_cast<float>(bin * bin)) << x << ", " << y;
+  simd_->multiply_gain(order, gain.data(), kX, kY, model.data());
+  for (int i = 0; i < kSpectrumPlaces; ++i) {
+    const auto bin = static_cast<int>(std::lround(std::abs(order.across[i] * kX + order.down[i] * kY)));
+    ASSERT_EQ(model[i], order.texture[i] * static_cast<float>(bin * bin)) << order.across[i] << ", " << order.down[i];
   }
 }
 
@@ -118,34 +118,94 @@ TEST_P(SpectrumSimdTest, MultiplyPathGain) {
     }
     return sum / 36;
   };
-  std::vector<float> texture(kSpectrumSize), model(kSpectrumSize);
-  for (int i = 0; i < kSpectrumSize; ++i) texture[i] = static_cast<float>(i + 1);
-  simd_->multiply_path_gain(texture.data(), phases_of(path_px, kScale), kLeft, model.data());
-  for (const auto& [x, y] : {std::pair(0, 3), {1, 0}, {1, 1}, {5, 2}, {15, 15}, {7, -1}, {15, -15}, {0, -9}, {4, -9}}) {
-    const int at = (y < 0 ? kSpectrumSize / 2 : 0) + std::abs(y) * kSpectrumWaves + x;
+  const SpectrumOrder& order = spectrum_order();
+  std::vector<float> model(kSpectrumPlaces);
+  simd_->multiply_path_gain(order, phases_of(path_px, kScale), kLeft, model.data());
+  for (int i = 0; i < kSpectrumPlaces; ++i) {
+    if (order.texture[i] == 0) {
+      ASSERT_EQ(model[i], 0);
+      continue;
+    }
+    const auto x = static_cast<int>(order.across[i]), y = static_cast<int>(order.down[i]);
     const double expected = smeared_at(x, y) + kLeft;
-    EXPECT_NEAR(model[at] / texture[at], expected, 1e-3 * expected + 1e-4) << x << ", " << y;
+    ASSERT_NEAR(model[i] / order.texture[i], expected, 1e-3 * expected + 1e-4) << x << ", " << y;
   }
 }
 
+/// The cost from its definition, in double precision.
+double expected_cost(const std::vector<float>& power, const std::vector<float>& model, const TextureFit& fit) {
+  constexpr double kSectorStddev = 1, kExponentStddev = 0.5;
+  double cost = 0.5 * std::pow(fit.exponent / kExponentStddev, 2);
+  for (const double log_of_sector : fit.log_of_sector) cost += 0.5 * std::pow(log_of_sector / kSectorStddev, 2);
+  for (int i = 0; i < kSpectrumPlaces; ++i) {
+    const double log_texture = fit.log_power + fit.log_of_sector[i % kSpectrumSectors] +
+                               fit.exponent * static_cast<double>(spectrum_order().log_frequency[i]);
+    const double spectrum = std::exp(log_texture) * model[i] + 1;
+    cost += 2 * std::log(spectrum + power[i]) - std::log(spectrum);
+  }
+  return cost;
+}
+
+// Of a texture with more power in some directions than in others, seen through noise.
 TEST_P(SpectrumSimdTest, LeastCost) {
-  // Where the power is what a factor makes of the model, that factor is found, and the cost is that of P = S.
-  std::vector<float> model(kSpectrumSize), power(kSpectrumSize);
-  constexpr double kFactor = 250;
-  double expected = 0;
-  for (int i = 0; i < kSpectrumSize; ++i) {
-    model[i] = i % 7 == 0 ? 0 : static_cast<float>(1.0 / (1 + i));
-    const double spectrum = kFactor * model[i] + 1;
-    power[i] = static_cast<float>(spectrum);
-    expected += 2 * std::log(2 * spectrum) - std::log(spectrum);
+  const SpectrumOrder& order = spectrum_order();
+  std::vector<float> model(order.texture, order.texture + kSpectrumPlaces), power(kSpectrumPlaces);
+  std::uniform_real_distribution<double> uniform(0.01, 0.99);
+  for (int i = 0; i < kSpectrumPlaces; ++i) {
+    const double log_texture = 9 + 1.5 * std::cos(i % kSpectrumSectors) - 0.4 * order.log_frequency[i],
+                 u = uniform(random_);
+    if (order.texture[i] > 0) power[i] = static_cast<float>((std::exp(log_texture) * model[i] + 1) * u / (1 - u));
   }
-  for (const double start : {0.1, 1.0, 30.0}) {
-    double log_factor = std::log(kFactor * start);
-    double cost = 0;
-    for (int i = 0; i < 3; ++i) cost = simd_->least_cost(power.data(), model.data(), &log_factor);
-    EXPECT_NEAR(std::exp(log_factor), kFactor, 0.01 * kFactor);
-    EXPECT_NEAR(cost, expected, 0.01);
+  for (const double start : {6.0, 9.0, 12.0}) {
+    TextureFit fit;
+    fit.log_power = start;
+    const double cost = simd_->least_cost(order, power.data(), model.data(), 12, &fit);
+    EXPECT_NEAR(cost, expected_cost(power, model, fit), 0.01);
+    EXPECT_NEAR(fit.exponent, -0.4, 0.2);
+    for (int k = 0; k < kSpectrumSectors; ++k) {
+      EXPECT_NEAR(fit.log_power + fit.log_of_sector[k], 9 + 1.5 * std::cos(k), 0.6) << "sector " << k;
+    }
+    // It is a minimum: along no parameter is there a lower cost.
+    for (const double step : {-0.05, 0.05}) {
+      TextureFit other = fit;
+      other.log_power += step;
+      EXPECT_GT(expected_cost(power, model, other), cost);
+      other = fit;
+      other.exponent += step;
+      EXPECT_GT(expected_cost(power, model, other), cost);
+      for (int k = 0; k < kSpectrumSectors; ++k) {
+        other = fit;
+        other.log_of_sector[k] += step;
+        EXPECT_GT(expected_cost(power, model, other), cost) << "sector " << k;
+      }
+    }
   }
+}
+
+TEST(SpectrumOrder, HasEachFrequencyOfAHalfPlaneOnce) {
+  const SpectrumOrder& order = spectrum_order();
+  std::set<std::pair<int, int>> seen;
+  std::array<double, kSpectrumSectors> least, most;
+  least.fill(10);
+  most.fill(-10);
+  double sum_of_logs = 0;
+  for (int i = 0; i < kSpectrumPlaces; ++i) {
+    sum_of_logs += order.log_frequency[i];
+    if (order.texture[i] == 0) continue;
+    const auto x = static_cast<int>(order.across[i]), y = static_cast<int>(order.down[i]);
+    EXPECT_TRUE(seen.insert({x, y}).second) << x << ", " << y;
+    EXPECT_EQ(seen.count({-x, -y}), x == 0 && y == 0 ? 1u : 0u) << x << ", " << y;
+    EXPECT_EQ(order.at[i], (y < 0 ? kSpectrumSize / 2 : 0) + std::abs(y) * kSpectrumWaves + x);
+    EXPECT_NEAR(order.texture[i], std::pow(std::hypot(x, y), -2.5), 1e-6);
+    const double angle_rad = std::atan2(y, x);
+    const int sector = i % kSpectrumSectors;
+    const double turned_rad = angle_rad < -CV_PI / 16 ? angle_rad + CV_PI : angle_rad;
+    least[sector] = std::min(least[sector], turned_rad);
+    most[sector] = std::max(most[sector], turned_rad);
+  }
+  EXPECT_EQ(seen.size(), 476u);  // of 31 x 15 + 15, less (1, -1), (1, 0), (1, 1) and (0, 1)
+  EXPECT_NEAR(sum_of_logs, 0, 1e-3);
+  for (int k = 1; k < kSpectrumSectors; ++k) EXPECT_LE(most[k - 1], least[k]);
 }
 
 INSTANTIATE_TEST_SUITE_P(InstructionSets, SpectrumSimdTest, testing::Values("baseline", "avx2", "avx512"));

@@ -65,8 +65,8 @@ TEST_P(ValidationPhotographs, AreasUnderTheCurve) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Extents, ValidationPhotographs,
-                         testing::Values(Bounds{5, .97, .96}, Bounds{10, .99, .99}, Bounds{20, .995, .99},
-                                         Bounds{40, .995, .99}));
+                         testing::Values(Bounds{5, .985, .985}, Bounds{10, .999, .999}, Bounds{20, .999, .999},
+                                         Bounds{40, .998, .998}));
 
 }  // namespace
 }  // namespace gyro_deblur
