@@ -168,7 +168,8 @@ struct PipelineOptions {
   KeypointOptions keypoints;
   bool optical_flow = true;  ///< image motion that the rotation does not explain, see ResidualFlow
   /// Which frames that the gyroscope does not cover are deblurred by optical flow alone: "absent", where there is no
-  /// gyroscope or it is silent; "always", also at its gaps and where it is saturated; "never".
+  /// gyroscope, it is silent or the camera is not calibrated; "always", also at its gaps and where it is saturated;
+  /// "never".
   std::string flow_without_gyro = "absent";
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
   ImageBorder global_shutter_border = ImageBorder::BLACK;  ///< constant: shows where the image ends

@@ -152,8 +152,8 @@ void visit(Table<PipelineOptions>, V&& visitor) {
           &O::optical_flow);
   visitor({"flow_without_gyro", OneOf{"absent", "always", "never"},
            "Which frames with rows that the gyroscope does not cover are deblurred by optical flow alone; in others "
-           "these rows are passed through unchanged. absent: those of a camera whose IMU is absent or silent. always: "
-           "also those at gaps and saturated samples. never: none.",
+           "these rows are passed through unchanged. absent: those of a camera that is not calibrated, or "
+           "whose IMU is absent or silent. always: also those at gaps and saturated samples. never: none.",
            Change::WHILE_RUNNING},
           &O::flow_without_gyro);
   visitor.part(&O::filter);

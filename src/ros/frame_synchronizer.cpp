@@ -70,6 +70,21 @@ void set_calibration(const Config& config, PendingFrame* frame) {
   }
 }
 
+/// What is said of images that go without a calibration.
+constexpr char kNotCalibrated[] = "camera not calibrated";
+
+/// Whether the message says that the camera is not calibrated, and nothing else describes it.
+bool goes_in_pixels(const Config& config, const sensor_msgs::CameraInfo& info) {
+  const bool file = config.calibration && config.calibration->camera;
+  return goes_without_imu(config) && is_uncalibrated(info) && !file;
+}
+
+/// Lets optical flow alone move the image, for which any focal length will do.
+void go_in_pixels(PendingFrame* frame) {
+  frame->calibration = pixel_calibration(static_cast<int>(frame->image->width), static_cast<int>(frame->image->height));
+  frame->in_pixels = true;
+}
+
 /// The time that the frame itself needs samples for, IMU clock, where it was exposed so long.
 TimeRange own_range(const Config& config, const PictureMotion& motion, TimeNs exposure_ns) {
   const RowExposure exposure = motion.exposure->with_exposure(exposure_ns);
@@ -138,7 +153,11 @@ std::optional<SynchronizedFrame> FrameSynchronizer::next(const Followed& followe
     record_lacking_samples(frame, next);
     if (readiness == Readiness::READY) {
       if (!frame.picture || !frame.picture->motion) {
-        collect(followed_cam, &next);
+        if (frame.in_pixels) {
+          next.coverage_text = "the camera is not calibrated";
+        } else {
+          collect(followed_cam, &next);
+        }
         if (frame.picture) frame.picture->motion = static_cast<const PictureMotion&>(next);
       }
       record_repetition(frame, next.gyro);
@@ -170,7 +189,7 @@ Readiness FrameSynchronizer::decide(PendingFrame* frame, PictureMotion* motion) 
   if (readiness == Readiness::READY) readiness = find_exposure(frame, motion);
   if (readiness == Readiness::READY) readiness = find_samples(frame, motion);
   // Without samples there is nothing to rotate, and the IMU's frame is not known.
-  const bool has_samples = !motion->without_gyro || !gyro().empty();
+  const bool has_samples = !frame->in_pixels && (!motion->without_gyro || !gyro().empty());
   if (readiness == Readiness::READY && has_samples) readiness = find_extrinsic(frame, motion);
   return readiness;
 }
@@ -260,11 +279,25 @@ Readiness FrameSynchronizer::find_calibration(PendingFrame* frame) const {
     auto described = boost::make_shared<sensor_msgs::CameraInfo>(camera_info_message(*file));
     described->header = frame->image->header;
     frame->info = described;
+  } else if (give_up && !infos.seen() && goes_without_imu(config)) {
+    frame->info = uncalibrated_camera_info(*frame->image);
   } else if (give_up) {
     return pass_through(frame, PassThroughReason::NO_CALIBRATION, missing_info_text(*frame));
   } else {
     return wait_for(Awaited::CAMERA_INFO, frame);
   }
+  frame->in_pixels = false;
+  if (goes_in_pixels(config, *frame->info)) {
+    go_in_pixels(frame);
+    // That there is none is reported among the missing inputs.
+    problems_.update(kNotCalibrated, infos.seen() ? "camera_info says that the camera is not calibrated (K[0] = 0): " +
+                                                        in_pixels_text() +
+                                                        ". Calibrate it with camera_calibration, or set "
+                                                        "calibration_file"
+                                                  : "");
+    return Readiness::READY;
+  }
+  problems_.update(kNotCalibrated, "");
   try {
     set_calibration(config, frame);
   } catch (const OptionError& error) {
@@ -371,6 +404,10 @@ Readiness FrameSynchronizer::plan_exposure(TimeNs given_ns, const std::string& s
 Readiness FrameSynchronizer::find_samples(PendingFrame* frame, PictureMotion* motion) const {
   motion->gyro = config().gyro;
   motion->gyro.bias_rad_s = calibration_.bias_rad_s();
+  if (frame->in_pixels) {  // what the gyroscope measures cannot be compared with pixels
+    motion->without_gyro = true;
+    return Readiness::READY;
+  }
   const TimeRange own = longest_range(config(), *motion);
   const TimeRange available = gyro().available();
   const bool empty = available.empty();

@@ -18,6 +18,11 @@ inline bool goes_without_imu(const Config& config) {
   return config.pipeline.optical_flow && config.pipeline.flow_without_gyro != "never";
 }
 
+/// What happens to images of a camera that is not calibrated, where goes_without_imu().
+inline std::string in_pixels_text() {
+  return "images are deblurred by optical flow alone, which is less accurate, and there are no feature_tracks";
+}
+
 /// Reports each missing input once, and resolves the report when the input has come. By a clock that does not stop with
 /// a simulated one. Its owner serialises access.
 class MissingInputs {

@@ -48,7 +48,7 @@ DeblurTopics choose(const InputBag& input, const NamedTopics& named, const Confi
   chosen.image = choose_images(input, named.images);
   const std::string name_space = chosen.image.name_space();
   const std::string home = named.images.home(name_space);
-  const bool info_required = !config.calibration || !config.calibration->camera;
+  const bool info_required = (!config.calibration || !config.calibration->camera) && !goes_without_imu(config);
   chosen.camera_info = input.choose_topic<sensor_msgs::CameraInfo>("camera_info", named.camera_info,
                                                                    name_space + "/camera_info", info_required);
   chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", !goes_without_imu(config));

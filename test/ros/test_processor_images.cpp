@@ -1,5 +1,6 @@
 // Optical flow with the gyroscope, or without one, from messages to messages.
 #include <algorithm>
+#include <cmath>
 #include <string>
 #include <utility>
 #include <vector>
@@ -10,6 +11,7 @@
 #include "features/residual_rotation.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "processor_test.hpp"
+#include "ros/output_conversion.hpp"
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
 
@@ -75,7 +77,7 @@ motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}
         processor_.add_imu(imu);
       }
       processor_.add_image(message_of(i));
-      processor_.add_camera_info(camera_info(simulator_.stamp(i), 320, 240));
+      if (const sensor_msgs::CameraInfoPtr info = camera_info_of(i)) processor_.add_camera_info(info);
       advance();
     }
     processor_.finish([this](FrameOutput&& output) {
@@ -83,6 +85,14 @@ motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}
       return true;
     });
     ASSERT_EQ(outputs_.size(), static_cast<std::size_t>(end - begin));
+  }
+
+  /// Null where the camera sends none.
+  sensor_msgs::CameraInfoPtr camera_info_of(int i) const {
+    if (i < described_from_) return nullptr;
+    const auto info = boost::make_shared<sensor_msgs::CameraInfo>(*camera_info(simulator_.stamp(i), 320, 240));
+    if (i < calibrated_from_) info->K = {};
+    return info;
   }
 
   /// How far the paths of a frame's blocks are from the true ones [px]; of a line, whose direction has no sign.
@@ -99,6 +109,8 @@ motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}
     return errors;
   }
 
+  int described_from_ = 0;   // image from which camera_info comes
+  int calibrated_from_ = 0;  // image from which it has a calibration
   sim::Simulator simulator_{scene()};
   const std::vector<sim::ImuSample> imu_ = simulator_.imu();
 };
@@ -165,6 +177,85 @@ TEST_F(ProcessorImagesTest, ImagesCarryACameraWhoseGyroscopeNeverSpeaks) {
   ASSERT_EQ(problems.count("no imu"), 1u);
   EXPECT_NE(problems.at("no imu").text.find("deblurred by optical flow alone"), std::string::npos);
   EXPECT_EQ(logged("optical flow alone"), 1u) << "said once";
+}
+
+// The gyroscope's rates are no velocities in pixels while the focal length is not known.
+TEST_F(ProcessorImagesTest, ImagesCarryACameraThatIsNotCalibrated) {
+  request_.keypoints = request_.markers = true;
+  play(0, kFrames, {imu_.front().t_ns, imu_.back().t_ns});  // calibrated, without gyroscope
+  const std::vector<FrameOutput> calibrated = std::move(outputs_);
+  outputs_.clear();
+  processor_.reset();
+  calibrated_from_ = kFrames;
+  play(0, kFrames, {}, Eigen::Vector3d::Zero(), kFrames);
+
+  EXPECT_EQ(outputs_[0].reason, PassThroughReason::NO_CALIBRATION) << "nothing to follow corners from";
+  EXPECT_EQ(outputs_[0].reason_text, "the camera is not calibrated, and optical flow shows no certain motion");
+  std::vector<double> errors;
+  for (int i = 1; i < kFrames; ++i) {
+    const FrameOutput& output = outputs_[i];
+    ASSERT_EQ(output.reason, PassThroughReason::NONE) << i << output.reason_text;
+    EXPECT_EQ(output.reason_text, "optical flow alone: the camera is not calibrated");
+    ASSERT_TRUE(output.field && output.field->images_alone) << i;
+    for (const double error : errors_px(i, *output.field)) errors.push_back(error);
+    // As with a calibration, but for the perspective of a few degrees.
+    for (std::size_t b = 0; b < output.field->blocks.size(); ++b) {
+      if (output.field->blocks[b].status == BlockStatus::NO_GYRO) continue;
+      EXPECT_NEAR(output.field->blocks[b].extent_px, calibrated[i].field->blocks[b].extent_px, 0.3) << i << ", " << b;
+    }
+    EXPECT_EQ(output.camera_info->K[0], 0);
+    EXPECT_FALSE(output.keypoints->keypoints.empty());
+    for (const Keypoint& keypoint : output.keypoints->keypoints) EXPECT_TRUE(std::isnan(keypoint.normalized_x));
+    EXPECT_EQ(output.tracks, nullptr) << "a track is made of rays";
+    EXPECT_EQ(output.markers->markers.size(), no_markers({})->markers.size());
+  }
+  EXPECT_LT(percentile(errors, 0.5), 0.5);
+  EXPECT_LT(percentile(errors, 0.9), 1.5);
+  const auto problem = processor_.statistics().input_problems.at("camera not calibrated");
+  EXPECT_NE(problem.text.find("deblurred by optical flow alone"), std::string::npos);
+  EXPECT_NE(problem.text.find("set calibration_file"), std::string::npos);
+  EXPECT_TRUE(problem.active);
+  EXPECT_EQ(logged("camera is not calibrated (K[0] = 0)"), 1u) << "said once";
+
+  // It is calibrated while the node runs.
+  calibrated_from_ = kFrames;
+  outputs_.clear();
+  play(kFrames, kFrames + 4, {}, Eigen::Vector3d::Zero(), kFrames + 4);
+  for (const FrameOutput& output : outputs_) {
+    EXPECT_FALSE(output.field->images_alone);
+    EXPECT_NE(output.tracks, nullptr);
+  }
+  EXPECT_FALSE(processor_.statistics().input_problems.at("camera not calibrated").active);
+}
+
+TEST_F(ProcessorImagesTest, ImagesCarryACameraWithoutCameraInfo) {
+  constexpr int kDescribedFrom = 34, kEnd = 40;
+  described_from_ = kDescribedFrom;
+  play(0, kDescribedFrom, {});
+  int alone = 0;
+  for (const FrameOutput& output : outputs_) {
+    alone += output.reason == PassThroughReason::NONE && output.field->images_alone;
+    EXPECT_EQ(output.camera_info->K[0], 0);
+  }
+  EXPECT_GE(alone, kDescribedFrom - 2);
+  EXPECT_EQ(logged("no camera_info has come"), 1u);
+  EXPECT_EQ(logged("there are no feature_tracks"), 1u);
+
+  outputs_.clear();
+  play(kDescribedFrom, kEnd, {});
+  for (const FrameOutput& output : outputs_) {
+    EXPECT_EQ(output.reason, PassThroughReason::NONE) << output.reason_text;
+    EXPECT_FALSE(output.field->images_alone);
+  }
+  EXPECT_FALSE(processor_.statistics().input_problems.at("no camera_info").active);
+}
+
+TEST_F(ProcessorImagesTest, NeverMeansThatImagesWithoutACalibrationPass) {
+  config_.pipeline.flow_without_gyro = "never";
+  configure();
+  calibrated_from_ = 6;
+  play(0, 6, {});
+  for (const FrameOutput& output : outputs_) EXPECT_EQ(output.reason, PassThroughReason::NO_CALIBRATION);
 }
 
 TEST_F(ProcessorImagesTest, NeverMeansThatImagesWithoutAGyroscopePass) {
