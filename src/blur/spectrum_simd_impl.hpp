@@ -269,7 +269,8 @@ class Texture {
 
 inline double limited(double value, double most) { return value > most ? most : value < -most ? -most : value; }
 
-// Standard deviations of a sector's power and of the exponent. Measured (doc/design/validation.md).
+// Standard deviations of the logarithm of a sector's power and of the exponent: half as much and one and a half times
+// as much distinguish blur worse on the 18 photographs of doc/reports/validation.md.
 constexpr double kSectorStddev = 1, kExponentStddev = 0.5;
 
 /// One step of Fisher's scoring. The derivative of the cost by the logarithm of S - 1 is g = s (S - P) / (S + P),
