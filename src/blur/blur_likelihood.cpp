@@ -206,7 +206,7 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
     simd.multiply_gain(order, gain_of(squared, share, left).data(), bins_x, bins_y, model.data());
   };
   // The first search begins at the mean power; each other one where the blur before it ended.
-  constexpr int kFirstSteps = 4, kSteps = 2;
+  constexpr int kFirstSteps = 6, kSteps = 2;
   const float sum = std::accumulate(power.begin(), power.end(), 0.0f) - kSpectrumPlaces;
   model_of(1);
   TextureFit fit;

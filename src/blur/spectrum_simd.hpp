@@ -74,9 +74,10 @@ struct SpectrumSimd {
   /// model = texture * (|H|^2 + left) at each place, H of a path, smeared as the window does it: Hann's has a spectrum
   /// of 1/2, 1 and 1/2.
   void (*multiply_path_gain)(const SpectrumOrder& order, const PathPhases& path, float left, float* model);
-  /// The least cost over all textures: the sum over the places of 2 log(S + P) - log S, S = fitted texture * model + 1,
-  /// and what deviations of the texture cost. That is the negative log likelihood, but for a constant, where the power
-  /// P is S times a factor with a log-logistic distribution, and the deviations are normally distributed.
+  /// The cost of the best texture that a search of so many steps finds: the sum over the places of 2 log(S + P) - log
+  /// S, S = fitted texture * model + 1, and what deviations of the texture cost. That is the negative log likelihood,
+  /// but for a constant, where the power P is S times a factor with a log-logistic distribution, and the deviations are
+  /// normally distributed.
   /// @param steps  of the search
   /// @param fit    where the search begins; becomes where it ends
   double (*least_cost)(const SpectrumOrder& order, const float* power, const float* model, int steps, TextureFit* fit);

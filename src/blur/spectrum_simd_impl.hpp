@@ -317,17 +317,20 @@ void improve(const SpectrumOrder& order, const float* power, const float* model,
     power_exponent += mix[k] - info[k] / own * mix[k];
     exponent_exponent += kVariance * info_exponent[k] - mix[k] / own * mix[k];
   }
-  const double determinant = power_power * exponent_exponent - power_exponent * power_exponent;
-  const double step_power = -(exponent_exponent * rhs_power - power_exponent * rhs_exponent) / determinant;
-  const double step_exponent = -(power_power * rhs_exponent - power_exponent * rhs_power) / determinant;
+  // Each unknown is limited before the next one is solved for, which makes up for what the limit has left.
   constexpr double kLongestStep = 2, kLongestExponentStep = 0.7, kLargestExponent = 1.4;
+  const double determinant = power_power * exponent_exponent - power_exponent * power_exponent;
+  double step_exponent = -(power_power * rhs_exponent - power_exponent * rhs_power) / determinant;
+  step_exponent =
+      limited(fit->exponent + limited(step_exponent, kLongestExponentStep), kLargestExponent) - fit->exponent;
+  const double step_power = limited(-(rhs_power + power_exponent * step_exponent) / power_power, kLongestStep);
   for (int k = 0; k < kSpectrumSectors; ++k) {
     const double step = -(g[k] + kOfSector * fit->log_of_sector[k] + info[k] * step_power + mix[k] * step_exponent) /
                         (info[k] + kOfSector);
     fit->log_of_sector[k] += limited(step, kLongestStep);
   }
-  fit->log_power += limited(step_power, kLongestStep);
-  fit->exponent = limited(fit->exponent + limited(step_exponent, kLongestExponentStep), kLargestExponent);
+  fit->log_power += step_power;
+  fit->exponent += step_exponent;
 }
 
 double cost_of(const SpectrumOrder& order, const float* power, const float* model, const TextureFit& fit) {
