@@ -48,7 +48,9 @@ bool lacks_size(const sensor_msgs::CameraInfo& info) {
   return info.width == 0 && info.height == 0 && info.roi.width == 0 && info.roi.height == 0;
 }
 
-bool is_uncalibrated(const sensor_msgs::CameraInfo& info) { return info.K[0] == 0; }
+bool is_uncalibrated(const sensor_msgs::CameraInfo& info, bool rectified_input) {
+  return (rectified_input ? info.P[0] : info.K[0]) == 0;
+}
 
 bool describes_size(const sensor_msgs::CameraInfo& info, double image_width_px, double image_height_px) {
   if (lacks_size(info)) return true;

@@ -27,8 +27,9 @@ CameraCalibration to_calibration(const CameraCalibration& sensor, const sensor_m
 /// True when width and height are 0, and there is no region of interest: the size is not filled in.
 bool lacks_size(const sensor_msgs::CameraInfo& info);
 
-/// True when camera_info says that the camera is not calibrated: K[0] = 0, by sensor_msgs/CameraInfo.msg.
-bool is_uncalibrated(const sensor_msgs::CameraInfo& info);
+/// True when camera_info says that the camera is not calibrated: K[0] = 0, by sensor_msgs/CameraInfo.msg; P[0] where
+/// images are rectified.
+bool is_uncalibrated(const sensor_msgs::CameraInfo& info, bool rectified_input);
 
 /// True when camera_info names a lens model whose coefficients it cannot have, as camera_info_message() makes it.
 bool lacks_lens(const sensor_msgs::CameraInfo& info);

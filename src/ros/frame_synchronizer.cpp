@@ -58,7 +58,7 @@ void set_calibration(const Config& config, PendingFrame* frame) {
     return;
   }
   const bool file_holds = config.on_calibration_conflict == OnCalibrationConflict::CONFIGURED ||
-                          is_uncalibrated(*frame->info) || lacks_lens(*frame->info);
+                          is_uncalibrated(*frame->info, config.rectified_input) || lacks_lens(*frame->info);
   if (file_holds && !config.rectified_input) {
     frame->calibration = by_file();
     return;
@@ -70,19 +70,18 @@ void set_calibration(const Config& config, PendingFrame* frame) {
   }
 }
 
-/// What is said of images that go without a calibration.
 constexpr char kNotCalibrated[] = "camera not calibrated";
 
-/// Whether the message says that the camera is not calibrated, and nothing else describes it.
-bool goes_in_pixels(const Config& config, const sensor_msgs::CameraInfo& info) {
-  const bool file = config.calibration && config.calibration->camera;
-  return goes_without_imu(config) && is_uncalibrated(info) && !file;
+std::string not_calibrated_text(bool rectified_input) {
+  return std::string("camera_info says that the camera is not calibrated (") + (rectified_input ? "P" : "K") +
+         "[0] = 0): " + in_pixels_text() + ". Calibrate it with camera_calibration" +
+         (rectified_input ? "" : ", or set calibration_file");
 }
 
-/// Lets optical flow alone move the image, for which any focal length will do.
-void go_in_pixels(PendingFrame* frame) {
-  frame->calibration = pixel_calibration(static_cast<int>(frame->image->width), static_cast<int>(frame->image->height));
-  frame->in_pixels = true;
+/// The motion of the frame's picture, where another image that shows it has had it; null otherwise.
+const PictureMotion* known_motion(const PendingFrame& frame) {
+  if (!frame.picture || !frame.picture->motion) return nullptr;
+  return frame.picture->motion->in_pixels == frame.in_pixels ? &*frame.picture->motion : nullptr;
 }
 
 /// The time that the frame itself needs samples for, IMU clock, where it was exposed so long.
@@ -152,7 +151,7 @@ std::optional<SynchronizedFrame> FrameSynchronizer::next(const Followed& followe
     if (readiness == Readiness::WAITS) return std::nullopt;
     record_lacking_samples(frame, next);
     if (readiness == Readiness::READY) {
-      if (!frame.picture || !frame.picture->motion) {
+      if (!known_motion(frame)) {
         if (frame.in_pixels) {
           next.coverage_text = "the camera is not calibrated";
         } else {
@@ -182,8 +181,8 @@ Readiness FrameSynchronizer::decide(PendingFrame* frame, PictureMotion* motion) 
   Readiness readiness = Readiness::READY;
   // A waiting frame that uses the calibration file takes its camera_info instead once that has come.
   if (!frame->described_by_topic) readiness = find_calibration(frame);
-  if (readiness == Readiness::READY && frame->picture && frame->picture->motion) {
-    *motion = *frame->picture->motion;
+  if (const PictureMotion* known = known_motion(*frame); known && readiness == Readiness::READY) {
+    *motion = *known;
     return Readiness::READY;
   }
   if (readiness == Readiness::READY) readiness = find_exposure(frame, motion);
@@ -257,6 +256,13 @@ sensor_msgs::CameraInfoConstPtr FrameSynchronizer::best_info(const PendingFrame&
   return substitute(frame, true);
 }
 
+bool FrameSynchronizer::goes_in_pixels(const sensor_msgs::CameraInfo& info) const {
+  const Config& config = this->config();
+  const bool by_file = config.calibration && config.calibration->camera && !config.rectified_input;
+  return goes_without_imu(config) && !by_file && !has_been_calibrated() &&
+         is_uncalibrated(info, config.rectified_input);
+}
+
 Readiness FrameSynchronizer::find_calibration(PendingFrame* frame) const {
   const Config& config = this->config();
   const std::optional<CameraCalibration> file =
@@ -271,7 +277,7 @@ Readiness FrameSynchronizer::find_calibration(PendingFrame* frame) const {
     frame->info = *info;
     frame->described_by_topic = true;
   } else if (frame->calibration) {
-    return Readiness::READY;  // the file's, from before anybody sent camera_info
+    return Readiness::READY;  // the file's or none, from before anybody sent camera_info
   } else if (const sensor_msgs::CameraInfoConstPtr other = substitute(*frame, give_up)) {
     frame->info = other;
     frame->described_by_topic = true;
@@ -286,18 +292,15 @@ Readiness FrameSynchronizer::find_calibration(PendingFrame* frame) const {
   } else {
     return wait_for(Awaited::CAMERA_INFO, frame);
   }
-  frame->in_pixels = false;
-  if (goes_in_pixels(config, *frame->info)) {
-    go_in_pixels(frame);
-    // That there is none is reported among the missing inputs.
-    problems_.update(kNotCalibrated, infos.seen() ? "camera_info says that the camera is not calibrated (K[0] = 0): " +
-                                                        in_pixels_text() +
-                                                        ". Calibrate it with camera_calibration, or set "
-                                                        "calibration_file"
-                                                  : "");
+  const bool in_pixels = goes_in_pixels(*frame->info);
+  // That there is no camera_info is reported among the missing inputs.
+  problems_.update(kNotCalibrated, in_pixels && infos.seen() ? not_calibrated_text(config.rectified_input) : "");
+  frame->in_pixels = in_pixels;
+  if (in_pixels) {
+    frame->calibration =
+        pixel_calibration(static_cast<int>(frame->image->width), static_cast<int>(frame->image->height));
     return Readiness::READY;
   }
-  problems_.update(kNotCalibrated, "");
   try {
     set_calibration(config, frame);
   } catch (const OptionError& error) {
@@ -404,6 +407,7 @@ Readiness FrameSynchronizer::plan_exposure(TimeNs given_ns, const std::string& s
 Readiness FrameSynchronizer::find_samples(PendingFrame* frame, PictureMotion* motion) const {
   motion->gyro = config().gyro;
   motion->gyro.bias_rad_s = calibration_.bias_rad_s();
+  motion->in_pixels = frame->in_pixels;
   if (frame->in_pixels) {  // what the gyroscope measures cannot be compared with pixels
     motion->without_gyro = true;
     return Readiness::READY;

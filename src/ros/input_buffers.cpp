@@ -248,6 +248,7 @@ void InputBuffers::add_camera_info(const sensor_msgs::CameraInfoConstPtr& info) 
   problems_.update("camera_info size", lacks_size(*info) ? "camera_info has width and height 0: those of the image are "
                                                            "used. Set the driver to fill them in"
                                                          : "");
+  if (!is_uncalibrated(*info, config_.rectified_input)) calibrated_ = true;
   if (is_unset(stamp_ns)) {
     infos_.add_unstamped(info);
     return;
@@ -304,6 +305,7 @@ void InputBuffers::reset() {
   gyro_.update();
   gyro_.forget();
   infos_.reset();
+  calibrated_ = false;
   exposures_.reset();
   pictures_.forget();
   repetitions_.clear();

@@ -94,6 +94,8 @@ class InputBuffers {
   using CameraInfos = PerImageMessages<sensor_msgs::CameraInfoConstPtr, SameCameraInfo>;
   using Exposures = PerImageMessages<Exposure, SameExposure>;
   const CameraInfos& infos() const { return infos_; }
+  /// Whether a camera_info had a calibration since the start.
+  bool has_been_calibrated() const { return calibrated_; }
   const Exposures& exposures() const { return exposures_; }
   /// True when images have exposure messages, or somebody will send some.
   bool exposure_expected() const;
@@ -150,6 +152,7 @@ class InputBuffers {
   GyroReader gyro_;
   Exposures exposures_;
   CameraInfos infos_;
+  bool calibrated_ = false;
   std::optional<TimeNs> exposure_setting_ns_;
   PictureTracker pictures_;
   RepetitionWatch repetitions_;

@@ -28,20 +28,21 @@ void MissingInputs::report(const Config& config, const Seen& seen, const std::st
                 ": images are passed through unchanged until it is estimated from their blur, which needs motion. Set "
                 "exposure_time [s], or connect the exposure topic and set exposure_source to its content");
   const bool by_flow = goes_without_imu(config);
-  problems_.update("no camera_info", seen.camera_info || file_has_camera
-                                         ? ""
-                                         : "no camera_info has come " + when +
-                                               ", and no calibration file has the camera" +
-                                               (config.rectified_input ? " (rectified_input needs camera_info)" : "") +
-                                               ": " + (by_flow ? in_pixels_text() + ". Publish" : "publish") +
-                                               " camera_info in the namespace of the images" +
-                                               (config.rectified_input ? "" : ", or set calibration_file"));
+  const bool described = seen.camera_info || file_has_camera;
+  problems_.update("no camera_info",
+                   described ? ""
+                             : "no camera_info has come " + when + ", and no calibration file has the camera" +
+                                   (config.rectified_input ? " (rectified_input needs camera_info)" : "") + ": " +
+                                   (by_flow ? in_pixels_text() + ". Publish" : "publish") +
+                                   " camera_info in the namespace of the images" +
+                                   (config.rectified_input ? "" : ", or set calibration_file"));
   problems_.update(
       "no imu",
       seen.imu || (by_flow && config.pipeline.flow_without_gyro == "always")
           ? ""
           : "no IMU message with angular rates has come " + when + ": " +
-                (by_flow ? "images are deblurred by optical flow alone, which is less accurate. Connect" : "connect") +
+                (by_flow && described ? "images are deblurred by optical flow alone, which is less accurate. Connect"
+                                      : "connect") +
                 " imu to the gyroscope's topic");
   // The code that finds the rotation resolves the report.
   if (!seen.extrinsic.empty()) problems_.update(kNoExtrinsic, seen.extrinsic);

@@ -13,14 +13,15 @@ namespace gyro_deblur {
 /// Kind of the report that the rotation between IMU and camera is missing.
 constexpr char kNoExtrinsic[] = "no extrinsic";
 
-/// Images are deblurred by optical flow alone where the IMU is absent or silent.
+/// Images are deblurred by optical flow alone where the IMU is absent or silent, or the camera is not calibrated.
 inline bool goes_without_imu(const Config& config) {
   return config.pipeline.optical_flow && config.pipeline.flow_without_gyro != "never";
 }
 
 /// What happens to images of a camera that is not calibrated, where goes_without_imu().
 inline std::string in_pixels_text() {
-  return "images are deblurred by optical flow alone, which is less accurate, and there are no feature_tracks";
+  return "images are deblurred by optical flow alone, which is less accurate, and without feature_tracks, blur_markers "
+         "and self-calibration";
 }
 
 /// Reports each missing input once, and resolves the report when the input has come. By a clock that does not stop with

@@ -25,8 +25,8 @@ constexpr Row kRows[] = {
      "set exposure_time, publish an exposure message with the stamp of each image, or move the camera until the "
      "exposure time is estimated from the blur"},
     {PassThroughReason::NO_CALIBRATION, "NO_CALIBRATION", kError,
-     "publish camera_info with the stamp and the size of each image; if it contradicts calibration_file, correct one "
-     "of them or set on_calibration_conflict: configured"},
+     "calibrate the camera, and publish camera_info with the stamp and the size of each image or set calibration_file; "
+     "if they contradict each other, correct one or set on_calibration_conflict: configured"},
     {PassThroughReason::NO_EXTRINSIC, "NO_EXTRINSIC", kError,
      "set R_cam_imu, publish a static transform between the frames of images and IMU, or rotate the camera about all "
      "axes in front of a static scene until R_cam_imu is estimated; if two of them contradict each other, correct one "

@@ -14,7 +14,7 @@ enum class PassThroughReason : std::uint8_t {
   NONE = 0,                  ///< processed; the blocks' statuses say what happened where
   NO_GYRO = 1,               ///< no block's exposure is covered by gyroscope samples
   NO_EXPOSURE_TIME = 2,      ///< not given, and not estimated yet
-  NO_CALIBRATION = 3,        ///< no usable camera_info (unknown model, other size), or beyond the lens model
+  NO_CALIBRATION = 3,        ///< no usable camera_info (zero K, unknown model, other size), or beyond the lens model
   NO_EXTRINSIC = 4,          ///< rotation between IMU and camera not given, and not estimated yet
   UNSUPPORTED_ENCODING = 5,  ///< pixel format that cannot be deblurred
   BAD_IMAGE = 6,             ///< empty, or its buffer does not fit its header

@@ -253,7 +253,9 @@ int main_of(int argc, char** argv) {
       "Deblurs the images of a ROS bag with its gyroscope: everything the nodelet does, from bag to bag. Topics that "
       "are not named are taken when the bag has exactly one of the type.",
       "deblur_bag"};
-  app.add_option("input", arguments.input, "bag with images, camera_info and imu").required();
+  app.add_option("input", arguments.input,
+                 "bag with images; camera_info and imu too, unless optical flow alone will do")
+      .required();
   app.add_option("output", arguments.output, "bag to write").required();
   app.add_option("--config", arguments.config, "YAML file with the keys of config/default.yaml").required();
   app.add_option("--mask", arguments.mask,

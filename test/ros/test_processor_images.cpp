@@ -11,6 +11,7 @@
 #include "features/residual_rotation.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "processor_test.hpp"
+#include "ros/calibration_conversion.hpp"
 #include "ros/output_conversion.hpp"
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
@@ -91,7 +92,8 @@ motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}
   sensor_msgs::CameraInfoPtr camera_info_of(int i) const {
     if (i < described_from_) return nullptr;
     const auto info = boost::make_shared<sensor_msgs::CameraInfo>(*camera_info(simulator_.stamp(i), 320, 240));
-    if (i < calibrated_from_) info->K = {};
+    if (i < calibrated_from_ || i == zeros_at_) info->K = {};
+    if (i < rectified_from_) info->P = {};
     return info;
   }
 
@@ -111,6 +113,8 @@ motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}
 
   int described_from_ = 0;   // image from which camera_info comes
   int calibrated_from_ = 0;  // image from which it has a calibration
+  int rectified_from_ = 0;   // image from which it has one of rectified images
+  int zeros_at_ = -1;        // a message without one
   sim::Simulator simulator_{scene()};
   const std::vector<sim::ImuSample> imu_ = simulator_.imu();
 };
@@ -239,7 +243,7 @@ TEST_F(ProcessorImagesTest, ImagesCarryACameraWithoutCameraInfo) {
   }
   EXPECT_GE(alone, kDescribedFrom - 2);
   EXPECT_EQ(logged("no camera_info has come"), 1u);
-  EXPECT_EQ(logged("there are no feature_tracks"), 1u);
+  EXPECT_EQ(logged("without feature_tracks"), 1u);
 
   outputs_.clear();
   play(kDescribedFrom, kEnd, {});
@@ -248,6 +252,54 @@ TEST_F(ProcessorImagesTest, ImagesCarryACameraWithoutCameraInfo) {
     EXPECT_FALSE(output.field->images_alone);
   }
   EXPECT_FALSE(processor_.statistics().input_problems.at("no camera_info").active);
+}
+
+// A file describes raw images, and K does.
+TEST_F(ProcessorImagesTest, RectifiedImagesHaveTheirCalibrationFromPAlone) {
+  config_.rectified_input = true;
+  config_.calibration.emplace();
+  config_.calibration->camera = to_calibration(*camera_info(0, 320, 240), 320, 240, false);
+  configure();
+  constexpr int kDescribedFrom = 16, kRectifiedFrom = 20, kEnd = 24;
+  described_from_ = kDescribedFrom;
+  rectified_from_ = kRectifiedFrom;
+  calibrated_from_ = kEnd;
+  play(0, kEnd, {});
+  for (int i = 1; i < kEnd; ++i) {
+    ASSERT_EQ(outputs_[i].reason, PassThroughReason::NONE) << i << outputs_[i].reason_text;
+    EXPECT_EQ(outputs_[i].field->images_alone, i < kRectifiedFrom) << i;
+  }
+  EXPECT_EQ(logged("camera is not calibrated (P[0] = 0)"), 1u);
+  EXPECT_EQ(logged("calibration_file"), 0u) << "which would not help";
+}
+
+TEST_F(ProcessorImagesTest, AMessageOfZerosDoesNotMakeACameraUncalibrated) {
+  constexpr int kZeros = 6, kEnd = 12;
+  zeros_at_ = kZeros;
+  play(0, kEnd, {});
+  for (int i = 1; i < kEnd; ++i) {
+    const PassThroughReason expected = i == kZeros ? PassThroughReason::NO_CALIBRATION : PassThroughReason::NONE;
+    ASSERT_EQ(outputs_[i].reason, expected) << i << outputs_[i].reason_text;
+    if (i != kZeros) {
+      EXPECT_FALSE(outputs_[i].field->images_alone) << i;
+    }
+  }
+}
+
+TEST_F(ProcessorImagesTest, ARepetitionDoesNotTakeTheMotionInPixelsForItsOwn) {
+  constexpr int kImages = 6;
+  calibrated_from_ = kImages;
+  play(0, kImages, {});
+  EXPECT_TRUE(outputs_.back().field->images_alone);
+  const TimeNs again_ns = simulator_.stamp(kImages - 1) + 10 * kMs;
+  const auto again = boost::make_shared<sensor_msgs::Image>(*outputs_.back().input);
+  again->header.stamp = to_ros_time(again_ns);
+  processor_.add_image(again);
+  processor_.add_camera_info(camera_info(again_ns, 320, 240));
+  advance();
+  ASSERT_EQ(outputs_.size(), kImages + 1u);
+  EXPECT_EQ(outputs_.back().reason, PassThroughReason::NONE) << outputs_.back().reason_text;
+  EXPECT_FALSE(outputs_.back().field->images_alone);
 }
 
 TEST_F(ProcessorImagesTest, NeverMeansThatImagesWithoutACalibrationPass) {
