@@ -5,7 +5,6 @@
 #include <cmath>
 #include <complex>
 #include <numeric>
-#include <utility>
 
 #include <opencv2/imgproc.hpp>
 
@@ -17,8 +16,8 @@
 namespace gyro_deblur {
 namespace {
 
-/// Less blur than predicted, as a share of it; no blur at all comes last. The texture that fits is much the same from
-/// one to the next.
+/// Less blur than predicted, as a share of it (no blur at all is one of the hypotheses, too). The most comes first: the
+/// texture is searched for from where it was with the hypothesis before.
 constexpr std::array<double, 3> kLess = {0.5, 0.33, 0.15};
 
 // Transfer functions are tabulated by frequency along the motion, in bins of a quarter of a wave a window: a lobe of
@@ -30,47 +29,41 @@ constexpr int kFineBins = 201;  // > (kBins + kBinsPerWave) kFiner
 
 using Table = std::array<float, kBins>;
 
-// Frequencies of the finer bins are multiples of this [cycles/px].
-constexpr double kFineStep = 1.0 / (kSpectrumWindow * kBinsPerWave * kFiner);
-
-/// |H|^2 of uniform speed along a line: (sin(x) / x)^2, x = pi f extent.
-std::array<double, kFineBins> squared_transfer(double extent_px) {
-  const double step = 2 * CV_PI * kFineStep * extent_px;  // of 2 x
-  const double cosine_of_step = std::cos(step);
+/// |H|^2 of a path, even between its places, at frequencies `step` cycles apart.
+template <std::size_t kPlaces>
+std::array<double, kFineBins> squared_transfer(const std::array<double, kPlaces>& places_px, double step) {
+  // The integral of exp(-i w p) over a segment from a to b is (exp(-i w a) - exp(-i w b)) / (i w (b - a)).
+  constexpr double kRestPx = 1e-3;  // a segment that does not move
+  std::array<std::complex<double>, kPlaces> phase, phase_step;
+  for (std::size_t k = 0; k < kPlaces; ++k) {
+    phase[k] = 1;
+    phase_step[k] = std::polar(1.0, -2 * CV_PI * step * places_px[k]);
+  }
   std::array<double, kFineBins> squared;
   squared[0] = 1;
-  double cosine = cosine_of_step, before = 1;
   for (int i = 1; i < kFineBins; ++i) {
-    squared[i] = 2 * (1 - cosine) / (step * step * i * i);
-    before = std::exchange(cosine, 2 * cosine_of_step * cosine - before);
+    for (std::size_t k = 0; k < kPlaces; ++k) phase[k] *= phase_step[k];
+    std::complex<double> sum = 0;
+    for (std::size_t k = 0; k + 1 < kPlaces; ++k) {
+      const double moved_px = places_px[k + 1] - places_px[k];
+      const std::complex<double> middle = 0.5 * (phase[k] + phase[k + 1]), end = phase[k] - phase[k + 1];
+      sum += std::abs(moved_px) < kRestPx
+                 ? middle
+                 : std::complex<double>(end.imag(), -end.real()) / (2 * CV_PI * step * i * moved_px);
+    }
+    squared[i] = std::norm(sum) / ((kPlaces - 1.0) * (kPlaces - 1.0));
   }
   return squared;
 }
 
-/// |H|^2 of a path, even between its places.
-std::array<double, kFineBins> squared_transfer(const Path1d& path_px, double scale) {
-  // The integral of exp(-i w p) over a segment from a to b is (exp(-i w a) - exp(-i w b)) / (i w (b - a)).
-  constexpr double kRestPx = 1e-3;  // a segment that does not move
-  std::array<std::complex<double>, kPathInstants> phase, phase_step;
-  for (int k = 0; k < kPathInstants; ++k) {
-    phase[k] = 1;
-    phase_step[k] = std::polar(1.0, -2 * CV_PI * kFineStep * scale * path_px[k]);
+std::array<double, kFineBins> squared_transfer(const BlockBlur& blur, double scale) {
+  constexpr double kStep = 1.0 / (kSpectrumWindow * kBinsPerWave * kFiner);
+  if (!blur.nonuniform_path_px) {
+    return squared_transfer(std::array<double, 2>{0, scale * blur.extent_px}, kStep);
   }
-  std::array<double, kFineBins> squared;
-  squared[0] = 1;
-  for (int i = 1; i < kFineBins; ++i) {
-    for (int k = 0; k < kPathInstants; ++k) phase[k] *= phase_step[k];
-    std::complex<double> sum = 0;
-    for (int k = 0; k + 1 < kPathInstants; ++k) {
-      const double moved_px = scale * (path_px[k + 1] - path_px[k]);
-      const std::complex<double> middle = 0.5 * (phase[k] + phase[k + 1]), end = phase[k] - phase[k + 1];
-      sum += std::abs(moved_px) < kRestPx
-                 ? middle
-                 : std::complex<double>(end.imag(), -end.real()) / (2 * CV_PI * kFineStep * i * moved_px);
-    }
-    squared[i] = std::norm(sum) / ((kPathInstants - 1.0) * (kPathInstants - 1.0));
-  }
-  return squared;
+  std::array<double, kPathInstants> places_px;
+  for (int k = 0; k < kPathInstants; ++k) places_px[k] = scale * (*blur.nonuniform_path_px)[k];
+  return squared_transfer(places_px, kStep);
 }
 
 /// |H|^2 of `share` times the path, as the window smears it: Hann's has a spectrum of 1/2, 1 and 1/2, whose squares
@@ -191,11 +184,7 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
 
   const auto bins_x = static_cast<float>(kBinsPerWave * std::cos(blur.angle_rad));
   const auto bins_y = static_cast<float>(kBinsPerWave * std::sin(blur.angle_rad));
-  std::array<double, kFineBins> squared;
-  if (!blur.curved_path_px) {
-    squared = blur.nonuniform_path_px ? squared_transfer(*blur.nonuniform_path_px, 1.0 / shrink)
-                                      : squared_transfer(blur.extent_px / shrink);
-  }
+  const auto squared = blur.curved_path_px ? std::array<double, kFineBins>{} : squared_transfer(blur, 1.0 / shrink);
   // What the window mixes, and a path that is not quite the predicted one: below the lobes of the longest blur.
   const double left = 0.003 / shrink;
   const auto model_of = [&](double share) {

@@ -258,8 +258,18 @@ void Pipeline::Impl::validate(FrameContext& frame) {
   FrameBlur& field = frame.result.field;
   if (options_.validation.rule == ValidationRule::NONE || field.count(BlockStatus::DEBLURRED) == 0) return;
   const StageTimer timer(&frame.result.times.validation_ms);
-  field = validate_blur_field(field, frame.luminance(), options_.validation, options_.threads,
-                              frame.has_own_luminance() ? frame.noise : std::nullopt);
+  const auto validated = [&](const FrameBlur& predicted) {
+    return validate_blur_field(predicted, frame.luminance(), options_.validation, options_.threads,
+                               frame.has_own_luminance() ? frame.noise : std::nullopt);
+  };
+  field = validated(field);
+  // Flow that most of the image contradicts has followed something else, for example a jump of the scene.
+  const std::size_t rejected = field.count(BlockStatus::REJECTED);
+  if (frame.images_alone || frame.residuals.empty() || rejected <= field.count(BlockStatus::DEBLURRED)) return;
+  FrameBlur without = estimator_->estimate(frame.known_motion(), frame.exposure, {}, frame.request.behind_camera_rate);
+  mark_blocks(&without);
+  without = validated(without);
+  if (without.count(BlockStatus::REJECTED) < rejected) field = std::move(without);
 }
 
 void Pipeline::Impl::choose_regularization(FrameContext& frame) {

@@ -159,7 +159,7 @@ TimeNs region_readout_ns(TimeNs full_readout_ns, const sensor_msgs::CameraInfo& 
   return std::llround(static_cast<double>(full_readout_ns) * region.height_px / info.height);
 }
 
-CameraCalibration pixel_calibration(int width_px, int height_px) {
+CameraCalibration placeholder_calibration(int width_px, int height_px) {
   CameraCalibration calibration;
   calibration.width_px = width_px;
   calibration.height_px = height_px;

@@ -46,7 +46,7 @@ sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera);
 TimeNs region_readout_ns(TimeNs full_readout_ns, const sensor_msgs::CameraInfo& info);
 
 /// Stands for an unknown calibration where optical flow alone moves an image: nothing of it is about rays.
-CameraCalibration pixel_calibration(int width_px, int height_px);
+CameraCalibration placeholder_calibration(int width_px, int height_px);
 
 /// What is known of a camera without camera_info: header and size, K of zeros (not calibrated).
 sensor_msgs::CameraInfoPtr uncalibrated_camera_info(const sensor_msgs::Image& input);

@@ -44,7 +44,7 @@ DiagnosticStatusWrapper& status_of(const std::string& kind, DiagnosticStatuses* 
   const auto has = [&kind](const char* part) { return kind.find(part) != std::string::npos; };
   if (kind.rfind("imu", 0) == 0 || kind == "no imu") return statuses->imu;
   if (kind == "clocks") return statuses->timing;
-  for (const char* part : {"exposure", "camera_info", "readout_time", "extrinsic", "calibrat", "by images"}) {
+  for (const char* part : {"exposure", "camera_info", "readout_time", "extrinsic", "calibration", "by images"}) {
     if (has(part)) return statuses->calibration;
   }
   return statuses->image;

@@ -70,18 +70,18 @@ void set_calibration(const Config& config, PendingFrame* frame) {
   }
 }
 
-constexpr char kNotCalibrated[] = "camera not calibrated";
+constexpr char kNoCalibration[] = "no calibration";
 
-std::string not_calibrated_text(bool rectified_input) {
+std::string zero_camera_info_text(bool rectified_input) {
   return std::string("camera_info says that the camera is not calibrated (") + (rectified_input ? "P" : "K") +
-         "[0] = 0): " + in_pixels_text() + ". Calibrate it with camera_calibration" +
+         "[0] = 0): " + without_calibration_text() + ". Calibrate it with camera_calibration" +
          (rectified_input ? "" : ", or set calibration_file");
 }
 
 /// The motion of the frame's picture, where another image that shows it has had it; null otherwise.
 const PictureMotion* known_motion(const PendingFrame& frame) {
   if (!frame.picture || !frame.picture->motion) return nullptr;
-  return frame.picture->motion->in_pixels == frame.in_pixels ? &*frame.picture->motion : nullptr;
+  return frame.picture->motion->uncalibrated == frame.uncalibrated ? &*frame.picture->motion : nullptr;
 }
 
 /// The time that the frame itself needs samples for, IMU clock, where it was exposed so long.
@@ -152,7 +152,7 @@ std::optional<SynchronizedFrame> FrameSynchronizer::next(const Followed& followe
     record_lacking_samples(frame, next);
     if (readiness == Readiness::READY) {
       if (!known_motion(frame)) {
-        if (frame.in_pixels) {
+        if (frame.uncalibrated) {
           next.coverage_text = "the camera is not calibrated";
         } else {
           collect(followed_cam, &next);
@@ -188,7 +188,7 @@ Readiness FrameSynchronizer::decide(PendingFrame* frame, PictureMotion* motion) 
   if (readiness == Readiness::READY) readiness = find_exposure(frame, motion);
   if (readiness == Readiness::READY) readiness = find_samples(frame, motion);
   // Without samples there is nothing to rotate, and the IMU's frame is not known.
-  const bool has_samples = !frame->in_pixels && (!motion->without_gyro || !gyro().empty());
+  const bool has_samples = !frame->uncalibrated && (!motion->without_gyro || !gyro().empty());
   if (readiness == Readiness::READY && has_samples) readiness = find_extrinsic(frame, motion);
   return readiness;
 }
@@ -256,7 +256,7 @@ sensor_msgs::CameraInfoConstPtr FrameSynchronizer::best_info(const PendingFrame&
   return substitute(frame, true);
 }
 
-bool FrameSynchronizer::goes_in_pixels(const sensor_msgs::CameraInfo& info) const {
+bool FrameSynchronizer::goes_uncalibrated(const sensor_msgs::CameraInfo& info) const {
   const Config& config = this->config();
   const bool by_file = config.calibration && config.calibration->camera && !config.rectified_input;
   return goes_without_imu(config) && !by_file && !has_been_calibrated() &&
@@ -292,13 +292,13 @@ Readiness FrameSynchronizer::find_calibration(PendingFrame* frame) const {
   } else {
     return wait_for(Awaited::CAMERA_INFO, frame);
   }
-  const bool in_pixels = goes_in_pixels(*frame->info);
+  const bool uncalibrated = goes_uncalibrated(*frame->info);
   // That there is no camera_info is reported among the missing inputs.
-  problems_.update(kNotCalibrated, in_pixels && infos.seen() ? not_calibrated_text(config.rectified_input) : "");
-  frame->in_pixels = in_pixels;
-  if (in_pixels) {
+  problems_.update(kNoCalibration, uncalibrated && infos.seen() ? zero_camera_info_text(config.rectified_input) : "");
+  frame->uncalibrated = uncalibrated;
+  if (uncalibrated) {
     frame->calibration =
-        pixel_calibration(static_cast<int>(frame->image->width), static_cast<int>(frame->image->height));
+        placeholder_calibration(static_cast<int>(frame->image->width), static_cast<int>(frame->image->height));
     return Readiness::READY;
   }
   try {
@@ -407,8 +407,8 @@ Readiness FrameSynchronizer::plan_exposure(TimeNs given_ns, const std::string& s
 Readiness FrameSynchronizer::find_samples(PendingFrame* frame, PictureMotion* motion) const {
   motion->gyro = config().gyro;
   motion->gyro.bias_rad_s = calibration_.bias_rad_s();
-  motion->in_pixels = frame->in_pixels;
-  if (frame->in_pixels) {  // what the gyroscope measures cannot be compared with pixels
+  motion->uncalibrated = frame->uncalibrated;
+  if (frame->uncalibrated) {  // what the gyroscope measures cannot be compared with pixels
     motion->without_gyro = true;
     return Readiness::READY;
   }

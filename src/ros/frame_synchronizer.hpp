@@ -80,7 +80,7 @@ class FrameSynchronizer : public InputBuffers {
   Readiness decide(PendingFrame* frame, PictureMotion* motion) const;
   /// Whether optical flow alone moves images of this camera_info, because nothing describes the camera. A single
   /// message of zeros in a stream of others is a fault.
-  bool goes_in_pixels(const sensor_msgs::CameraInfo& info) const;
+  bool goes_uncalibrated(const sensor_msgs::CameraInfo& info) const;
   /// The frame's camera_info and calibration, from the topic or the calibration file.
   Readiness find_calibration(PendingFrame* frame) const;
   Readiness find_exposure(PendingFrame* frame, PictureMotion* motion) const;

@@ -19,7 +19,7 @@ inline bool goes_without_imu(const Config& config) {
 }
 
 /// What happens to images of a camera that is not calibrated, where goes_without_imu().
-inline std::string in_pixels_text() {
+inline std::string without_calibration_text() {
   return "images are deblurred by optical flow alone, which is less accurate, and without feature_tracks, blur_markers "
          "and self-calibration";
 }

@@ -29,7 +29,7 @@ struct PictureMotion {
   /// Over the exposure, and the time since the picture before it, across which corners are tracked.
   std::vector<GyroSample> samples;
   std::size_t own_begin = 0, own_end = 0;  ///< indices of those that the picture itself needs
-  bool in_pixels = false;                  ///< see PendingFrame::in_pixels
+  bool uncalibrated = false;               ///< see PendingFrame::uncalibrated
   bool without_gyro = false;               ///< it is absent or silent, see PipelineOptions::flow_without_gyro
   std::string coverage_text;               ///< which of its own are missing, should some be
 };

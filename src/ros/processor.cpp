@@ -150,7 +150,7 @@ void Processor::learn_from(const SynchronizedFrame& synchronized, const std::opt
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!config_ || config_->self_calibration == SelfCalibrationMode::NEVER) return;
-    if (!frame.calibration || frame.in_pixels || frame.repeats ||
+    if (!frame.calibration || frame.uncalibrated || frame.repeats ||
         frame.pass_through_reason == PassThroughReason::TIME_JUMP)
       return;
     if (frame.pass_through_reason == PassThroughReason::NONE ||

@@ -287,7 +287,7 @@ TEST_F(DiagnosticReportTest, ProblemsOfInputsBelongToTheirStatus) {
   warns("no imu", &DiagnosticStatuses::imu);
   warns("clocks", &DiagnosticStatuses::timing);
   for (const char* kind : {"no extrinsic", "R_cam_imu by images", "exposure stamp", "camera_info size", "readout_time",
-                           "calibration file", "camera not calibrated"}) {
+                           "calibration file", "no calibration"}) {
     warns(kind, &DiagnosticStatuses::calibration);
   }
   for (const char* kind : {"mask size", "repeated pictures", "static content", "compressed image"}) {

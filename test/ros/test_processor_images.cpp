@@ -215,7 +215,7 @@ TEST_F(ProcessorImagesTest, ImagesCarryACameraThatIsNotCalibrated) {
   }
   EXPECT_LT(percentile(errors, 0.5), 0.5);
   EXPECT_LT(percentile(errors, 0.9), 1.5);
-  const auto problem = processor_.statistics().input_problems.at("camera not calibrated");
+  const auto problem = processor_.statistics().input_problems.at("no calibration");
   EXPECT_NE(problem.text.find("deblurred by optical flow alone"), std::string::npos);
   EXPECT_NE(problem.text.find("set calibration_file"), std::string::npos);
   EXPECT_TRUE(problem.active);
@@ -229,7 +229,7 @@ TEST_F(ProcessorImagesTest, ImagesCarryACameraThatIsNotCalibrated) {
     EXPECT_FALSE(output.field->images_alone);
     EXPECT_NE(output.tracks, nullptr);
   }
-  EXPECT_FALSE(processor_.statistics().input_problems.at("camera not calibrated").active);
+  EXPECT_FALSE(processor_.statistics().input_problems.at("no calibration").active);
 }
 
 TEST_F(ProcessorImagesTest, ImagesCarryACameraWithoutCameraInfo) {
@@ -286,7 +286,7 @@ TEST_F(ProcessorImagesTest, AMessageOfZerosDoesNotMakeACameraUncalibrated) {
   }
 }
 
-TEST_F(ProcessorImagesTest, ARepetitionDoesNotTakeTheMotionInPixelsForItsOwn) {
+TEST_F(ProcessorImagesTest, ARepetitionDoesNotTakeTheMotionWithoutCalibrationForItsOwn) {
   constexpr int kImages = 6;
   calibrated_from_ = kImages;
   play(0, kImages, {});

@@ -335,10 +335,8 @@ TEST_F(Cut, SceneThatChangesCompletelyDoesNotContradictTheGyroscope) {
   EXPECT_GT(gain_db(upside_down, upside_down), -kToleranceDb);
 }
 
-// An image that is cropped otherwise, or a camera that is knocked: optical flow is as far off as the jump. Its blocks
-// are rejected, where the gyroscope alone would have deblurred them; over all jumps the images gain nevertheless.
+// An image that is cropped otherwise, or a camera that is knocked: optical flow is as far off as the jump.
 TEST_F(Cut, SceneThatJumpsDoesNotContradictTheGyroscope) {
-  double sum_db = 0;
   for (const int step_px : {6, 12, 24, 36, 48}) {
     const auto moved = [](const cv::Mat& image, int columns) {
       cv::Mat both;
@@ -349,10 +347,8 @@ TEST_F(Cut, SceneThatJumpsDoesNotContradictTheGyroscope) {
     const auto undo = [&](const cv::Mat& image) { return moved(image, image.cols - step_px); };
     const double gain = gain_db(change, undo);
     std::printf("%d px: %.2f dB\n", step_px, gain);
-    EXPECT_GT(gain, -2 * kToleranceDb) << step_px << " px";
-    sum_db += gain;
+    EXPECT_GT(gain, -kToleranceDb) << step_px << " px";
   }
-  EXPECT_GT(sum_db, 0);
 }
 
 // Simulated, or compressed. Then it begins to move.
