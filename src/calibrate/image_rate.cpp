@@ -172,7 +172,7 @@ void ImageRateTracker::shrink_mask(const cv::Size& size) {
 }
 
 std::optional<ImageRate> ImageRateTracker::add(const cv::Mat& luminance, const Camera& camera,
-                                               const RowExposure& exposure) {
+                                               const RowExposure& exposure, bool lens_known) {
   const CameraCalibration& calibration = camera.calibration();
   if (luminance.type() != CV_8UC1 || luminance.cols != calibration.width_px ||
       luminance.rows != calibration.height_px) {
@@ -193,7 +193,7 @@ std::optional<ImageRate> ImageRateTracker::add(const cv::Mat& luminance, const C
     }
     shrink_mask(small.size());
     std::vector<cv::Mat> pyramid = corner_pyramid(small, kWindowPx, kLevels);
-    if (exposure_) rate = follow(pyramid, camera, exposure);
+    if (exposure_) rate = follow(pyramid, camera, exposure, lens_known);
     const double min_distance_px = 0.6 * std::sqrt(static_cast<double>(small.total()) / kMostCorners);
     corners_.clear();
     cv::goodFeaturesToTrack(small, corners_, kMostCorners, kCornerQuality, min_distance_px, usable_);
@@ -202,11 +202,18 @@ std::optional<ImageRate> ImageRateTracker::add(const cv::Mat& luminance, const C
   exposure_ = exposure;
   calibration_ = calibration;
   rate_rad_s_ = rate ? rate->rate_rad_s : Eigen::Vector3d::Zero();
+  if (rate && !lens_known) {
+    const double focal = calibration.fx_px / std::max(calibration.width_px, calibration.height_px);
+    const Eigen::DiagonalMatrix<double, 3> scale(focal, focal, 1);
+    rate->rate_rad_s = scale * rate->rate_rad_s;
+    rate->by_rows = scale * rate->by_rows * scale.inverse();
+    rate->lens_known = false;
+  }
   return rate;
 }
 
 std::optional<ImageRate> ImageRateTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& camera,
-                                                  const RowExposure& exposure) {
+                                                  const RowExposure& exposure, bool lens_known) {
   ImageRate rate;
   rate.begin_ns = exposure_->middle(middle_row(camera));
   rate.end_ns = exposure.middle(middle_row(camera));
@@ -244,7 +251,10 @@ std::optional<ImageRate> ImageRateTracker::follow(const std::vector<cv::Mat>& py
   }
   if (moved.size() < kFewestPoints || static_cast<double>(moved.size()) < kLeastFollowed * before.size()) return {};
   const double floor_rad = scale_ * kFloorPx / camera.calibration().fx_px;
-  const RayMotion motion = RayMotionFit(moved, step_s * translation_rad_s_, floor_rad).solve();
+  // A wrong focal length bends the motion of a rotation, which a translation would make up for.
+  constexpr double kNoTranslation = 1e-6;
+  const RayMotion motion =
+      RayMotionFit(moved, lens_known ? step_s * translation_rad_s_ : kNoTranslation, floor_rad).solve();
   // Scene points move against the camera.
   rate.rate_rad_s = -log_rotation(motion.R) / step_s;
   rate.by_rows = motion.by_rows;

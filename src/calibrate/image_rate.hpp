@@ -23,6 +23,9 @@ struct ImageRate {
   /// Error of `rate_rad_s` by a rolling shutter: this matrix times the difference of the camera's rates between last
   /// and first row.
   Eigen::Matrix3d by_rows = Eigen::Matrix3d::Zero();
+  /// Otherwise the rates about x and y are those of a focal length of the image's larger side, and translation is in
+  /// them.
+  bool lens_known = true;
 };
 
 /// Follows corners from image to image of one camera without the gyroscope, and fits its rotation and translation, with
@@ -35,11 +38,14 @@ class ImageRateTracker {
 
   /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
   /// @param exposure   of the image, in the order of time
+  /// @param lens_known  false: the camera is an ideal lens with a first guess of the focal length, by which translation
+  ///                    and rotation cannot be told apart
   /// @return mean rate since the image before; nothing for the first image, after a break of more than 0.25 s, and
   /// where too few
   ///         corners are found again
   /// Throws std::invalid_argument when the image does not fit the camera.
-  std::optional<ImageRate> add(const cv::Mat& luminance, const Camera& camera, const RowExposure& exposure);
+  std::optional<ImageRate> add(const cv::Mat& luminance, const Camera& camera, const RowExposure& exposure,
+                               bool lens_known = true);
 
   /// Forgets the image before.
   void reset();
@@ -48,7 +54,7 @@ class ImageRateTracker {
   static constexpr double kFirstTranslationRadS = 0.2;  // a walk through a room
   void shrink_mask(const cv::Size& size);
   std::optional<ImageRate> follow(const std::vector<cv::Mat>& pyramid, const Camera& camera,
-                                  const RowExposure& exposure);
+                                  const RowExposure& exposure, bool lens_known);
 
   PixelMask mask_;
   cv::Mat usable_;  // smaller: 255 where a corner may be; empty: everywhere, or not worked out yet

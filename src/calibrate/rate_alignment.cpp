@@ -24,52 +24,115 @@ constexpr double kFloorRadS = 0.01;
 /// Agreement is measured on rates above this.
 constexpr double kLeastMovingRadS = 0.04;
 
-/// Sums of one offset.
-struct Correlated {
-  Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();  ///< sum of weight * image rate * gyroscope's rate^T, less means
-  double image_energy = 0, gyro_energy = 0;
+TimeRange shifted(const TimeRange& range, TimeNs offset_ns) {
+  return {range.begin_ns + offset_ns, range.end_ns + offset_ns};
+}
+TimeRange shifted(const ImageRate& rate, TimeNs offset_ns) {
+  return shifted(TimeRange{rate.begin_ns, rate.end_ns}, offset_ns);
+}
 
-  double correlation() const {
-    const double energy = image_energy * gyro_energy;
-    return energy > 0 ? std::max(0.0, wahba_trace(moment) / std::sqrt(energy)) : 0;
+/// Whether no image is missing between two rates.
+bool follows(const TimeRange& before, const TimeRange& range) {
+  constexpr TimeNs kLongestGapNs = 10'000'000;
+  return std::abs(range.begin_ns - before.end_ns) <= kLongestGapNs;
+}
+
+/// A rate of the images; where the lens is not known its change since the one before, which has little of a
+/// translation: that is slow against the rotations of a hand or a drone.
+struct Measured {
+  TimeRange range;
+  std::optional<TimeRange> before;  ///< of a change
+  Eigen::Vector3d rate_rad_s;
+  double stddev_rad_s;
+
+  bool lens_known() const { return !before; }
+  double variance() const { return kFloorRadS * kFloorRadS + stddev_rad_s * stddev_rad_s; }
+  /// The same of the gyroscope, in its axes.
+  Eigen::Vector3d by_gyro(const GyroIntegral& gyro, TimeNs offset_ns) const {
+    const Eigen::Vector3d rate = gyro.mean_rate(shifted(range, offset_ns));
+    return before ? Eigen::Vector3d(rate - gyro.mean_rate(shifted(*before, offset_ns))) : rate;
   }
 };
 
-TimeRange shifted(const ImageRate& rate, TimeNs offset_ns) {
-  return {rate.begin_ns + offset_ns, rate.end_ns + offset_ns};
+std::vector<Measured> measured_in(const std::vector<ImageRate>& rates) {
+  std::vector<Measured> measured;
+  for (std::size_t i = 0; i < rates.size(); ++i) {
+    const TimeRange range = shifted(rates[i], 0);
+    if (rates[i].lens_known) {
+      measured.push_back({range, {}, rates[i].rate_rad_s, rates[i].stddev_rad_s});
+    } else if (i > 0 && follows(shifted(rates[i - 1], 0), range)) {
+      measured.push_back({range, shifted(rates[i - 1], 0), rates[i].rate_rad_s - rates[i - 1].rate_rad_s,
+                          std::hypot(rates[i].stddev_rad_s, rates[i - 1].stddev_rad_s)});
+    }
+  }
+  return measured;
 }
 
-/// Rates above all of the gyroscope's are wrong; their weight falls with their square.
-std::vector<double> prior_weights(const std::vector<ImageRate>& rates, const GyroIntegral& gyro, TimeNs offset_ns) {
-  std::vector<double> weights, speeds;
-  for (const ImageRate& rate : rates) speeds.push_back(gyro.mean_rate(shifted(rate, offset_ns)).norm());
-  const auto fast = speeds.begin() + static_cast<std::ptrdiff_t>(speeds.size() * 19 / 20);
-  std::nth_element(speeds.begin(), fast, speeds.end());
-  const double limit_rad_s = *fast + kLeastMovingRadS;
-  for (const ImageRate& rate : rates) {
-    const double excess = std::max(1.0, rate.rate_rad_s.norm() / limit_rad_s);
-    weights.push_back(1 / (excess * excess * (kFloorRadS * kFloorRadS + rate.stddev_rad_s * rate.stddev_rad_s)));
+/// Sums of one offset, of rates, or of their changes where the lens is not known.
+struct Correlated {
+  Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();  ///< sum of weight * image rate * gyroscope's rate^T, less means
+  Eigen::Vector3d image_energies = Eigen::Vector3d::Zero();  ///< of the camera's axes
+  double gyro_energy = 0;
+
+  /// @param focal_length  of an unknown lens; 1: of a known one
+  double correlation(double focal_length) const {
+    const Eigen::Vector3d scale(1 / focal_length, 1 / focal_length, 1);
+    const double energy = image_energies.dot(scale.cwiseAbs2()) * gyro_energy;
+    return energy > 0 ? std::max(0.0, wahba_trace(scale.asDiagonal() * moment) / std::sqrt(energy)) : 0;
+  }
+};
+
+/// The focal length of which most is correlated, in coarse steps.
+double coarse_focal_length(const Correlated& correlated, bool lens_known) {
+  if (lens_known) return 1;
+  double best = 1;
+  for (const double focal_length : {0.3, 0.42, 0.6, 0.84, 1.2, 1.7, 2.4, 3.4}) {
+    if (correlated.correlation(focal_length) > correlated.correlation(best)) best = focal_length;
+  }
+  return best;
+}
+
+double best_correlation(const Correlated& correlated, bool lens_known) {
+  return correlated.correlation(coarse_focal_length(correlated, lens_known));
+}
+
+/// Rates above all of the gyroscope's are wrong; the farther above, the less they count altogether.
+std::vector<double> prior_weights(const std::vector<Measured>& measured, const GyroIntegral& gyro, TimeNs offset_ns) {
+  std::vector<double> weights, gyro_speeds, image_speeds;
+  for (const Measured& each : measured) {
+    gyro_speeds.push_back(each.by_gyro(gyro, offset_ns).norm());
+    image_speeds.push_back(each.rate_rad_s.norm());
+  }
+  const double focal_length =
+      measured.front().lens_known() ? 1 : median(image_speeds) / std::max(median(gyro_speeds), kLeastMovingRadS);
+  const auto fast = gyro_speeds.begin() + static_cast<std::ptrdiff_t>(gyro_speeds.size() * 19 / 20);
+  std::nth_element(gyro_speeds.begin(), fast, gyro_speeds.end());
+  const double limit_rad_s = focal_length * *fast + kLeastMovingRadS;
+  for (std::size_t i = 0; i < measured.size(); ++i) {
+    const double excess = std::max(1.0, image_speeds[i] / limit_rad_s);
+    weights.push_back(1 / (std::pow(excess, 4) * measured[i].variance()));
   }
   return weights;
 }
 
-Correlated correlate(const std::vector<ImageRate>& rates, const std::vector<double>& weights, std::size_t stride,
+Correlated correlate(const std::vector<Measured>& measured, const std::vector<double>& weights, std::size_t stride,
                      const GyroIntegral& gyro, TimeNs offset_ns) {
-  double sum = 0, image_squares = 0, gyro_squares = 0;
+  double sum = 0, gyro_squares = 0;
   Eigen::Vector3d image_sum = Eigen::Vector3d::Zero(), gyro_sum = Eigen::Vector3d::Zero();
+  Eigen::Vector3d image_squares = Eigen::Vector3d::Zero();
   Correlated correlated;
-  for (std::size_t i = 0; i < rates.size(); i += stride) {
-    const Eigen::Vector3d rate_rad_s = gyro.mean_rate(shifted(rates[i], offset_ns));
-    const Eigen::Vector3d weighted = weights[i] * rates[i].rate_rad_s;
+  for (std::size_t i = 0; i < measured.size(); i += stride) {
+    const Eigen::Vector3d rate_rad_s = measured[i].by_gyro(gyro, offset_ns);
+    const Eigen::Vector3d weighted = weights[i] * measured[i].rate_rad_s;
     sum += weights[i];
     image_sum += weighted;
     gyro_sum += weights[i] * rate_rad_s;
-    image_squares += weighted.dot(rates[i].rate_rad_s);
+    image_squares += weighted.cwiseProduct(measured[i].rate_rad_s);
     gyro_squares += weights[i] * rate_rad_s.squaredNorm();
     correlated.moment += weighted * rate_rad_s.transpose();
   }
   correlated.moment -= image_sum * gyro_sum.transpose() / sum;
-  correlated.image_energy = image_squares - image_sum.squaredNorm() / sum;
+  correlated.image_energies = image_squares - image_sum.cwiseAbs2() / sum;
   correlated.gyro_energy = gyro_squares - gyro_sum.squaredNorm() / sum;
   return correlated;
 }
@@ -111,36 +174,61 @@ Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
   return m;
 }
 
+/// What an image says of the motion, and its derivatives.
+struct Row {
+  TimeRange range;
+  Eigen::Vector3d measured, predicted;
+  double stddev_rad_s;
+  Eigen::Matrix<double, 3, kUnknowns> derivatives;
+
+  Eigen::Vector3d difference() const { return measured - predicted; }
+};
+
+std::vector<Row> changes(const std::vector<Row>& rows) {
+  std::vector<Row> result;
+  for (std::size_t i = 1; i < rows.size(); ++i) {
+    const Row &before = rows[i - 1], &row = rows[i];
+    if (!follows(before.range, row.range)) continue;
+    result.push_back({row.range, row.measured - before.measured, row.predicted - before.predicted,
+                      std::hypot(before.stddev_rad_s, row.stddev_rad_s), row.derivatives - before.derivatives});
+  }
+  return result;
+}
+
 /// One step of Gauss-Newton, and its residual.
 class Step {
  public:
-  Step(const std::vector<ImageRate>& rates, const GyroIntegral& gyro, const RateAlignment& at)
-      : rates_(rates), predicted_(rates.size()), differences_(rates.size()) {
+  Step(const std::vector<ImageRate>& rates, const GyroIntegral& gyro, const RateAlignment& at) {
     constexpr TimeNs kHalfNs = 3'000'000;
-    std::vector<double> lengths;
-    std::vector<Eigen::Matrix<double, 3, kUnknowns>> derivatives(rates.size());
-    const Eigen::Matrix3d scaled = at.scale * at.R_cam_imu;
-    for (std::size_t i = 0; i < rates.size(); ++i) {
-      const Eigen::Vector3d before = gyro.mean_rate(shifted(rates[i], at.offset_ns - kHalfNs));
-      const Eigen::Vector3d after = gyro.mean_rate(shifted(rates[i], at.offset_ns + kHalfNs));
+    const bool lens_known = rates.front().lens_known;
+    const Eigen::DiagonalMatrix<double, 3> scale(at.scale, at.scale, lens_known ? at.scale : 1);
+    const Eigen::Matrix3d scaled = scale * at.R_cam_imu;
+    for (const ImageRate& rate : rates) {
+      const Eigen::Vector3d before = gyro.mean_rate(shifted(rate, at.offset_ns - kHalfNs));
+      const Eigen::Vector3d after = gyro.mean_rate(shifted(rate, at.offset_ns + kHalfNs));
       const Eigen::Vector3d change = scaled * (after - before) / to_seconds(2 * kHalfNs);
-      const Eigen::Vector3d by_rows = rates[i].by_rows * change;
-      const Eigen::Vector3d rate_rad_s = scaled * (gyro.mean_rate(shifted(rates[i], at.offset_ns)) - at.bias_rad_s);
-      predicted_[i] = rate_rad_s + at.readout_s * by_rows;
-      differences_[i] = rates[i].rate_rad_s - predicted_[i];
-      derivatives[i] << -cross_matrix(rate_rad_s), change, -scaled, rate_rad_s, by_rows;
-      lengths.push_back(differences_[i].norm());
+      const Eigen::Vector3d by_rows = rate.by_rows * change;
+      const Eigen::Vector3d rate_rad_s = at.R_cam_imu * (gyro.mean_rate(shifted(rate, at.offset_ns)) - at.bias_rad_s);
+      const Eigen::Vector3d by_scale =
+          at.scale * Eigen::Vector3d(rate_rad_s.x(), rate_rad_s.y(), lens_known ? rate_rad_s.z() : 0);
+      Row row{shifted(rate, 0), rate.rate_rad_s, scale * rate_rad_s + at.readout_s * by_rows, rate.stddev_rad_s, {}};
+      row.derivatives << scale * -cross_matrix(rate_rad_s), change, -scaled, by_scale, by_rows;
+      rows_.push_back(row);
     }
+    if (!lens_known) rows_ = changes(rows_);
+    std::vector<double> lengths;
+    for (const Row& row : rows_) lengths.push_back(row.difference().norm());
     robust_ = cauchy_weights(lengths, kFloorRadS);
     double squares = 0, sum = 0, robust_sum = 0;
     normal_.fill(Normal::Zero());
     right_.fill(Unknowns::Zero());
-    for (std::size_t i = 0; i < rates.size(); ++i) {
+    for (std::size_t i = 0; i < rows_.size(); ++i) {
+      const Row& row = rows_[i];
       const double weight = weight_of(i);
-      const std::size_t part = i * kParts / rates.size();
-      normal_[part] += weight * derivatives[i].transpose() * derivatives[i];
-      right_[part] += weight * derivatives[i].transpose() * differences_[i];
-      squares += weight * differences_[i].squaredNorm();
+      const std::size_t part = i * kParts / rows_.size();
+      normal_[part] += weight * row.derivatives.transpose() * row.derivatives;
+      right_[part] += weight * row.derivatives.transpose() * row.difference();
+      squares += weight * row.difference().squaredNorm();
       sum += weight;
       robust_sum += robust_[i];
     }
@@ -152,11 +240,10 @@ class Step {
   /// From `at` to where the squares are least.
   Unknowns solution() const { return solve(normal_sum(), right_sum()); }
   double weight_of(std::size_t i) const {
-    return robust_[i] / (kFloorRadS * kFloorRadS + rates_[i].stddev_rad_s * rates_[i].stddev_rad_s);
+    return robust_[i] / (kFloorRadS * kFloorRadS + rows_[i].stddev_rad_s * rows_[i].stddev_rad_s);
   }
   double spread_rad_s() const { return spread_rad_s_; }
-  const std::vector<Eigen::Vector3d>& predicted() const { return predicted_; }
-  const std::vector<Eigen::Vector3d>& differences() const { return differences_; }
+  const std::vector<Row>& rows() const { return rows_; }
 
   /// The sum of two estimates: by the differences, and by leaving out parts.
   Normal covariance() const {
@@ -191,8 +278,7 @@ class Step {
     return (normal / variance_ + prior()).ldlt().solve(right / variance_);
   }
 
-  const std::vector<ImageRate>& rates_;
-  std::vector<Eigen::Vector3d> predicted_, differences_;
+  std::vector<Row> rows_;
   std::vector<double> robust_;
   std::array<Normal, kParts> normal_;
   std::array<Unknowns, kParts> right_;
@@ -204,34 +290,37 @@ double worst_stddev(const Eigen::Matrix3d& covariance) {
 }
 
 /// How well it fits, and about which axes the camera has rotated.
-void describe(const std::vector<ImageRate>& rates, const Step& step, RateAlignment* alignment) {
+void describe(const Step& step, RateAlignment* alignment) {
   const Normal covariance = step.covariance();
   alignment->rotation_stddev_rad = worst_stddev(covariance.topLeftCorner<3, 3>());
   alignment->offset_stddev_s = std::sqrt(covariance(kOffset, kOffset));
   alignment->readout_stddev_s = std::sqrt(covariance(kReadout, kReadout));
   alignment->bias_stddev_rad_s = worst_stddev(covariance.block<3, 3>(kBias, kBias));
+  alignment->scale_stddev = alignment->scale * std::sqrt(covariance(kScale, kScale));
   alignment->spread_rad_s = step.spread_rad_s();
+  const std::vector<Row>& rows = step.rows();
   double sum = 0, differing = 0, squares = 0;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero(), image_mean = Eigen::Vector3d::Zero();
-  for (std::size_t i = 0; i < rates.size(); ++i) {
+  for (std::size_t i = 0; i < rows.size(); ++i) {
     const double weight = step.weight_of(i);
     sum += weight;
-    mean += weight * step.predicted()[i];
-    image_mean += weight * rates[i].rate_rad_s;
+    mean += weight * rows[i].predicted;
+    image_mean += weight * rows[i].measured;
   }
   mean /= sum;
   image_mean /= sum;
   Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
   double agreeing = 0, moving = 0;
-  for (std::size_t i = 0; i < rates.size(); ++i) {
-    const double weight = step.weight_of(i) / sum, off_rad_s = step.differences()[i].norm();
-    const Eigen::Vector3d rotated = step.predicted()[i] - mean;
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const Row& row = rows[i];
+    const double weight = step.weight_of(i) / sum, off_rad_s = row.difference().norm();
+    const Eigen::Vector3d rotated = row.predicted - mean;
     scatter += weight * rotated * rotated.transpose();
-    differing += weight * step.differences()[i].squaredNorm();
-    squares += weight * (rates[i].rate_rad_s - image_mean).squaredNorm();
+    differing += weight * off_rad_s * off_rad_s;
+    squares += weight * (row.measured - image_mean).squaredNorm();
     // Indoors, translation changes a rate by a third.
     constexpr double kAgreeing = 0.4;
-    const double speed_rad_s = std::max(rates[i].rate_rad_s.norm(), step.predicted()[i].norm());
+    const double speed_rad_s = std::max(row.measured.norm(), row.predicted.norm());
     if (speed_rad_s < kLeastMovingRadS) continue;
     ++moving;
     if (off_rad_s < std::max(kAgreeing * speed_rad_s, kLeastMovingRadS)) ++agreeing;
@@ -248,13 +337,16 @@ void describe(const std::vector<ImageRate>& rates, const Step& step, RateAlignme
 
 OffsetPeak search_rate_offset(const std::vector<ImageRate>& rates, const GyroIntegral& gyro, TimeNs center_ns,
                               TimeNs search_ns) {
-  const std::vector<double> weights = prior_weights(rates, gyro, center_ns);
-  const std::size_t stride = (rates.size() + kMostCoarse - 1) / kMostCoarse;
+  const std::vector<Measured> measured = measured_in(rates);
+  if (measured.empty()) return {center_ns};
+  const std::vector<double> weights = prior_weights(measured, gyro, center_ns);
+  const std::size_t stride = (measured.size() + kMostCoarse - 1) / kMostCoarse;
+  const bool lens_known = rates.front().lens_known;
   std::vector<TimeNs> offsets_ns;
   std::vector<double> values;
   for (TimeNs shift_ns = -search_ns; shift_ns <= search_ns; shift_ns += kCoarseStepNs) {
     offsets_ns.push_back(center_ns + shift_ns);
-    values.push_back(correlate(rates, weights, stride, gyro, offsets_ns.back()).correlation());
+    values.push_back(best_correlation(correlate(measured, weights, stride, gyro, offsets_ns.back()), lens_known));
   }
   const auto best = static_cast<std::size_t>(std::max_element(values.begin(), values.end()) - values.begin());
   const std::size_t second = second_peak(values, best);
@@ -274,7 +366,7 @@ OffsetPeak search_rate_offset(const std::vector<ImageRate>& rates, const GyroInt
   const TimeNs first_ns = std::max(center_ns - search_ns, offsets_ns[best] - kCoarseStepNs);
   const TimeNs last_ns = std::min(center_ns + search_ns, offsets_ns[best] + kCoarseStepNs);
   for (TimeNs offset_ns = first_ns; offset_ns <= last_ns; offset_ns += kFineStepNs) {
-    const double value = correlate(rates, weights, stride, gyro, offset_ns).correlation();
+    const double value = best_correlation(correlate(measured, weights, stride, gyro, offset_ns), lens_known);
     if (value <= largest) continue;
     largest = value;
     peak.offset_ns = offset_ns;
@@ -289,13 +381,16 @@ std::optional<RateAlignment> align_rates(const std::vector<ImageRate>& all, cons
     const TimeRange range = shifted(rate, begin_ns);
     if (gyro.covers({range.begin_ns - kRoomNs, range.end_ns + kRoomNs})) rates.push_back(rate);
   }
-  if (rates.size() < kFewestRates) return std::nullopt;
-  const Correlated start = correlate(rates, prior_weights(rates, gyro, begin_ns), 1, gyro, begin_ns);
-  if (!(start.gyro_energy > 0) || !(wahba_trace(start.moment) > 0)) return std::nullopt;
+  const std::vector<Measured> measured = measured_in(rates);
+  if (measured.size() < kFewestRates) return std::nullopt;
+  const Correlated start = correlate(measured, prior_weights(measured, gyro, begin_ns), 1, gyro, begin_ns);
+  const double focal_length = coarse_focal_length(start, rates.front().lens_known);
+  const Eigen::Matrix3d moment = Eigen::Vector3d(1 / focal_length, 1 / focal_length, 1).asDiagonal() * start.moment;
+  if (!(start.gyro_energy > 0) || !(wahba_trace(moment) > 0)) return std::nullopt;
   RateAlignment alignment;
   alignment.offset_ns = begin_ns;
-  alignment.R_cam_imu = solve_wahba(start.moment);
-  alignment.scale = wahba_trace(start.moment) / start.gyro_energy;
+  alignment.R_cam_imu = solve_wahba(moment);
+  alignment.scale = rates.front().lens_known ? wahba_trace(moment) / start.gyro_energy : focal_length;
   std::vector<double> biases[3];
   for (const ImageRate& rate : rates) {
     const Eigen::Vector3d bias_rad_s =
@@ -315,7 +410,7 @@ std::optional<RateAlignment> align_rates(const std::vector<ImageRate>& all, cons
     alignment.scale *= std::exp(step[kScale]);
     alignment.readout_s += step[kReadout];
   }
-  describe(rates, Step(rates, gyro, alignment), &alignment);
+  describe(Step(rates, gyro, alignment), &alignment);
   return alignment;
 }
 

@@ -12,6 +12,9 @@
 
 namespace gyro_deblur {
 
+/// Those of unknown lenses, in the image's larger side: 127 and 14 degrees from side to side.
+constexpr double kShortestFocalLength = 0.25, kLongestFocalLength = 4;
+
 /// Time offset at which the rates of images and gyroscope correlate best, for any rotation between their axes and any
 /// bias.
 struct OffsetPeak {
@@ -31,15 +34,17 @@ OffsetPeak search_rate_offset(const std::vector<ImageRate>& rates, const GyroInt
                               TimeNs search_ns);
 
 /// Parameters that fit gyroscope and images best: image rate = scale * R_cam_imu (gyroscope's rate - bias).
+/// Of an unknown lens diag(scale, scale, 1) stands for the scale, and the changes of rates fit, which say nothing of
+/// the bias.
 struct RateAlignment {
   TimeNs offset_ns = 0;  ///< t_imu = t_cam + offset
   Eigen::Matrix3d R_cam_imu = Eigen::Matrix3d::Identity();
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< IMU axes
   double readout_s = 0;                                  ///< from the first row to the last
-  double scale = 1;                                      ///< translation and a wrong focal length are in it
+  double scale = 1;  ///< translation and a wrong focal length are in it; of an unknown lens the true focal length
   /// Standard deviations (jackknife over parts of the time); those of rotation and bias are about the least certain
   /// axis.
-  double offset_stddev_s = 0, rotation_stddev_rad = 0, bias_stddev_rad_s = 0, readout_stddev_s = 0;
+  double offset_stddev_s = 0, rotation_stddev_rad = 0, bias_stddev_rad_s = 0, readout_stddev_s = 0, scale_stddev = 0;
   double correlation = 0;                                ///< [0, 1], without what disagrees
   double agreeing = 0;                                   ///< [0, 1] of the rates
   double spread_rad_s = 0;                               ///< of the differences, one axis

@@ -31,7 +31,7 @@ constexpr double kLeastScale = 0.6, kLargestScale = 1.6;
 constexpr double kLeastSecondRadS = 0.03;
 /// Errors that the parts of one window share: exposures that jitter, tracking that pulls to one side.
 constexpr double kOffsetFloorS = 0.0005, kRotationFloorRad = 0.1 / kDegPerRad, kBiasFloorRadS = 0.001,
-                 kReadoutFloorS = 0.0005, kReadoutFloorShare = 0.08;
+                 kReadoutFloorS = 0.0005, kReadoutFloorShare = 0.08, kFocalFloorShare = 0.02;
 
 constexpr double kStillRadS = 0.02;
 constexpr TimeNs kStillNs = kSecondNs, kStillPieceNs = kSecondNs / 4;
@@ -106,7 +106,7 @@ void SelfCalibration::clear() {
 void SelfCalibration::add_sample(const GyroSample& sample) { gyro_.add(sample); }
 
 void SelfCalibration::add_rate(const ImageRate& rate) {
-  if (!rates_.empty() && rate.begin_ns < rates_.back().begin_ns) {
+  if (!rates_.empty() && (rate.begin_ns < rates_.back().begin_ns || rate.lens_known != rates_.back().lens_known)) {
     rates_.clear();
     updated_ns_.reset();
     still_since_ns_.reset();
@@ -134,6 +134,7 @@ void SelfCalibration::refuse(const std::string& missing) {
   set_missing(missing, &learned_.time_offset_s);
   set_missing(missing, &learned_.readout_s);
   set_missing(missing, &learned_.bias_rad_s);
+  set_missing(missing, &learned_.focal_length);
 }
 
 std::vector<ImageRate> SelfCalibration::usable_rates() const {
@@ -186,16 +187,19 @@ void SelfCalibration::learn_alignment() {
     return refuse(
         format("at no offset within %.1f s of %.6g s images rotate as the gyroscope does: the best correlation "
                "is %.2f, %.1f is needed, and %.0f %% of the images agree, %.0f %% have to; move the camera "
-               "before a scene that stands still",
+               "before a scene that stands still, and check that the gyroscope's rates are in rad/s",
                to_seconds(options_.search_ns), to_seconds(options_.expected_offset_ns),
                found ? found->correlation : peak.correlation, kLeastCorrelation, found ? 100 * found->agreeing : 0,
                100 * kLeastAgreeing));
   }
-  if (found->scale < kLeastScale || found->scale > kLargestScale) {
-    return refuse(
-        format("images rotate %.3g times as fast as the gyroscope says: check that its rates are in rad/s, and "
-               "the focal length",
-               found->scale));
+  const bool lens_known = rates.front().lens_known;
+  if (found->scale < (lens_known ? kLeastScale : kShortestFocalLength) ||
+      found->scale > (lens_known ? kLargestScale : kLongestFocalLength)) {
+    return refuse(format(lens_known ? "images rotate %.3g times as fast as the gyroscope says: check that its rates "
+                                      "are in rad/s, and the focal length"
+                                    : "images move as though the focal length were %.3g of their larger side: check "
+                                      "that the gyroscope's rates are in rad/s",
+                         found->scale));
   }
   if (peak.is_ambiguous) {
     return refuse(
@@ -213,6 +217,17 @@ void SelfCalibration::learn_alignment() {
        &learned_.time_offset_s);
   learn_readout(*found, rotating_s);
   learn_rotation_and_bias(*found, rotating_s);
+  if (!lens_known) learn_focal_length(*found, rotating_s);
+}
+
+void SelfCalibration::learn_focal_length(const RateAlignment& found, double rotating_s) {
+  const double stddev = std::hypot(found.scale_stddev, kFocalFloorShare * found.scale);
+  if (stddev > UsefulStddev::kFocalShare * found.scale) {
+    return set_missing(format("the focal length is known to %.0f %%, and %.0f %% are needed: rotate the camera faster",
+                              1e2 * stddev / found.scale, 1e2 * UsefulStddev::kFocalShare),
+                       &learned_.focal_length);
+  }
+  take(found.scale, stddev, rotating_s, std::abs(found.scale - learned_.focal_length.value), &learned_.focal_length);
 }
 
 void SelfCalibration::learn_readout(const RateAlignment& found, double rotating_s) {

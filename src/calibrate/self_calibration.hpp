@@ -38,6 +38,7 @@ struct Learned {
 /// matches.
 struct UsefulStddev {
   static constexpr double kOffsetS = 0.005, kRotationRad = 2.5 * M_PI / 180, kBiasRadS = 0.01, kReadoutS = 0.0035;
+  static constexpr double kFocalShare = 0.05;  ///< of the focal length
 };
 
 /// What has been learned so far.
@@ -48,13 +49,15 @@ struct LearnedCalibration {
   Learned<double> time_offset_s;
   Learned<double> readout_s;  ///< from the first row to the last, whatever the images' exposures say of it
   Learned<Eigen::Vector3d> bias_rad_s{Eigen::Vector3d::Zero()};  ///< IMU axes
+  Learned<double> focal_length;  ///< of a lens that is not known, in the image's larger side
 };
 
 /// Learns from the rates of images and gyroscope of the last half minute: the offset by correlation, the rotation in
 /// closed form (Wahba's problem), then both with bias and readout by robust least squares; the bias of a camera that
 /// stands still also from that alone. A value is known when two standard deviations are below 10 ms (readout: 7 ms), 5
-/// degrees, or 0.02 rad/s: what that costs is a few percent of the matches. A known value stays known until later
-/// motion contradicts it. Bounded memory, some milliseconds for an update() each second. Not thread-safe.
+/// degrees, 0.02 rad/s, or a tenth of the focal length: what that costs is a few percent of the matches. A known value
+/// stays known until later motion contradicts it. Bounded memory, some milliseconds for an update() each second. Not
+/// thread-safe.
 class SelfCalibration {
  public:
   /// Throws OptionError.
@@ -62,7 +65,7 @@ class SelfCalibration {
 
   /// @param sample  IMU axes and clock, in the order of time
   void add_sample(const GyroSample& sample);
-  /// @param rate  in the order of time; begins anew where time goes back
+  /// @param rate  in the order of time; begins anew where time goes back, and where the lens becomes known
   void add_rate(const ImageRate& rate);
 
   /// A second of images has come since the last update.
@@ -81,6 +84,7 @@ class SelfCalibration {
   /// Why no rate is usable.
   std::string missing_data() const;
   void learn_alignment();
+  void learn_focal_length(const RateAlignment& found, double rotating_s);
   void learn_readout(const RateAlignment& found, double rotating_s);
   void learn_rotation_and_bias(const RateAlignment& found, double rotating_s);
   void learn_resting_bias();

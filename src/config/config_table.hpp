@@ -134,9 +134,10 @@ void visit(Table<Config>, V&& visitor) {
            "see self_calibration."},
           &O::R_cam_imu);
   visitor({"self_calibration",
-           "auto: the images give readout_time, time_offset, R_cam_imu and gyro_bias where these are empty; an "
-           "estimate is used once it is certain. Values that are set stay in use (only a calibration file replaces a "
-           "0), and a contradiction is reported. never: nothing is estimated or compared."},
+           "auto: the images give readout_time, time_offset, R_cam_imu and gyro_bias where these are empty, and a "
+           "focal length where there are no intrinsics; an estimate is used once it is certain. Values that are set "
+           "stay in use (only a calibration file replaces a 0), and a contradiction is reported. never: nothing is "
+           "estimated or compared."},
           &O::self_calibration);
   visitor({"input_timeout", within(0, 10, "s"),
            "Longest time that a frame waits for gyroscope samples, camera_info, exposure and tf."},

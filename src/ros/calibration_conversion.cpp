@@ -159,11 +159,11 @@ TimeNs region_readout_ns(TimeNs full_readout_ns, const sensor_msgs::CameraInfo& 
   return std::llround(static_cast<double>(full_readout_ns) * region.height_px / info.height);
 }
 
-CameraCalibration placeholder_calibration(int width_px, int height_px) {
+CameraCalibration ideal_lens(int width_px, int height_px, double focal_length) {
   CameraCalibration calibration;
   calibration.width_px = width_px;
   calibration.height_px = height_px;
-  calibration.fx_px = calibration.fy_px = std::max(width_px, height_px);
+  calibration.fx_px = calibration.fy_px = focal_length * std::max(width_px, height_px);
   calibration.cx_px = 0.5 * (width_px - 1);
   calibration.cy_px = 0.5 * (height_px - 1);
   return calibration;

@@ -45,8 +45,9 @@ sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera);
 /// region are not read. Binning does not change it: binned rows stand for the same stretch of the sensor.
 TimeNs region_readout_ns(TimeNs full_readout_ns, const sensor_msgs::CameraInfo& info);
 
-/// Stands for an unknown calibration where optical flow alone moves an image: nothing of it is about rays.
-CameraCalibration placeholder_calibration(int width_px, int height_px);
+/// A camera without distortion that looks along the middle of the image.
+/// @param focal_length  in the image's larger side, > 0
+CameraCalibration ideal_lens(int width_px, int height_px, double focal_length);
 
 /// What is known of a camera without camera_info: header and size, K of zeros (not calibrated).
 sensor_msgs::CameraInfoPtr uncalibrated_camera_info(const sensor_msgs::Image& input);

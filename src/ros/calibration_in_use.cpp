@@ -9,6 +9,7 @@
 
 #include "base/format.hpp"
 #include "gyro_deblur/calibration.hpp"
+#include "ros/missing_inputs.hpp"
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
@@ -20,14 +21,24 @@ double difference(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b) {
   return Eigen::AngleAxisd(Eigen::Matrix3d(a.transpose() * b)).angle();
 }
 
-std::string text_of(double seconds) { return format("%.4f s", seconds); }
-std::string text_of(const Eigen::Vector3d& bias_rad_s) { return vector_text(bias_rad_s) + " rad/s"; }
-std::string text_of(const Eigen::Matrix3d& R) { return to_string(R); }
+constexpr char kFocalLength[] = "focal_length";
+
+std::string text_of(const std::string& key, double value) {
+  return key == kFocalLength ? format("%.3f of the image's larger side", value) : format("%.4f s", value);
+}
+std::string text_of(const std::string&, const Eigen::Vector3d& bias_rad_s) {
+  return vector_text(bias_rad_s) + " rad/s";
+}
+std::string text_of(const std::string&, const Eigen::Matrix3d& R) { return to_string(R); }
 
 /// A standard deviation, or a difference, in the unit of such a value.
-std::string distance_text(const Learned<double>&, double distance) { return format("%.1f ms", 1e3 * distance); }
-std::string distance_text(const Learned<Eigen::Vector3d>&, double distance) { return format("%.4f rad/s", distance); }
-std::string distance_text(const Learned<Eigen::Matrix3d>&, double distance) {
+std::string distance_text(const std::string& key, const Learned<double>&, double distance) {
+  return key == kFocalLength ? format("%.3f", distance) : format("%.1f ms", 1e3 * distance);
+}
+std::string distance_text(const std::string&, const Learned<Eigen::Vector3d>&, double distance) {
+  return format("%.4f rad/s", distance);
+}
+std::string distance_text(const std::string&, const Learned<Eigen::Matrix3d>&, double distance) {
   return format("%.1f degrees", kDegPerRad * distance);
 }
 
@@ -35,10 +46,10 @@ std::string distance_text(const Learned<Eigen::Matrix3d>&, double distance) {
 template <typename Value>
 CalibrationRow given_row(const std::string& key, const Value& value, const std::string& source, bool learns,
                          const Learned<Value>& learned) {
-  std::string text = text_of(value) + " (" + source + ")";
+  std::string text = text_of(key, value) + " (" + source + ")";
   if (learned.known) {
-    text += ", images differ from it by " + distance_text(learned, difference(value, learned.value)) + " (+- " +
-            distance_text(learned, learned.stddev) + ")";
+    text += ", images differ from it by " + distance_text(key, learned, difference(value, learned.value)) + " (+- " +
+            distance_text(key, learned, learned.stddev) + ")";
   } else if (learns) {
     text += ", not checked yet: " + learned.missing;
   }
@@ -52,7 +63,7 @@ CalibrationRow learned_row(const std::string& key, bool learns, const Learned<Va
                            const std::string& without, bool is_remembered) {
   if (taken.known && learns) {
     return {key,
-            text_of(taken.value) + " (+- " + distance_text(taken, taken.stddev) + "), by the images of " +
+            text_of(key, taken.value) + " (+- " + distance_text(key, taken, taken.stddev) + "), by the images of " +
                 format("%.0f s", taken.seconds) + (is_remembered ? " before this start" : ""),
             true};
   }
@@ -80,8 +91,8 @@ bool CalibrationInUse::take(const std::string& key, const Learned<Value>& newest
   const double change = difference(newest.value, taken->value);
   if (taken->known && newest.stddev > kSurer * taken->stddev && change < kAnother * newest.stddev) return false;
   if (remembered_.erase(key) > 0 && change > kContradicting * std::hypot(newest.stddev, taken->stddev)) {
-    problems_.log(LogLevel::WARNING, key + " of the last start is dropped: it was " + text_of(taken->value) +
-                                         ", the images now give " + text_of(newest.value));
+    problems_.log(LogLevel::WARNING, key + " of the last start is dropped: it was " + text_of(key, taken->value) +
+                                         ", the images now give " + text_of(key, newest.value));
   }
   *taken = newest;
   return true;
@@ -99,6 +110,7 @@ void CalibrationInUse::remember(const LearnedCalibration& before) {
   take_over("time_offset", given_.given.time_offset, before.time_offset_s, &taken_.time_offset_s);
   if (!had_offset && taken_.time_offset_s.known) taken_.time_offset_s.value += readout_in_offset_s();
   take_over("gyro_bias", given_.given.gyro_bias, before.bias_rad_s, &taken_.bias_rad_s);
+  take_over(kFocalLength, false, before.focal_length, &taken_.focal_length);
   use();
 }
 
@@ -118,6 +130,7 @@ LearnedCalibration CalibrationInUse::by_images() const {
       used.time_offset_s.known && learns() && !given_.given.time_offset && (has_readout() || taken_.readout_s.known);
   used.readout_s.known = used.readout_s.known && learns() && !given_.given.readout_time;
   used.bias_rad_s.known = used.bias_rad_s.known && learns() && !given_.given.gyro_bias;
+  used.focal_length.known = used.focal_length.known && learns() && !lens_known_;
   return used;
 }
 
@@ -157,6 +170,10 @@ std::string CalibrationInUse::missing_rotation() const {
   return learns() ? learned_.R_cam_imu.missing : "self_calibration is never";
 }
 
+std::optional<double> CalibrationInUse::focal_length() const {
+  return learns() && taken_.focal_length.known ? std::optional(taken_.focal_length.value) : std::nullopt;
+}
+
 bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_share, bool readout_by_messages) {
   learned_ = learned;
   readout_share_ = readout_share;
@@ -168,6 +185,7 @@ bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_s
   changed = take("readout_time", learned.readout_s, &taken_.readout_s) || changed;
   changed = take("time_offset", learned.time_offset_s, &taken_.time_offset_s) || changed;
   changed = take("gyro_bias", learned.bias_rad_s, &taken_.bias_rad_s) || changed;
+  changed = take(kFocalLength, learned.focal_length, &taken_.focal_length) || changed;
   use();
   check();
   if (!learns()) return false;
@@ -175,6 +193,7 @@ bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_s
     const bool known_before = row.key == "R_cam_imu"      ? before.R_cam_imu.known
                               : row.key == "time_offset"  ? before.time_offset_s.known
                               : row.key == "readout_time" ? before.readout_s.known
+                              : row.key == kFocalLength   ? before.focal_length.known
                                                           : before.bias_rad_s.known;
     if (row.by_images && !known_before)
       problems_.log(LogLevel::INFO, row.key + " is estimated from the images and used: " + row.text);
@@ -228,7 +247,9 @@ std::vector<CalibrationRow> CalibrationInUse::table() const {
   rows.push_back(
       in_use.R_cam_imu
           ? given_row("R_cam_imu", in_use.R_cam_imu->value, in_use.R_cam_imu->source, learns(), learned_.R_cam_imu)
-          : unknown("R_cam_imu", taken_.R_cam_imu, learned_.R_cam_imu.missing, "images pass through unless tf has it"));
+          : unknown("R_cam_imu", taken_.R_cam_imu, learned_.R_cam_imu.missing,
+                    goes_without_imu(given_) ? "images are deblurred by optical flow alone unless tf has it"
+                                             : "images pass through unless tf has it"));
   const Learned<double> offset = time_offset();
   rows.push_back(given_.given.time_offset
                      ? given_row("time_offset", to_seconds(given_.gyro.time_offset_ns),
@@ -243,6 +264,10 @@ std::vector<CalibrationRow> CalibrationInUse::table() const {
                              measured_bias_rad_s_ ? "estimate_gyro_bias" : "parameter", learns(), learned_.bias_rad_s));
   } else {
     rows.push_back(unknown("gyro_bias", taken_.bias_rad_s, learned_.bias_rad_s.missing, "0 rad/s is used"));
+  }
+  if (!lens_known_) {
+    rows.push_back(unknown(kFocalLength, taken_.focal_length, learned_.focal_length.missing,
+                           "images are deblurred by optical flow alone"));
   }
   return rows;
 }

@@ -39,6 +39,8 @@ class CalibrationInUse {
   const Config& config() const { return config_; }
   /// True when no rotation is given, and one has been estimated from the images. tf goes before it.
   const std::optional<Eigen::Matrix3d>& R_cam_imu() const { return R_cam_imu_; }
+  /// In the image's larger side, where it has been estimated from the images of a lens that is not known.
+  std::optional<double> focal_length() const;
   /// Why there is no rotation by the images.
   std::string missing_rotation() const;
 
@@ -47,6 +49,8 @@ class CalibrationInUse {
   ///                             one that is given, or none
   /// @return true when other values are used from now on
   bool learn(const LearnedCalibration& learned, double readout_share, bool readout_by_messages);
+  /// Without a known lens the focal length is learned as well.
+  void set_lens_known(bool known) { lens_known_ = known; }
   /// The rotation that tf has; nothing: none is used.
   void set_tf(const std::optional<Eigen::Matrix3d>& R_cam_imu) { from_tf_ = R_cam_imu; }
   /// A bias that was measured at rest is used in place of the given one.
@@ -82,6 +86,7 @@ class CalibrationInUse {
   std::set<std::string> remembered_;  // keys of values in taken_
   double readout_share_ = 1;
   bool readout_by_messages_ = false;
+  bool lens_known_ = true;
 };
 
 }  // namespace gyro_deblur

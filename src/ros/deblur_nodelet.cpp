@@ -323,7 +323,9 @@ std::string DeblurNodelet::save_calibration() const {
   const auto seen = processor_->calibration_by_images();
   if (!seen || ros::Time::isSimTime()) return {};
   const LearnedCalibration& c = seen->calibration;
-  if (!c.R_cam_imu.known && !c.time_offset_s.known && !c.readout_s.known && !c.bias_rad_s.known) return {};
+  if (!c.R_cam_imu.known && !c.time_offset_s.known && !c.readout_s.known && !c.bias_rad_s.known &&
+      !c.focal_length.known)
+    return {};
   const std::string path = stored_calibration_path(getName(), seen->width_px, seen->height_px);
   if (!path.empty()) save_stored_calibration(path, c);
   return path;

@@ -26,7 +26,7 @@ struct PendingFrame {
   sensor_msgs::ImageConstPtr image;              ///< never null
   sensor_msgs::CameraInfoConstPtr info;          ///< null until known
   std::optional<CameraCalibration> calibration;  ///< of info
-  bool uncalibrated = false;                     ///< calibration is placeholder_calibration(): no ray of it is known
+  Lens lens = Lens::CALIBRATED;                  ///< of calibration, which is otherwise ideal_lens()
   bool described_by_topic = false;               ///< info came with the image, and not from a file
   TimeNs stamp_ns = 0;                           ///< camera clock
   std::shared_ptr<Picture> picture;              ///< that it shows; null while it is not known, and if not usable

@@ -71,6 +71,8 @@ void set_calibration(const Config& config, PendingFrame* frame) {
 }
 
 constexpr char kNoCalibration[] = "no calibration";
+/// Of a lens of which nothing is known, in the image's larger side: 71 degrees from side to side.
+constexpr double kFirstFocalLength = 0.7;
 
 std::string zero_camera_info_text(bool rectified_input) {
   return std::string("camera_info says that the camera is not calibrated (") + (rectified_input ? "P" : "K") +
@@ -81,7 +83,7 @@ std::string zero_camera_info_text(bool rectified_input) {
 /// The motion of the frame's picture, where another image that shows it has had it; null otherwise.
 const PictureMotion* known_motion(const PendingFrame& frame) {
   if (!frame.picture || !frame.picture->motion) return nullptr;
-  return frame.picture->motion->uncalibrated == frame.uncalibrated ? &*frame.picture->motion : nullptr;
+  return frame.picture->motion->lens == frame.lens ? &*frame.picture->motion : nullptr;
 }
 
 /// The time that the frame itself needs samples for, IMU clock, where it was exposed so long.
@@ -152,11 +154,7 @@ std::optional<SynchronizedFrame> FrameSynchronizer::next(const Followed& followe
     record_lacking_samples(frame, next);
     if (readiness == Readiness::READY) {
       if (!known_motion(frame)) {
-        if (frame.uncalibrated) {
-          next.coverage_text = "the camera is not calibrated";
-        } else {
-          collect(followed_cam, &next);
-        }
+        if (next.lacks == PassThroughReason::NO_GYRO) collect(followed_cam, &next);
         if (frame.picture) frame.picture->motion = static_cast<const PictureMotion&>(next);
       }
       record_repetition(frame, next.gyro);
@@ -188,7 +186,7 @@ Readiness FrameSynchronizer::decide(PendingFrame* frame, PictureMotion* motion) 
   if (readiness == Readiness::READY) readiness = find_exposure(frame, motion);
   if (readiness == Readiness::READY) readiness = find_samples(frame, motion);
   // Without samples there is nothing to rotate, and the IMU's frame is not known.
-  const bool has_samples = !frame->uncalibrated && (!motion->without_gyro || !gyro().empty());
+  const bool has_samples = frame->lens != Lens::UNKNOWN && (!motion->without_gyro || !gyro().empty());
   if (readiness == Readiness::READY && has_samples) readiness = find_extrinsic(frame, motion);
   return readiness;
 }
@@ -293,12 +291,13 @@ Readiness FrameSynchronizer::find_calibration(PendingFrame* frame) const {
     return wait_for(Awaited::CAMERA_INFO, frame);
   }
   const bool uncalibrated = goes_uncalibrated(*frame->info);
+  const std::optional<double> focal_length = calibration_.focal_length();
   // That there is no camera_info is reported among the missing inputs.
   problems_.update(kNoCalibration, uncalibrated && infos.seen() ? zero_camera_info_text(config.rectified_input) : "");
-  frame->uncalibrated = uncalibrated;
+  frame->lens = !uncalibrated ? Lens::CALIBRATED : focal_length ? Lens::FOCAL_LENGTH : Lens::UNKNOWN;
   if (uncalibrated) {
-    frame->calibration =
-        placeholder_calibration(static_cast<int>(frame->image->width), static_cast<int>(frame->image->height));
+    frame->calibration = ideal_lens(static_cast<int>(frame->image->width), static_cast<int>(frame->image->height),
+                                    focal_length.value_or(kFirstFocalLength));
     return Readiness::READY;
   }
   try {
@@ -407,9 +406,11 @@ Readiness FrameSynchronizer::plan_exposure(TimeNs given_ns, const std::string& s
 Readiness FrameSynchronizer::find_samples(PendingFrame* frame, PictureMotion* motion) const {
   motion->gyro = config().gyro;
   motion->gyro.bias_rad_s = calibration_.bias_rad_s();
-  motion->uncalibrated = frame->uncalibrated;
-  if (frame->uncalibrated) {  // what the gyroscope measures cannot be compared with pixels
+  motion->lens = frame->lens;
+  if (frame->lens == Lens::UNKNOWN) {  // what the gyroscope measures cannot be compared with pixels
     motion->without_gyro = true;
+    motion->lacks = PassThroughReason::NO_CALIBRATION;
+    motion->coverage_text = "the camera is not calibrated";
     return Readiness::READY;
   }
   const TimeRange own = longest_range(config(), *motion);
@@ -454,16 +455,26 @@ Readiness FrameSynchronizer::find_extrinsic(PendingFrame* frame, PictureMotion* 
     motion->R_by_tf = from_tf.has_value();
     return Readiness::READY;
   }
-  if (motion->without_gyro && goes_without_imu(config)) return Readiness::READY;  // nothing to rotate
+  const bool by_flow = goes_without_imu(config);
+  if (motion->without_gyro && by_flow) return Readiness::READY;  // nothing to rotate
   const std::string missing =
       "no transform from IMU frame \"" + imu_frame + "\" to camera frame \"" + camera_frame +
       "\", and no parameter R_cam_imu: set it, or publish a static transform; not estimated from images yet: " +
       calibration_.missing_rotation();
+  const std::string report =
+      (by_flow ? "images are deblurred by optical flow alone, which is less accurate: " : "") + missing;
+  if (by_flow && (frame->timed_out || problems_.is_active(kNoExtrinsic))) {
+    problems_.update(kNoExtrinsic, report);
+    motion->without_gyro = true;
+    motion->lacks = PassThroughReason::NO_EXTRINSIC;
+    motion->coverage_text = missing;
+    return Readiness::READY;
+  }
   if (frame->timed_out) {
     problems_.report(kNoExtrinsic, missing);
     return pass_through(frame, PassThroughReason::NO_EXTRINSIC, missing);
   }
-  frame->missing_extrinsic = missing;
+  frame->missing_extrinsic = report;
   return wait_for(Awaited::TRANSFORM, frame);
 }
 

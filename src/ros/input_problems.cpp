@@ -58,6 +58,12 @@ void InputProblems::resolve(const std::string& kind) {
   if (found != problems_.end()) found->second.active = false;
 }
 
+bool InputProblems::is_active(const std::string& kind) const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const auto found = problems_.find(kind);
+  return found != problems_.end() && found->second.active;
+}
+
 void InputProblems::clear() {
   const std::lock_guard<std::mutex> lock(mutex_);
   throttles_.clear();

@@ -45,6 +45,7 @@ class InputProblems {
   void update(const std::string& kind, const std::string& text);
   /// The problem is gone: the diagnostics leave it out from now on.
   void resolve(const std::string& kind);
+  bool is_active(const std::string& kind) const;
   /// Forgets all problems. The next line of every kind is logged.
   void clear();
 

@@ -15,8 +15,16 @@
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/time.hpp"
 #include "pipeline/exposure_choice.hpp"
+#include "ros/pass_through.hpp"
 
 namespace gyro_deblur {
+
+/// What is known of how pixels look into the world.
+enum class Lens {
+  CALIBRATED,    ///< by camera_info or a file
+  FOCAL_LENGTH,  ///< estimated from images and gyroscope: good for blur, and for no ray that is published
+  UNKNOWN,       ///< optical flow alone moves the image
+};
 
 /// When a picture was exposed, and how the camera moved meanwhile; copies, so that it needs no lock.
 struct PictureMotion {
@@ -29,9 +37,12 @@ struct PictureMotion {
   /// Over the exposure, and the time since the picture before it, across which corners are tracked.
   std::vector<GyroSample> samples;
   std::size_t own_begin = 0, own_end = 0;  ///< indices of those that the picture itself needs
-  bool uncalibrated = false;               ///< see PendingFrame::uncalibrated
-  bool without_gyro = false;               ///< it is absent or silent, see PipelineOptions::flow_without_gyro
-  std::string coverage_text;               ///< which of its own are missing, should some be
+  Lens lens = Lens::CALIBRATED;            ///< see PendingFrame::lens
+  /// It is absent or silent, or cannot be used; see PipelineOptions::flow_without_gyro.
+  bool without_gyro = false;
+  std::string coverage_text;  ///< which of its own are missing, should some be, or why it cannot be used
+  /// Why the picture passes through where flow shows no certain motion either.
+  PassThroughReason lacks = PassThroughReason::NO_GYRO;
 };
 
 struct MadePicture;

@@ -73,11 +73,11 @@ void add_field(const SynchronizedFrame& synchronized, const RowExposure& exposur
                                                : saturation;
   }
   if (uncovered == field.blocks.size()) {
-    const bool uncalibrated = synchronized.frame.uncalibrated;
-    output->reason = gyro_covers || uncalibrated ? PassThroughReason::NO_CALIBRATION
-                     : saturation.empty()        ? PassThroughReason::NO_GYRO
-                                                 : PassThroughReason::GYRO_SATURATED;
-    if (uncalibrated) output->reason_text += ", and optical flow shows no certain motion";
+    output->reason = gyro_covers          ? PassThroughReason::NO_CALIBRATION
+                     : saturation.empty() ? synchronized.lacks
+                                          : PassThroughReason::GYRO_SATURATED;
+    if (synchronized.lacks != PassThroughReason::NO_GYRO)
+      output->reason_text += ", and optical flow shows no certain motion";
     output->blur_field = pass_through_message(output->reason, output->reason_text, image);
   }
   if (field.images_alone && output->reason == PassThroughReason::NONE) {
@@ -126,10 +126,10 @@ void add_messages(const SynchronizedFrame& synchronized, const FrameRequest& req
   if (!result.global_shutter.empty()) add_global_shutter(result, frame, output);
   if (request.keypoints && !output->dropped) {
     output->keypoints = to_message(result, synchronized.config->pipeline.keypoints, header);
-    if (frame.uncalibrated) remove_rays(output->keypoints.get());
+    if (frame.lens != Lens::CALIBRATED) remove_rays(output->keypoints.get());
   }
   if (request.overlay) output->overlay = to_bgr_image(draw_overlay(result.input_luminance, result.field), header);
-  if (request.markers && !frame.uncalibrated)
+  if (request.markers && frame.lens == Lens::CALIBRATED)
     output->markers = to_markers(result.field, Camera(*frame.calibration), header);
   output->quality = to_message(quality, header);
   if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field, synchronized.mask), header);
@@ -251,7 +251,7 @@ void Processor::add_result(const SynchronizedFrame& synchronized, const FrameReq
   if (output->dropped) {
     output->image.reset();
     if (!action.pass_through_text.empty()) result.field.reject_all();
-  } else if (request.wants_tracks() && !synchronized.frame.uncalibrated) {
+  } else if (request.wants_tracks() && synchronized.frame.lens == Lens::CALIBRATED) {
     add_tracks(synchronized, request, rotation, exposure, result, output);
   }
   if (!result.blur_is_known()) {
@@ -355,7 +355,7 @@ void Processor::add_raw_keypoints(const SynchronizedFrame& synchronized, FrameOu
   if (!synchronized.pipeline || output->reason == PassThroughReason::OVERLOAD) return;
   try {
     const ImageView view = view_image(*frame.image);
-    std::optional<CameraCalibration> calibration = frame.uncalibrated ? std::nullopt : frame.calibration;
+    std::optional<CameraCalibration> calibration = frame.lens == Lens::CALIBRATED ? frame.calibration : std::nullopt;
     if (!calibration && frame.info) {
       try {
         calibration =

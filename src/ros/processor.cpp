@@ -149,10 +149,11 @@ void Processor::learn_from(const SynchronizedFrame& synchronized, const std::opt
   std::optional<SelfCalibrator::Image> image;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!config_ || config_->self_calibration == SelfCalibrationMode::NEVER) return;
-    if (!frame.calibration || frame.uncalibrated || frame.repeats ||
-        frame.pass_through_reason == PassThroughReason::TIME_JUMP)
-      return;
+    if (!config_ || !frame.calibration) return;
+    const bool lens_known = frame.lens == Lens::CALIBRATED;
+    calibration_.set_lens_known(lens_known);
+    if (config_->self_calibration == SelfCalibrationMode::NEVER) return;
+    if (frame.repeats || frame.pass_through_reason == PassThroughReason::TIME_JUMP) return;
     if (frame.pass_through_reason == PassThroughReason::NONE ||
         frame.pass_through_reason == PassThroughReason::NO_EXTRINSIC) {
       calibration_.set_tf(synchronized.R_by_tf ? std::optional(synchronized.R_cam_imu) : std::nullopt);
@@ -170,7 +171,7 @@ void Processor::learn_from(const SynchronizedFrame& synchronized, const std::opt
     }
     image.emplace(SelfCalibrator::Image{frame.image, *frame.calibration,
                                         RowExposure(frame.picture_ns(), static_cast<int>(frame.image->height), timing),
-                                        synchronized.mask});
+                                        synchronized.mask, lens_known});
     const TimeRange available = synchronizer_.gyro().available();
     if (!available.empty()) {
       if (newest_learned_ns_ > available.end_ns) newest_learned_ns_.reset();

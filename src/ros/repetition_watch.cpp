@@ -23,7 +23,7 @@ constexpr TimeNs kLongestRotationNs = 1'000'000'000;
 
 /// Whether the image's scene has moved since its picture was exposed, as far as samples reach.
 bool has_rotated(const PendingFrame& frame, const GyroReader& gyro, const GyroOptions& options) {
-  if (!frame.calibration || frame.uncalibrated) return false;
+  if (!frame.calibration || frame.lens == Lens::UNKNOWN) return false;
   TimeRange range_cam{std::max(frame.picture_ns(), frame.stamp_ns - kLongestRotationNs), frame.stamp_ns};
   const TimeNs offset_ns = options.time_offset_ns;
   range_cam.end_ns = std::min(range_cam.end_ns, gyro.available().end_ns - offset_ns);

@@ -150,7 +150,8 @@ void SelfCalibrator::look_at(const Image& image) {
   const ImageView view = view_image(*image.image);
   const cv::Mat luminance = luminance8(view.image, view.layout, bit_depth_.of(view.image, view.layout));
   tracker_.set_mask(image.mask);
-  const std::optional<ImageRate> rate = tracker_.add(luminance, Camera(image.calibration), image.exposure);
+  const std::optional<ImageRate> rate =
+      tracker_.add(luminance, Camera(image.calibration), image.exposure, image.lens_known);
   if (rate) calibration_.add_rate(*rate);
 }
 

@@ -42,6 +42,7 @@ class SelfCalibrator {
     CameraCalibration calibration;
     RowExposure exposure;  ///< with what is known of it: see LearnedCalibration::time_offset_s
     PixelMask mask;        ///< empty, or of the image's size
+    bool lens_known;       ///< see ImageRateTracker::add()
   };
 
   /// The time offset is looked for around this. Another one than before makes it forget.

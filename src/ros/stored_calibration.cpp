@@ -87,11 +87,15 @@ std::optional<LearnedCalibration> load_stored_calibration(const std::string& pat
     const nlohmann::json json = nlohmann::json::parse(file);
     if (!json.is_object()) throw std::runtime_error("it is no map of values");
     LearnedCalibration calibration;
-    constexpr double kLargestOffsetS = 4e9, kLargestReadoutS = 1, kLargestBiasRadS = 1;
+    constexpr double kLargestOffsetS = 4e9, kLargestReadoutS = 1, kLargestBiasRadS = 1, kLargestFocalLength = 10;
     read(json, "R_cam_imu", 1.001, &calibration.R_cam_imu);
     read(json, "time_offset", kLargestOffsetS, &calibration.time_offset_s);
     read(json, "readout_time", kLargestReadoutS, &calibration.readout_s);
     read(json, "gyro_bias", kLargestBiasRadS, &calibration.bias_rad_s);
+    read(json, "focal_length", kLargestFocalLength, &calibration.focal_length);
+    if (calibration.focal_length.known && !(calibration.focal_length.value > 0)) {
+      throw std::runtime_error("focal_length is not > 0");
+    }
     return calibration;
   } catch (const std::exception& error) {
     throw std::runtime_error("stored calibration " + path + " cannot be used: " + error.what());
@@ -105,6 +109,7 @@ void save_stored_calibration(const std::string& path, const LearnedCalibration& 
     write("time_offset", calibration.time_offset_s, &json);
     write("readout_time", calibration.readout_s, &json);
     write("gyro_bias", calibration.bias_rad_s, &json);
+    write("focal_length", calibration.focal_length, &json);
     fs::create_directories(fs::path(path).parent_path());
     const std::string written = path + ".new";
     {

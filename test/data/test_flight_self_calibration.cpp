@@ -18,11 +18,17 @@ namespace {
 /// What is to be met: it costs one to three percent of the matches.
 constexpr double kOffsetMs = 5, kRotationDeg = 5, kBiasRadS = 0.02, kReadoutMs = 4;
 
-/// The calibration estimated in a flight, with nothing given but intrinsics and exposure times.
+/// Of a lens that is not known; the distortion of EuRoC's lens shortens it by up to a seventh.
+constexpr double kShortestFocal = 0.85, kLongestFocal = 1.05;
+
+/// What is known of the lens at first.
+enum class Given { INTRINSICS, NOTHING };
+
+/// The calibration estimated in a flight, with nothing given but exposure times, and the intrinsics or not.
 /// @param flight   of test::recorded_flights()
 /// @param known_s  rotation and offset have to be known before that
 void expect_learned(std::size_t flight, double seconds, double speed, TimeNs exposure_ns, TimeNs readout_ns,
-                    double known_s) {
+                    double known_s, Given given = Given::INTRINSICS) {
   const std::string folder = GYRO_DEBLUR_DATA_DIR;
   if (!std::filesystem::exists(folder + "/trajectories")) GTEST_SKIP() << "no " << folder << "/trajectories";
   const test::FlightCase c{test::recorded_flights().at(flight), seconds, speed, exposure_ns, readout_ns};
@@ -35,13 +41,23 @@ void expect_learned(std::size_t flight, double seconds, double speed, TimeNs exp
   SelfCalibration calibration;
   std::size_t next = 0;
   double since_s = 0;
+  const bool lens_known = given == Given::INTRINSICS;
+  const CameraCalibration& truth = simulator.camera().calibration();
+  CameraCalibration assumed = truth;
+  if (!lens_known) {
+    assumed.model = "none";
+    assumed.coefficients.clear();
+    assumed.fx_px = assumed.fy_px = 0.7 * assumed.width_px;
+    assumed.cx_px = 0.5 * (assumed.width_px - 1);
+    assumed.cy_px = 0.5 * (assumed.height_px - 1);
+  }
   for (int i = 0; i < simulator.frames(); ++i) {
     const sim::Frame frame = simulator.frame(i);
     for (; next < samples.size() && samples[next].t_ns <= frame.stamp_ns; ++next) {
       calibration.add_sample({samples[next].t_ns, samples[next].rate_rad_s});
     }
     const RowExposure exposure(frame.stamp_ns, frame.image.rows, {exposure_ns, 0});
-    if (const auto rate = tracker.add(frame.image, simulator.camera(), exposure)) calibration.add_rate(*rate);
+    if (const auto rate = tracker.add(frame.image, Camera(assumed), exposure, lens_known)) calibration.add_rate(*rate);
     if (!calibration.is_due()) continue;
     calibration.update();
     const LearnedCalibration& learned = calibration.learned();
@@ -60,14 +76,26 @@ void expect_learned(std::size_t flight, double seconds, double speed, TimeNs exp
     if (learned.bias_rad_s.known) {
       EXPECT_LT(off_rad_s, kBiasRadS) << "at " << t_s << " s";
     }
+    if (learned.focal_length.known) {
+      EXPECT_FALSE(lens_known);
+      EXPECT_GT(learned.focal_length.value * truth.width_px / truth.fx_px, kShortestFocal) << "at " << t_s << " s";
+      EXPECT_LT(learned.focal_length.value * truth.width_px / truth.fx_px, kLongestFocal) << "at " << t_s << " s";
+      // As the front end does, when it differs from that in use.
+      const double focal_px = learned.focal_length.value * truth.width_px;
+      if (std::abs(focal_px - assumed.fx_px) > 0.1 * focal_px) assumed.fx_px = assumed.fy_px = focal_px;
+    }
   }
   EXPECT_GT(since_s, 0);
   EXPECT_LT(since_s, known_s);
   const LearnedCalibration& learned = calibration.learned();
-  EXPECT_TRUE(learned.readout_s.known) << learned.readout_s.missing;
-  EXPECT_NEAR(1e-6 * static_cast<double>(readout_ns), 1e3 * learned.readout_s.value, kReadoutMs);
-  std::printf("known after %.1f s; offset %.2f ms, readout %.2f ms\n", since_s,
-              1e3 * (learned.time_offset_s.value - offset_s), 1e3 * learned.readout_s.value);
+  EXPECT_TRUE(learned.readout_s.known || !lens_known) << learned.readout_s.missing;
+  if (learned.readout_s.known) {
+    EXPECT_NEAR(1e-6 * static_cast<double>(readout_ns), 1e3 * learned.readout_s.value, kReadoutMs);
+  }
+  EXPECT_TRUE(learned.focal_length.known || lens_known) << learned.focal_length.missing;
+  std::printf("known after %.1f s; offset %.2f ms, readout %.2f ms, focal length %.0f %% of the true one\n", since_s,
+              1e3 * (learned.time_offset_s.value - offset_s), 1e3 * learned.readout_s.value,
+              lens_known ? 100 : 100 * learned.focal_length.value * truth.width_px / truth.fx_px);
 }
 
 TEST(FlightSelfCalibration, Euroc) { expect_learned(0, 8, 1, 15'000'000, 0, 6); }
@@ -76,6 +104,13 @@ TEST(FlightSelfCalibration, EurocFastLongExposureRollingShutter) {
 }
 TEST(FlightSelfCalibration, EurocOther) { expect_learned(1, 8, 1, 30'000'000, 0, 6); }
 TEST(FlightSelfCalibration, HandHeldRollingShutter) { expect_learned(2, 10, 1, 15'000'000, 20'000'000, 6); }
+TEST(FlightSelfCalibration, EurocWithoutIntrinsics) { expect_learned(0, 12, 1, 15'000'000, 0, 6, Given::NOTHING); }
+TEST(FlightSelfCalibration, EurocOtherWithoutIntrinsics) {
+  expect_learned(1, 12, 1.7, 30'000'000, 0, 6, Given::NOTHING);
+}
+TEST(FlightSelfCalibration, HandHeldRollingShutterWithoutIntrinsics) {
+  expect_learned(2, 12, 1, 15'000'000, 20'000'000, 6, Given::NOTHING);
+}
 
 }  // namespace
 }  // namespace gyro_deblur

@@ -65,7 +65,9 @@ class UnknownCalibration : public testing::Test {
       now_ns_ = camera().stamp(i) + config_.input_timeout_ns;
       for (const sensor_msgs::Imu& imu : camera().samples_before(i)) processor_->add_imu(imu);
       processor_->add_image(camera().image(i));
-      processor_->add_camera_info(camera().info(i));
+      const sensor_msgs::CameraInfoPtr info = camera().info(i);
+      if (i < calibrated_from_) info->K.fill(0);
+      processor_->add_camera_info(info);
       now_ns_ += config_.input_timeout_ns;
       processor_->advance([this](FrameOutput&& output) {
         outputs_.push_back(std::move(output));
@@ -97,29 +99,125 @@ class UnknownCalibration : public testing::Test {
   Config config_;
   std::optional<Eigen::Matrix3d> tf_;
   std::optional<LearnedCalibration> stored_;
-  int reads_ = 0;  // of it
+  int reads_ = 0;            // of it
+  int calibrated_from_ = 0;  // frame
   TimeNs now_ns_ = 0;
   std::vector<std::string> log_;
   std::vector<FrameOutput> outputs_;
   std::unique_ptr<Processor> processor_;
 };
 
+constexpr double kFocalPx = 200, kFocalLength = kFocalPx / 256;
+
+TEST_F(UnknownCalibration, FocalLengthIsLearnedAndUsed) {
+  constexpr std::size_t kLast = 5;
+  calibrated_from_ = RotatingCamera::kFrames - kLast;
+  start();
+  play();
+  std::size_t first = 0;
+  while (first < outputs_.size() && (!outputs_[first].field || outputs_[first].field->images_alone)) ++first;
+  EXPECT_GT(first, 2 * RotatingCamera::kFramesPerS) << "nothing is known at first";
+  EXPECT_LT(first, 5 * RotatingCamera::kFramesPerS) << "five seconds of motion are enough";
+  EXPECT_EQ(logged("focal_length is estimated from the images and used"), 1U);
+  for (std::size_t i = 1; i < first; ++i) {
+    EXPECT_EQ(outputs_[i].reason_text, "optical flow alone: the camera is not calibrated") << i;
+  }
+  // The same frames of a camera that is calibrated.
+  const std::vector<FrameOutput> uncalibrated = std::exchange(outputs_, {});
+  config_.R_cam_imu = RotatingCamera::R_cam_imu();
+  config_.gyro.time_offset_ns = RotatingCamera::kTimeOffset;
+  config_.gyro.bias_rad_s = RotatingCamera::bias_rad_s();
+  config_.given = {true, true, true};
+  calibrated_from_ = 0;
+  camera().rewind();
+  start();
+  play();
+  for (std::size_t i = first; i < uncalibrated.size(); ++i) {
+    const FrameOutput& output = uncalibrated[i];
+    ASSERT_EQ(output.reason, PassThroughReason::NONE) << i << ": " << output.reason_text;
+    EXPECT_FALSE(output.field->images_alone) << i;
+    EXPECT_EQ(output.camera_info->K[0], i + kLast < uncalibrated.size() ? 0 : kFocalPx) << "the input's own";
+    const std::vector<BlockBlur>&blocks = output.field->blocks, &truth = outputs_[i].field->blocks;
+    for (std::size_t b = 0; b < blocks.size(); ++b) {
+      EXPECT_NEAR(blocks[b].extent_px, truth[b].extent_px, 0.3 + 0.1 * truth[b].extent_px) << i << ", " << b;
+    }
+  }
+}
+
+TEST_F(UnknownCalibration, FocalLengthIsInTheTableOfAnUncalibratedCameraAlone) {
+  calibrated_from_ = RotatingCamera::kFrames;
+  start();
+  play(0, 20);
+  EXPECT_NE(row("focal_length").text.find("not known, images are deblurred by optical flow alone: "), std::string::npos)
+      << row("focal_length").text;
+  play(20, 100);
+  const CalibrationRow found = row("focal_length");
+  EXPECT_TRUE(found.by_images);
+  EXPECT_NEAR(std::stod(found.text), kFocalLength, 0.08 * kFocalLength);
+  EXPECT_NE(found.text.find("of the image's larger side (+- 0.0"), std::string::npos) << found.text;
+  const auto kept = processor_->calibration_by_images();
+  ASSERT_TRUE(kept && kept->calibration.focal_length.known);
+  const std::string path = testing::TempDir() + "focal_length.json";
+  save_stored_calibration(path, kept->calibration);
+  stored_ = load_stored_calibration(path);
+  EXPECT_EQ(stored_->focal_length.value, kept->calibration.focal_length.value);
+
+  // At the next start it is used from the first image on.
+  outputs_.clear();
+  camera().rewind();
+  start();
+  play(0, 3);
+  for (const FrameOutput& output : outputs_) EXPECT_FALSE(output.field->images_alone) << output.reason_text;
+
+  // The camera has been calibrated meanwhile.
+  calibrated_from_ = 0;
+  outputs_.clear();
+  camera().rewind();
+  start();
+  play(0, 3);
+  for (const CalibrationRow& row : processor_->statistics().calibration) EXPECT_NE(row.key, "focal_length");
+  EXPECT_FALSE(processor_->calibration_by_images()->calibration.focal_length.known);
+}
+
+TEST_F(UnknownCalibration, WithoutSelfCalibrationFlowAloneServesAnUncalibratedCamera) {
+  calibrated_from_ = RotatingCamera::kFrames;
+  config_.self_calibration = SelfCalibrationMode::NEVER;
+  start();
+  play(0, 100);
+  for (std::size_t i = 1; i < outputs_.size(); ++i) EXPECT_TRUE(outputs_[i].field->images_alone) << i;
+  EXPECT_NE(row("focal_length").text.find("self_calibration is never"), std::string::npos);
+}
+
+TEST_F(UnknownCalibration, FlowAloneServesWhereTheRotationIsNotKnown) {
+  calibrated_from_ = RotatingCamera::kFrames;
+  stored_.emplace();
+  stored_->focal_length = {kFocalLength, 0.01, 10, true, ""};
+  start();
+  play(0, 5);
+  for (std::size_t i = 1; i < outputs_.size(); ++i) EXPECT_TRUE(outputs_[i].field->images_alone) << i;
+}
+
 TEST_F(UnknownCalibration, IsLearnedAndUsed) {
   start();
   EXPECT_FALSE(row("R_cam_imu").by_images);
-  EXPECT_NE(row("R_cam_imu").text.find("not known, images pass through unless tf has it: nothing has been seen yet"),
-            std::string::npos)
+  EXPECT_NE(row("R_cam_imu").text.find("alone unless tf has it: nothing has been seen yet"), std::string::npos)
       << row("R_cam_imu").text;
   play();
-  EXPECT_EQ(outputs_.front().reason, PassThroughReason::NO_EXTRINSIC);
-  EXPECT_NE(outputs_.front().reason_text.find("not estimated from images yet: nothing has been seen yet"),
-            std::string::npos)
-      << outputs_.front().reason_text;
-  std::size_t first = 0;
-  while (first < outputs_.size() && outputs_[first].reason == PassThroughReason::NO_EXTRINSIC) ++first;
+  EXPECT_EQ(outputs_.front().reason, PassThroughReason::NO_EXTRINSIC) << "there is no image before it";
+  for (const char* part : {"not estimated from images yet: nothing has been seen yet", "shows no certain motion"}) {
+    EXPECT_NE(outputs_.front().reason_text.find(part), std::string::npos) << outputs_.front().reason_text;
+  }
+  std::size_t first = 1;
+  for (; first < outputs_.size() && outputs_[first].field->images_alone; ++first) {
+    EXPECT_EQ(outputs_[first].reason, PassThroughReason::NONE) << first << ": " << outputs_[first].reason_text;
+    EXPECT_EQ(outputs_[first].reason_text.rfind("optical flow alone: no transform", 0), 0U);
+  }
+  EXPECT_EQ(logged("by optical flow alone, which is less accurate: no transform"), 1U) << "said once";
+  EXPECT_GT(first, 2 * RotatingCamera::kFramesPerS);
   EXPECT_LT(first, 5 * RotatingCamera::kFramesPerS) << "five seconds of motion are enough";
   for (std::size_t i = first; i < outputs_.size(); ++i) {
     EXPECT_EQ(outputs_[i].reason, PassThroughReason::NONE) << i << ": " << outputs_[i].reason_text;
+    EXPECT_FALSE(outputs_[i].field->images_alone) << i;
   }
   for (const char* key : {"R_cam_imu", "time_offset", "readout_time", "gyro_bias"}) {
     EXPECT_TRUE(row(key).by_images) << row(key).text;
@@ -149,6 +247,8 @@ TEST_F(UnknownCalibration, IsLearnedAgainEquallyFromTheSameMessages) {
 
 TEST_F(UnknownCalibration, IsNotLearnedWhereNobodyWantsIt) {
   config_.self_calibration = SelfCalibrationMode::NEVER;
+  start();
+  config_.pipeline.flow_without_gyro = "never";
   start();
   play(0, 80);
   for (const FrameOutput& output : outputs_) EXPECT_EQ(output.reason, PassThroughReason::NO_EXTRINSIC);
@@ -413,7 +513,8 @@ TEST(SelfCalibrator, LearnsInTheBackgroundAndLeavesOutWhatItCannotKeepUpWith) {
     const SelfCalibrator::Image input{image,
                                       to_calibration(*camera().info(i), 256, 192, false),
                                       RowExposure(camera().stamp(i), 192, {RotatingCamera::kShownFor, 0}),
-                                      {}};
+                                      {},
+                                      true};
     at_once.add(samples, input);
     background.add(samples, input);  // faster than it can
   }
