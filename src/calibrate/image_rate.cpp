@@ -145,6 +145,67 @@ class RayMotionFit {
   Eigen::Matrix<double, 6, 3> by_rows_;
 };
 
+/// A pixel that moved, in the image's larger side from its middle.
+struct MovedPixel {
+  Eigen::Vector2d middle, moved;  ///< half way, and the way
+  double row;                     ///< as MovedRay's
+};
+
+/// How the pixels of an unknown lens moved: as by a rotation, whose effect at the image's middle is the rate times the
+/// focal length, and grows by the square of the distance from there as the lens wants; and by a motion forward.
+struct PixelMotion {
+  Eigen::Vector3d rotation = Eigen::Vector3d::Zero();  ///< of the camera, about x and y times the focal length
+  Eigen::Matrix3d by_rows = Eigen::Matrix3d::Zero();   ///< see ImageRate
+  double stddev = 0;
+};
+
+/// Least squares with Cauchy's weights.
+/// @param focal_length  a guess, for by_rows alone
+/// @param floor         > 0: error of a pixel
+PixelMotion fit_pixel_motion(const std::vector<MovedPixel>& pixels, double focal_length, double floor) {
+  using Normal = Eigen::Matrix<double, 6, 6>;
+  constexpr int kSteps = 5;
+  constexpr double kRidge = 1e-6;
+  constexpr double kMedianOfPlane = 1.1774;  // of the length of two normal variables
+  // Rotation, growth along x and y, motion forward.
+  std::vector<Eigen::Matrix<double, 2, 6>> columns;
+  for (const MovedPixel& pixel : pixels) {
+    const double x = pixel.middle.x(), y = pixel.middle.y();
+    columns.emplace_back();
+    columns.back() << 0, -1, y, x * x, x * y, x, 1, 0, -x, x * y, y * y, y;
+  }
+  Eigen::Matrix<double, 6, 3> of_rotation = Eigen::Matrix<double, 6, 3>::Identity();
+  of_rotation(3, 1) = -1 / (focal_length * focal_length);
+  of_rotation(4, 0) = 1 / (focal_length * focal_length);
+  PixelMotion result;
+  std::vector<double> weights(pixels.size(), 1), errors(pixels.size());
+  for (int step = 0; step < kSteps; ++step) {
+    Normal normal = kRidge * Normal::Identity();
+    Eigen::Matrix<double, 6, 1> right = Eigen::Matrix<double, 6, 1>::Zero();
+    Eigen::Matrix<double, 6, 3> by_rows = Eigen::Matrix<double, 6, 3>::Zero();
+    for (std::size_t i = 0; i < pixels.size(); ++i) {
+      const Eigen::Matrix<double, 6, 2> weighted = weights[i] * columns[i].transpose();
+      normal += weighted * columns[i];
+      right += weighted * pixels[i].moved;
+      by_rows += pixels[i].row * weighted * columns[i] * of_rotation;
+    }
+    const Normal covariance = normal.inverse();
+    const Eigen::Matrix<double, 6, 1> motion = covariance * right;
+    for (std::size_t i = 0; i < pixels.size(); ++i) errors[i] = (pixels[i].moved - columns[i] * motion).norm();
+    const double scatter = std::max(median(errors) / kMedianOfPlane, floor);
+    result.rotation = motion.head<3>();
+    result.by_rows = (covariance * by_rows).topRows<3>();
+    const Eigen::Matrix3d of_rates = covariance.topLeftCorner<3, 3>();
+    result.stddev = scatter * std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(of_rates).eigenvalues()[2]);
+    weights = cauchy_weights(errors, floor);
+  }
+  return result;
+}
+
+double larger_side_px(const CameraCalibration& calibration) {
+  return std::max(calibration.width_px, calibration.height_px);
+}
+
 double middle_row(const Camera& camera) { return 0.5 * (camera.calibration().height_px - 1); }
 
 }  // namespace
@@ -202,13 +263,7 @@ std::optional<ImageRate> ImageRateTracker::add(const cv::Mat& luminance, const C
   exposure_ = exposure;
   calibration_ = calibration;
   rate_rad_s_ = rate ? rate->rate_rad_s : Eigen::Vector3d::Zero();
-  if (rate && !lens_known) {
-    const double focal = calibration.fx_px / std::max(calibration.width_px, calibration.height_px);
-    const Eigen::DiagonalMatrix<double, 3> scale(focal, focal, 1);
-    rate->rate_rad_s = scale * rate->rate_rad_s;
-    rate->by_rows = scale * rate->by_rows * scale.inverse();
-    rate->lens_known = false;
-  }
+  if (!lens_known) rate_rad_s_.head<2>() *= larger_side_px(calibration) / calibration.fx_px;
   return rate;
 }
 
@@ -236,6 +291,9 @@ std::optional<ImageRate> ImageRateTracker::follow(const std::vector<cv::Mat>& py
   const FollowedCorners followed = follow_there_and_back(pyramid_, pyramid, before, start, search);
   const cv::Rect2f image({0, 0}, cv::Size2f(pyramid.front().size()));
   std::vector<MovedRay> moved;
+  std::vector<MovedPixel> moved_pixels;
+  const double larger_px = larger_side_px(camera.calibration());
+  const Eigen::Vector2d center_px(0.5 * (camera.calibration().width_px - 1), middle_row(camera));
   std::vector<double> speeds_rad_s;
   for (std::size_t i = 0; i < followed.places.size(); ++i) {
     if (!followed.found[i] || !image.contains(followed.places[i])) continue;
@@ -247,19 +305,33 @@ std::optional<ImageRate> ImageRateTracker::follow(const std::vector<cv::Mat>& py
     if (2 * seen_after_s < step_s) continue;
     const double row = 0.5 * (from_px.y() + to_px.y()) / camera.calibration().height_px - 0.5;
     moved.push_back({rays[i], (rays[i] + step_s / seen_after_s * (ray - rays[i])).normalized(), row});
-    speeds_rad_s.push_back((ray - rays[i]).norm() / seen_after_s);
+    if (lens_known) {
+      speeds_rad_s.push_back((ray - rays[i]).norm() / seen_after_s);
+      continue;
+    }
+    moved_pixels.push_back({(0.5 * (from_px + to_px) - center_px) / larger_px,
+                            step_s / seen_after_s * (to_px - from_px) / larger_px, row});
+    // The fastest that it can be.
+    speeds_rad_s.push_back((to_px - from_px).norm() / (larger_px * kShortestFocalLength * seen_after_s));
   }
   if (moved.size() < kFewestPoints || static_cast<double>(moved.size()) < kLeastFollowed * before.size()) return {};
+  rate.speed_rad_s = median(speeds_rad_s);
+  if (!lens_known) {
+    const double floor = scale_ * kFloorPx / larger_px;
+    const PixelMotion motion = fit_pixel_motion(moved_pixels, camera.calibration().fx_px / larger_px, floor);
+    rate.rate_rad_s = motion.rotation / step_s;
+    rate.by_rows = motion.by_rows;
+    rate.stddev_rad_s = std::hypot(motion.stddev, floor) / step_s;
+    rate.lens_known = false;
+    rate.larger_side_px = static_cast<int>(larger_px);
+    return rate;
+  }
   const double floor_rad = scale_ * kFloorPx / camera.calibration().fx_px;
-  // A wrong focal length bends the motion of a rotation, which a translation would make up for.
-  constexpr double kNoTranslation = 1e-6;
-  const RayMotion motion =
-      RayMotionFit(moved, lens_known ? step_s * translation_rad_s_ : kNoTranslation, floor_rad).solve();
+  const RayMotion motion = RayMotionFit(moved, step_s * translation_rad_s_, floor_rad).solve();
   // Scene points move against the camera.
   rate.rate_rad_s = -log_rotation(motion.R) / step_s;
   rate.by_rows = motion.by_rows;
   rate.stddev_rad_s = std::hypot(motion.stddev_rad, floor_rad) / step_s;
-  rate.speed_rad_s = median(speeds_rad_s);
   // About a second is remembered. What is not known of a translation counts as one.
   constexpr double kRemembered = 0.95;
   translation_rad_s_ = std::sqrt(kRemembered * translation_rad_s_ * translation_rad_s_ +

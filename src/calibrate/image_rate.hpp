@@ -14,6 +14,9 @@
 
 namespace gyro_deblur {
 
+/// Those of unknown lenses, in the image's larger side: 127 and 14 degrees from side to side.
+constexpr double kShortestFocalLength = 0.25, kLongestFocalLength = 4;
+
 /// Mean rate of the camera between two images, at their middle rows.
 struct ImageRate {
   TimeNs begin_ns = 0, end_ns = 0;                       ///< mid-exposure of both middle rows, camera clock
@@ -23,9 +26,10 @@ struct ImageRate {
   /// Error of `rate_rad_s` by a rolling shutter: this matrix times the difference of the camera's rates between last
   /// and first row.
   Eigen::Matrix3d by_rows = Eigen::Matrix3d::Zero();
-  /// Otherwise the rates about x and y are those of a focal length of the image's larger side, and translation is in
-  /// them.
+  /// Otherwise the rates about x and y are times the focal length, in the image's larger side, translation is in them
+  /// and not in their standard deviation, and the speed is that of the shortest focal length.
   bool lens_known = true;
+  int larger_side_px = 0;  ///< of the image, where the lens is not known
 };
 
 /// Follows corners from image to image of one camera without the gyroscope, and fits its rotation and translation, with
@@ -38,8 +42,8 @@ class ImageRateTracker {
 
   /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
   /// @param exposure   of the image, in the order of time
-  /// @param lens_known  false: the camera is an ideal lens with a first guess of the focal length, by which translation
-  ///                    and rotation cannot be told apart
+  /// @param lens_known  false: the camera is an ideal lens with a guess of the focal length, and by nothing but that is
+  ///                    it known where the next corners are looked for
   /// @return mean rate since the image before; nothing for the first image, after a break of more than 0.25 s, and
   /// where too few
   ///         corners are found again

@@ -38,7 +38,7 @@ bool follows(const TimeRange& before, const TimeRange& range) {
 }
 
 /// A rate of the images; where the lens is not known its change since the one before, which has little of a
-/// translation: that is slow against the rotations of a hand or a drone.
+/// translation: that of a drone, or of a walk, is slow against its rotations. (A lever arm turns with the camera.)
 struct Measured {
   TimeRange range;
   std::optional<TimeRange> before;  ///< of a change

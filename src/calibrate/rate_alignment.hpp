@@ -12,9 +12,6 @@
 
 namespace gyro_deblur {
 
-/// Those of unknown lenses, in the image's larger side: 127 and 14 degrees from side to side.
-constexpr double kShortestFocalLength = 0.25, kLongestFocalLength = 4;
-
 /// Time offset at which the rates of images and gyroscope correlate best, for any rotation between their axes and any
 /// bias.
 struct OffsetPeak {

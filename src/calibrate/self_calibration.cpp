@@ -106,7 +106,8 @@ void SelfCalibration::clear() {
 void SelfCalibration::add_sample(const GyroSample& sample) { gyro_.add(sample); }
 
 void SelfCalibration::add_rate(const ImageRate& rate) {
-  if (!rates_.empty() && (rate.begin_ns < rates_.back().begin_ns || rate.lens_known != rates_.back().lens_known)) {
+  if (!rates_.empty() &&
+      (rate.begin_ns < rates_.back().begin_ns || rate.larger_side_px != rates_.back().larger_side_px)) {
     rates_.clear();
     updated_ns_.reset();
     still_since_ns_.reset();
@@ -227,6 +228,8 @@ void SelfCalibration::learn_focal_length(const RateAlignment& found, double rota
                               1e2 * stddev / found.scale, 1e2 * UsefulStddev::kFocalShare),
                        &learned_.focal_length);
   }
+  if (rates_.back().larger_side_px != learned_.focal_image_px) learned_.focal_length = {};
+  learned_.focal_image_px = rates_.back().larger_side_px;
   take(found.scale, stddev, rotating_s, std::abs(found.scale - learned_.focal_length.value), &learned_.focal_length);
 }
 

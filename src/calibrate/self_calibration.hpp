@@ -1,4 +1,4 @@
-// Rotation, time offset, readout time and gyroscope bias, learned while the camera is in use.
+// Rotation, time offset, readout time, gyroscope bias and focal length, learned while the camera is in use.
 #pragma once
 
 #include <cmath>
@@ -50,6 +50,7 @@ struct LearnedCalibration {
   Learned<double> readout_s;  ///< from the first row to the last, whatever the images' exposures say of it
   Learned<Eigen::Vector3d> bias_rad_s{Eigen::Vector3d::Zero()};  ///< IMU axes
   Learned<double> focal_length;  ///< of a lens that is not known, in the image's larger side
+  int focal_image_px = 0;        ///< that side; the focal length of images of another size is another one
 };
 
 /// Learns from the rates of images and gyroscope of the last half minute: the offset by correlation, the rotation in
@@ -65,7 +66,8 @@ class SelfCalibration {
 
   /// @param sample  IMU axes and clock, in the order of time
   void add_sample(const GyroSample& sample);
-  /// @param rate  in the order of time; begins anew where time goes back, and where the lens becomes known
+  /// @param rate  in the order of time; begins anew where time goes back, the lens becomes known, or images get
+  ///              another size
   void add_rate(const ImageRate& rate);
 
   /// A second of images has come since the last update.

@@ -1,6 +1,7 @@
 // Chooses between given and estimated calibrations and reports contradictions.
 #include "ros/calibration_in_use.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <map>
 #include <utility>
@@ -111,6 +112,7 @@ void CalibrationInUse::remember(const LearnedCalibration& before) {
   if (!had_offset && taken_.time_offset_s.known) taken_.time_offset_s.value += readout_in_offset_s();
   take_over("gyro_bias", given_.given.gyro_bias, before.bias_rad_s, &taken_.bias_rad_s);
   take_over(kFocalLength, false, before.focal_length, &taken_.focal_length);
+  if (remembered_.count(kFocalLength) > 0) taken_.focal_image_px = before.focal_image_px;
   use();
 }
 
@@ -130,7 +132,7 @@ LearnedCalibration CalibrationInUse::by_images() const {
       used.time_offset_s.known && learns() && !given_.given.time_offset && (has_readout() || taken_.readout_s.known);
   used.readout_s.known = used.readout_s.known && learns() && !given_.given.readout_time;
   used.bias_rad_s.known = used.bias_rad_s.known && learns() && !given_.given.gyro_bias;
-  used.focal_length.known = used.focal_length.known && learns() && !lens_known_;
+  used.focal_length.known = used.focal_length.known && learns() && lens_known_ != true;
   return used;
 }
 
@@ -170,8 +172,9 @@ std::string CalibrationInUse::missing_rotation() const {
   return learns() ? learned_.R_cam_imu.missing : "self_calibration is never";
 }
 
-std::optional<double> CalibrationInUse::focal_length() const {
-  return learns() && taken_.focal_length.known ? std::optional(taken_.focal_length.value) : std::nullopt;
+std::optional<double> CalibrationInUse::focal_length(int width_px, int height_px) const {
+  const bool fits = taken_.focal_length.known && taken_.focal_image_px == std::max(width_px, height_px);
+  return learns() && fits ? std::optional(taken_.focal_length.value) : std::nullopt;
 }
 
 bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_share, bool readout_by_messages) {
@@ -185,6 +188,10 @@ bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_s
   changed = take("readout_time", learned.readout_s, &taken_.readout_s) || changed;
   changed = take("time_offset", learned.time_offset_s, &taken_.time_offset_s) || changed;
   changed = take("gyro_bias", learned.bias_rad_s, &taken_.bias_rad_s) || changed;
+  if (learned.focal_length.known && learned.focal_image_px != taken_.focal_image_px) {
+    taken_.focal_length = {};
+    taken_.focal_image_px = learned.focal_image_px;
+  }
   changed = take(kFocalLength, learned.focal_length, &taken_.focal_length) || changed;
   use();
   check();
@@ -265,7 +272,7 @@ std::vector<CalibrationRow> CalibrationInUse::table() const {
   } else {
     rows.push_back(unknown("gyro_bias", taken_.bias_rad_s, learned_.bias_rad_s.missing, "0 rad/s is used"));
   }
-  if (!lens_known_) {
+  if (lens_known_ == false) {
     rows.push_back(unknown(kFocalLength, taken_.focal_length, learned_.focal_length.missing,
                            "images are deblurred by optical flow alone"));
   }

@@ -39,8 +39,8 @@ class CalibrationInUse {
   const Config& config() const { return config_; }
   /// True when no rotation is given, and one has been estimated from the images. tf goes before it.
   const std::optional<Eigen::Matrix3d>& R_cam_imu() const { return R_cam_imu_; }
-  /// In the image's larger side, where it has been estimated from the images of a lens that is not known.
-  std::optional<double> focal_length() const;
+  /// In the larger side of images of this size, where it has been estimated from those of a lens that is not known.
+  std::optional<double> focal_length(int width_px, int height_px) const;
   /// Why there is no rotation by the images.
   std::string missing_rotation() const;
 
@@ -86,7 +86,7 @@ class CalibrationInUse {
   std::set<std::string> remembered_;  // keys of values in taken_
   double readout_share_ = 1;
   bool readout_by_messages_ = false;
-  bool lens_known_ = true;
+  std::optional<bool> lens_known_;  // until there has been an image
 };
 
 }  // namespace gyro_deblur

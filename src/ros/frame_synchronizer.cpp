@@ -74,10 +74,10 @@ constexpr char kNoCalibration[] = "no calibration";
 /// Of a lens of which nothing is known, in the image's larger side: 71 degrees from side to side.
 constexpr double kFirstFocalLength = 0.7;
 
-std::string zero_camera_info_text(bool rectified_input) {
-  return std::string("camera_info says that the camera is not calibrated (") + (rectified_input ? "P" : "K") +
-         "[0] = 0): " + without_calibration_text() + ". Calibrate it with camera_calibration" +
-         (rectified_input ? "" : ", or set calibration_file");
+std::string zero_camera_info_text(const Config& config) {
+  return std::string("camera_info says that the camera is not calibrated (") + (config.rectified_input ? "P" : "K") +
+         "[0] = 0): " + without_calibration_text(config) + ". Calibrate it with camera_calibration" +
+         (config.rectified_input ? "" : ", or set calibration_file");
 }
 
 /// The motion of the frame's picture, where another image that shows it has had it; null otherwise.
@@ -291,13 +291,13 @@ Readiness FrameSynchronizer::find_calibration(PendingFrame* frame) const {
     return wait_for(Awaited::CAMERA_INFO, frame);
   }
   const bool uncalibrated = goes_uncalibrated(*frame->info);
-  const std::optional<double> focal_length = calibration_.focal_length();
+  const int width_px = static_cast<int>(frame->image->width), height_px = static_cast<int>(frame->image->height);
+  const std::optional<double> focal_length = calibration_.focal_length(width_px, height_px);
   // That there is no camera_info is reported among the missing inputs.
-  problems_.update(kNoCalibration, uncalibrated && infos.seen() ? zero_camera_info_text(config.rectified_input) : "");
+  problems_.update(kNoCalibration, uncalibrated && infos.seen() ? zero_camera_info_text(config) : "");
   frame->lens = !uncalibrated ? Lens::CALIBRATED : focal_length ? Lens::FOCAL_LENGTH : Lens::UNKNOWN;
   if (uncalibrated) {
-    frame->calibration = ideal_lens(static_cast<int>(frame->image->width), static_cast<int>(frame->image->height),
-                                    focal_length.value_or(kFirstFocalLength));
+    frame->calibration = ideal_lens(width_px, height_px, focal_length.value_or(kFirstFocalLength));
     return Readiness::READY;
   }
   try {
@@ -463,7 +463,9 @@ Readiness FrameSynchronizer::find_extrinsic(PendingFrame* frame, PictureMotion* 
       calibration_.missing_rotation();
   const std::string report =
       (by_flow ? "images are deblurred by optical flow alone, which is less accurate: " : "") + missing;
-  if (by_flow && (frame->timed_out || problems_.is_active(kNoExtrinsic))) {
+  // Those of an unknown lens have not waited either.
+  const bool has_waited = frame->timed_out || problems_.is_active(kNoExtrinsic) || frame->lens == Lens::FOCAL_LENGTH;
+  if (by_flow && has_waited) {
     problems_.update(kNoExtrinsic, report);
     motion->without_gyro = true;
     motion->lacks = PassThroughReason::NO_EXTRINSIC;

@@ -46,7 +46,10 @@ void InputProblems::update(const std::string& kind, const std::string& text) {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     const auto found = problems_.find(kind);
-    if (found != problems_.end() && found->second.active) return;
+    if (found != problems_.end() && found->second.active) {
+      found->second.text = text;
+      return;
+    }
     keep(kind, text, LogLevel::WARNING);
   }
   log(LogLevel::WARNING, kind, text);

@@ -40,8 +40,8 @@ class InputProblems {
   /// Keeps a problem, and logs it as a line that may recur.
   /// @param kind  equal for reports of the same problem, e.g. "camera_info stamp"
   void report(const std::string& kind, const std::string& text, LogLevel level = LogLevel::WARNING);
-  /// The same for a problem that lasts: it is reported when it begins.
-  /// @param text  empty: it is gone
+  /// The same for a problem that lasts: it is logged when it begins.
+  /// @param text  kept, the newest; empty: it is gone
   void update(const std::string& kind, const std::string& text);
   /// The problem is gone: the diagnostics leave it out from now on.
   void resolve(const std::string& kind);

@@ -33,7 +33,7 @@ void MissingInputs::report(const Config& config, const Seen& seen, const std::st
                    described ? ""
                              : "no camera_info has come " + when + ", and no calibration file has the camera" +
                                    (config.rectified_input ? " (rectified_input needs camera_info)" : "") + ": " +
-                                   (by_flow ? without_calibration_text() + ". Publish" : "publish") +
+                                   (by_flow ? without_calibration_text(config) + ". Publish" : "publish") +
                                    " camera_info in the namespace of the images" +
                                    (config.rectified_input ? "" : ", or set calibration_file"));
   problems_.update(

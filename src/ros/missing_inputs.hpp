@@ -19,9 +19,11 @@ inline bool goes_without_imu(const Config& config) {
 }
 
 /// What happens to images of a camera that is not calibrated, where goes_without_imu().
-inline std::string without_calibration_text() {
-  return "images are deblurred by optical flow alone until the focal length is estimated, for which the camera has to "
-         "rotate, and without feature_tracks and blur_markers";
+inline std::string without_calibration_text(const Config& config) {
+  const bool learns = config.self_calibration == SelfCalibrationMode::AUTO;
+  return std::string("images are deblurred by optical flow alone, which is less accurate") +
+         (learns ? " until the camera has rotated for some seconds and its focal length is estimated," : ",") +
+         " and without feature_tracks and blur_markers";
 }
 
 /// Reports each missing input once, and resolves the report when the input has come. By a clock that does not stop with

@@ -104,6 +104,8 @@ void add_global_shutter(const PipelineResult& result, const PendingFrame& frame,
 void add_findings(const SynchronizedFrame& synchronized, const PipelineResult& result, FrameOutput* output) {
   static_cast<FrameFindings&>(*output) = result;
   output->engine_warning = synchronized.pipeline->take_warning();
+  // The error of an estimated focal length would pass for the gyroscope's.
+  if (synchronized.frame.lens != Lens::CALIBRATED) output->residual_rotation.reset();
   if (!output->residual_rotation) return;
   const Eigen::Matrix3d R_imu_cam = synchronized.R_cam_imu.transpose();
   output->residual_rotation->rate_rad_s = R_imu_cam * result.residual_rotation->rate_rad_s;

@@ -154,8 +154,9 @@ void Processor::learn_from(const SynchronizedFrame& synchronized, const std::opt
     calibration_.set_lens_known(lens_known);
     if (config_->self_calibration == SelfCalibrationMode::NEVER) return;
     if (frame.repeats || frame.pass_through_reason == PassThroughReason::TIME_JUMP) return;
-    if (frame.pass_through_reason == PassThroughReason::NONE ||
-        frame.pass_through_reason == PassThroughReason::NO_EXTRINSIC) {
+    const bool asked_tf = frame.pass_through_reason == PassThroughReason::NONE ||
+                          frame.pass_through_reason == PassThroughReason::NO_EXTRINSIC;
+    if (asked_tf && frame.lens != Lens::UNKNOWN) {
       calibration_.set_tf(synchronized.R_by_tf ? std::optional(synchronized.R_cam_imu) : std::nullopt);
     }
     constexpr TimeNs kSecond = 1'000'000'000;

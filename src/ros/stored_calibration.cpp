@@ -87,14 +87,15 @@ std::optional<LearnedCalibration> load_stored_calibration(const std::string& pat
     const nlohmann::json json = nlohmann::json::parse(file);
     if (!json.is_object()) throw std::runtime_error("it is no map of values");
     LearnedCalibration calibration;
-    constexpr double kLargestOffsetS = 4e9, kLargestReadoutS = 1, kLargestBiasRadS = 1, kLargestFocalLength = 10;
+    constexpr double kLargestOffsetS = 4e9, kLargestReadoutS = 1, kLargestBiasRadS = 1;
     read(json, "R_cam_imu", 1.001, &calibration.R_cam_imu);
     read(json, "time_offset", kLargestOffsetS, &calibration.time_offset_s);
     read(json, "readout_time", kLargestReadoutS, &calibration.readout_s);
     read(json, "gyro_bias", kLargestBiasRadS, &calibration.bias_rad_s);
-    read(json, "focal_length", kLargestFocalLength, &calibration.focal_length);
-    if (calibration.focal_length.known && !(calibration.focal_length.value > 0)) {
-      throw std::runtime_error("focal_length is not > 0");
+    read(json, "focal_length", kLongestFocalLength, &calibration.focal_length);
+    if (calibration.focal_length.known) {
+      if (calibration.focal_length.value < kShortestFocalLength) throw std::runtime_error("focal_length is too short");
+      calibration.focal_image_px = json.at("focal_image_px").get<int>();
     }
     return calibration;
   } catch (const std::exception& error) {
@@ -110,6 +111,7 @@ void save_stored_calibration(const std::string& path, const LearnedCalibration& 
     write("readout_time", calibration.readout_s, &json);
     write("gyro_bias", calibration.bias_rad_s, &json);
     write("focal_length", calibration.focal_length, &json);
+    if (calibration.focal_length.known) json["focal_image_px"] = calibration.focal_image_px;
     fs::create_directories(fs::path(path).parent_path());
     const std::string written = path + ".new";
     {

@@ -17,11 +17,11 @@ namespace {
 constexpr int kWidth = 320, kHeight = 240;
 constexpr TimeNs kMs = 1'000'000, kPeriod = 50 * kMs, kExposure = 10 * kMs;
 
-CameraCalibration calibration() {
+CameraCalibration calibration(double focal_px = 260) {
   CameraCalibration c;
   c.width_px = kWidth;
   c.height_px = kHeight;
-  c.fx_px = c.fy_px = 260;
+  c.fx_px = c.fy_px = focal_px;
   c.cx_px = 0.5 * (kWidth - 1);
   c.cy_px = 0.5 * (kHeight - 1);
   return c;
@@ -37,13 +37,13 @@ struct Rotating {
 };
 
 /// Rows are exposed, for an instant, one after the other.
-cv::Mat image(const Rotating& rotating, TimeNs stamp_ns, TimeNs readout_ns = 0) {
+cv::Mat image(const Rotating& rotating, TimeNs stamp_ns, TimeNs readout_ns = 0, double focal_px = 260) {
   static const cv::Mat kScene = [] {
     cv::Mat grey;
     cv::extractChannel(sim::procedural_texture(900, 700, 3), grey, 1);
     return grey;
   }();
-  const CameraCalibration c = calibration();
+  const CameraCalibration c = calibration(focal_px);
   cv::Mat at(kHeight, kWidth, CV_32FC2);
   for (int y = 0; y < kHeight; ++y) {
     const Eigen::Matrix3d R = rotating.orientation(to_seconds(stamp_ns + kExposure / 2 + readout_ns * y / kHeight));
@@ -101,6 +101,44 @@ TEST(ImageRate, ReportsWhatARollingShutterMakesOfIt) {
     EXPECT_LT((off - rate->by_rows * readout_s * change_rad_s2).norm(), 0.02)
         << off.transpose() << " instead of " << (rate->by_rows * readout_s * change_rad_s2).transpose();
   }
+}
+
+TEST(ImageRate, OfAnUnknownLensIsTimesTheFocalLength) {
+  for (const double focal_px : {100.0, 190.0, 500.0}) {
+    for (const double guess_px : {100.0, 224.0, 640.0}) {
+      for (const Eigen::Vector3d& rate_rad_s : {Eigen::Vector3d(0.5, 0, 0), Eigen::Vector3d(0.3, 0.4, -1)}) {
+        const Camera camera(calibration(guess_px));
+        ImageRateTracker tracker;
+        tracker.add(image({rate_rad_s}, 0, 0, focal_px), camera, exposure(0), false);
+        const std::optional<ImageRate> rate =
+            tracker.add(image({rate_rad_s}, kPeriod, 0, focal_px), camera, exposure(kPeriod), false);
+        ASSERT_TRUE(rate);
+        EXPECT_FALSE(rate->lens_known);
+        EXPECT_EQ(rate->larger_side_px, kWidth);
+        const double focal_length = focal_px / kWidth;
+        const Eigen::Vector3d truth(focal_length * rate_rad_s.x(), focal_length * rate_rad_s.y(), rate_rad_s.z());
+        EXPECT_LT((rate->rate_rad_s - truth).norm(), 0.01 + 0.02 * truth.norm())
+            << focal_px << ", guess " << guess_px << ": " << rate->rate_rad_s.transpose();
+        EXPECT_LT((rate->rate_rad_s - truth).norm(), 4 * rate->stddev_rad_s);
+        EXPECT_GT(rate->speed_rad_s, rate_rad_s.head<2>().norm()) << "as of the shortest focal length";
+      }
+    }
+  }
+}
+
+TEST(ImageRate, OfAnUnknownLensReportsWhatARollingShutterMakesOfIt) {
+  constexpr TimeNs kReadout = 20 * kMs;
+  const double readout_s = to_seconds(kReadout), from_s = to_seconds(kExposure / 2) + readout_s / 2;
+  const Rotating rotating{{0.1, 0.1, 0}, {0, 8, 0}};
+  const Camera camera(calibration());
+  ImageRateTracker tracker;
+  tracker.add(image(rotating, 0, kReadout), camera, exposure(0, kReadout), false);
+  const auto rate = tracker.add(image(rotating, kPeriod, kReadout), camera, exposure(kPeriod, kReadout), false);
+  ASSERT_TRUE(rate);
+  const Eigen::DiagonalMatrix<double, 3> scale(260.0 / kWidth, 260.0 / kWidth, 1);
+  const Eigen::Vector3d off = rate->rate_rad_s - scale * rotating.mean(from_s, from_s + to_seconds(kPeriod));
+  EXPECT_GT(off.norm(), 0.03);
+  EXPECT_LT((off - rate->by_rows * (scale * rotating.change_rad_s2) * readout_s).norm(), 0.02) << off.transpose();
 }
 
 TEST(ImageRate, FollowsNothingThatIsMasked) {

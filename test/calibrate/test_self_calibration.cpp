@@ -106,6 +106,7 @@ void play(const Recording& recording, double from_s, double to_s, SelfCalibratio
       rate.rate_rad_s = scale * rate.rate_rad_s;
       rate.by_rows = scale * rate.by_rows * scale.inverse();
       rate.lens_known = false;
+      rate.larger_side_px = 752;
     }
     calibration->add_rate(rate);
     if (!calibration->is_due()) continue;

@@ -51,9 +51,11 @@ TEST_F(InputProblemsTest, WhatLastsIsReportedWhenItBegins) {
   EXPECT_TRUE(problems_.all().empty());
   problems_.update("tf", "no transform");
   problems_.update("tf", "still no transform");
-  EXPECT_EQ(problems_.all().at("tf").text, "no transform");
+  EXPECT_EQ(problems_.all().at("tf").text, "still no transform");
   EXPECT_EQ(problems_.all().at("tf").count, 1u);
+  EXPECT_TRUE(problems_.is_active("tf"));
   problems_.update("tf", "");
+  EXPECT_FALSE(problems_.is_active("tf"));
   EXPECT_FALSE(problems_.all().at("tf").active);
   problems_.update("tf", "gone again");
   EXPECT_EQ(problems_.all().at("tf").count, 2u);

@@ -192,9 +192,20 @@ TEST_F(UnknownCalibration, FlowAloneServesWhereTheRotationIsNotKnown) {
   calibrated_from_ = RotatingCamera::kFrames;
   stored_.emplace();
   stored_->focal_length = {kFocalLength, 0.01, 10, true, ""};
+  stored_->focal_image_px = 256;
   start();
   play(0, 5);
-  for (std::size_t i = 1; i < outputs_.size(); ++i) EXPECT_TRUE(outputs_[i].field->images_alone) << i;
+  for (std::size_t i = 1; i < outputs_.size(); ++i) {
+    EXPECT_TRUE(outputs_[i].field->images_alone) << i;
+    EXPECT_EQ(outputs_[i].reason_text.rfind("optical flow alone: no transform", 0), 0U) << outputs_[i].reason_text;
+  }
+
+  stored_->focal_image_px = 512;  // of another size
+  outputs_.clear();
+  camera().rewind();
+  start();
+  play(0, 5);
+  EXPECT_EQ(outputs_.back().reason_text, "optical flow alone: the camera is not calibrated");
 }
 
 TEST_F(UnknownCalibration, IsLearnedAndUsed) {
@@ -247,7 +258,6 @@ TEST_F(UnknownCalibration, IsLearnedAgainEquallyFromTheSameMessages) {
 
 TEST_F(UnknownCalibration, IsNotLearnedWhereNobodyWantsIt) {
   config_.self_calibration = SelfCalibrationMode::NEVER;
-  start();
   config_.pipeline.flow_without_gyro = "never";
   start();
   play(0, 80);
