@@ -145,7 +145,7 @@ BlurLikelihood::BlurLikelihood(const cv::Mat& luminance, double noise_grey_level
       cv::resize(finer.image(cv::Rect(0, 0, 2 * half.width, 2 * half.height)), level.image, half, 0, 0, cv::INTER_AREA);
     });
     // A camera's own filters and JPEG leave noise that neighbouring pixels share, which a mean does not take away.
-    const double shared = image_noise(level.image, PixelLayout::GRAY).value_or(0);
+    const double shared = image_noise(level.image, PixelLayout::GRAY, 8, 1, {}, threads).value_or(0);
     level.noise_variance = std::max(finer.noise_variance / 4 + kRounding, shared * shared);
     levels_.push_back(std::move(level));
   }

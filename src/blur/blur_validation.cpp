@@ -128,7 +128,7 @@ constexpr double kShortPx = 5;
 
 FrameBlur validate_by_likelihood(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
                                  int threads, std::optional<double> noise) {
-  if (!noise) noise = image_noise(luminance, PixelLayout::GRAY);
+  if (!noise) noise = image_noise(luminance, PixelLayout::GRAY, 8, 1, {}, threads);
   const BlurLikelihood likelihood(luminance, noise.value_or(0), threads);
   const std::vector<double> ratios = with_neighbours(field.grid, log_ratios(field, likelihood, threads));
   const double least = least_log_ratio(options.false_accept_rate);

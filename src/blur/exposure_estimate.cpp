@@ -147,7 +147,7 @@ std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const 
     throw std::invalid_argument("the exposure needs 8-bit luminance of the blur field's size, " +
                                 std::to_string(field.grid.width_px()) + "x" + std::to_string(field.grid.height_px()));
   }
-  if (!noise_grey_levels) noise_grey_levels = image_noise(luminance, PixelLayout::GRAY);
+  if (!noise_grey_levels) noise_grey_levels = image_noise(luminance, PixelLayout::GRAY, 8, 1, {}, threads);
   // Windows are chosen for the blur that is assumed; where it is another, they are chosen again.
   constexpr int kTries = 3;
   constexpr double kSameWindows = 0.55;

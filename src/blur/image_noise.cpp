@@ -5,22 +5,20 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <numeric>
 #include <vector>
 
 #include "base/median.hpp"
+#include "base/parallel.hpp"
+#include "blur/noise_simd.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-constexpr int kSquarePx = 8;
-constexpr int kReachPx = 2;                 // of the filter
-constexpr int kMinSquares = 30;             // for a median that is right within 10 %
-constexpr std::size_t kManySquares = 1500;  // as many in the smallest class of texture
-constexpr std::size_t kMaxSquares = 2048;   // more of a large image would add nothing
-// 1, -4, 6, -4, 1 has the most power at half a cycle a pixel that five weights can have alone there.
-constexpr float kInner = 6, kOuter = -4;
-constexpr double kFilterPower = 70.0 * 70.0;  // sum of squared weights, in both directions
+constexpr int kSquarePx = kNoiseSquarePx, kReachPx = kNoiseReachPx;
+constexpr int kMinSquares = 30;               // for a median that is right within 10 %
+constexpr std::size_t kManySquares = 1500;    // as many in the smallest class of texture
+constexpr std::size_t kMaxSquares = 2048;     // more of a large image would add nothing
+constexpr double kFilterPower = 70.0 * 70.0;  // sum of the filter's squared weights, in both directions
 // Of white noise: the mean of a square's power over the median; the share of its variance in means of 2 x 2 px.
 constexpr double kMeanOverMedian = 1.083;
 constexpr double kNoiseInMeans = 0.25;
@@ -62,125 +60,122 @@ struct Square {
   double finest;   ///< power of the finest checkerboard, as variance of white noise
 };
 
-/// A row of squares, and what its filters reach.
-constexpr int kBandRows = kSquarePx + 2 * kReachPx;
-using Band = std::array<std::vector<float>, kBandRows>;
+/// What a thread works with.
+struct Scratch {
+  std::array<std::vector<float>, kNoiseBandRows> band;  // a row of squares, and what their filter reaches
+  std::vector<float> down, sums;
+};
 
-/// Added to a sample that is black, saturated or masked; makes the mean of any others negative.
-constexpr float kClipped = -1e4;
-
-/// Adds `count` samples, `stride` of the image's values apart.
-template <typename Pixel>
-inline void add_samples(const Pixel* from, int stride, int count, float scale, int full_scale, float* to) {
-  for (int x = 0; x < count; ++x) {
-    const int sample = from[x * stride];
-    const int ends = (sample == 0) + (sample >= full_scale);
-    to[x] += scale * static_cast<float>(sample) + kClipped * static_cast<float>(ends);
-  }
-}
-
-template <typename Pixel>
-void load(const Plane& plane, int first_row, int full_scale, Band& band) {
+void load(const NoiseSimd& simd, const Plane& plane, int first_row, int full_scale, Scratch* scratch) {
   const int channels = plane.image.channels(), cols = plane.cols(), n = plane.mean_of;
   const auto scale = static_cast<float>(255.0 / full_scale / (n * n));
   const int stride = n * plane.step * channels;
-  for (int y = 0; y < kBandRows; ++y) {
-    band[y].assign(cols, 0);
+  for (int y = 0; y < kNoiseBandRows; ++y) {
+    std::vector<float>& values = scratch->band[y];
+    values.assign(cols, 0);
     for (int i = 0; i < n * n; ++i) {
       const int row = plane.first_y + ((first_row + y) * n + i / n) * plane.step,
                 first_col = plane.first_x + i % n * plane.step;
-      const Pixel* from = plane.image.ptr<Pixel>(row) + first_col * channels + plane.channel;
-      float* to = band[y].data();
-      // Strides that the compiler knows vectorise.
-      if (stride == 1) {
-        add_samples(from, 1, cols, scale, full_scale, to);
-      } else if (stride == 2) {
-        add_samples(from, 2, cols, scale, full_scale, to);
+      const int first_value = first_col * channels + plane.channel;
+      if (plane.image.depth() == CV_8U) {
+        simd.add_samples8(plane.image.ptr<std::uint8_t>(row) + first_value, stride, cols, scale, full_scale,
+                          values.data());
       } else {
-        add_samples(from, stride, cols, scale, full_scale, to);
+        simd.add_samples16(plane.image.ptr<std::uint16_t>(row) + first_value, stride, cols, scale, full_scale,
+                           values.data());
       }
       if (plane.mask.empty()) continue;
       const std::uint8_t* used = plane.mask.pixels().ptr<std::uint8_t>(row) + first_col;
-      for (int x = 0; x < cols; ++x) to[x] += used[x * n * plane.step] == 0 ? kClipped : 0;
+      for (int x = 0; x < cols; ++x) values[x] += used[x * n * plane.step] == 0 ? kNoiseClipped : 0;
     }
   }
 }
-
-float checkerboard(float a, float b, float c, float d, float e) { return a + e + kOuter * (b + d) + kInner * c; }
 
 /// Adds the squares of a band that are neither black nor saturated nor masked anywhere.
-void add_squares(const Band& band, std::vector<float>& down, std::vector<float>& sums, std::vector<Square>& squares) {
-  const int cols = static_cast<int>(band[0].size()), count = (cols - 2 * kReachPx) / kSquarePx;
-  // By column: the filter's power, sum and sum of squares of the means, and whether a pixel is at the end of the range.
-  sums.assign(4 * cols, 0);
-  float *power = sums.data(), *first = power + cols, *second = first + cols, *clipped = second + cols;
-  down.resize(cols);
-  for (const std::vector<float>& row : band) {
-    for (int x = 0; x < cols; ++x) clipped[x] += row[x] < 0 ? 1.0f : 0.0f;
-  }
-  for (int y = 0; y < kSquarePx; ++y) {
-    const float *a = band[y].data(), *b = band[y + 1].data(), *c = band[y + 2].data(), *d = band[y + 3].data(),
-                *e = band[y + 4].data();
-    for (int x = 0; x < cols; ++x) down[x] = checkerboard(a[x], b[x], c[x], d[x], e[x]);
-    for (int x = kReachPx; x < cols - kReachPx; ++x) {
-      const float finest = checkerboard(down[x - 2], down[x - 1], down[x], down[x + 1], down[x + 2]);
-      power[x] += finest * finest;
-    }
-    if (y % 2 == 1) continue;
-    for (int x = kReachPx; x + 1 < cols - kReachPx; x += 2) {
-      const float mean = (c[x] + c[x + 1] + d[x] + d[x + 1]) / 4;
-      first[x] += mean;
-      second[x] += mean * mean;
-    }
-  }
+void add_squares(const NoiseSimd& simd, Scratch* scratch, std::vector<Square>* squares) {
+  const int cols = static_cast<int>(scratch->band[0].size()), count = (cols - 2 * kReachPx) / kSquarePx;
+  scratch->down.resize(cols);
+  scratch->sums.resize(4 * cols);
+  float* const sums = scratch->sums.data();
+  const float *power = sums, *first = sums + cols, *second = sums + 2 * cols, *clipped = sums + 3 * cols;
+  const float* rows[kNoiseBandRows];
+  for (int y = 0; y < kNoiseBandRows; ++y) rows[y] = scratch->band[y].data();
+  simd.sum_band(rows, cols, scratch->down.data(), {sums, sums + cols, sums + 2 * cols, sums + 3 * cols});
   for (int i = 0; i < count; ++i) {
-    const auto sum = [&](const float* of, int reach_px = 0) {
-      const float* first_column = of + kReachPx + i * kSquarePx;
-      return std::accumulate(first_column - reach_px, first_column + kSquarePx + reach_px, 0.0);
-    };
-    if (sum(clipped, kReachPx) > 0) continue;
+    const int column = kReachPx + i * kSquarePx;
+    if (std::any_of(clipped + column - kReachPx, clipped + column + kSquarePx + kReachPx,
+                    [](float n) { return n > 0; }))
+      continue;
+    // Of means every second one: the others share pixels with them.
+    double powers = 0, means = 0, squared_means = 0;
+    for (int x = column; x < column + kSquarePx; x += 2) {
+      powers += power[x] + power[x + 1];
+      means += first[x];
+      squared_means += second[x];
+    }
     constexpr int kMeans = kSquarePx * kSquarePx / 4;
-    const double mean = sum(first) / kMeans;
-    squares.push_back({std::max(0.0, (sum(second) - kMeans * mean * mean) / (kMeans - 1)),
-                       sum(power) / (kSquarePx * kSquarePx * kFilterPower)});
+    const double mean = means / kMeans;
+    squares->push_back({std::max(0.0, (squared_means - kMeans * mean * mean) / (kMeans - 1)),
+                        powers / (kSquarePx * kSquarePx * kFilterPower)});
   }
 }
 
-std::vector<Square> squares_of(const Plane& plane, int depth, int full_scale) {
+std::vector<Square> squares_of(const Plane& plane, int full_scale, int threads) {
+  static const NoiseSimd& simd = select_for_cpu<NoiseSimd>();
   const int cols = (plane.cols() - 2 * kReachPx) / kSquarePx, rows = (plane.rows() - 2 * kReachPx) / kSquarePx;
-  std::vector<Square> squares;
-  if (cols <= 0 || rows <= 0) return squares;
+  if (cols <= 0 || rows <= 0) return {};
   const int taken = std::clamp(static_cast<int>(kMaxSquares) / cols, 1, rows);
-  Band band;
-  std::vector<float> down, sums;
-  for (int i = 0; i < taken; ++i) {
+  std::vector<std::vector<Square>> of_bands(static_cast<std::size_t>(taken));
+  const int used = threads_or_all(threads);  // once: the number of cores may change
+  std::vector<Scratch> scratch(static_cast<std::size_t>(used));
+  constexpr int kBandsAtATime = 2;
+  parallel_for(taken, used, kBandsAtATime, [&](int i, int thread) {
     const int row = static_cast<int>((2 * i + 1LL) * rows / (2 * taken)) * kSquarePx;
-    if (depth == CV_8U) {
-      load<std::uint8_t>(plane, row, full_scale, band);
-    } else {
-      load<std::uint16_t>(plane, row, full_scale, band);
-    }
-    add_squares(band, down, sums, squares);
-  }
+    load(simd, plane, row, full_scale, &scratch[thread]);
+    add_squares(simd, &scratch[thread], &of_bands[i]);
+  });
+  std::vector<Square> squares;
+  for (const std::vector<Square>& band : of_bands) squares.insert(squares.end(), band.begin(), band.end());
   return squares;
 }
 
-/// Variance of the noise, from squares in order of texture. What a little texture has of the finest detail is found
-/// from squares that have more of both.
+// Classes of squares by texture: where they begin and end, as shares of all.
+constexpr double kClasses[] = {0, 0.02, 0.04, 0.08, 0.16, 0.3};
+constexpr double kFlatShare = 0.05;
+constexpr std::size_t kFlatSquares = 64;  // at least
+
+std::size_t flat_squares(std::size_t count) {
+  return std::min(count, std::max<std::size_t>(kFlatSquares, std::lround(kFlatShare * static_cast<double>(count))));
+}
+
+/// Puts the squares of each class before those of the next ones, and the flattest before the others.
+void order_by_texture(std::vector<Square>* squares) {
+  const std::size_t count = squares->size();
+  std::vector<std::size_t> bounds = {flat_squares(count)};
+  for (const double share : kClasses) bounds.push_back(static_cast<std::size_t>(share * static_cast<double>(count)));
+  std::sort(bounds.rbegin(), bounds.rend());
+  auto end = squares->end();
+  for (const std::size_t bound : bounds) {
+    const auto begin = squares->begin() + static_cast<std::ptrdiff_t>(bound);
+    if (begin == end) continue;
+    std::nth_element(squares->begin(), begin, end,
+                     [](const Square& a, const Square& b) { return a.texture < b.texture; });
+    end = begin;
+  }
+}
+
+/// Variance of the noise, from squares as order_by_texture() leaves them. What a little texture has of the finest
+/// detail is found from squares that have more of both.
 double variance_without_texture(const std::vector<Square>& squares) {
   const auto finest_of = [&](std::size_t begin, std::size_t end) {
     std::vector<double> finest;
     for (std::size_t i = begin; i < end; ++i) finest.push_back(squares[i].finest);
     return kMeanOverMedian * median(finest);
   };
-  constexpr double kFlatShare = 0.05;
   const std::size_t count = squares.size();
-  constexpr std::size_t kFlatSquares = 64;
-  const std::size_t flat = std::max<std::size_t>(kFlatSquares, std::lround(kFlatShare * static_cast<double>(count)));
-  const double flattest = finest_of(0, std::min(flat, count));
+  const double flattest = finest_of(0, flat_squares(count));
   if (count < kManySquares) return flattest;
   // A line through classes of squares, all of them equally certain in proportion to their size.
-  constexpr double kClasses[] = {0, 0.02, 0.04, 0.08, 0.16, 0.3};
   double s = 0, sx = 0, sy = 0, sxx = 0, sxy = 0;
   for (std::size_t k = 0; k + 1 < std::size(kClasses); ++k) {
     const auto begin = static_cast<std::size_t>(kClasses[k] * count),
@@ -209,14 +204,14 @@ double variance_without_texture(const std::vector<Square>& squares) {
 }  // namespace
 
 std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits, int mean_of,
-                                  const PixelMask& mask) {
+                                  const PixelMask& mask, int threads) {
   const int full_scale = image.depth() == CV_8U ? 255 : (1 << significant_bits) - 1;
   Plane plane = green_plane(image, layout);
   plane.mean_of = mean_of;
   plane.mask = mask;
-  std::vector<Square> squares = squares_of(plane, image.depth(), full_scale);
+  std::vector<Square> squares = squares_of(plane, full_scale, threads);
   if (squares.size() < kMinSquares) return std::nullopt;
-  std::sort(squares.begin(), squares.end(), [](const Square& a, const Square& b) { return a.texture < b.texture; });
+  order_by_texture(&squares);
   return mean_of * std::sqrt(variance_without_texture(squares));
 }
 

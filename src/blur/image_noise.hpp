@@ -24,8 +24,9 @@ namespace gyro_deblur {
 /// @param mean_of           >= 1; the noise that pixels would have if it were white and left in means of so many in
 ///                          either direction what is found there
 /// @param mask              empty, or of the image's size; squares with a masked pixel are left out
+/// @param threads           at most; 0: one for each core
 std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits = 16, int mean_of = 1,
-                                  const PixelMask& mask = {});
+                                  const PixelMask& mask = {}, int threads = 1);
 
 /// The same by the sensor's model, at the mean grey level of the pixels that are used. Precondition: luminance is
 /// CV_8UC1, not empty.

@@ -146,7 +146,7 @@ struct Halved {
 
 /// Extents from 11 to 22 px are left, of which a window holds 6 to 11: as many lobes are seen with a third of the blur
 /// as with three times as much.
-Halved halved(const cv::Mat& luminance, double extent_px, double noise) {
+Halved halved(const cv::Mat& luminance, double extent_px, double noise, int threads) {
   constexpr double kLargestPx = kWindow / 5.66;
   constexpr double kRounding = 1.0 / 12;
   constexpr int kFewest = 3;  // windows side by side, of an image that is halved
@@ -158,7 +158,7 @@ Halved halved(const cv::Mat& luminance, double extent_px, double noise) {
       cv::resize(level.image(cv::Rect(0, 0, 2 * half.width, 2 * half.height)), image, half, 0, 0, cv::INTER_AREA);
     });
     // A camera's own filters and JPEG leave noise that neighbouring pixels share, which a mean does not take away.
-    const double shared = image_noise(image, PixelLayout::GRAY).value_or(0);
+    const double shared = image_noise(image, PixelLayout::GRAY, 8, 1, {}, threads).value_or(0);
     level = {image, 2 * level.shrink, std::max(level.noise_variance / 4 + kRounding, shared * shared)};
   }
   return level;
@@ -383,7 +383,7 @@ std::vector<MotionSpectrum> motion_spectra(const FrameBlur& field, const cv::Mat
     if (is_usable(block) && scale * block.extent_px >= kLeastPx) extents_px.push_back(scale * block.extent_px);
   }
   if (extents_px.empty() || std::min(luminance.cols, luminance.rows) < kWindow) return {};
-  const Halved level = halved(luminance, median(extents_px), noise);
+  const Halved level = halved(luminance, median(extents_px), noise, threads);
   std::vector<Window> windows;
   // Those that overlap by more than half add little; more than some 16 are not needed.
   constexpr double kWindows = 16;

@@ -183,7 +183,7 @@ void adapt_regularization(const cv::Mat& luminance, const FilterBank& bank, Fram
   // A camera that smooths its noise, or compresses its images, leaves more of it in coarser detail than in the finest.
   // Of texture blur of 10 px leaves an eighth or less there (0.25 cycles/px); up to half as much again may be that.
   constexpr double kTextureShare = 1.5, kMinCoarseExtentPx = 10;
-  const double found = image_noise(luminance, PixelLayout::GRAY, 8, 2, mask).value_or(0);
+  const double found = image_noise(luminance, PixelLayout::GRAY, 8, 2, mask, threads).value_or(0);
   const double coarse = found > kTextureShare * *field.noise ? found : *field.noise;
   constexpr int kBlocksAtATime = 16, kMinSidePx = 32;  // 240 differences: a tenth off
   parallel_for(field.grid.size(), threads, kBlocksAtATime, [&](int i) {

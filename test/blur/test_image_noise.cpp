@@ -5,6 +5,7 @@
 
 #include <gtest/gtest.h>
 
+#include "base/parallel.hpp"
 #include "synthetic_blur.hpp"
 
 namespace gyro_deblur::image_noise_test {
@@ -73,6 +74,15 @@ TEST(ImageNoise, IsThatOfAMosaicsAndAColourImagesGreen) {
   cv::Mat color;
   cv::merge(std::vector<cv::Mat>{loud, quiet, loud}, color);
   EXPECT_NEAR(*image_noise(color, PixelLayout::BGR), truth(1, 8), 0.1);
+}
+
+TEST(ImageNoise, IsTheSameOnAnyNumberOfThreads) {
+  const EagerHelpers eager_helpers;
+  const cv::Mat image = expose_as(ramp(752, 480), 3, 8, 11);
+  for (const int mean_of : {1, 2}) {
+    EXPECT_EQ(image_noise(image, PixelLayout::GRAY, 8, mean_of, {}, 4),
+              image_noise(image, PixelLayout::GRAY, 8, mean_of, {}, 1));
+  }
 }
 
 TEST(ImageNoise, IsNotThatOfSaturatedPartsOrHotPixels) {
