@@ -165,7 +165,7 @@ void visit(Table<PipelineOptions>, V&& visitor) {
            "fails, cpu replaces it with one warning."},
           &O::engine);
   visitor({"threads", within(0, 256),
-           "Most threads of validation, filter design and engine. 0: one for each available core."},
+           "Most threads of this package's loops over one image. 0: one for each available core."},
           &O::threads);
   visitor.part(&O::validation);
   visitor.part(&O::keypoints);

@@ -6,6 +6,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "base/parallel.hpp"
 #include "base/stopwatch.hpp"
 #include "blur/blur_validation.hpp"
 #include "blur/exposure_estimate.hpp"
@@ -211,7 +212,7 @@ void Pipeline::Impl::mark_blocks(FrameBlur* field) const {
 
 void Pipeline::Impl::measure_noise(FrameContext& frame) {
   const StageTimer timer(&frame.result.times.noise_ms);
-  frame.noise = image_noise(frame.image, frame.layout, frame.result.significant_bits, 1, mask_);
+  frame.noise = image_noise(frame.image, frame.layout, frame.result.significant_bits, 1, mask_, options_.threads);
 }
 
 void Pipeline::Impl::examine_exposure(FrameContext& frame) {
@@ -367,6 +368,7 @@ const PipelineResult& Pipeline::estimate(const cv::Mat& image, PixelLayout layou
   impl.frame_.reset();
   if (!impl.camera_) throw std::logic_error("Pipeline::estimate before set_calibration");
   require_fit(image, layout, impl.camera_->calibration(), impl.mask_);
+  const AwakeHelpers helpers(impl.options_.threads);
   auto frame = std::make_unique<FrameContext>(image, layout, motion, exposure, request);
   impl.begin(*frame);
   if (impl.image_motion_.enabled()) impl.follow_corners(*frame);
@@ -384,6 +386,7 @@ const PipelineResult& Pipeline::validate(const std::optional<ExposureAnswer>& an
   if (answer.has_value() != impl.frame_->request.exposure.has_value()) {
     throw std::logic_error("Pipeline::validate wants an answer if PipelineRequest::exposure is set, and only then");
   }
+  const AwakeHelpers helpers(impl.options_.threads);
   auto frame = std::move(impl.frame_);
   if (answer) impl.use_exposure(*answer, *frame);
   impl.find_seen_rotation(*frame);
@@ -410,6 +413,7 @@ PipelineResult Pipeline::deblur(const FrameAction& action) {
   }
   if (!action.drop_text.empty()) return std::move(result);
   if (!action.pass_through_text.empty()) result.field.reject_all();
+  const AwakeHelpers helpers(impl.options_.threads);
 
   if ((request.image || request.global_shutter) && result.field.count(BlockStatus::DEBLURRED) > 0) {
     const StageTimer timer(&result.times.deconvolution_ms);

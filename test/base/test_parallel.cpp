@@ -2,7 +2,9 @@
 
 #include <pthread.h>
 #include <sched.h>
+#include <sys/wait.h>
 #include <time.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
@@ -11,6 +13,7 @@
 #include <filesystem>
 #include <iterator>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <new>
 #include <stdexcept>
@@ -180,6 +183,185 @@ TEST(RunParallel, RunsWithinLoopsAndFromSeveralThreadsAtOnce) {
   }
   for (std::thread& camera : cameras) camera.join();
   EXPECT_EQ(calls, kThreads * 50 * 10 * 10);
+}
+
+// A loop is shorter than waking a helper for it is worth, and a helper that is awake joins all the same.
+TEST(AwakeHelpers, JoinShortLoops) {
+  constexpr int kTries = 50, kIterations = 16;
+  constexpr double kWorkS = 20e-6;
+  int shared = 0;
+  for (int i = 0; i < kTries; ++i) {
+    const AwakeHelpers helpers(2);
+    std::atomic<int> of_helper{0};
+    for (int loop = 0; loop < 4; ++loop) {
+      parallel_for(kIterations, 2, 1, [&](int, int thread) {
+        of_helper += thread;
+        work_for(kWorkS);
+      });
+    }
+    shared += of_helper > 0 ? 1 : 0;
+  }
+#ifdef GYRO_DEBLUR_TSAN
+  GTEST_SKIP() << "loops always call for help under ThreadSanitizer";
+#endif
+  if (available_cores() == 1) GTEST_SKIP() << "one core";
+  // Without, only a loop that is interrupted twice takes long enough for a helper to be called.
+  EXPECT_GT(shared, kTries / 5) << "of " << kTries;
+}
+
+TEST(AwakeHelpers, CallEveryIndexOnceAndGiveThreadsNumbersOfTheirOwn) {
+  constexpr int kCount = 300;
+  std::vector<std::atomic<int>> calls(kCount), at_work(kThreads);
+  std::atomic<int> wrong{0};
+  const AwakeHelpers helpers(kThreads);
+  for (int loop = 0; loop < 20; ++loop) {
+    parallel_for(kCount, kThreads, 3, [&](int i, int thread) {
+      ++calls[static_cast<std::size_t>(i)];
+      if (thread < 0 || thread >= kThreads || ++at_work[static_cast<std::size_t>(thread)] != 1) ++wrong;
+      work_for(1e-6);
+      --at_work[static_cast<std::size_t>(std::clamp(thread, 0, kThreads - 1))];
+    });
+  }
+  EXPECT_EQ(wrong, 0);
+  for (const std::atomic<int>& count : calls) EXPECT_EQ(count, 20);
+}
+
+TEST(AwakeHelpers, PassOnWhatABodyThrew) {
+  const AwakeHelpers helpers(kThreads);
+  for (int loop = 0; loop < 100; ++loop) {
+    std::atomic<int> calls{0};
+    EXPECT_THROW(parallel_for(1000, kThreads, 1,
+                              [&](int) {
+                                ++calls;
+                                throw std::runtime_error("every one");
+                              }),
+                 std::runtime_error);
+    EXPECT_LE(calls, kThreads);
+  }
+}
+
+TEST(AwakeHelpers, ServeLoopsWithinLoopsOfSeveralThreads) {
+  std::atomic<int> calls{0};
+  std::vector<std::thread> cameras;
+  for (int i = 0; i < kThreads; ++i) {
+    cameras.emplace_back([&] {
+      for (int frame = 0; frame < 50; ++frame) {
+        const AwakeHelpers helpers(kThreads);
+        parallel_for(10, kThreads, 1, [&](int) { parallel_for(10, 2, 1, [&](int) { ++calls; }); });
+      }
+    });
+  }
+  for (std::thread& camera : cameras) camera.join();
+  EXPECT_EQ(calls, kThreads * 50 * 10 * 10);
+}
+
+// A loop may end only when the helper in it has left.
+TEST(AwakeHelpers, KeepTheLoopUntilTheyHaveLeft) {
+  int joined = 0;
+  for (int i = 0; i < 20; ++i) {
+    const AwakeHelpers helpers(2);
+    for (int loop = 0; loop < 8; ++loop) {
+      std::atomic<int> inside{0}, of_helper{0};
+      parallel_for(8, 2, 1, [&](int, int thread) {
+        ++inside;
+        of_helper += thread;
+        work_for(thread == 0 ? 20e-6 : 1e-3);
+        --inside;
+      });
+      EXPECT_EQ(inside, 0);
+      joined += of_helper > 0 ? 1 : 0;
+    }
+  }
+  EXPECT_TRUE(joined > 0 || available_cores() == 1);
+}
+
+TEST(AwakeHelpers, ServeSessionsOfDifferentSizes) {
+  std::atomic<int> calls{0}, wrong{0};
+  std::vector<std::thread> cameras;
+  for (int threads = 1; threads <= kThreads; ++threads) {
+    cameras.emplace_back([&, threads] {
+      for (int frame = 0; frame < 100; ++frame) {
+        const AwakeHelpers helpers(threads);
+        parallel_for(40, threads, 1, [&](int, int thread) {
+          ++calls;
+          wrong += thread < 0 || thread >= threads ? 1 : 0;
+        });
+      }
+    });
+  }
+  for (std::thread& camera : cameras) camera.join();
+  EXPECT_EQ(calls, kThreads * 100 * 40);
+  EXPECT_EQ(wrong, 0);
+}
+
+TEST(AwakeHelpers, LeaveTheCoresOfAForkedProcessAlone) {
+  { const AwakeHelpers helpers(2); }
+  cpu_set_t before;
+  ASSERT_EQ(sched_getaffinity(0, sizeof(before), &before), 0);
+  const pid_t child = fork();
+  ASSERT_GE(child, 0);
+  if (child == 0) {
+    for (int i = 0; i < 3; ++i) {
+      const AwakeHelpers helpers(2);
+      parallel_for(4, 2, 1, [](int) {});
+    }
+    cpu_set_t after;
+    _exit(sched_getaffinity(0, sizeof(after), &after) == 0 && CPU_EQUAL(&before, &after) ? 0 : 1);
+  }
+  int status = -1;
+  ASSERT_EQ(waitpid(child, &status, 0), child);
+  EXPECT_EQ(status, 0);
+}
+
+TEST(AwakeHelpers, SleepAfterTheFrameAndWhereNoLoopComes) {
+  constexpr int kFrames = 10;
+  constexpr std::chrono::milliseconds kPause{30};
+  const auto idle_s = [kPause](bool within) {
+    double worked_s = 0;
+    for (int i = 0; i < kFrames; ++i) {
+      auto helpers = std::make_unique<AwakeHelpers>(kThreads);
+      parallel_for(64, kThreads, 1, [](int) { work_for(5e-6); });
+      if (!within) helpers.reset();
+      const double begin_s = seconds_of(CLOCK_PROCESS_CPUTIME_ID);
+      std::this_thread::sleep_for(kPause);
+      worked_s += seconds_of(CLOCK_PROCESS_CPUTIME_ID) - begin_s;
+    }
+    return worked_s / kFrames;
+  };
+  const double after_s = idle_s(false), within_s = idle_s(true);
+#ifdef GYRO_DEBLUR_TSAN
+  GTEST_SKIP() << "ThreadSanitizer takes processor time itself";
+#endif
+  EXPECT_LT(after_s, 1e-3) << "processor time between frames";
+  // Three helpers that wait for two milliseconds.
+  EXPECT_LT(within_s, 10e-3) << "processor time in a frame without loops";
+}
+
+TEST(AwakeHelpers, StayAsleepWhereThereIsNoOtherCore) {
+  std::thread([] {
+    cpu_set_t all, one;
+    ASSERT_EQ(sched_getaffinity(0, sizeof(all), &all), 0);
+    int core = 0;
+    while (!CPU_ISSET(core, &all)) ++core;
+    CPU_ZERO(&one);
+    CPU_SET(core, &one);
+    ASSERT_EQ(sched_setaffinity(0, sizeof(one), &one), 0);
+    constexpr int kLoops = 20;
+    int shared = 0;
+    const AwakeHelpers helpers(2);
+    for (int loop = 0; loop < kLoops; ++loop) {
+      std::atomic<int> of_helper{0};
+      parallel_for(16, 2, 1, [&](int, int thread) {
+        of_helper += thread;
+        work_for(5e-6);
+      });
+      shared += of_helper > 0 ? 1 : 0;
+    }
+#ifdef GYRO_DEBLUR_TSAN
+    GTEST_SKIP() << "loops always call for help under ThreadSanitizer";
+#endif
+    EXPECT_LT(shared, kLoops / 2) << "a loop that others interrupt looks long";
+  }).join();
 }
 
 TEST(AvailableCores, AreThoseOfTheAffinity) {
