@@ -247,11 +247,7 @@ std::optional<ImageRate> ImageRateTracker::add(const cv::Mat& luminance, const C
   std::optional<ImageRate> rate;
   on_one_thread([&] {
     cv::Mat small = luminance;
-    for (scale_ = 1; small.cols > kLargestWidthPx; scale_ *= 2) {
-      cv::Mat half;
-      cv::pyrDown(small, half);  // its pixel (x, y) is at (2 x, 2 y)
-      small = half;
-    }
+    for (scale_ = 1; small.cols > kLargestWidthPx; scale_ *= 2) small = downsample2x(small, 1);
     shrink_mask(small.size());
     std::vector<cv::Mat> pyramid = corner_pyramid(small, kWindowPx, kLevels);
     if (exposure_) rate = follow(pyramid, camera, exposure, lens_known);

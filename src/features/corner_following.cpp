@@ -1,12 +1,31 @@
 // Follows corners by pyramidal Lucas-Kanade tracking, forth and back.
 #include "features/corner_following.hpp"
 
+#include <algorithm>
 #include <cstddef>
 #include <utility>
 
+#include <opencv2/imgproc.hpp>
 #include <opencv2/video/tracking.hpp>
 
+#include "base/parallel.hpp"
+
 namespace gyro_deblur {
+
+cv::Mat downsample2x(const cv::Mat& image, int threads) {
+  // A band of rows, and what the filter of five rows reaches beyond it.
+  constexpr int kBandRows = 64, kMargin = 1;
+  cv::Mat half((image.rows + 1) / 2, (image.cols + 1) / 2, image.type());
+  const int bands = (half.rows + kBandRows - 1) / kBandRows;
+  parallel_for(bands, threads, 1, [&](int band) {
+    const int begin = band * kBandRows, end = std::min(begin + kBandRows, half.rows);
+    const int first = std::max(begin - kMargin, 0), last = std::min(end + kMargin, half.rows);
+    thread_local cv::Mat rows;
+    cv::pyrDown(image.rowRange(2 * first, std::min(2 * last, image.rows)), rows);
+    rows.rowRange(begin - first, end - first).copyTo(half.rowRange(begin, end));
+  });
+  return half;
+}
 
 std::vector<cv::Mat> corner_pyramid(const cv::Mat& image, int window_px, int levels) {
   std::vector<cv::Mat> pyramid;

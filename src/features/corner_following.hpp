@@ -1,4 +1,4 @@
-// Corners followed from an image into the next one, and back.
+// Corners followed from an image into the next one, and back; smaller images for that.
 #pragma once
 
 #include <vector>
@@ -14,6 +14,10 @@ struct CornerSearch {
   cv::TermCriteria criteria;
   double max_round_trip_px;  ///< how far from its start a corner may end up when followed back
 };
+
+/// Half the size, smoothed, as cv::pyrDown() makes it: pixel (x, y) is at (2 x, 2 y).
+/// @param threads  at most; 0: one for each core
+cv::Mat downsample2x(const cv::Mat& image, int threads);
 
 /// With derivatives, for follow_there_and_back(); a copy of the image's pixels.
 /// @param image  CV_8UC1

@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <cstring>
 #include <utility>
 
 #include <Eigen/Geometry>
@@ -33,7 +35,15 @@ constexpr double kChangeUncertainty = 0.3;
 /// search: one in a hundred is found by chance, eight in ten where the scene is the same.
 constexpr double kLeastFollowed = 0.2;
 /// A neighbour has half the weight at this share of the square of the farthest neighbour's distance.
-constexpr double kNearShare = 0.3;
+constexpr float kNearShare = 0.3f;
+
+constexpr std::uint64_t kIndexBits = 0xffffffff;
+/// Orders by distance, as the bits of floats that are not negative do. Whose distance it is follows in kIndexBits.
+std::uint64_t distance_key(float distance_px2, std::size_t index) {
+  std::uint32_t bits = 0;
+  std::memcpy(&bits, &distance_px2, sizeof(bits));
+  return std::uint64_t{bits} << 32 | index;
+}
 
 /// Whether a window around `p` lies in the image: one that is cut by its border drags the corner along.
 bool has_window(const cv::Point2f& p, const cv::Size& size, int window_px) {
@@ -45,11 +55,6 @@ bool has_window(const cv::Point2f& p, const cv::Size& size, int window_px) {
 /// Middle of the middle row's exposure, the instant of an image.
 TimeNs middle_of(const RowExposure& exposure, const Camera& camera) {
   return exposure.middle(0.5 * (camera.calibration().height_px - 1));
-}
-
-NearbyVelocity neighbour_of(const ResidualFlow::Sample& sample, const Eigen::Vector2d& center_px) {
-  const Eigen::Vector2d from_center_px = sample.pixel_px - center_px;
-  return {from_center_px, from_center_px.squaredNorm(), sample.velocity_px_s};
 }
 
 /// The best of each cell: all over the image, for what has most texture may be an object that moves by itself.
@@ -170,13 +175,9 @@ void ResidualFlow::change_motion(const Camera& camera, const BlockGrid& grid, co
   mean_ns_ = middle_of(*exposure_, camera);
 }
 
-cv::Mat ResidualFlow::shrink(const cv::Mat& luminance) {
+cv::Mat ResidualFlow::shrink(const cv::Mat& luminance, int threads) {
   cv::Mat small = luminance;
-  for (scale_ = 1; small.cols > options_.largest_width_px; scale_ *= 2) {
-    cv::Mat half;
-    cv::pyrDown(small, half);  // its pixel (x, y) is at (2 x, 2 y)
-    small = half;
-  }
+  for (scale_ = 1; small.cols > options_.largest_width_px; scale_ *= 2) small = downsample2x(small, threads);
   return small;
 }
 
@@ -186,17 +187,11 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
     const TimeNs step_ns = exposure.start(0) - exposure_->start(0);
     if (step_ns <= 0 || step_ns > kLongestStepNs) reset();
   }
-  cv::Mat small;
-  std::vector<cv::Mat> pyramid;
-  on_one_thread([&] {
-    small = shrink(luminance);
-    shrink_mask(small.size());
-    pyramid = corner_pyramid(small, options_.window_px, options_.levels);
-  });
-  samples_.clear();
+  // OpenCV's loops in it are serial, also those on the threads of parallel_for().
+  bool follows = false;
+  on_one_thread([&] { follows = follow_and_find_corners(luminance, camera, motion, exposure, grid, threads); });
   ResidualField carried;
-  if (exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size()) {
-    follow_corners(pyramid, camera, motion, exposure, grid);
+  if (follows) {
     const TimeNs now_ns = middle_of(exposure, camera), mean_ns = now_ns - (now_ns - middle_of(*exposure_, camera)) / 2;
     ResidualField means = mean_velocities(grid, threads);
     std::vector<std::optional<Eigen::Vector2d>> before_px_s(means.size());
@@ -211,12 +206,42 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
     accelerations_.clear();
     inertial_.clear();
   }
-  corners_.clear();
-  on_one_thread([&] { corners_ = corners_everywhere(small, usable_, options_); });
-  pyramid_ = std::move(pyramid);
   exposure_ = exposure;
   newest_ = carried;
   return carried;
+}
+
+bool ResidualFlow::follow_and_find_corners(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
+                                           const RowExposure& exposure, const BlockGrid& grid, int threads) {
+  const cv::Mat small = shrink(luminance, threads);
+  shrink_mask(small.size());
+  std::vector<cv::Mat> pyramid = corner_pyramid(small, options_.window_px, options_.levels);
+  const bool follows = exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size();
+  if (!follows) corners_.clear();
+  constexpr std::ptrdiff_t kCornersAtATime = 32;
+  const auto count = static_cast<std::ptrdiff_t>(corners_.size());
+  std::vector<FollowedPart> parts(static_cast<std::size_t>((count + kCornersAtATime - 1) / kCornersAtATime));
+  std::vector<cv::Point2f> corners;
+  // The longest piece of work comes first.
+  parallel_for(1 + static_cast<int>(parts.size()), threads, 1, [&](int i) {
+    if (i == 0) {
+      corners = corners_everywhere(small, usable_, options_);
+      return;
+    }
+    const std::ptrdiff_t begin = (i - 1) * kCornersAtATime, end = std::min(begin + kCornersAtATime, count);
+    parts[i - 1] =
+        follow_corners({corners_.begin() + begin, corners_.begin() + end}, pyramid, camera, motion, exposure, grid);
+  });
+  samples_.clear();
+  std::size_t searched = 0;
+  for (const FollowedPart& part : parts) {
+    samples_.insert(samples_.end(), part.samples.begin(), part.samples.end());
+    searched += part.searched;
+  }
+  if (static_cast<double>(samples_.size()) < kLeastFollowed * static_cast<double>(searched)) samples_.clear();
+  corners_ = std::move(corners);
+  pyramid_ = std::move(pyramid);
+  return follows;
 }
 
 ResidualField ResidualFlow::extrapolated(const ResidualField& means,
@@ -294,12 +319,14 @@ std::optional<Eigen::Vector2d> ResidualFlow::velocity_before(int block, const Re
   return rotated_px_s;
 }
 
-void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
-                                  const RowExposure& exposure, const BlockGrid& grid) {
+ResidualFlow::FollowedPart ResidualFlow::follow_corners(const std::vector<cv::Point2f>& part,
+                                                        const std::vector<cv::Mat>& pyramid, const Camera& camera,
+                                                        const CameraMotion& motion, const RowExposure& exposure,
+                                                        const BlockGrid& grid) const {
   const cv::Size size = pyramid.front().size();
   const auto scale = static_cast<float>(scale_);
   std::vector<cv::Point2f> before, start;
-  for (const cv::Point2f& corner : corners_) {
+  for (const cv::Point2f& corner : part) {
     auto at = predicted_pixel({scale * corner.x, scale * corner.y}, camera, motion, *exposure_, exposure);
     if (!at) continue;
     if (whole_ && means_.size() == static_cast<std::size_t>(grid.size())) {
@@ -315,9 +342,9 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
       options_.window_px, options_.levels,
       cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, options_.iterations, kLeastStepPx),
       options_.max_round_trip_px};
-  FollowedCorners corners;
-  on_one_thread([&] { corners = follow_there_and_back(pyramid_, pyramid, before, start, search); });
+  const FollowedCorners corners = follow_there_and_back(pyramid_, pyramid, before, start, search);
   const std::vector<cv::Point2f>& after = corners.places;
+  FollowedPart followed{before.size(), {}};
   for (std::size_t i = 0; i < after.size(); ++i) {
     if (!corners.found[i] || !has_window(after[i], size, options_.window_px)) continue;
     if (!usable_.empty() && usable_.at<uchar>(cvRound(after[i].y), cvRound(after[i].x)) == 0) continue;
@@ -334,9 +361,9 @@ void ResidualFlow::follow_corners(const std::vector<cv::Mat>& pyramid, const Cam
     const TimeNs since_ns = exposure.middle(pixel_px.y()) - exposure_->middle(from_px.y());
     // A rolling shutter may have seen both within an instant.
     if (2 * since_ns < exposure.start(0) - exposure_->start(0)) continue;
-    samples_.push_back({pixel_px, (pixel_px - *at) / to_seconds(since_ns), since_ns});
+    followed.samples.push_back({pixel_px, (pixel_px - *at) / to_seconds(since_ns), since_ns});
   }
-  if (static_cast<double>(samples_.size()) < kLeastFollowed * static_cast<double>(before.size())) samples_.clear();
+  return followed;
 }
 
 ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) const {
@@ -344,23 +371,29 @@ ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) 
   const auto count = static_cast<std::size_t>(options_.neighbours);
   if (samples_.size() < count) return velocities;
   const double floor_px_s = scale_ * kFloorPx / to_seconds(samples_.front().since_ns);
-  std::vector<NearbyVelocity> everywhere;
-  for (const Sample& sample : samples_) everywhere.push_back(neighbour_of(sample, Eigen::Vector2d::Zero()));
+  NearbyVelocities everywhere;
+  everywhere.resize(samples_.size());
+  for (std::size_t k = 0; k < samples_.size(); ++k) everywhere.set(k, samples_[k].pixel_px, samples_[k].velocity_px_s);
   const VelocityPlane scene = fit_plane(everywhere, options_.iterations_of_plane, options_.slope_prior);
   parallel_for(grid.rows(), threads, 1, [&](int row) {
-    std::vector<std::pair<double, std::size_t>> by_distance(samples_.size());  // [px^2], and whose
-    std::vector<NearbyVelocity> nearest(count);
+    std::vector<std::uint64_t> by_distance(samples_.size());  // see distance_key
+    NearbyVelocities nearest;
+    nearest.resize(count);
     for (int i = row * grid.cols(); i < (row + 1) * grid.cols(); ++i) {
       const Eigen::Vector2d center_px = grid.center(i);
+      const auto x_px = static_cast<float>(center_px.x()), y_px = static_cast<float>(center_px.y());
       for (std::size_t k = 0; k < samples_.size(); ++k) {
-        by_distance[k] = {(samples_[k].pixel_px - center_px).squaredNorm(), k};
+        const float off_x = everywhere.x_px[k] - x_px, off_y = everywhere.y_px[k] - y_px;
+        by_distance[k] = distance_key(off_x * off_x + off_y * off_y, k);
       }
-      const auto begin = by_distance.begin(), farthest = begin + options_.neighbours - 1;
-      std::nth_element(begin, farthest, by_distance.end());
-      const double reach_px2 = std::max(farthest->first, 1.0);
+      std::nth_element(by_distance.begin(), by_distance.begin() + options_.neighbours - 1, by_distance.end());
       for (std::size_t k = 0; k < count; ++k) {
-        nearest[k] = neighbour_of(samples_[by_distance[k].second], center_px);
-        nearest[k].nearness = 1 / (1 + nearest[k].distance_px2 / (kNearShare * reach_px2));
+        const Sample& sample = samples_[by_distance[k] & kIndexBits];
+        nearest.set(k, sample.pixel_px - center_px, sample.velocity_px_s);
+      }
+      const float reach_px2 = std::max(nearest.distance_px2.back(), 1.0f);
+      for (std::size_t k = 0; k < count; ++k) {
+        nearest.nearness[k] = 1 / (1 + nearest.distance_px2[k] / (kNearShare * reach_px2));
       }
       const VelocityPlane plane = fit_plane(nearest, options_.iterations_of_plane, options_.slope_prior);
       const Eigen::Vector2d velocity_px_s = plane.at(Eigen::Vector2d::Zero());

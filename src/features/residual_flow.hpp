@@ -2,6 +2,7 @@
 // bias), from corners followed from the image before, and the accelerometer.
 #pragma once
 
+#include <cstddef>
 #include <optional>
 #include <vector>
 
@@ -58,7 +59,7 @@ class ResidualFlow {
   /// @param luminance  CV_8UC1 of the camera's size; its pixels are copied
   /// @param motion     from the image before to this one; corners beyond what it covers are left out
   /// @param grid       of the blocks
-  /// @param threads    of what is made for blocks, at most; 0: one for each core. Corners are followed on one.
+  /// @param threads    at most; 0: one for each core
   /// @return of each block of this image, at the middle of its exposure: the mean since the image before, extrapolated
   /// by
   ///         what has changed since the one before that and by the accelerometer, see common_changes() and
@@ -87,11 +88,22 @@ class ResidualFlow {
 
  private:
   ResidualFlowOptions options_;
-  cv::Mat shrink(const cv::Mat& luminance);
+  cv::Mat shrink(const cv::Mat& luminance, int threads);
   /// Works usable_ out for a smaller image of this size.
   void shrink_mask(const cv::Size& size);
-  void follow_corners(const std::vector<cv::Mat>& pyramid, const Camera& camera, const CameraMotion& motion,
-                      const RowExposure& exposure, const BlockGrid& grid);
+  /// Makes samples_ of the corners of the image before, and finds those of this one.
+  /// @return false where there is no image before, or one of another size
+  bool follow_and_find_corners(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
+                               const RowExposure& exposure, const BlockGrid& grid, int threads);
+  /// How many corners were looked for, and where they were found.
+  struct FollowedPart {
+    std::size_t searched = 0;
+    std::vector<Sample> samples;
+  };
+  /// @param part  of corners_
+  FollowedPart follow_corners(const std::vector<cv::Point2f>& part, const std::vector<cv::Mat>& pyramid,
+                              const Camera& camera, const CameraMotion& motion, const RowExposure& exposure,
+                              const BlockGrid& grid) const;
   /// What the image before had for the velocity of what a block shows now, as it would be seen now; nothing where that
   /// is not known.
   /// @param mean  of the block, since the image before

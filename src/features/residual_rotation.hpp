@@ -14,10 +14,10 @@
 
 namespace gyro_deblur {
 
-/// Robust least squares over the blocks. Axes of the camera.
+/// Robust least squares over the blocks, of many over 96 or more that lie regularly. Axes of the camera.
 /// @param residuals  of the blocks of `grid`, certain or not
 /// @param motion     known motion that was subtracted; its mean over the exposure of the middle row is `known_rad_s`
-/// Nothing where fewer than half of the blocks have a residual velocity, or `motion` does not cover that exposure.
+/// Nothing where fewer than half of these blocks have a residual velocity, or `motion` does not cover that exposure.
 std::optional<ResidualRotation> fit_residual_rotation(const ResidualField& residuals, const BlockGrid& grid,
                                                       const Camera& camera, const CameraMotion& motion,
                                                       const RowExposure& exposure);

@@ -15,12 +15,16 @@ inline double spread_of_median(double distance) {
   constexpr double kLeast = 1e-3;
   return std::max(distance / kMedianLength, kLeast);
 }
-inline double spread_of(const std::vector<double>& distances) { return spread_of_median(median(distances)); }
+template <typename T>
+double spread_of(const std::vector<T>& distances) {
+  return spread_of_median(median(distances));
+}
 
 /// Geman and McClure's.
-inline double robust_weight(double distance, double spread) {
-  constexpr double kScale = 2.0;
-  const double off = distance / (kScale * spread);
+template <typename T>
+T robust_weight(T distance, T spread) {
+  constexpr T kScale = 2;
+  const T off = distance / (kScale * spread);
   return 1 / ((1 + off * off) * (1 + off * off));
 }
 

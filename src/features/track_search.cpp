@@ -176,6 +176,7 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
   for (const TrackState& state : states) {
     if (state.unpredicted_px_s) of_last.push_back({state.point.place_px, step.seconds * *state.unpredicted_px_s});
   }
+  const AwakeHelpers helpers(threads_);
   for_each(states.size(), step, [&](std::size_t i, const Thread& thread) {
     TrackCandidate& candidate = candidates[i];
     const TrackState& state = states[i];

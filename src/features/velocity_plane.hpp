@@ -1,18 +1,26 @@
 // Velocities of corners as a linear function of their place, robustly.
 #pragma once
 
+#include <cstddef>
 #include <vector>
 
 #include <Eigen/Core>
 
 namespace gyro_deblur {
 
-/// Velocity of a corner near a centre.
-struct NearbyVelocity {
-  Eigen::Vector2d from_center_px = Eigen::Vector2d::Zero();
-  double distance_px2 = 0;
-  Eigen::Vector2d velocity_px_s = Eigen::Vector2d::Zero();
-  double nearness = 1;  ///< (0, 1]: its weight
+/// Velocities of corners near a centre, a column for each quantity.
+struct NearbyVelocities {
+  std::vector<float> x_px, y_px;      ///< from the centre
+  std::vector<float> distance_px2;    ///< from there, squared
+  std::vector<float> x_px_s, y_px_s;  ///< the velocity
+  std::vector<float> nearness;        ///< (0, 1]: its weight
+
+  std::size_t size() const { return x_px.size(); }
+  void resize(std::size_t count) {
+    for (std::vector<float>* column : {&x_px, &y_px, &distance_px2, &x_px_s, &y_px_s, &nearness}) column->resize(count);
+  }
+  /// @param i  < size()
+  void set(std::size_t i, const Eigen::Vector2d& from_center_px, const Eigen::Vector2d& velocity_px_s);
 };
 
 /// Velocities [px/s] over the image, by the distance from a centre [px].
@@ -30,10 +38,10 @@ struct VelocityPlane {
 /// @param velocities   at least one
 /// @param iterations   >= 0
 /// @param slope_prior  how many corners at the farthest one's distance speak for no slope
-VelocityPlane fit_plane(const std::vector<NearbyVelocity>& velocities, int iterations, double slope_prior);
+VelocityPlane fit_plane(const NearbyVelocities& velocities, int iterations, double slope_prior);
 
 /// How far from the centre [px] a velocity is seen: where the third of the corners is that show it.
 /// @param velocities  that the plane was fitted to
-double seen_from_px(const VelocityPlane& plane, const std::vector<NearbyVelocity>& velocities);
+double seen_from_px(const VelocityPlane& plane, const NearbyVelocities& velocities);
 
 }  // namespace gyro_deblur

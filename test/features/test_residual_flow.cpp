@@ -9,6 +9,8 @@
 #include <yaml-cpp/yaml.h>
 #include <opencv2/imgproc.hpp>
 
+#include "base/parallel.hpp"
+#include "features/corner_following.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
@@ -97,6 +99,51 @@ motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3,
   EXPECT_GT(percentile(errors.by_gyroscope_px, 0.5), 2);
   EXPECT_LT(percentile(errors.by_both_px, 0.5), 0.25);
   EXPECT_LT(percentile(errors.by_both_px, 0.9), 0.6);
+}
+
+TEST(ResidualFlow, IsTheSameOnAnyNumberOfThreads) {
+  const EagerHelpers eager_helpers;
+  Simulator simulator = simulator_of(R"(
+motion: {type: spline, position: {sines: [{amplitude: [0.25, 0.15, 0.2], frequency: 0.8, phase: 70}]}}
+)",
+                                     3);
+  const RotationTrack rotation = rotation_of(simulator);
+  const BlockGrid grid(640, 480, kBlockPx);
+  ResidualFlow alone, shared;
+  for (int i = 0; i < simulator.frames(); ++i) {
+    const cv::Mat image = simulator.frame(i).image;
+    const auto follow = [&](ResidualFlow& flow, int threads) {
+      return flow.follow(image, simulator.camera(), rotation, simulator.exposure(i), grid, threads);
+    };
+    const ResidualField one = follow(alone, 1), four = follow(shared, 4);
+    ASSERT_EQ(one.size(), four.size());
+    ASSERT_EQ(alone.samples().size(), shared.samples().size());
+    if (i > 0) {
+      EXPECT_GT(alone.samples().size(), 100U);
+    }
+    for (std::size_t k = 0; k < alone.samples().size(); ++k) {
+      EXPECT_EQ(alone.samples()[k].pixel_px, shared.samples()[k].pixel_px);
+    }
+    for (std::size_t b = 0; b < one.size(); ++b) {
+      ASSERT_EQ(one[b].has_value(), four[b].has_value());
+      if (one[b]) {
+        EXPECT_EQ(one[b]->velocity_px_s, four[b]->velocity_px_s);
+      }
+    }
+  }
+}
+
+TEST(Downsample2x, IsWhatOneLoopOverTheImageMakes) {
+  const EagerHelpers eager_helpers;
+  cv::RNG random(3);
+  for (const cv::Size& size : {cv::Size(752, 480), cv::Size(641, 255), cv::Size(40, 65), cv::Size(9, 3)}) {
+    cv::Mat image(size, CV_8U), expected;
+    random.fill(image, cv::RNG::UNIFORM, 0, 256);
+    cv::pyrDown(image, expected);
+    const cv::Mat half = downsample2x(image, 4);
+    ASSERT_EQ(half.size(), expected.size());
+    EXPECT_EQ(cv::norm(half, expected, cv::NORM_INF), 0) << size;
+  }
 }
 
 TEST(ResidualFlow, KnowsByTheAccelerometerWhatHappensBetweenTwoImages) {
