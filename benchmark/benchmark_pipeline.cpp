@@ -6,6 +6,7 @@
 #include <opencv2/features2d.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "base/parallel.hpp"
 #include "blur/blur_validation.hpp"
 #include "features/image_rectification.hpp"
 #include "features/residual_flow.hpp"
@@ -40,7 +41,11 @@ void validation(::benchmark::State& state) {
   const PipelineOptions options = pipeline_options(1);
   const FrameBlur field =
       BlurFieldEstimator(Camera(scene.calibration), options.blur_field).estimate(*scene.motion, *scene.exposure);
-  for (auto _ : state) ::benchmark::DoNotOptimize(validate_blur_field(field, scene.frame, options.validation));
+  const int threads = static_cast<int>(state.range(3));
+  for (auto _ : state) {
+    const AwakeHelpers helpers(threads);
+    ::benchmark::DoNotOptimize(validate_blur_field(field, scene.frame, options.validation, threads));
+  }
 }
 
 /// Of a camera that stands still before a scene that moves: every corner has an image to be found in.
@@ -64,6 +69,7 @@ void optical_flow(::benchmark::State& state) {
     flow.reset();
     flow.follow(scene.frame, camera, motion, first, grid, static_cast<int>(state.range(3)));
     state.ResumeTiming();
+    const AwakeHelpers helpers(static_cast<int>(state.range(3)));
     ::benchmark::DoNotOptimize(flow.follow(moved, camera, motion, second, grid, static_cast<int>(state.range(3))));
   }
   state.counters["corners"] = static_cast<double>(flow.samples().size());
