@@ -151,7 +151,7 @@ class Helpers {
       const std::lock_guard<std::mutex> lock(mutex_);
       loop.wanted = count;
       loops_.push_back(&loop);
-      start_threads(count);
+      start_threads(count + awake_);
     }
     for (int i = 0; i < count; ++i) called_.notify_one();
   }
@@ -274,7 +274,7 @@ class Helpers {
     lock.lock();
     --awake_;
     slot.has_helper = false;
-    // Whoever was not called for so long is not wanted until another session begins.
+    // A helper that no loop came for is not wanted until another session begins.
     if (session == session_number_) wanted_awake_ = std::min<int>(wanted_awake_, awake_);
   }
 
