@@ -1,4 +1,5 @@
-// What OpenCV does on threads of its own, done on the caller's.
+// What OpenCV does on threads of its own, done on those that call it: the caller's, and those of a parallel_for()
+// within.
 #pragma once
 
 #include <opencv2/core.hpp>

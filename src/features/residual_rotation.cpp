@@ -72,7 +72,7 @@ std::optional<ResidualRotation> fit_residual_rotation(const ResidualField& resid
   const double middle_row = 0.5 * (grid.height_px() - 1);
   const TimeRange exposed{exposure.start(middle_row), exposure.end(middle_row)};
   if (residuals.empty() || !motion.covers(exposed)) return std::nullopt;
-  // Neighbours' velocities come from the same corners: of many blocks some will do.
+  // Neighbouring blocks have their velocities from the same corners: a regular part of many blocks knows as much.
   constexpr double kEnoughBlocks = 96;
   const int step = std::max(1, static_cast<int>(std::sqrt(grid.size() / kEnoughBlocks)));
   std::vector<Row> rotated, moved;

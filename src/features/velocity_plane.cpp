@@ -49,55 +49,61 @@ void take_distances(const NearbyVelocities& velocities, const Eigen::Matrix<doub
   }
 }
 
-/// Normal equations of the corners' planes.
-struct NormalEquations {
-  Eigen::Matrix3d normal;   ///< with weights
-  Eigen::Matrix3d squares;  ///< with their squares
-  Eigen::Matrix<double, 3, 2> right;
-  double inlier_weight = 0;  ///< sum of the weights that do not depend on the distance from the centre
+/// What the fit works with: a column for each quantity of the corners.
+struct Columns {
+  std::vector<float> x, y;  ///< places, in a unit in which sums of squares keep their precision
+  std::vector<float> distances, weights, squared_weights;
 };
 
-Eigen::Matrix3d symmetric(float a, float b, float c, float d, float e, float f) {
-  Eigen::Matrix3f matrix;
-  matrix << a, b, c, b, d, e, c, e, f;
-  return matrix.cast<double>();
+/// Sum of w (1, x, y)^T (1, x, y).
+Eigen::Matrix3d sum_of_squares(const Columns& columns, const std::vector<float>& weights) {
+  const float *x = columns.x.data(), *y = columns.y.data(), *weight = weights.data();
+  const auto count = static_cast<int>(weights.size());
+  float sum = 0, sum_x = 0, sum_y = 0, sum_xx = 0, sum_xy = 0, sum_yy = 0;
+#pragma omp simd reduction(+ : sum, sum_x, sum_y, sum_xx, sum_xy, sum_yy)
+  for (int k = 0; k < count; ++k) {
+    const float weighted_x = weight[k] * x[k], weighted_y = weight[k] * y[k];
+    sum += weight[k];
+    sum_x += weighted_x;
+    sum_y += weighted_y;
+    sum_xx += weighted_x * x[k];
+    sum_xy += weighted_x * y[k];
+    sum_yy += weighted_y * y[k];
+  }
+  Eigen::Matrix3f sums;
+  sums << sum, sum_x, sum_y, sum_x, sum_xx, sum_xy, sum_y, sum_xy, sum_yy;
+  return sums.cast<double>();
 }
 
-/// @param per_px  unit of the corners' places: sums of squares keep their precision
-NormalEquations equations_of(const NearbyVelocities& velocities, const std::vector<float>& distances, double spread,
-                             float per_px) {
-  const float *x_px = velocities.x_px.data(), *y_px = velocities.y_px.data(), *vx = velocities.x_px_s.data(),
-              *vy = velocities.y_px_s.data(), *nearness = velocities.nearness.data(), *distance = distances.data();
-  const auto count = static_cast<int>(velocities.size());
-  float inliers = 0, w = 0, wx = 0, wy = 0, wxx = 0, wxy = 0, wyy = 0, s = 0, sx = 0, sy = 0, sxx = 0, sxy = 0, syy = 0;
-  float u = 0, ux = 0, uy = 0, v = 0, vx_x = 0, vy_y = 0;
-#pragma omp simd reduction(+ : inliers, w, wx, wy, wxx, wxy, wyy, s, sx, sy, sxx, sxy, syy, u, ux, uy, v, vx_x, vy_y)
+/// Sum of w (1, x, y) v.
+Eigen::Vector3d sum_of_products(const Columns& columns, const std::vector<float>& values) {
+  const float *x = columns.x.data(), *y = columns.y.data(), *weight = columns.weights.data(), *value = values.data();
+  const auto count = static_cast<int>(values.size());
+  float sum = 0, sum_x = 0, sum_y = 0;
+#pragma omp simd reduction(+ : sum, sum_x, sum_y)
   for (int k = 0; k < count; ++k) {
-    const float inlier = robust_weight(distance[k], static_cast<float>(spread)), weight = inlier * nearness[k];
-    const float x = per_px * x_px[k], y = per_px * y_px[k], square = weight * weight;
-    inliers += inlier;
-    w += weight;
-    wx += weight * x;
-    wy += weight * y;
-    wxx += weight * x * x;
-    wxy += weight * x * y;
-    wyy += weight * y * y;
-    s += square;
-    sx += square * x;
-    sy += square * y;
-    sxx += square * x * x;
-    sxy += square * x * y;
-    syy += square * y * y;
-    u += weight * vx[k];
-    ux += weight * x * vx[k];
-    uy += weight * y * vx[k];
-    v += weight * vy[k];
-    vx_x += weight * x * vy[k];
-    vy_y += weight * y * vy[k];
+    const float weighted = weight[k] * value[k];
+    sum += weighted;
+    sum_x += weighted * x[k];
+    sum_y += weighted * y[k];
   }
-  Eigen::Matrix<float, 3, 2> right;
-  right << u, v, ux, vx_x, uy, vy_y;
-  return {symmetric(w, wx, wy, wxx, wxy, wyy), symmetric(s, sx, sy, sxx, sxy, syy), right.cast<double>(), inliers};
+  return Eigen::Vector3f(sum, sum_x, sum_y).cast<double>();
+}
+
+/// Weights of the corners by their distances from a plane.
+/// @return their sum before nearness
+float take_weights(const std::vector<float>& nearness, double spread, Columns* columns) {
+  const auto count = static_cast<int>(nearness.size());
+  const float *near = nearness.data(), *distance = columns->distances.data();
+  float *weight = columns->weights.data(), *square = columns->squared_weights.data(), inliers = 0;
+#pragma omp simd reduction(+ : inliers)
+  for (int k = 0; k < count; ++k) {
+    const float inlier = robust_weight(distance[k], static_cast<float>(spread));
+    inliers += inlier;
+    weight[k] = inlier * near[k];
+    square[k] = weight[k] * weight[k];
+  }
+  return inliers;
 }
 
 }  // namespace
@@ -117,26 +123,39 @@ VelocityPlane fit_plane(const NearbyVelocities& velocities, int iterations, doub
   plane.coefficients(0, 1) = median_of(velocities.y_px_s, velocities.nearness);
   const float reach_px2 = *std::max_element(velocities.distance_px2.begin(), velocities.distance_px2.end());
   const float per_px = 1 / std::sqrt(std::max(reach_px2, 1.0f));
-  thread_local std::vector<float> distances;
-  NormalEquations equations{Eigen::Matrix3d::Identity(), Eigen::Matrix3d::Zero(), {}};
+  thread_local Columns columns;
+  columns.weights.resize(velocities.size());
+  columns.squared_weights.resize(velocities.size());
+  columns.x.resize(velocities.size());
+  columns.y.resize(velocities.size());
+  for (std::size_t k = 0; k < velocities.size(); ++k) {
+    columns.x[k] = per_px * velocities.x_px[k];
+    columns.y[k] = per_px * velocities.y_px[k];
+  }
+  Eigen::Matrix3d normal = Eigen::Matrix3d::Identity(), squares = Eigen::Matrix3d::Zero();
+  double inlier_weight = 0;
   for (int iteration = 0;; ++iteration) {
-    take_distances(velocities, plane.coefficients, &distances);
-    plane.spread_px_s = spread_of(distances);
+    take_distances(velocities, plane.coefficients, &columns.distances);
+    plane.spread_px_s = spread_of(columns.distances);
     if (iteration == iterations) break;
-    equations = equations_of(velocities, distances, plane.spread_px_s, per_px);
+    inlier_weight = take_weights(velocities.nearness, plane.spread_px_s, &columns);
+    normal = sum_of_squares(columns, columns.weights);
+    squares = sum_of_squares(columns, columns.squared_weights);
     // A slope is used where the corners show it.
     const double prior = slope_prior * reach_px2 * per_px * per_px;
-    equations.normal(1, 1) += prior;
-    equations.normal(2, 2) += prior;
-    plane.coefficients = equations.normal.ldlt().solve(equations.right);
+    normal(1, 1) += prior;
+    normal(2, 2) += prior;
+    Eigen::Matrix<double, 3, 2> right;
+    right << sum_of_products(columns, velocities.x_px_s), sum_of_products(columns, velocities.y_px_s);
+    plane.coefficients = normal.ldlt().solve(right);
     plane.coefficients.bottomRows<2>() *= per_px;
   }
   // Three corners lie on a plane whatever they say.
   constexpr double kParameters = 3, kLeastFreedom = 0.5;
-  const double freedom = std::max(equations.inlier_weight - kParameters, kLeastFreedom);
-  const Eigen::Matrix3d inverse = equations.normal.inverse();
-  const double variance = (inverse * equations.squares * inverse)(0, 0);
-  plane.stddev_px_s = plane.spread_px_s * std::sqrt(variance * equations.inlier_weight / freedom);
+  const double freedom = std::max(inlier_weight - kParameters, kLeastFreedom);
+  const Eigen::Matrix3d inverse = normal.inverse();
+  const double variance = (inverse * squares * inverse)(0, 0);
+  plane.stddev_px_s = plane.spread_px_s * std::sqrt(variance * inlier_weight / freedom);
   return plane;
 }
 
