@@ -49,6 +49,17 @@ bool is_same(const GivenExposure& a, const GivenExposure& b) {
 
 }  // namespace
 
+ExposureNeed exposure_need(double contrast, const std::optional<double>& noise, const FrameBlur& field) {
+  // One image with a median of so much gives one by day, see doc/reports/exposure.md.
+  constexpr float kEnoughPx = 6;
+  // By day the noise of a camera is a tenth of the contrast or less.
+  constexpr double kTooNoisy = 0.2;
+  const auto is_long = [](const BlockBlur& block) { return block.extent_px >= kEnoughPx; };
+  const auto moving = std::count_if(field.blocks.begin(), field.blocks.end(), is_long);
+  if (2 * static_cast<std::size_t>(moving) < field.blocks.size()) return ExposureNeed::MOTION;
+  return noise && *noise > kTooNoisy * contrast ? ExposureNeed::LIGHT : ExposureNeed::TEXTURE;
+}
+
 const char* to_string(ExposureOrigin origin) {
   switch (origin) {
     case ExposureOrigin::MESSAGE:

@@ -7,6 +7,7 @@
 #include "blur/exposure_estimate.hpp"
 #include "blur/exposure_filter.hpp"
 #include "gyro_deblur/options.hpp"
+#include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
@@ -39,6 +40,10 @@ struct ChosenExposure {
   TimeNs exposure_ns = 0;
   double log_stddev = 0;  ///< of exposure_ns where it is from the images
 };
+
+/// Why the blur gives no estimate of the exposure. Never NOTHING.
+/// @param contrast, noise  of the image, grey levels
+ExposureNeed exposure_need(double contrast, const std::optional<double>& noise, const FrameBlur& field);
 
 /// The exposure that an image is processed with until its blur has been examined.
 struct ExposurePlan : ChosenExposure {

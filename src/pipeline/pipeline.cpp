@@ -18,6 +18,7 @@
 #include "gyro_deblur/blur_field.hpp"
 #include "inverse/filter_bank.hpp"
 #include "pipeline/deconvolution.hpp"
+#include "pipeline/exposure_choice.hpp"
 #include "pipeline/frame_context.hpp"
 #include "pipeline/image_motion.hpp"
 #include "pipeline/keypoint_stage.hpp"
@@ -51,18 +52,6 @@ double longest_extent_px(const FrameBlur& field) {
     if (block.status != BlockStatus::MASKED) longest_px = std::max<double>(longest_px, block.extent_px);
   }
   return longest_px;
-}
-
-/// Why a field and the image's spectra give no estimate of the exposure.
-ExposureNeed exposure_need(double contrast, const std::optional<double>& noise, const FrameBlur& field) {
-  // One image with a median of so much gives one by day, see doc/reports/exposure.md.
-  constexpr float kEnoughPx = 6;
-  // By day the noise of a camera is a tenth of the contrast or less.
-  constexpr double kTooNoisy = 0.2;
-  const auto is_long = [](const BlockBlur& block) { return block.extent_px >= kEnoughPx; };
-  const auto moving = std::count_if(field.blocks.begin(), field.blocks.end(), is_long);
-  if (2 * static_cast<std::size_t>(moving) < field.blocks.size()) return ExposureNeed::MOTION;
-  return noise && *noise > kTooNoisy * contrast ? ExposureNeed::LIGHT : ExposureNeed::TEXTURE;
 }
 
 /// Where optical flow gives all of the motion: that a block has no residual velocity does not say that it does not

@@ -4,8 +4,6 @@
 #include <algorithm>
 #include <utility>
 
-#include <boost/make_shared.hpp>
-
 #include "gyro_deblur/feature_tracker.hpp"
 #include "ros/calibration_conversion.hpp"
 #include "ros/exposure_check.hpp"
@@ -28,56 +26,9 @@ std::string coverage_text(const TimeRange& needed, const std::optional<TimeRange
   return text + "some of which are farther apart than max_gyro_gap = " + seconds_text(options.max_gap_ns) + " s";
 }
 
-Readiness wait_for(Awaited awaited, PendingFrame* frame) {
-  frame->awaits = awaited;
-  return Readiness::WAITS;
-}
-
-Readiness pass_through(PendingFrame* frame, PassThroughReason reason, const std::string& text) {
-  frame->pass_through(reason, text);
-  return Readiness::PASS_THROUGH;
-}
-
 void take_times(const Exposure& message, ShutterTiming* timing) {
   timing->exposure_ns = message.exposure_time.toNSec();
   if (!message.readout_time.isZero()) timing->readout_ns = message.readout_time.toNSec();
-}
-
-/// The calibration by the camera_info that was found. Throws OptionError when it cannot be used, or contradicts the
-/// file.
-void set_calibration(const Config& config, PendingFrame* frame) {
-  const int width_px = static_cast<int>(frame->image->width), height_px = static_cast<int>(frame->image->height);
-  if (!config.calibration || !config.calibration->camera) {
-    frame->calibration = to_calibration(*frame->info, width_px, height_px, config.rectified_input);
-    return;
-  }
-  // The file describes the whole sensor; camera_info says which part of it the image shows.
-  const auto by_file = [&] { return to_calibration(*config.calibration->camera, *frame->info, width_px, height_px); };
-  if (!frame->described_by_topic) {
-    frame->calibration = by_file();
-    return;
-  }
-  const bool file_holds = config.on_calibration_conflict == OnCalibrationConflict::CONFIGURED ||
-                          is_uncalibrated(*frame->info, config.rectified_input) || lacks_lens(*frame->info);
-  if (file_holds && !config.rectified_input) {
-    frame->calibration = by_file();
-    return;
-  }
-  frame->calibration = to_calibration(*frame->info, width_px, height_px, config.rectified_input);
-  // P and R of a rectified image have no counterpart in the file.
-  if (!config.rectified_input) {
-    require_agreement(*frame->calibration, "camera_info", by_file(), config.calibration->origin);
-  }
-}
-
-constexpr char kNoCalibration[] = "no calibration";
-/// Of a lens of which nothing is known, in the image's larger side: 71 degrees from side to side.
-constexpr double kFirstFocalLength = 0.7;
-
-std::string zero_camera_info_text(const Config& config) {
-  return std::string("camera_info says that the camera is not calibrated (") + (config.rectified_input ? "P" : "K") +
-         "[0] = 0): " + without_calibration_text(config) + ". Calibrate it with camera_calibration" +
-         (config.rectified_input ? "" : ", or set calibration_file");
 }
 
 /// The motion of the frame's picture, where another image that shows it has had it; null otherwise.
@@ -165,7 +116,7 @@ std::optional<SynchronizedFrame> FrameSynchronizer::next(const Followed& followe
     // Without a reason the frame would be tried again for ever, and hold up all that come after it.
     frame.pass_through(PassThroughReason::INTERNAL_ERROR, error.what());
   }
-  frame.info = best_info(frame);
+  frame.info = calibration_search().best_info(frame);
   if (frame.pass_through_reason == PassThroughReason::NONE) overload_.begin(steady_ns, next.behind_camera_rate);
   next.frame = queue().pop();
   return next;
@@ -178,7 +129,7 @@ Readiness FrameSynchronizer::decide(PendingFrame* frame, PictureMotion* motion) 
   if (!config_error().empty()) return pass_through(frame, PassThroughReason::BAD_CONFIGURATION, config_error());
   Readiness readiness = Readiness::READY;
   // A waiting frame that uses the calibration file takes its camera_info instead once that has come.
-  if (!frame->described_by_topic) readiness = find_calibration(frame);
+  if (!frame->described_by_topic) readiness = calibration_search().find(frame);
   if (const PictureMotion* known = known_motion(*frame); known && readiness == Readiness::READY) {
     *motion = *known;
     return Readiness::READY;
@@ -209,104 +160,6 @@ void FrameSynchronizer::check_overload(TimeNs steady_ns, PendingFrame* frame, Sy
   const std::string overload = overload_.pass_through_text(steady_ns, ready_ns, ready_behind, period_ns);
   if (!overload.empty()) frame->pass_through(PassThroughReason::OVERLOAD, overload);
   synchronized->behind_camera_rate = OverloadRule::is_behind_camera_rate(steady_ns, ready_ns, ready_behind, period_ns);
-}
-
-const sensor_msgs::CameraInfoConstPtr* FrameSynchronizer::find_other(TimeNs stamp_ns, bool give_up) const {
-  const CameraInfos& infos = this->infos();
-  if (is_unset(stamp_ns)) return infos.find_newest();
-  const sensor_msgs::CameraInfoConstPtr* other = infos.find_if_neighbours_agree(stamp_ns);
-  if (other == nullptr && give_up) other = infos.find_last_unchanged(stamp_ns);
-  if (other == nullptr && give_up) other = infos.find_standing(stamp_ns);
-  return other;
-}
-
-sensor_msgs::CameraInfoConstPtr FrameSynchronizer::substitute(const PendingFrame& frame, bool give_up) const {
-  const sensor_msgs::CameraInfoConstPtr* other = find_other(frame.stamp_ns, give_up);
-  if (other == nullptr || !describes_size(**other, frame.image->width, frame.image->height)) return nullptr;
-  auto info = boost::make_shared<sensor_msgs::CameraInfo>(**other);
-  info->header.stamp = frame.image->header.stamp;
-  return info;
-}
-
-std::string FrameSynchronizer::missing_info_text(const PendingFrame& frame) const {
-  const std::string text = "no camera_info with the image's stamp " + seconds_text(frame.stamp_ns) + " s";
-  const CameraInfos& infos = this->infos();
-  if (!infos.seen()) return text + ", nor any other";
-  if (const sensor_msgs::CameraInfoConstPtr* other = find_other(frame.stamp_ns, true)) {
-    return text + ", and that of adjacent images is for another size than " +
-           size_text(frame.image->width, frame.image->height) + " px: its size is " +
-           size_text((*other)->width, (*other)->height) + ", its region of interest " +
-           size_text((*other)->roi.width, (*other)->roi.height);
-  }
-  switch (infos.near(frame.stamp_ns)) {
-    case 0:
-      return text + ", and none within 1 s of it";
-    case 1:
-      return text + ", and a single one within 1 s of it, which may be of another region";
-    default:
-      return text + ", and those within 1 s of it differ from each other";
-  }
-}
-
-sensor_msgs::CameraInfoConstPtr FrameSynchronizer::best_info(const PendingFrame& frame) const {
-  if (frame.info) return frame.info;
-  if (const sensor_msgs::CameraInfoConstPtr* own = infos().find(frame.stamp_ns)) return *own;
-  return substitute(frame, true);
-}
-
-bool FrameSynchronizer::goes_uncalibrated(const sensor_msgs::CameraInfo& info) const {
-  const Config& config = this->config();
-  const bool by_file = config.calibration && config.calibration->camera && !config.rectified_input;
-  return goes_without_imu(config) && !by_file && !has_been_calibrated() &&
-         is_uncalibrated(info, config.rectified_input);
-}
-
-Readiness FrameSynchronizer::find_calibration(PendingFrame* frame) const {
-  const Config& config = this->config();
-  const std::optional<CameraCalibration> file =
-      config.calibration ? config.calibration->camera : std::optional<CameraCalibration>();
-  const CameraInfos& infos = this->infos();
-  const bool overtaken = infos.later(frame->stamp_ns) >= CameraInfos::kOvertaking;
-  const bool give_up = frame->timed_out || !infos.awaited() || overtaken;
-  // Only camera_info says which part of the sensor an image of another size shows.
-  const bool file_fits = file && file->width_px == static_cast<int>(frame->image->width) &&
-                         file->height_px == static_cast<int>(frame->image->height);
-  if (const sensor_msgs::CameraInfoConstPtr* info = infos.find(frame->stamp_ns)) {
-    frame->info = *info;
-    frame->described_by_topic = true;
-  } else if (frame->calibration) {
-    return Readiness::READY;  // the file's or none, from before anybody sent camera_info
-  } else if (const sensor_msgs::CameraInfoConstPtr other = substitute(*frame, give_up)) {
-    frame->info = other;
-    frame->described_by_topic = true;
-  } else if (file && !config.rectified_input && ((!infos.seen() && file_fits) || give_up)) {
-    auto described = boost::make_shared<sensor_msgs::CameraInfo>(camera_info_message(*file));
-    described->header = frame->image->header;
-    frame->info = described;
-  } else if (give_up && !infos.seen() && goes_without_imu(config)) {
-    frame->info = uncalibrated_camera_info(*frame->image);
-  } else if (give_up) {
-    return pass_through(frame, PassThroughReason::NO_CALIBRATION, missing_info_text(*frame));
-  } else {
-    return wait_for(Awaited::CAMERA_INFO, frame);
-  }
-  const bool uncalibrated = goes_uncalibrated(*frame->info);
-  const int width_px = static_cast<int>(frame->image->width), height_px = static_cast<int>(frame->image->height);
-  const std::optional<double> focal_length = calibration_.focal_length(width_px, height_px);
-  // That there is no camera_info is reported among the missing inputs.
-  problems_.update(kNoCalibration, uncalibrated && infos.seen() ? zero_camera_info_text(config) : "");
-  frame->lens = !uncalibrated ? Lens::CALIBRATED : focal_length ? Lens::FOCAL_LENGTH : Lens::UNKNOWN;
-  if (uncalibrated) {
-    frame->calibration = ideal_lens(width_px, height_px, focal_length.value_or(kFirstFocalLength));
-    return Readiness::READY;
-  }
-  try {
-    set_calibration(config, frame);
-  } catch (const OptionError& error) {
-    frame->calibration.reset();
-    return pass_through(frame, PassThroughReason::NO_CALIBRATION, error.what());
-  }
-  return Readiness::READY;
 }
 
 Readiness FrameSynchronizer::find_timing(PendingFrame* frame, ShutterTiming* timing, std::string* source) const {

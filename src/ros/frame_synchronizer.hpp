@@ -15,6 +15,7 @@
 #include "gyro_deblur/pixel_mask.hpp"
 #include "pipeline/exposure_choice.hpp"
 #include "ros/calibration_in_use.hpp"
+#include "ros/calibration_search.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/input_buffers.hpp"
 #include "ros/input_problems.hpp"
@@ -33,13 +34,6 @@ struct SynchronizedFrame : PictureMotion {
   PixelMask mask;                   ///< empty, or of the image's size
   /// The camera sends pictures again: what is made of this one is kept for them.
   bool pictures_repeat = false;
-};
-
-/// What a frame can do.
-enum class Readiness {
-  WAITS,         ///< for messages that may still come
-  PASS_THROUGH,  ///< it is published unchanged, PendingFrame::pass_through_reason says why
-  READY,         ///< it has what belongs to it
 };
 
 /// From messages to frames with all that belongs to them: add_image(), add_imu(), add_camera_info(), add_exposure() of
@@ -66,23 +60,12 @@ class FrameSynchronizer : public InputBuffers {
   std::optional<SynchronizedFrame> next(const Followed& followed_cam, bool finishing);
 
  private:
-  /// The camera_info of another image, or of all, that stands for the one of this stamp; null when there is none.
-  /// @param give_up  the last one will do: none that is newer is waited for
-  const sensor_msgs::CameraInfoConstPtr* find_other(TimeNs stamp_ns, bool give_up) const;
-  /// The same with this image's stamp, where it describes an image of its size; else null.
-  sensor_msgs::CameraInfoConstPtr substitute(const PendingFrame& frame, bool give_up) const;
-  /// Why there is no camera_info for the frame. Precondition: there is none.
-  std::string missing_info_text(const PendingFrame& frame) const;
   const Config& config() const { return calibration_.config(); }
+  CalibrationSearch calibration_search() const { return {*this, calibration_, &problems_}; }
 
   /// The rule: records in `frame` what was found and whether it passes through, in `motion` when and how it was
   /// exposed, but for the samples: cheap enough for every message.
   Readiness decide(PendingFrame* frame, PictureMotion* motion) const;
-  /// Whether optical flow alone moves images of this camera_info, because nothing describes the camera. A single
-  /// message of zeros in a stream of others is a fault.
-  bool goes_uncalibrated(const sensor_msgs::CameraInfo& info) const;
-  /// The frame's camera_info and calibration, from the topic or the calibration file.
-  Readiness find_calibration(PendingFrame* frame) const;
   Readiness find_exposure(PendingFrame* frame, PictureMotion* motion) const;
   /// Exposure and readout time from a message, a setting or the parameters.
   /// @param source  what the exposure time is of, for messages
@@ -101,10 +84,6 @@ class FrameSynchronizer : public InputBuffers {
   void record_lacking_samples(const PendingFrame& frame, const PictureMotion& motion);
   /// Lets a frame pass through that comes too late to be processed.
   void check_overload(TimeNs steady_ns, PendingFrame* frame, SynchronizedFrame* synchronized) const;
-  /// The frame's own camera_info, or a copy of its neighbours' where that is lost; null when there is none, or none of
-  /// its neighbours' describes an image of this size.
-  sensor_msgs::CameraInfoConstPtr best_info(const PendingFrame& frame) const;
-
   const Extrinsic extrinsic_;
   const CalibrationInUse& calibration_;
   const ExposureChoice& exposures_;
