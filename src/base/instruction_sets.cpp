@@ -1,6 +1,10 @@
 // Finds out which instruction set this processor has.
 #include "base/instruction_sets.hpp"
 
+#if defined(__aarch64__) && defined(__linux__)
+#include <sys/auxv.h>
+#endif
+
 namespace gyro_deblur {
 
 bool runs_instruction_set(const char* name) {
@@ -11,6 +15,9 @@ bool runs_instruction_set(const char* name) {
            __builtin_cpu_supports("avx512vbmi");
   }
   if (std::strcmp(name, "avx2") == 0) return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+#elif defined(__aarch64__) && defined(__linux__)
+  constexpr unsigned long kHasDotProduct = 1UL << 20;  // HWCAP_ASIMDDP, which old headers lack
+  if (std::strcmp(name, "dotprod") == 0) return (getauxval(AT_HWCAP) & kHasDotProduct) != 0;
 #endif
   return std::strcmp(name, "baseline") == 0;
 }

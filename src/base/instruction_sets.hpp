@@ -9,7 +9,8 @@
 
 namespace gyro_deblur {
 
-/// Whether this processor runs what is compiled for "baseline", "avx2" or "avx512"; false for any other name.
+/// Whether this processor runs what is compiled for "baseline" (SSE2, or NEON on 64-bit ARM), "avx2", "avx512" or
+/// "dotprod" (ARMv8.2 with SDOT, Linux); false for any other name.
 bool runs_instruction_set(const char* name);
 
 /// kWidestFirst: the variants of `Kernels`. The last one is "baseline", which every processor runs.
@@ -31,6 +32,18 @@ struct SimdVariants;
   template <>                                                                                                         \
   struct SimdVariants<Kernels> {                                                                                      \
     static constexpr const Kernels* kWidestFirst[] = {&avx512::k##Kernels, &avx2::k##Kernels, &baseline::k##Kernels}; \
+  };
+#elif defined(__aarch64__) && defined(__linux__)
+#define GYRO_DEBLUR_SIMD_KERNELS(Kernels)                                                           \
+  namespace baseline {                                                                              \
+  extern const Kernels k##Kernels;                                                                  \
+  }                                                                                                 \
+  namespace dotprod {                                                                               \
+  extern const Kernels k##Kernels;                                                                  \
+  }                                                                                                 \
+  template <>                                                                                       \
+  struct SimdVariants<Kernels> {                                                                    \
+    static constexpr const Kernels* kWidestFirst[] = {&dotprod::k##Kernels, &baseline::k##Kernels}; \
   };
 #else
 #define GYRO_DEBLUR_SIMD_KERNELS(Kernels)                                     \

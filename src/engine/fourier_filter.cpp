@@ -16,14 +16,14 @@ namespace {
 // Longest side of a cell [px]: that of usual blocks.
 constexpr int kMaxCellPx = 64;
 
-// Margin of a tile around its window, in extents of the path: doc/reports/filter_constants.md.
+// Margin of a tile around its window, in extents of the path: quality against time (doc/reports/filter_constants.md).
 constexpr float kAroundExtents = 1.5;
 static_assert(2 * kMaxCellPx + kAroundExtents * kMax2dExtentPx <= kMaxFourierSize, "paths of fields have their tiles");
 
 // Length of the single step towards a consistent continuation outside the image (doc/reports/filter_constants.md).
 constexpr float kOverRelaxation = 2.5f;
 
-// At half the size restoration falls off between these [cycles/px]: halving mixes what is beyond.
+// At half the size restoration falls off between these [cycles/px]: halving folds what is beyond onto it.
 constexpr double kFallsFrom = 0.16, kEndsAt = 0.24;
 // Half the size serves where at kEndsAt the mean gain in power of a straight uniform path of this extent is less than
 // this share of WienerInverse2d's ratio there: finer detail then adds noise only (doc/reports/filter_constants.md).

@@ -17,6 +17,12 @@ inline Vector pick(const float* window, IntVector index) {
   const __m256 high = _mm256_permutevar8x32_ps((__m256)load(window + kLanes), (__m256i)index);
   return (Vector)_mm256_blendv_ps(low, high, (__m256)(index << 28));  // by bit 3
 }
+#elif defined(__aarch64__)
+inline Vector pick(const float* window, IntVector index) {
+  const std::uint8_t* bytes = (const std::uint8_t*)window;
+  const uint8x16x3_t all = {{vld1q_u8(bytes), vld1q_u8(bytes + 16), vld1q_u8(bytes + 32)}};
+  return (Vector)vqtbl3q_u8(all, (uint8x16_t)(index * 0x04040404 + 0x03020100));
+}
 #else
 inline Vector pick(const float* window, IntVector index) {
   Vector v;

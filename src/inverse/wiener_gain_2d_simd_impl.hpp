@@ -16,6 +16,10 @@ inline Vector reciprocal(Vector v) {
 #elif defined(__SSE__)
   const Vector guess = (Vector)_mm_rcp_ps((__m128)v);
   return guess * (2 - v * guess);
+#elif defined(__aarch64__)
+  float32x4_t guess = vrecpeq_f32((float32x4_t)v);  // 8 bits, which every step doubles
+  guess = vmulq_f32(guess, vrecpsq_f32((float32x4_t)v, guess));
+  return (Vector)vmulq_f32(guess, vrecpsq_f32((float32x4_t)v, guess));
 #else
   return 1 / v;
 #endif

@@ -9,6 +9,8 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
+#include "compiled_sets.hpp"
+
 namespace gyro_deblur::fourier_test {
 namespace {
 
@@ -152,11 +154,11 @@ TEST_P(FourierTest, RotateAndScaleAWave) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, FourierTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, FourierTest, testing::ValuesIn(test::kInstructionSets));
 
 TEST(Fourier, LoopsOfTheWidestSetAreTheBest) {
   const char* widest = "baseline";
-  for (const char* name : {"avx2", "avx512"}) widest = find_for_cpu<FourierSimd>(name) != nullptr ? name : widest;
+  for (const char* name : test::kInstructionSets) widest = find_for_cpu<FourierSimd>(name) != nullptr ? name : widest;
   EXPECT_STREQ(select_for_cpu<FourierSimd>().name, widest);
 }
 

@@ -10,6 +10,8 @@
 
 #include <gtest/gtest.h>
 
+#include "compiled_sets.hpp"
+
 namespace gyro_deblur::noise_simd_test {
 namespace {
 
@@ -83,7 +85,7 @@ TEST_P(NoiseSimdTest, AddsSamples) {
   expect_added<std::uint16_t>(simd->add_samples16, 4095);
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, NoiseSimdTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, NoiseSimdTest, testing::ValuesIn(test::kInstructionSets));
 
 }  // namespace
 }  // namespace gyro_deblur::noise_simd_test

@@ -15,6 +15,7 @@
 #include <opencv2/core.hpp>
 
 #include "blur/blur_likelihood.hpp"
+#include "compiled_sets.hpp"
 
 namespace gyro_deblur::spectrum_simd_test {
 namespace {
@@ -208,7 +209,7 @@ TEST(SpectrumOrder, HasEachFrequencyOfAHalfPlaneOnce) {
   for (int k = 1; k < kSpectrumSectors; ++k) EXPECT_LE(most[k - 1], least[k]);
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, SpectrumSimdTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, SpectrumSimdTest, testing::ValuesIn(test::kInstructionSets));
 
 }  // namespace
 }  // namespace gyro_deblur::spectrum_simd_test

@@ -10,6 +10,7 @@
 
 #include "base/parallel.hpp"
 #include "blur/path_1d.hpp"
+#include "compiled_sets.hpp"
 #include "engine/engine.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "inverse/filter_bank.hpp"
@@ -293,7 +294,7 @@ TEST_P(CpuEngineTest, RefusesOtherTypes) {
   EXPECT_THROW(fast.filter(cv::Mat(), {}, dst), std::invalid_argument);
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, CpuEngineTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, CpuEngineTest, testing::ValuesIn(test::kInstructionSets));
 
 }  // namespace
 }  // namespace gyro_deblur::cpu_engine_test

@@ -11,6 +11,7 @@
 
 #include "base/parallel.hpp"
 #include "blur/path_2d.hpp"
+#include "compiled_sets.hpp"
 #include "engine/engine.hpp"
 #include "filter_grids.hpp"
 #include "images.hpp"
@@ -138,7 +139,7 @@ TEST_P(FourierFilterTest, MixesSizesAsTheDefinitionSays) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, FourierFilterTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, FourierFilterTest, testing::ValuesIn(test::kInstructionSets));
 
 TEST(FourierFilter, DoesNotDependOnThreads) {
   const EagerHelpers eager_helpers;

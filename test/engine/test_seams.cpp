@@ -259,8 +259,14 @@ std::string engine_name(const testing::TestParamInfo<const char*>& info) {
   name.erase(std::remove(name.begin(), name.end(), '-'), name.end());
   return name;
 }
-INSTANTIATE_TEST_SUITE_P(Engines, SeamsTest,
-                         testing::Values("float", "cpu-baseline", "cpu-avx2", "cpu-avx512", "opencl"), engine_name);
+constexpr const char* kEngines[] = {"float", "cpu-baseline",
+#if defined(__x86_64__)
+                                    "cpu-avx2", "cpu-avx512",
+#elif defined(__aarch64__)
+                                    "cpu-dotprod",
+#endif
+                                    "opencl"};
+INSTANTIATE_TEST_SUITE_P(Engines, SeamsTest, testing::ValuesIn(kEngines), engine_name);
 
 }  // namespace
 }  // namespace gyro_deblur::seams_test

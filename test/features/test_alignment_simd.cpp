@@ -9,6 +9,8 @@
 
 #include <gtest/gtest.h>
 
+#include "compiled_sets.hpp"
+
 namespace gyro_deblur::alignment_simd_test {
 namespace {
 
@@ -207,11 +209,11 @@ TEST_P(AlignmentSimdTest, SumProductsOfAnyWidth) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, AlignmentSimdTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, AlignmentSimdTest, testing::ValuesIn(test::kInstructionSets));
 
 TEST(AlignmentSimd, OfTheWidestSetAreTheBest) {
   const char* widest = "baseline";
-  for (const char* name : {"avx2", "avx512"}) widest = find_for_cpu<AlignmentSimd>(name) != nullptr ? name : widest;
+  for (const char* name : test::kInstructionSets) widest = find_for_cpu<AlignmentSimd>(name) != nullptr ? name : widest;
   EXPECT_STREQ(select_for_cpu<AlignmentSimd>().name, widest);
 }
 

@@ -8,6 +8,8 @@
 
 #include <gtest/gtest.h>
 
+#include "compiled_sets.hpp"
+
 namespace gyro_deblur::corner_simd_test {
 namespace {
 
@@ -118,11 +120,11 @@ TEST_P(CornerSimdTest, FindPeaksOfAnyWidth) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, CornerSimdTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, CornerSimdTest, testing::ValuesIn(test::kInstructionSets));
 
 TEST(CornerSimd, OfTheWidestSetAreTheBest) {
   const char* widest = "baseline";
-  for (const char* name : {"avx2", "avx512"}) widest = find_for_cpu<CornerSimd>(name) != nullptr ? name : widest;
+  for (const char* name : test::kInstructionSets) widest = find_for_cpu<CornerSimd>(name) != nullptr ? name : widest;
   EXPECT_STREQ(select_for_cpu<CornerSimd>().name, widest);
 }
 

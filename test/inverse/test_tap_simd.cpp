@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 #include <Eigen/Dense>
 
+#include "compiled_sets.hpp"
 #include "inverse/filter_bank.hpp"
 #include "inverse/line_taps.hpp"
 
@@ -91,11 +92,11 @@ TEST_P(TapSimdTest, SolveToeplitzSystems) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, TapSimdTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, TapSimdTest, testing::ValuesIn(test::kInstructionSets));
 
 TEST(TapSimd, OfTheWidestSetAreTheBest) {
   const char* widest = "baseline";
-  for (const char* name : {"avx2", "avx512"}) widest = find_for_cpu<TapSimd>(name) != nullptr ? name : widest;
+  for (const char* name : test::kInstructionSets) widest = find_for_cpu<TapSimd>(name) != nullptr ? name : widest;
   EXPECT_STREQ(select_for_cpu<TapSimd>().name, widest);
 }
 

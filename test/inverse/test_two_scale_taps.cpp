@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
+#include "compiled_sets.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "inverse/filter_bank.hpp"
 #include "inverse/line_taps.hpp"
@@ -156,7 +157,7 @@ TEST_P(TwoScaleTapsTest, HaveAllTheirShapesAhead) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, TwoScaleTapsTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, TwoScaleTapsTest, testing::ValuesIn(test::kInstructionSets));
 
 // What the spline between nodes of one sample makes of the weights is the kernel, reversed.
 TEST(ShearedTaps, MakeTheKernelAgain) {

@@ -11,6 +11,7 @@
 
 #include "base/fourier_simd.hpp"
 #include "blur/path_2d.hpp"
+#include "compiled_sets.hpp"
 #include "paths_2d.hpp"
 
 namespace gyro_deblur::wiener_gain_2d_test {
@@ -112,7 +113,7 @@ TEST_P(WienerGain2dTest, IsTimesItsBand) {
   });
 }
 
-INSTANTIATE_TEST_SUITE_P(InstructionSets, WienerGain2dTest, testing::Values("baseline", "avx2", "avx512"));
+INSTANTIATE_TEST_SUITE_P(InstructionSets, WienerGain2dTest, testing::ValuesIn(test::kInstructionSets));
 
 TEST(WienerInverse2d, HasTheRatioAtASixthOfACycleAndRisesWithNoise) {
   const FilterOptions options;

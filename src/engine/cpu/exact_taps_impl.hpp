@@ -7,9 +7,14 @@ namespace gyro_deblur {
 namespace GYRO_DEBLUR_ISA {
 namespace {
 
+#if defined(__AVX512F__) || defined(__aarch64__)
+constexpr int kRegisters = 32;
+#else
+constexpr int kRegisters = 16;
+#endif
 // Outputs that are summed together: enough independent sums to hide the latency of a multiply-add.
-constexpr int kExactRows = GYRO_DEBLUR_VECTOR_BYTES == 64 ? 4 : 2;
-constexpr int kExactVectors = GYRO_DEBLUR_VECTOR_BYTES == 64 ? 3 : 2;
+constexpr int kExactRows = kRegisters == 32 ? 4 : 2;
+constexpr int kExactVectors = kRegisters == 32 ? 3 : 2;
 
 struct ExactLayout {
   int rows, width, first_m, first_n;
@@ -35,8 +40,8 @@ inline void store_exact_outputs(const TileGeometry& tile, const ExactFilter& fil
   }
 }
 
-/// Walks over the tile's outputs, kExactRows by at most kExactVectors, and lets sum(at, sums) fill the sums, which are
-/// 0, for the outputs whose first one is at offset `at` of the neighbourhood, whose rows are `stride` apart.
+/// Walks over the tile's outputs, kExactRows by at most kExactVectors, and lets sum(at, sums) set the sums for the
+/// outputs whose first one is at offset `at` of the neighbourhood, whose rows are `stride` apart.
 template <typename Sum>
 inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filter, std::uint8_t* out, int stride,
                               Sum sum) {
@@ -92,6 +97,45 @@ inline void copy_neighbourhood(const SourcePlane<std::uint8_t>& source, const Ex
 /// Columns of a neighbourhood: a pair begins in the last one.
 inline int pair_columns(const ExactLayout& layout) { return round_up(layout.width + 1, kCacheLineBytes); }
 
+#if defined(__aarch64__)
+
+TileNeeds exact_pairs_needs(const TileGeometry& tile, const ExactFilter& filter) {
+  const ExactLayout layout(tile, filter);
+  const std::size_t pixels = static_cast<std::size_t>(layout.rows) * pair_columns(layout);
+  return {pixels * (sizeof(std::int16_t) + 1) / sizeof(float), 0};
+}
+
+/// NEON multiplies four pixels of 16 bits by a weight, and adds, in one instruction: there are no pairs.
+void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+                    float* scratch, std::uint8_t* out) {
+  const ExactLayout layout(tile, filter);
+  const int stride = pair_columns(layout), count = layout.rows * stride;
+  std::int16_t* pixels = reinterpret_cast<std::int16_t*>(scratch);
+  std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(pixels + count);
+  copy_neighbourhood(source, layout, stride, bytes, stride);
+  for (int i = 0; i < count; ++i) pixels[i] = bytes[i];
+  for_exact_outputs(tile, filter, out, stride, [&](int at, auto& sums) {
+    constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
+    int32x4_t acc[kExactRows][kVectors] = {};  // local, so that it stays in registers
+    for (int t = 0; t < filter.count; ++t) {
+      const PairTap& tap = filter.taps[t];
+      const std::int16_t* from = pixels + at + tap.m * stride + tap.n;
+      const auto low = static_cast<std::int16_t>(tap.weights), high = static_cast<std::int16_t>(tap.weights >> 16);
+      for (int row = 0; row < kExactRows; ++row, from += stride) {
+        for (int v = 0; v < kVectors; ++v) {
+          acc[row][v] = vmlal_n_s16(acc[row][v], vld1_s16(from + v * kLanes), low);
+          acc[row][v] = vmlal_n_s16(acc[row][v], vld1_s16(from + v * kLanes + 1), high);
+        }
+      }
+    }
+    for (int row = 0; row < kExactRows; ++row) {
+      for (int v = 0; v < kVectors; ++v) sums[row][v] = (IntVector)acc[row][v];
+    }
+  });
+}
+
+#else
+
 TileNeeds exact_pairs_needs(const TileGeometry& tile, const ExactFilter& filter) {
   const ExactLayout layout(tile, filter);
   const std::size_t pairs = static_cast<std::size_t>(layout.rows) * layout.width;
@@ -129,11 +173,47 @@ void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
   });
 }
 
-#if defined(__AVX512VBMI__) && defined(__AVX512VNNI__)
+#endif
+
+#if defined(__AVX512VBMI__) && defined(__AVX512VNNI__) || defined(__aarch64__) && defined(__ARM_FEATURE_DOTPROD)
 
 // Two steps of the line at once: bytes (m, n), (m, n + 1) of one and (m', n'), (m', n' + 1) of the next are put side by
-// side for 16 outputs by one permutation, and multiplied by one dot product with weights in bytes.
+// side for kLanes outputs by one permutation, and multiplied by one dot product with weights in bytes.
 constexpr bool kHasByteWeights = true;
+
+#if defined(__ARM_FEATURE_DOTPROD)
+
+using Bytes = uint8x16_t;
+constexpr int kPixelOffset = 128;  // SDOT takes signed bytes: pixels less this
+
+inline Bytes load_bytes(const std::uint8_t* from) { return vld1q_u8(from); }
+/// Of two vectors, i, i + 1 of the first and i, i + 1 of the second, for i from `begin` on.
+inline Bytes side_by_side(int begin) {
+  const IntVector counting = {0, 1, 2, 3};
+  return (Bytes)((counting + begin) * 0x01010101 + 0x11100100);
+}
+inline IntVector add_products(IntVector acc, Bytes first, Bytes second, Bytes order, std::int32_t weights) {
+  const uint8x16x2_t both = {{first, second}};
+  return (IntVector)vdotq_s32((int32x4_t)acc, (int8x16_t)vqtbl2q_u8(both, order), (int8x16_t)vdupq_n_s32(weights));
+}
+
+#else
+
+using Bytes = __m512i;
+constexpr int kPixelOffset = 0;
+
+inline Bytes load_bytes(const std::uint8_t* from) { return _mm512_loadu_si512(from); }
+/// Of two vectors, i, i + 1 of the first and i, i + 1 of the second, for i from `begin` on.
+inline Bytes side_by_side(int begin) {
+  const IntVector counting = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  return (Bytes)((counting + begin) * 0x01010101 + 0x41400100);
+}
+inline IntVector add_products(IntVector acc, Bytes first, Bytes second, Bytes order, std::int32_t weights) {
+  return (IntVector)_mm512_dpbusd_epi32((__m512i)acc, _mm512_permutex2var_epi8(first, order, second),
+                                        _mm512_set1_epi32(weights));
+}
+
+#endif
 
 struct Quad {
   int lower, upper;      // places of the first byte of either step in the neighbourhood, relative to the output
@@ -160,9 +240,15 @@ void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
   const int stride = quad_stride(layout);
   std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(scratch);
   copy_neighbourhood(source, layout, quad_columns(layout), bytes, stride);
+  if (kPixelOffset != 0) {
+    for (int r = 0; r < layout.rows; ++r) {
+      for (int i = 0; i < quad_columns(layout); ++i) bytes[r * stride + i] ^= kPixelOffset;
+    }
+  }
 
   Quad* list = reinterpret_cast<Quad*>(bytes + layout.rows * stride);
   int count = 0;
+  std::int32_t of_offset = 0;
   const auto low_half = [](std::int32_t weights) {
     return static_cast<std::int32_t>(static_cast<std::uint32_t>(weights) << 16) >> 16;
   };
@@ -177,29 +263,26 @@ void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
       w[3] = upper.weights >> 16;
     }
     quad.weights = pack_bytes(w[0], w[1], w[2], w[3]);
+    of_offset += kPixelOffset * (w[0] + w[1] + w[2] + w[3]);
     list[count++] = quad;
   }
 
-  // From two vectors of bytes, i, i + 1 of the first and i, i + 1 of the second for i = 16 v .. 16 v + 15.
-  static_assert(kExactVectors * 16 < 64, "a vector of bytes reaches three groups of 16 and the byte after");
-  const __m512i group_step = _mm512_set1_epi8(16);
-  const __m512i counting = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
-  __m512i order[kExactVectors];
-  order[0] =
-      _mm512_add_epi32(_mm512_mullo_epi32(counting, _mm512_set1_epi32(0x01010101)), _mm512_set1_epi32(0x41400100));
-  for (int v = 1; v < kExactVectors; ++v) order[v] = _mm512_add_epi8(order[v - 1], group_step);
+  static_assert(kExactVectors * kLanes < static_cast<int>(sizeof(Bytes)), "a vector reaches them and the byte after");
+  Bytes order[kExactVectors];
+  for (int v = 0; v < kExactVectors; ++v) order[v] = side_by_side(v * kLanes);
 
   for_exact_outputs(tile, filter, out, stride, [&](int at, auto& sums) {
     constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
-    IntVector acc[kExactRows][kVectors] = {};  // local, so that it stays in registers
+    IntVector acc[kExactRows][kVectors];  // local, so that it stays in registers
+    for (int row = 0; row < kExactRows; ++row) {
+      for (int v = 0; v < kVectors; ++v) acc[row][v] = IntVector{} + of_offset;
+    }
     for (int q = 0; q < count; ++q) {
       const std::uint8_t *lower = bytes + at + list[q].lower, *upper = bytes + at + list[q].upper;
-      const __m512i weights = _mm512_set1_epi32(list[q].weights);
       for (int row = 0; row < kExactRows; ++row, lower += stride, upper += stride) {
-        const __m512i first = _mm512_loadu_si512(lower), second = _mm512_loadu_si512(upper);
+        const Bytes first = load_bytes(lower), second = load_bytes(upper);
         for (int v = 0; v < kVectors; ++v) {
-          const __m512i pixels = _mm512_permutex2var_epi8(first, order[v], second);
-          acc[row][v] = (IntVector)_mm512_dpbusd_epi32((__m512i)acc[row][v], pixels, weights);
+          acc[row][v] = add_products(acc[row][v], first, second, order[v], list[q].weights);
         }
       }
     }

@@ -9,6 +9,8 @@
 
 #if defined(__SSE2__)
 #include <emmintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
 #endif
 
 namespace gyro_deblur {
@@ -29,6 +31,21 @@ void transpose_8x8(const std::uint8_t* from, std::ptrdiff_t from_stride, std::ui
   for (int i = 0; i < 4; ++i) {
     _mm_storel_epi64(reinterpret_cast<__m128i*>(to + 2 * i * to_stride), columns[i]);
     _mm_storel_epi64(reinterpret_cast<__m128i*>(to + (2 * i + 1) * to_stride), _mm_srli_si128(columns[i], 8));
+  }
+#elif defined(__aarch64__)
+  const auto pair = [&](int row) {
+    return vreinterpretq_u16_u8(vzip1q_u8(vcombine_u8(vld1_u8(from + row * from_stride), vdup_n_u8(0)),
+                                          vcombine_u8(vld1_u8(from + (row + 1) * from_stride), vdup_n_u8(0))));
+  };
+  const uint16x8_t a = pair(0), b = pair(2), c = pair(4), d = pair(6);
+  const uint32x4_t ab_low = vreinterpretq_u32_u16(vzip1q_u16(a, b)), ab_high = vreinterpretq_u32_u16(vzip2q_u16(a, b));
+  const uint32x4_t cd_low = vreinterpretq_u32_u16(vzip1q_u16(c, d)), cd_high = vreinterpretq_u32_u16(vzip2q_u16(c, d));
+  const uint32x4_t columns[] = {vzip1q_u32(ab_low, cd_low), vzip2q_u32(ab_low, cd_low), vzip1q_u32(ab_high, cd_high),
+                                vzip2q_u32(ab_high, cd_high)};
+  for (int i = 0; i < 4; ++i) {
+    const uint8x16_t both = vreinterpretq_u8_u32(columns[i]);
+    vst1_u8(to + 2 * i * to_stride, vget_low_u8(both));
+    vst1_u8(to + (2 * i + 1) * to_stride, vget_high_u8(both));
   }
 #else
   for (int y = 0; y < 8; ++y) {

@@ -35,6 +35,10 @@ inline Vector load_pixels(const std::uint8_t* from) {
   return (Vector)_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)from)));
 #elif defined(__AVX2__)
   return (Vector)_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)from)));
+#elif defined(__aarch64__)
+  std::uint32_t four;
+  std::memcpy(&four, from, sizeof four);
+  return (Vector)vcvtq_f32_u32(vmovl_u16(vget_low_u16(vmovl_u8(vcreate_u8(four)))));
 #else
   Vector v;
   for (int i = 0; i < kLanes; ++i) v[i] = from[i];
@@ -46,6 +50,8 @@ inline Vector load_pixels(const std::uint16_t* from) {
   return (Vector)_mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i*)from)));
 #elif defined(__AVX2__)
   return (Vector)_mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i*)from)));
+#elif defined(__aarch64__)
+  return (Vector)vcvtq_f32_u32(vmovl_u16(vld1_u16(from)));
 #else
   Vector v;
   for (int i = 0; i < kLanes; ++i) v[i] = from[i];
@@ -66,6 +72,14 @@ inline void store_pixels(Pixel* to, Vector v) {
     _mm_storeu_si128((__m128i*)to, _mm512_cvtepi32_epi8(i));
   } else {
     _mm256_storeu_si256((__m256i*)to, _mm512_cvtepi32_epi16(i));
+  }
+#elif defined(__aarch64__)
+  const uint16x4_t words = vmovn_u32(vcvtq_u32_f32((float32x4_t)v));
+  if (sizeof(Pixel) == 1) {
+    const std::uint32_t four = vget_lane_u32(vreinterpret_u32_u8(vmovn_u16(vcombine_u16(words, words))), 0);
+    std::memcpy(to, &four, sizeof four);
+  } else {
+    std::memcpy(to, &words, sizeof words);
   }
 #else
   const IntVector i = __builtin_convertvector(v, IntVector);
