@@ -55,7 +55,8 @@ endif()
 foreach(folder "" /cfg /msg)
   install(CODE "file(REMOVE_RECURSE \"\$ENV{DESTDIR}\${CMAKE_INSTALL_PREFIX}/${CATKIN_PACKAGE_PYTHON_DESTINATION}${folder}/__pycache__\")")
 endforeach()
-install(DIRECTORY config launch rviz workflow
+# openvins/ is a package of its own, which is built elsewhere.
+install(DIRECTORY config launch openvins rviz workflow
   DESTINATION ${CATKIN_PACKAGE_SHARE_DESTINATION}
   USE_SOURCE_PERMISSIONS
   PATTERN __pycache__ EXCLUDE)

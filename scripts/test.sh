@@ -54,7 +54,8 @@ if command -v catkin_lint > /dev/null; then
   # is for those who work on the package.
   if catkin_lint --strict -W1 --offline --skip-path build --ignore missing_required --ignore external_directory \
     --ignore external_interface_path --ignore unguarded_test_cmd --ignore unguarded_test_depend \
-    --ignore uninstalled_script --ignore immutable_var --ignore env_var "${GYRO_DEBLUR_ROOT}"; then
+    --ignore uninstalled_script --ignore immutable_var --ignore env_var "${GYRO_DEBLUR_ROOT}" &&
+    catkin_lint --strict -W1 --offline openvins; then
     say "no complaints"
   else
     failed_checks+=("catkin_lint")

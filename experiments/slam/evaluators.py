@@ -1,9 +1,9 @@
 """What evaluates a sequence: a SLAM stack by the error of its trajectory, or, without one, the package's own tracks.
 
-An evaluator has a name, reads_tracks (whether it is given feature_tracks, not images), the metrics that it gives ({key:
-(title, digits)}, the first of which decides; less is better), evaluate(recording, folder, name), which raises Lost, and
-close(). Another stack is another class here: it gets a bag with images, or tracks, and an IMU, and its poses of the IMU
-are compared by state_errors.
+An evaluator has a name, reads_tracks (whether it is given feature_tracks, not images), variants (of slam.py's; all
+where it has none), the metrics that it gives ({key: (title, digits)}, the first of which decides; less is better),
+evaluate(recording, folder, name), which raises Lost, and close(). Another stack is another class here: it gets a bag
+with images, or tracks, and an IMU, and its poses of the IMU are compared by state_errors.
 """
 
 import dataclasses
@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 import rosbag
 
+from common import ROOT
 from trajectory import Trajectory, absolute_error_m, angle_deg, common, relative_errors, rotations
 
 RELATIVE_SPAN_S = 5.0  # of the pieces of relative errors
@@ -121,29 +122,36 @@ class OpenVins:
         "up_aruco_sigma_px": 1, "up_aruco_chi2_multipler": 1, "use_mask": False,
     }
 
-    def __init__(self, devel, folder, own_start=None):
-        """devel: the workspace's devel space; folder: for the master's files; own_start: the settings with which it
-        starts by itself, not from the true state."""
+    def __init__(self, devel, folder, changes=None, from_truth=True):
+        """devel: the workspace's devel space; folder: for the master's files, and what is built; changes: settings in
+        place of those above; from_truth: it starts from the true state, not by itself."""
         self.devel = pathlib.Path(devel).resolve()
-        self._own_start = own_start
-        self._program = self.devel / "lib" / "ov_msckf" / "ros1_serial_msckf"
-        if not self._program.is_file():
-            raise RuntimeError("there is no %s: OpenVINS has to be built for ROS 1" % self._program)
+        self._changes, self._from_truth = changes or {}, from_truth
+        if not (self.devel / "lib" / "ov_msckf" / "ros1_serial_msckf").is_file():
+            raise RuntimeError("there is no OpenVINS for ROS 1 in %s" % self.devel)
+        self._program = self.program(folder)
         self._master = Master(folder)
         self._lock, self._runs = threading.Lock(), 0
+
+    def program(self, folder):
+        """Path of what reads bags."""
+        del folder
+        return self.devel / "lib" / "ov_msckf" / "ros1_serial_msckf"
+
+    @staticmethod
+    def _topics(recording):
+        """Its arguments for the bag's topics."""
+        return ["_topic_imu:=" + recording.imu_topic, "_topic_camera0:=" + recording.image_topic]
 
     def close(self):
         self._master.end()
 
     def environment(self):
-        return {**self.environment_of(self.devel), **self._master.environment}
-
-    @staticmethod
-    def environment_of(devel):
         """For programs that use its libraries."""
-        libraries = os.pathsep.join(filter(None, [str(devel / "lib"), os.environ.get("LD_LIBRARY_PATH", "")]))
+        libraries = os.pathsep.join(filter(None, [str(self.devel / "lib"), os.environ.get("LD_LIBRARY_PATH", "")]))
         # The matrices are small: threads of the linear algebra would only wait for each other.
-        return dict(os.environ, LD_LIBRARY_PATH=libraries, OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+        return dict(os.environ, LD_LIBRARY_PATH=libraries, OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1",
+                    **self._master.environment)
 
     @staticmethod
     def run(command, states, log, environment):
@@ -224,12 +232,11 @@ class OpenVins:
         with self._lock:
             self._runs += 1
             node = "stack_%d" % self._runs
-        settings, states = self.write_settings(recording, folder, self._own_start), folder / "states.txt"
-        command = [self._program, settings, "__name:=" + node, "_path_bag:=%s" % recording.bag,
-                   "_topic_imu:=" + recording.imu_topic, "_topic_camera0:=" + recording.image_topic,
-                   "_save_total_state:=true", "_filepath_est:=%s" % states,
+        settings, states = self.write_settings(recording, folder, self._changes), folder / "states.txt"
+        command = [self._program, "_config_path:=%s" % settings, "__name:=" + node, "_path_bag:=%s" % recording.bag,
+                   *self._topics(recording), "_save_total_state:=true", "_filepath_est:=%s" % states,
                    "_filepath_std:=%s" % (folder / "deviations.txt"), "_filepath_gt:=%s" % (folder / "unused.txt")]
-        if self._own_start is None:
+        if self._from_truth:
             self.write_start(recording, folder / "start.csv")
             command.append("_path_gt:=%s" % (folder / "start.csv"))
         return self.run(command, states, folder / (name + ".log"), self.environment())
@@ -245,50 +252,35 @@ class OpenVins:
         return state_errors(estimate, truth)
 
 
-class OpenVinsTracks:
-    """OpenVINS as above, on the package's tracks in place of corners of its own: all weighed equally, 1 px as it is set, and each
-    weighed by its covariance. By a program that is built here against OpenVINS' libraries, and needs no master."""
+class OpenVinsTracks(OpenVins):
+    """OpenVINS as above, on the package's tracks in place of corners of its own."""
 
-    name = "OpenVINS on feature_tracks"
+    name = "OpenVINS on blur-aware tracks"  # results of the former tracker have another name
     reads_tracks = True
-    metrics = {**OpenVins.metrics, "weighed_ate_m": ("absolute trajectory error [m], corners weighed", 3),
-               "weighed_rte_percent": ("error relative to %g s of path [%%], corners weighed" % RELATIVE_SPAN_S, 2)}
+    variants = ("sharp", "package")
+    SIGMA_PX = 0.5  # standard deviation that it takes corners to have: doc/reports/slam.md
+    SETTINGS = {**OpenVins.SETTINGS, "up_msckf_sigma_px": SIGMA_PX, "up_slam_sigma_px": SIGMA_PX}
 
-    def __init__(self, devel, folder):
-        self.devel = pathlib.Path(devel).resolve()
-        self._reader = built_reader(self.devel, folder)
+    @classmethod
+    def with_sigma(cls, sigma_px):
+        """The same with another standard deviation, under a name of its own."""
+        settings = {**cls.SETTINGS, "up_msckf_sigma_px": sigma_px, "up_slam_sigma_px": sigma_px}
+        return type(cls.__name__, (cls,), {"name": "%s, %g px" % (cls.name, sigma_px), "SETTINGS": settings})
 
-    def close(self):
-        pass
+    def program(self, folder):
+        """Built against OpenVINS in a part of the folder."""
+        source, build = ROOT / "openvins", folder / "openvins"
+        build.mkdir(parents=True, exist_ok=True)
+        # ROS wants the distribution's Python, which need not be the first one on the path.
+        python = ["-D%s_EXECUTABLE=%s" % (name, sys.executable) for name in ("PYTHON", "Python3")]
+        run_logged(["cmake", "-S", source, "-B", build, "-DCMAKE_PREFIX_PATH=%s" % self.devel, *python],
+                   folder / "build.log")
+        run_logged(["cmake", "--build", build], folder / "build.log")
+        return build / "devel" / "lib" / "gyro_deblur_openvins" / "openvins_tracks"
 
-    def evaluate(self, recording, folder, name):
-        settings, start = OpenVins.write_settings(recording, folder), folder / "start.csv"
-        OpenVins.write_start(recording, start)
-        metrics = {}
-        for prefix, weigh in ("", []), ("weighed_", ["--weigh"]):
-            states = folder / (prefix + "states.txt")
-            command = [self._reader, settings, recording.bag, "--start", start, "--states", states, "--imu-topic",
-                       recording.imu_topic, "--tracks-topic", recording.image_topic, *weigh]
-            try:
-                estimate = OpenVins.run(command, states, folder / (prefix + name + ".log"),
-                                        OpenVins.environment_of(self.devel))
-                errors = OpenVins.errors(estimate, recording.truth)
-            except Lost:
-                errors = dict.fromkeys(OpenVins.metrics)
-            metrics.update({prefix + key: value for key, value in errors.items()})
-        return metrics
-
-
-def built_reader(devel, folder):
-    """Path of the program openvins_tracks, built in a part of the folder."""
-    source = pathlib.Path(__file__).resolve().parent / "openvins_tracks"
-    build = folder / source.name
-    build.mkdir(parents=True, exist_ok=True)
-    # ROS wants the distribution's Python, which need not be the first one on the path.
-    python = ["-D%s_EXECUTABLE=%s" % (name, sys.executable) for name in ("PYTHON", "Python3")]
-    run_logged(["cmake", "-S", source, "-B", build, "-DCMAKE_PREFIX_PATH=%s" % devel, *python], folder / "build.log")
-    run_logged(["cmake", "--build", build], folder / "build.log")
-    return build / source.name
+    @staticmethod
+    def _topics(recording):
+        return ["imu:=" + recording.imu_topic, "feature_tracks:=" + recording.image_topic]
 
 
 class OwnTracks:

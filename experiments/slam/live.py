@@ -2,7 +2,8 @@
 """Nodelet, OpenVINS and player together in real time, against the way from bag to bag: latency, drops, error, load.
 
 Renders one flight (slam_sequences), plays it through live.launch, and lets the same stack read the bag of deblur_bag;
-in both it starts by itself, in flight. Writes live.json and live.md into --out.
+in both it starts by itself, in flight. With --tracks it takes feature_tracks; gyro_deblur_openvins has to be built in its
+workspace then (doc/guides/slam.md). Writes live.json and live.md into --out.
 """
 
 import argparse
@@ -24,7 +25,7 @@ import rospy
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from common import ROOT, fail, write_markdown  # noqa: E402
-from evaluators import OpenVins, state_errors  # noqa: E402
+from evaluators import OpenVins, OpenVinsTracks, state_errors  # noqa: E402
 from slam import DRONE, NAMES, Case, bags_of, deblur, read_recording  # noqa: E402
 
 # It starts from what it sees and feels: there is no true state to start from.
@@ -95,7 +96,7 @@ def play(openvins, recording, config, folder, patience_s):
     launch = pathlib.Path(__file__).resolve().parent / "live.launch"
     command = "source '%s/setup.bash' --extend && exec roslaunch '%s'" % (openvins.devel, launch)
     for key, value in {"bag": recording.bag, "config": config, "settings": settings, "topic": recording.image_topic,
-                       "states": states, "json": report}.items():
+                       "tracks": str(openvins.reads_tracks).lower(), "states": states, "json": report}.items():
         command += " '%s:=%s'" % (key, value)
     load = Load()
     monitor = Monitor(["/camera/image_raw", recording.image_topic, "/stack/poseimu"])
@@ -115,7 +116,7 @@ def play(openvins, recording, config, folder, patience_s):
             status, "\n".join((folder / "live.log").read_text(errors="replace").splitlines()[-20:])))
     frames = json.loads(report.read_text())
     return {"frames_in": frames["frames_in"], "frames_out": frames["frames_out"],
-            "deblurred_ms": monitor.latencies_ms("/camera/image_raw", recording.image_topic),
+            "output_ms": monitor.latencies_ms("/camera/image_raw", recording.image_topic),
             # Stamped in the IMU's clock, with the instant that the image stands for.
             "pose_ms": monitor.latencies_ms("/camera/image_raw", "/stack/poseimu", round(1e9 * recording.shift_s)),
             "processor_s": load.seconds, "states": openvins.read_states(states)}
@@ -130,6 +131,7 @@ def main():
     parser.add_argument("--out", type=pathlib.Path, required=True, help="folder for the results")
     parser.add_argument("--openvins", type=pathlib.Path, required=True, metavar="DEVEL",
                         help="devel space of a workspace with OpenVINS (ROS 1)")
+    parser.add_argument("--tracks", action="store_true", help="OpenVINS takes feature_tracks, not images")
     parser.add_argument("--flight", default=DRONE, choices=sorted(NAMES))
     parser.add_argument("--exposure-ms", type=int, default=30)
     parser.add_argument("--speed", type=float, default=1.0)
@@ -143,8 +145,12 @@ def main():
     case = Case(arguments.flight, arguments.exposure_ms, arguments.speed)
     seeds = list(range(1, arguments.seeds + 1))
     runs = []
+    stack = OpenVinsTracks if arguments.tracks else OpenVins
+    node = arguments.openvins / "lib" / "gyro_deblur_openvins" / "openvins_tracks"
+    if arguments.tracks and not node.is_file():
+        fail("there is no %s: see doc/guides/slam.md" % node)
     with tempfile.TemporaryDirectory() as folder, bags_of(case, ["day"], seeds, arguments) as bags, \
-            contextlib.closing(OpenVins(arguments.openvins, arguments.out, OWN_START)) as openvins:
+            contextlib.closing(stack(arguments.openvins, arguments.out, OWN_START, from_truth=False)) as openvins:
         folder = pathlib.Path(folder)
         os.environ.update(openvins.environment())
         rospy.init_node("monitor", disable_signals=True)
@@ -154,7 +160,7 @@ def main():
             own = folder / str(seed)
             own.mkdir()
             recording = read_recording(case, bags, "day", seed, "blurred")
-            offline = deblur(recording, {}, False, own)
+            offline = deblur(recording, {}, arguments.tracks, own)
             by_bag = openvins.estimate(offline, own, "bag_%d" % seed)
             live = play(openvins, dataclasses.replace(recording, image_topic=offline.image_topic), config, own,
                         10 * case.seconds(arguments.seconds) + 120)
@@ -166,12 +172,13 @@ def main():
         json.dumps({"case": case.key, "seconds": seconds, "runs": runs}, indent=1) + "\n")
     lines = ["%s, %s, %g s; latencies from the image's arrival: median / 95 of 100 / largest" %
              (NAMES[case.flight], case.conditions(), seconds), "",
-             "| seed | frames in / out | deblurred image [ms] | pose [ms] | states live / by bag | "
-             "error live / by bag [m] | relative, live / by bag [%] | processor time of nodelet, stack [s] |",
+             "| seed | frames in / out | %s [ms] | pose [ms] | states live / by bag | "
+             "error live / by bag [m] | relative, live / by bag [%%] | processor time of nodelet, stack [s] |" %
+             ("tracks" if arguments.tracks else "deblurred image"),
              "| --- | --- | --- | --- | --- | --- | --- | --- |"]
     for run in runs:
         lines.append("| %d | %d / %d | %s | %s | %d / %d | %.3f / %.3f | %.2f / %.2f | %.1f, %.1f |" % (
-            run["seed"], run["frames_in"], run["frames_out"], quantiles(run["deblurred_ms"]),
+            run["seed"], run["frames_in"], run["frames_out"], quantiles(run["output_ms"]),
             quantiles(run["pose_ms"]), run["states"], run["states_by_bag"], run["live"]["ate_m"], run["bag"]["ate_m"],
             run["live"]["rte_percent"], run["bag"]["rte_percent"], run["processor_s"].get("deblur_manager", 0),
             run["processor_s"].get("stack", 0)))

@@ -62,10 +62,6 @@ class Case:
             parts.append("x%g" % self.speed)
         return ", ".join(parts)
 
-    def suits(self, evaluator):
-        """Tracks are those of each row's own time, and whoever evaluates them takes an image for one instant."""
-        return not (evaluator.reads_tracks and self.readout_ms)
-
 
 READOUT_MS = 20  # of the rolling shutter
 REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms in (0, READOUT_MS) for flight in (DRONE, HAND)
@@ -75,8 +71,11 @@ TUNED = [Case(TUNING, exposure_ms, speed) for speed in (1.7, 1.0) for exposure_m
 
 # How the images get to the evaluator: keys of config/default.yaml; None: as they are in the bag.
 VARIANTS = {"sharp": None, "blurred": None, "gyroscope": {"optical_flow": False}, "package": {}}
+MEASURED = ("sharp", "blurred", "package")
 TITLES = {"sharp": "sharp", "blurred": "blurred", "gyroscope": "gyroscope alone", "package": "the package"}
 COLORS = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue"}
+TRACK_TITLES = {"package": "tracks", "sharp": "tracks, sharp images"}
+TRACK_COLORS = {"package": "tab:purple", "sharp": "tab:olive"}
 # Nothing is deblurred: for tracks on images as they are.
 UNTOUCHED = {"min_extent": 1, "max_extent": 1, "optical_flow": False}
 
@@ -95,6 +94,11 @@ def options_of(variant):
         except ValueError:
             options[key] = value
     return options
+
+
+def variants_of(evaluator, variants):
+    """Those that the evaluator can be given."""
+    return [v for v in variants if v not in VARIANTS or v in getattr(evaluator, "variants", VARIANTS)]
 
 
 KEY = ("case", "seconds", "light", "seed", "variant", "evaluator")  # of a result
@@ -122,8 +126,9 @@ class Study:
     def run(self, evaluators, cases, variants):
         seeds = list(range(1, self.arguments.seeds + 1))
         known = {tuple(r[k] for k in KEY) for r in self.results}
-        missing = {case: [(evaluator, case, light, seed, variant) for evaluator in evaluators if case.suits(evaluator)
-                          for light in self.arguments.lights for seed in seeds for variant in variants
+        missing = {case: [(evaluator, case, light, seed, variant) for evaluator in evaluators
+                          for light in self.arguments.lights for seed in seeds
+                          for variant in variants_of(evaluator, variants)
                           if self._key(evaluator, case, light, seed, variant) not in known] for case in cases}
         total = sum(map(len, missing.values()))
         with tqdm(total=total, unit="run", disable=None) as bar, \
@@ -191,15 +196,21 @@ def deblur(recording, options, tracks, folder):
     command = ["rosrun", "gyro_deblur", "deblur_bag", recording.bag, output, "--config", config, "--no-keypoints",
                "--threads", 1, "--keep-all-topics"]
     if tracks:
-        run_logged(command + ["--tracks"], folder / "deblur.log")
-        return dataclasses.replace(recording, bag=output, image_topic="/camera/feature_tracks")
+        command.append("--tracks")
     if recording.rolling:
-        run_logged(command + ["--global-shutter"], folder / "deblur.log")
-        # Stamped with the instant that they are of.
-        return dataclasses.replace(recording, bag=output, image_topic="/camera/global_shutter/image_raw", shift_s=0.0,
-                                   rolling=False)
+        command.append("--global-shutter")
     run_logged(command, folder / "deblur.log")
-    return dataclasses.replace(recording, bag=output, image_topic="/camera/deblurred/image_raw")
+    return deblurred_recording(recording, tracks, output)
+
+
+def deblurred_recording(recording, tracks, bag):
+    """What deblur_bag makes of a recording: the topic of tracks or images, and what their stamps mean."""
+    if recording.rolling:
+        topic = "/camera/global_shutter/" + ("feature_tracks" if tracks else "image_raw")
+        # Stamped with the instant that they show.
+        return dataclasses.replace(recording, bag=bag, image_topic=topic, shift_s=0.0, rolling=False)
+    topic = "/camera/" + ("feature_tracks" if tracks else "deblurred/image_raw")
+    return dataclasses.replace(recording, bag=bag, image_topic=topic)
 
 
 def cell(values):
@@ -240,10 +251,12 @@ class Column:
 
 
 def columns_of(cells, variants, metric, tracks=None):
-    """tracks: cells of the evaluator that weighs the package's tracks; a column of their own."""
-    columns = [Column(TITLES.get(v, v), COLORS.get(v), cells, v, metric) for v in variants]
-    if tracks is not None and "package" in variants:
-        columns.append(Column("the package's tracks, weighed", "tab:purple", tracks, "package", "weighed_" + metric))
+    """tracks: cells of the evaluator of the package's tracks; columns of their own."""
+    columns = [Column(TITLES.get(v, v), COLORS.get(v), cells, v, metric)
+               for v in variants_of(cells.evaluator, variants)]
+    if tracks is not None:
+        columns += [Column(TRACK_TITLES.get(v, "tracks, " + v), TRACK_COLORS.get(v), tracks, v, metric)
+                    for v in sorted(variants_of(tracks.evaluator, variants), key=lambda v: v == "sharp")]
     return columns
 
 
@@ -258,10 +271,7 @@ def share_of_the_way(cells, case, light, variant, metric):
 
 def markdown(cells, tracks, cases, lights, variants):
     evaluator = cells.evaluator
-    cases = [case for case in cases if case.suits(evaluator)]
     lines = []
-    if not cases:
-        return lines
     for metric, (title, digits) in evaluator.metrics.items():
         columns = columns_of(cells, variants, metric, tracks)
         way = metric == next(iter(evaluator.metrics)) and "package" in variants
@@ -281,6 +291,25 @@ def markdown(cells, tracks, cases, lights, variants):
                     row.append(", ".join("-" if share is None else "%.0f %%" % share for share in shares))
                 lines.append("| " + " | ".join(row) + " |")
         lines.append("")
+        if tracks is not None:
+            lines += ratio_lines(columns, cases, lights)
+    return lines
+
+
+def ratio_lines(columns, cases, lights):
+    """Each column over the first: geometric mean of the cells' ratios, ± its standard error."""
+    lines = []
+    for light in lights:
+        parts = []
+        for column in columns[1:]:
+            means = [(column.of(case, light)[0], columns[0].of(case, light)[0]) for case in cases]
+            ratios = np.log([mean / first for mean, first in means if np.isfinite([mean, first]).all()])
+            if len(ratios) == len(means) > 1:
+                parts.append("%s %.2f ± %.2f" % (column.title, np.exp(ratios.mean()), np.exp(ratios.mean()) *
+                                                 ratios.std(ddof=1) / np.sqrt(len(ratios))))
+        if parts:
+            lines += ["Over %s%s: %s" % (columns[0].title, ", " + LIGHTS[light] if LIGHTS[light] else "",
+                                         ", ".join(parts)), ""]
     return lines
 
 
@@ -293,7 +322,7 @@ def plot(cells, tracks, cases, lights, variants, path):
     figure, all_axes = plt.subplots(len(rows), 1, figsize=(max(5, 1.5 + 0.62 * max(map(len, rows))), 4.3 * len(rows)),
                                     sharey=True, squeeze=False)
     for groups, axes in zip(rows, all_axes[:, 0]):
-        draw_bars([c for c in columns if all(case.suits(c.cells.evaluator) for case, _ in groups)], groups, axes)
+        draw_bars(columns, groups, axes)
         axes.set_ylabel("%s: %s" % (cells.evaluator.name, title))
     all_axes[0, 0].legend(fontsize=8, ncol=len(columns), loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
     figure.tight_layout()
@@ -330,11 +359,13 @@ def parse_arguments():
                         help="devel space of a workspace with OpenVINS (ROS 1) [the package's own tracks evaluate]")
     parser.add_argument("--tracks", action="store_true",
                         help="with --openvins: evaluate by it on the package's tracks, too, not on corners of its own")
+    parser.add_argument("--track-sigma-px", type=float,
+                        help="standard deviation that it takes tracks to have [%g]" % OpenVinsTracks.SIGMA_PX)
     parser.add_argument("--tuning", action="store_true",
                         help="on the flight that defaults are chosen on, instead of those that are reported")
-    parser.add_argument("--variants", nargs="+", default=list(VARIANTS), metavar="VARIANT",
+    parser.add_argument("--variants", nargs="+", default=list(MEASURED), metavar="VARIANT",
                         help="of %s, or KEY=VALUE[,KEY=VALUE] of the package's configuration [%s]" %
-                        (", ".join(VARIANTS), " ".join(VARIANTS)))
+                        (", ".join(VARIANTS), " ".join(MEASURED)))
     parser.add_argument("--lights", nargs="+", choices=list(LIGHTS), default=list(LIGHTS))
     parser.add_argument("--seeds", type=int, default=3, help="draws of noise [%(default)d]")
     parser.add_argument("--seconds", type=float, default=20, help="of each flight, at most [%(default)g]")
@@ -356,12 +387,18 @@ def main():
         fail("there is no %s/trajectories; see test/data/README.md" % arguments.data)
     if arguments.tracks and not arguments.openvins:
         fail("--tracks needs --openvins")
+    if arguments.track_sigma_px is not None and not arguments.tracks:
+        fail("--track-sigma-px needs --tracks")
     if not arguments.report and shutil.which("rosrun") is None:
         fail("there is no rosrun: source build/devel/setup.bash")
     arguments.out.mkdir(parents=True, exist_ok=True)
     cases = [case for case in (TUNED if arguments.tuning else REPORTED) if (arguments.only or "") in case.key]
-    types = [OwnTracks] if not arguments.openvins else [OpenVins] + [OpenVinsTracks] * arguments.tracks
-    cases = [case for case in cases if any(map(case.suits, types))]
+    types = [OpenVins] if arguments.openvins else [OwnTracks]
+    if arguments.tracks:
+        sigma_px = arguments.track_sigma_px
+        types.append(OpenVinsTracks if sigma_px is None else OpenVinsTracks.with_sigma(sigma_px))
+    if not arguments.openvins:
+        cases = [case for case in cases if not case.readout_ms]  # it takes an image for one instant
     if not cases:
         fail("--only %s: there is no such case" % arguments.only)
     study = Study(arguments)
@@ -373,8 +410,6 @@ def main():
     cells = [Cells(study.results, evaluator, arguments.seconds) for evaluator in types]
     tracks = cells[1] if len(cells) > 1 else None
     lines = markdown(cells[0], tracks, cases, arguments.lights, arguments.variants)
-    if tracks is not None:
-        lines += markdown(tracks, None, cases, arguments.lights, arguments.variants)
     write_markdown(arguments.out / "slam.md", lines)
     plot(cells[0], tracks, cases, arguments.lights, arguments.variants, arguments.out / "slam.png")
     print(arguments.out / "slam.png")

@@ -1,4 +1,4 @@
-// The camera_info of a frame, and what it says with the calibration file.
+// Finds the camera_info and the calibration of a frame.
 #include "ros/calibration_search.hpp"
 
 #include <optional>

@@ -1,4 +1,4 @@
-// The camera_info of a frame, and what it says with the calibration file.
+// Finds the camera_info and the calibration of a frame.
 #pragma once
 
 #include <string>
@@ -14,7 +14,7 @@
 
 namespace gyro_deblur {
 
-/// Of the frames of one camera. Refers to what it is made of.
+/// Finds them for the frames of one camera. Keeps references to its arguments.
 class CalibrationSearch {
  public:
   CalibrationSearch(const InputBuffers& inputs, const CalibrationInUse& calibration, InputProblems* problems)

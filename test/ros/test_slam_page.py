@@ -17,6 +17,7 @@ import roslaunch.xmlloader
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 FRONT_END = ROOT / "launch" / "slam_front_end.launch"
+ON_TRACKS = ROOT / "openvins" / "launch" / "openvins_tracks.launch"
 # Files that the page takes for granted in $HOME, and what stands for them here.
 USERS_FILES = {"my_camera.yaml": ROOT / "config" / "default.yaml", "my_camera1.yaml": ROOT / "config" / "default.yaml",
                "camchain-imucam.yaml": ROOT / "test" / "config" / "calibration" / "kalibr.yaml"}
@@ -65,13 +66,13 @@ class SlamPage(unittest.TestCase):
     def tearDownClass(cls):
         cls.temporary.cleanup()
 
-    def arguments_of_command(self, text):
-        """Of the one call of the front end in `text`; each must be an argument that it has."""
-        commands = re.findall(r"^roslaunch gyro_deblur slam_front_end\.launch ((?:.*\\\n)*.*)$", text, re.MULTILINE)
+    def arguments_of_command(self, text, package="gyro_deblur", launch=FRONT_END):
+        """Of the one call of the launch file in `text`; each must be an argument that it has."""
+        commands = re.findall(rf"^roslaunch {package} {launch.name} ((?:.*\\\n)*.*)$", text, re.MULTILINE)
         self.assertEqual(len(commands), 1, text)
         arguments = shlex.split(os.path.expandvars(commands[0].replace("\\\n", " ")))
         # roslaunch does not complain about others.
-        known = roslaunch.arg_dump.get_args([str(FRONT_END)])
+        known = roslaunch.arg_dump.get_args([str(launch)])
         for argument in arguments:
             self.assertIn(argument.partition(":=")[0], known)
         return arguments
@@ -114,6 +115,17 @@ class SlamPage(unittest.TestCase):
         (config,) = self.snippets("OpenVINS")
         self.assert_front_end(config, OPENVINS_STEREO)
         self.assertTrue(config.params["/ov_msckf/use_stereo"].value)
+
+    def test_openvins_on_tracks(self):
+        given = self.arguments_of_command(self.sections["OpenVINS on tracks"], "gyro_deblur_openvins", ON_TRACKS)
+        for rolling, topic in (("false", "feature_tracks"), ("true", "global_shutter/feature_tracks")):
+            with self.subTest(rolling_shutter=rolling):
+                config = load(ON_TRACKS, [*given, f"rolling_shutter:={rolling}"])
+                self.assert_front_end(config, NEEDS["OpenVINS"])
+                (node,) = [node for node in config.nodes if node.package == "gyro_deblur_openvins"]
+                self.assertEqual(node.type, "openvins_tracks")
+                self.assertEqual(dict(node.remap_args), {"imu": "/imu0", "feature_tracks": f"/cam0/{topic}"})
+                self.assertEqual(config.params["/ov_msckf/config_path"].value, f"{self.home}/estimator_config.yaml")
 
     def test_stacks_take_the_deblurred_images(self):
         for stack in ("ORB-SLAM3", "msckf_vio"):
