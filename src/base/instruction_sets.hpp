@@ -18,43 +18,29 @@ template <typename Kernels>
 struct SimdVariants;
 
 // No functions: headers of kernels are compiled for AVX-512, too, and the linker may keep that copy of an inline one.
+#define GYRO_DEBLUR_SIMD_VARIANT(Kernels, set) \
+  namespace set {                              \
+  extern const Kernels k##Kernels;             \
+  }
 #if defined(__x86_64__)
-#define GYRO_DEBLUR_SIMD_KERNELS(Kernels)                                                                             \
-  namespace baseline {                                                                                                \
-  extern const Kernels k##Kernels;                                                                                    \
-  }                                                                                                                   \
-  namespace avx2 {                                                                                                    \
-  extern const Kernels k##Kernels;                                                                                    \
-  }                                                                                                                   \
-  namespace avx512 {                                                                                                  \
-  extern const Kernels k##Kernels;                                                                                    \
-  }                                                                                                                   \
-  template <>                                                                                                         \
-  struct SimdVariants<Kernels> {                                                                                      \
-    static constexpr const Kernels* kWidestFirst[] = {&avx512::k##Kernels, &avx2::k##Kernels, &baseline::k##Kernels}; \
-  };
+#define GYRO_DEBLUR_WIDER_VARIANTS(Kernels) \
+  GYRO_DEBLUR_SIMD_VARIANT(Kernels, avx2)   \
+  GYRO_DEBLUR_SIMD_VARIANT(Kernels, avx512)
+#define GYRO_DEBLUR_WIDEST_FIRST(Kernels) &avx512::k##Kernels, &avx2::k##Kernels, &baseline::k##Kernels
 #elif defined(__aarch64__) && defined(__linux__)
-#define GYRO_DEBLUR_SIMD_KERNELS(Kernels)                                                           \
-  namespace baseline {                                                                              \
-  extern const Kernels k##Kernels;                                                                  \
-  }                                                                                                 \
-  namespace dotprod {                                                                               \
-  extern const Kernels k##Kernels;                                                                  \
-  }                                                                                                 \
-  template <>                                                                                       \
-  struct SimdVariants<Kernels> {                                                                    \
-    static constexpr const Kernels* kWidestFirst[] = {&dotprod::k##Kernels, &baseline::k##Kernels}; \
-  };
+#define GYRO_DEBLUR_WIDER_VARIANTS(Kernels) GYRO_DEBLUR_SIMD_VARIANT(Kernels, dotprod)
+#define GYRO_DEBLUR_WIDEST_FIRST(Kernels) &dotprod::k##Kernels, &baseline::k##Kernels
 #else
-#define GYRO_DEBLUR_SIMD_KERNELS(Kernels)                                     \
-  namespace baseline {                                                        \
-  extern const Kernels k##Kernels;                                            \
-  }                                                                           \
-  template <>                                                                 \
-  struct SimdVariants<Kernels> {                                              \
-    static constexpr const Kernels* kWidestFirst[] = {&baseline::k##Kernels}; \
-  };
+#define GYRO_DEBLUR_WIDER_VARIANTS(Kernels)
+#define GYRO_DEBLUR_WIDEST_FIRST(Kernels) &baseline::k##Kernels
 #endif
+#define GYRO_DEBLUR_SIMD_KERNELS(Kernels)                                                 \
+  GYRO_DEBLUR_SIMD_VARIANT(Kernels, baseline)                                             \
+  GYRO_DEBLUR_WIDER_VARIANTS(Kernels)                                                     \
+  template <>                                                                             \
+  struct SimdVariants<Kernels> {                                                          \
+    static constexpr const Kernels* kWidestFirst[] = {GYRO_DEBLUR_WIDEST_FIRST(Kernels)}; \
+  };
 
 /// The variant for the widest instruction set that this processor runs.
 template <typename Kernels>
