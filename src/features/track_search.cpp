@@ -176,7 +176,6 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
   for (const TrackState& state : states) {
     if (state.unpredicted_px_s) of_last.push_back({state.point.place_px, step.seconds * *state.unpredicted_px_s});
   }
-  const AwakeHelpers helpers(threads_);
   for_each(states.size(), step, [&](std::size_t i, const Thread& thread) {
     TrackCandidate& candidate = candidates[i];
     const TrackState& state = states[i];
@@ -264,6 +263,7 @@ void TrackSearch::refine(const TrackStep& step, std::vector<TrackCandidate>* can
 }
 
 std::vector<TrackCandidate> TrackSearch::follow(const TrackStep& step, std::vector<TrackState>* states) {
+  const AwakeHelpers helpers(threads_);
   pyramid_before_ = std::move(pyramid_);
   pyramid_.clear();
   std::vector<TrackCandidate> candidates = search(step, *states);
