@@ -27,6 +27,7 @@
 #include "engine/cpu/block_simd.hpp"
 #include "engine/engine.hpp"
 #include "engines.hpp"
+#include "gyro_deblur/feature_tracker.hpp"
 #include "inverse/filter_bank.hpp"
 #include "machine_peaks.hpp"
 #include "pipeline/deconvolution.hpp"
@@ -177,9 +178,10 @@ nlohmann::json measure_deconvolution(const Arguments& arguments, const FilterBan
   return records;
 }
 
-/// Stages of everything that deblurs by default, of images that follow one another.
+/// Stages of everything that deblurs by default, of images that follow one another, and of feature_tracks besides.
 struct PipelineRun {
   Pipeline pipeline;
+  std::unique_ptr<FeatureTracker> tracker;
   std::map<std::string, std::vector<double>> times_ms;
   PipelineResult result;  ///< of the newest image
 };
@@ -190,11 +192,15 @@ void run_pipeline(const PipelineSequence& sequence, bool is_first, PipelineRun& 
   constexpr double kExposureShare = 1.0 / 6;
   PipelineRequest request{true, false};
   request.exposure.emplace();
+  const Camera camera(sequence.scene.calibration);
   for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
     const RowExposure exposure = sequence.exposure(i);
     run.pipeline.estimate(sequence.frames[i], PixelLayout::GRAY, *sequence.scene.motion, exposure, request);
     run.pipeline.validate(ExposureAnswer{exposure.timing().exposure_ns, true});
     run.result = run.pipeline.deblur();
+    const double tracks_ms = ms_of(false, [&] {
+      run.tracker->track(sequence.frames[i], camera, *sequence.scene.motion, exposure, &run.result.field);
+    });
     if (is_first || i == 0) continue;  // optical flow has nothing to follow from
     const StageTimes& t = run.result.times;
     run.times_ms["flow"].push_back(t.flow_ms);
@@ -203,6 +209,7 @@ void run_pipeline(const PipelineSequence& sequence, bool is_first, PipelineRun& 
     run.times_ms["exposure"].push_back(t.exposure_ms);
     run.times_ms["validation"].push_back(t.validation_ms);
     run.times_ms["deconvolution"].push_back(t.deconvolution_ms);
+    run.times_ms["tracks"].push_back(tracks_ms);
     run.times_ms["deblurring"].push_back(t.flow_ms + t.blur_field_ms + t.noise_ms + kExposureShare * t.exposure_ms +
                                          t.validation_ms + t.deconvolution_ms);
   }
@@ -214,9 +221,11 @@ nlohmann::json measure_pipeline(const Arguments& arguments) {
   nlohmann::json records;
   const std::pair<cv::Size, double> scenes[] = {{{752, 480}, 15}, {{1280, 720}, 30}, {{1920, 1080}, 90}};
   std::printf(
-      "\nPipeline, median ms; sum: with a sixth of exposure; ORB: cv::ORB with 1000 features on the blurred image\n"
-      "%-22s %8s %6s %11s %6s %9s %11s %14s %6s %8s %8s\n",
-      "", "threads", "flow", "blur field", "noise", "exposure", "validation", "deconvolution", "sum", "ORB", "ORB/sum");
+      "\nPipeline, median ms; sum: with a sixth of exposure; ORB: cv::ORB with 1000 features on the blurred image; "
+      "tracks: what feature_tracks add\n"
+      "%-22s %8s %6s %11s %6s %9s %11s %14s %6s %8s %8s %7s\n",
+      "", "threads", "flow", "blur field", "noise", "exposure", "validation", "deconvolution", "sum", "ORB", "ORB/sum",
+      "tracks");
   for (const auto& [size, extent_px] : scenes) {
     const PipelineSequence sequence = make_pipeline_sequence(size, extent_px, kImages);
     for (const int threads : arguments.threads) {
@@ -226,7 +235,8 @@ nlohmann::json measure_pipeline(const Arguments& arguments) {
         PipelineOptions options = pipeline_options(threads);
         options.engine = engine;
         options.optical_flow = true;
-        runs.push_back({Pipeline(options), {}, {}});
+        runs.push_back({Pipeline(options), std::make_unique<FeatureTracker>(TrackerOptions{}), {}, {}});
+        runs.back().tracker->set_threads(threads);
         runs.back().pipeline.set_calibration(sequence.scene.calibration);
       }
       const cv::Ptr<cv::ORB> orb = cv::ORB::create(1000);
@@ -255,11 +265,12 @@ nlohmann::json measure_pipeline(const Arguments& arguments) {
                                  {"rejected_blocks", field.count(BlockStatus::REJECTED)}};
         const auto ms = [&](const char* stage) { return median(run.times_ms[stage]); };
         for (const auto& [stage, values] : run.times_ms) record["median_ms"][stage] = median(values);
-        std::printf("%4dx%-4d %4.0f px %6zu/%zu %4d %6.2f %11.3f %6.2f %9.2f %11.2f %14.2f %6.2f %8.2f %8.2f  %s\n",
-                    size.width, size.height, extent_px, field.count(BlockStatus::DEBLURRED), field.blocks.size(),
-                    threads, ms("flow"), ms("blur_field"), ms("noise"), ms("exposure"), ms("validation"),
-                    ms("deconvolution"), ms("deblurring"), ms("orb"), record["orb_over_deblurring"].get<double>(),
-                    run.pipeline.engine().c_str());
+        std::printf(
+            "%4dx%-4d %4.0f px %6zu/%zu %4d %6.2f %11.3f %6.2f %9.2f %11.2f %14.2f %6.2f %8.2f %8.2f %7.2f  %s\n",
+            size.width, size.height, extent_px, field.count(BlockStatus::DEBLURRED), field.blocks.size(), threads,
+            ms("flow"), ms("blur_field"), ms("noise"), ms("exposure"), ms("validation"), ms("deconvolution"),
+            ms("deblurring"), ms("orb"), record["orb_over_deblurring"].get<double>(), ms("tracks"),
+            run.pipeline.engine().c_str());
         records.push_back(record);
       }
       std::fflush(stdout);

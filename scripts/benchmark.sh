@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
-# Installs what is missing, builds the measurements in build/benchmark, and runs them: ratios between engines, the
-# processor's peaks, memory, stages of the pipeline, fidelity and seams, then Google Benchmark's suite.
-# Tables, JSON and the plot go to build/benchmark/results; --update-doc puts the tables into doc/reports/performance.md
-# and the plot into doc/images as well. Takes about ten minutes (--quick: two); use a machine that does nothing else.
+# Installs what is missing, builds the measurements in build/measurements, and runs them: ratios between engines, the
+# processor's peaks, memory, stages of the pipeline, fidelity and seams, then Google Benchmark's suite. Needs no ROS.
+# Tables, JSON and the plot go to build/measurements/results; --update-doc puts the tables into
+# doc/reports/performance.md and the plot into doc/images as well. Takes about ten minutes (--quick: two); use a machine
+# that does nothing else.
 #
 #   scripts/benchmark.sh [--quick] [--update-doc] [--skip-suite] [--skip-fidelity]
 set -euo pipefail
@@ -26,11 +27,12 @@ for argument in "$@"; do
 done
 
 step ${STEPS} "Packages"
-scripts/install_dependencies.sh build benchmark
+scripts/install_dependencies.sh benchmark
 
 step ${STEPS} "Build"
-# A folder of its own: no ROS and no tests are needed, and nothing of build/ is configured anew.
-build="${GYRO_DEBLUR_BUILD}/benchmark"
+# A folder of its own: no ROS and no tests are needed, and nothing of build/ is configured anew. Not build/benchmark,
+# where scripts/build.sh puts what it makes of benchmark/.
+build="${GYRO_DEBLUR_BUILD}/measurements"
 results="${build}/results"
 mkdir -p "${results}"
 launcher=()
@@ -38,7 +40,7 @@ if command -v ccache > /dev/null; then
   launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
 fi
 cmake -S . -B "${build}" "${launcher[@]}" -DCMAKE_BUILD_TYPE=RelWithDebInfo -DGYRO_DEBLUR_ROS=OFF \
-  -DGYRO_DEBLUR_TESTS=OFF -DGYRO_DEBLUR_BENCHMARKS=ON > "${build}/configure.log" 2>&1 ||
+  -DGYRO_DEBLUR_TESTS=OFF -DGYRO_DEBLUR_EXPERIMENTS=OFF -DGYRO_DEBLUR_BENCHMARKS=ON > "${build}/configure.log" 2>&1 ||
   { cat "${build}/configure.log" >&2; fail "cmake failed; the output is above"; }
 cmake --build "${build}" --parallel "$(build_jobs)" --target benchmarks
 

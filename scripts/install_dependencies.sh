@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs the packages that the given groups of work need, or all groups. Does nothing when they are there.
 # Debian 12 and 13: from the lists below. Ubuntu 20.04 with ROS noetic in /opt/ros: what package.xml names through
-# rosdep, the rest from the lists below.
+# rosdep, the rest from the lists below. The group benchmark needs no ROS, and no rosdep.
 #
 #   scripts/install_dependencies.sh [--list] [build] [demo] [test] [extended] [package] [benchmark] [experiments]
 #                                   [arm64]
@@ -26,10 +26,7 @@ if [[ -d /opt/ros/noetic ]]; then
   sanitizer_packages=(clang)  # with its run-time libraries
 else
   rosdep=false
-  # Also what configuring needs for the tests' targets: one configuration serves the demo and the tests.
   ros_build_packages=(
-    libboost-program-options-dev libeigen3-dev libgtest-dev libopencv-dev libyaml-cpp-dev nlohmann-json3-dev
-    ocl-icd-opencl-dev opencl-headers zlib1g-dev
     catkin rosbash ros-core-dev ros-core-python-dev
     libdiagnostic-updater-dev libdynamic-reconfigure-config-init-mutex-dev libimage-transport-dev libnodelet-dev
     libnodeletlib-dev libnodeletlib-tools librosbag-dev librostest-dev libtf2-msgs-dev libtf2-dev libtopic-tools-dev
@@ -40,7 +37,14 @@ else
   sanitizer_packages=(clang libclang-rt-dev)
 fi
 
-build_packages=(ca-certificates cmake g++ git make "${ros_build_packages[@]}")
+# All that the core, its tools and benchmarks need: no ROS. Also what configuring needs for the tests' targets: one
+# configuration serves the demo and the tests.
+core_packages=(
+  ca-certificates cmake g++ git make
+  libboost-program-options-dev libeigen3-dev libgtest-dev libopencv-dev libyaml-cpp-dev nlohmann-json3-dev
+  ocl-icd-opencl-dev opencl-headers zlib1g-dev
+)
+build_packages=("${core_packages[@]}" "${ros_build_packages[@]}")
 # Of the report scripts. The nodelet, the launch files and the tools do without.
 report_packages=(imagemagick python3-matplotlib python3-numpy python3-opencv python3-tqdm)
 # rviz is drawn by Mesa in software on a virtual display.
@@ -52,7 +56,7 @@ test_packages=(
 )
 extended_packages=("${test_packages[@]}" "${sanitizer_packages[@]}")
 package_packages=(dpkg-dev file)
-benchmark_packages=(libbenchmark-dev opencv-doc pocl-opencl-icd python3-matplotlib)
+benchmark_packages=("${core_packages[@]}" libbenchmark-dev opencv-doc pocl-opencl-icd python3-matplotlib)
 # OpenBLAS matches features for the reconstruction.
 experiments_packages=(
   colmap libopenblas0-pthread opencv-doc python3-matplotlib python3-numpy python3-opencv python3-pil
@@ -62,7 +66,9 @@ arm64_packages=(g++-aarch64-linux-gnu mmdebstrap qemu-user-static)
 
 (($# > 0)) || set -- build demo test extended package benchmark experiments arm64
 packages=()
+ros=false  # whether a group needs what package.xml names
 for group in "$@"; do
+  [[ "${group}" == benchmark ]] || ros=true
   case "${group}" in
     build) packages+=("${build_packages[@]}") ;;
     demo) packages+=("${demo_packages[@]}") ;;
@@ -96,7 +102,7 @@ apt_get() { as_root env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Ti
 
 command -v apt-get > /dev/null || fail "this is no Debian: install the packages listed in $0 by other means"
 
-if "${rosdep}"; then
+if "${rosdep}" && "${ros}"; then
   command -v rosdep > /dev/null || { apt_get update && apt_get install -y python3-rosdep; }
   [[ -d /etc/ros/rosdep/sources.list.d ]] || as_root rosdep init
   types=(--dependency-types=buildtool --dependency-types=build --dependency-types=build_export
