@@ -84,6 +84,22 @@ double interpolated_share(const Eigen::Vector2d& place_px, const Path2d& blurred
 
 }  // namespace
 
+BlurredPoint at_half_size(BlurredPoint point) {
+  constexpr double kRounding = 0.29;  // standard deviation of rounding to whole numbers
+  // The middle of the first pixel is half a pixel from that of the image's first.
+  point.place_px = 0.5 * point.place_px - Eigen::Vector2d::Constant(0.25);
+  for (Eigen::Vector2f& at_px : point.path_px) at_px *= 0.5f;
+  point.noise = std::hypot(0.5 * point.noise, kRounding);
+  return point;
+}
+
+Alignment at_whole_size(Alignment found) {
+  found.place_px = 2 * found.place_px + Eigen::Vector2d::Constant(0.5);
+  found.covariance_px2 *= 4;
+  found.min_information /= 4;
+  return found;
+}
+
 bool agrees(const Alignment& alignment) {
   // Noise alone passes nearly always; the second is for errors of the local map, in proportion to the contrast.
   constexpr double kNoiseFactor = 1.7, kContrastShare = 0.4, kMinGain = 0.5, kMaxGain = 2;

@@ -46,6 +46,11 @@ struct Alignment {
   double min_information;
 };
 
+/// The same point in the image at half the size, whose pixels are means of 2 x 2: the noise of a pixel is white.
+BlurredPoint at_half_size(BlurredPoint point);
+/// What was found at half the size, in pixels of the whole.
+Alignment at_whole_size(Alignment found);
+
 /// Whether the two patches differ by no more than noise and what a motion that is not affine makes, at a similar
 /// contrast.
 bool agrees(const Alignment& alignment);

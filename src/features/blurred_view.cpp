@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include <opencv2/imgproc.hpp>
+
 #include "blur/image_noise.hpp"
 #include "features/corner_prediction.hpp"
 
@@ -47,6 +49,14 @@ BlurredView::BlurredView(const cv::Mat& luminance, const RowExposure& exposure, 
   if (field == nullptr) return;
   grid_ = field->grid;
   residuals_ = smoothed_residuals(*field);
+}
+
+const cv::Mat& BlurredView::half_size() const {
+  std::call_once(has_half_size_, [this] {
+    const cv::Rect even(0, 0, luminance_.cols / 2 * 2, luminance_.rows / 2 * 2);
+    cv::resize(luminance_(even), half_size_, {}, 0.5, 0.5, cv::INTER_AREA);
+  });
+  return half_size_;
 }
 
 BlurredView::Residual BlurredView::residual_at(const Eigen::Vector2d& pixel_px) const {

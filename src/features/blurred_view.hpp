@@ -1,6 +1,7 @@
 // An image, and how its points move within its exposure.
 #pragma once
 
+#include <mutex>
 #include <vector>
 
 #include <Eigen/Core>
@@ -23,6 +24,8 @@ class BlurredView {
   BlurredView(const cv::Mat& luminance, const RowExposure& exposure, const FrameBlur* field);
 
   const cv::Mat& luminance() const { return luminance_; }
+  /// The same at half the size. Made when first asked for, by any thread.
+  const cv::Mat& half_size() const;
   const RowExposure& exposure() const { return exposure_; }
 
   /// Residual velocity at a pixel, the mean of those known around it.
@@ -43,6 +46,8 @@ class BlurredView {
 
  private:
   cv::Mat luminance_;
+  mutable std::once_flag has_half_size_;
+  mutable cv::Mat half_size_;
   RowExposure exposure_;
   double noise_;
   BlockGrid grid_;

@@ -170,7 +170,7 @@ void FeatureTracker::add_corners(const std::shared_ptr<const BlurredView>& view,
   std::iota(order.begin(), order.end(), 0u);
   std::stable_sort(order.begin(), order.end(),
                    [this](std::size_t a, std::size_t b) { return tracks_[a].length > tracks_[b].length; });
-  if (with_used_window_.empty()) with_used_window_ = mask_.with_used_window(largest_window_px(options_.window_px) / 2);
+  if (with_used_window_.empty()) with_used_window_ = mask_.with_used_window(largest_reach_px(options_.window_px));
   std::vector<Eigen::Vector2d> taken_px;
   std::vector<Track> tracks;
   std::vector<TrackState> states;

@@ -36,6 +36,16 @@ int window_for(const Path2d& first_px, const Path2d& second_px, int sharp_window
   return std::min(largest_window_px(sharp_window_px), sharp_window_px + 2 * static_cast<int>(extent_px / 2));
 }
 
+/// What half the size loses, long blur has taken from the image along its path, and noise hides across it. Measured
+/// with noise of 2 grey levels, where half the size serves from 30 px on, and of 4, from 15 px on
+/// (doc/reports/tracks.md).
+bool serves_at_half_size(const BlurredPoint& first, const BlurredPoint& second) {
+  constexpr double kExtentTimesNoise = 60, kLeastExtentPx = 12, kAlwaysFromPx = 30;
+  const double extent_px = std::max(extent_of(first.path_px).norm(), extent_of(second.path_px).norm());
+  return extent_px >=
+         std::clamp(kExtentTimesNoise / std::max(first.noise, second.noise), kLeastExtentPx, kAlwaysFromPx);
+}
+
 bool is_usable(const Alignment& found) {
   // A less certain place helps no estimator, and may have been found by chance. A limit of 0.7 px halves the length of
   // tracks in low light (doc/reports/tracks.md).
@@ -101,8 +111,17 @@ struct TrackSearch::Thread {
     in_to.place_px = start_px;
     AlignmentOptions options;
     options.window_px = window_for(in_from.path_px, in_to.path_px, window_px);
-    std::optional<Alignment> found =
-        aligner.align(from.luminance(), in_from, step.now.luminance(), in_to, map, options);
+    std::optional<Alignment> found;
+    if (serves_at_half_size(in_from, in_to)) {
+      options.window_px = half_size_window_px(options.window_px);
+      options.max_offset_px /= 2;
+      options.min_step_px /= 2;
+      found = aligner.align(from.half_size(), at_half_size(in_from), step.now.half_size(), at_half_size(in_to), map,
+                            options);
+      if (found) *found = at_whole_size(*found);
+    } else {
+      found = aligner.align(from.luminance(), in_from, step.now.luminance(), in_to, map, options);
+    }
     if (!found) return std::nullopt;
     found->covariance_px2 += model_variance_px2(in_from.path_px, in_to.path_px) * Eigen::Matrix2d::Identity();
     if (!is_usable(*found)) return std::nullopt;

@@ -19,9 +19,15 @@
 
 namespace gyro_deblur {
 
-/// Side of the largest window that points are compared in, in long blur.
+/// Side of the largest window at the whole size that points are compared in.
 constexpr int largest_window_px(int sharp_window_px) {
   return std::max(sharp_window_px, std::min(101, 2 * sharp_window_px - 1));
+}
+/// Side in pixels of half the size that takes the place of one in pixels of the whole: it covers a quarter more. Odd.
+constexpr int half_size_window_px(int window_px) { return 5 * window_px / 8 | 1; }
+/// How far from a point its window may reach in pixels of the whole size.
+constexpr int largest_reach_px(int sharp_window_px) {
+  return 2 * (half_size_window_px(largest_window_px(sharp_window_px)) / 2) + 1;
 }
 
 /// What is known of a track in the newest image.

@@ -55,6 +55,12 @@ cv::Mat exposed(const cv::Mat& image, double noise, std::uint64_t seed) {
   return result;
 }
 
+cv::Mat halved(const cv::Mat& image) {
+  cv::Mat half;
+  cv::resize(image, half, {}, 0.5, 0.5, cv::INTER_AREA);
+  return half;
+}
+
 /// Points of two images of one texture.
 struct Comparison {
   int found = 0;
@@ -76,9 +82,13 @@ class BlurAlignmentTest : public testing::Test {
           start_px = truth_px + Eigen::Vector2d(rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0));
       const double sigma = std::hypot(noise, kRounding);
       const Path2d none = still_path();
-      const auto found = aligner_.align(from, {at_px, knows_paths ? first_.path_px : none, sigma}, to,
-                                        {start_px, knows_paths ? second_.path_px : none, sigma}, map, options_);
+      const BlurredPoint in_from{at_px, knows_paths ? first_.path_px : none, sigma},
+          in_to{start_px, knows_paths ? second_.path_px : none, sigma};
+      auto found = half_size_ ? aligner_.align(halved(from), at_half_size(in_from), halved(to), at_half_size(in_to),
+                                               map, options_)
+                              : aligner_.align(from, in_from, to, in_to, map, options_);
       if (!found) continue;
+      if (half_size_) *found = at_whole_size(*found);
       ++result.found;
       const Eigen::Vector2d error_px = found->place_px - truth_px;
       result.mean_px += error_px;
@@ -106,6 +116,7 @@ class BlurAlignmentTest : public testing::Test {
   View first_, second_{some_map(), {-12.3, 20.6}};
   BlurAligner aligner_;
   AlignmentOptions options_;
+  bool half_size_ = false;
   int points_ = 100;
 };
 
@@ -168,6 +179,23 @@ TEST_F(BlurAlignmentTest, CovarianceAndExpectedResidualAreThoseOfTheErrors) {
       EXPECT_NEAR(result.residual_ratio, 1, 0.1);
     }
   }
+}
+
+TEST_F(BlurAlignmentTest, HalfTheSizeServesInLongBlur) {
+  half_size_ = true;
+  first_.path_px = straight_path(40, 0.5);
+  second_.path_px = straight_path(48, 1.0);
+  // Half a pixel left out on the way there and back would be .02 and .03 px by this map.
+  const Comparison clean = compare();
+  EXPECT_GE(clean.found, 95);
+  EXPECT_LT(clean.mean_px.cwiseAbs().maxCoeff(), 0.01);
+  const Comparison noisy = compare(4);
+  std::printf("off by (%.4f, %.4f) px; noise 4: %d found, size of error (%.3f, %.3f) px, e^T C^-1 e %.2f\n",
+              clean.mean_px.x(), clean.mean_px.y(), noisy.found, noisy.mean_size_px.x(), noisy.mean_size_px.y(),
+              noisy.mahalanobis);
+  EXPECT_GE(noisy.found, 95);
+  EXPECT_GT(noisy.mahalanobis, 1.4);
+  EXPECT_LT(noisy.mahalanobis, 2.8);
 }
 
 TEST_F(BlurAlignmentTest, NoiseIsNotTakenForContrast) {

@@ -59,6 +59,23 @@ class BlurredViewTest : public testing::Test {
   const FrameBlur field_ = moving_field();
 };
 
+TEST_F(BlurredViewTest, PixelsAtHalfTheSizeAreMeansOfFour) {
+  // The last column and row of an odd size have no partners.
+  cv::Mat image(5, 5, CV_8UC1);
+  for (int y = 0; y < image.rows; ++y) {
+    for (int x = 0; x < image.cols; ++x) image.at<unsigned char>(y, x) = static_cast<unsigned char>(10 * y + 4 * x);
+  }
+  const BlurredView view(image, exposure(0), nullptr);
+  const cv::Mat& half = view.half_size();
+  ASSERT_EQ(half.size(), cv::Size(2, 2));
+  for (int y = 0; y < 2; ++y) {
+    for (int x = 0; x < 2; ++x) EXPECT_EQ(half.at<unsigned char>(y, x), 20 * y + 8 * x + 7) << x << ", " << y;
+  }
+  cv::Mat same_pixels = half;
+  same_pixels.at<unsigned char>(0, 0) = 255;
+  EXPECT_EQ(view.half_size().at<unsigned char>(0, 0), 255) << "made again";
+}
+
 TEST_F(BlurredViewTest, PathIsThatOfRotationAndResidualVelocity) {
   const BlurredView view(image_, exposure(0), &field_);
   const BlurredPoint point = view.point_at(kPixel, camera(), rolling());

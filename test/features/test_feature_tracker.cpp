@@ -12,6 +12,7 @@
 #include <yaml-cpp/yaml.h>
 #include <opencv2/imgproc.hpp>
 
+#include "base/parallel.hpp"
 #include "sim/scene.hpp"
 #include "sim/simulator.hpp"
 
@@ -106,46 +107,75 @@ TEST_F(FeatureTrackerTest, FollowsCornersWhereTheTruthHasThem) {
   EXPECT_GE(run_.longest, 6);
 }
 
-/// The same camera with blur of up to 20 px.
+/// The same camera with blur.
 class BlurredTrackerTest : public FeatureTrackerTest {
  protected:
-  BlurredTrackerTest() : FeatureTrackerTest(0.020) {}
+  explicit BlurredTrackerTest(double exposure_s = 0.020) : FeatureTrackerTest(exposure_s) {}
+
+  /// @param median_px, most_px  that half and nine tenths of the errors from image to image are below
+  void expect_errors_below(double median_px, double most_px) {
+    FeatureTracker tracker(options_);
+    std::map<std::int32_t, Eigen::Vector2d> before_px;
+    std::map<std::int32_t, std::pair<int, Eigen::Vector2d>> births;
+    std::vector<double> errors_px;
+    double squared = 0;
+    std::size_t lost = 0;
+    for (int i = 0; i < simulator_.frames(); ++i) {
+      std::map<std::int32_t, Eigen::Vector2d> now_px;
+      for (const Track& track :
+           tracker.track(images_[static_cast<std::size_t>(i)], simulator_.camera(), motion_, simulator_.exposure(i))) {
+        now_px[track.id] = track.pixel_px;
+        const auto& [birth, born_px] = births.insert({track.id, {i, track.pixel_px}}).first->second;
+        if (track.length == 1) {
+          EXPECT_TRUE(track.covariance_px2.isZero());
+          continue;
+        }
+        errors_px.push_back((track.pixel_px - truth(i - 1, before_px.at(track.id), i)).norm());
+        const Eigen::Vector2d error_px = track.pixel_px - truth(birth, born_px, i);
+        ASSERT_GT(track.covariance_px2.determinant(), 0);
+        squared += error_px.dot(track.covariance_px2.inverse() * error_px);
+        lost += error_px.norm() > 2 ? 1 : 0;
+      }
+      before_px = now_px;
+    }
+    ASSERT_GT(errors_px.size(), 200u);
+    EXPECT_LT(lost, errors_px.size() / 50);
+    const auto count = static_cast<double>(errors_px.size());
+    std::sort(errors_px.begin(), errors_px.end());
+    EXPECT_LT(errors_px[errors_px.size() / 2], median_px);
+    EXPECT_LT(errors_px[errors_px.size() * 9 / 10], most_px);
+    // 2 where covariances are those of the errors, which depths that change add to: a single wall has none.
+    EXPECT_GT(squared / count, 0.1);
+    EXPECT_LT(squared / count, 4);
+  }
 };
 
-TEST_F(BlurredTrackerTest, FollowsCornersThroughBlurToATenthOfAPixel) {
-  FeatureTracker tracker(options_);
-  std::map<std::int32_t, Eigen::Vector2d> before_px;
-  std::map<std::int32_t, std::pair<int, Eigen::Vector2d>> births;
-  std::vector<double> errors_px;
-  double squared = 0;
-  std::size_t lost = 0;
+/// Up to 20 px.
+TEST_F(BlurredTrackerTest, FollowsCornersThroughBlurToATenthOfAPixel) { expect_errors_below(0.1, 0.3); }
+
+/// Up to 45 px: patches are compared at half the size.
+class LongBlurTrackerTest : public BlurredTrackerTest {
+ protected:
+  LongBlurTrackerTest() : BlurredTrackerTest(0.045) {}
+};
+
+TEST_F(LongBlurTrackerTest, FollowsCornersThroughLongBlur) { expect_errors_below(0.2, 0.5); }
+
+TEST_F(LongBlurTrackerTest, ThreadsFindTheSame) {
+  const EagerHelpers eager_helpers;
+  FeatureTracker alone(options_), together(options_);
+  alone.set_threads(1);
+  together.set_threads(4);
   for (int i = 0; i < simulator_.frames(); ++i) {
-    std::map<std::int32_t, Eigen::Vector2d> now_px;
-    for (const Track& track :
-         tracker.track(images_[static_cast<std::size_t>(i)], simulator_.camera(), motion_, simulator_.exposure(i))) {
-      now_px[track.id] = track.pixel_px;
-      const auto& [birth, born_px] = births.insert({track.id, {i, track.pixel_px}}).first->second;
-      if (track.length == 1) {
-        EXPECT_TRUE(track.covariance_px2.isZero());
-        continue;
-      }
-      errors_px.push_back((track.pixel_px - truth(i - 1, before_px.at(track.id), i)).norm());
-      const Eigen::Vector2d error_px = track.pixel_px - truth(birth, born_px, i);
-      ASSERT_GT(track.covariance_px2.determinant(), 0);
-      squared += error_px.dot(track.covariance_px2.inverse() * error_px);
-      lost += error_px.norm() > 2 ? 1 : 0;
+    const cv::Mat& image = images_[static_cast<std::size_t>(i)];
+    const std::vector<Track>& expected = alone.track(image, simulator_.camera(), motion_, simulator_.exposure(i));
+    const std::vector<Track>& tracks = together.track(image, simulator_.camera(), motion_, simulator_.exposure(i));
+    ASSERT_EQ(tracks.size(), expected.size()) << i;
+    for (std::size_t k = 0; k < tracks.size(); ++k) {
+      ASSERT_EQ(tracks[k].id, expected[k].id) << i;
+      ASSERT_EQ(tracks[k].pixel_px, expected[k].pixel_px) << i;
     }
-    before_px = now_px;
   }
-  ASSERT_GT(errors_px.size(), 200u);
-  EXPECT_LT(lost, errors_px.size() / 50);
-  const auto count = static_cast<double>(errors_px.size());
-  std::sort(errors_px.begin(), errors_px.end());
-  EXPECT_LT(errors_px[errors_px.size() / 2], 0.1);
-  EXPECT_LT(errors_px[errors_px.size() * 9 / 10], 0.3);
-  // 2 where covariances are those of the errors, which depths that change add to: a single wall has none.
-  EXPECT_GT(squared / count, 0.1);
-  EXPECT_LT(squared / count, 4);
 }
 
 TEST_F(FeatureTrackerTest, TheGyroscopesPredictionIsWhatMakesItSo) {
