@@ -86,7 +86,7 @@ double interpolated_share(const Eigen::Vector2d& place_px, const Path2d& blurred
 
 BlurredPoint at_half_size(BlurredPoint point) {
   constexpr double kRounding = 0.29;  // standard deviation of rounding to whole numbers
-  // The middle of the first pixel is half a pixel from that of the image's first.
+  // The middle of a pixel is between those of its four.
   point.place_px = 0.5 * point.place_px - Eigen::Vector2d::Constant(0.25);
   for (Eigen::Vector2f& at_px : point.path_px) at_px *= 0.5f;
   point.noise = std::hypot(0.5 * point.noise, kRounding);
