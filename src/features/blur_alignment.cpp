@@ -85,18 +85,16 @@ double interpolated_share(const Eigen::Vector2d& place_px, const Path2d& blurred
 }  // namespace
 
 BlurredPoint at_half_size(BlurredPoint point) {
-  constexpr double kRounding = 0.29;  // standard deviation of rounding to whole numbers
   // The middle of a pixel is between those of its four.
   point.place_px = 0.5 * point.place_px - Eigen::Vector2d::Constant(0.25);
   for (Eigen::Vector2f& at_px : point.path_px) at_px *= 0.5f;
-  point.noise = std::hypot(0.5 * point.noise, kRounding);
+  point.noise = std::hypot(0.5 * point.noise, kRoundingNoise);
   return point;
 }
 
 Alignment at_whole_size(Alignment found) {
   found.place_px = 2 * found.place_px + Eigen::Vector2d::Constant(0.5);
   found.covariance_px2 *= 4;
-  found.min_information /= 4;
   return found;
 }
 
@@ -443,8 +441,7 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
   if (!search(to, gradients, pattern, options, &result.place_px, &result.gain)) return std::nullopt;
   // By the gain: as the template's gradients alone would be without their noise.
   const Eigen::Matrix2d products_of_both = multiply_gradients_of_both() / result.gain;
-  result.min_information = least_eigenvalue(products_of_both) / template_.size();
-  if (!(result.min_information > kLeastInformation)) return std::nullopt;
+  if (!(least_eigenvalue(products_of_both) > kLeastInformation * template_.size())) return std::nullopt;
   result.contrast = result.gain * std::sqrt(pattern / template_.size());
   result.residual = residual(result.gain);
   const double first_variance = std::pow(result.gain * in_from.noise, 2), second_variance = std::pow(in_to.noise, 2);

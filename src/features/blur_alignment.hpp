@@ -20,6 +20,9 @@ inline Path2d still_path() {
   return path_px;
 }
 
+/// Standard deviation of the noise that rounding to whole grey levels makes: 1 / sqrt(12).
+constexpr double kRoundingNoise = 0.29;
+
 /// A scene point in a blurred image.
 struct BlurredPoint {
   Eigen::Vector2d place_px;       ///< where it is at the middle of its exposure
@@ -42,8 +45,6 @@ struct Alignment {
   double contrast;                 ///< standard deviation of the compared patch without noise [second image's levels]
   double residual;                 ///< root mean square of the difference of the patches [same]
   double expected_residual;        ///< residual that the noise of both images causes [same]
-  /// Smaller eigenvalue of the blurred gradients' matrix, a pixel, noise apart [grey levels^2/px^2].
-  double min_information;
 };
 
 /// The same point in the image at half the size, whose pixels are means of 2 x 2: the noise of a pixel is white.

@@ -12,9 +12,7 @@
 namespace gyro_deblur {
 namespace {
 
-/// Of 8-bit images whose noise cannot be estimated, such as saturated ones: that of rounding.
-constexpr double kRoundingNoise = 0.29;
-
+/// At least that of rounding, which images have whose noise cannot be estimated, such as saturated ones.
 double noise_of(const cv::Mat& luminance, const FrameBlur* field) {
   if (field != nullptr && field->noise) return std::max(kRoundingNoise, *field->noise);
   return std::max(kRoundingNoise, image_noise(luminance, PixelLayout::GRAY).value_or(kRoundingNoise));

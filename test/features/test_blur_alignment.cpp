@@ -185,7 +185,7 @@ TEST_F(BlurAlignmentTest, HalfTheSizeServesInLongBlur) {
   half_size_ = true;
   first_.path_px = straight_path(40, 0.5);
   second_.path_px = straight_path(48, 1.0);
-  // Half a pixel left out on the way there and back would be .02 and .03 px by this map.
+  // Offsets left out on the way there and back would be .04 px along y by this map.
   const Comparison clean = compare();
   EXPECT_GE(clean.found, 95);
   EXPECT_LT(clean.mean_px.cwiseAbs().maxCoeff(), 0.01);
