@@ -8,41 +8,21 @@
 #include <utility>
 
 #include <opencv2/imgproc.hpp>
-#include <opencv2/video/tracking.hpp>
 
 #include "base/require_range.hpp"
+#include "features/corner_following.hpp"
 #include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-const cv::Size kWindow(21, 21);
+constexpr int kWindowPx = 21;
 /// With the window above, steps of about 300 px from frame to frame are followed.
 constexpr int kPyramidLevels = 4;
 
 const cv::TermCriteria& until() {
   static const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.003);
   return criteria;
-}
-
-/// Which of `from` are found in `to`, and come back from there.
-/// @param to      [in] where the search begins when levels == 0 [out]
-/// @param levels  of the pyramid that are searched beyond the finest
-std::vector<bool> match(const std::vector<cv::Mat>& from_pyramid, const std::vector<cv::Mat>& to_pyramid,
-                        const std::vector<cv::Point2f>& from, int levels, double max_return_px,
-                        std::vector<cv::Point2f>* to) {
-  std::vector<bool> good(from.size(), false);
-  if (from.empty()) return good;
-  const int flags = levels == 0 ? cv::OPTFLOW_USE_INITIAL_FLOW : 0;
-  std::vector<unsigned char> found, found_back;
-  std::vector<cv::Point2f> back = from;
-  cv::calcOpticalFlowPyrLK(from_pyramid, to_pyramid, from, *to, found, cv::noArray(), kWindow, levels, until(), flags);
-  cv::calcOpticalFlowPyrLK(to_pyramid, from_pyramid, *to, back, found_back, cv::noArray(), kWindow, levels, until(),
-                           flags);
-  for (std::size_t i = 0; i < from.size(); ++i) {
-    good[i] = found[i] != 0 && found_back[i] != 0 && cv::norm(back[i] - from[i]) <= max_return_px;
-  }
-  return good;
 }
 
 /// How the surroundings of each point are distorted between two frames: the affine map that fits its neighbours best.
@@ -101,7 +81,7 @@ cv::Mat mosaic(const cv::Mat& image, const std::vector<cv::Point2f>& points,
 /// Moves the points to where their surroundings fit best, distortion allowed for: without that, a patch that rotates or
 /// grows pulls its point along, and all points of a surface in the same way.
 /// @param to  [in] where they are to within some pixels [out]
-std::vector<bool> align(const cv::Mat& from_image, const cv::Mat& to_image, const std::vector<cv::Point2f>& from,
+std::vector<char> align(const cv::Mat& from_image, const cv::Mat& to_image, const std::vector<cv::Point2f>& from,
                         double max_return_px, std::vector<cv::Point2f>* to) {
   if (from.empty()) return {};
   const std::vector<cv::Matx22d> distortions = local_distortions(from, *to);
@@ -111,16 +91,15 @@ std::vector<bool> align(const cv::Mat& from_image, const cv::Mat& to_image, cons
   for (std::size_t i = 0; i < from.size(); ++i) {
     centers.emplace_back(static_cast<float>(kTileReach), static_cast<float>(kTile * static_cast<int>(i) + kTileReach));
   }
-  std::vector<cv::Point2f> found = centers;
-  std::vector<cv::Mat> from_pyramid, to_pyramid;
-  cv::buildOpticalFlowPyramid(from_tiles, from_pyramid, kWindow, 0);
-  cv::buildOpticalFlowPyramid(to_tiles, to_pyramid, kWindow, 0);
-  const std::vector<bool> good = match(from_pyramid, to_pyramid, centers, 0, max_return_px, &found);
+  FollowedCorners followed =
+      follow_there_and_back(corner_pyramid(from_tiles, kWindowPx, 0), corner_pyramid(to_tiles, kWindowPx, 0), centers,
+                            centers, {kWindowPx, 0, until(), max_return_px});
   for (std::size_t i = 0; i < from.size(); ++i) {
-    const cv::Vec2d moved = distortions[i] * cv::Vec2d(found[i].x - centers[i].x, found[i].y - centers[i].y);
+    const cv::Point2f& found = followed.places[i];
+    const cv::Vec2d moved = distortions[i] * cv::Vec2d(found.x - centers[i].x, found.y - centers[i].y);
     (*to)[i] += cv::Point2f(static_cast<float>(moved[0]), static_cast<float>(moved[1]));
   }
-  return good;
+  return std::move(followed.found);
 }
 
 }  // namespace
@@ -138,10 +117,7 @@ void FrameTracker::add(const FrameTime& time, const cv::Mat& luminance) {
     throw std::invalid_argument("FrameTracker: frames have to be CV_8UC1 and of one size");
   }
   size_ = luminance.size();
-  std::vector<cv::Mat> pyramid;
-  constexpr bool kShareInput = false;  // the caller may overwrite it
-  cv::buildOpticalFlowPyramid(luminance, pyramid, kWindow, kPyramidLevels, true, cv::BORDER_REFLECT_101,
-                              cv::BORDER_CONSTANT, kShareInput);
+  std::vector<cv::Mat> pyramid = corner_pyramid(luminance, kWindowPx, kPyramidLevels);
   for (Anchor& anchor : growing_) {
     windows_[anchor.window].frames.push_back(time);
     follow(&anchor, pyramid, luminance.size());
@@ -173,7 +149,7 @@ void FrameTracker::start(const FrameTime& time, const cv::Mat& luminance, const 
 }
 
 void FrameTracker::follow(Anchor* anchor, const std::vector<cv::Mat>& pyramid, const cv::Size& size) {
-  const auto keep = [anchor](const std::vector<bool>& good, std::vector<cv::Point2f>* to) {
+  const auto keep = [anchor](const std::vector<char>& good, std::vector<cv::Point2f>* to) {
     std::size_t kept = 0;
     for (std::size_t i = 0; i < good.size(); ++i) {
       if (!good[i]) continue;
@@ -186,11 +162,13 @@ void FrameTracker::follow(Anchor* anchor, const std::vector<cv::Mat>& pyramid, c
     anchor->tracks.resize(kept);
     to->resize(kept);
   };
-  std::vector<cv::Point2f> to;
-  keep(match(previous_, pyramid, anchor->last, kPyramidLevels, options_.max_return_px, &to), &to);
-  std::vector<bool> good = align(anchor->pyramid[0], pyramid[0], anchor->points, options_.max_return_px, &to);
+  FollowedCorners followed = follow_there_and_back(previous_, pyramid, anchor->last, anchor->last,
+                                                   {kWindowPx, kPyramidLevels, until(), options_.max_return_px});
+  std::vector<cv::Point2f>& to = followed.places;
+  keep(followed.found, &to);
+  std::vector<char> good = align(anchor->pyramid[0], pyramid[0], anchor->points, options_.max_return_px, &to);
   // What is beyond the border is made up.
-  const int reach = kWindow.width / 2;
+  const int reach = kWindowPx / 2;
   const cv::Rect2f inside(static_cast<float>(reach), static_cast<float>(reach),
                           static_cast<float>(size.width - 2 * reach), static_cast<float>(size.height - 2 * reach));
   for (std::size_t i = 0; i < to.size(); ++i) {
