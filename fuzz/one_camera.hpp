@@ -9,8 +9,8 @@
 
 #include "gyro_deblur/config.hpp"
 #include "ros/conversions.hpp"
-#include "ros/pass_through.hpp"
 #include "ros/processor.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur::fuzz {
 

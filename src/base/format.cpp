@@ -1,8 +1,10 @@
 // Writes numbers in text.
 #include "base/format.hpp"
 
+#include <cinttypes>
 #include <cstdarg>
 #include <cstdio>
+#include <sstream>
 
 namespace gyro_deblur {
 
@@ -15,6 +17,21 @@ std::string format(const char* pattern, ...) {
   va_end(again);
   va_end(arguments);
   return text;
+}
+
+std::string seconds_text(TimeNs time_ns) {
+  constexpr std::uint64_t kNsPerSecond = 1'000'000'000;
+  const std::uint64_t magnitude =
+      time_ns < 0 ? std::uint64_t{0} - static_cast<std::uint64_t>(time_ns) : static_cast<std::uint64_t>(time_ns);
+  return format("%s%" PRIu64 ".%09" PRIu64, time_ns < 0 ? "-" : "", magnitude / kNsPerSecond, magnitude % kNsPerSecond);
+}
+
+std::string vector_text(const Eigen::Vector3d& v) { return format("[%.6f, %.6f, %.6f]", v.x(), v.y(), v.z()); }
+
+std::string size_text(double width, double height) {
+  std::ostringstream text;
+  text << width << "x" << height;
+  return text.str();
 }
 
 }  // namespace gyro_deblur

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -11,6 +10,7 @@
 
 #include <opencv2/imgproc.hpp>
 
+#include "base/format.hpp"
 #include "base/median.hpp"
 
 namespace gyro_deblur {
@@ -49,9 +49,7 @@ std::string residual_text(const FrameBlur& field) {
     }
   }
   if (lengths_px.empty()) return {};
-  char text[64];
-  std::snprintf(text, sizeof(text), "%zu with %.1f px from images", lengths_px.size(), median(lengths_px));
-  return text;
+  return format("%zu with %.1f px from images", lengths_px.size(), median(lengths_px));
 }
 
 struct LegendLine {
@@ -112,9 +110,7 @@ bool come_near(const BlurSegment& a, const BlurSegment& b, double gap_px) {
 
 void draw_legend(cv::Mat& image, const FrameBlur& field, int paths, double scale) {
   std::vector<LegendLine> lines;
-  char median[64];
-  std::snprintf(median, sizeof(median), "median blur %.1f px", median_extent_px(field));
-  lines.push_back({median, cv::Scalar::all(255)});
+  lines.push_back({format("median blur %.1f px", median_extent_px(field)), cv::Scalar::all(255)});
   for (const BlockStatus status : kBlockStatuses) {
     const std::size_t count = field.count(status);
     if (count > 0) lines.push_back({std::to_string(count) + " " + fate(status), color_bgr(status)});

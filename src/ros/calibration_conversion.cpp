@@ -11,10 +11,10 @@
 #include <Eigen/Core>
 #include <boost/make_shared.hpp>
 
+#include "base/format.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "motion/lens_models.hpp"
-#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {

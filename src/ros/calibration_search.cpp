@@ -5,6 +5,7 @@
 
 #include <boost/make_shared.hpp>
 
+#include "base/format.hpp"
 #include "ros/calibration_conversion.hpp"
 #include "ros/value_conversion.hpp"
 

@@ -6,11 +6,11 @@
 #include <sensor_msgs/CameraInfo.h>
 
 #include "gyro_deblur/time.hpp"
-#include "ros/calibration_in_use.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/input_buffers.hpp"
-#include "ros/input_problems.hpp"
 #include "ros/readiness.hpp"
+#include "sync/calibration_in_use.hpp"
+#include "sync/input_problems.hpp"
 
 namespace gyro_deblur {
 

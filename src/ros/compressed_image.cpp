@@ -12,7 +12,6 @@
 
 #include "gyro_deblur/image_format.hpp"
 #include "ros/image_conversion.hpp"
-#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -12,10 +12,10 @@
 
 #include "base/time_slice.hpp"
 #include "gyro_deblur/config.hpp"
-#include "ros/steady_clock.hpp"
-#include "ros/stored_calibration.hpp"
 #include "ros/tf_conversion.hpp"
 #include "ros/value_conversion.hpp"
+#include "sync/steady_clock.hpp"
+#include "sync/stored_calibration.hpp"
 
 namespace gyro_deblur {
 namespace {

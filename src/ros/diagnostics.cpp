@@ -3,14 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
+#include "base/format.hpp"
 #include "base/median.hpp"
 #include "blur/frame_quality.hpp"
 #include "features/residual_rotation.hpp"
-#include "ros/exposure_check.hpp"
-#include "ros/pass_through.hpp"
-#include "ros/value_conversion.hpp"
+#include "sync/exposure_check.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -52,20 +51,19 @@ DiagnosticStatusWrapper& status_of(const std::string& kind, DiagnosticStatuses* 
 
 /// What the images have shown to be wrong, and what to do.
 std::string error_text(const GyroError& error, const Eigen::Vector3d& bias_rad_s) {
-  char text[160];
   switch (error.kind) {
     case GyroError::Kind::BIAS:
-      std::snprintf(text, sizeof(text), " rad/s relative to the gyroscope for %.0f s: a bias; call ", error.seconds);
-      return "the images rotate by " + vector_text(-error.vector) + text +
+      return "the images rotate by " + vector_text(-error.vector) +
+             format(" rad/s relative to the gyroscope for %.0f s: a bias; call ", error.seconds) +
              "estimate_gyro_bias at rest, or set gyro_bias to " + vector_text(bias_rad_s + error.vector);
     case GyroError::Kind::EXTRINSIC:
-      std::snprintf(text, sizeof(text), "for %.0f s: R_cam_imu is off by about %.1f deg; calibrate it", error.seconds,
-                    error.vector.norm() * 180 / M_PI);
-      return std::string("the images rotate about another axis than the gyroscope ") + text;
+      return format(
+          "the images rotate about another axis than the gyroscope for %.0f s: R_cam_imu is off by about "
+          "%.1f deg; calibrate it",
+          error.seconds, error.vector.norm() * 180 / M_PI);
     case GyroError::Kind::TIME_OFFSET:
-      std::snprintf(text, sizeof(text), "%s the gyroscope for %.0f s: add %.4f s to time_offset",
+      return format("the images rotate %s the gyroscope for %.0f s: add %.4f s to time_offset",
                     error.time_offset_s > 0 ? "before" : "after", error.seconds, error.time_offset_s);
-      return std::string("the images rotate ") + text;
   }
   return "";
 }

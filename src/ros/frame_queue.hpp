@@ -12,9 +12,9 @@
 
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/time.hpp"
-#include "ros/pass_through.hpp"
 #include "ros/picture.hpp"
-#include "ros/time_jump.hpp"
+#include "sync/pass_through.hpp"
+#include "sync/time_jump.hpp"
 
 namespace gyro_deblur {
 

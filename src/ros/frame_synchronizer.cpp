@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <utility>
 
+#include "base/format.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "ros/calibration_conversion.hpp"
-#include "ros/exposure_check.hpp"
-#include "ros/value_conversion.hpp"
+#include "sync/exposure_check.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -14,12 +14,12 @@
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
 #include "pipeline/exposure_choice.hpp"
-#include "ros/calibration_in_use.hpp"
 #include "ros/calibration_search.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/input_buffers.hpp"
-#include "ros/input_problems.hpp"
-#include "ros/overload.hpp"
+#include "sync/calibration_in_use.hpp"
+#include "sync/input_problems.hpp"
+#include "sync/overload.hpp"
 
 namespace gyro_deblur {
 

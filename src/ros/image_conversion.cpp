@@ -10,8 +10,8 @@
 #include <sensor_msgs/image_encodings.h>
 #include <boost/make_shared.hpp>
 
-#include "ros/pass_through.hpp"
-#include "ros/value_conversion.hpp"
+#include "base/format.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -3,9 +3,10 @@
 
 #include <utility>
 
+#include "base/format.hpp"
 #include "ros/calibration_conversion.hpp"
-#include "ros/exposure_check.hpp"
 #include "ros/value_conversion.hpp"
+#include "sync/exposure_check.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -12,16 +12,16 @@
 
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/exposure.hpp"
-#include "ros/clock_check.hpp"
 #include "ros/frame_queue.hpp"
-#include "ros/gyro_source.hpp"
-#include "ros/input_problems.hpp"
 #include "ros/messages.hpp"
-#include "ros/missing_inputs.hpp"
-#include "ros/per_image_messages.hpp"
 #include "ros/picture.hpp"
 #include "ros/repetition_watch.hpp"
-#include "ros/time_jump.hpp"
+#include "sync/clock_check.hpp"
+#include "sync/gyro_source.hpp"
+#include "sync/input_problems.hpp"
+#include "sync/missing_inputs.hpp"
+#include "sync/per_image_messages.hpp"
+#include "sync/time_jump.hpp"
 
 namespace gyro_deblur {
 

@@ -5,10 +5,10 @@
 
 #include <sensor_msgs/image_encodings.h>
 
+#include "base/format.hpp"
 #include "mask_file/mask_file.hpp"
 #include "ros/image_conversion.hpp"
-#include "ros/pass_through.hpp"
-#include "ros/value_conversion.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -6,7 +6,7 @@
 #include <sensor_msgs/Image.h>
 
 #include "gyro_deblur/pixel_mask.hpp"
-#include "ros/input_problems.hpp"
+#include "sync/input_problems.hpp"
 
 namespace gyro_deblur {
 

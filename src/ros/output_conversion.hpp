@@ -17,7 +17,7 @@
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "ros/messages.hpp"
-#include "ros/pass_through.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur {
 

@@ -15,7 +15,7 @@
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/time.hpp"
 #include "pipeline/exposure_choice.hpp"
-#include "ros/pass_through.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur {
 

@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
-#include <cstdio>
 #include <limits>
 #include <memory>
 #include <utility>
@@ -10,17 +9,18 @@
 #include <sensor_msgs/image_encodings.h>
 #include <boost/make_shared.hpp>
 
+#include "base/format.hpp"
 #include "base/stopwatch.hpp"
 #include "blur/frame_quality.hpp"
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/overlay.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "ros/calibration_conversion.hpp"
-#include "ros/exposure_check.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/output_conversion.hpp"
 #include "ros/processor.hpp"
 #include "ros/value_conversion.hpp"
+#include "sync/exposure_check.hpp"
 
 namespace gyro_deblur {
 
@@ -52,10 +52,8 @@ std::string saturation_text(const SynchronizedFrame& synchronized) {
              end = synchronized.samples.begin() + static_cast<std::ptrdiff_t>(synchronized.own_end);
   const auto first = std::find_if(begin, end, saturated);
   if (first == end) return {};
-  char range[40];
-  std::snprintf(range, sizeof(range), "%g", options.range_rad_s);
-  return std::to_string(std::count_if(first, end, saturated)) + " of the " + std::to_string(end - begin) +
-         " gyroscope samples that the frame needs reach gyro_range = " + range + " rad/s, the first is " +
+  return format("%td of the %td gyroscope samples that the frame needs reach gyro_range = %g rad/s, the first is ",
+                std::count_if(first, end, saturated), end - begin, options.range_rad_s) +
          vector_text(first->rate_rad_s) + " rad/s at " + seconds_text(first->t_ns) + " s of the IMU clock";
 }
 
@@ -163,9 +161,7 @@ FrameOutput pass_through_failed(const std::string& text, const FrameOutput& made
 std::string drop_text(const FrameBlur& field) {
   const FrameQuality quality = assess_quality(field);
   if (quality.grade != QualityGrade::POOR) return {};
-  char text[40];
-  std::snprintf(text, sizeof(text), "POOR, with a score of %.3f", *quality.score);
-  return text;
+  return format("POOR, with a score of %.3f", *quality.score);
 }
 
 }  // namespace

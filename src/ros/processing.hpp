@@ -13,7 +13,7 @@
 #include "gyro_deblur/pipeline.hpp"
 #include "pipeline/exposure_choice.hpp"
 #include "ros/messages.hpp"
-#include "ros/pass_through.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur {
 

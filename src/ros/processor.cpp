@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "base/format.hpp"
 #include "engine/engine.hpp"
 #include "ros/calibration_conversion.hpp"
 #include "ros/compressed_image.hpp"
@@ -68,7 +69,7 @@ void Processor::set_config_error(const std::string& text) {
 }
 
 void Processor::add_imu(const sensor_msgs::Imu& imu) {
-  gyro_source_->add(imu);
+  gyro_source_->add(to_gyro_sample(imu), imu.header.frame_id);
   on_imu_sample();
 }
 

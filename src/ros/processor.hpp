@@ -22,17 +22,17 @@
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/rotation_track.hpp"
-#include "ros/calibration_in_use.hpp"
 #include "ros/frame_synchronizer.hpp"
-#include "ros/gyro_bias.hpp"
-#include "ros/gyro_source.hpp"
 #include "ros/input_mask.hpp"
-#include "ros/input_problems.hpp"
 #include "ros/messages.hpp"
 #include "ros/processing.hpp"
 #include "ros/self_calibrator.hpp"
 #include "ros/statistics.hpp"
-#include "ros/stereo_rig.hpp"
+#include "sync/calibration_in_use.hpp"
+#include "sync/gyro_bias.hpp"
+#include "sync/gyro_source.hpp"
+#include "sync/input_problems.hpp"
+#include "sync/stereo_rig.hpp"
 
 namespace gyro_deblur {
 

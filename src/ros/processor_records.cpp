@@ -1,11 +1,11 @@
 // What the processor reports of its input and of the frames that it publishes, and its counts.
-#include <cstdio>
 #include <string>
 #include <utility>
 
-#include "ros/exposure_check.hpp"
+#include "base/format.hpp"
 #include "ros/processor.hpp"
 #include "ros/value_conversion.hpp"
+#include "sync/exposure_check.hpp"
 
 namespace gyro_deblur {
 
@@ -70,10 +70,8 @@ void Processor::record_static_content(const FrameOutput& output) {
     problems_.resolve(kKind);
     return;
   }
-  char share[32];
-  std::snprintf(share, sizeof(share), "about %.2g %%", 100 * output.static_share);
   problems_.report(
-      kKind, std::string(share) +
+      kKind, format("about %.2g %%", 100 * output.static_share) +
                  " of the image does not move with the camera (a lens's rim, a part of the vehicle?): blocks at "
                  "its edge are not deblurred, corners on it are no landmarks. Set mask, or publish the topic "
                  "mask: mono8 of " +
@@ -107,20 +105,16 @@ void Processor::check_gyro_unit(const FrameOutput& output) {
   const bool was_wrong = std::exchange(gyro_unit_is_wrong_, fault.has_value());
   if (!fault && was_wrong) problems_.resolve(kKind);
   if (!fault || was_wrong) return;
-  char text[300];
-  if (fault->kind == GyroUnitFault::Kind::DEGREES) {
-    std::snprintf(text, sizeof(text),
-                  "the IMU reports rates of up to %.3g \"rad/s\" while the images rotate by %.3g rad/s: are they in "
-                  "degrees/s? sensor_msgs/Imu has rad/s",
-                  fault->gyro_rad_s, fault->seen_rad_s);
-  } else {
-    std::snprintf(text, sizeof(text),
-                  "all rates of the IMU are 0 while the images rotate by up to %.3g rad/s: is imu connected to an "
-                  "accelerometer's topic? realsense2_camera publishes accelerometer and gyroscope apart unless "
-                  "unite_imu_method is set",
-                  fault->seen_rad_s);
-  }
-  problems_.report(kKind, text);
+  problems_.report(
+      kKind,
+      fault->kind == GyroUnitFault::Kind::DEGREES
+          ? format("the IMU reports rates of up to %.3g \"rad/s\" while the images rotate by %.3g rad/s: are they in "
+                   "degrees/s? sensor_msgs/Imu has rad/s",
+                   fault->gyro_rad_s, fault->seen_rad_s)
+          : format("all rates of the IMU are 0 while the images rotate by up to %.3g rad/s: is imu connected to an "
+                   "accelerometer's topic? realsense2_camera publishes accelerometer and gyroscope apart unless "
+                   "unite_imu_method is set",
+                   fault->seen_rad_s));
 }
 
 ProcessorStatistics Processor::statistics() const {

@@ -7,8 +7,8 @@
 
 #include <Eigen/Geometry>
 
+#include "base/format.hpp"
 #include "gyro_deblur/rotation_track.hpp"
-#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {

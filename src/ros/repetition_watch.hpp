@@ -7,8 +7,8 @@
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/time.hpp"
 #include "ros/frame_queue.hpp"
-#include "ros/gyro_source.hpp"
-#include "ros/input_problems.hpp"
+#include "sync/gyro_source.hpp"
+#include "sync/input_problems.hpp"
 
 namespace gyro_deblur {
 

@@ -19,7 +19,7 @@
 #include "gyro_deblur/image_format.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
 #include "gyro_deblur/time.hpp"
-#include "ros/input_problems.hpp"
+#include "sync/input_problems.hpp"
 
 namespace gyro_deblur {
 

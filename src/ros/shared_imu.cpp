@@ -4,6 +4,8 @@
 #include <tuple>
 #include <utility>
 
+#include "ros/value_conversion.hpp"
+
 namespace gyro_deblur {
 namespace {
 
@@ -96,7 +98,7 @@ std::size_t SharedImu::listeners() const {
 }
 
 void SharedImu::on_imu(const sensor_msgs::ImuConstPtr& imu) {
-  if (!source_->add(*imu)) return;
+  if (!source_->add(to_gyro_sample(*imu), imu->header.frame_id)) return;
   const std::lock_guard<std::mutex> lock(mutex_);
   for (const auto& [owner, listener] : listeners_) listener();
 }

@@ -11,7 +11,7 @@
 #include <ros/ros.h>
 #include <sensor_msgs/Imu.h>
 
-#include "ros/gyro_source.hpp"
+#include "sync/gyro_source.hpp"
 
 namespace gyro_deblur {
 

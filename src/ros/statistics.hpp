@@ -13,12 +13,12 @@
 #include "features/residual_rotation.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/time.hpp"
-#include "ros/calibration_in_use.hpp"
-#include "ros/gyro_source.hpp"
 #include "ros/input_buffers.hpp"
-#include "ros/input_problems.hpp"
-#include "ros/pass_through.hpp"
 #include "ros/processing.hpp"
+#include "sync/calibration_in_use.hpp"
+#include "sync/gyro_source.hpp"
+#include "sync/input_problems.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur {
 

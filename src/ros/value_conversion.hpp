@@ -1,12 +1,10 @@
-// Times, vectors and samples of messages, and how they are written.
+// Times and samples of messages.
 #pragma once
 
 #include <optional>
-#include <string>
 
 #include <ros/time.h>
 #include <sensor_msgs/Imu.h>
-#include <Eigen/Core>
 
 #include "gyro_deblur/gyro_buffer.hpp"
 #include "gyro_deblur/time.hpp"
@@ -20,12 +18,6 @@ ros::Time to_ros_time(TimeNs time_ns);
 /// A stamp of 0 has not been set: it is not used as a time. (At the start of a simulation it may be right. What such
 /// an image loses there is one frame.)
 constexpr bool is_unset(TimeNs stamp_ns) { return stamp_ns == 0; }
-
-/// Seconds with all nine digits: doubles have too few for stamps.
-std::string seconds_text(TimeNs time_ns);
-std::string vector_text(const Eigen::Vector3d& v);
-/// "640x480".
-std::string size_text(double width, double height);
 
 /// Body rate, specific force and stamp of an IMU message; nothing when its covariance says that it has no gyroscope
 /// (sensor_msgs/Imu: first element -1). The same of the acceleration leaves that one out.

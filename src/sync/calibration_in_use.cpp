@@ -1,5 +1,5 @@
 // Chooses between given and estimated calibrations and reports contradictions.
-#include "ros/calibration_in_use.hpp"
+#include "sync/calibration_in_use.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -10,8 +10,7 @@
 
 #include "base/format.hpp"
 #include "gyro_deblur/calibration.hpp"
-#include "ros/missing_inputs.hpp"
-#include "ros/value_conversion.hpp"
+#include "sync/missing_inputs.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -10,7 +10,7 @@
 
 #include "calibrate/self_calibration.hpp"
 #include "gyro_deblur/config.hpp"
-#include "ros/input_problems.hpp"
+#include "sync/input_problems.hpp"
 
 namespace gyro_deblur {
 

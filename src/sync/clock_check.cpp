@@ -1,9 +1,11 @@
 // Compares the stamps of images and IMU samples.
-#include "ros/clock_check.hpp"
+#include "sync/clock_check.hpp"
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
+#include <string>
+
+#include "base/format.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -52,17 +54,15 @@ void ClockCheck::check(const Config& config, TimeNs now_ns, bool is_live) {
 void ClockCheck::report(const Config& config) const {
   const TimeNs offset_ns = *newest_imu_ns_ - *newest_image_ns_;
   const double ahead_s = to_seconds(config.gyro.time_offset_ns - offset_ns);
-  char late_images[100];
-  std::snprintf(late_images, sizeof(late_images), "images come late, reduce their delay to less than %.3g s",
-                to_seconds(config.gyro.buffer_ns));
-  char text[500];
-  std::snprintf(text, sizeof(text),
-                "the stamps of images and IMU do not overlap: the newest image is of %.3f s, the newest IMU sample of "
-                "%.3f s, so that images are %.3f s %s with time_offset = %.6g s. Where their clocks differ, begin with "
-                "time_offset: %.3f and let calibrate refine it; where the %s",
-                to_seconds(*newest_image_ns_), to_seconds(*newest_imu_ns_), std::abs(ahead_s),
-                ahead_s > 0 ? "ahead" : "behind", to_seconds(config.gyro.time_offset_ns), to_seconds(offset_ns),
-                ahead_s > 0 ? "IMU comes late, raise input_timeout" : late_images);
+  const std::string cause = ahead_s > 0 ? "IMU comes late, raise input_timeout"
+                                        : format("images come late, reduce their delay to less than %.3g s",
+                                                 to_seconds(config.gyro.buffer_ns));
+  const std::string text = format(
+      "the stamps of images and IMU do not overlap: the newest image is of %.3f s, the newest IMU sample of "
+      "%.3f s, so that images are %.3f s %s with time_offset = %.6g s. Where their clocks differ, begin with "
+      "time_offset: %.3f and let calibrate refine it; where the %s",
+      to_seconds(*newest_image_ns_), to_seconds(*newest_imu_ns_), std::abs(ahead_s), ahead_s > 0 ? "ahead" : "behind",
+      to_seconds(config.gyro.time_offset_ns), to_seconds(offset_ns), cause.c_str());
   problems_.report(kClocks, text);
 }
 

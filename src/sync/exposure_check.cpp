@@ -1,11 +1,9 @@
 // Checks exposure times of messages and parameters.
-#include "ros/exposure_check.hpp"
+#include "sync/exposure_check.hpp"
 
-#include <cstdio>
-
+#include "base/format.hpp"
 #include "base/require_range.hpp"
 #include "gyro_deblur/options.hpp"
-#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -54,14 +52,13 @@ std::string conflict_text(const ExposureConflict& conflict) {
   const std::string name = parameter                                 ? "exposure_time"
                            : given.origin == ExposureOrigin::SETTING ? "the driver's exposure setting"
                                                                      : "the exposure message";
-  char text[160];
-  std::snprintf(text, sizeof(text), "blur is %.2f times what %s says: %.3g s by %s, %.3g s by the images. ",
-                conflict.ratio(), name.c_str(), to_seconds(given.exposure_ns), name.c_str(),
-                to_seconds(conflict.images_ns));
-  if (!parameter) return text + std::string("The driver's value is used: check exposure_source and its unit");
-  return text + std::string(conflict.replaced ? "The images' value is used: correct exposure_time, or leave it empty"
-                                              : "exposure_time is used (on_exposure_conflict: configured): correct it, "
-                                                "or leave it empty");
+  const std::string text =
+      format("blur is %.2f times what %s says: %.3g s by %s, %.3g s by the images. ", conflict.ratio(), name.c_str(),
+             to_seconds(given.exposure_ns), name.c_str(), to_seconds(conflict.images_ns));
+  if (!parameter) return text + "The driver's value is used: check exposure_source and its unit";
+  return text + (conflict.replaced ? "The images' value is used: correct exposure_time, or leave it empty"
+                                   : "exposure_time is used (on_exposure_conflict: configured): correct it, "
+                                     "or leave it empty");
 }
 
 const char* to_string(ExposureNeed need) { return need_row(need).name; }

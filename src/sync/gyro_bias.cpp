@@ -1,9 +1,9 @@
 // Averages the samples of an IMU at rest.
-#include "ros/gyro_bias.hpp"
+#include "sync/gyro_bias.hpp"
 
 #include <vector>
 
-#include "ros/value_conversion.hpp"
+#include "base/format.hpp"
 
 namespace gyro_deblur {
 

@@ -7,7 +7,7 @@
 #include <Eigen/Core>
 
 #include "gyro_deblur/config.hpp"
-#include "ros/gyro_source.hpp"
+#include "sync/gyro_source.hpp"
 
 namespace gyro_deblur {
 

@@ -1,12 +1,12 @@
 // Checks the samples of an IMU.
-#include "ros/gyro_check.hpp"
+#include "sync/gyro_check.hpp"
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <utility>
 #include <vector>
 
+#include "base/format.hpp"
 #include "base/median.hpp"
 
 namespace gyro_deblur {
@@ -63,12 +63,11 @@ void GyroCheck::check_rate(TimeNs stamp_ns, const GyroOptions& options) {
   typical_step_ns_ = median(std::move(steps_ns));
   const bool was_slow = std::exchange(is_slow_, typical_step_ns_ > options.max_gap_ns);
   if (is_slow_ && !was_slow) {
-    char text[200];
-    std::snprintf(text, sizeof(text),
-                  "IMU samples come every %.3g s, and max_gyro_gap is %.3g s: nothing is integrated. Raise the IMU's "
-                  "rate, to 100 Hz or more; max_gyro_gap may be as long as rates hardly change",
-                  to_seconds(typical_step_ns_), to_seconds(options.max_gap_ns));
-    problems_.report(kSlow, text);
+    problems_.report(
+        kSlow,
+        format("IMU samples come every %.3g s, and max_gyro_gap is %.3g s: nothing is integrated. Raise the IMU's "
+               "rate, to 100 Hz or more; max_gyro_gap may be as long as rates hardly change",
+               to_seconds(typical_step_ns_), to_seconds(options.max_gap_ns)));
   } else if (was_slow && !is_slow_) {
     problems_.resolve(kSlow);
   }
@@ -86,14 +85,12 @@ void GyroCheck::check_unit(const GyroSample& sample, const GyroOptions& options)
     is_beyond_ = true;
     const auto most = std::max_element(beyond_.begin(), beyond_.end(),
                                        [](const Beyond& a, const Beyond& b) { return a.rate_rad_s < b.rate_rad_s; });
-    char text[250];
-    std::snprintf(text, sizeof(text),
-                  "the IMU reports rates of up to %.3g \"rad/s\", beyond %s = %.3g rad/s: are they in degrees/s? "
-                  "sensor_msgs/Imu has rad/s",
-                  most->rate_rad_s,
-                  limit_rad_s > kFullScaleRadS ? "gyro_range" : "2000 degrees/s, the range of consumer gyroscopes,",
-                  limit_rad_s / 1.01);
-    problems_.report(kUnit, text);
+    problems_.report(
+        kUnit, format("the IMU reports rates of up to %.3g \"rad/s\", beyond %s = %.3g rad/s: are they in degrees/s? "
+                      "sensor_msgs/Imu has rad/s",
+                      most->rate_rad_s,
+                      limit_rad_s > kFullScaleRadS ? "gyro_range" : "2000 degrees/s, the range of consumer gyroscopes,",
+                      limit_rad_s / 1.01));
   } else if (is_beyond_ && beyond_.empty()) {
     is_beyond_ = false;
     problems_.resolve(kUnit);

@@ -8,7 +8,7 @@
 #include "gyro_deblur/gyro_buffer.hpp"
 #include "gyro_deblur/options.hpp"
 #include "gyro_deblur/time.hpp"
-#include "ros/input_problems.hpp"
+#include "sync/input_problems.hpp"
 
 namespace gyro_deblur {
 

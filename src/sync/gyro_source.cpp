@@ -1,12 +1,12 @@
 // Takes in the samples of an IMU and rejects those whose stamps do not fit.
-#include "ros/gyro_source.hpp"
+#include "sync/gyro_source.hpp"
 
 #include <algorithm>
 #include <limits>
 #include <utility>
 
+#include "base/format.hpp"
 #include "gyro_deblur/rotation_track.hpp"
-#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 
@@ -38,15 +38,14 @@ void GyroSource::require_capacity(TimeNs capacity_ns) {
   resize(std::max(options_.capacity_ns, capacity_ns));
 }
 
-bool GyroSource::add(const sensor_msgs::Imu& imu) {
-  const std::optional<GyroSample> sample = to_gyro_sample(imu);
+bool GyroSource::add(const std::optional<GyroSample>& sample, const std::string& frame_id) {
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!sample) {
     ++statistics_.imu_without_gyroscope;
     check_.add_without_rates();
     return false;
   }
-  frame_id_ = imu.header.frame_id;
+  frame_id_ = frame_id;
   if (!sample->rate_rad_s.allFinite()) {
     // The stamp of such a message means nothing.
     ++statistics_.imu_not_finite;

@@ -9,14 +9,12 @@
 #include <string>
 #include <vector>
 
-#include <sensor_msgs/Imu.h>
-
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
 #include "gyro_deblur/time.hpp"
-#include "ros/gyro_check.hpp"
-#include "ros/input_problems.hpp"
-#include "ros/timestamp_filter.hpp"
+#include "sync/gyro_check.hpp"
+#include "sync/input_problems.hpp"
+#include "sync/timestamp_filter.hpp"
 
 namespace gyro_deblur {
 
@@ -51,7 +49,8 @@ class GyroSource {
   void require_capacity(TimeNs capacity_ns);
 
   /// Takes a message in. False when it is not used, or not yet, for want of a rate or of a stamp that fits.
-  bool add(const sensor_msgs::Imu& imu);
+  /// @param sample  nothing: the message says that it has no angular rates
+  bool add(const std::optional<GyroSample>& sample, const std::string& frame_id);
 
   ImuStatistics statistics() const;
   /// What the samples have shown to be wrong, by kind.

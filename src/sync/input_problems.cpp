@@ -1,5 +1,5 @@
 // Logs lines, each kind at most once in a while, and keeps problems of inputs for the diagnostics.
-#include "ros/input_problems.hpp"
+#include "sync/input_problems.hpp"
 
 namespace gyro_deblur {
 namespace {

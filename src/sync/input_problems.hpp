@@ -8,7 +8,7 @@
 #include <string>
 #include <utility>
 
-#include "ros/steady_clock.hpp"
+#include "sync/steady_clock.hpp"
 
 namespace gyro_deblur {
 

@@ -1,5 +1,5 @@
 // Reports inputs that have never arrived.
-#include "ros/missing_inputs.hpp"
+#include "sync/missing_inputs.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -6,7 +6,7 @@
 
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/time.hpp"
-#include "ros/input_problems.hpp"
+#include "sync/input_problems.hpp"
 
 namespace gyro_deblur {
 

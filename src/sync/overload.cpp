@@ -1,10 +1,10 @@
 // Decides which frames are passed through under overload.
-#include "ros/overload.hpp"
+#include "sync/overload.hpp"
 
 #include <vector>
 
+#include "base/format.hpp"
 #include "base/median.hpp"
-#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 

@@ -1,5 +1,5 @@
 // Name, log level and remedy of each reason.
-#include "ros/pass_through.hpp"
+#include "sync/pass_through.hpp"
 
 #include <cstddef>
 #include <iterator>

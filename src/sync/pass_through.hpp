@@ -5,7 +5,7 @@
 #include <stdexcept>
 #include <string>
 
-#include "ros/input_problems.hpp"
+#include "sync/input_problems.hpp"
 
 namespace gyro_deblur {
 

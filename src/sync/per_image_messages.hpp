@@ -9,7 +9,7 @@
 #include <utility>
 
 #include "gyro_deblur/time.hpp"
-#include "ros/time_jump.hpp"
+#include "sync/time_jump.hpp"
 
 namespace gyro_deblur {
 

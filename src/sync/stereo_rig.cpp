@@ -1,12 +1,12 @@
 // Lets the cameras of a rig wait for each other and decides what is done with a pair.
-#include "ros/stereo_rig.hpp"
+#include "sync/stereo_rig.hpp"
 
 #include <algorithm>
 #include <chrono>
 #include <cstdlib>
 #include <utility>
 
-#include "ros/value_conversion.hpp"
+#include "base/format.hpp"
 
 namespace gyro_deblur {
 namespace {

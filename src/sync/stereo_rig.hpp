@@ -13,7 +13,7 @@
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/time.hpp"
-#include "ros/pass_through.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur {
 

@@ -1,5 +1,5 @@
 // Detects stamps that go back, and counts the resets of time.
-#include "ros/time_jump.hpp"
+#include "sync/time_jump.hpp"
 
 #include <algorithm>
 

@@ -6,7 +6,7 @@
 #include <optional>
 
 #include "gyro_deblur/time.hpp"
-#include "ros/timestamp_filter.hpp"
+#include "sync/timestamp_filter.hpp"
 
 namespace gyro_deblur {
 

@@ -1,5 +1,5 @@
 // Limits of the stamps of each kind of stream.
-#include "ros/timestamp_filter.hpp"
+#include "sync/timestamp_filter.hpp"
 
 namespace gyro_deblur {
 

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <cstdint>
-#include <cstdio>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -15,7 +14,9 @@
 #include <boost/make_shared.hpp>
 #include <boost/shared_ptr.hpp>
 
+#include "base/format.hpp"
 #include "ros/deserialization.hpp"
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 
@@ -28,9 +29,8 @@ class MessageError : public std::runtime_error {
 
  private:
   static std::string where(const rosbag::MessageInstance& instance) {
-    char seconds[40];
-    std::snprintf(seconds, sizeof(seconds), "%u.%09u", instance.getTime().sec, instance.getTime().nsec);
-    return "topic " + instance.getTopic() + ", " + instance.getDataType() + " recorded at " + seconds + " s";
+    return "topic " + instance.getTopic() + ", " + instance.getDataType() + " recorded at " +
+           seconds_text(to_time_ns(instance.getTime())) + " s";
   }
 };
 

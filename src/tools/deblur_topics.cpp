@@ -9,8 +9,8 @@
 
 #include "ros/exposure_adapter.hpp"
 #include "ros/messages.hpp"
-#include "ros/missing_inputs.hpp"
 #include "ros/outputs.hpp"
+#include "sync/missing_inputs.hpp"
 
 namespace gyro_deblur {
 namespace {

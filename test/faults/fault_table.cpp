@@ -27,7 +27,7 @@
 #include "process_memory.hpp"
 #include "replay.hpp"
 #include "ros/image_conversion.hpp"
-#include "ros/pass_through.hpp"
+#include "sync/pass_through.hpp"
 #include "tools/progress.hpp"
 #include "tools/tool_main.hpp"
 

@@ -8,8 +8,8 @@
 
 #include <sensor_msgs/Image.h>
 
-#include "ros/pass_through.hpp"
 #include "ros/processor.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur::test {
 

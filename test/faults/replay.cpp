@@ -2,7 +2,7 @@
 #include "engine/engine.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "live.hpp"
-#include "ros/pass_through.hpp"
+#include "sync/pass_through.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -11,7 +11,7 @@
 #include "gyro_deblur/overlay.hpp"
 #include "message_builders.hpp"
 #include "ros/param_conversion.hpp"
-#include "ros/pass_through.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur::conversions_test {
 namespace {

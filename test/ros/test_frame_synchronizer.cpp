@@ -6,6 +6,7 @@
 
 #include <gtest/gtest.h>
 
+#include "base/format.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "processor_test.hpp"
 

@@ -49,9 +49,9 @@
 #include "driver_messages.hpp"
 #include "message_builders.hpp"
 #include "ros/messages.hpp"
-#include "ros/pass_through.hpp"
 #include "rotating_camera.hpp"
 #include "run_program.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -19,7 +19,7 @@
 #include "repeated_pictures.hpp"
 #include "ros/image_conversion.hpp"
 #include "ros/messages.hpp"
-#include "ros/pass_through.hpp"
+#include "sync/pass_through.hpp"
 
 namespace gyro_deblur {
 namespace {

@@ -256,7 +256,7 @@ TEST_F(ProcessorTest, CamerasShareASourceAndKeepWhatIsTheirOwn) {
   const auto feed = [&](TimeNs from_ns, TimeNs to_ns) {
     for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod) {
       const sensor_msgs::Imu imu = imu_message(t_ns, kFastRadS);
-      if (!source->add(imu)) continue;  // nobody is notified, as SharedImu does it
+      if (!source->add(to_gyro_sample(imu), imu.header.frame_id)) continue;  // nobody is notified, as SharedImu does it
       for (Processor* camera : {&left, &right}) camera->on_imu_sample();
     }
   };

@@ -12,11 +12,11 @@
 #include <gtest/gtest.h>
 
 #include "gyro_deblur/exposure.hpp"
-#include "ros/calibration_in_use.hpp"
 #include "ros/processor.hpp"
 #include "ros/self_calibrator.hpp"
-#include "ros/stored_calibration.hpp"
 #include "rotating_camera.hpp"
+#include "sync/calibration_in_use.hpp"
+#include "sync/stored_calibration.hpp"
 
 namespace gyro_deblur::unknown_calibration_test {
 namespace {

@@ -1,8 +1,9 @@
-#include "ros/gyro_source.hpp"
+#include "sync/gyro_source.hpp"
 
 #include <algorithm>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <random>
 #include <sstream>
 #include <thread>
@@ -10,14 +11,12 @@
 
 #include <gtest/gtest.h>
 
-#include "message_builders.hpp"
-#include "ros/conversions.hpp"
-
 namespace gyro_deblur::gyro_source_test {
 namespace {
 
-using namespace test;
-
+constexpr TimeNs kMs = 1'000'000, kSecond = 1'000'000'000;
+constexpr double kFastRadS = 1.5;
+constexpr char kImuFrame[] = "imu";
 constexpr TimeNs kStart = 100 * kSecond;
 constexpr TimeNs kImuPeriod = 5 * kMs;
 
@@ -27,8 +26,9 @@ class GyroSourceTest : public testing::Test {
     return std::make_shared<GyroSource>(GyroSource::Options{capacity_ns, 500 * kMs, GyroOptions()},
                                         [](LogLevel, const std::string&) {});
   }
+  bool add_one(TimeNs t_ns, double rate_rad_s) { return source_->add(GyroSample{t_ns, {0, rate_rad_s, 0}}, kImuFrame); }
   void add(TimeNs from_ns, TimeNs to_ns) {
-    for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod) source_->add(imu_message(t_ns, kFastRadS));
+    for (TimeNs t_ns = from_ns; t_ns <= to_ns; t_ns += kImuPeriod) add_one(t_ns, kFastRadS);
   }
   static void expect_range(const GyroReader& reader, TimeNs begin_ns, TimeNs end_ns) {
     EXPECT_FALSE(reader.empty());
@@ -124,25 +124,23 @@ TEST_F(GyroSourceTest, CapacityGrowsToWhatIsRequired) {
 
 TEST_F(GyroSourceTest, ReturnsWhetherAMessageIsOfUse) {
   int good = 0;
-  EXPECT_TRUE(source_->add(imu_message(kStart, 1)));
-  EXPECT_FALSE(source_->add(imu_message(kStart + kMs, std::numeric_limits<double>::quiet_NaN())));
-  sensor_msgs::Imu without = imu_message(kStart + 2 * kMs, 1);
-  without.angular_velocity_covariance[0] = -1;
-  EXPECT_FALSE(source_->add(without));
+  EXPECT_TRUE(add_one(kStart, 1));
+  EXPECT_FALSE(add_one(kStart + kMs, std::numeric_limits<double>::quiet_NaN()));
+  EXPECT_FALSE(source_->add(std::nullopt, kImuFrame));
   EXPECT_EQ(source_->statistics().imu_not_finite, 1u);
   EXPECT_EQ(source_->statistics().imu_without_gyroscope, 1u);
   for (const TimeNs stray_ns : {kStart + 1000 * kSecond, kStart + kSecond, kStart - kMs, kStart, TimeNs{0}}) {
-    EXPECT_FALSE(source_->add(imu_message(stray_ns, 1))) << stray_ns;
-    EXPECT_TRUE(source_->add(imu_message(kStart + 3 * kMs + (++good) * kMs, 1))) << stray_ns;
+    EXPECT_FALSE(add_one(stray_ns, 1)) << stray_ns;
+    EXPECT_TRUE(add_one(kStart + 3 * kMs + (++good) * kMs, 1)) << stray_ns;
   }
 }
 
 TEST_F(GyroSourceTest, CountsWhatIsWrongWithStampsOnceEach) {
   add(kStart, kStart + 20 * kMs);
-  source_->add(imu_message(kStart + 15 * kMs, 1));
+  add_one(kStart + 15 * kMs, 1);
   EXPECT_EQ(source_->statistics().imu_out_of_order, 1u) << "whether or not another one comes";
-  source_->add(imu_message(kStart + 20 * kMs, 1));
-  source_->add(imu_message(kStart + 10 * kSecond, 1));
+  add_one(kStart + 20 * kMs, 1);
+  add_one(kStart + 10 * kSecond, 1);
   add(kStart + 25 * kMs, kStart + 30 * kMs);
   EXPECT_EQ(source_->statistics().imu_out_of_order, 1u);
   EXPECT_EQ(source_->statistics().imu_duplicate, 1u);
@@ -168,7 +166,7 @@ TEST_F(GyroSourceTest, AStampAheadCostsThatSampleAloneAtAnyRate) {
         for (int i = 0; i < count; ++i) {
           const bool wrong = i == kBefore;
           const TimeNs stamp_ns = kStart + i * period_ns + static_cast<TimeNs>(scatter(random));
-          source_->add(imu_message(stamp_ns + (wrong ? ahead_ns : 0), wrong ? kWrongRadS : kFastRadS));
+          add_one(stamp_ns + (wrong ? ahead_ns : 0), wrong ? kWrongRadS : kFastRadS);
           reader.update();
         }
         std::ostringstream where;
@@ -201,7 +199,7 @@ TEST_F(GyroSourceTest, ASampleThatIsLateItselfCostsNoOther) {
       for (int i = 0; i < 100; ++i) {
         const bool wrong = i == 50;
         const TimeNs off_ns = wrong ? static_cast<TimeNs>(late * static_cast<double>(period_ns)) : 0;
-        source_->add(imu_message(kStart + i * period_ns - off_ns, wrong ? kWrongRadS : kFastRadS));
+        add_one(kStart + i * period_ns - off_ns, wrong ? kWrongRadS : kFastRadS);
       }
       const auto samples = reader.window({0, std::numeric_limits<TimeNs>::max()});
       EXPECT_EQ(samples.size(), 99u) << rate_hz << " Hz, " << late;
@@ -217,7 +215,7 @@ TEST_F(GyroSourceTest, ASaturatedSampleThatIsGivenBackIsNotCounted) {
   source_ = std::make_shared<GyroSource>(GyroSource::Options{2 * kSecond, 500 * kMs, gyro},
                                          [](LogLevel, const std::string&) {});
   add(kStart, kStart + 100 * kMs);
-  source_->add(imu_message(kStart + 140 * kMs, kWrongRadS));
+  add_one(kStart + 140 * kMs, kWrongRadS);
   EXPECT_EQ(source_->statistics().imu_saturated, 1u);
   add(kStart + 110 * kMs, kStart + 150 * kMs);
   EXPECT_EQ(source_->statistics().imu_saturated, 0u);
@@ -233,7 +231,7 @@ TEST_F(GyroSourceTest, AClockThatCatchesUpWithinAGapIsNotReset) {
       GyroReader reader(source_);
       for (int i = 0; i < 400; ++i) {
         const bool off = ahead == 0 ? i >= 200 : i >= 200 && i < 200 + ahead;
-        source_->add(imu_message(kStart + i * period_ns + (off ? (ahead == 0 ? -1 : 1) * 40 * kMs : 0), 1));
+        add_one(kStart + i * period_ns + (off ? (ahead == 0 ? -1 : 1) * 40 * kMs : 0), 1);
       }
       EXPECT_FALSE(reader.update().restarted) << period_ns << " ns, " << ahead;
       EXPECT_EQ(reader.available().begin_ns, kStart);
@@ -247,7 +245,7 @@ TEST_F(GyroSourceTest, LoopOfAShortBagRestartsItAtAnyRate) {
     source_ = make_source();
     GyroReader reader(source_);
     for (int loop = 0; loop < 3; ++loop) {
-      for (TimeNs t_ns = kStart; t_ns <= kStart + 300 * kMs; t_ns += period_ns) source_->add(imu_message(t_ns, loop));
+      for (TimeNs t_ns = kStart; t_ns <= kStart + 300 * kMs; t_ns += period_ns) add_one(t_ns, loop);
       EXPECT_EQ(reader.update().restarted, loop > 0) << rate_hz << " Hz";
       const auto samples = reader.window({0, std::numeric_limits<TimeNs>::max()});
       EXPECT_EQ(samples.size(), static_cast<std::size_t>(300 * kMs / period_ns + 1));

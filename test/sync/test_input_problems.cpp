@@ -1,4 +1,4 @@
-#include "ros/input_problems.hpp"
+#include "sync/input_problems.hpp"
 
 #include <string>
 #include <vector>

@@ -1,4 +1,4 @@
-#include "ros/overload.hpp"
+#include "sync/overload.hpp"
 
 #include <optional>
 #include <string>

@@ -1,4 +1,4 @@
-#include "ros/per_image_messages.hpp"
+#include "sync/per_image_messages.hpp"
 
 #include <functional>
 

@@ -1,6 +1,6 @@
 // Cameras that decide together. Who waits, waits in a thread of its own for as long as it takes: the timeout is either
 // 0 or longer than any test, so that time decides nothing.
-#include "ros/stereo_rig.hpp"
+#include "sync/stereo_rig.hpp"
 
 #include <algorithm>
 #include <array>

@@ -1,4 +1,4 @@
-#include "ros/time_jump.hpp"
+#include "sync/time_jump.hpp"
 
 #include <gtest/gtest.h>
 

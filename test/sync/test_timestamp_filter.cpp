@@ -1,4 +1,4 @@
-#include "ros/timestamp_filter.hpp"
+#include "sync/timestamp_filter.hpp"
 
 #include <string>
 #include <utility>
