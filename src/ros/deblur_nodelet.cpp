@@ -10,12 +10,12 @@
 #include <image_transport/camera_common.h>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "base/steady_clock.hpp"
 #include "base/time_slice.hpp"
+#include "calibrate/stored_calibration.hpp"
 #include "gyro_deblur/config.hpp"
 #include "ros/tf_conversion.hpp"
 #include "ros/value_conversion.hpp"
-#include "sync/steady_clock.hpp"
-#include "sync/stored_calibration.hpp"
 
 namespace gyro_deblur {
 namespace {

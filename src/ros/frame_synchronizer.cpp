@@ -186,8 +186,8 @@ Readiness FrameSynchronizer::find_timing(PendingFrame* frame, ShutterTiming* tim
   const Exposure* neighbour = exposures.find_if_neighbours_agree(stamp_ns);
   if (is_known(neighbour)) return take(*neighbour);
   // Exposures of neighbours rarely agree, so a lost message costs as many frame periods.
-  constexpr std::size_t kOvertaking = 2;
-  bool waits = !frame->timed_out && exposures.later(stamp_ns) < kOvertaking;
+  constexpr std::size_t kLaterEndWaiting = 2;
+  bool waits = !frame->timed_out && exposures.later(stamp_ns) < kLaterEndWaiting;
   const bool expected = exposure_expected();
   if (own) {
     // If no message before had a time either, the driver does not know it yet, and later messages will not help.

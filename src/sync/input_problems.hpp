@@ -8,7 +8,7 @@
 #include <string>
 #include <utility>
 
-#include "sync/steady_clock.hpp"
+#include "base/steady_clock.hpp"
 
 namespace gyro_deblur {
 

@@ -12,7 +12,7 @@ namespace gyro_deblur {
 
 /// What carries time into the node. Each goes back at its own moment when time is reset.
 enum class Stream { IMU, IMAGE, CAMERA_INFO, EXPOSURE, CLOCK };
-constexpr std::size_t kStreams = 5;
+constexpr std::size_t kStreams = static_cast<std::size_t>(Stream::CLOCK) + 1;  // which stays the last
 
 const char* to_string(Stream stream);
 

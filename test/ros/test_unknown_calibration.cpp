@@ -11,12 +11,12 @@
 
 #include <gtest/gtest.h>
 
+#include "calibrate/stored_calibration.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "ros/processor.hpp"
 #include "ros/self_calibrator.hpp"
 #include "rotating_camera.hpp"
 #include "sync/calibration_in_use.hpp"
-#include "sync/stored_calibration.hpp"
 
 namespace gyro_deblur::unknown_calibration_test {
 namespace {

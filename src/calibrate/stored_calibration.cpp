@@ -1,5 +1,5 @@
 // Stores the estimated calibration in a file and loads it.
-#include "sync/stored_calibration.hpp"
+#include "calibrate/stored_calibration.hpp"
 
 #include <algorithm>
 #include <cmath>
