@@ -1,9 +1,16 @@
-// Deconvolution of a roll field: engines x sizes x extents x threads; and of curved paths by 2-D filters.
+// Deconvolution of a roll field: engines x sizes x extents x threads; of curved paths by 2-D filters; with helpers that
+// wake for the frame, and that spin.
 
+#include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include <benchmark/benchmark.h>
 
+#include "base/median.hpp"
+#include "base/parallel.hpp"
+#include "base/stopwatch.hpp"
 #include "engine/engine.hpp"
 #include "engines.hpp"
 #include "filter_grids.hpp"
@@ -49,7 +56,49 @@ void fourier(::benchmark::State& state, cv::Size size, double extent_px, bool is
   }
 }
 
+/// What it costs that helpers sleep between frames: frames 5 ms apart, in turns with a helper that wakes for the frame
+/// and with one that has had loops all the time. The calling thread spins in either case.
+void helpers(::benchmark::State& state, cv::Size size, double extent_px) {
+  constexpr int kThreads = 2;
+  constexpr double kApartMs = 5;
+  static const FilterBank bank(FilterOptions{});
+  const cv::Mat image = extend(natural_images().front(), size);
+  const FrameBlur field =
+      test::Roll::about_center(size.width, size.height, extent_px).field(size.width, size.height, wide_options());
+  const auto engine = make_engine("auto", kThreads);
+  cv::Mat dst;
+  deconvolve(image, PixelLayout::GRAY, field, bank, *engine, dst);  // allocates
+  std::vector<double> spinning_ms, waking_ms;
+  for (auto _ : state) {
+    for (const bool spins : {true, false}) {
+      std::optional<AwakeHelpers> awake;
+      if (spins) awake.emplace(kThreads);
+      for (const Stopwatch pause; pause.ms() < kApartMs;) {
+        if (spins) parallel_for(kThreads, kThreads, 1, [](int) {});
+      }
+      const Stopwatch watch;
+      if (!spins) awake.emplace(kThreads);
+      deconvolve(image, PixelLayout::GRAY, field, bank, *engine, dst);
+      ::benchmark::DoNotOptimize(dst.data);
+      (spins ? spinning_ms : waking_ms).push_back(watch.ms());
+    }
+    state.SetIterationTime(1e-3 * waking_ms.back());
+  }
+  state.counters["spinning_ms"] = median(spinning_ms);
+  state.counters["waking_ms"] = median(waking_ms);
+  state.counters["ratio"] = median(waking_ms) / median(spinning_ms);
+}
+
 const bool registered = [] {
+  for (const auto& [size, extent_px] : {std::pair(cv::Size(752, 480), 5), std::pair(cv::Size(752, 480), 90),
+                                        std::pair(cv::Size(1920, 1080), 5), std::pair(cv::Size(1920, 1080), 90)}) {
+    const std::string name = "helpers/" + std::to_string(size.width) + "x" + std::to_string(size.height) + "/" +
+                             std::to_string(extent_px) + "px";
+    ::benchmark::RegisterBenchmark(name.c_str(), helpers, size, extent_px)
+        ->Unit(::benchmark::kMillisecond)
+        ->UseManualTime()
+        ->Iterations(200);
+  }
   for (const auto& [size, extent_px] : {std::pair(cv::Size(752, 480), 25), std::pair(cv::Size(1920, 1080), 60)}) {
     for (const bool is_diagonal : {false, true}) {
       for (const int threads : {1, 2}) {
