@@ -257,7 +257,8 @@ class OpenVinsTracks(OpenVins):
 
     name = "OpenVINS on blur-aware tracks"  # results of the former tracker have another name
     reads_tracks = True
-    variants = ("sharp", "package")
+    # Without camera_info there are no tracks.
+    variants = ("sharp", "package", "exposure-unknown", "exposure-x0.6", "exposure-x1.6", "nothing-given", "no-imu")
     SIGMA_PX = 0.5  # standard deviation that it takes corners to have: doc/reports/slam.md
     SETTINGS = {**OpenVins.SETTINGS, "up_msckf_sigma_px": SIGMA_PX, "up_slam_sigma_px": SIGMA_PX}
 
@@ -289,6 +290,7 @@ class OwnTracks:
 
     name = "tracks"
     reads_tracks = True
+    variants = OpenVinsTracks.variants + ("blurred", "gyroscope")
     metrics = {"direction_deg": ("direction of the translation, median error [degrees]", 2),
                "weighted_direction_deg": ("the same, points weighed by their covariances", 2),
                "rotation_deg": ("rotation, median error [degrees]", 3),

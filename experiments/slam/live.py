@@ -26,7 +26,7 @@ import rospy
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from common import ROOT, fail, write_markdown  # noqa: E402
 from evaluators import OpenVins, OpenVinsTracks, state_errors  # noqa: E402
-from slam import DRONE, NAMES, Case, bags_of, deblur, read_recording  # noqa: E402
+from slam import DRONE, NAMES, Case, Variant, bags_of, deblur, read_recording  # noqa: E402
 
 # It starts from what it sees and feels: there is no true state to start from.
 OWN_START = {"init_dyn_use": True, "num_opencv_threads": 2}
@@ -160,7 +160,7 @@ def main():
             own = folder / str(seed)
             own.mkdir()
             recording = read_recording(case, bags, "day", seed, "blurred")
-            offline = deblur(recording, {}, arguments.tracks, own)
+            offline = deblur(recording, Variant(), case, arguments.tracks, own)
             by_bag = openvins.estimate(offline, own, "bag_%d" % seed)
             live = play(openvins, dataclasses.replace(recording, image_topic=offline.image_topic), config, own,
                         10 * case.seconds(arguments.seconds) + 120)

@@ -18,9 +18,11 @@ import subprocess
 import sys
 import tempfile
 import threading
+from typing import Optional
 
 import matplotlib
 import numpy as np
+import rosbag
 from tqdm import tqdm
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
@@ -69,10 +71,28 @@ REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms in (0, R
 # What is chosen is chosen on another flight.
 TUNED = [Case(TUNING, exposure_ms, speed) for speed in (1.7, 1.0) for exposure_ms in (30, 15)]
 
-# How the images get to the evaluator: keys of config/default.yaml; None: as they are in the bag.
-VARIANTS = {"sharp": None, "blurred": None, "gyroscope": {"optical_flow": False}, "package": {}}
+
+
+@dataclasses.dataclass(frozen=True)
+class Variant:
+    """How the images get to the evaluator."""
+    options: Optional[dict] = dataclasses.field(default_factory=dict)  # of config/default.yaml; None: as in the bag
+    without: tuple = ()           # topics that the package does not get
+    exposure_factor: float = 0.0  # exposure_time is so many times the true one; 0: not given
+
+
+EXPOSURE, CAMERA_INFO, IMU, TF = "/camera/exposure", "/camera/camera_info", "/imu", "/tf_static"
+VARIANTS = {"sharp": Variant(None), "blurred": Variant(None), "gyroscope": Variant({"optical_flow": False}),
+            "package": Variant(), "exposure-unknown": Variant(without=(EXPOSURE,)),
+            "exposure-x0.6": Variant(without=(EXPOSURE,), exposure_factor=0.6),
+            "exposure-x1.6": Variant(without=(EXPOSURE,), exposure_factor=1.6),
+            "nothing-given": Variant(without=(EXPOSURE, TF)), "no-imu": Variant(without=(IMU,)),
+            "no-camera-info": Variant(without=(CAMERA_INFO,))}
 MEASURED = ("sharp", "blurred", "package")
-TITLES = {"sharp": "sharp", "blurred": "blurred", "gyroscope": "gyroscope alone", "package": "the package"}
+TITLES = {"sharp": "sharp", "blurred": "blurred", "gyroscope": "gyroscope alone", "package": "the package",
+          "exposure-unknown": "exposure unknown", "exposure-x0.6": "exposure_time x0.6",
+          "exposure-x1.6": "exposure_time x1.6", "nothing-given": "nothing given", "no-imu": "no IMU",
+          "no-camera-info": "no camera_info"}
 COLORS = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue"}
 TRACK_TITLES = {"package": "tracks", "sharp": "tracks, sharp images"}
 TRACK_COLORS = {"package": "tab:purple", "sharp": "tab:olive"}
@@ -80,12 +100,12 @@ TRACK_COLORS = {"package": "tab:purple", "sharp": "tab:olive"}
 UNTOUCHED = {"min_extent": 1, "max_extent": 1, "optical_flow": False}
 
 
-def options_of(variant):
-    """Keys of a named variant, or of KEY=VALUE pairs."""
-    if variant in VARIANTS:
-        return VARIANTS[variant]
+def variant_of(name):
+    """A named one, or the package with KEY=VALUE pairs."""
+    if name in VARIANTS:
+        return VARIANTS[name]
     options = {}
-    for pair in variant.split(","):
+    for pair in name.split(","):
         key, _, value = pair.partition("=")
         if not value:
             fail("%s is neither one of %s nor KEY=VALUE" % (variant, ", ".join(VARIANTS)))
@@ -93,7 +113,7 @@ def options_of(variant):
             options[key] = json.loads(value)
         except ValueError:
             options[key] = value
-    return options
+    return Variant(options)
 
 
 def variants_of(evaluator, variants):
@@ -145,11 +165,11 @@ class Study:
     def measure(self, folder, evaluator, case, light, seed, variant):
         name = "%s_%s_%d_%s" % (case.key, light, seed, variant)
         recording = read_recording(case, folder, light, seed, "sharp" if variant == "sharp" else "blurred")
-        options = options_of(variant)
+        how = variant_of(variant)
         with tempfile.TemporaryDirectory(dir=folder) as own:
             own = pathlib.Path(own)
-            if options is not None or evaluator.reads_tracks:
-                recording = deblur(recording, UNTOUCHED if options is None else options, evaluator.reads_tracks, own)
+            if how.options is not None or evaluator.reads_tracks:
+                recording = deblur(recording, how, case, evaluator.reads_tracks, own)
             try:
                 metrics = evaluator.evaluate(recording, own, name)
             except Lost as error:
@@ -186,20 +206,38 @@ def read_recording(case, folder, light, seed, kind):
                      read_truth(folder / "truth.csv"), biases)
 
 
-def deblur(recording, options, tracks, folder):
+def copy_bag(source, target, wanted, mode="w"):
+    """wanted: whether a topic's messages are copied."""
+    with rosbag.Bag(str(source)) as messages, rosbag.Bag(str(target), mode) as bag:
+        for topic, message, time in messages.read_messages(raw=True):
+            if wanted(topic):
+                bag.write(topic, message, time, raw=True)
+
+
+def deblur(recording, how, case, tracks, folder):
     """Through deblur_bag. Returns the recording of its images, or of its tracks."""
-    settings = dict(options)
+    settings = dict(UNTOUCHED if how.options is None else how.options)
+    if EXPOSURE in how.without and TF not in how.without:
+        settings["readout_time"] = case.readout_ms * 1e-3  # which the exposure message had, too
+    if how.exposure_factor:
+        settings["exposure_time"] = case.exposure_ms * 1e-3 * how.exposure_factor
     if recording.shift_s == 0:
         settings["exposure_time"] = 0.001  # sharp images come without one
     config, output = folder / "config.yaml", folder / "deblurred.bag"
     config.write_text("".join("%s: %s\n" % (key, json.dumps(value)) for key, value in settings.items()) or "{}\n")
-    command = ["rosrun", "gyro_deblur", "deblur_bag", recording.bag, output, "--config", config, "--no-keypoints",
+    given = recording.bag
+    if how.without:
+        given = folder / "given.bag"
+        copy_bag(recording.bag, given, lambda topic: topic not in how.without)
+    command = ["rosrun", "gyro_deblur", "deblur_bag", given, output, "--config", config, "--no-keypoints",
                "--threads", 1, "--keep-all-topics"]
     if tracks:
         command.append("--tracks")
     if recording.rolling:
         command.append("--global-shutter")
     run_logged(command, folder / "deblur.log")
+    if IMU in how.without:  # which the evaluator has
+        copy_bag(recording.bag, output, lambda topic: topic == IMU, "a")
     return deblurred_recording(recording, tracks, output)
 
 
@@ -369,7 +407,8 @@ def parse_arguments():
     parser.add_argument("--lights", nargs="+", choices=list(LIGHTS), default=list(LIGHTS))
     parser.add_argument("--seeds", type=int, default=3, help="draws of noise [%(default)d]")
     parser.add_argument("--seconds", type=float, default=20, help="of each flight, at most [%(default)g]")
-    parser.add_argument("--only", help="cases whose key contains this, such as V1_02_medium_30ms_x1.7_r0")
+    parser.add_argument("--only", nargs="+", default=[""], metavar="PART",
+                        help="cases whose key contains one of these, such as V1_02_medium_30ms_x1.7_r0")
     parser.add_argument("--jobs", type=int, default=2, help="at a time [%(default)d]")
     parser.add_argument("--data", type=pathlib.Path, default=ROOT.parent / "shared" / "data",
                         help="recorded data, with trajectories/; see test/data/README.md")
@@ -392,7 +431,7 @@ def main():
     if not arguments.report and shutil.which("rosrun") is None:
         fail("there is no rosrun: source build/devel/setup.bash")
     arguments.out.mkdir(parents=True, exist_ok=True)
-    cases = [case for case in (TUNED if arguments.tuning else REPORTED) if (arguments.only or "") in case.key]
+    cases = [case for case in (TUNED if arguments.tuning else REPORTED) if any(part in case.key for part in arguments.only)]
     types = [OpenVins] if arguments.openvins else [OwnTracks]
     if arguments.tracks:
         sigma_px = arguments.track_sigma_px
@@ -400,7 +439,7 @@ def main():
     if not arguments.openvins:
         cases = [case for case in cases if not case.readout_ms]  # it takes an image for one instant
     if not cases:
-        fail("--only %s: there is no such case" % arguments.only)
+        fail("--only %s: there is no such case" % " ".join(arguments.only))
     study = Study(arguments)
     if not arguments.report:
         with contextlib.ExitStack() as stack:
