@@ -17,6 +17,8 @@
 
 #include "evaluation.hpp"
 #include "footage.hpp"
+#include "gyro_deblur/config.hpp"
+#include "pipeline/exposure_choice.hpp"
 #include "result_table.hpp"
 #include "ros/conversions.hpp"
 #include "ros/processor.hpp"
@@ -64,12 +66,12 @@ void forget_timing_and_bias(Given* given) {
   given->config.shutter.readout_ns = given->config.gyro.time_offset_ns = 0;
   given->config.gyro.bias_rad_s.setZero();
 }
-void forget_rotation_and_timing(Given* given) {
+void keep_intrinsics_and_exposure(Given* given) {
   given->config.R_cam_imu.reset();
   forget_timing_and_bias(given);
 }
-void forget_all_but_exposure(Given* given) {
-  forget_rotation_and_timing(given);
+void keep_exposure(Given* given) {
+  keep_intrinsics_and_exposure(given);
   given->info.K.fill(0);
 }
 void scale_exposure(double factor, Given* given) {
@@ -79,16 +81,16 @@ void scale_exposure(double factor, Given* given) {
 
 std::vector<Case> missing_numbers() {
   return {{"all but the rotation", [](Given* given) { given->config.R_cam_imu.reset(); }},
-          {"intrinsics and exposure time", forget_rotation_and_timing},
-          {"exposure time", forget_all_but_exposure},
+          {"intrinsics and exposure time", keep_intrinsics_and_exposure},
+          {"exposure time", keep_exposure},
           {"all but the exposure time", [](Given* given) { scale_exposure(0, given); }},
           {"nothing",
            [](Given* given) {
-             forget_all_but_exposure(given);
+             keep_exposure(given);
              scale_exposure(0, given);
            }},
           {"exposure time, no IMU", [](Given* given) {
-             forget_all_but_exposure(given);
+             keep_exposure(given);
              given->imu = false;
            }}};
 }
@@ -99,7 +101,7 @@ std::vector<Case> wrong_exposures() {
     cases.push_back({"exposure_time x" + text_of(factor, 2), [=](Given* given) { scale_exposure(factor, given); }});
   }
   for (const double factor : {0.6, 0.9, 1.1, 1.6}) {
-    cases.push_back({"the same x" + text_of(factor, 2) + ", on_exposure_conflict: configured", [=](Given* given) {
+    cases.push_back({"exposure_time x" + text_of(factor, 2) + ", on_exposure_conflict: configured", [=](Given* given) {
                        scale_exposure(factor, given);
                        given->config.on_exposure_conflict = OnExposureConflict::CONFIGURED;
                      }});

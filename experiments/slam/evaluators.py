@@ -258,7 +258,7 @@ class OpenVinsTracks(OpenVins):
     name = "OpenVINS on blur-aware tracks"  # results of the former tracker have another name
     reads_tracks = True
     # Without camera_info there are no tracks.
-    variants = ("sharp", "package", "exposure-unknown", "exposure-x0.6", "exposure-x1.6", "nothing-given", "no-imu")
+    variants = ("sharp", "package", "exposure-unknown", "exposure-x0.6", "exposure-x1.6", "camera-info-only", "no-imu")
     SIGMA_PX = 0.5  # standard deviation that it takes corners to have: doc/reports/slam.md
     SETTINGS = {**OpenVins.SETTINGS, "up_msckf_sigma_px": SIGMA_PX, "up_slam_sigma_px": SIGMA_PX}
 

@@ -72,26 +72,26 @@ REPORTED = [Case(flight, exposure_ms, speed, readout_ms) for readout_ms in (0, R
 TUNED = [Case(TUNING, exposure_ms, speed) for speed in (1.7, 1.0) for exposure_ms in (30, 15)]
 
 
-
 @dataclasses.dataclass(frozen=True)
 class Variant:
     """How the images get to the evaluator."""
     options: Optional[dict] = dataclasses.field(default_factory=dict)  # of config/default.yaml; None: as in the bag
     without: tuple = ()           # topics that the package does not get
     exposure_factor: float = 0.0  # exposure_time is so many times the true one; 0: not given
+    gives_readout: bool = False   # readout_time, which is in the exposure message as well
 
 
 EXPOSURE, CAMERA_INFO, IMU, TF = "/camera/exposure", "/camera/camera_info", "/imu", "/tf_static"
 VARIANTS = {"sharp": Variant(None), "blurred": Variant(None), "gyroscope": Variant({"optical_flow": False}),
-            "package": Variant(), "exposure-unknown": Variant(without=(EXPOSURE,)),
-            "exposure-x0.6": Variant(without=(EXPOSURE,), exposure_factor=0.6),
-            "exposure-x1.6": Variant(without=(EXPOSURE,), exposure_factor=1.6),
-            "nothing-given": Variant(without=(EXPOSURE, TF)), "no-imu": Variant(without=(IMU,)),
+            "package": Variant(), "exposure-unknown": Variant(without=(EXPOSURE,), gives_readout=True),
+            "exposure-x0.6": Variant(without=(EXPOSURE,), exposure_factor=0.6, gives_readout=True),
+            "exposure-x1.6": Variant(without=(EXPOSURE,), exposure_factor=1.6, gives_readout=True),
+            "camera-info-only": Variant(without=(EXPOSURE, TF)), "no-imu": Variant(without=(IMU,)),
             "no-camera-info": Variant(without=(CAMERA_INFO,))}
 MEASURED = ("sharp", "blurred", "package")
 TITLES = {"sharp": "sharp", "blurred": "blurred", "gyroscope": "gyroscope alone", "package": "the package",
           "exposure-unknown": "exposure unknown", "exposure-x0.6": "exposure_time x0.6",
-          "exposure-x1.6": "exposure_time x1.6", "nothing-given": "nothing given", "no-imu": "no IMU",
+          "exposure-x1.6": "exposure_time x1.6", "camera-info-only": "camera_info alone", "no-imu": "no IMU",
           "no-camera-info": "no camera_info"}
 COLORS = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue"}
 TRACK_TITLES = {"package": "tracks", "sharp": "tracks, sharp images"}
@@ -108,7 +108,7 @@ def variant_of(name):
     for pair in name.split(","):
         key, _, value = pair.partition("=")
         if not value:
-            fail("%s is neither one of %s nor KEY=VALUE" % (variant, ", ".join(VARIANTS)))
+            fail("%s is neither one of %s nor KEY=VALUE" % (name, ", ".join(VARIANTS)))
         try:
             options[key] = json.loads(value)
         except ValueError:
@@ -217,8 +217,8 @@ def copy_bag(source, target, wanted, mode="w"):
 def deblur(recording, how, case, tracks, folder):
     """Through deblur_bag. Returns the recording of its images, or of its tracks."""
     settings = dict(UNTOUCHED if how.options is None else how.options)
-    if EXPOSURE in how.without and TF not in how.without:
-        settings["readout_time"] = case.readout_ms * 1e-3  # which the exposure message had, too
+    if how.gives_readout:
+        settings["readout_time"] = case.readout_ms * 1e-3
     if how.exposure_factor:
         settings["exposure_time"] = case.exposure_ms * 1e-3 * how.exposure_factor
     if recording.shift_s == 0:
@@ -430,8 +430,11 @@ def main():
         fail("--track-sigma-px needs --tracks")
     if not arguments.report and shutil.which("rosrun") is None:
         fail("there is no rosrun: source build/devel/setup.bash")
+    for name in arguments.variants:
+        variant_of(name)  # says what is wrong with it
     arguments.out.mkdir(parents=True, exist_ok=True)
-    cases = [case for case in (TUNED if arguments.tuning else REPORTED) if any(part in case.key for part in arguments.only)]
+    cases = [case for case in (TUNED if arguments.tuning else REPORTED)
+             if any(part in case.key for part in arguments.only)]
     types = [OpenVins] if arguments.openvins else [OwnTracks]
     if arguments.tracks:
         sigma_px = arguments.track_sigma_px

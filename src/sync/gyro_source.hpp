@@ -18,7 +18,7 @@
 
 namespace gyro_deblur {
 
-/// What became of the messages of an IMU since its source was made.
+/// What became of the samples of an IMU since its source was made.
 struct ImuStatistics {
   std::size_t imu_accepted = 0;  ///< less those that were given back: the next one showed that their stamp was ahead
   std::size_t imu_not_finite = 0;
@@ -29,8 +29,8 @@ struct ImuStatistics {
   std::size_t imu_saturated = 0;  ///< of those accepted
 };
 
-/// Takes the messages of one IMU in and keeps their samples as the sensor gave them: bias, time offset and rotation are
-/// those of each camera, and applied by it. Messages that cannot be used are dropped, counted and logged; for stamps
+/// Keeps the samples of one IMU as the sensor gave them: bias, time offset and rotation are
+/// those of each camera, and applied by it. Samples that cannot be used are dropped, counted and logged; for stamps
 /// TimestampFilter decides with imu_stamps. When the IMU's clock was set back, everything from before is forgotten.
 /// Thread-safe.
 class GyroSource {
@@ -48,8 +48,8 @@ class GyroSource {
   /// Keeps at least this much from now on.
   void require_capacity(TimeNs capacity_ns);
 
-  /// Takes a message in. False when it is not used, or not yet, for want of a rate or of a stamp that fits.
-  /// @param sample  nothing: the message says that it has no angular rates
+  /// False when it is not used, or not yet, for want of a rate or of a stamp that fits.
+  /// @param sample  nothing: the IMU says that it has no angular rates
   bool add(const std::optional<GyroSample>& sample, const std::string& frame_id);
 
   ImuStatistics statistics() const;

@@ -13,6 +13,7 @@
 #include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include "base/format.hpp"
 #include "base/median.hpp"
 #include "calibrate/frame_tracker.hpp"
 #include "ros/conversions.hpp"

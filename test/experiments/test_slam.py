@@ -309,13 +309,16 @@ class ShortFlight(unittest.TestCase):
             before = (out / "results.json").read_bytes()
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
             self.assertEqual((out / "results.json").read_bytes(), before)
-            # What the package does not get makes tracks shorter, and ends nothing.
-            lacking = "exposure-x1.6", "nothing-given", "no-imu"
+            # With less given there are fewer long tracks, but more than half.
+            lacking = "exposure-x1.6", "camera-info-only", "no-imu"
             subprocess.run([*command, "--variants", *lacking], check=True, stdout=subprocess.DEVNULL)
             results.update((r["variant"], r) for r in json.loads((out / "results.json").read_text()))
             for variant in lacking:
                 self.assertGreater(results[variant]["tracks"], 0.5 * results["package"]["tracks"])
-                self.assertNotEqual(results[variant]["direction_deg"], results["package"]["direction_deg"])
+                self.assertLess(results[variant]["tracks"], 0.95 * results["package"]["tracks"])
+            refused = subprocess.run([*command, "--variants", "sharp", "no-gyro"], check=False, stderr=subprocess.PIPE)
+            self.assertEqual(refused.returncode, 1)
+            self.assertIn(b"no-gyro is neither one of sharp, blurred", refused.stderr)
 
 
 if __name__ == "__main__":
