@@ -62,7 +62,8 @@ struct Outcome {
 };
 
 void forget_timing_and_bias(Given* given) {
-  given->config.given = {};
+  GivenNumbers& numbers = given->config.given;
+  numbers.time_offset = numbers.readout_time = numbers.gyro_bias = false;
   given->config.shutter.readout_ns = given->config.gyro.time_offset_ns = 0;
   given->config.gyro.bias_rad_s.setZero();
 }
@@ -141,7 +142,6 @@ std::vector<Case> wrong_numbers() {
 Given everything_right(const Arguments& arguments, const Footage& footage) {
   const sim::ImuModel& imu = footage.truth().scene().imu;
   Given given;
-  given.config.given.time_offset = given.config.given.readout_time = given.config.given.gyro_bias = true;
   given.config.shutter.readout_ns = to_ns(arguments.readout_s);
   given.config.shutter.exposure_ns = to_ns(arguments.exposure_s);
   given.config.gyro.time_offset_ns = imu.time_offset_ns;
