@@ -93,7 +93,9 @@ TITLES = {"sharp": "sharp", "blurred": "blurred", "gyroscope": "gyroscope alone"
           "exposure-unknown": "exposure unknown", "exposure-x0.6": "exposure_time x0.6",
           "exposure-x1.6": "exposure_time x1.6", "camera-info-only": "camera_info alone", "no-imu": "no IMU",
           "no-camera-info": "no camera_info"}
-COLORS = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue"}
+COLORS = {"sharp": "tab:green", "blurred": "tab:red", "gyroscope": "tab:gray", "package": "tab:blue",
+          "exposure-unknown": "tab:cyan", "exposure-x0.6": "gold", "exposure-x1.6": "tab:orange",
+          "camera-info-only": "tab:brown", "no-imu": "tab:pink", "no-camera-info": "black"}
 TRACK_TITLES = {"package": "tracks", "sharp": "tracks, sharp images"}
 TRACK_COLORS = {"package": "tab:purple", "sharp": "tab:olive"}
 # Nothing is deblurred: for tracks on images as they are.
@@ -293,7 +295,8 @@ def columns_of(cells, variants, metric, tracks=None):
     columns = [Column(TITLES.get(v, v), COLORS.get(v), cells, v, metric)
                for v in variants_of(cells.evaluator, variants)]
     if tracks is not None:
-        columns += [Column(TRACK_TITLES.get(v, "tracks, " + v), TRACK_COLORS.get(v), tracks, v, metric)
+        columns += [Column(TRACK_TITLES.get(v, "tracks, " + TITLES.get(v, v)), TRACK_COLORS.get(v, COLORS.get(v)), tracks,
+                           v, metric)
                     for v in sorted(variants_of(tracks.evaluator, variants), key=lambda v: v == "sharp")]
     return columns
 
@@ -357,12 +360,12 @@ def plot(cells, tracks, cases, lights, variants, path):
     columns = columns_of(cells, variants, metric, tracks)
     rows = [[(case, light) for case in cases if case.readout_ms == readout_ms for light in lights]
             for readout_ms in sorted({case.readout_ms for case in cases})]
-    figure, all_axes = plt.subplots(len(rows), 1, figsize=(max(5, 1.5 + 0.62 * max(map(len, rows))), 4.3 * len(rows)),
-                                    sharey=True, squeeze=False)
+    figure, all_axes = plt.subplots(len(rows), 1, figsize=(max(8, 1.5 + 0.12 * len(columns) * max(map(len, rows))),
+                                                             4.3 * len(rows)), sharey=True, squeeze=False)
     for groups, axes in zip(rows, all_axes[:, 0]):
         draw_bars(columns, groups, axes)
         axes.set_ylabel("%s: %s" % (cells.evaluator.name, title))
-    all_axes[0, 0].legend(fontsize=8, ncol=len(columns), loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
+    all_axes[0, 0].legend(fontsize=8, ncol=min(6, len(columns)), loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
     figure.tight_layout()
     figure.savefig(path, dpi=110)
     plt.close(figure)
@@ -378,6 +381,7 @@ def draw_bars(columns, groups, axes):
                 axes.annotate("lost", (x, 1), xycoords=("data", "axes fraction"), fontsize=7, va="top", rotation=90)
         axes.bar(np.arange(len(groups)) + (k - 0.5 * (len(columns) - 1)) * width, finite, width,
                  yerr=[error if np.isfinite(error) else 0 for error in errors], color=column.color, label=column.title,
+                 hatch="//" if column.cells.evaluator.reads_tracks else None,
                  error_kw={"elinewidth": 0.8})
     axes.set_yscale("log")
     axes.set_xlim(-0.7, len(groups) - 0.3)
