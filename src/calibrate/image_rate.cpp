@@ -208,6 +208,34 @@ double larger_side_px(const CameraCalibration& calibration) {
 
 double middle_row(const Camera& camera) { return 0.5 * (camera.calibration().height_px - 1); }
 
+/// Corners of the image before, where a rotation takes them, and their directions.
+struct Predicted {
+  std::vector<cv::Point2f> before, start;  ///< in the smaller image
+  std::vector<Eigen::Vector3d> rays;
+};
+/// @param scale  of the camera's image, over the smaller one
+Predicted predict(const std::vector<cv::Point2f>& corners, const Camera& camera, const Eigen::Matrix3d& rotation,
+                  int scale) {
+  Predicted predicted;
+  for (const cv::Point2f& corner : corners) {
+    const Eigen::Vector3d ray = camera.ray(Eigen::Vector2d(scale * corner.x, scale * corner.y));
+    const Eigen::Vector2d at_px = camera.project(rotation * ray) / scale;
+    if (!ray.allFinite() || !at_px.allFinite()) continue;
+    predicted.before.push_back(corner);
+    predicted.start.emplace_back(static_cast<float>(at_px.x()), static_cast<float>(at_px.y()));
+    predicted.rays.push_back(ray.normalized());
+  }
+  return predicted;
+}
+
+/// Of a lens of which nothing is known.
+void set_motion(const PixelMotion& motion, double step_s, double floor, ImageRate* rate) {
+  rate->rate_rad_s = motion.rotation / step_s;
+  rate->by_rows = motion.by_rows;
+  rate->stddev_rad_s = std::hypot(motion.stddev, floor) / step_s;
+  rate->lens_known = false;
+}
+
 }  // namespace
 
 void ImageRateTracker::set_mask(const PixelMask& mask) {
@@ -270,17 +298,8 @@ std::optional<ImageRate> ImageRateTracker::follow(const std::vector<cv::Mat>& py
   rate.end_ns = exposure.middle(middle_row(camera));
   const double step_s = to_seconds(rate.end_ns - rate.begin_ns);
   const auto pixel_of = [this](const cv::Point2f& p) { return Eigen::Vector2d(scale_ * p.x, scale_ * p.y); };
-  const Eigen::Matrix3d rotation = so3_exp(-step_s * rate_rad_s_).toRotationMatrix();
-  std::vector<cv::Point2f> before, start;
-  std::vector<Eigen::Vector3d> rays;
-  for (const cv::Point2f& corner : corners_) {
-    const Eigen::Vector3d ray = camera.ray(pixel_of(corner));
-    const Eigen::Vector2d at_px = camera.project(rotation * ray) / scale_;
-    if (!ray.allFinite() || !at_px.allFinite()) continue;
-    before.push_back(corner);
-    start.emplace_back(static_cast<float>(at_px.x()), static_cast<float>(at_px.y()));
-    rays.push_back(ray.normalized());
-  }
+  const auto [before, start, rays] =
+      predict(corners_, camera, so3_exp(-step_s * rate_rad_s_).toRotationMatrix(), scale_);
   const CornerSearch search{
       kWindowPx, kLevels, cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, kIterations, kLeastStepPx),
       kMaxRoundTripPx};
@@ -314,11 +333,7 @@ std::optional<ImageRate> ImageRateTracker::follow(const std::vector<cv::Mat>& py
   rate.speed_rad_s = median(speeds_rad_s);
   if (!lens_known) {
     const double floor = scale_ * kFloorPx / larger_px;
-    const PixelMotion motion = fit_pixel_motion(moved_pixels, camera.calibration().fx_px / larger_px, floor);
-    rate.rate_rad_s = motion.rotation / step_s;
-    rate.by_rows = motion.by_rows;
-    rate.stddev_rad_s = std::hypot(motion.stddev, floor) / step_s;
-    rate.lens_known = false;
+    set_motion(fit_pixel_motion(moved_pixels, camera.calibration().fx_px / larger_px, floor), step_s, floor, &rate);
     rate.larger_side_px = static_cast<int>(larger_px);
     return rate;
   }

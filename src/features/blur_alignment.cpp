@@ -10,14 +10,14 @@
 #include <Eigen/Dense>
 
 #include "blur/path_2d.hpp"
+#include "features/interpolation.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-/// Derivatives read so many pixels on either side, interpolation two before and three after.
+/// Derivatives read so many pixels on either side.
 constexpr int kTemplateMargin = 1, kPatchMargin = 2;
-constexpr int kTaps = kInterpolationTaps, kBefore = 2, kAfter = 3;
-using Weights = Eigen::Array<float, kInterpolationStride, 1>;
+constexpr int kTaps = kInterpolationTaps, kBefore = kInterpolationBefore, kAfter = kTaps - 1 - kBefore;
 
 /// The second image is blurred so far beyond the window at once; predictions are rarely farther off.
 constexpr int kSearchMargin = 1;
@@ -27,36 +27,6 @@ constexpr double kLeastInformation = 1e-3;
 
 /// Share of the window below which a cut one is not compared.
 constexpr double kMinWindowShare = 0.4;
-
-/// Lanczos' window of three pixels about sinc, with unit sum. Cubic convolution with four pixels is wrong by 0.015 px
-/// on average where images are sharp down to 0.3 cycles/px.
-Weights lanczos_weights(double fraction) {
-  Weights weights = Weights::Zero();
-  for (int k = 0; k < kTaps; ++k) {
-    const double x = CV_PI * (k - kBefore - fraction);
-    weights[k] = static_cast<float>(std::abs(x) < 1e-6 ? 1 : std::sin(x) * std::sin(x / 3) * 3 / (x * x));
-  }
-  return weights / weights.sum();
-}
-
-/// Sines would take most of the time. Half a step is 0.0005 px, and not always to the same side.
-const float* interpolation_table() {
-  static const std::vector<float> table = [] {
-    std::vector<float> weights;
-    for (int i = 0; i <= kInterpolationSteps; ++i) {
-      const Weights of_step = lanczos_weights(static_cast<double>(i) / kInterpolationSteps);
-      weights.insert(weights.end(), of_step.data(), of_step.data() + of_step.size());
-    }
-    return weights;
-  }();
-  return table.data();
-}
-
-/// @param fraction  [0, 1]
-Eigen::Map<const Weights> interpolation_weights(double fraction) {
-  return Eigen::Map<const Weights>(interpolation_table() +
-                                   kInterpolationStride * static_cast<int>(fraction * kInterpolationSteps + 0.5));
-}
 
 Path2d mapped(const Path2d& path_px, const Eigen::Matrix2d& map) {
   Path2d result_px;
