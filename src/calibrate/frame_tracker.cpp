@@ -16,7 +16,7 @@
 namespace gyro_deblur {
 namespace {
 
-constexpr int kWindowPx = 21;
+constexpr int kPatchPx = 21;
 /// With the window above, steps of about 300 px from frame to frame are followed.
 constexpr int kPyramidLevels = 4;
 
@@ -92,8 +92,8 @@ std::vector<char> align(const cv::Mat& from_image, const cv::Mat& to_image, cons
     centers.emplace_back(static_cast<float>(kTileReach), static_cast<float>(kTile * static_cast<int>(i) + kTileReach));
   }
   FollowedCorners followed =
-      follow_there_and_back(corner_pyramid(from_tiles, kWindowPx, 0), corner_pyramid(to_tiles, kWindowPx, 0), centers,
-                            centers, {kWindowPx, 0, until(), max_return_px});
+      follow_there_and_back(corner_pyramid(from_tiles, kPatchPx, 0), corner_pyramid(to_tiles, kPatchPx, 0), centers,
+                            centers, {kPatchPx, 0, until(), max_return_px});
   for (std::size_t i = 0; i < from.size(); ++i) {
     const cv::Point2f& found = followed.places[i];
     const cv::Vec2d moved = distortions[i] * cv::Vec2d(found.x - centers[i].x, found.y - centers[i].y);
@@ -117,7 +117,7 @@ void FrameTracker::add(const FrameTime& time, const cv::Mat& luminance) {
     throw std::invalid_argument("FrameTracker: frames have to be CV_8UC1 and of one size");
   }
   size_ = luminance.size();
-  std::vector<cv::Mat> pyramid = corner_pyramid(luminance, kWindowPx, kPyramidLevels);
+  std::vector<cv::Mat> pyramid = corner_pyramid(luminance, kPatchPx, kPyramidLevels);
   for (Anchor& anchor : growing_) {
     windows_[anchor.window].frames.push_back(time);
     follow(&anchor, pyramid, luminance.size());
@@ -163,12 +163,12 @@ void FrameTracker::follow(Anchor* anchor, const std::vector<cv::Mat>& pyramid, c
     to->resize(kept);
   };
   FollowedCorners followed = follow_there_and_back(previous_, pyramid, anchor->last, anchor->last,
-                                                   {kWindowPx, kPyramidLevels, until(), options_.max_return_px});
+                                                   {kPatchPx, kPyramidLevels, until(), options_.max_return_px});
   std::vector<cv::Point2f>& to = followed.places;
   keep(followed.found, &to);
   std::vector<char> good = align(anchor->pyramid[0], pyramid[0], anchor->points, options_.max_return_px, &to);
   // What is beyond the border is made up.
-  const int reach = kWindowPx / 2;
+  const int reach = kPatchPx / 2;
   const cv::Rect2f inside(static_cast<float>(reach), static_cast<float>(reach),
                           static_cast<float>(size.width - 2 * reach), static_cast<float>(size.height - 2 * reach));
   for (std::size_t i = 0; i < to.size(); ++i) {

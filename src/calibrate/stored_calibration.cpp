@@ -87,11 +87,11 @@ std::optional<LearnedCalibration> load_stored_calibration(const std::string& pat
     const nlohmann::json json = nlohmann::json::parse(file);
     if (!json.is_object()) throw std::runtime_error("it is no map of values");
     LearnedCalibration calibration;
-    constexpr double kLargestOffsetS = 4e9, kLargestReadoutS = 1, kLargestBiasRadS = 1;
+    constexpr double kMostOffsetS = 4e9, kMostReadoutS = 1, kMostBiasRadS = 1;
     read(json, "R_cam_imu", 1.001, &calibration.R_cam_imu);
-    read(json, "time_offset", kLargestOffsetS, &calibration.time_offset_s);
-    read(json, "readout_time", kLargestReadoutS, &calibration.readout_s);
-    read(json, "gyro_bias", kLargestBiasRadS, &calibration.bias_rad_s);
+    read(json, "time_offset", kMostOffsetS, &calibration.time_offset_s);
+    read(json, "readout_time", kMostReadoutS, &calibration.readout_s);
+    read(json, "gyro_bias", kMostBiasRadS, &calibration.bias_rad_s);
     read(json, "focal_length", kLongestFocalLength, &calibration.focal_length);
     if (calibration.focal_length.known) {
       if (calibration.focal_length.value < kShortestFocalLength) throw std::runtime_error("focal_length is too short");
