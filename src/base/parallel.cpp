@@ -146,7 +146,9 @@ class Helpers {
   }
 
   /// From now on up to `count` threads join the loop.
-  void call(Loop& loop, int count) {
+  /// @return false in a child that was forked from the process: no thread helps it, and one may have had the lock
+  bool call(Loop& loop, int count) {
+    if (getpid() != process_) return false;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       loop.wanted = count;
@@ -154,6 +156,7 @@ class Helpers {
       start_threads(count + awake_);
     }
     for (int i = 0; i < count; ++i) called_.notify_one();
+    return true;
   }
 
   /// Returns when nobody has to do with the loop any more, nor will have.
@@ -376,9 +379,9 @@ void parallel_for_ranges(int count, int threads, int chunk, const LoopPart& part
   if (most == 1) return part(0, count, 0);
   Loop loop(count, chunk, part);
   Helpers& pool = Helpers::instance();
-  const int helpers = work_until_worthwhile(loop, most - 1, pool);
+  int helpers = work_until_worthwhile(loop, most - 1, pool);
   try {
-    if (helpers > 0) pool.call(loop, helpers);
+    if (helpers > 0 && !pool.call(loop, helpers)) helpers = 0;
   } catch (const std::bad_alloc&) {
     // Nobody else is called.
   }

@@ -313,6 +313,30 @@ TEST(AwakeHelpers, LeaveTheCoresOfAForkedProcessAlone) {
   EXPECT_EQ(status, 0);
 }
 
+TEST(RunParallel, AForkedProcessRunsItsLoopsAlone) {
+  const EagerHelpers eager;
+  std::atomic<bool> stops{false};
+  // Somebody has the lock of the helpers most of the time.
+  std::thread busy([&stops] {
+    while (!stops) parallel_for(2, 2, 1, [](int) {});
+  });
+  for (int i = 0; i < 20; ++i) {
+    const pid_t child = fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+      alarm(10);  // ends it where it waits for ever
+      int sum = 0;
+      parallel_for(100, 2, 1, [&sum](int k) { sum += k; });
+      _exit(sum == 4950 ? 0 : 1);
+    }
+    int status = -1;
+    ASSERT_EQ(waitpid(child, &status, 0), child);
+    EXPECT_EQ(status, 0);
+  }
+  stops = true;
+  busy.join();
+}
+
 TEST(AwakeHelpers, SleepAfterTheFrameAndWhereNoLoopComes) {
   constexpr int kFrames = 10;
   constexpr std::chrono::milliseconds kPause{30};
