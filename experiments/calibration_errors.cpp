@@ -121,7 +121,7 @@ std::vector<Case> wrong_numbers() {
                      [=](Given* given) { given->config.shutter.readout_ns += to_ns(1e-3 * readout_ms); }});
   }
   for (const int degrees : {2, 5, 15, 90}) {
-    cases.push_back({"R_cam_imu by " + std::to_string(degrees) + " degrees", [=](Given* given) {
+    cases.push_back({"R_cam_imu about (1, 1, 1) by " + std::to_string(degrees) + " degrees", [=](Given* given) {
                        const Eigen::AngleAxisd turn(degrees * CV_PI / 180, Eigen::Vector3d::Ones().normalized());
                        given->config.R_cam_imu = turn.toRotationMatrix() * *given->config.R_cam_imu;
                      }});

@@ -228,12 +228,13 @@ Predicted predict(const std::vector<cv::Point2f>& corners, const Camera& camera,
   return predicted;
 }
 
-/// Of a lens of which nothing is known.
-void set_motion(const PixelMotion& motion, double step_s, double floor, ImageRate* rate) {
+/// What pixels show where nothing is known of the lens: rates in the image's larger side.
+void set_pixel_motion(const PixelMotion& motion, double step_s, double larger_px, double floor, ImageRate* rate) {
   rate->rate_rad_s = motion.rotation / step_s;
   rate->by_rows = motion.by_rows;
   rate->stddev_rad_s = std::hypot(motion.stddev, floor) / step_s;
   rate->lens_known = false;
+  rate->larger_side_px = static_cast<int>(larger_px);
 }
 
 }  // namespace
@@ -333,8 +334,8 @@ std::optional<ImageRate> ImageRateTracker::follow(const std::vector<cv::Mat>& py
   rate.speed_rad_s = median(speeds_rad_s);
   if (!lens_known) {
     const double floor = scale_ * kFloorPx / larger_px;
-    set_motion(fit_pixel_motion(moved_pixels, camera.calibration().fx_px / larger_px, floor), step_s, floor, &rate);
-    rate.larger_side_px = static_cast<int>(larger_px);
+    set_pixel_motion(fit_pixel_motion(moved_pixels, camera.calibration().fx_px / larger_px, floor), step_s, larger_px,
+                     floor, &rate);
     return rate;
   }
   const double floor_rad = scale_ * kFloorPx / camera.calibration().fx_px;
