@@ -12,10 +12,10 @@ namespace gyro_deblur {
 void FrameQueue::push(PendingFrame frame) {
   frame.epoch = is_unset(frame.stamp_ns) ? epochs_.current() : epochs_.next(frame.stamp_ns);
   frames_.push_back(std::move(frame));
-  const auto waits = [](const PendingFrame& each) { return each.pass_through_reason == PassThroughReason::NONE; };
-  auto waiting = static_cast<std::size_t>(std::count_if(frames_.begin(), frames_.end(), waits));
+  auto waiting = static_cast<std::size_t>(
+      std::count_if(frames_.begin(), frames_.end(), [](const PendingFrame& each) { return each.is_undecided(); }));
   for (auto old = frames_.begin(); waiting > capacity_; ++old) {
-    if (!waits(*old)) continue;
+    if (!old->is_undecided()) continue;
     old->pass_through(PassThroughReason::OVERLOAD,
                       "more than frame_queue_size = " + std::to_string(capacity_) + " frames were waiting");
     --waiting;
@@ -24,7 +24,7 @@ void FrameQueue::push(PendingFrame frame) {
 
 void FrameQueue::pass_through_before(int epoch, PassThroughReason reason, const std::string& text) {
   for (PendingFrame& frame : frames_) {
-    if (frame.epoch < epoch && frame.pass_through_reason == PassThroughReason::NONE) frame.pass_through(reason, text);
+    if (frame.epoch < epoch && frame.is_undecided()) frame.pass_through(reason, text);
   }
 }
 

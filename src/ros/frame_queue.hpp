@@ -19,7 +19,9 @@
 namespace gyro_deblur {
 
 /// What may keep a frame waiting.
-enum class Awaited { NOTHING, CAMERA_INFO, EXPOSURE, IMU, TRANSFORM };
+enum class Awaited { NOTHING, CAMERA_INFO, EXPOSURE, IMU, TRANSFORM, STEREO_PARTNER };
+
+struct FrameInWork;
 
 /// An image that the node has not published yet.
 struct PendingFrame {
@@ -42,6 +44,11 @@ struct PendingFrame {
   bool timed_out = false;             ///< it waits for nothing any longer
   std::string missing_extrinsic;      ///< why it waits for the rotation between IMU and camera; empty: it does not
   bool partners_notified = false;     ///< to the stereo partners
+  /// What has been done already of one that waits for its stereo partners: it is processed to the end. Otherwise null.
+  std::shared_ptr<FrameInWork> in_work;
+
+  /// Whether it may still come to pass through.
+  bool is_undecided() const { return pass_through_reason == PassThroughReason::NONE && !in_work; }
 
   /// Stamp of the picture: of the first image that showed it.
   TimeNs picture_ns() const { return picture ? picture->stamp_ns : stamp_ns; }
@@ -82,7 +89,7 @@ class FrameQueue {
   /// Precondition: not empty.
   PendingFrame pop();
 
-  /// The frame that pop() gave last could not be published: it is the foremost one again.
+  /// The frame that pop() gave last cannot be published yet: it is the foremost one again.
   void put_back(PendingFrame frame) { frames_.push_front(std::move(frame)); }
 
  private:

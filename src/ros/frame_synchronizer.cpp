@@ -122,6 +122,19 @@ std::optional<SynchronizedFrame> FrameSynchronizer::next(const Followed& followe
   return next;
 }
 
+void FrameSynchronizer::put_back(PendingFrame frame) {
+  overload_.pause(steady_now());
+  frame.awaits = Awaited::STEREO_PARTNER;
+  if (!frame.ready_steady_ns) frame.ready_steady_ns = steady_now();
+  queue().put_back(std::move(frame));
+}
+
+std::shared_ptr<FrameInWork> FrameSynchronizer::resume() {
+  if (queue().empty() || !queue().front().in_work) return nullptr;
+  overload_.resume(steady_now());
+  return queue().pop().in_work;
+}
+
 Readiness FrameSynchronizer::decide(PendingFrame* frame, PictureMotion* motion) const {
   frame->awaits = Awaited::NOTHING;
   // Unusable images, time that was reset, a queue that is full.

@@ -59,6 +59,12 @@ class FrameSynchronizer : public InputBuffers {
   /// @param finishing  nothing is waited for any longer
   std::optional<SynchronizedFrame> next(const Followed& followed_cam, bool finishing);
 
+  /// The frame that next() gave last has to wait for its stereo partners: it is the foremost one again.
+  /// @param frame  with what has been done of it
+  void put_back(PendingFrame frame);
+  /// Takes the foremost frame out again, if it was put back; else null.
+  std::shared_ptr<FrameInWork> resume();
+
  private:
   const Config& config() const { return calibration_.config(); }
   CalibrationSearch calibration_search() const { return {*this, calibration_, &problems_}; }

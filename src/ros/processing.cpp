@@ -153,7 +153,9 @@ FrameOutput pass_through_failed(const std::string& text, const FrameOutput& made
   output.engine_warning = made.engine_warning;
   output.times = made.times;
   output.tracks_ms = made.tracks_ms;
+  output.waiting_ms = made.waiting_ms;
   output.messages_ms = made.messages_ms;
+  output.total_ms = made.total_ms;
   return output;
 }
 
@@ -166,79 +168,114 @@ std::string drop_text(const FrameBlur& field) {
 
 }  // namespace
 
-FrameOutput Processor::process(const SynchronizedFrame& synchronized) {
-  FrameRequest request = environment_.request ? environment_.request() : FrameRequest();
+bool Processor::process(FrameInWork* work) {
   const Stopwatch watch;
+  const SynchronizedFrame& synchronized = work->synchronized;
   const PendingFrame& frame = synchronized.frame;
-  FrameOutput output;
-  output.input = output.image = frame.image;
-  output.reason = frame.pass_through_reason;
-  output.reason_text = frame.pass_through_text;
+  FrameOutput& output = work->output;
   StereoCamera* const stereo = environment_.stereo.get();
+  const bool begins = !output.input;
+  if (begins) {
+    if (environment_.request) work->request = environment_.request();
+    output.input = output.image = frame.image;
+    output.reason = frame.pass_through_reason;
+    output.reason_text = frame.pass_through_text;
+  }
   if (output.reason == PassThroughReason::NONE) {
-    if (stereo) stereo->begin(frame.stamp_ns);
-    request.input_luminance = request.overlay || request.wants_tracks();
-    request.behind_camera_rate = synchronized.behind_camera_rate;
-    request.repeats_picture = frame.repeats;
-    request.without_gyro = synchronized.without_gyro;
-    request.exposure =
-        ExposureQuestion{synchronized.plan.estimate && !synchronized.plan.decided, synchronized.plan.longest_ns};
+    if (stereo && begins) stereo->begin(frame.stamp_ns);
+    bool is_done = true;
     try {
-      deblur(synchronized, request, &output);
+      is_done = process_ready(work);
     } catch (const std::exception& error) {
       output = pass_through_failed(error.what(), output);
     } catch (...) {
       output = pass_through_failed("an exception of unknown type", output);
     }
+    if (!is_done) {
+      output.total_ms += watch.ms();
+      return false;
+    }
   } else if (stereo) {
     stereo->pass_through(frame.stamp_ns, output.reason);
   }
-  if (!output.dropped) complete(synchronized, request, &output);
-  output.total_ms = watch.ms();
+  if (!output.dropped) complete(synchronized, work->request, &output);
+  output.total_ms += watch.ms();
   if (stereo && output.reason != PassThroughReason::NONE) stereo->pass_through(frame.stamp_ns, output.reason);
-  return output;
+  return true;
 }
 
-void Processor::deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output) {
-  const PendingFrame& frame = synchronized.frame;
-  Pipeline& pipeline = *synchronized.pipeline;
-  Stopwatch watch;
-  const ImageView view = view_image(*frame.image);
-  output->messages_ms += watch.lap();
-  set_up_pipeline(synchronized);
-  pipeline.set_calibration(*frame.calibration);
-  const RotationTrack rotation(synchronized.samples, synchronized.gyro, synchronized.R_cam_imu, synchronized.own_begin);
-  const double preparation_ms = watch.ms();
+bool Processor::process_ready(FrameInWork* work) {
+  if (!work->rotation) {
+    begin(work);
+    if (!work->made) validate(work);
+  }
+  const FrameBlur& field = work->made ? work->made->result.field : work->validated->field;
+  const bool is_known = work->made || work->validated->blur_is_known();
+  const std::optional<FrameAction> action = is_known ? decide(work->synchronized, field) : FrameAction();
+  if (!action) return false;
+  // What was made of the picture is of one that is deblurred.
+  if (work->made && !action->deblurs()) {
+    work->made.reset();
+    validate(work);
+  }
+  deblur(*action, work);
+  return true;
+}
 
-  FrameAction action;
-  ChosenExposure chosen = synchronized.plan;
+void Processor::begin(FrameInWork* work) {
+  const SynchronizedFrame& synchronized = work->synchronized;
+  const PendingFrame& frame = synchronized.frame;
+  FrameRequest& request = work->request;
+  request.input_luminance = request.overlay || request.wants_tracks();
+  request.behind_camera_rate = synchronized.behind_camera_rate;
+  request.repeats_picture = frame.repeats;
+  request.without_gyro = synchronized.without_gyro;
+  request.exposure =
+      ExposureQuestion{synchronized.plan.estimate && !synchronized.plan.decided, synchronized.plan.longest_ns};
+  Stopwatch watch;
+  work->view = view_image(*frame.image);
+  work->output.messages_ms += watch.lap();
+  set_up_pipeline(synchronized);
+  synchronized.pipeline->set_calibration(*frame.calibration);
+  work->rotation.emplace(synchronized.samples, synchronized.gyro, synchronized.R_cam_imu, synchronized.own_begin);
+  work->preparation_ms = watch.ms();
+  work->chosen = synchronized.plan;
+  const std::shared_ptr<const MadePicture> made = frame.picture ? frame.picture->made : nullptr;
+  if (made && made->serves(synchronized, request)) work->made = made;
+}
+
+void Processor::validate(FrameInWork* work) {
+  const SynchronizedFrame& synchronized = work->synchronized;
+  Pipeline& pipeline = *synchronized.pipeline;
+  work->chosen = choose_exposure(synchronized, pipeline.estimate(work->view.image, work->view.layout, *work->rotation,
+                                                                 *synchronized.exposure, work->request));
+  const ExposureAnswer answer{work->chosen.exposure_ns, work->chosen.origin != ExposureOrigin::ASSUMED};
+  work->validated = &pipeline.validate(answer);
+}
+
+void Processor::deblur(const FrameAction& action, FrameInWork* work) {
+  const SynchronizedFrame& synchronized = work->synchronized;
+  const PendingFrame& frame = synchronized.frame;
   PipelineResult result;
-  std::shared_ptr<const MadePicture> made = frame.picture ? frame.picture->made : nullptr;
-  if (made && !made->serves(synchronized, request)) made = nullptr;
-  if (made) action = decide(synchronized, made->result.field);
-  if (made && action.deblurs()) {
-    result = made->result;
+  if (work->made) {
+    result = work->made->result;
     result.times = {};
     result.residual_rotation.reset();
     result.seen_rotation.reset();
   } else {
-    chosen = choose_exposure(synchronized,
-                             pipeline.estimate(view.image, view.layout, rotation, *synchronized.exposure, request));
-    const ExposureAnswer answer{chosen.exposure_ns, chosen.origin != ExposureOrigin::ASSUMED};
-    const PipelineResult& validated = pipeline.validate(answer);
-    if (!made && validated.blur_is_known()) action = decide(synchronized, validated.field);
-    result = pipeline.deblur(action);
+    result = synchronized.pipeline->deblur(action);
     if (synchronized.pictures_repeat && frame.picture && action.deblurs()) {
       frame.picture->made = std::make_shared<MadePicture>(
-          MadePicture{frame.image, synchronized.config, *frame.calibration, synchronized.mask, request, result});
+          MadePicture{frame.image, synchronized.config, *frame.calibration, synchronized.mask, work->request, result});
     }
   }
-  output->exposure = FrameExposure{chosen, result.exposure_need};
+  FrameOutput& output = work->output;
+  output.exposure = FrameExposure{work->chosen, result.exposure_need};
   // What is said of a picture holds for the image that shows it, as though it had been exposed by that one's stamp.
   result.reference_ns += frame.stamp_ns - frame.picture_ns();
-  add_findings(synchronized, result, output);
-  output->times.blur_field_ms += preparation_ms;  // of what the field is predicted from
-  add_result(synchronized, request, action, rotation, std::move(result), output);
+  add_findings(synchronized, result, &output);
+  output.times.blur_field_ms += work->preparation_ms;
+  add_result(synchronized, work->request, action, *work->rotation, std::move(result), &output);
 }
 
 void Processor::add_result(const SynchronizedFrame& synchronized, const FrameRequest& request,
@@ -295,10 +332,10 @@ void Processor::add_tracks(const SynchronizedFrame& synchronized, const FrameReq
       track_rectifier_.rectify(tracks, result.field, camera, rotation, exposure, reference_ns), layout, header);
 }
 
-FrameAction Processor::decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const {
+std::optional<FrameAction> Processor::decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const {
   StereoCamera* const stereo = environment_.stereo.get();
   const TimeNs stamp_ns = synchronized.frame.stamp_ns;
-  if (!stereo) return {"", synchronized.drop_poor ? drop_text(field) : ""};
+  if (!stereo) return FrameAction{"", synchronized.drop_poor ? drop_text(field) : ""};
   if (!synchronized.drop_poor) return stereo->decide(stamp_ns, field);
   FrameBlur passed_through = field;
   passed_through.reject_all();

@@ -2,6 +2,7 @@
 #include "ros/processor.hpp"
 
 #include <algorithm>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -26,7 +27,9 @@ Processor::Processor(Environment environment)
       mask_(&problems_),
       synchronizer_(InputBuffers({environment_.clock, environment_.steady_clock}, gyro_source_,
                                  environment_.exposure_expected, &problems_),
-                    environment_.extrinsic, &calibration_, &exposures_, &problems_) {}
+                    environment_.extrinsic, &calibration_, &exposures_, &problems_) {
+  if (environment_.stereo) environment_.stereo->set_wake([signal = signal_] { signal->notify(); });
+}
 
 void Processor::set_config(const Config& config) {
   config.validate();
@@ -187,9 +190,21 @@ void Processor::learn_from(const SynchronizedFrame& synchronized, const std::opt
   self_calibrator_.add(std::move(samples), std::move(*image));
 }
 
-std::optional<SynchronizedFrame> Processor::next_frame(bool finishing) {
+std::shared_ptr<FrameInWork> Processor::next_frame(bool finishing) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (stops_ && !finishing) return std::nullopt;
+  if (signal_->stopped() && !finishing) return nullptr;
+  std::shared_ptr<FrameInWork> work = synchronizer_.resume();
+  if (!work) {
+    std::optional<SynchronizedFrame> next = synchronize(finishing);
+    if (!next) return nullptr;
+    work = std::make_shared<FrameInWork>(std::move(*next));
+    work->idle_since_ns = work->synchronized.frame.arrival_steady_ns;
+  }
+  ++in_progress_;
+  return work;
+}
+
+std::optional<SynchronizedFrame> Processor::synchronize(bool finishing) {
   const std::size_t updates = self_calibrator_.updates();
   if (std::exchange(calibration_updates_, updates) != updates &&
       calibration_.learn(self_calibrator_.learned(), readout_share_, readout_by_messages_)) {
@@ -212,20 +227,26 @@ std::optional<SynchronizedFrame> Processor::next_frame(bool finishing) {
       frame.pass_through_reason != PassThroughReason::UNSUPPORTED_ENCODING) {
     next->mask = mask_.for_image({static_cast<int>(frame.image->width), static_cast<int>(frame.image->height)});
   }
-  ++in_progress_;
   return next;
 }
 
 void Processor::advance(const Sink& sink, bool finishing) {
-  while (std::optional<SynchronizedFrame> synchronized = next_frame(finishing)) {
-    FrameOutput output;
+  while (const std::shared_ptr<FrameInWork> work = next_frame(finishing)) {
+    FrameOutput& output = work->output;
+    PendingFrame& frame = work->synchronized.frame;
     try {
-      const TimeNs waited_ns = synchronizer_.steady_now() - synchronized->frame.arrival_steady_ns;
-      output = process(*synchronized);
-      output.waiting_ms = static_cast<double>(waited_ns) * 1e-6;
+      output.waiting_ms += static_cast<double>(synchronizer_.steady_now() - work->idle_since_ns) * 1e-6;
+      if (!process(work.get())) {
+        put_back(work);
+        if (!finishing) return;
+        // The signal has ended for good when a nodelet finishes.
+        constexpr std::chrono::milliseconds kPollPeriod{1};
+        std::this_thread::sleep_for(kPollPeriod);
+        continue;
+      }
       if (!output.engine_warning.empty()) environment_.log(LogLevel::WARNING, output.engine_warning);
       try {
-        learn_from(*synchronized, output.exposure);
+        learn_from(work->synchronized, output.exposure);
       } catch (const std::exception& error) {  // costs no frame
         problems_.log(LogLevel::ERROR, "self-calibration", std::string("self-calibration failed: ") + error.what());
       }
@@ -233,8 +254,8 @@ void Processor::advance(const Sink& sink, bool finishing) {
       // Even passing it through failed, for lack of memory for example: it stays the first to be published.
       const std::lock_guard<std::mutex> lock(mutex_);
       --in_progress_;
-      synchronized->frame.pass_through_reason = PassThroughReason::INTERNAL_ERROR;
-      synchronizer_.queue().put_back(std::move(synchronized->frame));
+      frame.pass_through_reason = PassThroughReason::INTERNAL_ERROR;
+      synchronizer_.queue().put_back(std::move(frame));
       throw;
     }
     {
@@ -245,6 +266,16 @@ void Processor::advance(const Sink& sink, bool finishing) {
     }
     if (!sink(std::move(output))) return;
   }
+}
+
+void Processor::put_back(const std::shared_ptr<FrameInWork>& work) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  work->idle_since_ns = synchronizer_.steady_now();
+  PendingFrame frame = work->synchronized.frame;
+  frame.in_work = work;
+  synchronizer_.put_back(std::move(frame));
+  --in_progress_;
+  if (const auto deadline = environment_.stereo->deadline()) signal_->notify_at(*deadline);
 }
 
 void Processor::finish(const Sink& sink) {
@@ -259,28 +290,16 @@ std::size_t Processor::waiting() const {
 }
 
 bool Processor::wait(std::chrono::nanoseconds poll) {
-  std::unique_lock<std::mutex> lock(mutex_);
-  const auto ends = [this] { return has_news_ || stops_; };
-  frames_waiting() > 0 ? void(has_work_.wait_for(lock, poll, ends)) : has_work_.wait(lock, ends);
-  has_news_ = false;
-  return !stops_;
+  return signal_->wait(waiting() > 0 ? std::optional(poll) : std::nullopt);
 }
 
 void Processor::notify_worker() {
-  if (frames_waiting() == 0) return;
-  has_news_ = true;
-  has_work_.notify_one();
+  if (frames_waiting() > 0) signal_->notify();
 }
 
 void Processor::wake() {
   const std::lock_guard<std::mutex> lock(mutex_);
   notify_worker();
-}
-
-void Processor::stop() {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  stops_ = true;
-  has_work_.notify_one();
 }
 
 Awaited Processor::awaited() const {

@@ -2,12 +2,12 @@
 #pragma once
 
 #include <chrono>
-#include <condition_variable>
 #include <functional>
 #include <memory>
 #include <mutex>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/CompressedImage.h>
@@ -23,6 +23,7 @@
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "ros/frame_synchronizer.hpp"
+#include "ros/image_conversion.hpp"
 #include "ros/input_mask.hpp"
 #include "ros/messages.hpp"
 #include "ros/processing.hpp"
@@ -33,8 +34,26 @@
 #include "sync/gyro_source.hpp"
 #include "sync/input_problems.hpp"
 #include "sync/stereo_rig.hpp"
+#include "sync/work_signal.hpp"
 
 namespace gyro_deblur {
+
+/// A frame that has been taken out of the queue, and what has been done of it.
+struct FrameInWork {
+  explicit FrameInWork(SynchronizedFrame frame) : synchronized(std::move(frame)) {}
+
+  SynchronizedFrame synchronized;
+  FrameRequest request;
+  FrameOutput output;
+  TimeNs idle_since_ns = 0;               ///< steady clock; since when it waits to be processed
+  ImageView view;                         ///< once processing has begun
+  std::optional<RotationTrack> rotation;  ///< as well
+  double preparation_ms = 0;              ///< of what its blur is predicted from
+  ChosenExposure chosen;
+  std::shared_ptr<const MadePicture> made;  ///< that it repeats; null: its own is estimated
+  /// Of its own, in the pipeline; null until it is estimated.
+  const PipelineResult* validated = nullptr;
+};
 
 /// The steps of a frame and their locks: messages go into the input buffers (from any thread), a frame is synchronised
 /// from what is there, processed, and given out, in order (to the one thread that calls advance and finish).
@@ -107,7 +126,7 @@ class Processor {
   /// Ends wait() if frames wait: something else than a message of theirs may have made one ready.
   void wake();
   /// Ends wait() for good, and advance() after the frame in progress.
-  void stop();
+  void stop() { signal_->stop(); }
 
   /// Frames that are not published yet.
   std::size_t waiting() const;
@@ -140,8 +159,11 @@ class Processor {
  private:
   /// Reports what of the calibration file was not understood. Needs mutex_.
   void record_calibration_file();
-  /// The foremost frame with what belongs to it, or nothing while it has to wait.
-  std::optional<SynchronizedFrame> next_frame(bool finishing);
+  /// The foremost frame with what belongs to it, or null while it has to wait.
+  std::shared_ptr<FrameInWork> next_frame(bool finishing);
+  std::optional<SynchronizedFrame> synchronize(bool finishing);  // needs mutex_
+  /// The frame waits for its stereo partners. Takes mutex_.
+  void put_back(const std::shared_ptr<FrameInWork>& work);
   /// Locks mutex_, calls add(), which gives a message to the synchronizer, and ends wait().
   template <typename Add>
   void take_in(Add add);
@@ -149,18 +171,24 @@ class Processor {
   std::size_t frames_waiting() const { return synchronizer_.queue().size() + in_progress_; }  // needs mutex_
   /// Stereo partners need not wait until frames that pass through are published. Needs mutex_.
   void notify_stereo();
-  /// The output of a frame. Exceptions of the pipeline become INTERNAL_ERROR; those of passing the frame through (for
-  /// lack of memory) pass.
-  FrameOutput process(const SynchronizedFrame& synchronized);
-  /// Estimates the frame's blur, validates it by the exposure that is chosen then, and deblurs if that is decided.
-  /// Precondition: the frame is ready.
-  void deblur(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output);
+  /// Makes the output of a frame. Exceptions of the pipeline become INTERNAL_ERROR; those of passing the frame through
+  /// (for lack of memory) pass.
+  /// @return false: it waits for its stereo partners, and has to be processed again
+  bool process(FrameInWork* work);
+  /// What process() does of a frame that is ready.
+  bool process_ready(FrameInWork* work);
+  /// Sets what processing goes by.
+  void begin(FrameInWork* work);
+  /// Estimates the frame's blur, and validates it by the exposure that is chosen then.
+  void validate(FrameInWork* work);
+  /// Deblurs the frame if that is decided.
+  void deblur(const FrameAction& action, FrameInWork* work);
   /// Gives the pipeline the frame's options and mask.
   void set_up_pipeline(const SynchronizedFrame& synchronized);
   /// What the frame is deblurred by; its picture goes by that from now on. Takes mutex_.
   ChosenExposure choose_exposure(const SynchronizedFrame& synchronized, const PipelineResult& estimated);
-  /// What is done with a frame that has this validated field. Waits for its stereo partners: mutex_ must be free.
-  FrameAction decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const;
+  /// What is done with a frame that has this validated field; nothing while it waits for its stereo partners.
+  std::optional<FrameAction> decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const;
   /// What of the output the pipeline's result gives.
   void add_result(const SynchronizedFrame& synchronized, const FrameRequest& request, const FrameAction& action,
                   const RotationTrack& rotation, PipelineResult result, FrameOutput* output);
@@ -190,6 +218,8 @@ class Processor {
   const Environment environment_;
   InputProblems problems_;                         // locks itself
   const std::shared_ptr<GyroSource> gyro_source_;  // locks itself; taken after mutex_
+  /// Locks itself; taken after all others. The stereo rig has it, too.
+  const std::shared_ptr<WorkSignal> signal_ = std::make_shared<WorkSignal>();
 
   // Of the thread that calls advance alone.
   FeatureTracker tracker_;
@@ -201,10 +231,7 @@ class Processor {
   };
   std::optional<MovedStamp> last_moved_, last_moved_tracks_;  // of the newest global-shutter image and tracks
 
-  mutable std::mutex mutex_;  // everything below
-  std::condition_variable has_work_;
-  bool has_news_ = false;  // since wait() returned
-  bool stops_ = false;
+  mutable std::mutex mutex_;              // everything below
   std::shared_ptr<const Config> config_;  // as it is given; null while it cannot be used
   std::shared_ptr<Pipeline> pipeline_;
   SelfCalibrator self_calibrator_;  // locks itself

@@ -25,6 +25,11 @@ class OverloadRule {
     begun_ns_ = steady_ns;
     behind_camera_rate_ = behind_camera_rate;
   }
+  /// The frame has to wait for its stereo partners, which is no processing.
+  void pause(TimeNs steady_ns) { paused_ns_ = steady_ns; }
+  void resume(TimeNs steady_ns) {
+    if (begun_ns_) *begun_ns_ += steady_ns - paused_ns_;
+  }
   /// The next frame is asked for: what was begun has ended, its publishing included.
   void end(TimeNs steady_ns);
 
@@ -43,6 +48,7 @@ class OverloadRule {
   TimeNs usual_ns() const;  // precondition: some are kept
 
   std::optional<TimeNs> begun_ns_;
+  TimeNs paused_ns_ = 0;
   bool behind_camera_rate_ = false;  // of the frame that has begun
   std::deque<TimeNs> durations_ns_;  // of the last frames that count
 };

@@ -1,4 +1,4 @@
-// Lets the cameras of a rig wait for each other and decides what is done with a pair.
+// Decides what is done with the images of a pair, and which have to wait for another.
 #include "sync/stereo_rig.hpp"
 
 #include <algorithm>
@@ -43,45 +43,49 @@ std::shared_ptr<StereoRig> StereoRig::get(const std::string& imu_topic) {
   return rig;
 }
 
-void StereoRig::join(Id id, const std::string& name, TimeNs timeout_ns) {
+void StereoRig::wake_waiting(Id except) const {
+  for (const auto& [id, member] : members_) {
+    if (id != except && member.wait && member.wake) member.wake();
+  }
+}
+
+void StereoRig::join(Id id, const std::string& name, TimeNs timeout_ns, const std::function<void()>& wake) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  members_[id].name = name;
-  members_[id].timeout_ns = timeout_ns;
+  Member& member = members_[id];
+  member.name = name;
+  member.timeout_ns = timeout_ns;
+  member.wake = wake;
 }
 
 void StereoRig::leave(Id id) {
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    members_.erase(id);
-    for (const std::shared_ptr<Pair>& pair : pairs_) pair->places.erase(id);
-  }
-  changed_.notify_all();
+  const std::lock_guard<std::mutex> lock(mutex_);
+  wake_waiting();
+  members_.erase(id);
+  for (const std::shared_ptr<Pair>& pair : pairs_) pair->places.erase(id);
 }
 
 void StereoRig::announce(Id id, TimeNs stamp_ns) {
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    const auto member = members_.find(id);
-    if (member == members_.end()) return;
-    // The newest first: a recording that is played again has the same stamps.
-    const auto found = std::find_if(pairs_.rbegin(), pairs_.rend(), [&](const std::shared_ptr<Pair>& pair) {
-      return std::abs(pair->stamp_ns - stamp_ns) <= kTolerance && pair->places.count(id) == 0;
-    });
-    std::shared_ptr<Pair> pair;
-    if (found != pairs_.rend()) {
-      pair = *found;
-      if (pair->agreed) member->second.sending.came_late();
-    } else {
-      pair = std::make_shared<Pair>();
-      pair->number = ++pairs_made_;
-      pair->stamp_ns = stamp_ns;
-      pairs_.push_back(pair);
-      if (pairs_.size() > kPairsKept) pairs_.pop_front();
-    }
-    pair->places[id] = {stamp_ns, Phase::RECEIVED, std::nullopt};
-    member->second.newest = pair->number;
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const auto member = members_.find(id);
+  if (member == members_.end()) return;
+  // The newest first: a recording that is played again has the same stamps.
+  const auto found = std::find_if(pairs_.rbegin(), pairs_.rend(), [&](const std::shared_ptr<Pair>& pair) {
+    return std::abs(pair->stamp_ns - stamp_ns) <= kTolerance && pair->places.count(id) == 0;
+  });
+  std::shared_ptr<Pair> pair;
+  if (found != pairs_.rend()) {
+    pair = *found;
+    if (pair->agreed) member->second.sending.came_late();
+  } else {
+    pair = std::make_shared<Pair>();
+    pair->number = ++pairs_made_;
+    pair->stamp_ns = stamp_ns;
+    pairs_.push_back(pair);
+    if (pairs_.size() > kPairsKept) pairs_.pop_front();
   }
-  changed_.notify_all();
+  pair->places[id] = {stamp_ns, Phase::RECEIVED, std::nullopt};
+  member->second.newest = pair->number;
+  wake_waiting();
 }
 
 std::shared_ptr<StereoRig::Pair> StereoRig::find(Id id, TimeNs stamp_ns) const {
@@ -98,13 +102,11 @@ std::shared_ptr<StereoRig::Pair> StereoRig::find(Id id, TimeNs stamp_ns) const {
 
 template <typename Change>
 void StereoRig::change(Id id, TimeNs stamp_ns, Change change) {
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    const std::shared_ptr<Pair> pair = find(id, stamp_ns);
-    if (!pair) return;
-    change(pair);
-  }
-  changed_.notify_all();
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const std::shared_ptr<Pair> pair = find(id, stamp_ns);
+  if (!pair) return;
+  change(pair);
+  wake_waiting();
 }
 
 void StereoRig::begin(Id id, TimeNs stamp_ns) {
@@ -153,7 +155,7 @@ void StereoRig::record_punctuality(const Pair& pair, Id id) {
   }
 }
 
-void StereoRig::decide(Pair* pair) const {
+void StereoRig::agree(Pair* pair) const {
   pair->agreed = true;
   if (pair->none_dropped) return;
   for (const auto& [id, place] : pair->places) {
@@ -179,11 +181,7 @@ std::string StereoRig::give_up(const std::shared_ptr<Pair>& pair, Id id, const B
                            : other.name + " has not had an image of " + stamp + within;
 }
 
-FrameAction StereoRig::wait_for_stereo_partners(Id id, TimeNs stamp_ns, const ImageReport& report) {
-  const FrameAction alone{"", report.drop_reasons ? report.drop_reasons->if_deblurred : ""};
-  std::unique_lock<std::mutex> lock(mutex_);
-  const std::shared_ptr<Pair> pair = find(id, stamp_ns);
-  if (!pair) return alone;
+void StereoRig::add_report(const std::shared_ptr<Pair>& pair, Id id, const ImageReport& report) {
   pair->places[id].drop_reasons = report.drop_reasons;
   if (report.pass_through_text.empty()) {
     pair->places[id].phase = Phase::REPORTED;
@@ -191,40 +189,62 @@ FrameAction StereoRig::wait_for_stereo_partners(Id id, TimeNs stamp_ns, const Im
     pass_stereo_partners_through(pair, id, report.pass_through_text);
   }
   if (report.drop_reasons && !report.drop_reasons->may_be_dropped) pair->none_dropped = true;
-  changed_.notify_all();
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::nanoseconds(members_[id].timeout_ns);
-  bool waited = false, timed_out = false;
-  Blocking blocked;
-  while (true) {
-    if (pair->places.count(id) == 0) return alone;  // it has left the rig
-    const bool droppable = report.drop_reasons && report.drop_reasons->may_be_dropped;
-    if (pair->agreed) return {pair->pass_through_text, droppable ? pair->drop_text : ""};
-    const bool may_be_dropped = droppable && !pair->none_dropped;
-    if (!may_be_dropped && (!report.deblurs || !pair->pass_through_text.empty())) {
-      if (report.deblurs || report.drop_reasons) record_punctuality(*pair, id);
-      return {pair->pass_through_text, ""};
-    }
-    const Blocking before = blocked;
-    blocked = blocking(*pair, id);
-    const auto left_out = members_.find(before.id);
-    if (before.id && !before.has_come && blocked.id != before.id && pair->places.count(before.id) == 0 &&
-        left_out != members_.end()) {
-      left_out->second.sending.miss();  // waited for in vain
-    }
-    if (!blocked.id) {
-      record_punctuality(*pair, id);
-      decide(pair.get());
-      changed_.notify_all();
-      return {pair->pass_through_text, report.drop_reasons ? pair->drop_text : ""};
-    }
-    if (timed_out || !blocked.worth_waiting) {
-      const std::string why = give_up(pair, id, blocked, waited, report.deblurs);
-      changed_.notify_all();
-      return {why, ""};
-    }
-    waited = true;
-    timed_out = changed_.wait_until(lock, deadline) == std::cv_status::timeout;
+}
+
+std::optional<FrameAction> StereoRig::decide(Id id, TimeNs stamp_ns, const ImageReport& report) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const auto member = members_.find(id);
+  // An image before may have failed while it waited.
+  const auto is_of_this = [&](const Wait& wait) {
+    const auto place = wait.pair->places.find(id);
+    return place != wait.pair->places.end() && place->second.stamp_ns == stamp_ns;
+  };
+  const bool waited = member != members_.end() && member->second.wait && is_of_this(*member->second.wait);
+  // One that has left the rig has no pair.
+  const std::shared_ptr<Pair> pair = waited ? member->second.wait->pair : find(id, stamp_ns);
+  if (!pair) return FrameAction{"", report.drop_reasons ? report.drop_reasons->if_deblurred : ""};
+  std::optional<Wait>& wait = member->second.wait;
+  if (!waited) {
+    add_report(pair, id, report);
+    const auto timeout = std::chrono::nanoseconds(member->second.timeout_ns);
+    wait = Wait{pair, std::chrono::steady_clock::now() + timeout, {}};
   }
+  const std::optional<FrameAction> action = decide_reported(id, &*wait, report, waited);
+  if (action) wait.reset();
+  if (action || !waited) wake_waiting(id);
+  return action;
+}
+
+std::optional<std::chrono::steady_clock::time_point> StereoRig::deadline(Id id) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const auto member = members_.find(id);
+  if (member == members_.end() || !member->second.wait) return std::nullopt;
+  return member->second.wait->deadline;
+}
+
+std::optional<FrameAction> StereoRig::decide_reported(Id id, Wait* wait, const ImageReport& report, bool waited) {
+  const std::shared_ptr<Pair>& pair = wait->pair;
+  const bool droppable = report.drop_reasons && report.drop_reasons->may_be_dropped;
+  if (pair->agreed) return FrameAction{pair->pass_through_text, droppable ? pair->drop_text : ""};
+  const bool may_be_dropped = droppable && !pair->none_dropped;
+  if (!may_be_dropped && (!report.deblurs || !pair->pass_through_text.empty())) {
+    if (report.deblurs || report.drop_reasons) record_punctuality(*pair, id);
+    return FrameAction{pair->pass_through_text, ""};
+  }
+  const Blocking before = std::exchange(wait->blocking, blocking(*pair, id));
+  const auto left_out = members_.find(before.id);
+  if (before.id && !before.has_come && wait->blocking.id != before.id && pair->places.count(before.id) == 0 &&
+      left_out != members_.end()) {
+    left_out->second.sending.miss();  // waited for in vain
+  }
+  if (!wait->blocking.id) {
+    record_punctuality(*pair, id);
+    agree(pair.get());
+    return FrameAction{pair->pass_through_text, report.drop_reasons ? pair->drop_text : ""};
+  }
+  const bool timed_out = waited && std::chrono::steady_clock::now() >= wait->deadline;
+  if (!timed_out && wait->blocking.worth_waiting) return std::nullopt;
+  return FrameAction{give_up(pair, id, wait->blocking, waited, report.deblurs), ""};
 }
 
 StereoCamera::StereoCamera(std::shared_ptr<StereoRig> rig, std::string name)
@@ -233,20 +253,20 @@ StereoCamera::StereoCamera(std::shared_ptr<StereoRig> rig, std::string name)
 StereoCamera::~StereoCamera() { rig_->leave(this); }
 
 void StereoCamera::set_timeout(TimeNs timeout_ns) {
-  timeout_ns > 0 ? rig_->join(this, name_, timeout_ns) : rig_->leave(this);
+  timeout_ns > 0 ? rig_->join(this, name_, timeout_ns, wake_) : rig_->leave(this);
 }
 
 void StereoCamera::pass_through(TimeNs stamp_ns, PassThroughReason reason) {
   rig_->pass_through(this, stamp_ns, std::string("passes this image through: ") + to_string(reason));
 }
 
-FrameAction StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field,
-                                 const std::optional<DropReasons>& drop_reasons) {
+std::optional<FrameAction> StereoCamera::decide(TimeNs stamp_ns, const FrameBlur& field,
+                                                const std::optional<DropReasons>& drop_reasons) {
   const bool deblurs = field.count(BlockStatus::DEBLURRED) > 0;
   const bool is_sharp = field.count(BlockStatus::SHARP) + field.count(BlockStatus::MASKED) == field.blocks.size();
-  FrameAction action = rig_->wait_for_stereo_partners(
-      this, stamp_ns, {deblurs, deblurs || is_sharp ? "" : kNothingToDeblur, drop_reasons});
-  if (!deblurs) action.pass_through_text.clear();  // nothing would be deblurred anyway
+  const std::string text = deblurs || is_sharp ? "" : kNothingToDeblur;
+  std::optional<FrameAction> action = rig_->decide(this, stamp_ns, {deblurs, text, drop_reasons});
+  if (action && !deblurs) action->pass_through_text.clear();  // nothing would be deblurred anyway
   return action;
 }
 

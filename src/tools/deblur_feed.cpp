@@ -230,6 +230,7 @@ void DeblurFeed::pass_front(const Expect& expect, const Processor::Sink& sink) {
 MessageStream* DeblurFeed::awaited_stream() {
   switch (processor_.awaited()) {
     case Awaited::NOTHING:
+    case Awaited::STEREO_PARTNER:  // there is none in a bag
       return nullptr;
     case Awaited::CAMERA_INFO:
       return &camera_info_;

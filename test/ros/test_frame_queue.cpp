@@ -56,6 +56,21 @@ TEST(FrameQueue, FramePutBackIsTheForemostAgain) {
   EXPECT_EQ(queue.pop().stamp_ns, 2);
 }
 
+TEST(FrameQueue, FrameThatIsInWorkIsNotPassedThrough) {
+  FrameQueue queue(1);
+  queue.push(frame(1));
+  PendingFrame begun = queue.pop();
+  begun.in_work = std::shared_ptr<FrameInWork>(std::shared_ptr<void>(), reinterpret_cast<FrameInWork*>(&begun));
+  queue.put_back(begun);
+  queue.push(frame(2));
+  EXPECT_EQ(queue.front().pass_through_reason, PassThroughReason::NONE);
+  queue.push(frame(3));
+  queue.pass_through_all(PassThroughReason::TIME_JUMP, "back");
+  EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::NONE);
+  EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::OVERLOAD);
+  EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::TIME_JUMP);
+}
+
 TEST(FrameQueue, PassedThroughFramesNeedNoMemory) {
   FrameQueue queue(1);
   PendingFrame bad = frame(1);

@@ -1,7 +1,9 @@
 #include "ros/processing.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
+#include <initializer_list>
 #include <string>
 #include <utility>
 
@@ -40,6 +42,70 @@ TEST_F(RefusedFrameTest, LeavesAsItCameAndIsStillTracked) {
   add_frame(kStart + 100 * kMs);
   advance();
   expect_deblurred(1);
+}
+
+/// A frame that can be deblurred, next to a stereo partner that is not decided on yet.
+class WaitingFrameTest : public ProcessorTest {
+ protected:
+  WaitingFrameTest() : ProcessorTest(true) { partner_.set_timeout(kSecond); }
+  void add_pairs(TimeNs timeout_ns, std::initializer_list<TimeNs> stamps) {
+    config_.stereo_sync_timeout_ns = timeout_ns;
+    configure();
+    add_imu(kStart - 50 * kMs, kStart + 300 * kMs);
+    for (const TimeNs stamp_ns : stamps) {
+      partner_.announce(stamp_ns);
+      add_frame(stamp_ns);
+    }
+  }
+  StereoCamera partner_{rig_, "/cam1"};
+};
+
+TEST_F(WaitingFrameTest, WaitsInTheQueueAndIsDeblurredOnceItsPartnerIsDecidedOn) {
+  const TimeNs second_ns = kStart + 100 * kMs;
+  add_pairs(10 * kSecond, {kStart, second_ns});
+  for (int asked = 0; asked < 3; ++asked) {
+    advance();
+    EXPECT_TRUE(outputs_.empty());
+    EXPECT_EQ(processor_.waiting(), 2u);
+    EXPECT_EQ(processor_.awaited(), Awaited::STEREO_PARTNER);
+    steady_ns_ += 15 * kMs;
+  }
+  FrameBlur sharp;
+  sharp.blocks.emplace_back();
+  sharp.blocks.back().status = BlockStatus::SHARP;
+  ASSERT_TRUE(partner_.decide(kStart, sharp));
+  EXPECT_TRUE(processor_.wait(std::chrono::hours(1))) << "it is woken";
+  advance();
+  ASSERT_EQ(outputs_.size(), 1u) << "the second waits for its own partner";
+  expect_deblurred(0);
+  EXPECT_EQ(outputs_[0].waiting_ms, 45);
+  partner_.pass_through(second_ns, PassThroughReason::NO_CALIBRATION);
+  advance();
+  expect_passed_through(1, PassThroughReason::STEREO_PARTNER, "/cam1 passes this image through: NO_CALIBRATION");
+  EXPECT_EQ(processor_.awaited(), Awaited::NOTHING);
+}
+
+TEST_F(WaitingFrameTest, ResetPassesOnlyThoseBehindItThrough) {
+  const TimeNs second_ns = kStart + 100 * kMs;
+  add_pairs(10 * kSecond, {kStart, second_ns});
+  advance();
+  processor_.reset();
+  partner_.pass_through(kStart, PassThroughReason::OVERLOAD);
+  advance();
+  ASSERT_EQ(outputs_.size(), 2u);
+  expect_passed_through(0, PassThroughReason::STEREO_PARTNER, "/cam1 passes this image through: OVERLOAD");
+  expect_passed_through(1, PassThroughReason::TIME_JUMP, "reset");
+}
+
+TEST_F(WaitingFrameTest, WaitsNoLongerThanItsTimeoutWhenEverythingFinishes) {
+  add_pairs(kMs, {kStart});
+  advance();
+  processor_.stop();
+  processor_.finish([this](FrameOutput&& output) {
+    outputs_.push_back(std::move(output));
+    return true;
+  });
+  expect_passed_through(0, PassThroughReason::STEREO_PARTNER, "/cam1 has not decided on its image of ");
 }
 
 /// Three frames 200 ms apart. Within the second the camera rotates, 24 px there and back, so that all show the same.

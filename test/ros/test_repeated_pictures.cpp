@@ -64,7 +64,9 @@ class Player {
       for (; sample != imu.end() && sample->t_ns <= now_ns_; ++sample) add(*sample);
       processor_->add_image(message_of(shot));
       processor_->add_camera_info(info_at(shot.stamp_ns));
-      processor_->advance([this](FrameOutput&& output) { return take(std::move(output)); });
+      do {
+        processor_->advance([this](FrameOutput&& output) { return take(std::move(output)); });
+      } while (processor_->awaited() == Awaited::STEREO_PARTNER && processor_->wait(std::chrono::milliseconds(1)));
     }
     for (; sample != imu.end(); ++sample) add(*sample);
     processor_->finish([this](FrameOutput&& output) { return take(std::move(output)); });

@@ -49,6 +49,21 @@ TEST(OverloadRule, TimeWithoutWorkIsNotProcessing) {
   EXPECT_EQ(rule.pass_through_text(kPeriod * 10, 0, 5, kPeriod), "");
 }
 
+TEST(OverloadRule, WaitingForAStereoPartnerIsNotProcessing) {
+  OverloadRule rule;
+  for (int i = 0; i < 5; ++i) {
+    const TimeNs begin_ns = i * 1000 * kMs;
+    rule.begin(begin_ns, true);
+    for (const int ms : {2, 80}) {
+      rule.pause(begin_ns + ms * kMs);
+      rule.resume(begin_ns + 10 * ms * kMs);
+    }
+    rule.end(begin_ns + 805 * kMs);
+  }
+  EXPECT_EQ(rule.pass_through_text(kPeriod * 10, 0, 5, 140 * kMs), "");
+  EXPECT_NE(rule.pass_through_text(kPeriod * 10, 0, 5, 120 * kMs), "") << "2 + 60 + 5 ms of work";
+}
+
 TEST(OverloadRule, FramesThatHaveTimeMayTakeIt) {
   OverloadRule rule;
   for (int i = 0; i < 5; ++i) {

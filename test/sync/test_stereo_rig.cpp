@@ -4,16 +4,20 @@
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <future>
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
 
 #include "gyro_deblur/frame_blur.hpp"
+#include "sync/work_signal.hpp"
 
 namespace gyro_deblur::stereo_rig_test {
 namespace {
@@ -36,16 +40,33 @@ FrameBlur blurred() { return field({BlockStatus::SHARP, BlockStatus::DEBLURRED, 
 FrameBlur sharp() { return field({BlockStatus::SHARP, BlockStatus::SHARP}); }
 FrameBlur rejected() { return field({BlockStatus::SHARP, BlockStatus::REJECTED}); }
 
+/// Waits until the image is decided on, as a camera's worker does.
+class WaitingCamera : public StereoCamera {
+ public:
+  WaitingCamera(std::shared_ptr<StereoRig> rig, const std::string& name) : StereoCamera(std::move(rig), name) {
+    set_wake([signal = signal_] { signal->notify(); });
+  }
+
+  FrameAction decide(TimeNs stamp_ns, const FrameBlur& field, const std::optional<DropReasons>& drop_reasons = {}) {
+    std::optional<FrameAction> action;
+    while (!(action = StereoCamera::decide(stamp_ns, field, drop_reasons))) signal_->wait(std::chrono::milliseconds(1));
+    return *action;
+  }
+
+ private:
+  const std::shared_ptr<WorkSignal> signal_ = std::make_shared<WorkSignal>();
+};
+
 class StereoRigTest : public testing::Test {
  protected:
   void make(TimeNs timeout_ns, int cameras = 2) {
     timeout_ns_ = timeout_ns;
     for (int i = 0; i < cameras; ++i) {
-      cameras_.push_back(std::make_unique<StereoCamera>(rig_, "/cam" + std::to_string(i)));
+      cameras_.push_back(std::make_unique<WaitingCamera>(rig_, "/cam" + std::to_string(i)));
       cameras_.back()->set_timeout(timeout_ns_);
     }
   }
-  StereoCamera& camera(std::size_t i) { return *cameras_[i]; }
+  WaitingCamera& camera(std::size_t i) { return *cameras_[i]; }
   void announce(TimeNs stamp_ns) {
     for (const auto& camera : cameras_) camera->announce(stamp_ns);
   }
@@ -59,7 +80,7 @@ class StereoRigTest : public testing::Test {
 
   TimeNs timeout_ns_ = 0;
   const std::shared_ptr<StereoRig> rig_ = std::make_shared<StereoRig>();
-  std::vector<std::unique_ptr<StereoCamera>> cameras_;
+  std::vector<std::unique_ptr<WaitingCamera>> cameras_;
 };
 
 TEST_F(StereoRigTest, OneCameraDecidesAlone) {
@@ -77,6 +98,41 @@ TEST_F(StereoRigTest, BothWaitForEachOther) {
     EXPECT_EQ(first.get(), "");
     EXPECT_EQ(second.get(), "");
   }
+}
+
+TEST_F(StereoRigTest, NoCallWaitsAndTheCameraThatHasToIsWoken) {
+  make(kEndless);
+  int woken = 0;
+  StereoCamera waits(rig_, "/waits");
+  waits.set_wake([&] { ++woken; });
+  waits.set_timeout(kEndless);
+  cameras_.pop_back();
+  announce(kPeriod);
+  waits.announce(kPeriod);
+  EXPECT_EQ(woken, 0) << "nothing waits";
+  EXPECT_FALSE(waits.decide(kPeriod, blurred()));
+  EXPECT_FALSE(waits.decide(kPeriod, blurred())) << "asked again";
+  const int before = woken;
+  EXPECT_EQ(camera(0).decide(kPeriod, blurred()).pass_through_text, "");
+  EXPECT_GT(woken, before);
+  const auto action = waits.decide(kPeriod, blurred());
+  ASSERT_TRUE(action);
+  EXPECT_TRUE(action->deblurs());
+  const int after = woken;
+  announce(2 * kPeriod);
+  EXPECT_EQ(woken, after) << "it waits no longer";
+}
+
+TEST_F(StereoRigTest, WaitOfAnImageThatFailedIsForgotten) {
+  make(kEndless);
+  for (const TimeNs stamp_ns : {kPeriod, 2 * kPeriod}) announce(stamp_ns);
+  EXPECT_FALSE(camera(0).deadline());
+  EXPECT_FALSE(camera(0).StereoCamera::decide(kPeriod, blurred()));
+  EXPECT_TRUE(camera(0).deadline());
+  camera(0).pass_through(kPeriod, PassThroughReason::INTERNAL_ERROR);
+  camera(1).pass_through(2 * kPeriod, PassThroughReason::OVERLOAD);
+  EXPECT_EQ(camera(0).decide(2 * kPeriod, blurred()).pass_through_text, "/cam1 passes this image through: OVERLOAD");
+  EXPECT_FALSE(camera(0).deadline());
 }
 
 TEST_F(StereoRigTest, ImageThatPassesThroughTakesItsPartnerAlong) {
@@ -234,7 +290,7 @@ TEST_F(StereoRigTest, LeavingWakesThePartnerAndOneself) {
   auto partner = decide(0, kPeriod);
   cameras_[1].reset();
   EXPECT_EQ(partner.get(), "");
-  cameras_[1] = std::make_unique<StereoCamera>(rig_, "/cam1");
+  cameras_[1] = std::make_unique<WaitingCamera>(rig_, "/cam1");
   cameras_[1]->set_timeout(timeout_ns_);
   announce(2 * kPeriod);
   auto oneself = decide(0, 2 * kPeriod);
